@@ -9,6 +9,7 @@ STAMP := $(VENV)/.installed
 
 # Tests that need kernel devices, hours or luck have targets of their own.
 SLOW_TESTS := tests/system tests/soak tests/fuzz
+PYTEST = $(BIN)/python -m pytest --numprocesses $(PROCESSES) --dist worksteal --max-worker-restart 0 $(addprefix --ignore=,$(SLOW_TESTS))
 # A short form, for packages other than the locked: something of each that is used, and the whole pipeline.
 SHORT_TESTS := $(patsubst %,tests/%.py,test_imports files/test_config geometry/test_camera \
     geometry/least_squares/test_adjust capture/v4l2/test_pixels capture/v4l2/test_v4l2 session/control/test_metrics \
@@ -33,11 +34,12 @@ RELEASE = spheremouse-$(shell $(BIN)/hatchling version)
 WHEELHOUSE = $(RELEASE)-wheels-$(shell $(DIST_PYTHON) -c 'import sys, platform; print("py%d.%d-%s" % (*sys.version_info[:2], platform.machine()))')
 
 .DEFAULT_GOAL := help
-.PHONY: help demo picture test test-oldest test-newest lock lint format reference docs dist experiments system-test soak fuzz clean
+.PHONY: help demo picture test test-oldest test-newest lock lint format reference docs dist experiments nightly system-test soak fuzz clean
 
 help:
 	@echo "make demo         a simulated camera films the turning ball, the real pipeline tracks it"
 	@echo "make test         the tests (minutes); TEST_ARGS=... goes to pytest, PROCESSES=N are used"
+	@echo "make nightly      the slow tests, other versions of packages, soak, fuzz, guests, experiments"
 	@echo "make test-oldest  a short form of them with the oldest of each package that pyproject.toml allows"
 	@echo "make test-newest  the same with the newest; make test takes the locked ones"
 	@echo "make lock         the lock files anew, with the newest of each package; LOCK_ARGS= keeps what is locked"
@@ -63,7 +65,14 @@ picture: demo
 # Compiled by one process before the tests are several; a test process that crashes ends them all, and is told.
 test: $(STAMP)
 	$(BIN)/python -m spheremouse.wand.warm
-	$(BIN)/python -m pytest --numprocesses $(PROCESSES) --dist loadfile --max-worker-restart 0 $(addprefix --ignore=,$(SLOW_TESTS)) $(TEST_ARGS)
+	$(PYTEST) -m "not slow" $(TEST_ARGS)
+
+# What takes hours or minutes, or needs what few machines have.
+nightly: $(STAMP)
+	$(PYTEST) -m slow
+	$(MAKE) --jobs 2 --output-sync=target PROCESSES=1 test-newest $(if $(shell command -v $(OLDEST_PYTHON)),test-oldest)
+	$(MAKE) soak fuzz system-test
+	$(BIN)/python docs/experiments --quick --out build/experiments
 
 # The environments that the locked one is not: what a later lock may hold, and what the ranges promise.
 test-oldest: OTHER := --python $(OLDEST_PYTHON)

@@ -44,6 +44,7 @@ def small(monkeypatch, tmp_path):
     return add
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", WRONG)
 def test_what_goes_wrong_is_told_with_what_made_it(small, kind):
     action, says = WRONG[kind]

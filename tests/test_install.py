@@ -278,6 +278,7 @@ def install(tmp_path, release, *arguments, **more):
     return call(tmp_path, *arguments, script=script, PYTHON=others_python(), **index, **more)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lock", ["requirements.lock", "sources.lock"])
 def test_what_the_lock_does_not_name_is_refused_in_one_line(tmp_path, release, lock):
     path = release / "service" / lock
@@ -299,6 +300,7 @@ def test_a_release_without_a_lock_is_refused(tmp_path, release):
     assert "has no sources.lock" in said
 
 
+@pytest.mark.slow
 def test_a_folder_of_wheels_holds_what_is_locked_and_what_was_built_in_a_private_folder(tmp_path, shared, release):
     """And all that a machine without network needs.
 
@@ -354,6 +356,7 @@ def test_root_installs_nothing_where_another_may_change_it(tmp_path, wheels, opt
     assert list(theirs.iterdir()) == []
 
 
+@pytest.mark.slow
 @as_root
 @pytest.mark.parametrize("way", ["owner", "all", "file", "link"])
 @pytest.mark.parametrize("what", ["--from", "--wheelhouse", "--build-wheelhouse"])

@@ -118,6 +118,7 @@ def test_a_flat_thing_that_moves_alone_is_no_ball_that_turns():
     assert not len(states[-31].lookalikes.masks)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "turned"), [("sheet passing", False), ("camera drifting", False)])
 def test_rendered(name, turned):
     scene, frames = film(name, 1, turned=turned, discs=12)

@@ -47,6 +47,7 @@ def test_a_player_on_the_far_side_is_understood_and_the_file_told(tmp_path):
     assert "# guessed" in file.read_text()
 
 
+@pytest.mark.slow
 def test_a_configuration_is_begun_with_what_the_command_line_said(tmp_path):
     """So that `run --config` needs nothing else."""
     config_file = tmp_path / "cabinet" / "config.yaml"
@@ -68,6 +69,7 @@ def test_who_cannot_save_hears_so_before_the_first_gesture(tmp_path):
     assert (code, out, err) == (2, "", f"spheremouse: {path}: cannot be written: there is no folder {path.parent}\n")
 
 
+@pytest.mark.slow
 def test_a_film_without_gestures_is_refused_in_a_line():
     code, _, err = spheremouse("axes", "--source", "synthetic:motion=still,seconds=2")
     assert code == 2

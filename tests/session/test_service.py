@@ -855,6 +855,7 @@ def test_a_configuration_that_changes_ends_the_recording_made_with_it(playing):
 # ---- the service manager ----
 
 
+@pytest.mark.slow
 def test_systemd_hears_of_readiness_and_of_progress_and_of_nothing_else(world, monkeypatch):
     """READY when the control socket answers; WATCHDOG after frames or attempts; a driver that hangs starves it."""
     path = str(world.folder / "n")
@@ -1007,6 +1008,7 @@ class Process:
         self.process.wait(PATIENCE)
 
 
+@pytest.mark.slow
 def test_signals_a_second_instance_and_kill_9(film, tmp_path):
     """A file stands for the camera's node: SIGHUP reloads, a second daemon is refused, kill -9 leaves nothing stuck,
     SIGTERM ends it with the map saved."""
@@ -1067,6 +1069,7 @@ def a_pipe_that_nobody_reads(_):
     os.close(reads)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(fcntl, "F_SETPIPE_SZ"), reason="needs Linux's pipes and /dev/full")
 @pytest.mark.parametrize("broken", [a_closed_pipe, a_full_disk, a_pipe_that_nobody_reads])
 def test_nothing_that_happens_to_standard_error_stops_tracking(film, tmp_path, broken):
@@ -1090,6 +1093,7 @@ def test_nothing_that_happens_to_standard_error_stops_tracking(film, tmp_path, b
             daemon.end()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become a user whose tasks are limited")
 def test_without_another_thread_to_be_had_only_what_needs_one_fails(film):
     """The task limit is the kernel's, reached when the daemon tracks: its own threads are there, and no other comes."""

@@ -460,6 +460,7 @@ def test_the_sum_of_events_is_what_the_ball_has_turned_with_frames_missing(cabin
     print({key: status[key] for key in ("fps", "latency_ms", "stages_ms", "skipped", "dropped", "memory_mb")})
 
 
+@pytest.mark.slow
 def test_with_prediction_the_events_are_the_truth_and_what_the_pointer_is_ahead(cabinet):
     cabinet.told("set", assignments=["pointer.horizon=0.1"])
     before = cabinet.status()["output"]["ahead"]
@@ -470,6 +471,7 @@ def test_with_prediction_the_events_are_the_truth_and_what_the_pointer_is_ahead(
     assert cabinet.told("set", assignments=["pointer.horizon=0"])["changed"] == ["pointer"]
 
 
+@pytest.mark.slow
 def test_another_daemon_on_the_camera_is_refused_and_told_the_first_one_s_number(cabinet):
     second = Program(cabinet.folder, "run", "--config", cabinet.config, "--output", "null")
     assert second.wait() == 2
@@ -494,6 +496,7 @@ def test_while_paused_nothing_moves_and_nothing_is_saved_up(cabinet):
     at_rest(cabinet.mouse.counts, before)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("player", list(reversed(LOOKS)))  # the far side last, where the other tests stand
 def test_the_kernels_pointer_follows_the_hand_on_the_top_of_the_ball(cabinet, player):
     """REL_X is right and REL_Y is down, as the player looks at the ball, whose film turns as it is known to."""
@@ -507,6 +510,7 @@ def test_the_kernels_pointer_follows_the_hand_on_the_top_of_the_ball(cabinet, pl
     check(player, (counts[:2], seen.sum(axis=0), np.abs(seen).sum(axis=0)), 1.0)
 
 
+@pytest.mark.slow
 def test_set_and_reload_change_all_or_nothing(cabinet):
     code, _, said = cabinet.ctl("set", "motion.scale_x=2", "motion.scale_q=2")
     assert (code, said.count("\n")) == (1, 1)
@@ -525,6 +529,7 @@ def test_set_and_reload_change_all_or_nothing(cabinet):
         check("as before", cabinet.play(cabinet.onward(12)), 1.0)
 
 
+@pytest.mark.slow
 def test_a_recording_replays_to_the_same_counts(cabinet):
     folder = Path(cabinet.told("record", folder="bug")["folder"])
     until(lambda: cabinet.status()["recording"]["frames"] > 1, "nothing is recorded")
@@ -543,6 +548,7 @@ def test_a_recording_replays_to_the_same_counts(cabinet):
     check("replayed", (told_at_the_end(replay), played[0], played[2]), 1.0)
 
 
+@pytest.mark.slow
 def test_a_snapshot_is_a_picture(cabinet):
     path = Path(cabinet.told("snapshot", file="now.png")["file"])
     assert path == cabinet.folder / "recordings" / "now.png"
@@ -626,6 +632,7 @@ def test_stopped_it_leaves_nothing_and_has_sent_what_the_frames_said(cabinet):
     assert "internal error" not in cabinet.daemon.said
 
 
+@pytest.mark.slow
 def test_axes_asks_for_three_gestures_and_writes_down_where_the_player_stands(cabinet):
     film, config = Film(FILMS / "axes"), cabinet.folder / "axes.yaml"
     seated = CONFIG.format(folder=cabinet.folder, slow=SLOW.loss) + "motion: {player: left}  # says the last tenant\n"
@@ -642,6 +649,7 @@ def test_axes_asks_for_three_gestures_and_writes_down_where_the_player_stands(ca
     assert config.read_text() == seated.replace("left", "'far-side'")
 
 
+@pytest.mark.slow
 def test_a_camera_without_ball_and_with_stamps_ahead_of_the_clock(cabinet):
     insert("vivid", n_devs=1, node_types="0x1", num_inputs=1, input_types=0)
     (node,) = [p for p in Path("/sys/class/video4linux").iterdir() if "vid-cap" in (p / "name").read_text()]
@@ -666,6 +674,7 @@ def test_a_camera_without_ball_and_with_stamps_ahead_of_the_clock(cabinet):
     assert "ahead of the clock" in status["source"]["description"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(SHORT, reason="left out of the short form")
 def test_as_people_begin_it_with_a_film_rendered_by_other_software(tmp_path):
     if not (FILMS / "far26").exists():

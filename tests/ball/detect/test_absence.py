@@ -51,6 +51,7 @@ def why(change=None, disc=1.0, settings=None, size=(640, 480), seed=5, grey=Fals
     return why_no_disc(image, rig, film.scene.pose, settings or DiscSettings())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize(
     ("change", "cause"),

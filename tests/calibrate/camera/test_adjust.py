@@ -280,6 +280,7 @@ def test_many_views_are_no_matter():
     assert found.deviations[0] < 5e-4 * CAMERA.fx
 
 
+@pytest.mark.slow
 def test_reference_photos():
     """Nearer to the truth than OpenCV alone, and by no more than the standard deviations say."""
     folder = datasets_dir() / "stills" / "board"

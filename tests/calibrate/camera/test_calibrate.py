@@ -192,6 +192,7 @@ def test_a_photo_of_another_zoom_is_named_and_left_out(folder, poses, tmp_path):
     assert "zoomed.png" in (tmp_path / "c.yaml").read_text()
 
 
+@pytest.mark.slow
 def test_a_charuco_board_that_was_measured_wrongly(poses, tmp_path):
     pattern = Pattern(9, 6, 0.03, 0.0225)
     R, t = poses

@@ -133,6 +133,7 @@ def test_photo_of_another_device_is_left_out_and_named(stills):
     assert result.radius == pytest.approx(0.6, abs=3e-3)
 
 
+@pytest.mark.slow
 def test_two_photos_with_a_moved_target_are_left_out(stills):
     """Of five others; the target is moved in the photos by copying it 40 px aside."""
     images, device, camera, truth = stills
@@ -157,6 +158,7 @@ def test_mirrored_and_dark_photos_are_left_out_and_named(stills):
     assert dict(result.skipped)[5].startswith("0 of 4 targets")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "words"), [(2.0, "half as large"), (0.5, "twice as large")])
 def test_diameter_for_radius_is_found_out(stills, factor, words):
     images, device, camera, _ = stills
@@ -174,6 +176,7 @@ def test_too_few_photos_are_refused(stills, which, words):
         calibrate([images[k] for k in which], device, camera)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale_free", [False, True])
 def test_covariances_are_true_over_many_calibrations(scale_free):
     """The 95 % band for 200 is in docs/calibration; this many find a factor of 1.3."""

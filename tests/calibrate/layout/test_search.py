@@ -56,6 +56,7 @@ def test_spread_directions_share_the_sphere():
     assert_allclose(spacing(1000) ** 2 * 1000, 4 * np.pi)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("solid", "group"), [(TETRAHEDRON, 12), (OCTAHEDRON, 24), (CUBE, 24), (ICOSAHEDRON, 60)])
 def test_a_solid_has_the_symmetries_of_its_rotation_group(solid, group):
     judged = judge(solid, np.radians(89.0), 100)

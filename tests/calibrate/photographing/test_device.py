@@ -16,6 +16,8 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
 from spheremouse.simulate.ball.stills import StillsOptions, device_picture, photos, prepare_stills
 
+pytestmark = pytest.mark.slow  # films of many stills
+
 
 @pytest.fixture(scope="module")
 def stills():

@@ -136,6 +136,7 @@ def test_without_noise_the_truth_comes_out():
     assert np.linalg.norm(np.cross(found.rolling.direction, truth.direction)) < 1e-8
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_the_covariance_says():
     """Over 100 rollings the mean NEES of direction and ratio, and of the map, lies in the 95 % band."""
     runs, nees, discs, freedom = 100, 0.0, 0.0, 0
@@ -260,6 +261,7 @@ def test_spots_that_share_no_rotation_are_no_ball():
         start(crossing, CAMERA)
 
 
+@pytest.mark.slow
 def test_two_balls_are_told():
     wide = InteriorOrientation(1280, 480, 640.0, 640.0, 640.0, 240.0)
     every = [[], []]
@@ -350,6 +352,7 @@ def rolled_targets(seed, rig, **how):
     return found, axes_from_targets(sightings, moved, found.rolling), pose, off.ravel()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sigma", "lens", "targets"), [(0.4, 0.0, 0.0), (0.1, 0.3, 0.0), (0.2, 0.2, 1e-3)], ids=["direction", "lens", "all"]
 )
@@ -430,6 +433,7 @@ def seen_targets(rig, rolling, rng, sigma=0.05):
     ]
 
 
+@pytest.mark.slow
 def test_sizes_of_targets_give_axes_within_their_sigma():
     rig, rolling = target_scene()
     rig = replace(rig, targets=replace(rig.targets, position=rig.targets.position * [1, 1, 0] + [0, 0, 0.56]))
@@ -456,6 +460,7 @@ def test_sizes_of_targets_give_axes_within_their_sigma():
         axes_from_rings([s for s in seen if s[0] != device.codes[2]], device, CAMERA)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("taped", [False, True])
 def test_the_lens_is_considered_in_sizes(taped):
     """A focal length off by one standard deviation moves targets and axes by what the covariance adds for it."""
@@ -516,6 +521,7 @@ def run(*arguments):
     return CliRunner().invoke(app, ["rolling", *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_far26_without_photos(far26, tmp_path):
     """Six seconds of it: place within what the issue asks of ten, the axes from the targets, and a rig that loads."""
     out, figures = tmp_path / "rig.yaml", tmp_path / "rolled.json"
@@ -540,6 +546,7 @@ def test_far26_without_photos(far26, tmp_path):
     assert "--force" in str(again.exception)
 
 
+@pytest.mark.slow
 def test_a_live_camera_is_guided(far26, tmp_path, monkeypatch):
     """Prompts say what to do and when; without targets the two gestures follow, and a camera that ends is told."""
     recording = open_dataset(far26)
@@ -553,6 +560,7 @@ def test_a_live_camera_is_guided(far26, tmp_path, monkeypatch):
     assert "stopped before the ball was rolled forward and right" in str(result.exception)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("length", "why"), [("1.2m", "the diameter was given"), ("0.3m", "half the radius")])
 def test_a_length_that_contradicts_the_targets_is_told(far26, length, why):
     result = run("--source", f"dataset:{far26}", "--seconds", "3", "--radius", length)
@@ -590,6 +598,7 @@ class Negative:
         return until(every, min(seconds or 5.0, 5.0))
 
 
+@pytest.mark.slow
 def test_light_discs_on_a_dark_ball_are_rolled_as_well(far26):
     recording = open_dataset(far26)
     camera, true = recording.rig.camera, recording.pose.to_cam(np.zeros(3))

@@ -61,6 +61,7 @@ def same(a, b):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILMS)
 @pytest.mark.parametrize("grey", [False, True], ids=["colour", "grey"])
 def test_a_masked_film_says_the_same_to_the_last_bit(name, grey):

@@ -138,6 +138,7 @@ def test_a_recording_is_tracked_as_it_was_to_the_last_bit(tmp_path, kind):
     assert_same_epochs(epochs, list(track(iter(again), tracker)))
 
 
+@pytest.mark.slow
 def test_a_bump_is_found_again(tmp_path):
     """The camera is pushed: the mask goes with the pose, and the targets are still in it where they stand then."""
     rig, pose, frames = film(bump=1.5)

@@ -29,6 +29,8 @@ from spheremouse.simulate.ball.board import Board, board_coverage
 from spheremouse.simulate.ball.stations import board_stations, device_stations, looking, seen_targets
 from spheremouse.simulate.ball.stills import Photo, StillsOptions, photos, prepare_stills, truth_of
 
+pytestmark = pytest.mark.slow  # films of many stills
+
 LENS = np.array([-0.49, 0.3, -0.0001, -0.0001, -0.11])
 CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 967.0, 535.0, LENS)
 SMALL = (1280, 720)
