@@ -3,6 +3,7 @@
 Nothing here decodes, and no error of a device ends it.
 """
 
+import math
 import threading
 import time
 import traceback
@@ -145,13 +146,22 @@ class Capture(threading.Thread):
             self._recorded = isinstance(camera, Streamed) and not camera.live
             self.description = camera.describe()
             last, before, told = time.monotonic(), 0, 0.0
+            invalid_stamps = 0
             try:
                 while not (self._over or self._bell.is_set()):
                     raw = camera.next(_WAIT)
                     now = time.monotonic()
+                    if raw is not None and not math.isfinite(raw.stamp):
+                        if not invalid_stamps:
+                            what = f"frame {raw.sequence} is rejected: its stamp must be a finite number of seconds"
+                            self._say(f"{self.description}: {what}, is {raw.stamp}")
+                        invalid_stamps += 1
+                        raw.release()
+                        raw = None
                     if raw is None:
                         if now - last > self._patience:
-                            self.trouble = f"the camera gave no frame for {self._patience:g} s; it is opened again"
+                            no_frame = "no frame with a valid stamp" if invalid_stamps else "no frame"
+                            self.trouble = f"the camera gave {no_frame} for {self._patience:g} s; it is opened again"
                             break
                         continue
                     if began is None:

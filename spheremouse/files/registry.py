@@ -6,10 +6,11 @@ group `spheremouse.source` or `spheremouse.output`. Only the module that is need
 """
 
 import importlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.validate import nearest
@@ -46,14 +47,79 @@ def opened(
 ) -> Any:
     """Open `KIND:ARGUMENT`: call the module's `open` with the argument and `more`, and return its result.
 
-    Raises `error` as `resolve` does, and if the object that a plug-in returns lacks some of the `members`.
+    Raises `error` as `resolve` does, and if the object that a plug-in returns lacks some of the `members`. Any later
+    exception of a plug-in also becomes `error`, with the plug-in's name.
     """
     module, argument = resolve(package, what, spec, error)
-    made, kind = module.open(argument, *more), _full(package, spec).partition(":")[0]
-    missing = [name for name in members if kind not in package.KINDS and not hasattr(made, name)]
+    kind = _full(package, spec).partition(":")[0]
+    if kind in package.KINDS:
+        return module.open(argument, *more)
+    blame = _Blame(f"{what} {kind}", module.__name__, error)
+    with blame.catch():
+        plugin = module.open(argument, *more)
+    missing = [name for name in members if not hasattr(plugin, name)]
     if missing:
         raise error(f"{what} {kind}: breaks the contract: has no {', '.join(missing)}; {_REMEDY}")
-    return made
+    return _PlugIn(plugin, blame)
+
+
+class _Blame(NamedTuple):
+    """Turns unexpected exceptions of a plug-in into errors that name it."""
+
+    name: str
+    module: str
+    error: type[SpheremouseError]
+
+    @contextmanager
+    def catch(self) -> Iterator[None]:
+        try:
+            yield
+        except SpheremouseError:
+            raise
+        except Exception as e:  # a plug-in may raise anything
+            why = " ".join(f"{type(e).__name__}: {e}".split())[:200]
+            raise self.error(f"{self.name}: the plug-in {self.module} fails ({why}); {_REMEDY}") from e
+
+
+class _PlugIn:
+    """An opened plug-in whose exceptions name it."""
+
+    def __init__(self, plugin: Any, blame: _Blame) -> None:
+        self._plugin, self._blame = plugin, blame
+        for name in dir(type(plugin)):  # methods as attributes: from Python 3.12 on, protocols look for no others
+            if not name.startswith("_") and callable(getattr(type(plugin), name)):
+                setattr(self, name, self._guarded(getattr(plugin, name)))
+
+    def __getattr__(self, name: str) -> Any:
+        member = getattr(self._plugin, name)
+        return self._guarded(member) if callable(member) else member
+
+    def _guarded(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any, **kwargs: Any) -> Any:
+            with self._blame.catch():
+                return function(*args, **kwargs)
+
+        return call
+
+    def __iter__(self) -> Iterator[Any]:
+        with self._blame.catch():
+            items = iter(self._plugin)
+        while True:
+            with self._blame.catch():
+                try:
+                    item = next(items)
+                except StopIteration:
+                    return
+            yield item
+
+    def __enter__(self) -> "_PlugIn":
+        with self._blame.catch():
+            entered = self._plugin.__enter__()
+        return self if entered is self._plugin else _PlugIn(entered, self._blame)
+
+    def __exit__(self, *error: object) -> bool | None:
+        with self._blame.catch():
+            return self._plugin.__exit__(*error)
 
 
 def _full(package: ModuleType, spec: str) -> str:

@@ -289,3 +289,26 @@ def test_a_live_source_never_ends(start):
     assert not capture.finished
     assert "gives no more frames" in capture.trouble or capture.trouble == ""
     capture.close()
+
+
+@pytest.mark.parametrize("stamp", [float("nan"), float("inf"), float("-inf")])
+def test_a_frame_of_a_live_source_without_a_finite_stamp_is_rejected_and_the_next_is_taken(start, stamp):
+    ended = threading.Event()
+
+    def frames():
+        yield Frame(IMAGE, stamp, 7)
+        yield Frame(IMAGE, stamp, 8)
+        yield Frame(IMAGE, time.monotonic(), 9)
+        ended.wait(PATIENCE)
+
+    world = World([])
+    world.open = lambda: Streamed(Stream(frames(), live=True, fps=60.0), "lamp")
+    capture = start(world)
+    arrival = world.latest.take(PATIENCE)
+    ended.set()
+    assert arrival is not None
+    assert arrival.raw.sequence == 9
+    rejected = f"lamp, 60 frames/s: frame 7 is rejected: its stamp must be a finite number of seconds, is {stamp}"
+    assert world.said[:1] == [rejected]
+    assert not [line for line in world.said if "frame 8" in line]
+    assert capture.dropped == 0

@@ -95,3 +95,25 @@ def test_a_source_without_a_rate_is_refused_before_a_frame(installed):
     installed("spheremouse.source", "def open(argument, realtime): return iter([])")
     with pytest.raises(SourceError, match="source lamp: breaks the contract: has no rig, live, fps, count, __enter__"):
         open_source("lamp:")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        OUTPUT.replace("def open(argument): return", "def open(argument): {}['red'];"),
+        OUTPUT.replace("self.sent.append(report)", "{}['red']"),
+        OUTPUT.replace("def __enter__(self): return self", "def __enter__(self): return {}['red']"),
+    ],
+)
+def test_an_exception_of_an_output_names_the_plug_in(installed, text):
+    installed("spheremouse.output", text)
+    message = r"output lamp: the plug-in lamp_plugin fails \(KeyError: 'red'\); update it, or uninstall it"
+    with pytest.raises(OutputError, match=message), open_output("lamp:red") as lamp:
+        lamp.send(no_report(0.5))
+
+
+def test_an_exception_of_a_source_names_the_plug_in(installed):
+    installed("spheremouse.source", SOURCE.replace("iter([argument])", "iter([argument, 1 // 0] for _ in 'a')"))
+    message = r"source lamp: the plug-in lamp_plugin fails \(ZeroDivisionError: .*\); update it, or uninstall it"
+    with pytest.raises(SourceError, match=message), open_source("lamp:frame") as frames:
+        list(frames)
