@@ -1,4 +1,4 @@
-"""The camera that a command names where nobody has named one, and the size it is asked for."""
+"""The camera that a command uses if the user names none, and its image size."""
 
 import sys
 from pathlib import Path
@@ -6,8 +6,8 @@ from pathlib import Path
 _BY_ID = Path("/dev/v4l/by-id")
 
 
-def usual_camera(by_id: Path = _BY_ID) -> str:
-    """Its source: the first camera by the name that it keeps; by number where the system has no such names."""
+def default_camera(by_id: Path = _BY_ID) -> str:
+    """Return the source of the first camera, by its persistent name if the system has one, otherwise by its number."""
     if not sys.platform.startswith("linux"):
         return "opencv:0"
     try:
@@ -18,7 +18,7 @@ def usual_camera(by_id: Path = _BY_ID) -> str:
 
 
 def in_size(source: str, size: tuple[int, int] | None) -> str:
-    """The source of a camera with its size, where it says none itself and can be asked for one."""
+    """Return the source with a size, unless it already has one or is no camera."""
     if size is None or source.partition(":")[0] not in ("v4l2", "opencv") or "width=" in source:
         return source
     return f"{source},width={size[0]},height={size[1]}"

@@ -1,6 +1,6 @@
-"""One daemon to a camera: a lock on the device's node, which the kernel takes back however the holder ends.
+"""Lock a camera's device node, so that one process uses it. The kernel releases the lock when the process ends.
 
-The kernel also says who holds it (/proc/locks), so no file with a number has to be kept, or can be stale.
+The kernel lists the owner in /proc/locks, so no PID file is needed that could be stale.
 """
 
 import contextlib
@@ -16,10 +16,10 @@ from spheremouse.errors import SourceError
 
 
 @contextlib.contextmanager
-def claimed(node: Path) -> Iterator[None]:
-    """Holds a device within the `with` block. SourceError names the process that holds it already.
+def locked(node: Path) -> Iterator[None]:
+    """Lock a device within the `with` block. Raises SourceError with the process that holds the lock.
 
-    A node that cannot be opened is left to whoever opens it in earnest.
+    A node that cannot be opened is not locked: the camera reports that error when it opens the node.
     """
     held: int | None = None
     with contextlib.suppress(OSError):
@@ -41,11 +41,11 @@ def _lock(held: int, node: Path) -> None:
         who = "another spheremouse" if pid is None else f"another spheremouse (process {pid})"
         raise SourceError(f"{node}: in use by {who}; end that one first, or ask it: spheremouse ctl status") from None
     except OSError:
-        return  # of a kind that cannot be locked
+        return  # this kind of file has no locks
 
 
 def holder(node: Path) -> int | None:
-    """The process that has locked a file, as far as the kernel tells us."""
+    """Return the process that has locked a file, or None if the kernel does not list it."""
     try:
         there = os.stat(node)
         lines = Path("/proc/locks").read_text(encoding="ascii").splitlines()
@@ -59,8 +59,8 @@ def holder(node: Path) -> int | None:
     return None
 
 
-class Claimed:
-    """A camera whose node is held as long as it is open."""
+class LockedCamera:
+    """A camera whose node is locked while it is open."""
 
     def __init__(self, node: Path, open_camera: Callable[[], Camera]) -> None:
         self._node, self._open = node, open_camera
@@ -68,17 +68,17 @@ class Claimed:
         self._camera: Camera | None = None
 
     def next(self, timeout: float) -> RawFrame | None:
-        """As the camera."""
+        """Call the camera's method of the same name."""
         assert self._camera is not None
         return self._camera.next(timeout)
 
     def describe(self) -> str:
-        """As the camera."""
+        """Call the camera's method of the same name."""
         return "" if self._camera is None else self._camera.describe()
 
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as stack:
-            stack.enter_context(claimed(self._node))
+            stack.enter_context(locked(self._node))
             self._camera = stack.enter_context(self._open())
             self._stack = stack.pop_all()
         return self

@@ -1,7 +1,7 @@
-"""Ctrl-C and SIGTERM end a run between two frames, never in the middle of one.
+"""Ctrl-C and SIGTERM end a run between two frames. SIGHUP runs an action and ends nothing.
 
-A signal that comes while a frame is awaited ends the wait; one that comes while a frame is worked on is heard after it,
-so that what was measured is sent and no file is left half written. SIGHUP ends nothing: it is a wish of another kind.
+A signal during the wait for a frame ends the wait. A signal during the processing of a frame takes effect after it, so
+that its motion is sent and every file is complete.
 """
 
 import contextlib
@@ -15,20 +15,20 @@ from typing import Any, Self
 from spheremouse.tracker import Frame
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_SAME = 0.5  # s; `timeout` and shells signal the process and at once its group: one wish, not two
+_DUPLICATE_SIGNAL_S = 0.5  # `timeout` and shells signal the process and then its group: both mean one request
 
 
-class _Asked(BaseException):
-    """Raised by the handler while a frame is awaited; caught where it is awaited."""
+class _StopRequest(BaseException):
+    """Raised by the handler during the wait for a frame."""
 
 
-class Stopping:
-    """Listens to the signals within its `with` block; a second signal does what it would have done without."""
+class SignalHandler:
+    """Handle SIGINT and SIGTERM within the `with` block. A second signal has its usual effect."""
 
     def __init__(self) -> None:
         self.asked = False
         self._waiting = False
-        self._heard = 0.0  # s, when it was asked
+        self._heard = 0.0  # s, time of the first signal
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
@@ -41,15 +41,15 @@ class Stopping:
         self._restore()
 
     def frames(self, frames: Iterator[Frame]) -> Iterator[Frame]:
-        """The frames until a signal comes."""
+        """Yield the frames until a signal arrives."""
         while not self.asked:
             try:
                 self._waiting = True
-                if self.asked:  # between the question above and the line before
+                if self.asked:  # a signal arrived before `_waiting` was set
                     return
                 frame = next(frames)
                 self._waiting = False
-            except (StopIteration, _Asked):
+            except (StopIteration, _StopRequest):
                 return
             finally:
                 self._waiting = False
@@ -60,14 +60,14 @@ class Stopping:
     def _hear(self, number: int, _frame: FrameType | None) -> None:
         now = time.monotonic()
         if self.asked:
-            if now - self._heard > _SAME:
+            if now - self._heard > _DUPLICATE_SIGNAL_S:
                 self._restore()
                 signal.raise_signal(number)
             return
         self.asked, self._heard = True, now
         if self._waiting:
             self._waiting = False
-            raise _Asked
+            raise _StopRequest
 
     def _restore(self) -> None:
         for number, handler in self._before.items():
@@ -77,7 +77,7 @@ class Stopping:
 
 @contextlib.contextmanager
 def on_hang_up(action: Callable[[], None]) -> Iterator[None]:
-    """SIGHUP does this meanwhile, between two lines of the main thread; within another thread nothing is changed."""
+    """Run the action at every SIGHUP within the block. In other threads than the main thread, do nothing."""
     if not hasattr(signal, "SIGHUP") or threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -33,14 +33,14 @@ def log_mouse(
     is in the file.
     """
     from spheremouse.capture.mouse import Listener, choose, mice
-    from spheremouse.capture.stopping import Stopping
+    from spheremouse.capture.signals import SignalHandler
     from spheremouse.errors import SourceError
     from spheremouse.files.mouse_log import MOST, LogFile
 
     if not sys.platform.startswith("linux"):
         raise SourceError("log-mouse: reads the event devices of Linux; on other systems there are none")
     mouse = choose(device, mice())
-    with Stopping() as stopping, Listener(mouse, grab) as listener:
+    with SignalHandler() as stopping, Listener(mouse, grab) as listener:
         with LogFile(out, f"device {mouse.name}", force) as file:
             print(f"listening to {mouse}; move the ball, end with Ctrl-C", file=sys.stderr, flush=True)
             end = time.monotonic() + seconds

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from spheremouse.capture import Camera, Source, open_source
 from spheremouse.capture.fetch import Streamed
-from spheremouse.capture.lock import Claimed, claimed
+from spheremouse.capture.lock import LockedCamera, locked
 from spheremouse.capture.settings import CameraSettings
 from spheremouse.session.plan import Plan
 
@@ -37,7 +37,7 @@ def opener(plan: Plan, open_recording: Callable[[Plan], Source], first: Source |
 
     def open_held() -> Camera:
         node = node_of(plan)  # anew each time: a camera that comes back may be another node
-        return open_it() if node is None else Claimed(node, open_it)
+        return open_it() if node is None else LockedCamera(node, open_it)
 
     return open_held
 
@@ -50,7 +50,7 @@ def looked_through(source: str, settings: CameraSettings, realtime: bool = False
     """
     kind, _, argument = source.partition(":")
     node = node_of_source(source)
-    with nullcontext() if node is None else claimed(node):
+    with nullcontext() if node is None else locked(node):
         if kind == "v4l2":
             from spheremouse.capture import v4l2
 
@@ -70,7 +70,7 @@ def refuse_if_taken(plan: Plan) -> None:
 def held(plan: Plan) -> AbstractContextManager[None]:
     """Holds the camera's node before it is opened. SourceError where another daemon has it."""
     node = node_of(plan)
-    return nullcontext() if node is None else claimed(node)
+    return nullcontext() if node is None else locked(node)
 
 
 def node_of(plan: Plan) -> Path | None:

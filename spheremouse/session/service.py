@@ -15,7 +15,7 @@ from spheremouse import __version__
 from spheremouse.capture import Camera
 from spheremouse.capture.fetch import Capture
 from spheremouse.capture.newest import LatestFrame
-from spheremouse.capture.stopping import Stopping, on_hang_up
+from spheremouse.capture.signals import SignalHandler, on_hang_up
 from spheremouse.output.pointer import Counts, minus, plus
 from spheremouse.output.sparing import Sparing
 from spheremouse.output.third_axis import left_out
@@ -107,7 +107,7 @@ class Daemon:
             say=self._say,
         )
 
-    def run(self, stopping: Stopping) -> None:
+    def run(self, stopping: SignalHandler) -> None:
         """Until it is asked to stop, or a recording ends."""
         try:
             with on_hang_up(self._reload):  # as other services do
@@ -159,7 +159,7 @@ class Daemon:
 
     # ---- the loop ----
 
-    def _loop(self, stopping: Stopping) -> None:
+    def _loop(self, stopping: SignalHandler) -> None:
         while not (stopping.asked or self._over):
             arrival = self._ring.take(_TICK)
             self._errands.do_all(self._answers.answer)
@@ -234,7 +234,7 @@ class Daemon:
             self._say(f"record: {removed} half-written by a run that was cut off, removed")
         self._notifier.ready()
 
-    def _get_ready(self, stopping: Stopping) -> bool:
+    def _get_ready(self, stopping: SignalHandler) -> bool:
         """Whether it came to that: a compiler is not waited for by who is asked to stop."""
         plan = self._loader.plan
         self._judgement.starting = "the program is made ready"

@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from spheremouse.capture import lock
-from spheremouse.capture.lock import Claimed, claimed, holder
+from spheremouse.capture.lock import LockedCamera, holder, locked
 from spheremouse.errors import SourceError
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from spheremouse.capture.lock import claimed
-with claimed(Path(sys.argv[1])):
+from spheremouse.capture.lock import locked
+with locked(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(600)
 """
@@ -41,7 +41,7 @@ def other(tmp_path):
 
 def test_the_second_is_refused_with_the_first_ones_number(other):
     node, process = other
-    with pytest.raises(SourceError) as e, claimed(node):
+    with pytest.raises(SourceError) as e, locked(node):
         pass
     assert str(e.value) == (
         f"{node}: in use by another spheremouse (process {process.pid}); end that one first, or ask it: "
@@ -51,7 +51,7 @@ def test_the_second_is_refused_with_the_first_ones_number(other):
 
 def test_without_a_word_from_the_kernel_it_is_refused_all_the_same(other, monkeypatch):
     monkeypatch.setattr(lock, "holder", lambda _: None)
-    with pytest.raises(SourceError, match="in use by another spheremouse; end that one"), claimed(other[0]):
+    with pytest.raises(SourceError, match="in use by another spheremouse; end that one"), locked(other[0]):
         pass
 
 
@@ -61,19 +61,19 @@ def test_a_holder_that_is_killed_leaves_nothing_behind(other):
     process.wait()
     assert holder(node) is None
     for _ in range(2):
-        with claimed(node):
+        with locked(node):
             assert holder(node) == os.getpid()
         assert holder(node) is None
 
 
 def test_an_error_within_gives_it_back_and_a_missing_node_is_not_our_matter(tmp_path):
     node = tmp_path / "video0"
-    with claimed(node):
+    with locked(node):
         assert not node.exists()
     node.touch()
-    with pytest.raises(KeyError), claimed(node):
+    with pytest.raises(KeyError), locked(node):
         raise KeyError
-    with claimed(node):
+    with locked(node):
         pass
 
 
@@ -102,15 +102,15 @@ class Camera:
 def test_a_camera_holds_its_node_while_it_is_open(tmp_path):
     node, log = tmp_path / "video0", []
     node.touch()
-    with Claimed(node, lambda: Camera(log)) as camera:
+    with LockedCamera(node, lambda: Camera(log)) as camera:
         assert camera.describe() == "a camera"
         assert camera.next(0.0) is None
-        with pytest.raises(SourceError, match="in use"), claimed(node):
+        with pytest.raises(SourceError, match="in use"), locked(node):
             pass
     assert log == ["open", "closed"]
-    with pytest.raises(SourceError, match=r"^no$"), Claimed(node, lambda: Camera(log, fails=True)):
+    with pytest.raises(SourceError, match=r"^no$"), LockedCamera(node, lambda: Camera(log, fails=True)):
         pass
-    with claimed(node):
+    with locked(node):
         pass
 
 

@@ -22,7 +22,7 @@ from conftest import directions
 from spheremouse import commands as cli
 from spheremouse.ball.compare_maps import compare
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.capture.stopping import Stopping
+from spheremouse.capture.signals import SignalHandler
 from spheremouse.commands.demo import play as demo
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.disc_map import load_map, save_map, saved_now
@@ -464,7 +464,7 @@ def test_simulate_killed_half_way_leaves_nothing(tmp_path):
 
 
 def test_a_signal_while_a_frame_is_worked_on_is_heard_after_it():
-    with Stopping() as stopping:
+    with SignalHandler() as stopping:
         got = []
         for frame in stopping.frames(iter(range(5))):
             if frame == 2:
@@ -482,7 +482,7 @@ def test_a_signal_while_a_frame_is_awaited_ends_the_wait():
         yield 1
 
     before = signal.getsignal(signal.SIGTERM)
-    with Stopping() as stopping:
+    with SignalHandler() as stopping:
         assert list(stopping.frames(slow())) == [0]
     assert signal.getsignal(signal.SIGTERM) == before
 
@@ -490,11 +490,11 @@ def test_a_signal_while_a_frame_is_awaited_ends_the_wait():
 def test_a_second_signal_is_a_second_wish_only_after_a_while(monkeypatch):
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with Stopping() as stopping:
+        with SignalHandler() as stopping:
             for _ in range(3):
                 os.kill(os.getpid(), signal.SIGINT)
             assert stopping.asked
-            monkeypatch.setattr("spheremouse.capture.stopping._SAME", -1.0)
+            monkeypatch.setattr("spheremouse.capture.signals._DUPLICATE_SIGNAL_S", -1.0)
             with pytest.raises(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)
     finally:

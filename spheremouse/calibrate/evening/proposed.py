@@ -17,7 +17,7 @@ from spheremouse.calibrate.evening.found import (
     configured,
     film_in,
 )
-from spheremouse.capture.usual import in_size, usual_camera
+from spheremouse.capture.default_camera import default_camera, in_size
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.device import untouched
 
@@ -92,7 +92,7 @@ def _named(folder: Path) -> list[Path]:
 def _source(folder: Path) -> str:
     """The camera that took the photos, in the mode that was calibrated."""
     camera, said = camera_in(folder), _said(folder).get("source")
-    return in_size(said if isinstance(said, str) else usual_camera(), None if camera is None else camera.size)
+    return in_size(said if isinstance(said, str) else default_camera(), None if camera is None else camera.size)
 
 
 def _said(folder: Path) -> dict[str, Any]:

@@ -44,8 +44,8 @@ def axes(
     Roll the ball to the right, roll it away from you, spin it; each time one way, and let it rest. Then the pointer
     goes right and up with your hand. With a recording, the gestures are looked for in it.
     """
-    from spheremouse.capture.stopping import Stopping
-    from spheremouse.capture.usual import usual_camera
+    from spheremouse.capture.default_camera import default_camera
+    from spheremouse.capture.signals import SignalHandler
     from spheremouse.commands.axes.dialogue import Dialogue
     from spheremouse.commands.run import follow, serve
     from spheremouse.files.edit import check_place
@@ -64,7 +64,7 @@ def axes(
     request = Request(file, told, source, "null", rig, camera, None, no_map=True, balls=tuple(balls or ()))
     plan = read_plan(request)
     live = is_camera(plan.source)
-    with unhurried() if live else nullcontext(), Stopping() as stopping:
+    with unhurried() if live else nullcontext(), SignalHandler() as stopping:
         setup = trackers.setup(plan)
         plan = setup.planned(request, plan)
         if plan.source.startswith("v4l2:"):  # a service waits for its camera, a person is told that there is none
@@ -83,7 +83,7 @@ def axes(
     kept |= {tuple(key.split(".")): value for key, value, _ in values}
     _keep(config, kept, dry)
     if config is not None and not (dry or there or ("source",) in kept):
-        print(f"it names no camera yet: add a line such as `source: {usual_camera()}`")
+        print(f"it names no camera yet: add a line such as `source: {default_camera()}`")
 
 
 def _shown(value: Any) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.capture.stopping import Stopping
+from spheremouse.capture.signals import SignalHandler
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import MotionSettings, Player
@@ -72,7 +72,7 @@ def asked_of(configuration: Configuration) -> Asked:
 class Dialogue:
     """Asks for one gesture after the other, and says what it has understood: what shows a run to a person."""
 
-    def __init__(self, configuration: Configuration, stopping: Stopping, live: bool) -> None:
+    def __init__(self, configuration: Configuration, stopping: SignalHandler, live: bool) -> None:
         """`stopping` is asked as soon as all is understood."""
         self.tally, self._stopping, self._live = Tally(), stopping, live
         self._configuration, self._asked = configuration, asked_of(configuration)

@@ -65,7 +65,7 @@ def photos(
     from spheremouse.calibrate.photographing.screen import ENOUGH, Screen
     from spheremouse.calibrate.photographing.session import take_photos
     from spheremouse.capture import full_spec
-    from spheremouse.capture.stopping import Stopping
+    from spheremouse.capture.signals import SignalHandler
     from spheremouse.commands.config import root
     from spheremouse.files.config import in_force
 
@@ -79,7 +79,7 @@ def photos(
     place = folder / ("board" if what == "camera" else "device")
     begin = _board_judge(known) if what == "camera" else _device_judge(folder, configured)
     with Screen(sound) as screen:
-        with _opened(source, configured, folder, place, screen) as stream, Stopping() as stopping:
+        with _opened(source, configured, folder, place, screen) as stream, SignalHandler() as stopping:
             outcome = take_photos(stopping.frames(iter(stream)), begin, place, stream.live, screen)
         if what == "camera" and outcome.judge is not None and outcome.judge.count:
             save_board(folder / NAME, known)
@@ -150,10 +150,10 @@ def _opened(
 ) -> Iterator["Source"]:
     """The camera, in the mode of the photos there are."""
     from spheremouse.capture import full_spec
-    from spheremouse.capture.usual import in_size, usual_camera
+    from spheremouse.capture.default_camera import default_camera, in_size
     from spheremouse.session.cameras import looked_through, node_of_source
 
-    spec = full_spec(source or configured.source or usual_camera())
+    spec = full_spec(source or configured.source or default_camera())
     kind, _, argument = spec.partition(":")
     size = _size_there(place, folder / "camera.yaml") or configured.camera.size
     if kind == "v4l2" and size is None and "width=" not in spec:

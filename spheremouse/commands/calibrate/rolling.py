@@ -210,7 +210,7 @@ class _Bar:
 def _footage(given: _Given, live: bool, ask: bool) -> Any:
     from spheremouse.calibrate.rolling.footage import Kept, Recorded
     from spheremouse.capture import open_source
-    from spheremouse.capture.stopping import Stopping
+    from spheremouse.capture.signals import SignalHandler
 
     if not live:
         return Recorded(given.source, given.seconds), None
@@ -219,7 +219,7 @@ def _footage(given: _Given, live: bool, ask: bool) -> Any:
     if ask:
         parts += [("now FORWARD: roll the ball straight away from you, on and on", _GESTURE)]
         parts += [("now RIGHT: roll the ball straight to the right, on and on", _GESTURE)]
-    with Stopping() as stopping, open_source(given.source) as stream:
+    with SignalHandler() as stopping, open_source(given.source) as stream:
         frames = stopping.frames(iter(stream))
         for k, (text, length) in enumerate(parts):
             begin: float | None = None

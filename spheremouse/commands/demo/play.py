@@ -17,7 +17,7 @@ from spheremouse.ball.build import build
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import Epoch, Tracker
 from spheremouse.ball.truth import DiscTruth, Truth
-from spheremouse.capture.stopping import Stopping
+from spheremouse.capture.signals import SignalHandler
 from spheremouse.errors import ConfigurationError, PoseError
 from spheremouse.evaluate.history import History
 from spheremouse.evaluate.metrics import Reference, Run, report
@@ -54,7 +54,7 @@ def play(out: Path, seconds: float, seed: int) -> None:
         "The tracker gets the pictures and the rig, nothing else."
     )
     make_ready(_SETTINGS)
-    with Stopping() as stopping:
+    with SignalHandler() as stopping:
         film = _Film(simulation)
         frames = stopping.frames(iter(film))
         with console.status("lighting the scene, looking for the targets") if console.is_terminal else nullcontext():
@@ -76,7 +76,7 @@ def play(out: Path, seconds: float, seed: int) -> None:
             print(f"  {out / name}")
 
 
-def _started(frames: Iterator[Frame], rig: Rig, stopping: Stopping) -> Start:
+def _started(frames: Iterator[Frame], rig: Rig, stopping: SignalHandler) -> Start:
     try:
         return initialise(frames, rig, _SETTINGS)
     except PoseError:

@@ -12,7 +12,7 @@ import numpy as np
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import Rig
 from spheremouse.capture import Source, open_source
-from spheremouse.capture.lock import claimed
+from spheremouse.capture.lock import locked
 from spheremouse.commands.doctor.controls import Controls, read
 from spheremouse.errors import DamagedFrameError, SourceError, SpheremouseError
 from spheremouse.geometry.rotation import Array
@@ -55,7 +55,7 @@ class Footage:
 def film(plan: Plan, seconds: float, node: Path | None, source: Source | None = None) -> Footage:
     """Two seconds or so, of a source that is open already where one is given. SourceError where nothing comes."""
     camera = plan.source.partition(":")[0] == "v4l2"
-    with contextlib.nullcontext() if node is None else claimed(node):
+    with contextlib.nullcontext() if node is None else locked(node):
         return _of_camera(plan, seconds, node) if camera else _of_source(plan, seconds, node, source)
 
 

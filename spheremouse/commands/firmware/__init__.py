@@ -125,7 +125,7 @@ def simulate(
     ] = None,
 ) -> None:
     """A board without a board: a serial port on which the firmware answers; prints what its mouse does."""
-    from spheremouse.capture.stopping import Stopping
+    from spheremouse.capture.signals import SignalHandler
     from spheremouse.output.serial import check_speed
     from spheremouse.output.serial.simulator import Simulator
 
@@ -137,7 +137,7 @@ def simulate(
         ours = link.is_symlink() and os.readlink(link).startswith(("/dev/pts/", "/dev/tty"))
         if os.path.lexists(link) and not ours:
             raise ConfigurationError(f"--link: {link} is there and is no link to a port; choose another name")
-    with Stopping() as stopping, Simulator(damage / 100.0, baud=baud) as board:
+    with SignalHandler() as stopping, Simulator(damage / 100.0, baud=baud) as board:
         if link is not None:
             link.unlink(missing_ok=True)
             os.symlink(board.port, link)

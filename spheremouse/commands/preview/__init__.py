@@ -56,14 +56,14 @@ def preview(
     and how bright the picture is. The whole picture is kept, with whoever is in it.
     """
     from spheremouse.capture import full_spec
-    from spheremouse.capture.usual import usual_camera
+    from spheremouse.capture.default_camera import default_camera
     from spheremouse.commands.preview.show import Wanted, film, pictures
 
     if every is not None and out.suffix.lower() not in _PICTURES:
         raise ConfigurationError(
             f"--every: goes with a picture, {out} is none; end its name in .png, or leave --every out"
         )
-    wanted = Wanted(full_spec(source or usual_camera()), out, at, rig, config, tuple(assignments or ()), as_json)
+    wanted = Wanted(full_spec(source or default_camera()), out, at, rig, config, tuple(assignments or ()), as_json)
     if out.suffix.lower() in _PICTURES:
         pictures(wanted, every)
     else:

@@ -15,7 +15,7 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.projection import GREY, projected
 from spheremouse.ball.detect.sharpness import blur_of
 from spheremouse.calibrate.rolling.start import Spots, dark_spots
-from spheremouse.capture.stopping import Stopping
+from spheremouse.capture.signals import SignalHandler
 from spheremouse.commands.doctor.finding import Finding
 from spheremouse.commands.doctor.light import brightness
 from spheremouse.errors import ConfigurationError, SourceError
@@ -177,7 +177,7 @@ def _looked_at(wanted: Wanted, realtime: bool) -> Iterator[tuple[Iterator[Frame]
     argument = wanted.source.partition(":")[2]
     if argument and wanted.out.resolve() == Path(argument).resolve():
         raise ConfigurationError(f"--out: {wanted.out} is what is looked at; name another file")
-    with looked_through(wanted.source, settings.camera, realtime) as source, Stopping() as stopping:
+    with looked_through(wanted.source, settings.camera, realtime) as source, SignalHandler() as stopping:
         rig = rig or source.rig
         radii, codes = (_USUAL, None) if rig is None else (rig.targets.radii, rig.targets.codes)
         at = wanted.at if wanted.at is not None else _SETTLING if source.live else 0.0

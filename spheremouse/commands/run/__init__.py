@@ -12,7 +12,7 @@ import typer
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 
 if TYPE_CHECKING:
-    from spheremouse.capture.stopping import Stopping
+    from spheremouse.capture.signals import SignalHandler
     from spheremouse.commands.run.view import Counting
     from spheremouse.session.follower import Setup
     from spheremouse.session.plan import Plan, Request
@@ -156,7 +156,7 @@ def _run(
     verbose: bool,
 ) -> None:
     """From the first frame to the last words; what ended the run is raised when all is said."""
-    from spheremouse.capture.stopping import Stopping
+    from spheremouse.capture.signals import SignalHandler
     from spheremouse.commands.run.view import view
     from spheremouse.session import trackers
     from spheremouse.session.cameras import is_camera
@@ -167,7 +167,7 @@ def _run(
     words: tuple[str, ...] = ()
     with unhurried() if live else nullcontext():
         with ExitStack() as stack:
-            stopping = stack.enter_context(Stopping())
+            stopping = stack.enter_context(SignalHandler())
             setup = trackers.setup(plan, realtime)
             plan = setup.planned(request, plan)
             shown = view(plan, table, overlay, None if setup.source is None else setup.source.fps, stack, verbose)
@@ -199,7 +199,7 @@ def _refuse_loss(overlay: Path, plan: "Plan", given: tuple[Path | None, ...]) ->
 
 
 def serve(
-    request: "Request", plan: "Plan", setup: "Setup", stopping: "Stopping", view: "Counting", frames: int | None
+    request: "Request", plan: "Plan", setup: "Setup", stopping: "SignalHandler", view: "Counting", frames: int | None
 ) -> tuple[SpheremouseError | None, tuple[str, ...]]:
     """As a service: frames are taken when they come, and a device that fails is waited for."""
     from spheremouse.session.cameras import opener, refuse_if_taken
@@ -233,7 +233,7 @@ def serve(
 
 
 def follow(
-    request: "Request", plan: "Plan", setup: "Setup", stopping: "Stopping", view: "Counting", frames: int | None
+    request: "Request", plan: "Plan", setup: "Setup", stopping: "SignalHandler", view: "Counting", frames: int | None
 ) -> tuple[SpheremouseError | None, tuple[str, ...]]:
     """A recording: every frame, one after the other."""
     from spheremouse.output.third_axis import left_out
