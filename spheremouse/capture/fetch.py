@@ -1,6 +1,6 @@
-"""The thread that fetches: opens the camera, hands each raw frame on, and opens it again whatever becomes of it.
+"""The capture thread opens the camera, passes each raw frame on, and reopens the camera after a failure.
 
-Nothing here decodes, and no error of a device ends it.
+It decodes nothing, and no error of a device ends it.
 """
 
 import math
@@ -18,10 +18,10 @@ from spheremouse.tracker import Frame
 
 PATIENCE = 2.0  # s without a frame after which a stream counts as frozen: exposures are shorter, so are focus hunts
 BACK_OFF = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # s
-_STEADY = 2.0  # s that a stream must last for the next failure to count as the first one
-_LATE = 0.2  # s that a recording may lag behind its own pace
-_WAIT = 0.25  # s
-_TELL = 1.0  # s between two looks at what the camera says of itself: what stamps are and lack, only frames show
+_STABLE_STREAM_S = 2.0  # s that a stream must last for the next failure to count as the first one
+_MAX_LAG_S = 0.2  # s that a recording may lag behind its own pace
+_POLL_S = 0.25  # s
+_DESCRIBE_INTERVAL_S = 1.0  # s between two descriptions, which depend on the frames
 
 
 class EndOfSource(Exception):  # noqa: N818  an end, not an error
@@ -29,22 +29,22 @@ class EndOfSource(Exception):  # noqa: N818  an end, not an error
 
 
 class Fetched:
-    """A frame that came decoded, as a raw one."""
+    """A raw frame around a decoded one."""
 
     def __init__(self, frame: Frame) -> None:
         self._frame = frame
         self.stamp, self.sequence = frame.stamp, frame.sequence
 
     def frame(self, colour: bool) -> Frame:
-        """As it came, whatever is asked for."""
+        """Return the decoded frame, in colour or not."""
         return self._frame
 
     def release(self) -> None:
-        """Nothing to give back."""
+        """Do nothing: there is no buffer."""
 
 
 class Streamed:
-    """A plain source as a camera. It cannot be waited for with a limit: whoever takes the frames sees the silence."""
+    """A camera around a plain source. Its `next` ignores the timeout, since a plain source has none."""
 
     def __init__(self, source: Source, name: str) -> None:
         self._source, self._name = source, name
@@ -53,7 +53,7 @@ class Streamed:
         self._ahead: float | None = None  # s, clock less stamp of the first frame
 
     def next(self, timeout: float) -> RawFrame | None:
-        """The next frame; EndOfSource where a recording ends, SourceError where a camera does."""
+        """Return the next frame. Raises EndOfSource at the end of a recording, SourceError if a camera stops."""
         try:
             frame = next(self._frames, None)
         except SpheremouseError as e:
@@ -61,7 +61,7 @@ class Streamed:
                 raise
             raise EndOfSource(e) from None
         if frame is not None and not self.live and self._is_late(frame):
-            frame = next(self._frames, frame)  # every other one: a film is no reason to be slow for ever
+            frame = next(self._frames, frame)  # skip every other frame until it has caught up
         if frame is not None:
             return Fetched(frame)
         if self.live:
@@ -69,14 +69,14 @@ class Streamed:
         raise EndOfSource
 
     def _is_late(self, frame: Frame) -> bool:
-        """Does a recording that is played at its own pace lag behind it?"""
+        """Return whether a recording that is played in real time lags behind its stamps."""
         now = time.monotonic()
         if self._ahead is None:
             self._ahead = now - frame.stamp
-        return now - frame.stamp - self._ahead > _LATE
+        return now - frame.stamp - self._ahead > _MAX_LAG_S
 
     def describe(self) -> str:
-        """Its name and rate."""
+        """Return name and rate."""
         return self._name if self._source.fps is None else f"{self._name}, {self._source.fps:g} frames/s"
 
     def __enter__(self) -> Self:
@@ -90,7 +90,7 @@ class Streamed:
 
 
 class Capture(threading.Thread):
-    """Fetches raw frames until it is closed. What others want to know of it are plain attributes."""
+    """Fetches raw frames until it is closed. Other threads read its plain attributes."""
 
     def __init__(
         self,
@@ -99,11 +99,11 @@ class Capture(threading.Thread):
         say: Callable[[str], None] = lambda _: None,
         patience: float = PATIENCE,
     ) -> None:
-        """`say` is called in the thread, with what only a programmer understands."""
+        """`say` logs internal errors and rejected frames; this thread calls it."""
         super().__init__(name="capture", daemon=True)
         self._open, self._latest, self._say, self._patience = open_camera, latest, say, patience
         self._over = False
-        self._bell = threading.Event()  # the stream, or the wait for the next attempt, is to be left
+        self._wakeup = threading.Event()  # the stream, or the wait for the next attempt, is to be left
         self._failures = 0  # one after another
         self._streams = 0  # times it gave a first frame
         self._recorded = False  # its stamps are of another clock, and its beginning is not to be seen twice
@@ -116,10 +116,10 @@ class Capture(threading.Thread):
         self.failure: SpheremouseError | None = None  # what ended it
 
     def run(self) -> None:
-        """Until it is closed, or a recording ends."""
+        """Fetch until `close` is called or a recording ends."""
         while not self._over:
             self.attempts += 1
-            self._bell.clear()
+            self._wakeup.clear()
             try:
                 self._fetch()
             except EndOfSource as e:
@@ -135,21 +135,21 @@ class Capture(threading.Thread):
                 self.trouble = trouble
             self.opening = False
             self._latest.wake()
-            self._bell.wait(BACK_OFF[min(max(self._failures - 1, 0), len(BACK_OFF) - 1)])
+            self._wakeup.wait(BACK_OFF[min(max(self._failures - 1, 0), len(BACK_OFF) - 1)])
         self._latest.wake()
 
     def _fetch(self) -> None:
-        """One stream from its opening to its end."""
+        """Fetch one stream from its opening to its end."""
         began: float | None = None  # s, the first frame
         self._failures += 1
         with self._open() as camera:
             self._recorded = isinstance(camera, Streamed) and not camera.live
             self.description = camera.describe()
-            last, before, told = time.monotonic(), 0, 0.0
+            last, before, described = time.monotonic(), 0, 0.0
             invalid_stamps = 0
             try:
-                while not (self._over or self._bell.is_set()):
-                    raw = camera.next(_WAIT)
+                while not (self._over or self._wakeup.is_set()):
+                    raw = camera.next(_POLL_S)
                     now = time.monotonic()
                     if raw is not None and not math.isfinite(raw.stamp):
                         if not invalid_stamps:
@@ -170,10 +170,10 @@ class Capture(threading.Thread):
                         self._streams += 1
                     else:
                         self.dropped += max(0, raw.sequence - before - 1)
-                    if self._failures and now - began > _STEADY:
+                    if self._failures and now - began > _STABLE_STREAM_S:
                         self._failures = 0
-                    if now - told > _TELL:
-                        self.description, told = camera.describe(), now
+                    if now - described > _DESCRIBE_INTERVAL_S:
+                        self.description, described = camera.describe(), now
                     last, before = now, raw.sequence
                     self._latest.put(Arrival(raw, now if self._recorded else min(raw.stamp, now)))
             finally:
@@ -182,23 +182,23 @@ class Capture(threading.Thread):
 
     @property
     def restarts(self) -> int:
-        """Times that frames came again after they had stopped."""
+        """How often frames resumed after they had stopped."""
         return max(0, self._streams - 1)
 
     def reopen(self, open_camera: Callable[[], Camera]) -> None:
-        """Open the camera anew, in another way."""
+        """Replace the function that opens the camera, and reopen it."""
         self._open, self._failures, self.description = open_camera, 0, ""
-        self._bell.set()
+        self._wakeup.set()
 
     def again(self) -> None:
-        """Open the camera anew: what it gives is of no use. A recording would only say the same again."""
+        """Reopen the camera because its frames are unusable. Does nothing for a recording."""
         if not self._recorded:
-            self._bell.set()
+            self._wakeup.set()
 
     def close(self) -> None:
-        """End, and give the camera back; a driver that hangs is not waited for any longer than it deserves."""
+        """End the thread and release the camera. Waits at most 2 s for a driver that hangs."""
         self._over = True
-        self._bell.set()
+        self._wakeup.set()
         if self.is_alive():
             self.join(2.0)
         self._latest.clear()

@@ -192,7 +192,7 @@ def test_who_gives_a_frame_and_fails_is_asked_less_and_less_often(monkeypatch):
     long = [lambda: clock.__setitem__(0, clock[0] + 10.0) or 2, SourceError("gone")]
     world = World(*[[1, SourceError("gone")]] * 8, *[[1, *long]] * 3, [])
     capture = world.capture()
-    capture._bell = Bell()
+    capture._wakeup = Bell()
     thread = threading.Thread(target=capture.run)
     thread.start()
     thread_end = threading.Event()
