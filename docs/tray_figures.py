@@ -15,7 +15,7 @@ from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "system"))
-from desk import SIDE, Desk, gtk, missing, process, until  # noqa: E402
+from desk import SIDE, RequestQueue, gtk, missing, process, until  # noqa: E402
 
 from spheremouse.commands.tray.view import NO_DAEMON  # noqa: E402
 from spheremouse.session.control.protocol import Request  # noqa: E402
@@ -47,7 +47,7 @@ def pictures(ground: tuple[int, int, int], *, menu: bool = False) -> dict[str, I
     """The tray on a panel of this colour, by state; also of the menu, into a file, where that is asked for."""
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        desk = Desk(stack, folder, ground)
+        desk = RequestQueue(stack, folder, ground)
         socket = folder / "control.sock"
         command = [sys.executable, "-m", "spheremouse", "tray", "--socket", str(socket)]
         stack.enter_context(process(*command, env=desk.env))
@@ -69,7 +69,7 @@ def pictures(ground: tuple[int, int, int], *, menu: bool = False) -> dict[str, I
     return found
 
 
-def seen(desk: Desk, state: str) -> Image.Image:
+def seen(desk: RequestQueue, state: str) -> Image.Image:
     """The tray once it shows the state."""
     if not until(lambda: desk.state() == state):
         sys.exit(f"tray_figures.py: the tray does not show {state}")

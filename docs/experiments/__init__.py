@@ -2,7 +2,7 @@
 
 A module is one experiment, what `report/` has under its name says it. In `kit/`, `job` says what an experiment is,
 `run` works its jobs on all cores and keeps what they give, `film` and `world` are what most jobs are made of, `report`
-and `plot` write for readers; `r1` films what the thesis' real recording was like, `sights` detects once for many
+and `plot` write for readers; `r1` films what the thesis' real recording was like, `detections` detects once for many
 filters.
 """
 

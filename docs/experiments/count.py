@@ -5,7 +5,7 @@ Wittich 2017, section 4.7, table 20: 26, 50 and 74 discs (sets S1, S2, S3); here
 
 import numpy as np
 
-from experiments.kit import sights
+from experiments.kit import detections
 from experiments.kit.film import TRACKERS, bound_rms, film_of, options_of, settings_of, tracked
 from experiments.kit.job import Job, Request, Result
 from spheremouse.evaluate.bound import Bound
@@ -35,12 +35,12 @@ def with_discs(discs: int, layout: int, frames: int) -> Result:
     """Every filter on one ball, and the bound."""
     film = film_of(prepare(options_of({"discs": discs, "layout": layout, "seconds": frames / 30.0})))
     radius = film.rig.ball.radius
-    seen = sights.look_at(film, settings_of(["tracker=ekf2"]))
+    seen = detections.look_at(film, settings_of(["tracker=ekf2"]))
     runs: dict[str, Run] = {
-        name: sights.filtered(seen, settings_of([f"tracker={name}"]), film) for name in TRACKERS if name != "so3"
+        name: detections.filtered(seen, settings_of([f"tracker={name}"]), film) for name in TRACKERS if name != "so3"
     }
     runs["so3"] = tracked(film, settings_of()).run
-    rows = {name: sights.errors(run, film.truth, radius) for name, run in runs.items()}
+    rows = {name: detections.errors(run, film.truth, radius) for name, run in runs.items()}
     return {"rows": rows, "bound": bound_rms(_where_known(run_bound(runs["so3"], film.truth, film.rig)))}
 
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from experiments.kit import detections
 from experiments.kit import film as kit
-from experiments.kit import sights
 from experiments.kit.job import Job, Request, Result
 from spheremouse.ball.truth import VISIBLE
 from spheremouse.calibrate.layout import search as layout
@@ -108,15 +108,15 @@ def _followed(simulation: Simulation, since: float = 0.0) -> Result:
     state = film.truth.discs.state[stamps[film.truth.discs.frame] >= since]
     common = {"frames": len(film.frames), "in_view_share": float(np.mean(state == VISIBLE)), **_pixels(simulation)}
     try:
-        seen = sights.look_at(film, kit.settings_of(["tracker=ekf2"]))
+        seen = detections.look_at(film, kit.settings_of(["tracker=ekf2"]))
     except PoseError as e:
         return {**common, "rows": {}, "bound": None, "unfound": str(e)}
     rows, radius = {}, film.rig.ball.radius
     for name in kit.TRACKERS[:2]:
-        run = sights.filtered(seen, kit.settings_of([f"tracker={name}"]), film)
-        rows[name] = sights.errors(run, film.truth, radius, since)
+        run = detections.filtered(seen, kit.settings_of([f"tracker={name}"]), film)
+        rows[name] = detections.errors(run, film.truth, radius, since)
     tracked = kit.tracked(film, kit.settings_of(), rig=replace(film.rig, pose=seen.pose))
-    rows["so3"] = sights.errors(tracked.run, film.truth, radius, since)
+    rows["so3"] = detections.errors(tracked.run, film.truth, radius, since)
     return {**common, "rows": rows, "bound": kit.bound(film, tracked, since)}
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.kit import r1, sights
+from experiments.kit import detections, r1
 from experiments.kit.film import (
     TRACKERS,
     Film,
@@ -110,9 +110,9 @@ def _runs(film: Film, published: bool) -> dict[str, Run]:
     """By the filters' names; with the published detector the classic ones once more."""
     runs: dict[str, Run] = {}
     for detector, suffix in (("default", ""), ("blobs", PUBLISHED))[: 1 + published]:
-        seen = sights.look_at(film, settings_of([f"detector={detector}", "tracker=ekf2"]))
+        seen = detections.look_at(film, settings_of([f"detector={detector}", "tracker=ekf2"]))
         for name in ("ekf1", "ekf2"):
-            runs[name + suffix] = sights.filtered(seen, settings_of([f"tracker={name}"]), film)
+            runs[name + suffix] = detections.filtered(seen, settings_of([f"tracker={name}"]), film)
     runs["so3"] = tracked(film, settings_of()).run
     return runs
 
@@ -124,7 +124,7 @@ def _row(run: Run, film: Film) -> Result:
     off = np.linalg.norm(speed - true, axis=1)
     few = np.array([len(run.used[k]) < ENOUGH for k in run.tracked[1:]])
     return {
-        **sights.errors(run, film.truth, radius),
+        **detections.errors(run, film.truth, radius),
         "largest_mm_s": float(off.max()) if len(off) else None,
         "few_share": float(few.mean()) if len(few) else None,
     }

@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from experiments.kit import sights
+from experiments.kit import detections
 from experiments.kit.film import (
     TRACKERS,
     Film,
@@ -77,7 +77,7 @@ def _row(film: Film, level: int, sigmas: list[int]) -> Result:
         except PoseError as e:
             cells[str(sigma)] = {"error": str(e)}
             continue
-        rows = {name: sights.errors(run, film.truth, film.rig.ball.radius) for name, run in runs.items()}
+        rows = {name: detections.errors(run, film.truth, film.rig.ball.radius) for name, run in runs.items()}
         limit = run_bound(runs["so3"], film.truth, film.rig)
         cells[str(sigma)] = {"rows": rows, "bound": bound_rms(limit)}
         if (level, sigma) == WORST:
@@ -93,8 +93,8 @@ def _row(film: Film, level: int, sigmas: list[int]) -> Result:
 
 
 def _runs(film: Film) -> dict[str, Run]:
-    seen = sights.look_at(film, settings_of(["tracker=ekf2"]))
-    runs = {n: sights.filtered(seen, settings_of([f"tracker={n}"]), film) for n in TRACKERS if n != "so3"}
+    seen = detections.look_at(film, settings_of(["tracker=ekf2"]))
+    runs = {n: detections.filtered(seen, settings_of([f"tracker={n}"]), film) for n in TRACKERS if n != "so3"}
     return {**runs, "so3": tracked(film, settings_of()).run}
 
 

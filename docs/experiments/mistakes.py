@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from experiments.kit import detections
 from experiments.kit import film as kit
-from experiments.kit import sights
 from experiments.kit.job import Job, Request, Result
 from experiments.kit.tour import SHARE, brief, filmed, least, moved, suited
 from spheremouse.ball.rig import Rig
@@ -199,11 +199,11 @@ def followed(film: kit.Film, rig: Rig, more: Rig | None = None) -> Result:
     truth, radius = film.truth, film.rig.ball.radius
     assert truth.motion is not None, "a film made here knows its motion"
     try:
-        seen = sights.look_at(replace(film, rig=rig), kit.settings_of(["tracker=ekf2", _QUICKLY]))
+        seen = detections.look_at(replace(film, rig=rig), kit.settings_of(["tracker=ekf2", _QUICKLY]))
     except PoseError as e:
         return {"error": str(e)}
     runs = {
-        name: sights.filtered(seen, kit.settings_of([f"tracker={name}", suited(truth.motion)]), film)
+        name: detections.filtered(seen, kit.settings_of([f"tracker={name}", suited(truth.motion)]), film)
         for name in TRACKERS
         if name != "so3"
     }
@@ -216,7 +216,7 @@ def followed(film: kit.Film, rig: Rig, more: Rig | None = None) -> Result:
     rows: Result = {}
     for name, run in runs.items():
         moves = mouse(run, truth.motion, rig.ball.radius, radius)
-        rows[name] = {**brief(sights.errors(run, truth, radius)), **(moves or {})}
+        rows[name] = {**brief(detections.errors(run, truth, radius)), **(moves or {})}
     return {"rows": rows}
 
 

@@ -8,8 +8,8 @@ from itertools import product
 
 import numpy as np
 
+from experiments.kit import detections
 from experiments.kit import film as kit
-from experiments.kit import sights
 from experiments.kit.job import Job, Request, Result
 from experiments.kit.thesis import THESIS_TABLES
 from spheremouse.geometry.rotation import exp
@@ -62,14 +62,14 @@ def posed(view: View, seconds: float | None) -> Result:
     film = kit.film_of(prepare(kit.options_of({"discs": DISCS, "view": view, "noise": NOISE, "seconds": seconds})))
     settings, true = kit.settings_of(["tracker=ekf2"]), film.truth.pose
     assert true is not None, "a film made here knows its camera"
-    seen = sights.look_at(film, settings)
+    seen = detections.look_at(film, settings)
     off = np.array(THESIS_TABLES[_TABLE[view]]["error"]) * np.repeat([1e-3, np.radians(1.0)], 3)
     found, lost = [], 0
     for signs in product((-1.0, 1.0), repeat=5):
         d = off * (1.0, *signs)
         pose = replace(true, position=true.position + d[:3], rotation=exp(d[3:]) @ true.rotation)
-        said = sights.errors(
-            sights.filtered(replace(seen, pose=pose), settings, film), film.truth, film.rig.ball.radius
+        said = detections.errors(
+            detections.filtered(replace(seen, pose=pose), settings, film), film.truth, film.rig.ball.radius
         )
         whole = said["tracked"] == said["frames"] and said["lost_episodes"] == 0
         found += [said["attitude_rmse_deg"]["combined"]] if whole else []

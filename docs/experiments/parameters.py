@@ -7,7 +7,7 @@ like S1, compared with the truth. `so3` has neither parameter: a line beside the
 from pathlib import Path
 from typing import Any
 
-from experiments.kit import r1, sights
+from experiments.kit import detections, r1
 from experiments.kit.film import Film, bound, film_from_dataset, film_of, options_of, settings_of, tracked
 from experiments.kit.job import Job, Request, Result
 from spheremouse.evaluate.metrics import Run
@@ -52,7 +52,7 @@ def like_r1(seconds: float) -> Result:
     radius = film.rig.ball.radius
 
     def extended(run: Run) -> Result:
-        return {**sights.errors(run, film.truth, radius), "trackball": _agreement(r1.of_run(run, mouse, radius))}
+        return {**detections.errors(run, film.truth, radius), "trackball": _agreement(r1.of_run(run, mouse, radius))}
 
     assert film.truth.motion is not None
     true = _agreement(r1.of_truth(film.truth.motion, mouse, radius))
@@ -71,7 +71,7 @@ def recorded(path: str, frames: int, published: bool) -> Result:
 
 def _compared(film: Film, published: bool) -> Result:
     def judge(run: Run) -> Result:
-        return sights.errors(run, film.truth, film.rig.ball.radius)
+        return detections.errors(run, film.truth, film.rig.ball.radius)
 
     return {
         **_grid(film, judge),
@@ -83,13 +83,13 @@ def _compared(film: Film, published: bool) -> Result:
 
 def _grid(film: Film, judge: Any) -> Result:
     """All cells by "sigma_w/sigma_b", so3, and the bound for the noise that the centres really have."""
-    seen = sights.look_at(film, settings_of(["tracker=ekf2"]))
+    seen = detections.look_at(film, settings_of(["tracker=ekf2"]))
     cells = {}
     for b in SIGMA_B:
-        noisy = sights.with_sigma(seen, b)
+        noisy = detections.with_sigma(seen, b)
         for w in (*SIGMA_W, BEYOND):
             settings = settings_of(["tracker=ekf2", f"euler.acceleration_sigma={w}"])
-            cells[key_of(w, b)] = judge(sights.filtered(noisy, settings, film))
+            cells[key_of(w, b)] = judge(detections.filtered(noisy, settings, film))
     best = tracked(film, settings_of())
     so3 = judge(best.run)
     noise = so3["detection"]["centre_rms_px"]
@@ -98,24 +98,24 @@ def _grid(film: Film, judge: Any) -> Result:
 
 def _exact(film: Film, judge: Any) -> Result:
     """The thesis' cells with a ball taken as exact: eq. 120 then leaves a point no variance along the radius."""
-    seen = sights.look_at(film, settings_of(["tracker=ekf2"]))
+    seen = detections.look_at(film, settings_of(["tracker=ekf2"]))
     cells = {}
     for b in SIGMA_B:
-        noisy = sights.with_sigma(seen, b)
+        noisy = detections.with_sigma(seen, b)
         for w in SIGMA_W:
             settings = settings_of(
                 ["tracker=ekf2", f"euler.acceleration_sigma={w}", f"euler.radial_sigma={EXACT}"],
             )
-            cells[key_of(w, b)] = judge(sights.filtered(noisy, settings, film))
+            cells[key_of(w, b)] = judge(detections.filtered(noisy, settings, film))
     return cells
 
 
 def _scaled(film: Film, judge: Any) -> Result:
     """Cells in which everything that the filter assumes grows along with sigma_b, from the first column on."""
-    seen, usual = sights.look_at(film, settings_of(["tracker=ekf2"])), settings_of().euler
+    seen, usual = detections.look_at(film, settings_of(["tracker=ekf2"])), settings_of().euler
     cells = {}
     for b in SIGMA_B:
-        noisy, k = sights.with_sigma(seen, b), b / SIGMA_B[0]
+        noisy, k = detections.with_sigma(seen, b), b / SIGMA_B[0]
         for w in SIGMA_W[:3]:
             assumed = {
                 "acceleration_sigma": k * w,
@@ -123,15 +123,15 @@ def _scaled(film: Film, judge: Any) -> Result:
                 "radial_sigma": k * usual.radial_sigma,
             }
             settings = settings_of(["tracker=ekf2", *(f"euler.{name}={x}" for name, x in assumed.items())])
-            cells[key_of(k * w, b)] = judge(sights.filtered(noisy, settings, film))
+            cells[key_of(k * w, b)] = judge(detections.filtered(noisy, settings, film))
     return cells
 
 
 def _published(film: Film, judge: Any) -> Result:
     """The first column with the published detector, by sigma_w."""
-    seen = sights.with_sigma(sights.look_at(film, settings_of(["detector=blobs", "tracker=ekf2"])), SIGMA_B[0])
+    seen = detections.with_sigma(detections.look_at(film, settings_of(["detector=blobs", "tracker=ekf2"])), SIGMA_B[0])
     settings = {w: settings_of(["tracker=ekf2", f"euler.acceleration_sigma={w}"]) for w in (*SIGMA_W, BEYOND)}
-    return {f"{w:g}": judge(sights.filtered(seen, s, film)) for w, s in settings.items()}
+    return {f"{w:g}": judge(detections.filtered(seen, s, film)) for w, s in settings.items()}
 
 
 def _agreement(found: r1.Agreement | None) -> Result:

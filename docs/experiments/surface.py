@@ -94,19 +94,19 @@ class _Sights:
 def cap(view: View, frames: int, draws: int) -> Result:
     """Errors of points on the ball and what is claimed of them; the map of that; table 13 for the far camera."""
     scene = default_scene(_DISCS, view, 1)
-    sights = _sights(scene, frames)
+    detections = _sights(scene, frames)
     known = [_device(scene, seed) for seed in range(draws)]
-    angle = _angle(sights.directions, scene)
+    angle = _angle(detections.directions, scene)
     exact = scene.rig()
-    image = _errors(sights, exact, scene.pose)
-    total = [_errors(sights, rig, rig.pose or scene.pose) for rig in known]
+    image = _errors(detections, exact, scene.pose)
+    total = [_errors(detections, rig, rig.pose or scene.pose) for rig in known]
     rig = known[0]
     result: Result = {
-        "sights": len(sights.directions),
+        "detections": len(detections.directions),
         "bins": _bins(angle, image, total),
         "chi_square_image": _chi_square([image]),
         "chi_square_total": _chi_square(total),
-        "map": _map(scene, rig, angle, sights.detections),
+        "map": _map(scene, rig, angle, detections.detections),
     }
     if view == "far":
         result["table 13"] = _five(scene, rig)
@@ -152,9 +152,9 @@ class _Errors:
     sigma: Array  # (n, 2) mm, as claimed
 
 
-def _errors(sights: _Sights, rig: Rig, pose: Pose) -> _Errors:
-    points = intersect(sights.detections, rig, pose)
-    true = RADIUS * sights.directions[points.index]
+def _errors(detections: _Sights, rig: Rig, pose: Pose) -> _Errors:
+    points = intersect(detections.detections, rig, pose)
+    true = RADIUS * detections.directions[points.index]
     variance, axes = _along_surface(points)
     off = np.einsum("nij,ni->nj", axes, points.position - true)
     return _Errors(points.index, 1e3 * off[:, ::-1], 1e3 * np.sqrt(variance[:, ::-1]))
@@ -175,7 +175,7 @@ def _bins(angle: Array, image: _Errors, total: Sequence[_Errors]) -> list[Result
         here = (angle >= low) & (angle < low + _BIN)
         if np.count_nonzero(here[image.index]) < 5:
             continue
-        entry: Result = {"angle": float(low + 0.5 * _BIN), "sights": int(np.count_nonzero(here))}
+        entry: Result = {"angle": float(low + 0.5 * _BIN), "detections": int(np.count_nonzero(here))}
         for name, cases in (("image", [image]), ("total", total)):
             chosen = [here[c.index] for c in cases]
             for what in ("error", "sigma"):

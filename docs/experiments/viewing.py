@@ -7,8 +7,8 @@ the other; each film has other places of the discs and another order of the axes
 from dataclasses import dataclass, replace
 from typing import Any
 
+from experiments.kit import detections
 from experiments.kit import film as kit
-from experiments.kit import sights
 from experiments.kit.job import Job, Request, Result
 from experiments.kit.tour import (
     CLASSIC,
@@ -106,7 +106,7 @@ def at_rates(seed: int, seconds: float, rates: list[int]) -> Result:
     """One film at 240 frames per second, and what it is when only each second, third, ... frame is taken."""
     assert all(FASTEST % rate == 0 for rate in rates), "a rate must divide that of the film"
     film = filmed({"fps": float(FASTEST)}, seed, seconds)
-    seen = sights.look_at(film, kit.settings_of(["tracker=ekf2"]))
+    seen = detections.look_at(film, kit.settings_of(["tracker=ekf2"]))
     found: Result = {}
     for rate in rates:
         every = FASTEST // rate
@@ -120,11 +120,11 @@ def with_film(seed: int, seconds: float, film: dict[str, Any]) -> Result:
     shot = filmed(film, seed, seconds)
     settings, said = kit.settings_of(["tracker=ekf2"]), None
     try:
-        seen = sights.look_at(shot, settings)
+        seen = detections.look_at(shot, settings)
     except PoseError as e:
         said = str(e)
         shot = replace(shot, rig=replace(shot.rig, pose=shot.truth.pose))
-        seen = sights.look_at(shot, settings)
+        seen = detections.look_at(shot, settings)
     rigs = {KNOWN: shot.rig}
     if shot.rig.readout_s > 0.0:
         none = replace(shot.rig, readout_s=0.0)

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from spheremouse.ball.bearings import BearingSettings
 from spheremouse.ball.camera_watch import WatchSettings
+from spheremouse.ball.centre_offset import BearingSettings
 from spheremouse.ball.detect.blobs import BlobSettings
 from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.ball.detect.lookalikes import StaticSettings

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.camera_watch import Watch
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
-from spheremouse.ball.detect.lookalikes import Lookalikes
+from spheremouse.ball.detect.lookalikes import StaticDistractors
 from spheremouse.ball.detect.projection import GREY, Projection
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.disc_map import DiscMap
@@ -100,19 +100,19 @@ class Learning(NamedTuple):
     beside_map: bool = False  # an older map exists, which outweighs what two points show
 
 
-class Roundness(NamedTuple):
+class CentreCheck(NamedTuple):
     """How well the ball turns about its centre."""
 
     frames_off_centre: int = 0  # in a row
     misfit: float = 0.0  # mean chi-square per degree of freedom of the discs' places about the centre
     out_of_round: bool = False  # that was too much
-    turned_in_place: float = 0.0  # rad the ball has turned about its centre, since it last did not
+    rotation_since_failure: float = 0.0  # rad the ball has turned about its centre, since it last did not
 
 
 class Tracking(NamedTuple):
     """The ball turns, and its discs are told from look-alikes."""
 
-    roundness: Roundness = Roundness()
+    roundness: CentreCheck = CentreCheck()
 
 
 class Trial(NamedTuple):
@@ -157,7 +157,7 @@ class TrackState(Generic[F]):
     confirmed: bool = False  # the last frame's discs confirm the attitude
     supported_at: float = -np.inf  # s, of the last frame that showed a disc of the map, or should have shown none
     withheld: Withheld | None = None  # None: the last frame confirms the attitude, or the ball is not tracked
-    lookalikes: Lookalikes = field(default_factory=Lookalikes)
+    lookalikes: StaticDistractors = field(default_factory=StaticDistractors)
     search: SearchState = field(default_factory=SearchState)  # for discs that are not on the map yet
     colours: Colours = field(default_factory=Colours)
     absolute: bool = False  # the attitude is that of a map made earlier
@@ -202,10 +202,10 @@ def lost(state: TrackState[F], lifted_at: float | None = None) -> TrackState[F]:
     assert isinstance(last, Learning | Tracking)
     if isinstance(last, Tracking):
         last = Tracking(last.roundness._replace(frames_off_centre=0))
-    return replace(state, phase=Lost(last, lifted_at=lifted_at), filter=unused(state.filter), confirmed=False)
+    return replace(state, phase=Lost(last, lifted_at=lifted_at), filter=clear_matches(state.filter), confirmed=False)
 
 
-def unused(filter_state: Any) -> Any:
+def clear_matches(filter_state: Any) -> Any:
     return replace(filter_state, used=np.zeros(0, dtype=np.intp))
 
 
@@ -224,9 +224,9 @@ def tracked(
     )
 
 
-def forget(lookalikes: Lookalikes) -> Lookalikes:
+def forget(lookalikes: StaticDistractors) -> StaticDistractors:
     """Masks stay; candidates followed under another attitude go."""
-    return Lookalikes(masks=lookalikes.masks, mask_seen=lookalikes.mask_seen)
+    return StaticDistractors(masks=lookalikes.masks, mask_seen=lookalikes.mask_seen)
 
 
 def no_points(tracker: Tracker) -> SpherePoints:

@@ -15,7 +15,7 @@ from spheremouse.ball import classic
 from spheremouse.ball.build import begin, build, colours_of
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections, no_detections
-from spheremouse.ball.detect.lookalikes import Lookalikes
+from spheremouse.ball.detect.lookalikes import StaticDistractors
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.events import (
@@ -29,7 +29,7 @@ from spheremouse.ball.events import (
 )
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_state import CORE, PLACED, So3State, consider
+from spheremouse.ball.filters.so3_state import KINEMATIC_DIM, PLACED, So3State, consider
 from spheremouse.ball.phases import colours
 from spheremouse.ball.phases.camera_moved import Moved, hidden, out_of_sight, relative, surprised, with_references
 from spheremouse.ball.phases.follow import follow, look
@@ -231,14 +231,20 @@ def _with_new_pose(
         if added is None:
             consider(joint, anew.filter.considered)
         else:
-            joint[CORE : CORE + 6, CORE : CORE + 6] += added
+            joint[KINEMATIC_DIM : KINEMATIC_DIM + 6, KINEMATIC_DIM : KINEMATIC_DIM + 6] += added
         filtered = replace(filtered, joint=joint)
     watch = None if anew.classic else watching.begin(anew.rig, anew.pose)
     if watch is not None:
         watch = replace(with_references(watch, frame, anew), due=frame.stamp)
     phase = _from_elsewhere(state.phase)
     state = replace(
-        state, phase=phase, filter=filtered, lookalikes=Lookalikes(), search=SearchState(), watch=watch, rebuilt=anew
+        state,
+        phase=phase,
+        filter=filtered,
+        lookalikes=StaticDistractors(),
+        search=SearchState(),
+        watch=watch,
+        rebuilt=anew,
     )
     done = _stages(state, frame, anew)
     path, turn = watching.difference(tracker.pose, anew.pose)
@@ -346,7 +352,7 @@ def _reported(state: TrackState, stamp: float, events: Events) -> Step[TrackStat
         return Step(replace(state, withheld=withheld), no_motion(stamp), (*events, *more))
     attitude = state.filter.attitude
     rotation = rotation_between(state.reported_attitude, attitude)
-    covariance, rate, since = np.zeros((12, 12)), np.zeros(6), state.filter.covariance_since(rotation)
+    covariance, rate, since = np.zeros((12, 12)), np.zeros(6), state.filter.increment_covariance(rotation)
     if since[0, 0] + since[1, 1] + since[2, 2] > PLACED**2:  # a motion unseen is a guess, and none is sent
         rotation, since[:3], since[:, :3] = np.zeros(3), 0.0, 0.0
     covariance[:3, :3], covariance[:3, 6:9], covariance[6:9, :3] = since[:3, :3], since[:3, 3:], since[3:, :3]
@@ -357,7 +363,7 @@ def _reported(state: TrackState, stamp: float, events: Events) -> Step[TrackStat
         events = (*events, MotionReleased(stamp - before.since, float(np.linalg.norm(rotation))))
     state = replace(
         state,
-        filter=state.filter.with_reference(),
+        filter=state.filter.clone_attitude(),
         reported_attitude=attitude,
         confirmed_at=stamp,
         withheld=None,

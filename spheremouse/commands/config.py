@@ -41,7 +41,7 @@ def check(file: Annotated[Path, typer.Argument(metavar="FILE", show_default=Fals
     """
     from spheremouse.files import config
     from spheremouse.files.yaml import Problem, read_document
-    from spheremouse.session.named import look
+    from spheremouse.session.config_check import look
 
     try:
         document = read_document(file)

@@ -52,7 +52,7 @@ class Output(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Passage:
+class DeliveryStatus:
     """Counts of x, y and third axis that an output was sent since it was opened, and that have not arrived."""
 
     trouble: str = ""  # why nothing gets through, though it is open; empty: it does
@@ -64,7 +64,7 @@ class Passage:
 class Acknowledged(Protocol):
     """An output whose other end says what has arrived. What troubles it passes by itself, if reports go on coming."""
 
-    def passage(self) -> Passage:
+    def passage(self) -> DeliveryStatus:
         """Counts that have not arrived; from any thread."""
         ...
 

@@ -19,7 +19,7 @@ from math import floor
 
 import numpy as np
 
-from spheremouse.output import Acknowledged, Output, OutputClosed, Passage, Report, no_report, pointer
+from spheremouse.output import Acknowledged, DeliveryStatus, Output, OutputClosed, Report, no_report, pointer
 from spheremouse.output.null import Null
 from spheremouse.output.pointer import Counts, PointerSettings, Resampler, minus, plus
 from spheremouse.output.text import Text
@@ -35,7 +35,7 @@ REMEMBERED = 4096  # latencies: a minute at 60 Hz
 _JOIN = 5.0  # s
 _OPENS, _SENDS, _CLOSES = "it cannot be opened", "it takes no report", "it cannot be closed"
 _NONE: Counts = (0, 0, 0)
-_PASSED = Passage()
+_PASSED = DeliveryStatus()
 
 
 @dataclass(frozen=True, slots=True)
@@ -386,7 +386,7 @@ def _without(report: Report, later: float = 0.0) -> Report:
     return Report(_NONE, report.rate, motion._replace(rate=report.motion.rate))
 
 
-def _passage(output: Output | None) -> Passage:
+def _passage(output: Output | None) -> DeliveryStatus:
     """Counts of an output that have not arrived; none where it cannot tell."""
     return output.passage() if isinstance(output, Acknowledged) else _PASSED
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import MotionSettings
-from spheremouse.output.hand import PointingSettings
+from spheremouse.output.wand_mapping import PointingSettings
 from spheremouse.tracker import Motion
 
 _SHARE = 0.1  # of the largest part; less is not worth a word

@@ -23,7 +23,7 @@ TARGETS, POSE, MAP = "targets", "pose", "map"  # kinds of work that followers ha
 
 
 @dataclass(frozen=True, slots=True)
-class Tracked:
+class FrameResult:
     """What a tracked frame gave."""
 
     frame: Frame
@@ -39,7 +39,7 @@ def here(_: str, work: Work) -> None:
         then()
 
 
-class News(NamedTuple):
+class LogMessages(NamedTuple):
     """What is to be said since this was last asked; empty where nothing is."""
 
     change: str = ""  # of the ball that moves the pointer, with the state that it leads to
@@ -50,10 +50,10 @@ class Change(NamedTuple):
     """What another plan makes of a follower, while nothing has changed yet."""
 
     outputs: tuple[Callable[[], Output], ...]  # what opens each; the pointer's first
-    go_over: Callable[[], "Follower"]  # makes it so, and gives the follower from then on
+    apply: Callable[[], "TrackerAdapter"]  # makes it so, and gives the follower from then on
 
 
-class Follower(Protocol):
+class TrackerAdapter(Protocol):
     """One tracker on one stream of frames, called by one thread; attributes may be read by others."""
 
     @property
@@ -94,11 +94,11 @@ class Follower(Protocol):
         """Raise SourceError where a frame cannot be used."""
         ...
 
-    def follow(self, frame: Frame) -> Tracked | None:
+    def follow(self, frame: Frame) -> FrameResult | None:
         """Do what there is to be done with a frame; None where it was not tracked."""
         ...
 
-    def take_news(self) -> News:
+    def take_news(self) -> LogMessages:
         """What is to be said since this was last asked."""
         ...
 
@@ -122,7 +122,7 @@ class Follower(Protocol):
         """Its part of the status, where frames come or not; from any thread."""
         ...
 
-    def picture(self, tracked: Tracked, counts: Counts, everything: bool) -> Callable[[], Image]:
+    def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
         """Draws what the tracker sees, with the sum of counts, by another thread.
 
         It is black but for what `subject` keeps, unless `everything`.
@@ -172,7 +172,7 @@ class Setup(Protocol):
         """Compile what tracking by a plan calls, or read it from disk; `tell` as of `compiling.told`."""
         ...
 
-    def follower(self, plan: Plan, say: Callable[[str], None], do: Do) -> Follower:
+    def follower(self, plan: Plan, say: Callable[[str], None], do: Do) -> TrackerAdapter:
         """What follows the ball; raises SpheremouseError where the plan does not say enough."""
         ...
 

@@ -25,7 +25,7 @@ from spheremouse.compiling import told
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.geometry.camera import Pose
 from spheremouse.output import Output
-from spheremouse.session.follower import Follower, Tracked
+from spheremouse.session.follower import FrameResult, TrackerAdapter
 from spheremouse.tracker import Frame, check_size
 
 
@@ -95,12 +95,12 @@ class View(Protocol):
         """One or more lines, which stay."""
         ...
 
-    def show(self, made: Tracked, follower: Follower) -> None:
+    def show(self, made: FrameResult, follower: TrackerAdapter) -> None:
         """A tracked frame, and what tracks it."""
         ...
 
 
-def follow(frames: Iterable[Frame], follower: Follower, sinks: Sequence[Output], view: View) -> None:
+def follow(frames: Iterable[Frame], follower: TrackerAdapter, sinks: Sequence[Output], view: View) -> None:
     """A recording: every frame, one after the other; what changes is said with the frame's stamp."""
     for frame in frames:
         follower.check(frame)

@@ -12,7 +12,7 @@ from spheremouse.output import Output, Report
 from spheremouse.output.null import Null
 from spheremouse.output.pointer import Counts, PointerSettings, minus, plus
 from spheremouse.output.reporter import Latency, OutputThread
-from spheremouse.session.process.threads import Crew, begin
+from spheremouse.session.process.threads import WorkerPool, begin
 
 OUTPUT = "output"  # kind of the crew's work
 
@@ -29,7 +29,7 @@ class Outputs:
         settings: PointerSettings,
         *,
         say: Callable[[str], None],
-        crew: Crew,
+        crew: WorkerPool,
         ask: Callable[[Callable[[], None]], None],
     ) -> None:
         """`crew` closes what has been exchanged; `ask` takes, from any thread, what the worker is to do."""

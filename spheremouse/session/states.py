@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from spheremouse.output.sparing import letters
+from spheremouse.output.rate_limited_logger import letters
 from spheremouse.tracker import Status
 
 
@@ -20,7 +20,7 @@ class State(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Facts:
+class Conditions:
     """What the state follows from; a text is a reason, and empty where there is no trouble."""
 
     starting: str = ""
@@ -32,7 +32,7 @@ class Facts:
     tracker: Status = Status.SEARCHING
 
 
-def judge(facts: Facts) -> tuple[State, str]:
+def derive_state(facts: Conditions) -> tuple[State, str]:
     """State and reason. What is wrong first along the way from the camera to the pointer is what is told."""
     for state, reason in (
         (State.STARTING, facts.starting),

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from spheremouse.capture.contiguous import ContiguousBuffer
 from spheremouse.capture.newest import Arrival
 from spheremouse.errors import DamagedFrameError, SourceError
-from spheremouse.session.follower import Follower, Tracked
+from spheremouse.session.follower import FrameResult, TrackerAdapter
 from spheremouse.session.timing import FrameTimes
 from spheremouse.tracker import Frame, Status
 
@@ -22,7 +22,7 @@ _DAMAGED = 1.0  # s of nothing but damaged frames that are told
 class Worker:
     """Raw frames in, what they gave out."""
 
-    def __init__(self, follower: Follower, say: Callable[[str], None]) -> None:
+    def __init__(self, follower: TrackerAdapter, say: Callable[[str], None]) -> None:
         self.follower, self._say = follower, say
         self.trouble = ""  # why no frame can be used
         self.times: defaultdict[str, FrameTimes] = defaultdict(FrameTimes)  # of each stage; the worker's alone
@@ -37,7 +37,7 @@ class Worker:
         self._as_contiguous = ContiguousBuffer()
         self._faults: deque[float] = deque(maxlen=_FAULTS)
 
-    def work(self, arrival: Arrival, colour: bool = False) -> Tracked | None:
+    def work(self, arrival: Arrival, colour: bool = False) -> FrameResult | None:
         """Do what there is to be done with a raw frame; in `colour`, whatever tracking wants.
 
         None where it was not tracked: damaged, of no use, or too early. The frame of what is given, and the one that is
@@ -81,7 +81,7 @@ class Worker:
             if times.count
         }
 
-    def _count(self, made: Tracked, before: Status, waited: dict[str, float]) -> None:
+    def _count(self, made: FrameResult, before: Status, waited: dict[str, float]) -> None:
         self.frames += 1
         if self.follower.status is Status.LOST and before is not Status.LOST:
             self.lost += 1

@@ -10,7 +10,7 @@ from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import Fields
 from spheremouse.wand.events import BallLost, ColourEverywhere, ColourNowhere, NotInView, SecondBall
 from spheremouse.wand.likelihood import FULLY
-from spheremouse.wand.peaks import SURE, Found, Sought, passes_without_prior, some_peaks
+from spheremouse.wand.peaks import SURE, Found, SearchContext, passes_without_prior, some_peaks
 from spheremouse.wand.state import Track, WandTracker
 
 _AWAY = 10.0  # searches in which no hand holds one side towards the camera
@@ -50,7 +50,7 @@ def doubtful(track: Track) -> bool:
 
 
 def second_ball(
-    track: Track, found: Found, first: Array | None, dt: float, sought: Sought
+    track: Track, found: Found, first: Array | None, dt: float, sought: SearchContext
 ) -> tuple[Track, SecondBall | None]:
     """The track with what a search of the whole picture says of a second ball like it, and that where it is there.
 

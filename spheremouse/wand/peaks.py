@@ -56,7 +56,7 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True)
-class Sought:
+class SearchContext:
     """One ball that is looked for in one picture."""
 
     scene: Scene
@@ -107,7 +107,7 @@ def some_peaks(found: Found, kept: list[int]) -> Found:
     )
 
 
-def passes_without_prior(found: Found, sought: Sought) -> Found:
+def passes_without_prior(found: Found, sought: SearchContext) -> Found:
     """Those of its peaks that would be a ball if nothing led to them."""
     tracker, kept = sought.tracker, []
     if found.fields is None:
@@ -129,11 +129,11 @@ def _weighed(peaks: list[Peak], m: Model, seen: Fields) -> tuple[Array, Array]:
     return out, match
 
 
-def climb(
+def refine_modes(
     position: Array,
     rotation: Array,
     most: int,
-    sought: Sought,
+    sought: SearchContext,
     seen: Fields,
     outline: bool = True,
     sure: float = 0.0,
@@ -170,7 +170,7 @@ def climb(
     return Found(tuple(chosen[i] for i in order), value[order], match[order], seen)
 
 
-def _in_view(peak: Peak, sought: Sought) -> bool:
+def _in_view(peak: Peak, sought: SearchContext) -> bool:
     """Is it in reach of the camera, and neither before nor behind another ball?"""
     s, p, radius = sought.tracker.settings, peak.position, sought.ball.radius
     return s.nearest < p[2] < 1.2 * s.farthest and all(
@@ -178,7 +178,7 @@ def _in_view(peak: Peak, sought: Sought) -> bool:
     )
 
 
-def _outlined(peak: Peak, sought: Sought, seen: Fields) -> Peak:
+def _outlined(peak: Peak, sought: SearchContext, seen: Fields) -> Peak:
     """The peak, climbed on with the ball's outline as it is measured there."""
     m, discs = sought.model, sought.tracker.discs[sought.index]
     p, R = peak.position, peak.rotation
@@ -212,13 +212,13 @@ def accepted(found: Found, settings: WandSettings, level: float = 0.0) -> bool:
     return bool(strong or match >= SURE or (level > 0.0 and value >= HIDDEN_LEVEL * level))
 
 
-def search(sought: Sought, turn: int) -> Found:
+def search(sought: SearchContext, turn: int) -> Found:
     """Peaks in the whole picture, from spot `turn` on."""
     sought.scene.searched = True
     return from_spots(sought, sought.scene.all(), 12, turn)
 
 
-def from_spots(sought: Sought, seen: Fields, most: int, turn: int = 0) -> Found:
+def from_spots(sought: SearchContext, seen: Fields, most: int, turn: int = 0) -> Found:
     """Peaks from the spots of a region.
 
     A hypothesis is as exact as the ball is near round and far away, some hundredths of its diameter. So near balls are
@@ -237,17 +237,17 @@ def from_spots(sought: Sought, seen: Fields, most: int, turn: int = 0) -> Found:
             continue
         reduced = sought.scene.part(whole_region(seen), int(factor))
         part = int(np.ceil(most * np.mean(group)))
-        found = climb(guess.position[group], guess.rotation[group], part, sought, reduced, outline=False)
+        found = refine_modes(guess.position[group], guess.rotation[group], part, sought, reduced, outline=False)
         position.append(found.position)
         rotation.append(found.rotation)
     if not position:
         return Found((), np.zeros(0), np.zeros(0), seen, guess.following)
-    found = climb(np.concatenate(position), np.concatenate(rotation), most, sought, seen)
+    found = refine_modes(np.concatenate(position), np.concatenate(rotation), most, sought, seen)
     if found.peaks:
         factor = reduction(2.0 * tracker.camera.fx * ball.radius / found.peaks[0].position[2])
         if factor > seen.factor:
             larger = sought.scene.part(whole_region(seen), factor)
-            found = climb(found.position, found.rotation, _MOST_PEAKS, sought, larger)
+            found = refine_modes(found.position, found.rotation, _MOST_PEAKS, sought, larger)
     return replace(found, turn=guess.following)
 
 

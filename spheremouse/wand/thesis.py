@@ -17,7 +17,7 @@ from spheremouse.wand.particles import (
     moved,
     normalised,
 )
-from spheremouse.wand.peaks import Sought, whole_region
+from spheremouse.wand.peaks import SearchContext, whole_region
 from spheremouse.wand.state import Track, WandPose
 
 REDRAW = 0.5  # of the particles that count, below which they are resampled
@@ -30,7 +30,7 @@ def some(particles: Particles, n: int, rng: np.random.Generator) -> Particles:
 
 
 def by_motion(
-    track: Track, stamp: float, motions: Motions, seen: Fields, sought: Sought, rng: np.random.Generator
+    track: Track, stamp: float, motions: Motions, seen: Fields, sought: SearchContext, rng: np.random.Generator
 ) -> tuple[Track, WandPose]:
     """The thesis' step (Grzonka 2005, table 3), for comparison: move at random, weigh one way or another, resample."""
     assert track.particles is not None

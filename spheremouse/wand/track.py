@@ -47,13 +47,13 @@ from spheremouse.wand.peaks import (
     SURE,
     Found,
     Scene,
-    Sought,
+    SearchContext,
     accepted,
     as_peaks,
-    climb,
     from_spots,
     joined,
     passes_without_prior,
+    refine_modes,
     search,
     some_peaks,
 )
@@ -129,7 +129,7 @@ def step(
         ]
         if command is not None and track.course is not None:
             track = replace(track, course=told(track.course, command, np.diag([1e-4] * 3 + [1e-3] * 3)))
-        tracks[i], pose = _follow(track, frame.stamp, Sought(scene, i, others), looked, rng)
+        tracks[i], pose = _follow(track, frame.stamp, SearchContext(scene, i, others), looked, rng)
         if isinstance(pose.event, SecondBall) and len(others) < len(tracks) - 1:
             pose = replace(pose, event=None)  # it may be a declared one that is not found yet
         poses.append(pose)
@@ -154,7 +154,9 @@ def step(
     return after, tuple(poses)
 
 
-def _follow(track: Track, stamp: float, sought: Sought, look: bool, rng: np.random.Generator) -> tuple[Track, WandPose]:
+def _follow(
+    track: Track, stamp: float, sought: SearchContext, look: bool, rng: np.random.Generator
+) -> tuple[Track, WandPose]:
     """One ball, one frame; `look`: it is time to look around in the whole picture."""
     if track.phase != Status.TRACKING or track.particles is None:
         return _acquire(track, stamp, sought, rng)
@@ -204,7 +206,9 @@ def _follow(track: Track, stamp: float, sought: Sought, look: bool, rng: np.rand
     return after, WandPose(sought.ball.name, *pose, Status.TRACKING, event, float(found.match[0]), count, True)
 
 
-def _near_prediction(track: Track, motions: Motions, seen: Fields, sought: Sought, rng: np.random.Generator) -> Found:
+def _near_prediction(
+    track: Track, motions: Motions, seen: Fields, sought: SearchContext, rng: np.random.Generator
+) -> Found:
     """Peaks that the ball can have moved to: from where it is predicted, and from spots where those leave a doubt."""
     assert track.particles is not None
     assert track.pose is not None
@@ -212,7 +216,7 @@ def _near_prediction(track: Track, motions: Motions, seen: Fields, sought: Sough
     p, R, _ = track.pose
     position = np.concatenate([p + motions.shift[:, :3], ahead.position])
     rotation = np.concatenate([exp(motions.shift[:, 3:]) @ R, ahead.rotation])
-    found = climb(position, rotation, 2, sought, seen, sure=_NEAR_PEAK * track.level)
+    found = refine_modes(position, rotation, 2, sought, seen, sure=_NEAR_PEAK * track.level)
     found = _gate_by_motion(found, track, motions, sought)
     if (
         not accepted(found, sought.tracker.settings, track.level)
@@ -249,7 +253,7 @@ def _averaged(
     return (p, R, steadied(sample, count, followed.covariance)), count, followed
 
 
-def _gate_by_motion(found: Found, track: Track, motions: Motions, sought: Sought) -> Found:
+def _gate_by_motion(found: Found, track: Track, motions: Motions, sought: SearchContext) -> Found:
     """Of peaks, those that the ball can have moved to, or that are a ball and show as much of it as it did of late.
 
     One that starts all of a sudden is not half hidden as well: where a ball is hidden, other things of its colours are
@@ -285,7 +289,7 @@ def _about(particles: Particles, peaks: Peaks, nearest: NDArray[np.int64]) -> ND
 
 
 def _unseen(
-    track: Track, stamp: float, dt: float, sought: Sought, rng: np.random.Generator, found: Found
+    track: Track, stamp: float, dt: float, sought: SearchContext, rng: np.random.Generator, found: Found
 ) -> tuple[Track, WandPose]:
     """The ball does not show: the particles go on unweighted, for a while."""
     assert track.particles is not None
@@ -310,7 +314,7 @@ def _unseen(
     return after, WandPose(ball.name, *pose, Status.TRACKING, BallHidden(ball.name), match)
 
 
-def _acquire(track: Track, stamp: float, sought: Sought, rng: np.random.Generator) -> tuple[Track, WandPose]:
+def _acquire(track: Track, stamp: float, sought: SearchContext, rng: np.random.Generator) -> tuple[Track, WandPose]:
     """Find the ball in the whole picture: particles are injected at the peaks."""
     s, ball = sought.tracker.settings, sought.ball
     found = search(sought, track.turn)

@@ -150,8 +150,8 @@ def test_a_ball_that_turns_about_one_axis_tells_no_direction():
 
 
 def test_a_scale_is_that_of_the_radius_by_which_it_was_sent(film):
-    seen = mistakes.sights.look_at(film, mistakes.kit.settings_of(["tracker=ekf2"]))
-    run = mistakes.sights.filtered(seen, mistakes.kit.settings_of(["tracker=ekf2"]), film)
+    seen = mistakes.detections.look_at(film, mistakes.kit.settings_of(["tracker=ekf2"]))
+    run = mistakes.detections.filtered(seen, mistakes.kit.settings_of(["tracker=ekf2"]), film)
     right, large = (mistakes.mouse(run, film.truth.motion, radius, 0.6) for radius in (0.6, 0.66))
     assert 1.0 + large["scale"] / 100.0 == pytest.approx(1.1 * (1.0 + right["scale"] / 100.0), rel=1e-9)
     assert large["direction"] == pytest.approx(right["direction"], abs=1e-6)

@@ -125,7 +125,7 @@ def test_films_and_areas_make_a_page_and_what_is_missing_is_a_dash(results):
     text = said("surface", page, results).text
     cap = results["cap-far"]
     chi = [f"{cap[name]:.2f}" for name in ("chi_square_image", "chi_square_total")]
-    assert rows(text, "1 is honest**") == [["far", str(cap["sights"]), *chi], ["near", "–", "–", "–"]]
+    assert rows(text, "1 is honest**") == [["far", str(cap["detections"]), *chi], ["near", "–", "–", "–"]]
     table = rows(text, "**Table 13. Points on the ball**")
     point = cap["table 13"]["as the thesis"][1]
     assert table[3][:4] == ["2", "-322, 316, 371", "thesis", "-0.50"]

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from experiments import viewing
+from experiments.kit import detections
 from experiments.kit import film as kit
-from experiments.kit import sights
 from experiments.kit import tour as tour_module
 from experiments.kit.job import Request
 from experiments.kit.tour import thinned, tour
@@ -133,9 +133,9 @@ def test_the_classic_filters_are_told_the_true_acceleration(film):
 
 def test_what_is_brief_is_what_was_reported(film):
     posed = replace(film, rig=replace(film.rig, pose=film.truth.pose))  # too small for targets
-    seen = sights.look_at(posed, kit.settings_of(["tracker=ekf2"]))
-    run = sights.filtered(seen, kit.settings_of(["tracker=ekf2"]), film)
-    said = sights.errors(run, film.truth, 0.6)
+    seen = detections.look_at(posed, kit.settings_of(["tracker=ekf2"]))
+    run = detections.filtered(seen, kit.settings_of(["tracker=ekf2"]), film)
+    said = detections.errors(run, film.truth, 0.6)
     found = tour_module.brief(said)
     assert found["attitude"] == said["attitude_rmse_deg"]["combined"]
     assert found["rate"] == said["rate_rmse_deg_s"]["combined"]

@@ -14,7 +14,7 @@ from spheremouse.commands import config as cli_config
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import atomic, config
 from spheremouse.files import yaml as yaml_file
-from spheremouse.session.named import Found
+from spheremouse.session.config_check import Found
 from spheremouse.session.settings import Configuration
 from spheremouse.settings import param
 
@@ -428,7 +428,7 @@ def test_every_parameter_of_the_program_says_what_it_is():
 def run(monkeypatch, tmp_path):
     """`spheremouse config ...` with the settings of this file, in an empty folder."""
     monkeypatch.setattr(cli_config, "root", lambda: Root)
-    monkeypatch.setattr("spheremouse.session.named.look", lambda *_: Found())  # these settings name nothing
+    monkeypatch.setattr("spheremouse.session.config_check.look", lambda *_: Found())  # these settings name nothing
     monkeypatch.chdir(tmp_path)
     return lambda *arguments: CliRunner().invoke(cli_config.app, arguments)
 

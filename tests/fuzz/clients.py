@@ -17,12 +17,12 @@ from typing import Any
 from hypothesis import strategies as st
 
 from spheremouse.session.control.client import Client
-from spheremouse.session.control.desk import MOST, Asked, Desk
 from spheremouse.session.control.limits import Limits
 from spheremouse.session.control.protocol import Request
 from spheremouse.session.control.reply import Reply
+from spheremouse.session.control.request_queue import MOST, Asked, RequestQueue
 from spheremouse.session.control.server import ControlServer
-from spheremouse.session.process.threads import Crew
+from spheremouse.session.process.threads import WorkerPool
 from spheremouse.session.settings.control import ControlSettings
 from tests.fuzz.targets import target
 
@@ -44,8 +44,8 @@ class Cabinet:
         self.go_on = threading.Event()
         self.begun: list[Asked] = []
         self._bell = threading.Event()
-        self.desk = Desk(self._bell.set)
-        self.crew = Crew(KINDS, self.said.append)
+        self.desk = RequestQueue(self._bell.set)
+        self.crew = WorkerPool(KINDS, self.said.append)
         self.crew.begin()
         limits = Limits(pace=1e6, burst=1e6)
         settings = ControlSettings(clients=CLIENTS + 2)

@@ -25,7 +25,7 @@ from spheremouse.ball.warm import warm_up
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset, read_frames
-from spheremouse.output.hand import Pointing, point
+from spheremouse.output.wand_mapping import Pointing, point
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Frame, Motion, Status

@@ -5,7 +5,7 @@ import pytest
 from seats import LOOKS
 
 from spheremouse.output.counts import MotionSettings
-from spheremouse.output.hand import PointingSettings
+from spheremouse.output.wand_mapping import PointingSettings
 from spheremouse.session.directions import of_ball, of_hand
 from spheremouse.tracker import no_motion
 

@@ -11,7 +11,7 @@ from spheremouse.output.null import Null
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.session import outputs as module
 from spheremouse.session.outputs import OUTPUT, Outputs
-from spheremouse.session.process.threads import Crew
+from spheremouse.session.process.threads import WorkerPool
 
 EXACT = PointerSettings(horizon=0.0)
 
@@ -39,7 +39,7 @@ class Run:
 
     def __init__(self, *names):
         self.diary, self.said, self.todo = [], [], []
-        self.crew = Crew((OUTPUT,), self.said.append)
+        self.crew = WorkerPool((OUTPUT,), self.said.append)
         self.crew.begin()
         self.sinks = [Sink(name, self.diary) for name in names]
         self.outputs = Outputs(

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from spheremouse.session.states import Facts, State, judge, news
+from spheremouse.session.states import Conditions, State, derive_state, news
 from spheremouse.tracker import Status
 
 TRANSCRIPTS = {
@@ -49,7 +49,7 @@ def facts(line):
     parts = KEYS.split(line)[1:]
     found = {k: v.strip() for k, v in zip(parts[::2], parts[1::2], strict=True)}
     event = found.pop("event", "")
-    return Facts(**{**found, "tracker": Status(found.get("tracker", "searching"))}), event
+    return Conditions(**{**found, "tracker": Status(found.get("tracker", "searching"))}), event
 
 
 @pytest.mark.parametrize("name", TRANSCRIPTS)
@@ -59,7 +59,7 @@ def test_a_transcript(name):
     for line in lines:
         given = line.partition("|")[0].rstrip()
         f, event = facts(given)
-        now = judge(f)
+        now = derive_state(f)
         made.append((given, news(before, now, event)))
         before = now
     expected = [tuple(part.strip() for part in line.split("|")) for line in lines]
@@ -74,7 +74,7 @@ def test_every_state_is_reached():
 def test_nothing_but_tracking_says_that_the_ball_moves_the_pointer():
     """With any trouble at all, or a ball that is not tracked, the state is another one."""
     for trouble in ("starting", "camera", "paused", "targets", "output"):
-        assert judge(Facts(**{trouble: "x"}, tracker=Status.TRACKING))[0] is not State.TRACKING
+        assert derive_state(Conditions(**{trouble: "x"}, tracker=Status.TRACKING))[0] is not State.TRACKING
     for status in (Status.SEARCHING, Status.LOST):
-        assert judge(Facts(tracker=status))[0] is State.LOST
-    assert judge(Facts(tracker=Status.TRACKING))[0] is State.TRACKING
+        assert derive_state(Conditions(tracker=status))[0] is State.LOST
+    assert derive_state(Conditions(tracker=Status.TRACKING))[0] is State.TRACKING

@@ -168,15 +168,15 @@ def test_other_settings_from_the_next_frame_on(film):
     play()
     tracker = play.follower.tracker
     other = replace(SETTINGS, motion=replace(SETTINGS.motion, scale_x=2.0))
-    play.follower.prepare(plan(other), {"motion"}).go_over()  # before the first frame
+    play.follower.prepare(plan(other), {"motion"}).apply()  # before the first frame
     play()
     other = replace(SETTINGS, motion=replace(SETTINGS.motion, scale_x=4.0))
-    go_over = play.follower.prepare(plan(other), {"motion"}).go_over
+    apply = play.follower.prepare(plan(other), {"motion"}).apply
     assert play.follower.settings.motion.scale_x == 2.0  # nothing has changed
-    assert go_over() is play.follower
+    assert apply() is play.follower
     play()
     assert play.follower.tracker is tracker  # a scale is not the tracker's
-    play.follower.prepare(plan(replace(other, detector="blobs")), {"tracker"}).go_over()
+    play.follower.prepare(plan(replace(other, detector="blobs")), {"tracker"}).apply()
     assert play.follower.tracker is not tracker
     assert play.follower.tracker is not None
     assert np.allclose(

@@ -23,7 +23,7 @@ from spheremouse.capture.v4l2 import open_camera
 from spheremouse.errors import DamagedFrameError, SourceError
 from spheremouse.files.rig import save_rig
 from spheremouse.files.yaml import dotted
-from spheremouse.session.named import look
+from spheremouse.session.config_check import look
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.scene import default_scene
 

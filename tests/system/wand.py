@@ -16,7 +16,7 @@ from daemon import FILMS, INTERVAL, LONGEST, H, Program, Reader, W, Writer, remo
 from modules import insert
 
 from spheremouse.geometry.rotation import log
-from spheremouse.output.hand import PointingSettings
+from spheremouse.output.wand_mapping import PointingSettings
 from spheremouse.session import service, trackers
 from spheremouse.session.control.client import Client
 from spheremouse.wand import warm
@@ -48,7 +48,7 @@ class Hand:
         return counts.sum(axis=0), np.abs(counts).sum(axis=0)
 
 
-class Desk:
+class RequestQueue:
     """A camera, and `spheremouse run` before it."""
 
     def __init__(self, folder):
@@ -107,7 +107,7 @@ def desk(tmp_path_factory):
     with suppress(subprocess.CalledProcessError):
         insert("v4l2loopback", video_nr=9, max_buffers=8)
     warm.warm_up()
-    made = Desk(tmp_path_factory.mktemp("desk"))
+    made = RequestQueue(tmp_path_factory.mktemp("desk"))
     yield made
     for end in (made.program.kill, made.mouse.close, made.writer.end):
         with suppress(Exception):

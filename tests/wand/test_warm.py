@@ -11,9 +11,9 @@ import numpy as np
 
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.settings import WandSettings; from spheremouse.wand.track import build
-from spheremouse.output.hand import PointingSettings
+from spheremouse.output.wand_mapping import PointingSettings
 from spheremouse.wand.warm import warm_up
-from spheremouse.output.hand import HandMapping
+from spheremouse.output.wand_mapping import HandMapping
 from spheremouse.session.wand.offline import track_wand
 
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from experiments.kit import detections
 from experiments.kit import film as kit
-from experiments.kit import sights
 from experiments.kit.job import Result
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import DiscTruth, Truth
@@ -59,7 +59,7 @@ def thinned(film: kit.Film, every: int) -> kit.Film:
     return replace(film, frames=frames, truth=replace(truth, motion=fewer, discs=left))
 
 
-def followed(film: kit.Film, seen: sights.Sights, rigs: dict[str, Rig], published: bool = False) -> Result:
+def followed(film: kit.Film, seen: detections.Sights, rigs: dict[str, Rig], published: bool = False) -> Result:
     """A film by the classic filters, which saw it as `seen`, and by `so3` with each of the rigs; and the bound.
 
     The classic filters are told the true acceleration; `published`: `ekf2` once more with that of the thesis.
@@ -70,8 +70,8 @@ def followed(film: kit.Film, seen: sights.Sights, rigs: dict[str, Rig], publishe
     if published:
         classic[PUBLISHED] = kit.settings_of(["tracker=ekf2"])
     for name, settings in classic.items():
-        run = sights.filtered(seen, settings, film)
-        rows[name] = brief(sights.errors(run, film.truth, film.rig.ball.radius))
+        run = detections.filtered(seen, settings, film)
+        rows[name] = brief(detections.errors(run, film.truth, film.rig.ball.radius))
     limit = None
     for name, rig in rigs.items():
         tracked = kit.tracked(film, kit.settings_of(), rig=replace(rig, pose=seen.pose))

@@ -41,7 +41,7 @@ def page(results: Results) -> Page:
     theirs, fed = (points[points["by"] == name][["XY", "XZ", "YZ"]].to_numpy() for name in ("thesis", "as the thesis"))
     strong = np.abs(theirs) > _STRONG
     columns = {
-        "sights": "discs seen",
+        "detections": "discs seen",
         "chi_square_image": "image alone: chi-square / 2",
         "chi_square_total": "with pose and ball: chi-square / 2",
     }

@@ -62,7 +62,7 @@ def attitude(
     points = np.ascontiguousarray(seen[central])
     n = len(points)
     area = 2.0 * math.pi * (1.0 - horizon)
-    law = kernel.Law(
+    law = kernel.ObservationModel(
         towards,
         horizon + model.limb,
         model.blur,
@@ -72,7 +72,7 @@ def attitude(
         model.false_mean,
         area,
     )
-    gain = evidence.most_worth(sigma * sigma, law)
+    gain = evidence.max_log_likelihood_ratio(sigma * sigma, law)
     if gain <= 0.0:  # so coarse that a false direction explains as much as any disc
         return None
     pairs = kernel.pairs_of(points, max(1, n // model.group))

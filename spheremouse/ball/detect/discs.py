@@ -29,7 +29,7 @@ from spheremouse.ball.detect.projection import (
     projected,
     sample_weights_of,
 )
-from spheremouse.ball.detect.search import Lattice, SearchState, lattice, places_to_look_at, went
+from spheremouse.ball.detect.search import Lattice, SearchState, candidate_pixels, lattice, went
 from spheremouse.ball.detect.windows import View, look_at, view_of
 from spheremouse.ball.rig import Rig, directions_at
 from spheremouse.errors import ConfigurationError
@@ -186,7 +186,7 @@ class DiscDetector:
         fit, radius = self.view.fit, 0.5 * self.diameter
         noise = state.noise or self.noise(image)
         colours = _with_channels(image)
-        places = places_to_look_at(colours, self.view.mask, self.lattice, state, known, fit, radius, noise)
+        places = candidate_pixels(colours, self.view.mask, self.lattice, state, known, fit, radius, noise)
         if len(places) == 0:
             return no_detections(), went(state, places, self.lattice.reduction)
         directions, index = directions_at(places, self.rig, self.pose)

@@ -55,7 +55,7 @@ class StaticSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Lookalikes:
+class StaticDistractors:
     """Masks, and candidates on their way to being one or a disc."""
 
     masks: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2) px
@@ -68,8 +68,8 @@ class Lookalikes:
 
 
 def unmasked(
-    state: Lookalikes, centre: Array, stamp: float, settings: StaticSettings
-) -> tuple[NDArray[np.bool_], Lookalikes]:
+    state: StaticDistractors, centre: Array, stamp: float, settings: StaticSettings
+) -> tuple[NDArray[np.bool_], StaticDistractors]:
     """Which detections, (n, 2) px, are not under a mask, (n,); and the masks, with those renewed that hid one."""
     if len(state.masks) == 0 or len(centre) == 0:
         return np.ones(len(centre), dtype=bool), state
@@ -79,7 +79,7 @@ def unmasked(
     return ~near.any(axis=1), replace(state, masks=state.masks[alive], mask_seen=seen[alive])
 
 
-def mask(state: Lookalikes, centre: Array, stamp: float) -> Lookalikes:
+def mask(state: StaticDistractors, centre: Array, stamp: float) -> StaticDistractors:
     """Add masks at (k, 2) px."""
     return replace(
         state,
@@ -88,12 +88,12 @@ def mask(state: Lookalikes, centre: Array, stamp: float) -> Lookalikes:
     )
 
 
-def without_landmarks(state: Lookalikes, discs: Array, disc_angle: float) -> Lookalikes:
+def without_landmarks(state: StaticDistractors, discs: Array, disc_angle: float) -> StaticDistractors:
     """Without those that have become discs, (m, 3) unit vectors in ball, of angular radius `disc_angle` rad."""
     return _followed(state, ~np.any(state.anchor_ball @ discs.T > np.cos(disc_angle), axis=1))
 
 
-def _followed(state: Lookalikes, keep: NDArray[np.bool_]) -> Lookalikes:
+def _followed(state: StaticDistractors, keep: NDArray[np.bool_]) -> StaticDistractors:
     """With those candidates alone that are in a mask, (t,)."""
     return replace(
         state,
@@ -106,7 +106,7 @@ def _followed(state: Lookalikes, keep: NDArray[np.bool_]) -> Lookalikes:
 
 
 def classify_candidates(
-    state: Lookalikes,
+    state: StaticDistractors,
     centre: Array,
     direction: Array,
     attitude: Array,
@@ -114,7 +114,7 @@ def classify_candidates(
     rig: Rig,
     pose: Pose,
     settings: StaticSettings,
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Lookalikes]:
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], StaticDistractors]:
     """Follow the candidates of one frame: `centre` (n, 2) px, `direction` (n, 3) unit in obj, none of them masked.
 
     `attitude` is R_obj_ball, (3, 3), as this frame's discs have confirmed it. Returns which are proven to turn with the
@@ -167,7 +167,7 @@ def _told_apart(
 
 
 def known_before_to_turn(
-    state: Lookalikes, centre: Array, attitude: Array, rig: Rig, pose: Pose, settings: StaticSettings
+    state: StaticDistractors, centre: Array, attitude: Array, rig: Rig, pose: Pose, settings: StaticSettings
 ) -> NDArray[np.bool_]:
     """Which of `centre`, (n, 2) px, are candidates that earlier frames have proven, at a predicted attitude, (n,)."""
     proven = np.zeros(len(centre), dtype=bool)
@@ -178,13 +178,13 @@ def known_before_to_turn(
     return proven
 
 
-def _expected(state: Lookalikes, attitude: Array, rig: Rig, pose: Pose) -> Array:
+def _expected(state: StaticDistractors, attitude: Array, rig: Rig, pose: Pose) -> Array:
     """Where the candidates would be by now, were they discs, (t, 2) px."""
     turned = seen_at(state.anchor_ball @ attitude.T, rig, pose)
     return np.where(np.isfinite(turned), turned, state.place)
 
 
-def _found(state: Lookalikes, expected: Array, centre: Array, settings: StaticSettings) -> NDArray[np.intp]:
+def _found(state: StaticDistractors, expected: Array, centre: Array, settings: StaticSettings) -> NDArray[np.intp]:
     """For each of `centre`, (n, 2) px, the candidate that stayed or turned there, (n,); -1 where there is none."""
     found = np.full(len(centre), -1, dtype=np.intp)
     if len(centre) and len(expected):

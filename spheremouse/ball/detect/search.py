@@ -107,7 +107,7 @@ class _Limb:
         return offsets
 
 
-def places_to_look_at(
+def candidate_pixels(
     image: Image,
     mask: Image,
     where: Lattice,

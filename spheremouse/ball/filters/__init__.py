@@ -46,7 +46,7 @@ class FilterState(Protocol):
         """Indices into the last update's points that took part in it."""
         ...
 
-    def with_reference(self) -> Self:
+    def clone_attitude(self) -> Self:
         """The state whose attitude is the one that the next motion counts from."""
         ...
 
@@ -54,7 +54,7 @@ class FilterState(Protocol):
         """The state whose next motion counts from where that of `other` does, with an error that is another one's."""
         ...
 
-    def covariance_since(self, turn: Array) -> Array:
+    def increment_covariance(self, turn: Array) -> Array:
         """(6, 6) of the rotation vector `turn`, (3,) rad, since the reference, and of the rate."""
         ...
 
@@ -80,6 +80,6 @@ class Filter(Protocol[S]):
         """
         ...
 
-    def beyond_chance(self, predicted: S, used: int, points: int) -> bool:
+    def is_significant(self, predicted: S, used: int, points: int) -> bool:
         """Would so many of a frame's points, most of them no disc, meet a predicted disc only if it is there?"""
         ...

@@ -102,7 +102,7 @@ class EulerState:
         """(m, 3) unit vectors in `ball`."""
         return self.points / np.linalg.norm(self.points, axis=1, keepdims=True)
 
-    def with_reference(self) -> "EulerState":
+    def clone_attitude(self) -> "EulerState":
         """The state whose attitude is the one that the next motion counts from."""
         return replace(self, reference=self.covariance[:3, :3])
 
@@ -110,7 +110,7 @@ class EulerState:
         """The state whose next motion counts from where that of `other` does."""
         return replace(self, reference=other.reference)
 
-    def covariance_since(self, turn: Array) -> Array:
+    def increment_covariance(self, turn: Array) -> Array:
         """(6, 6) of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.
 
         The published filters do not say how the errors of two attitudes hang together: they are taken as independent.
@@ -159,7 +159,7 @@ class ConstantDiscsFilter:
         stored = np.concatenate([state.points[np.sort(j)], points.position[new] @ from_euler(x[:3])])
         return EulerState(state.stamp, x[:3], x[3:6], stored, P, np.sort(i), state.reference)
 
-    def beyond_chance(self, predicted: EulerState, used: int, points: int) -> bool:
+    def is_significant(self, predicted: EulerState, used: int, points: int) -> bool:
         """Not known: as published, discs are gated by a length."""
         return False
 
@@ -206,7 +206,7 @@ class StateDiscsFilter:
         P = _append_blocks(P[np.ix_(rows, rows)], R.T @ noise[new] @ R)
         return EulerState(state.stamp, x[:3], x[3:6], stored, P, np.sort(i), state.reference)
 
-    def beyond_chance(self, predicted: EulerState, used: int, points: int) -> bool:
+    def is_significant(self, predicted: EulerState, used: int, points: int) -> bool:
         """Not known: as published, discs are gated by a length."""
         return False
 

@@ -16,7 +16,7 @@ from scipy.special import pdtrc
 
 from spheremouse.ball.filters import so3_match, so3_predict, so3_visibility
 from spheremouse.ball.filters import so3_update as kernel
-from spheremouse.ball.filters.so3_predict import CONSIDER, CORE, FIRST, READOUT, REFERENCE
+from spheremouse.ball.filters.so3_predict import CLONE_DIM, CONSIDERED_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_settings import (
     So3Settings,
     prior_of_levels,
@@ -35,7 +35,7 @@ _NONE = np.zeros(0, dtype=np.intp)
 _RARE = 1e-3  # probability per frame below which chance does not explain the pairs
 _FASTEST = 6.0  # rad/s, of a turn by hand
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
-_STILL = np.zeros((CORE, CORE))
+_STILL = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 _DETECTED = 0.8  # probability that a disc in view is seen: hands and struts hide some
 _WIDE = 0.1  # rad: an attitude known worse than that is not linear in any sense; the allowance for it grows no more
 
@@ -60,15 +60,17 @@ class So3Filter:
     horizon: float  # least cosine with it of a disc that can be seen
     disc_angle: float  # rad, angular radius of a disc
     radius: float  # m, of the ball
-    considered: Array = field(default_factory=lambda: np.zeros((CONSIDER, CONSIDER)))  # of pose, centre and radius
+    considered: Array = field(
+        default_factory=lambda: np.zeros((CONSIDERED_DIM, CONSIDERED_DIM))
+    )  # of pose, centre and radius
     readout_sigma: float = 0.0  # s, of the rolling shutter's time
 
     def initial(self, stamp: float, attitude: Array) -> So3State:
         """At rest at `attitude`, (3, 3), which is the reference: without error. No disc is known."""
-        joint = np.zeros((FIRST + REFERENCE, FIRST + REFERENCE))
+        joint = np.zeros((MAP_OFFSET + CLONE_DIM, MAP_OFFSET + CLONE_DIM))
         joint[3:6, 3:6] = self.settings.start_rate_sigma**2 * np.eye(3)
-        joint[6:CORE, 6:CORE] = usual_acceleration(self.settings) ** 2 * np.eye(3)
-        joint[CORE:READOUT, CORE:READOUT] = self.considered
+        joint[6:KINEMATIC_DIM, 6:KINEMATIC_DIM] = usual_acceleration(self.settings) ** 2 * np.eye(3)
+        joint[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT] = self.considered
         joint[READOUT, READOUT] = self.readout_sigma**2
         return So3State(stamp, attitude, np.zeros(3), np.zeros(3), np.zeros((0, 3)), np.zeros((0, 3, 2)), joint)
 
@@ -86,7 +88,7 @@ class So3Filter:
         weights = state.weights if len(state.weights) else usual
         density = 2.0 * variances(s)[0] / s.persistence
         attitude, rate, acceleration, joint = state.attitude, state.rate, state.acceleration, state.joint
-        F, process = np.empty((CORE, CORE)), np.empty((CORE, CORE))
+        F, process = np.empty((KINEMATIC_DIM, KINEMATIC_DIM)), np.empty((KINEMATIC_DIM, KINEMATIC_DIM))
         if dt > last:
             density_of_all = density * float(weights @ squared_levels(s.levels))
             attitude, rate, acceleration, joint = so3_predict.predict(
@@ -124,7 +126,7 @@ class So3Filter:
             state.attitude, state.discs, state.hidden, self.towards_camera, self.horizon
         )
 
-    def beyond_chance(self, predicted: So3State, used: int, points: int) -> bool:
+    def is_significant(self, predicted: So3State, used: int, points: int) -> bool:
         """Would so many of the points meet a predicted disc by chance in less than one frame of a thousand?
 
         Each point lies in each disc's gate by chance with that gate's share of what the camera sees of the ball.
@@ -189,7 +191,7 @@ class So3Filter:
         if pairs < 2:
             return None
         corrected, _ = self._correct(state, points, nearest)
-        if not (most or self.beyond_chance(state, pairs, len(points)) or self._others_agree(corrected, len(points))):
+        if not (most or self.is_significant(state, pairs, len(points)) or self._others_agree(corrected, len(points))):
             return None
         return self._keep_map(corrected, points, nearest, may_start_landmark)
 
@@ -393,10 +395,12 @@ class So3Filter:
         """The state of a frame without pairs: nothing tells of steps. On the average they let the acceleration fade."""
         noise_scale, mean = self._expected(state), np.zeros(len(state.joint))
         joint = state.joint.copy()
-        joint[:CORE, :CORE] += (noise_scale - 1.0) * state.process
+        joint[:KINEMATIC_DIM, :KINEMATIC_DIM] += (noise_scale - 1.0) * state.process
         t, tau = state.interval, self.settings.persistence
         gain, reach = so3_predict.integrals(t, tau)
-        mean[:CORE] = np.outer([reach - 0.5 * t * t, gain - t, math.expm1(-t / tau)], state.acceleration).ravel()
+        mean[:KINEMATIC_DIM] = np.outer(
+            [reach - 0.5 * t * t, gain - t, math.expm1(-t / tau)], state.acceleration
+        ).ravel()
         return inject(state, mean, joint, state.weights, float(np.sqrt(noise_scale)), _NONE, 0.0)
 
     def _again(
@@ -407,7 +411,7 @@ class So3Filter:
         The state, and the log likelihood of the pairs (Laplace's approximation).
         """
         rows, log_likelihood = updated.used, 0.0
-        at = (FIRST + 2 * columns[:, None] + np.arange(2)).ravel()
+        at = (MAP_OFFSET + 2 * columns[:, None] + np.arange(2)).ravel()
         for _ in range(3):
             about = dx.copy()
             about[READOUT] = 0.0  # the innovation is linear in it, and what is added back below leaves it out
@@ -420,7 +424,7 @@ class So3Filter:
                 H,
                 HP,
                 S,
-                z + H @ dx[:CORE] + dx[at],
+                z + H @ dx[:KINEMATIC_DIM] + dx[at],
                 state.acceleration,
                 self._steps(state),
                 weights,
@@ -448,7 +452,7 @@ class So3Filter:
         """
         k = len(rows)
         H, HP, z, S = (
-            np.empty((2 * k, CORE)),
+            np.empty((2 * k, KINEMATIC_DIM)),
             np.empty((2 * k, len(state.joint))),
             np.empty(2 * k),
             np.empty((2 * k, 2 * k)),
@@ -550,14 +554,14 @@ def relocate(
     Attitude and map lose their correlation: what was found knows nothing of how the map came to be.
     """
     joint = state.joint.copy()
-    considered = joint[CORE:FIRST, CORE:FIRST].copy()
-    joint[:FIRST] = 0.0
-    joint[:, :FIRST] = 0.0
-    joint[CORE:FIRST, CORE:FIRST] = considered
+    considered = joint[KINEMATIC_DIM:MAP_OFFSET, KINEMATIC_DIM:MAP_OFFSET].copy()
+    joint[:MAP_OFFSET] = 0.0
+    joint[:, :MAP_OFFSET] = 0.0
+    joint[KINEMATIC_DIM:MAP_OFFSET, KINEMATIC_DIM:MAP_OFFSET] = considered
     joint[:3, :3] = sigma**2 * np.eye(3)
     spread = settings.start_rate_sigma if rate is None else 0.4 * settings.start_rate_sigma
     joint[3:6, 3:6] = (2.5 * spread) ** 2 * np.eye(3)
-    joint[6:CORE, 6:CORE] = usual_acceleration(settings) ** 2 * np.eye(3)
+    joint[6:KINEMATIC_DIM, 6:KINEMATIC_DIM] = usual_acceleration(settings) ** 2 * np.eye(3)
     return replace(
         state,
         stamp=stamp,
@@ -566,7 +570,7 @@ def relocate(
         acceleration=np.zeros(3),
         joint=joint,
         weights=np.zeros(0),
-        process=np.zeros((CORE, CORE)),
+        process=np.zeros((KINEMATIC_DIM, KINEMATIC_DIM)),
     )
 
 
@@ -595,6 +599,6 @@ def _twist_as_swing(state: So3State, column: int) -> So3State:
         return state
     gain = along * (1.0 - expected / variance) / variance  # leaves the twist with the expected variance
     joint = state.joint - np.outer(gain, along)
-    joint[CORE:READOUT, CORE:READOUT] = state.joint[CORE:READOUT, CORE:READOUT]
-    gain[CORE:READOUT] = 0.0  # what is only considered stays (Schmidt 1966)
+    joint[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT] = state.joint[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT]
+    gain[KINEMATIC_DIM:READOUT] = 0.0  # what is only considered stays (Schmidt 1966)
     return inject(state, -gain * twist, joint, state.weights, state.manoeuvre_level, state.used, state.nis)

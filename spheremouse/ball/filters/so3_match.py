@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from spheremouse.ball.filters.so3_predict import CONSIDER, CORE, FIRST
+from spheremouse.ball.filters.so3_predict import CONSIDERED_DIM, KINEMATIC_DIM, MAP_OFFSET
 from spheremouse.geometry.rotation import exp_into
 
 _NEAR = 0.99  # cosine: what is further off than 8 degrees is no pair, whatever is considered
@@ -47,7 +47,7 @@ def places(attitude, discs, basis, P, which, added_process_noise, centre_sigma):
         m = which[i]
         place_and_axes(attitude, zero, zero, 0.0, basis[m], discs[m], R, p, E)
         turning_jacobian(E, p, H)
-        S = _disc_covariance(P, H, FIRST + 2 * m, added_process_noise)
+        S = _disc_covariance(P, H, MAP_OFFSET + 2 * m, added_process_noise)
         mean, half = 0.5 * (S[0, 0] + S[1, 1]), np.hypot(0.5 * (S[0, 0] - S[1, 1]), S[0, 1])
         centre_sigma[i] = np.sqrt(max(mean + half, 0.0))
 
@@ -75,19 +75,19 @@ def _row(H, E, t, rate, row, by_pose, by_ball, radius, J):
             J[a, c] = H[a, c]
             J[a, 3 + c] = H[a, c] * t
             J[a, 6 + c] = 0.5 * H[a, c] * t * t
-    considered_jacobian(H, E, rate, row, by_pose, by_ball, radius, J[:, CORE:])
+    considered_jacobian(H, E, rate, row, by_pose, by_ball, radius, J[:, KINEMATIC_DIM:])
 
 
 @njit(cache=True, error_model="numpy")
 def considered_jacobian(H, E, rate, row, by_pose, by_ball, radius, J):
     """Of one point: d z / d (pose, ball, readout) into J, (2, FIRST - CORE)."""
     for a in range(2):
-        for c in range(CONSIDER):
+        for c in range(CONSIDERED_DIM):
             value = E[c - 6, a] if 6 <= c < 9 else 0.0  # the direction counts from the centre
             for d in range(3):
                 value -= E[d, a] * (by_pose[d, c] if c < 6 else by_ball[d, c - 6])
             J[a, c] = value / radius
-        J[a, CONSIDER] = (H[a, 0] * rate[0] + H[a, 1] * rate[1] + H[a, 2] * rate[2]) * row
+        J[a, CONSIDERED_DIM] = (H[a, 0] * rate[0] + H[a, 1] * rate[1] + H[a, 2] * rate[2]) * row
 
 
 @njit(cache=True, error_model="numpy")
@@ -95,16 +95,16 @@ def _full_covariance(P, J, JP, at, H, added_process_noise):
     """(2, 2) of a disc's predicted place, its errors at `at`, with all that J, (2, FIRST), depends on."""
     S = np.empty((2, 2))
     for a in range(2):
-        for j in range(FIRST + 2):
-            to = j if j < FIRST else at + j - FIRST
+        for j in range(MAP_OFFSET + 2):
+            to = j if j < MAP_OFFSET else at + j - MAP_OFFSET
             value = P[at + a, to]
-            for c in range(FIRST):
+            for c in range(MAP_OFFSET):
                 value += J[a, c] * P[c, to]
             JP[a, j] = value
     for a in range(2):
         for b in range(2):
-            value = JP[a, FIRST + b]
-            for j in range(FIRST):
+            value = JP[a, MAP_OFFSET + b]
+            for j in range(MAP_OFFSET):
                 value += JP[a, j] * J[b, j]
             for i in range(3):
                 for j in range(3):
@@ -139,9 +139,9 @@ def distances(
     gate = out[0, 0]
     plain = True
     any_considered = False
-    for i in range(CORE, FIRST):
+    for i in range(KINEMATIC_DIM, MAP_OFFSET):
         any_considered = any_considered or P[i, i] > 0.0
-    J, JP = np.empty((2, FIRST)), np.empty((2, FIRST + 2))
+    J, JP = np.empty((2, MAP_OFFSET)), np.empty((2, MAP_OFFSET + 2))
     taken = np.zeros(len(seen), dtype=np.bool_)
     for m in range(len(which)):
         k = which[m]
@@ -149,7 +149,7 @@ def distances(
         before = 0.0
         place_and_axes(attitude, rate, acceleration, before, basis[k], discs[k], R, p, E)
         turning_jacobian(E, p, H)
-        S = _disc_covariance(P, H, FIRST + 2 * k, added_process_noise)
+        S = _disc_covariance(P, H, MAP_OFFSET + 2 * k, added_process_noise)
         for i in range(len(seen)):
             b = seen[i]
             cosine = p[0] * b[0] + p[1] * b[1] + p[2] * b[2]
@@ -172,7 +172,7 @@ def distances(
             # most pairs are one without what is considered: then it need not be counted
             if value >= gate and cosine > _NEAR and (any_considered or before != 0.0):
                 _row(H, E, before, rate, row[i], by_pose[i], by_ball[i], radius, J)
-                T = _full_covariance(P, J, JP, FIRST + 2 * k, H, added_process_noise)
+                T = _full_covariance(P, J, JP, MAP_OFFSET + 2 * k, H, added_process_noise)
                 value = _squared(z0, z1, T[0, 0] + curvature, T[0, 1], T[1, 1] + curvature, E, noise[i])
             out[i, m] = value
             if value < gate:

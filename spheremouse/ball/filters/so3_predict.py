@@ -5,32 +5,32 @@ from numba import njit
 
 from spheremouse.geometry.rotation import exp_into, left_jacobian_into
 
-CORE = 9  # rotation, rate, acceleration
-CONSIDER = 10  # pose and ball
-READOUT = CORE + CONSIDER  # of the rolling shutter
-FIRST = READOUT + 1  # of the discs' errors
-REFERENCE = 3  # at the end: of the attitude that the next motion counts from
+KINEMATIC_DIM = 9  # rotation, rate, acceleration
+CONSIDERED_DIM = 10  # pose and ball
+READOUT = KINEMATIC_DIM + CONSIDERED_DIM  # of the rolling shutter
+MAP_OFFSET = READOUT + 1  # of the discs' errors
+CLONE_DIM = 3  # at the end: of the attitude that the next motion counts from
 
 
 @njit(cache=True, error_model="numpy")
 def propagate(P, F, Q):
     """P = F P F' + Q, where F and Q, (9, 9), concern the core alone."""
     n = len(P)
-    top = np.zeros((CORE, n))
-    for i in range(CORE):
-        for k in range(CORE):
+    top = np.zeros((KINEMATIC_DIM, n))
+    for i in range(KINEMATIC_DIM):
+        for k in range(KINEMATIC_DIM):
             f = F[i, k]
             if f != 0.0:
                 for j in range(n):
                     top[i, j] += f * P[k, j]
-    for i in range(CORE):
+    for i in range(KINEMATIC_DIM):
         for j in range(i + 1):
             value = Q[i, j]
-            for k in range(CORE):
+            for k in range(KINEMATIC_DIM):
                 value += top[i, k] * F[j, k]
             P[i, j] = value
             P[j, i] = value
-        for j in range(CORE, n):
+        for j in range(KINEMATIC_DIM, n):
             P[i, j] = top[i, j]
             P[j, i] = top[i, j]
 
@@ -92,7 +92,7 @@ def transition(rate, acceleration, dt, tau, q, F, Q, turn):
             Q[3 + i, 3 + i] += weight * g_w * g_w
             Q[3 + i, 6 + i] += weight * g_w * g_a
             Q[6 + i, 6 + i] += weight * g_a * g_a
-    for i in range(CORE):
+    for i in range(KINEMATIC_DIM):
         for j in range(i):
             Q[i, j] = Q[j, i]
 

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import so3_update as kernel
-from spheremouse.ball.filters.so3_predict import CORE, FIRST, READOUT, REFERENCE
+from spheremouse.ball.filters.so3_predict import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_visibility import HIDDEN_SHARE
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
 
 PLACED = 0.1  # rad, standard deviation: a third of the way between neighbours of fifty discs
-_NO_PROCESS = np.zeros((CORE, CORE))
+_NO_PROCESS = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,9 @@ class So3State:
     hidden: Array = field(default_factory=lambda: np.zeros(0))  # (m,) probability that something lies before the disc
     used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # into the last points
     weights: Array = field(default_factory=lambda: np.zeros(0))  # (l,) probability of each level; empty: as usual
-    process: Array = field(default_factory=lambda: np.zeros((CORE, CORE)))  # of the last prediction, at the first level
+    process: Array = field(
+        default_factory=lambda: np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
+    )  # of the last prediction, at the first level
     manoeuvre_level: float = 1.0  # factor on the acceleration of a ball left alone that the last step was made at, rms
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says
@@ -69,7 +71,7 @@ class So3State:
         The rotation that all discs have in common drops out, since it changes no constellation: the S-transformation
         of Baarda 1973, with the discs' own variances as weights.
         """
-        P = self.joint[FIRST:-REFERENCE, FIRST:-REFERENCE]
+        P = self.joint[MAP_OFFSET:-CLONE_DIM, MAP_OFFSET:-CLONE_DIM]
         m = len(self.discs)
         if m < 2:
             return np.zeros(m)
@@ -82,7 +84,7 @@ class So3State:
         relative = own - ABP - ABP.transpose(0, 2, 1) + A @ (B @ P @ B.T) @ A.transpose(0, 2, 1)
         return np.sqrt(np.maximum(np.linalg.eigvalsh(relative)[:, 1], 0.0))
 
-    def with_reference(self) -> "So3State":
+    def clone_attitude(self) -> "So3State":
         """The state whose attitude is the one that the next motion counts from."""
         return So3State(  # each frame: `replace` would take twice as long
             self.stamp,
@@ -91,7 +93,7 @@ class So3State:
             self.acceleration,
             self.discs,
             self.basis,
-            kernel.with_reference(self.joint),
+            kernel.clone_attitude(self.joint),
             self.hits,
             self.missed,
             self.hidden,
@@ -108,11 +110,11 @@ class So3State:
     def with_reference_of(self, other: "So3State") -> "So3State":
         """The state whose next motion counts from where that of `other` does, with an error that is another one's."""
         joint = self.joint.copy()
-        joint[-REFERENCE:] = joint[:, -REFERENCE:] = 0.0
-        joint[-REFERENCE:, -REFERENCE:] = other.joint[-REFERENCE:, -REFERENCE:]
+        joint[-CLONE_DIM:] = joint[:, -CLONE_DIM:] = 0.0
+        joint[-CLONE_DIM:, -CLONE_DIM:] = other.joint[-CLONE_DIM:, -CLONE_DIM:]
         return replace(self, joint=joint)
 
-    def covariance_since(self, turn: Array) -> Array:
+    def increment_covariance(self, turn: Array) -> Array:
         """(6, 6) of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.
 
         The error of the reference is in the state (stochastic cloning: Roumeliotis, Burdick 2002), so that what two
@@ -137,7 +139,7 @@ def inject(
         state.stamp,
         attitude,
         state.rate + dx[3:6],
-        state.acceleration + dx[6:CORE],
+        state.acceleration + dx[6:KINEMATIC_DIM],
         discs,
         basis,
         state.joint if joint is None else joint,
@@ -157,7 +159,7 @@ def drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
     """Forget the discs that are not in a mask, (m,)."""
     if np.all(keep):
         return state
-    rows = np.concatenate([np.ones(FIRST, dtype=bool), np.repeat(keep, 2), np.ones(REFERENCE, dtype=bool)])
+    rows = np.concatenate([np.ones(MAP_OFFSET, dtype=bool), np.repeat(keep, 2), np.ones(CLONE_DIM, dtype=bool)])
     return replace(
         state,
         discs=state.discs[keep],
@@ -176,7 +178,7 @@ def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radi
     of EKF-SLAM, which Wittich 2017, eq. 171 leaves out.
     """
     points = points.take(index)
-    b, k, n = points.direction, len(index), len(state.joint) - REFERENCE
+    b, k, n = points.direction, len(index), len(state.joint) - CLONE_DIM
     late = delays(points, state)
     turn = late[:, None] * state.rate + 0.5 * late[:, None] ** 2 * state.acceleration
     R = exp(turn) @ state.attitude
@@ -189,17 +191,17 @@ def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radi
     by_readout = (turning @ state.rate)[:, :, None] * points.row[:, None, None]
     G = np.concatenate(
         [turning @ exp(turn), delay * along, 0.5 * delay**2 * along, by_pose_and_ball, by_readout], axis=2
-    ).reshape(-1, FIRST)
+    ).reshape(-1, MAP_OFFSET)
     noise = E.transpose(0, 2, 1) @ (points.image_covariance / radius**2) @ E
     P = state.joint
-    joint = np.zeros((n + 2 * k + REFERENCE, n + 2 * k + REFERENCE))
+    joint = np.zeros((n + 2 * k + CLONE_DIM, n + 2 * k + CLONE_DIM))
     old = np.r_[:n, n + 2 * k : len(joint)]
     joint[np.ix_(old, old)] = P
     new = slice(n, n + 2 * k)
-    joint[new, :n] = G @ P[:FIRST, :n]
-    joint[new, n + 2 * k :] = G @ P[:FIRST, n:]
+    joint[new, :n] = G @ P[:MAP_OFFSET, :n]
+    joint[new, n + 2 * k :] = G @ P[:MAP_OFFSET, n:]
     joint[:, new] = joint[new].T
-    joint[new, new] = G @ P[:FIRST, :FIRST] @ G.T
+    joint[new, new] = G @ P[:MAP_OFFSET, :MAP_OFFSET] @ G.T
     for i in range(k):
         at = n + 2 * i
         joint[at : at + 2, at : at + 2] += noise[i]
@@ -236,7 +238,7 @@ def to_map(state: So3State, least: int) -> DiscMap | None:
     basis = tangent_basis(kept.discs)
     T = basis.transpose(0, 2, 1) @ kept.basis
     m = len(kept.discs)
-    P = kept.joint[FIRST:-REFERENCE, FIRST:-REFERENCE].reshape(m, 2, m, 2)
+    P = kept.joint[MAP_OFFSET:-CLONE_DIM, MAP_OFFSET:-CLONE_DIM].reshape(m, 2, m, 2)
     P = np.einsum("iab,ibjc,jdc->iajd", T, P, T).reshape(2 * m, 2 * m)
     return DiscMap(kept.discs, 0.5 * (P + P.T), kept.hits)
 
@@ -244,9 +246,9 @@ def to_map(state: So3State, least: int) -> DiscMap | None:
 def with_map(state: So3State, known: DiscMap, most: int) -> So3State:
     """The state with its discs replaced by those of a saved map: kept for good, so that it takes long to forget one."""
     m = len(known)
-    joint = np.zeros((FIRST + 2 * m + REFERENCE, FIRST + 2 * m + REFERENCE))
-    joint[:FIRST, :FIRST] = state.joint[:FIRST, :FIRST]
-    joint[FIRST:-REFERENCE, FIRST:-REFERENCE] = known.covariance
+    joint = np.zeros((MAP_OFFSET + 2 * m + CLONE_DIM, MAP_OFFSET + 2 * m + CLONE_DIM))
+    joint[:MAP_OFFSET, :MAP_OFFSET] = state.joint[:MAP_OFFSET, :MAP_OFFSET]
+    joint[MAP_OFFSET:-CLONE_DIM, MAP_OFFSET:-CLONE_DIM] = known.covariance
     return replace(
         state,
         discs=known.directions.copy(),
@@ -260,6 +262,6 @@ def with_map(state: So3State, known: DiscMap, most: int) -> So3State:
 
 def consider(joint: Array, covariance: Array) -> None:
     """Set what is only considered, (10, 10), without correlation to the rest: in place."""
-    joint[CORE:READOUT] = 0.0
-    joint[:, CORE:READOUT] = 0.0
-    joint[CORE:READOUT, CORE:READOUT] = covariance
+    joint[KINEMATIC_DIM:READOUT] = 0.0
+    joint[:, KINEMATIC_DIM:READOUT] = 0.0
+    joint[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT] = covariance

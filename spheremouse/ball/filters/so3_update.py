@@ -17,7 +17,7 @@ from spheremouse.ball.filters.so3_match import (
     place_and_axes,
     turning_jacobian,
 )
-from spheremouse.ball.filters.so3_predict import CORE, FIRST, READOUT, REFERENCE
+from spheremouse.ball.filters.so3_predict import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.geometry.rotation import exp_into, left_jacobian_into
 
 
@@ -34,9 +34,9 @@ def innovation(
     R, p, E, turning = np.empty((3, 3)), np.empty(3), np.empty((3, 2)), np.empty((2, 3))
     axes = np.empty((k, 3, 2))
     turn, later = np.empty(3), np.empty((3, 3))
-    considered = np.zeros((2 * k, FIRST - CORE))
+    considered = np.zeros((2 * k, MAP_OFFSET - KINEMATIC_DIM))
     any_considered = False
-    for i in range(CORE, FIRST):
+    for i in range(KINEMATIC_DIM, MAP_OFFSET):
         any_considered = any_considered or P[i, i] > 0.0
     for i in range(k):
         t = delay[i]
@@ -59,28 +59,28 @@ def innovation(
                 H[at_z, c] = before[a, c]
                 H[at_z, 3 + c] = along[a, c] * t
                 H[at_z, 6 + c] = 0.5 * along[a, c] * t * t
-            at = FIRST + 2 * columns[i] + a
+            at = MAP_OFFSET + 2 * columns[i] + a
             for j in range(n):
                 HP[at_z, j] = P[at, j] + H[at_z, 0] * P[0, j] + H[at_z, 1] * P[1, j] + H[at_z, 2] * P[2, j]
             if t != 0.0:
-                for c in range(3, CORE):
+                for c in range(3, KINEMATIC_DIM):
                     for j in range(n):
                         HP[at_z, j] += H[at_z, c] * P[c, j]
             if any_considered:
-                for c in range(FIRST - CORE):
-                    if P[CORE + c, CORE + c] > 0.0:
+                for c in range(MAP_OFFSET - KINEMATIC_DIM):
+                    if P[KINEMATIC_DIM + c, KINEMATIC_DIM + c] > 0.0:
                         for j in range(n):
-                            HP[at_z, j] += considered[at_z, c] * P[CORE + c, j]
+                            HP[at_z, j] += considered[at_z, c] * P[KINEMATIC_DIM + c, j]
     for i in range(2 * k):
         for m in range(k):
             for a in range(2):
                 j = 2 * m + a
-                value = HP[i, FIRST + 2 * columns[m] + a]
-                for c in range(CORE if delay[m] != 0.0 else 3):
+                value = HP[i, MAP_OFFSET + 2 * columns[m] + a]
+                for c in range(KINEMATIC_DIM if delay[m] != 0.0 else 3):
                     value += HP[i, c] * H[j, c]
                 if any_considered:
-                    for c in range(FIRST - CORE):
-                        value += HP[i, CORE + c] * considered[j, c]
+                    for c in range(MAP_OFFSET - KINEMATIC_DIM):
+                        value += HP[i, KINEMATIC_DIM + c] * considered[j, c]
                 S[i, j] = value
     for i in range(k):
         for a in range(2):
@@ -102,19 +102,19 @@ def innovation(
 def whitened(L, HP, H, z):
     """L^-1 [H P, H, z], (2k, n + 10), with L L' = S."""
     k, n = len(z), HP.shape[1]
-    W = np.empty((k, n + CORE + 1))
+    W = np.empty((k, n + KINEMATIC_DIM + 1))
     for i in range(k):
         for j in range(n):
             W[i, j] = HP[i, j]
-        for j in range(CORE):
+        for j in range(KINEMATIC_DIM):
             W[i, n + j] = H[i, j]
-        W[i, n + CORE] = z[i]
+        W[i, n + KINEMATIC_DIM] = z[i]
         for m in range(i):
             f = L[i, m]
-            for j in range(n + CORE + 1):
+            for j in range(n + KINEMATIC_DIM + 1):
                 W[i, j] -= f * W[m, j]
         f = 1.0 / L[i, i]
-        for j in range(n + CORE + 1):
+        for j in range(n + KINEMATIC_DIM + 1):
             W[i, j] *= f
     return W
 
@@ -134,7 +134,7 @@ def correct(P, H, HP, S, z, acceleration, steps, weights, learn, dx):
     k, n = len(z), len(P)
     L = np.linalg.cholesky(S)
     W = whitened(L, HP, H, z)
-    onto, white = W[:, n : n + CORE].copy(), W[:, n + CORE].copy()
+    onto, white = W[:, n : n + KINEMATIC_DIM].copy(), W[:, n + KINEMATIC_DIM].copy()
     K = W[:, :n].copy()  # becomes S^-1 H P: transposed gain
     KH = K.T @ onto
     for i in range(k - 1, -1, -1):
@@ -145,14 +145,17 @@ def correct(P, H, HP, S, z, acceleration, steps, weights, learn, dx):
         f = 1.0 / L[i, i]
         for j in range(n):
             K[i, j] *= f
-    left, held = -KH, np.zeros((n, CORE))  # of a step in the errors after the correction; gains that are not taken
+    left, held = (
+        -KH,
+        np.zeros((n, KINEMATIC_DIM)),
+    )  # of a step in the errors after the correction; gains that are not taken
     for j in range(n):
-        if CORE <= j < (READOUT if learn else FIRST) or j >= n - REFERENCE:
+        if KINEMATIC_DIM <= j < (READOUT if learn else MAP_OFFSET) or j >= n - CLONE_DIM:
             held[j] = KH[j]
             left[j] = 0.0
             for i in range(k):
                 K[i, j] = 0.0
-        if j < CORE:
+        if j < KINEMATIC_DIM:
             left[j, j] += 1.0
     KU = K.T @ (HP - 0.5 * (S @ K))
     mean, covariance, gain, level, ratio, nis = so3_steps.posterior(
@@ -181,9 +184,9 @@ def rate_is_significant(rate, P):
 
 
 @njit(cache=True, error_model="numpy")
-def with_reference(P):
+def clone_attitude(P):
     """The joint covariance, (n, n), with the rotation's errors now as those of the reference."""
-    now, r = P.copy(), len(P) - REFERENCE
+    now, r = P.copy(), len(P) - CLONE_DIM
     for i in range(3):
         for j in range(r):
             now[r + i, j] = P[i, j]
@@ -206,7 +209,7 @@ def since_reference(P, turn):
     for i in range(3):
         for j in range(3):
             before[i, j] = -(now[i, 0] * R[0, j] + now[i, 1] * R[1, j] + now[i, 2] * R[2, j])
-    half, C, r = np.empty((3, len(P))), np.empty((6, 6)), len(P) - REFERENCE
+    half, C, r = np.empty((3, len(P))), np.empty((6, 6)), len(P) - CLONE_DIM
     for i in range(3):  # of the turn with the core and the reference
         for j in range(len(P)):
             if j < 6 or j >= r:
@@ -233,7 +236,7 @@ def move(attitude, discs, basis, dx, new_attitude, new_discs, new_basis):
     exp_into(dx[:3], R)
     new_attitude[:] = R @ attitude
     for m in range(len(discs)):
-        a, b = dx[FIRST + 2 * m], dx[FIRST + 2 * m + 1]
+        a, b = dx[MAP_OFFSET + 2 * m], dx[MAP_OFFSET + 2 * m + 1]
         length = 0.0
         for i in range(3):
             new_discs[m, i] = discs[m, i] + basis[m, i, 0] * a + basis[m, i, 1] * b
@@ -299,7 +302,7 @@ def update(
     rows, columns = rows[:k], columns[:k]
     if k < 2 or total > 4.0 * k + 10.0 or 2 * k < min(n, m):
         return False, nothing, nothing, empty, 1.0, 0.0
-    H, HP, z, S = np.empty((2 * k, CORE)), np.empty((2 * k, len(P))), np.empty(2 * k), np.empty((2 * k, 2 * k))
+    H, HP, z, S = np.empty((2 * k, KINEMATIC_DIM)), np.empty((2 * k, len(P))), np.empty(2 * k), np.empty((2 * k, 2 * k))
     innovation(
         attitude, rate, acceleration, discs, basis, P, columns, curvature, seen[rows], noise[rows], delay[rows],
         row[rows], by_pose[rows], by_ball[rows], radius, H, HP, z, S,

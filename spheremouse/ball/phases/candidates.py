@@ -11,7 +11,7 @@ from spheremouse.ball.filters import FilterState
 from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.state import F, Tracker, TrackState
 
-TakeUp = Callable[[F, SpherePoints, NDArray[np.intp], Tracker], F]  # the filter with some of the points as discs
+AddLandmarks = Callable[[F, SpherePoints, NDArray[np.intp], Tracker], F]  # the filter with some of the points as discs
 
 
 def confirms(posterior: FilterState, points: int, predicted: FilterState, tracker: Tracker) -> bool:
@@ -23,7 +23,7 @@ def confirms(posterior: FilterState, points: int, predicted: FilterState, tracke
     settings, used, rate = tracker.settings.loss, len(posterior.used), posterior.rate
     if used == 0 or float(rate @ rate) > settings.fastest**2:
         return False
-    if 2 * used < points and not tracker.filter.beyond_chance(predicted, used, points):
+    if 2 * used < points and not tracker.filter.is_significant(predicted, used, points):
         return False
     return used > 1 or _known_well(posterior, tracker)
 
@@ -43,7 +43,9 @@ def all_are_discs(state: TrackState) -> bool:
     return state.confirmed and len(state.filter.used) == len(state.points) and not len(state.lookalikes.place)
 
 
-def judged(state: TrackState[F], stamp: float, tracker: Tracker, predicted: F, take_up: TakeUp[F]) -> TrackState[F]:
+def judged(
+    state: TrackState[F], stamp: float, tracker: Tracker, predicted: F, take_up: AddLandmarks[F]
+) -> TrackState[F]:
     """What is no known disc, by whether it turns with the ball, stands still, or does neither yet."""
     points, centre, confirmed = state.points, state.detections.centre[state.points.index], state.confirmed
     rig, posterior = tracker.rig, state.filter

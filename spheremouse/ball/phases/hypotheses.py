@@ -75,7 +75,7 @@ def _supports(
     missing = filtered.known_missed
     if used > 0:
         points = len(state.points)
-        by_chance = 2 * used < points and not tracker.filter.beyond_chance(predicted, used, points)
+        by_chance = 2 * used < points and not tracker.filter.is_significant(predicted, used, points)
         return missing <= max(used, _HIDDEN_BY_CHANCE) and not by_chance
     went_on = state.supported_at == state.filter.stamp and before <= _HIDDEN_BY_CHANCE
     return went_on and filtered.is_roughly_known and missing <= _HIDDEN_BY_CHANCE
@@ -93,7 +93,7 @@ def is_covered(state: TrackState[F], predicted: F, tracker: Tracker) -> bool:
     missing = filtered.known_missed
     most_missing = missing > 0.5 and missing + jumped > filtered.known_seen
     used = len(filtered.used)
-    in_place = used > 0 and not jumped and tracker.filter.beyond_chance(predicted, used, len(state.points))
+    in_place = used > 0 and not jumped and tracker.filter.is_significant(predicted, used, len(state.points))
     return most_missing and predicted.is_placed and not in_place
 
 

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from spheremouse.ball import bearings as bearing
-from spheremouse.ball.bearings import Shift
+from spheremouse.ball import centre_offset
+from spheremouse.ball.centre_offset import CentreOffset
 from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.events import BallLost, OutOfRound, Why
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_predict import FIRST, REFERENCE
+from spheremouse.ball.filters.so3_predict import CLONE_DIM, MAP_OFFSET
 from spheremouse.ball.filters.so3_state import So3State, delays
-from spheremouse.ball.state import Events, Lost, Roundness, Tracker, Tracking, TrackState, lost
+from spheremouse.ball.state import CentreCheck, Events, Lost, Tracker, Tracking, TrackState, lost
 
 _PUSHED = 16.0  # level from which the filter may take for a turn what is none
 _PROVEN = 0.5  # rad: a quarter of what is seen of a ball has come or gone: a wrong centre or radius would have shown
@@ -32,7 +32,7 @@ def check_bearings(
     assert isinstance(state.phase, Tracking)
     before = state.phase.roundness
     speed = float(np.linalg.norm(state.filter.rate))
-    settled = before.turned_in_place >= _PROVEN or speed < _RESTS
+    settled = before.rotation_since_failure >= _PROVEN or speed < _RESTS
     if before.frames_off_centre == 0 and before.misfit < 1.0 and settled and _all_fit(state):
         return state, ()
     if not isinstance(tracker.detector, DiscDetector):
@@ -41,8 +41,8 @@ def check_bearings(
     s, radius = tracker.settings.bearing, tracker.rig.ball.radius
     if shift is None:
         return replace(state, phase=Tracking(before._replace(frames_off_centre=0))), ()
-    off = bearing.is_off(shift, radius, s, before.out_of_round)
-    if off and before.turned_in_place >= _PROVEN:
+    off = centre_offset.is_off(shift, radius, s, before.out_of_round)
+    if off and before.rotation_since_failure >= _PROVEN:
         blind = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=bool))
         if before.frames_off_centre == 0:
             phase = Tracking(before._replace(frames_off_centre=1))
@@ -50,14 +50,14 @@ def check_bearings(
         state = lost(replace(state, filter=blind), lifted_at=stamp)
         return state, (BallLost(Why.OFF_CENTRE, shift.distance, radii=radius == 1.0),)
     dt = min(stamp - state.confirmed_at, _FRAME)
-    misfit = bearing.averaged(before.misfit, shift, dt, s)
-    turned = 0.0 if off else before.turned_in_place
-    if turned < _PROVEN and state.confirmed and shift.pairs >= _PAIRS and bearing.fits(shift, radius, s):
+    misfit = centre_offset.averaged(before.misfit, shift, dt, s)
+    turned = 0.0 if off else before.rotation_since_failure
+    if turned < _PROVEN and state.confirmed and shift.pairs >= _PAIRS and centre_offset.fits(shift, radius, s):
         turned += speed * dt * min(1.0, (0.5 * s.lifted * radius / max(shift.sigma, 1e-9)) ** 2)  # what it can tell
     if not before.out_of_round and misfit > s.out_of_round:
-        return replace(state, phase=Tracking(Roundness(0, misfit, True, 0.0))), (OutOfRound(),)
+        return replace(state, phase=Tracking(CentreCheck(0, misfit, True, 0.0))), (OutOfRound(),)
     still = before.out_of_round and misfit > 0.3 * s.out_of_round
-    return replace(state, phase=Tracking(Roundness(0, misfit, still, turned))), ()
+    return replace(state, phase=Tracking(CentreCheck(0, misfit, still, turned))), ()
 
 
 def _all_fit(state: TrackState[So3State]) -> bool:
@@ -66,11 +66,11 @@ def _all_fit(state: TrackState[So3State]) -> bool:
     return used == len(state.points) and f.nis < 4.0 * used + 10.0 and f.manoeuvre_level < _PUSHED
 
 
-def _shift(state: TrackState[So3State], filter_state: So3State, tracker: Tracker[So3Filter]) -> Shift | None:
+def _shift(state: TrackState[So3State], filter_state: So3State, tracker: Tracker[So3Filter]) -> CentreOffset | None:
     """How far the last frame's discs show the ball's centre off its place, with a filter's attitude and map."""
     sure = np.flatnonzero(filter_state.hits >= tracker.filter.settings.trial)
-    variance = filter_state.joint.diagonal()[FIRST:-REFERENCE].reshape(-1, 2).mean(axis=1)[sure]
-    return bearing.shift_of(
+    variance = filter_state.joint.diagonal()[MAP_OFFSET:-CLONE_DIM].reshape(-1, 2).mean(axis=1)[sure]
+    return centre_offset.shift_of(
         state.points,
         delays(state.points, filter_state),
         filter_state.discs[sure],
@@ -89,4 +89,4 @@ def back_on_bearings(
     if phase.lifted_at is None:
         return True
     shift = _shift(state, filter_state, tracker)
-    return shift is not None and bearing.fits(shift, tracker.rig.ball.radius, tracker.settings.bearing)
+    return shift is not None and centre_offset.fits(shift, tracker.rig.ball.radius, tracker.settings.bearing)

@@ -22,10 +22,10 @@ from spheremouse.ball.state import (
     TrackState,
     Trial,
     View,
+    clear_matches,
     forget,
     lost,
     tracked,
-    unused,
 )
 
 _RESTS = 0.05  # rad/s, standard deviation of the rate of a ball at rest
@@ -61,7 +61,7 @@ def recover(
     that the discs do not show. `stamp` is in s, and `predicted` is the filter's state predicted for this frame.
     """
     phase = seen_since(phase, len(state.points), stamp)
-    state = replace(state, phase=phase, filter=unused(state.filter))
+    state = replace(state, phase=phase, filter=clear_matches(state.filter))
     resting = None if phase.in_view_since is None else _where_it_was(state, stamp, tracker)
     recognised = resting or recognised_attitude(state, stamp, tracker)
     if recognised is None and state.older is not None:
@@ -71,7 +71,7 @@ def recover(
         filtered, pairs = recognised
         last, reported = phase.last, state.reported_attitude
         if resting is None:
-            filtered, reported = filtered.with_reference(), filtered.attitude
+            filtered, reported = filtered.clone_attitude(), filtered.attitude
             if isinstance(last, Learning):
                 last = Learning(found=True, views=(View(stamp, state.detections, state.points, filtered),))
         state = replace(state, lookalikes=forget(state.lookalikes))
@@ -106,7 +106,7 @@ def _where_it_was(
     placed.joint[3:6, 3:6] = _RESTS**2 * np.eye(3)
     filtered = filter_.update(placed, state.points, np.zeros(len(state.points), dtype=bool))
     seen = filtered.known_seen
-    if seen < 2 or filtered.known_missed > seen or not filter_.beyond_chance(placed, seen, len(state.points)):
+    if seen < 2 or filtered.known_missed > seen or not filter_.is_significant(placed, seen, len(state.points)):
         return None
     return filtered, seen
 
@@ -129,7 +129,7 @@ def try_new_map(
     tried, events = learn(replace(state, filter=trial.filter), trial.phase, stamp, tracker, predicted)
     if isinstance(tried.phase, Learning):
         return replace(state, phase=phase._replace(trial=Trial(tried.filter, tried.phase))), ()
-    filtered = tried.filter.with_reference()
+    filtered = tried.filter.clone_attitude()
     maps = [state.filter] if state.older is None else [state.filter, state.older]
     older = max(maps, key=lambda filter_state: int(np.sum(filter_state.hits)))
     tried = replace(tracked(tried, Tracking(), filtered, filtered.attitude, stamp), older=older)
@@ -149,7 +149,7 @@ def _followed(
     if pairs < 2 or 2 * pairs <= len(state.points) or not updated.confirmed:
         return state, ()
     updated = replace(updated, lookalikes=forget(state.lookalikes))
-    filtered = updated.filter.with_reference()
+    filtered = updated.filter.clone_attitude()
     return tracked(updated, phase.last, filtered, filtered.attitude, stamp), (Recognised(pairs),)
 
 
@@ -172,7 +172,7 @@ def recognise(
     recognised = recognised_attitude(state, stamp, tracker)
     if recognised is not None:
         filtered, pairs = recognised
-        state = tracked(state, Tracking(), filtered.with_reference(), filtered.attitude, stamp)
+        state = tracked(state, Tracking(), filtered.clone_attitude(), filtered.attitude, stamp)
         return replace(state, absolute=True), (Recognised(pairs, saved=True),)
     before = phase.in_view_since
     since = stamp if before is None or len(state.points) < _SPEAKS else min(before, stamp)

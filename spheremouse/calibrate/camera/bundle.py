@@ -11,7 +11,7 @@ from scipy import sparse
 
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, interior_vector, project, with_interior
-from spheremouse.geometry.least_squares.adjust import Jacobian, Move, Normal, huber, huber_cost, minimised
+from spheremouse.geometry.least_squares.adjust import Jacobian, Move, Normal, huber, huber_cost, levenberg_marquardt
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, log
 from spheremouse.geometry.statistics import mad_sigma
 
@@ -170,7 +170,7 @@ class Bundle:
         def moved(x: Array, move: Move) -> Array:
             return x + np.concatenate([move.shared * self.free, move.own.ravel()])
 
-        return minimised(x, linear, moved, "is a photo of another zoom or board among them?")
+        return levenberg_marquardt(x, linear, moved, "is a photo of another zoom or board among them?")
 
     def _normal(self, residual: Array, J: Array) -> Normal:
         starts = np.concatenate([[0], np.cumsum(self.counts)[:-1]])

@@ -21,7 +21,7 @@ from spheremouse.calibrate.camera.bundle import (
 )
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.least_squares.adjust import Jacobian, cofactors
-from spheremouse.geometry.least_squares.reliability import redundancy, snooped, variance_factors
+from spheremouse.geometry.least_squares.reliability import outlier_statistic, redundancy, variance_factors
 from spheremouse.geometry.rotation import Array, exp, left_jacobian
 from spheremouse.geometry.statistics import FALSE_ALARM
 
@@ -55,7 +55,7 @@ def finished(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: Array) ->
         Q = _cofactors(J)
         rows, blocks = np.arange(len(residual)), redundancy(J, Q, 2)
         number = np.diagonal(blocks, axis1=1, axis2=2).ravel()
-        test = snooped(residual.reshape(-1, 2), blocks)
+        test = outlier_statistic(residual.reshape(-1, 2), blocks)
         false = test > chi2.isf(FALSE_ALARM / len(test), 2)  # a calibration without false corners loses one so seldom
         if not false.any():
             factors = variance_factors(residual, number, [np.isin(rows, range(g.start, g.stop)) for g in part.groups])

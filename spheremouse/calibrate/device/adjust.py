@@ -27,7 +27,7 @@ from spheremouse.calibrate.device.bundle import (
 from spheremouse.calibrate.device.start import TargetViews
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, interior_vector, with_interior
-from spheremouse.geometry.least_squares.reliability import redundancy, snooped, variance_factors
+from spheremouse.geometry.least_squares.reliability import outlier_statistic, redundancy, variance_factors
 from spheremouse.geometry.least_squares.sphere import Sphere, fit_sphere, off_sphere
 from spheremouse.geometry.rotation import Array, exp, tangent_basis
 from spheremouse.geometry.statistics import gate
@@ -184,7 +184,7 @@ def bundled(views: TargetViews, discs: DiscViews, block: Block, device: Device, 
         groups = [~is_disc[used], is_disc[used]]
         now = variance_factors(residual, number, groups, factors)
         spread = now / factors
-        off = snooped(residual, cofactor) / np.where(is_disc[used], spread[1], spread[0])
+        off = outlier_statistic(residual, cofactor) / np.where(is_disc[used], spread[1], spread[0])
         worst = np.zeros(len(kept))
         np.maximum.at(worst, index, off)
         false = (off > _FALSE) & (off == worst[index])

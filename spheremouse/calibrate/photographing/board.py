@@ -99,7 +99,7 @@ class BoardJudge:
                 pass  # not yet
         self._rotations, _, _ = resected(self._views, self._camera)
 
-    def ponder(self) -> None:
+    def pending_work(self) -> None:
         """Nothing that takes long."""
 
     def wanted(self) -> list[str]:

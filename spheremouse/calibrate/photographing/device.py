@@ -120,7 +120,7 @@ class DeviceJudge:
         told = f"; of {known.photos}: {known.words}" if known.words else ""
         return [f"{self.count} photos of {DEVICE_ENOUGH} to {DEVICE_MOST}{told}"]
 
-    def ponder(self) -> Callable[[], None] | None:
+    def pending_work(self) -> Callable[[], None] | None:
         """The adjustment of the photos so far, where it is not done."""
         n, reads = self.count, list(self._read)
         if n < _THREE or n == self.assessment.photos:

@@ -50,7 +50,7 @@ class Judge(Protocol):
         """Count a picture that was looked at and is a photo now, which `read` gives again."""
         ...
 
-    def ponder(self) -> Callable[[], None] | None:
+    def pending_work(self) -> Callable[[], None] | None:
         """What is to be calculated about the photos so far and takes long, if anything; for any thread, one at a time.
 
         Its outcome is in what is asked afterwards.

@@ -60,7 +60,7 @@ def take_photos(
     except OSError as e:
         raise CalibrationError(f"{folder}: cannot be made: {e.strerror or e}") from None
     judge: Judge | None = None
-    aside = _Aside(live)
+    aside = BackgroundTask(live)
     count, why, failure = 0, Counter[str](), None
     try:
         for frame in frames:
@@ -97,7 +97,7 @@ def store(picture: Image, folder: Path) -> Path:
     return path
 
 
-class _Aside:
+class BackgroundTask:
     """Long calculations: at once where frames can wait, in a thread where they come when they come."""
 
     def __init__(self, live: bool) -> None:
@@ -108,7 +108,7 @@ class _Aside:
         """Begin what there is to calculate, unless something is under way."""
         if self._thread is not None and self._thread.is_alive():
             return
-        calculate = judge.ponder()
+        calculate = judge.pending_work()
         if calculate is None:
             return
         if not self._live:

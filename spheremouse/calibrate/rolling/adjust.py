@@ -26,7 +26,7 @@ from spheremouse.calibrate.rolling.problem import (
 )
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.geometry.least_squares.reliability import snooped, variance_factors
+from spheremouse.geometry.least_squares.reliability import outlier_statistic, variance_factors
 from spheremouse.geometry.rotation import Array, tangent_basis
 
 _OUTLIER = 18.4  # squared normalised residual: of points with normal errors one in ten thousand goes beyond
@@ -54,7 +54,7 @@ def adjust_rolling(
     at, there = adjusted(at, used, camera, known, _KNEE)
     robust = True
     while True:
-        test = snooped(there.equations.residual, there.residual_cofactors())
+        test = outlier_statistic(there.equations.residual, there.residual_cofactors())
         limit = _OUTLIER * max(float(np.median(test)) / _MEDIAN, 1.0)
         # gross errors drag others along: the worst go first
         fits = test <= max(limit, _WORST * float(test.max()))

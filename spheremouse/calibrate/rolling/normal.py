@@ -15,7 +15,7 @@ from spheremouse.calibrate.rolling.problem import (
     equations_of,
 )
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.geometry.least_squares.adjust import Normal, huber, huber_cost, minimised
+from spheremouse.geometry.least_squares.adjust import Normal, huber, huber_cost, levenberg_marquardt
 from spheremouse.geometry.rotation import Array, exp, hat, tangent_basis
 
 _FIRM = 1e-7  # s: a readout known for sure is held so firmly
@@ -69,7 +69,7 @@ def adjusted(
         cost = _cost(length, knee, at.readout, readout) if at.ratio > 1.0 else np.inf  # the camera within the ball
         return cost, lambda: _normal(at, s, equations, huber(length, knee), readout)
 
-    at = minimised(
+    at = levenberg_marquardt(
         at, linear, lambda at, move: _moved(at, move.shared, move.own), "roll the ball longer, and about more axes"
     )
     return at, Eliminated(at, s, equations_of(at, s, camera), readout)

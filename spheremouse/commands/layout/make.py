@@ -6,7 +6,15 @@ from typing import Any
 import numpy as np
 
 from spheremouse.calibrate.layout.guide import Accuracy, Design, on_the_tape, places
-from spheremouse.calibrate.layout.search import Step, default_steps, in_order, inaccurate, judge, recognised, search
+from spheremouse.calibrate.layout.search import (
+    Step,
+    default_steps,
+    in_order,
+    inaccurate,
+    judge,
+    recognised,
+    search,
+)
 from spheremouse.commands.layout.words import MISSING, SIGMA, TRIALS, figures
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError

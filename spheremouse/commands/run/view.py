@@ -7,7 +7,7 @@ from typing import Protocol
 from spheremouse.ball.pose import describe
 from spheremouse.session import offline
 from spheremouse.session.ball.follower import BallFollower
-from spheremouse.session.follower import Follower, Tracked
+from spheremouse.session.follower import FrameResult, TrackerAdapter
 from spheremouse.session.overlay.ball import target_marks
 from spheremouse.session.overlay.file import OverlayFile
 from spheremouse.session.overlay.wand import WandOverlay
@@ -45,7 +45,7 @@ class BallView:
         """One or more lines, which stay."""
         self._screen.say(text)
 
-    def show(self, made: Tracked, follower: Follower) -> None:
+    def show(self, made: FrameResult, follower: TrackerAdapter) -> None:
         """Table and overlay."""
         self.tally.add(made.report.counts, sum(made.seconds.values()))
         if self._verbose and self.tally.frames == 1 and isinstance(follower, BallFollower) and follower.resection:
@@ -76,7 +76,7 @@ class WandView:
         """One or more lines, which stay."""
         self._screen.say(text)
 
-    def show(self, made: Tracked, follower: Follower) -> None:
+    def show(self, made: FrameResult, follower: TrackerAdapter) -> None:
         """Line and overlay."""
         self.tally.add(made.report.counts, sum(made.seconds.values()))
         self._screen.show(made.frame.stamp, made.epoch.poses)

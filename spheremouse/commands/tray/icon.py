@@ -146,8 +146,8 @@ class _Shown:
         tip, items = tray.tooltip(v), tray.menu(v, note)
         if tip != self._tip:
             icon.title = self._tip = tip
-        renew = _letters(items) != _letters(self._items)
-        if renew or (items != self._items and now - self._renewed > _OLD):
+        update = _letters(items) != _letters(self._items)
+        if update or (items != self._items and now - self._renewed > _OLD):
             icon.menu, self._items, self._renewed = self._menu(items), items, now
 
     def _menu(self, items: tuple[tray.Item, ...]) -> Any:

@@ -97,7 +97,7 @@ def _unit(diagonal: Array) -> Array:
     return 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
 
 
-def minimised(
+def levenberg_marquardt(
     at: T,
     linear: Callable[[T], tuple[float, Callable[[], Normal]]],
     moved: Callable[[T, Move], T],
@@ -169,7 +169,7 @@ def _weighted(evaluate: Evaluate, x: Array, weight: Array | None) -> Array:
 
         return float(r @ r), normal
 
-    return minimised(x, linear, lambda x, move: x + move.shared, _FALSE)
+    return levenberg_marquardt(x, linear, lambda x, move: x + move.shared, _FALSE)
 
 
 def huber(residual: Array, knee: float | None) -> Array:

@@ -19,7 +19,7 @@ def redundancy(jacobian: Jacobian, Q: Array, size: int = 1) -> Array:
     return np.eye(size) - blocks @ J.transpose(0, 2, 1)
 
 
-def snooped(residual: Array, cofactor: Array) -> Array:
+def outlier_statistic(residual: Array, cofactor: Array) -> Array:
     """Square of the normalised residual of each of n groups, (n,): chi-square with its size of degrees of freedom.
 
     Data snooping (Baarda 1968) for points: `residual` (n, size), `cofactor` (n, size, size) of `redundancy`. What

@@ -19,11 +19,11 @@ from typing import Self
 
 from spheremouse.errors import OutputError
 from spheremouse.files.registry import options
-from spheremouse.output import Passage, Report
+from spheremouse.output import DeliveryStatus, Report
+from spheremouse.output.rate_limited_logger import RateLimitedLogger
 from spheremouse.output.serial.link import Link
 from spheremouse.output.serial.messages import Flags, Identity, Status
 from spheremouse.output.serial.ports import Port, PortGoneError, example_port, find_board, foreign_text, nobody
-from spheremouse.output.sparing import Sparing
 from spheremouse.output.third_axis import NONE, checked
 
 BAUD, SLOWEST, FASTEST = 115200, 38400, 4_000_000
@@ -74,7 +74,7 @@ class Serial:
 
     def __init__(self, find: Callable[[], str], baud: int, third: str, say: Callable[[str], None]) -> None:
         """`find` names the port, anew each time it is opened. Waits for the board's first answer."""
-        self._find, self._baud, self._third, self._say = find, baud, third, Sparing(say)
+        self._find, self._baud, self._third, self._say = find, baud, third, RateLimitedLogger(say)
         self._lock = threading.Lock()  # of all below; held for microseconds
         self._link = Link(lambda: secrets.randbelow(2**32 - 1) + 1, baud)
         self._port: Port | None = None
@@ -116,14 +116,14 @@ class Serial:
         text = " ".join(f"{name} {n:+d}" for name, n in named if n)
         return f"{text} (waits for the board)" if text and not self._link.running else text
 
-    def passage(self) -> Passage:
+    def passage(self) -> DeliveryStatus:
         """Counts that the board has not passed on, and the reason why."""
         axes = (0, 1, *(() if self._third == "none" else (_AXIS[self._third],)))
         with self._lock:
             link, waiting = self._link, self._link.waiting
             lost = [d + u for d, u in zip(link.dropped, link.unproven, strict=True)]
             trouble = f"serial: {self._trouble()}" if link.stuck(time.perf_counter()) else ""
-            return Passage(trouble, _three(waiting[k] for k in axes), _three(lost[k] for k in axes))
+            return DeliveryStatus(trouble, _three(waiting[k] for k in axes), _three(lost[k] for k in axes))
 
     def give_up(self) -> None:
         """Drop what the board has not passed on."""

@@ -27,12 +27,12 @@ from spheremouse.output import Output, open_output
 from spheremouse.output.counts import Counter
 from spheremouse.output.pointer import Counts
 from spheremouse.session import messages
-from spheremouse.session.ball.looking import FirstPose, Seeker
+from spheremouse.session.ball.looking import FirstPose, PoseRecovery
 from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.ball.news import BallNews
 from spheremouse.session.ball.subject import BallSubject, picture, sought
 from spheremouse.session.directions import of_ball
-from spheremouse.session.follower import MAP, POSE, TARGETS, Change, Do, Follower, News, Tracked, here
+from spheremouse.session.follower import MAP, POSE, TARGETS, Change, Do, FrameResult, LogMessages, TrackerAdapter, here
 from spheremouse.session.plan import Plan
 from spheremouse.session.process.threads import Work
 from spheremouse.session.settings import Configuration
@@ -118,16 +118,16 @@ class BallFollower:
         """Raise SourceError where a frame has another size than the camera was calibrated for."""
         check_size(frame, self.rig.camera)
 
-    def follow(self, frame: Frame) -> Tracked | None:
+    def follow(self, frame: Frame) -> FrameResult | None:
         """Look for the targets until the camera's pose is known, then track."""
         if self._tracker is None:
             self._look_for_targets(frame)
             return None
         return self._track(frame, self._tracker)
 
-    def take_news(self) -> News:
+    def take_news(self) -> LogMessages:
         """What is to be said of the ball since this was last asked."""
-        return News(self._news.take())
+        return LogMessages(self._news.take())
 
     def interrupted(self, reason: str) -> None:
         """What has been begun with the frames before is void, for the camera may be moved meanwhile."""
@@ -158,7 +158,7 @@ class BallFollower:
         elif tuned and tracker is not None:
             tracker = build(self.rig, tracker.pose, settings)
 
-        def go_over() -> Follower:
+        def apply() -> TrackerAdapter:
             if mapped:
                 self.close()
                 self._keeper = self._next_keeper(plan, rig)
@@ -174,7 +174,7 @@ class BallFollower:
                 self._forget_views()
             return self
 
-        return Change(outputs, go_over)
+        return Change(outputs, apply)
 
     def reinitialise(self, answer: Callable[[str | None, str], None], wanted: Callable[[], bool]) -> None:
         """Estimate the camera's pose anew while the ball is tracked on by the one before."""
@@ -201,7 +201,7 @@ class BallFollower:
             "balls": None,
         }
 
-    def picture(self, tracked: Tracked, counts: Counts, everything: bool) -> Callable[[], Image]:
+    def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
         """The overlay of a frame, whose picture is copied; black but for ball and targets unless `everything`."""
         epoch, tracker = tracked.epoch, self._tracker
         assert isinstance(epoch, Epoch)
@@ -263,7 +263,7 @@ class BallFollower:
     def _forget_views(self) -> None:
         """What has been begun with the frames before says nothing of those to come."""
         self._first_pose = FirstPose(self.rig, self.settings, partial(self._do, TARGETS))
-        self._seeker = Seeker(partial(self._do, TARGETS))
+        self._seeker = PoseRecovery(partial(self._do, TARGETS))
 
     def _look_for_targets(self, frame: Frame) -> None:
         """One view more; the pose once there are enough, or why not."""
@@ -275,7 +275,7 @@ class BallFollower:
         except PoseError as e:
             self.waiting = str(e)
 
-    def _track(self, frame: Frame, tracker: Tracker) -> Tracked:
+    def _track(self, frame: Frame, tracker: Tracker) -> FrameResult:
         known = None if self._keeper is None else self._keeper.known
         before = self.state or begin(tracker, frame.stamp, known=known)
         begun = self._detected = time.monotonic()
@@ -290,7 +290,7 @@ class BallFollower:
         seconds = {"detect": self._detected - begun, "filter": time.monotonic() - self._detected}
         self._remember(made, frame, tracker)
         epoch = Epoch(frame, made.state, made.motion, made.events, seconds)
-        return Tracked(frame, self._counter.report(made.motion), seconds, epoch)
+        return FrameResult(frame, self._counter.report(made.motion), seconds, epoch)
 
     def _note_detected(self) -> None:
         self._detected = time.monotonic()

@@ -72,7 +72,7 @@ class FirstPose:
         return done.result()
 
 
-class Seeker:
+class PoseRecovery:
     """The camera sought by the targets' colours while it is tracked, after it was moved or the targets were hidden."""
 
     def __init__(self, elsewhere: Elsewhere) -> None:

@@ -5,7 +5,7 @@ from concurrent.futures import Future
 from spheremouse.ball.detect.absence import Absence, why_no_disc
 from spheremouse.ball.events import MotionReleased, MotionWithheld
 from spheremouse.ball.state import Tracker, TrackState
-from spheremouse.output.sparing import letters
+from spheremouse.output.rate_limited_logger import letters
 from spheremouse.session import messages
 from spheremouse.session.ball.looking import Elsewhere, begun
 from spheremouse.tracker import Frame, Status, Step

@@ -19,7 +19,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from spheremouse.errors import ControlError, SpheremouseError, one_line
-from spheremouse.output.sparing import Sparing
+from spheremouse.output.rate_limited_logger import RateLimitedLogger
 from spheremouse.session.control import socket as control_socket
 from spheremouse.session.control.connection import Connection
 from spheremouse.session.control.limits import Limits, Pace
@@ -67,7 +67,9 @@ class ControlServer:
         self._events: deque[dict[str, Any]] = deque(maxlen=self._limits.events)
         self._count = 0
         self._watchers = False
-        self._complain = Sparing(say, 10.0, lambda _: "")  # of whatever kind: a log is not to be filled from outside
+        self._complain = RateLimitedLogger(
+            say, 10.0, lambda _: ""
+        )  # of whatever kind: a log is not to be filled from outside
         self._paces = {trusted: Pace(self._limits.pace, self._limits.burst) for trusted in (True, False)}
         self._connections = Pace(self._limits.pace, self._limits.burst)
         self._accept_again = 0.0

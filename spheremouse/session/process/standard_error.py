@@ -21,7 +21,7 @@ _MOST = 256_000  # characters that wait: some minutes of a busy log, a second of
 _LAST = 0.5  # s that the end waits for what is not written yet
 
 
-class Unhurried(io.TextIOBase):
+class NonBlockingStderr(io.TextIOBase):
     """A text stream in place of `stream`; `write` returns at once and never fails."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -111,7 +111,7 @@ def unhurried() -> Iterator[None]:
     """`sys.stderr` is such a stream; afterwards what it was or, where it takes nothing, one that says nothing."""
     before = sys.stderr
     try:
-        made = Unhurried(before)
+        made = NonBlockingStderr(before)
     except (OSError, ValueError, AttributeError, ControlError):  # no file (a test's, or none at all), or no thread
         yield
         return

@@ -24,7 +24,7 @@ def begin(thread: threading.Thread) -> None:
         ) from None
 
 
-class Crew:
+class WorkerPool:
     """A thread for each kind of work, begun together: later there may be none to be had, and a kind waits for no other.
 
     What is given is done one after the other; who gives more than that asks `busy` first.

@@ -14,12 +14,12 @@ from typing import Any
 
 from spheremouse.errors import ControlError, OutputError, SpheremouseError
 from spheremouse.output.pointer import Counts
-from spheremouse.session.control.desk import Asked
 from spheremouse.session.control.protocol import Record, Snapshot, internal_error, refused
 from spheremouse.session.control.reply import Reply
-from spheremouse.session.follower import Follower, Tracked
+from spheremouse.session.control.request_queue import Asked
+from spheremouse.session.follower import FrameResult, TrackerAdapter
 from spheremouse.session.overlay.pen import Image
-from spheremouse.session.process.threads import Crew
+from spheremouse.session.process.threads import WorkerPool
 from spheremouse.session.record.places import made_folder, next_name, recordings_folder, refuse_full_disk
 from spheremouse.session.record.recorder import Recorder
 from spheremouse.session.record.snapshot import snapshot
@@ -37,7 +37,7 @@ class Archive:
 
     def __init__(
         self,
-        crew: Crew,
+        crew: WorkerPool,
         ask: Callable[[Callable[[], None]], None],
         say: Callable[[str], None],
     ) -> None:
@@ -54,7 +54,7 @@ class Archive:
         """Is the next frame needed in colour? A snapshot is; and what tracks a recording needs the targets' colours."""
         return self._bare or self._wanted is not None
 
-    def keep(self, made: Tracked, follower: Follower, counts: Callable[[], Counts]) -> None:
+    def keep(self, made: FrameResult, follower: TrackerAdapter, counts: Callable[[], Counts]) -> None:
         """A tracked frame, for all that want it, and the counts sent with it; its image is copied."""
         self._give_up()
         if self._recorder is not None and self._recorder.add(made.frame, follower.subject):
@@ -62,7 +62,7 @@ class Archive:
             self._tell_first()
         self._take_snapshot(lambda everything: follower.picture(made, counts(), everything))
 
-    def look(self, frame: Frame, follower: Follower) -> None:
+    def look(self, frame: Frame, follower: TrackerAdapter) -> None:
         """A frame that was not tracked; its image is copied."""
         self._give_up()
         self._take_snapshot(lambda everything: follower.sight(frame, everything))

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from spheremouse.files.dataset.format import MOST_BALLS
-from spheremouse.output.hand import PointingSettings
+from spheremouse.output.wand_mapping import PointingSettings
 from spheremouse.settings import param
 from spheremouse.wand.settings import WandSettings
 

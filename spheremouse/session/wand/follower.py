@@ -11,10 +11,10 @@ import numpy as np
 from spheremouse.errors import ConfigurationError, SourceError, SpheremouseError
 from spheremouse.output import Output, open_output
 from spheremouse.output.axes import AxesOutput
-from spheremouse.output.hand import HandMapping
 from spheremouse.output.pointer import Counts
+from spheremouse.output.wand_mapping import HandMapping
 from spheremouse.session.directions import of_hand
-from spheremouse.session.follower import Change, Follower, News, Tracked
+from spheremouse.session.follower import Change, FrameResult, LogMessages, TrackerAdapter
 from spheremouse.session.overlay.pen import Image, in_blocks
 from spheremouse.session.plan import Plan
 from spheremouse.session.wand.messages import Told
@@ -76,7 +76,7 @@ class WandFollower:
         """Raise SourceError where a frame has another size than the camera's, or no colour."""
         check_wand_frame(frame, self.tracker)
 
-    def follow(self, frame: Frame) -> Tracked:
+    def follow(self, frame: Frame) -> FrameResult:
         """Track the balls."""
         begun = time.perf_counter()
         state = self._state or begin(self.tracker, 0, frame.stamp)
@@ -91,11 +91,11 @@ class WandFollower:
         news = self._told.frame(frame.stamp, self._poses, frame.image)
         self._change = news.change or self._change
         self._more += news.more
-        return Tracked(frame, report, {"track": epoch.seconds}, epoch)
+        return FrameResult(frame, report, {"track": epoch.seconds}, epoch)
 
-    def take_news(self) -> News:
+    def take_news(self) -> LogMessages:
         """What is to be said since this was last asked."""
-        news = News(self._change, tuple(self._more))
+        news = LogMessages(self._change, tuple(self._more))
         self._change = ""
         self._more.clear()
         return news
@@ -117,14 +117,14 @@ class WandFollower:
         if {"balls", "rig"} & set(changed):
             other = WandFollower(self._make, plan, self._say, axes)
 
-            def begin_other() -> Follower:
+            def begin_other() -> TrackerAdapter:
                 other.introduce()
                 return other
 
             return Change(other.outputs, begin_other)
         tracker = self._make(plan) if "tracker" in changed else self.tracker
 
-        def go_over() -> Follower:
+        def apply() -> TrackerAdapter:
             before = self.points
             self._take_on(plan, tracker, axes)
             if "motion" in changed or self.points != before:
@@ -134,7 +134,7 @@ class WandFollower:
                 self.status = self._poses[self.points].phase if self._poses else Status.SEARCHING
             return self
 
-        return Change(outputs_of(plan, axes), go_over)
+        return Change(outputs_of(plan, axes), apply)
 
     def reinitialise(self, answer: Callable[[str | None, str], None], wanted: Callable[[], bool]) -> None:
         """All balls looked for anew with the next frame: where it follows something else, this is the way out."""
@@ -152,7 +152,7 @@ class WandFollower:
             poses = tuple(WandPose(b.name, None, None, None, Status.SEARCHING, None) for b in self.tracker.balls)
         return {**none, "balls": [_figures(pose) for pose in poses]}
 
-    def picture(self, tracked: Tracked, counts: Counts, everything: bool) -> Callable[[], Image]:
+    def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
         """The overlay of a frame, whose picture is copied; black but about the balls unless `everything`."""
         epoch, tracker = tracked.epoch, self.tracker
         assert isinstance(epoch, WandEpoch)

@@ -5,7 +5,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.session.follower import News
+from spheremouse.session.follower import LogMessages
 from spheremouse.tracker import Event, Status
 from spheremouse.wand.events import BallHidden, BallLost, ColourEverywhere, ColourNowhere, NotInView, SecondBall
 from spheremouse.wand.state import WandPose
@@ -59,7 +59,7 @@ class Told:
         self._phases.clear()
         self._began = None
 
-    def frame(self, stamp: float, poses: tuple[WandPose, ...], image: NDArray[np.uint8]) -> News:
+    def frame(self, stamp: float, poses: tuple[WandPose, ...], image: NDArray[np.uint8]) -> LogMessages:
         """What the poses of a frame have that is new."""
         self._began = stamp if self._began is None else self._began
         change, more = "", list[str]()
@@ -77,7 +77,7 @@ class Told:
         if pose.phase is Status.SEARCHING and not self._complained and stamp - self._began > PATIENCE:
             self._complained = True
             more.append(f"not found for {PATIENCE:g} s: {self.why}")
-        return News(change, tuple(more))
+        return LogMessages(change, tuple(more))
 
     def never_found(self, but: int | None = None) -> tuple[str, ...]:
         """A line for each ball that has never been seen, at the end; `but` the one of that index, told otherwise."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spheremouse.ball.detect.lookalikes import Lookalikes, StaticSettings, classify_candidates, mask, unmasked
+from spheremouse.ball.detect.lookalikes import StaticDistractors, StaticSettings, classify_candidates, mask, unmasked
 from spheremouse.ball.rig import Ball, Rig, Targets, directions_at
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp
@@ -44,7 +44,7 @@ def look(state, uv, attitude, stamp):
 def film(attitudes, *, extra=BOLT, discs=DISCS, noise=0.05, believed=None, state=None):
     """Verdicts frame by frame on discs (first) and `extra` pixels; `believed` is what the filter takes for truth."""
     rng = np.random.default_rng(0)
-    state = state or Lookalikes()
+    state = state or StaticDistractors()
     out = []
     for k, R in enumerate(attitudes):
         uv = np.concatenate([to_image(discs @ R.T), extra])
@@ -115,7 +115,7 @@ def test_candidates_that_cannot_be_seen_again_are_forgotten():
 
 
 def test_a_mask_hides_what_is_within_its_radius_only():
-    state = mask(Lookalikes(), np.array([[100.0, 100.0]]), 0.0)
+    state = mask(StaticDistractors(), np.array([[100.0, 100.0]]), 0.0)
     r = SETTINGS.mask_radius
     uv = np.array([[100.0, 100.0], [100.0, 100.0 + 0.9 * r], [100.0 + 1.1 * r, 100.0]])
     free, _ = unmasked(state, uv, 0.0, SETTINGS)
@@ -126,7 +126,7 @@ def test_a_mask_lives_as_long_as_it_is_needed():
     place = np.array([[100.0, 100.0]])
     elsewhere = np.array([[300.0, 100.0]])
     life = SETTINGS.mask_life
-    state = mask(Lookalikes(), place, 0.0)
+    state = mask(StaticDistractors(), place, 0.0)
     _, state = unmasked(state, place, 0.9 * life, SETTINGS)  # renewed
     _, state = unmasked(state, elsewhere, 1.8 * life, SETTINGS)
     assert len(state.masks) == 1
@@ -138,7 +138,7 @@ def test_a_mask_lives_as_long_as_it_is_needed():
 
 def test_empty_sets_pass_through():
     nothing = np.zeros((0, 2))
-    state = Lookalikes()
+    state = StaticDistractors()
     free, state = unmasked(state, nothing, 0.0, SETTINGS)
     assert len(free) == 0
     proven, still, state = classify_candidates(state, nothing, np.zeros((0, 3)), np.eye(3), 0.0, RIG, POSE, SETTINGS)
@@ -148,7 +148,7 @@ def test_empty_sets_pass_through():
 def test_two_detections_of_one_candidate_are_one():
     uv = np.repeat(to_image(DISCS), 2, axis=0)
     uv[1::2] += 1.0
-    state = Lookalikes()
+    state = StaticDistractors()
     for k, R in enumerate(turn([0.0, 1.0, 0.0], 0.3, 30)):
         uv = np.repeat(to_image(DISCS @ R.T), 2, axis=0)
         uv[1::2] += 1.0

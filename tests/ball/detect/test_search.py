@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 from spheremouse.ball.detect.appearance import Appearance, appearance, ball_mask
 from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detector
 from spheremouse.ball.detect.projection import GREY, NEGATIVE
-from spheremouse.ball.detect.search import SearchState, places_to_look_at, went
+from spheremouse.ball.detect.search import SearchState, candidate_pixels, went
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 
@@ -77,7 +77,7 @@ def photo(image, noise=NOISE, seed=0):
 def look(image, state, known=NOWHERE, detector: DiscDetector = PLAIN, projection=GREY):
     fit = replace(detector.view.fit, projection=projection)
     radius = 0.5 * detector.diameter
-    return places_to_look_at(image, detector.view.mask, detector.lattice, state, known, fit, radius, NOISE)
+    return candidate_pixels(image, detector.view.mask, detector.lattice, state, known, fit, radius, NOISE)
 
 
 def four_turns(image, first=0, **more):

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.filters.so3 import So3Filter, relocate
-from spheremouse.ball.filters.so3_predict import CONSIDER, CORE, FIRST, READOUT, REFERENCE
+from spheremouse.ball.filters.so3_predict import CLONE_DIM, CONSIDERED_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_settings import So3Settings
 from spheremouse.ball.filters.so3_state import augment, inject
 from spheremouse.ball.points import SpherePoints, intersect
@@ -29,9 +29,9 @@ SIGMA = 3e-4  # rad, of a direction per axis: 0.07 px of the far camera
 SETTINGS = So3Settings()
 FILTER = So3Filter(SETTINGS, np.array([0.0, 0.0, 1.0]), HORIZON, 0.02 / RADIUS, RADIUS)
 DISCS = directions(26, 4, 0.3)
-STILL = np.zeros((CORE, CORE))
+STILL = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
-LAST = slice(-REFERENCE - 2, -REFERENCE)  # of the newest disc in the joint covariance
+LAST = slice(-CLONE_DIM - 2, -CLONE_DIM)  # of the newest disc in the joint covariance
 
 
 def points_at(direction, sigma=SIGMA, rng=None):
@@ -80,7 +80,7 @@ def difference(a, b):
     d = np.einsum("mij,mi->mj", b.basis, a.discs - b.discs).ravel()
     core = [log(a.attitude @ b.attitude.T), a.rate - b.rate, a.acceleration - b.acceleration]
     return np.concatenate(
-        [*core, np.zeros(CONSIDER), [a.readout - b.readout], d, np.zeros(3)]
+        [*core, np.zeros(CONSIDERED_DIM), [a.readout - b.readout], d, np.zeros(3)]
     )  # pose, ball and reference: never corrected
 
 
@@ -121,7 +121,7 @@ def test_prediction_moves_an_error_as_its_covariance_says():
         e = h * np.eye(k)[i]
         ends = [quiet.predict(inject(state, s * e), state.stamp + dt) for s in (1, -1)]
         F[:, i] = (difference(ends[0], base) - difference(ends[1], base)) / (2 * h)
-    F[CORE:READOUT, CORE:READOUT] = np.eye(CONSIDER)
+    F[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT] = np.eye(CONSIDERED_DIM)
     assert_allclose(base.joint, F @ state.joint @ F.T, atol=1e-6 * np.abs(base.joint).max())
 
 
@@ -135,8 +135,8 @@ def test_the_innovation_depends_on_the_state_as_its_jacobian_says():
     rows = np.arange(len(columns))
     H, HP, _, _ = FILTER._innovation(state, points, rows, columns, STILL)
     h = 1e-6
-    assert_allclose(HP[:, :CORE], H)
-    for i in np.delete(np.arange(len(state.joint)), np.arange(CORE, READOUT)):
+    assert_allclose(HP[:, :KINEMATIC_DIM], H)
+    for i in np.delete(np.arange(len(state.joint)), np.arange(KINEMATIC_DIM, READOUT)):
         e = h * np.eye(len(state.joint))[i]
         z = [FILTER._innovation(inject(state, s * e), points, rows, columns, STILL)[2] for s in (1, -1)]
         assert_allclose(-(z[0] - z[1]) / (2 * h), HP[:, i], atol=2e-3)  # the axes turn with the state: second order
@@ -187,12 +187,12 @@ def test_motion_since_the_reference_is_as_certain_as_runs_drawn_from_the_own_mod
             if k % every:
                 continue
             turn, true = log(state.attitude @ reference[0].T), log(R @ reference[1].T)
-            C = state.covariance_since(turn)
+            C = state.increment_covariance(turn)
             if k == 40:
                 e = np.concatenate([turn - true, state.rate - w])
                 squares.append(e @ np.linalg.solve(C, e))
                 shares.append(np.trace(C[:3, :3]) / np.trace(state.covariance[:3, :3]))
-            state, reference = state.with_reference(), (state.attitude, R)
+            state, reference = state.clone_attitude(), (state.attitude, R)
     low, high = chi2.ppf([0.025, 0.975], 6 * runs) / runs
     assert low < np.mean(squares) < high
     assert np.median(shares) < (0.9 if every == 1 else 1.2)  # two that were independent would have 2
@@ -269,7 +269,7 @@ def test_update_is_the_batch_solution():
     assert_allclose(log(state.attitude), fit.x[15:18], atol=0.02 * sd[:3].max())
     assert_allclose(state.rate, fit.x[18:21], atol=0.02 * sd[3:6].max())
     assert_allclose(state.acceleration, fit.x[21:24], atol=0.02 * sd[6:9].max())
-    own = np.delete(np.arange(len(state.joint) - REFERENCE), np.arange(CORE, FIRST))
+    own = np.delete(np.arange(len(state.joint) - CLONE_DIM), np.arange(KINEMATIC_DIM, MAP_OFFSET))
     assert_allclose(state.joint[np.ix_(own, own)] / np.outer(sd, sd), C / np.outer(sd, sd), atol=0.02)
 
 
@@ -345,7 +345,7 @@ def test_axes_of_a_disc_go_along_when_it_crosses_z_0():
     z0 = np.array([np.sqrt(1.0 - 1e-12), 0.0, 1e-6])
     state = augment(state, points_at(z0 @ state.attitude.T), np.array([0]), RADIUS)
     m = len(state.discs)
-    dx = np.zeros(FIRST + 2 * m + REFERENCE)
+    dx = np.zeros(MAP_OFFSET + 2 * m + CLONE_DIM)
     down = state.basis[-1].T @ [0.0, 0.0, -1e-4]
     dx[LAST] = down
     moved = inject(state, dx)
@@ -411,7 +411,7 @@ def test_a_disc_on_trial_goes_and_a_kept_one_stays():
             points = with_ghost if k < sightings else points_at(real)
             state = FILTER.update(FILTER.predict(state, t[k]), points)
         assert bool(np.any(state.discs @ ghost > 0.999)) == stays
-        assert len(state.joint) == FIRST + 2 * len(state.discs) + REFERENCE
+        assert len(state.joint) == MAP_OFFSET + 2 * len(state.discs) + CLONE_DIM
 
 
 def test_a_disc_that_never_comes_again_is_dropped_in_the_end():
@@ -580,7 +580,7 @@ def test_nothing_seen_is_a_prediction_and_one_disc_is_half_an_attitude():
     predicted = FILTER.predict(state, state.stamp + DT)
     blind = FILTER.update(predicted, points_at(np.zeros((0, 3))))
     assert_allclose(blind.attitude, predicted.attitude)
-    assert_allclose(blind.joint[CORE:, CORE:], predicted.joint[CORE:, CORE:])
+    assert_allclose(blind.joint[KINEMATIC_DIM:, KINEMATIC_DIM:], predicted.joint[KINEMATIC_DIM:, KINEMATIC_DIM:])
     assert np.linalg.eigvalsh(blind.joint - predicted.joint)[0] > -1e-15  # the player may be at a livelier level
     assert len(blind.used) == 0
     own = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)))
@@ -614,8 +614,8 @@ def test_relocation_keeps_the_map_and_forgets_the_rest():
     placed = relocate(state, found, 0.003, SETTINGS, 99.0)
     assert placed.stamp == 99.0
     assert_allclose(placed.attitude, found)
-    assert_allclose(placed.joint[CORE:, CORE:], state.joint[CORE:, CORE:])
-    assert_allclose(placed.joint[:CORE, CORE:], 0.0)
+    assert_allclose(placed.joint[KINEMATIC_DIM:, KINEMATIC_DIM:], state.joint[KINEMATIC_DIM:, KINEMATIC_DIM:])
+    assert_allclose(placed.joint[:KINEMATIC_DIM, KINEMATIC_DIM:], 0.0)
     assert placed.readout == 0.012  # the camera is the same
     after = FILTER.update(placed, points_at(seen(found), rng=np.random.default_rng(19)))
     assert len(after.used) >= 3
@@ -719,7 +719,7 @@ def test_errors_of_pose_and_ball_are_in_the_covariance():
     assert low < late[0] < high
     assert low < late[1] < high
     assert used > 0.8
-    ignorant = replace(consider, considered=np.zeros((CONSIDER, CONSIDER)))
+    ignorant = replace(consider, considered=np.zeros((CONSIDERED_DIM, CONSIDERED_DIM)))
     squares, _ = played(ignorant, rig, pose, errors, rng)
     late = squares[:, 20:].mean(axis=(0, 1))
     assert late[0] > 20.0 * high  # far outside: measured 150 to 230 where 3 is right
@@ -773,17 +773,19 @@ def test_innovation_and_founding_depend_on_pose_and_ball_as_finite_differences_s
     rows = columns = np.arange(len(d))
     known = replace(state, joint=np.eye(len(state.joint)))  # then H @ joint is H
     _, H, _, _ = consider._innovation(known, points, rows, columns, STILL)
-    bare = replace(known, discs=np.zeros((0, 3)), basis=np.zeros((0, 3, 2)), joint=np.eye(FIRST + REFERENCE))
+    bare = replace(known, discs=np.zeros((0, 3)), basis=np.zeros((0, 3, 2)), joint=np.eye(MAP_OFFSET + CLONE_DIM))
     founded = augment(bare, points, rows, RADIUS)
     h = 1e-5
-    for i in range(CONSIDER):
-        ends = [intersect(seen_at, *other(rig, pose, s * h * np.eye(CONSIDER)[i])) for s in (1, -1)]
+    for i in range(CONSIDERED_DIM):
+        ends = [intersect(seen_at, *other(rig, pose, s * h * np.eye(CONSIDERED_DIM)[i])) for s in (1, -1)]
         z = [consider._innovation(known, p, rows, columns, STILL)[2] for p in ends]
         # the pose assumed is the truth less the error: what is seen moves against it
-        assert_allclose(-(z[0] - z[1]) / (2 * h), H[:, CORE + i], atol=1e-4 * np.abs(H[:, CORE + i]).max())
+        assert_allclose(
+            -(z[0] - z[1]) / (2 * h), H[:, KINEMATIC_DIM + i], atol=1e-4 * np.abs(H[:, KINEMATIC_DIM + i]).max()
+        )
         new = [augment(bare, p, rows, RADIUS).discs for p in ends]
         slope = np.einsum("mij,mi->mj", founded.basis, (new[0] - new[1]) / (2 * h)).ravel()
-        assert_allclose(founded.joint[FIRST:-REFERENCE, CORE + i], slope, atol=1e-4 * np.abs(slope).max())
+        assert_allclose(founded.joint[MAP_OFFSET:-CLONE_DIM, KINEMATIC_DIM + i], slope, atol=1e-4 * np.abs(slope).max())
 
 
 def test_update_with_considered_errors_is_the_batch_solution():
@@ -828,13 +830,13 @@ def test_update_with_considered_errors_is_the_batch_solution():
     sd = np.sqrt(np.diag(C))
     assert_allclose(ours / sd[6:15], (fit.x * unit)[6:15] / sd[6:15], atol=0.03)
     at = np.concatenate([np.arange(6, 15), np.arange(25, 35)])
-    rest = np.concatenate([np.arange(CORE), np.arange(FIRST, len(state.joint) - REFERENCE)])
+    rest = np.concatenate([np.arange(KINEMATIC_DIM), np.arange(MAP_OFFSET, len(state.joint) - CLONE_DIM)])
     scale_at = np.outer(sd[at], sd[at])
     assert_allclose(state.joint[np.ix_(rest, rest)] / scale_at, C[np.ix_(at, at)] / scale_at, atol=0.02)
     cross = np.outer(sd[at], np.sqrt(np.diag(consider.considered)))
     batch = C[np.ix_(at, np.arange(15, 25))]
-    assert_allclose(state.joint[rest, CORE:READOUT] / cross, batch / cross, atol=0.02)
-    assert_allclose(state.joint[CORE:READOUT, CORE:READOUT], consider.considered)
+    assert_allclose(state.joint[rest, KINEMATIC_DIM:READOUT] / cross, batch / cross, atol=0.02)
+    assert_allclose(state.joint[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT], consider.considered)
 
 
 # --- rolling shutter -------------------------------------------------------------------------------------------------
@@ -908,7 +910,7 @@ def test_innovation_with_a_delay_depends_on_acceleration_as_finite_differences_s
     H, _, _, _ = FILTER._innovation(state, points, rows, columns, STILL)
     slope = _slope(state, points, rows, columns)
     assert np.abs(H[:, 6:]).max() > 5e-5  # half of (15 ms)²
-    assert_allclose(H[:, 6:], slope[:, 6:CORE], atol=0.05 * np.abs(H[:, 6:]).max())
+    assert_allclose(H[:, 6:], slope[:, 6:KINEMATIC_DIM], atol=0.05 * np.abs(H[:, 6:]).max())
 
 
 def _delayed(rate):
@@ -924,7 +926,7 @@ def _delayed(rate):
 
 def _slope(state, points, rows, columns, h=1e-6):
     out = []
-    for i in range(CORE):
+    for i in range(KINEMATIC_DIM):
         e = h * np.eye(len(state.joint))[i]
         step = 1.0 if i < 6 else 1e3  # half of (15 ms)²: too small a slope for the same step
         z = [FILTER._innovation(inject(state, s * step * e), points, rows, columns, STILL)[2] for s in (1, -1)]
@@ -1016,12 +1018,12 @@ def test_innovation_and_founding_depend_on_the_readout_as_finite_differences_say
     assert np.abs(slope).max() > 0.2 * np.linalg.norm(rate)
     assert_allclose(HP[:, READOUT], slope, atol=1e-4 * np.abs(slope).max())
     bare = [
-        replace(s, discs=np.zeros((0, 3)), basis=np.zeros((0, 3, 2)), joint=np.eye(FIRST + REFERENCE))
+        replace(s, discs=np.zeros((0, 3)), basis=np.zeros((0, 3, 2)), joint=np.eye(MAP_OFFSET + CLONE_DIM))
         for s in (state, *ends)
     ]
     founded, *new = [augment(s, points, rows, RADIUS) for s in bare]
     slope = np.einsum("mij,mi->mj", founded.basis, (new[0].discs - new[1].discs) / (2 * h)).ravel()
-    assert_allclose(founded.joint[FIRST:-REFERENCE, READOUT], slope, atol=1e-4 * np.abs(slope).max())
+    assert_allclose(founded.joint[MAP_OFFSET:-CLONE_DIM, READOUT], slope, atol=1e-4 * np.abs(slope).max())
 
 
 def test_a_still_ball_teaches_nothing_of_the_readout():
@@ -1169,13 +1171,13 @@ def test_covariance_stays_symmetric_and_positive_over_5000_updates(sigma):
         points = replace(points, dposition_dpose=by_pose, dposition_dball=by_ball, row=-0.5 * p[some, 1])
         state = own.update(own.predict(state, k * 0.01), points)
         if k % 3 == 0:
-            state = state.with_reference()
+            state = state.clone_attitude()
         if k % 50 == 0:
             sd = np.sqrt(np.diag(state.joint))
-            assert np.all(sd[3:-REFERENCE] > 0.0)
+            assert np.all(sd[3:-CLONE_DIM] > 0.0)
             assert np.all(sd[[0, -1]] > 0.0) or k == 0
             sd = np.where(sd > 0.0, sd, 1.0)
             assert_allclose(state.joint / np.outer(sd, sd), state.joint.T / np.outer(sd, sd), atol=1e-14)
             worst = min(worst, np.linalg.eigvalsh(state.joint / np.outer(sd, sd))[0])
     assert worst > -1e-9
-    assert_allclose(state.joint[CORE:READOUT, CORE:READOUT], considered)
+    assert_allclose(state.joint[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT], considered)

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import So3Filter, relocate
-from spheremouse.ball.filters.so3_predict import CORE, FIRST, READOUT, REFERENCE
+from spheremouse.ball.filters.so3_predict import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_settings import So3Settings
 from spheremouse.ball.filters.so3_state import So3State, augment, consider, drop, inject, to_map, with_map
 from spheremouse.ball.points import SpherePoints
@@ -22,7 +22,7 @@ FILTER = So3Filter(SETTINGS, np.array([0.0, 0.0, 1.0]), HORIZON, 0.02 / RADIUS, 
 DISCS = directions(24, 7, 0.35)
 SPIN = np.array([2.0, -0.3, 0.2])
 
-LAST = slice(-REFERENCE - 2, -REFERENCE)  # of the newest disc in the joint covariance
+LAST = slice(-CLONE_DIM - 2, -CLONE_DIM)  # of the newest disc in the joint covariance
 
 
 def points_at(d, rng, sigma=SIGMA):
@@ -92,7 +92,7 @@ def test_covariance_of_the_map_is_in_the_axes_of_its_directions():
     turned = turned @ turn
     T = np.eye(len(state.joint))
     for i in range(24):
-        at = FIRST + 2 * i
+        at = MAP_OFFSET + 2 * i
         T[at : at + 2, at : at + 2] = turn[i].T
     state = replace(state, basis=turned, joint=T @ state.joint @ T.T)
     known = to_map(state, 1)
@@ -104,7 +104,7 @@ def test_covariance_of_the_map_is_in_the_axes_of_its_directions():
     scatter = np.cov(np.array(samples).T)
     sd = np.sqrt(np.diag(known.covariance))
     assert_allclose(scatter / np.outer(sd, sd), known.covariance / np.outer(sd, sd), atol=0.1)
-    own = state.joint[FIRST:-REFERENCE, FIRST:-REFERENCE] / np.outer(sd, sd)
+    own = state.joint[MAP_OFFSET:-CLONE_DIM, MAP_OFFSET:-CLONE_DIM] / np.outer(sd, sd)
     assert np.abs(own - known.covariance / np.outer(sd, sd)).max() > 0.3  # in the state's axes it is another matrix
 
 
@@ -130,10 +130,10 @@ def test_with_map_leaves_the_rest_of_the_state():
     state = with_map(fresh, known, 50)
     assert state.stamp == 5.0
     assert_array_equal(state.attitude, fresh.attitude)
-    assert_array_equal(state.joint[:FIRST, :FIRST], fresh.joint[:FIRST, :FIRST])
-    assert_array_equal(state.joint[CORE:READOUT, CORE:READOUT], considered)
+    assert_array_equal(state.joint[:MAP_OFFSET, :MAP_OFFSET], fresh.joint[:MAP_OFFSET, :MAP_OFFSET])
+    assert_array_equal(state.joint[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT], considered)
     assert_allclose(state.readout_sigma, 0.015)
-    assert_array_equal(state.joint[:FIRST, FIRST:], 0.0)
+    assert_array_equal(state.joint[:MAP_OFFSET, MAP_OFFSET:], 0.0)
     assert state.hits.max() == 50  # however often a disc was seen, one that fell off goes in the end
     assert_array_equal(state.missed, 0)
     for axes, d in zip(state.basis, state.discs, strict=True):
@@ -194,8 +194,8 @@ def test_drop_forgets_discs_and_their_rows_and_no_others():
     state, _ = learnt()
     keep = np.arange(24) % 3 > 0
     some = drop(state, keep)
-    discs = FIRST + np.flatnonzero(np.repeat(keep, 2))
-    rows = np.concatenate([np.arange(FIRST), discs, np.arange(-REFERENCE, 0)])
+    discs = MAP_OFFSET + np.flatnonzero(np.repeat(keep, 2))
+    rows = np.concatenate([np.arange(MAP_OFFSET), discs, np.arange(-CLONE_DIM, 0)])
     assert_array_equal(some.discs, state.discs[keep])
     assert_array_equal(some.basis, state.basis[keep])
     assert_array_equal(some.hits, state.hits[keep])
@@ -211,10 +211,10 @@ def test_consider_sets_the_errors_of_pose_and_ball_and_their_correlations_to_not
     joint = before.copy()
     considered = np.diag(np.arange(1.0, 11.0))
     consider(joint, considered)
-    assert_array_equal(joint[CORE:READOUT, CORE:READOUT], considered)
-    rest = np.delete(np.arange(len(joint)), np.arange(CORE, READOUT))
-    assert_array_equal(joint[CORE:READOUT, rest], 0.0)
-    assert_array_equal(joint[rest, CORE:READOUT], 0.0)
+    assert_array_equal(joint[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT], considered)
+    rest = np.delete(np.arange(len(joint)), np.arange(KINEMATIC_DIM, READOUT))
+    assert_array_equal(joint[KINEMATIC_DIM:READOUT, rest], 0.0)
+    assert_array_equal(joint[rest, KINEMATIC_DIM:READOUT], 0.0)
     assert_array_equal(joint[np.ix_(rest, rest)], before[np.ix_(rest, rest)])  # the readout's, too
 
 

@@ -94,12 +94,12 @@ def test_too_few_targets_another_device_and_a_mirrored_picture_are_named(stills,
 def test_the_adjustment_says_how_good_it_is_and_where_to_go(stills, pictures):
     """Photos from the front alone: it asks for the sides; from all sides: it is content."""
     judge = judge_of(stills, pictures[0])
-    assert judge.ponder() is None  # too few to adjust
+    assert judge.pending_work() is None  # too few to adjust
     assert "take one from the left" in judge.wanted()
     judge = judge_of(stills, *pictures)
-    calculate = judge.ponder()
+    calculate = judge.pending_work()
     calculate()
-    assert judge.ponder() is None
+    assert judge.pending_work() is None
     known = judge.assessment
     assert known.photos == len(pictures)
     assert known.good

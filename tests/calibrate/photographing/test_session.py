@@ -120,7 +120,7 @@ class Slow:
         self.count += 1
         assert read().shape == (480, 640, 3)
 
-    def ponder(self):
+    def pending_work(self):
         if self.calculated == self.count:
             return None
         n = self.count

@@ -15,9 +15,9 @@ from spheremouse.geometry.least_squares.adjust import (
     cofactors,
     huber,
     huber_cost,
-    minimised,
+    levenberg_marquardt,
 )
-from spheremouse.geometry.least_squares.reliability import redundancy, snooped, variance_factors
+from spheremouse.geometry.least_squares.reliability import outlier_statistic, redundancy, variance_factors
 
 
 def linear(rng, n=40, u=5, sigma=0.1):
@@ -92,7 +92,7 @@ def test_normalised_residuals_of_points_are_chi_square():
     for _ in range(400):
         b = A @ x + rng.standard_normal(24)
         v = A @ (Q @ (A.T @ b)) - b
-        values.append(snooped(v.reshape(-1, 2), cofactor))
+        values.append(outlier_statistic(v.reshape(-1, 2), cofactor))
     share = np.mean(np.array(values) > chi2.ppf(0.95, 2))
     assert 0.04 < share < 0.06  # 4800 values: 0.003 of standard deviation
 
@@ -102,7 +102,7 @@ def test_false_observation_has_the_largest_normalised_residual():
     A, _, b = linear(rng, 24, 5)
     b[7] += 12.0
     found = adjust(problem(A, b), np.zeros(5))
-    test = snooped(found.residual.reshape(-1, 2), redundancy(found.jacobian, cofactors(found.jacobian), 2))
+    test = outlier_statistic(found.residual.reshape(-1, 2), redundancy(found.jacobian, cofactors(found.jacobian), 2))
     assert np.argmax(test) == 3
 
 
@@ -171,7 +171,9 @@ def test_what_has_no_rest_and_no_beginning_is_said_with_what_to_do():
         return float(r @ r), lambda: Normal((J.T @ J).toarray(), -J.T @ r, *_no_groups(2))
 
     with pytest.raises(CalibrationError, match="does not come to rest: try another valley"):
-        minimised(np.array([-1.2, 1.0]), linear, lambda x, move: x + move.shared, "try another valley", most=3)
+        levenberg_marquardt(
+            np.array([-1.2, 1.0]), linear, lambda x, move: x + move.shared, "try another valley", most=3
+        )
     with pytest.raises(CalibrationError, match="has no beginning: some observation"):
         adjust(lambda x: (np.array([np.nan]), sparse.csr_array(np.ones((1, 1)))), np.zeros(1))
 

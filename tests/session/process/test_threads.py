@@ -6,13 +6,13 @@ import time
 import pytest
 
 from spheremouse.errors import ControlError
-from spheremouse.session.process.threads import Crew, begin
+from spheremouse.session.process.threads import WorkerPool, begin
 
 
 @pytest.fixture
 def crew():
     said = []
-    made = Crew(("one", "two"), said.append)
+    made = WorkerPool(("one", "two"), said.append)
     made.said = said
     made.begin()
     yield made

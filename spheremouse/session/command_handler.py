@@ -4,27 +4,27 @@ from collections.abc import Callable
 from functools import partial
 
 from spheremouse.errors import ControlError
-from spheremouse.session.control.desk import Asked
+from spheremouse.session.config_reloader import ConfigReloader
 from spheremouse.session.control.protocol import Record, Set, Snapshot, refused
+from spheremouse.session.control.request_queue import Asked
 from spheremouse.session.follower import POSE
-from spheremouse.session.judgement import Judgement
-from spheremouse.session.loader import Loader
-from spheremouse.session.process.threads import Crew
+from spheremouse.session.process.threads import WorkerPool
 from spheremouse.session.record.archive import Archive
+from spheremouse.session.state_monitor import StateMonitor
 from spheremouse.session.states import State
 from spheremouse.session.worker import Worker
 
 
-class Answers:
+class CommandHandler:
     """Called by the worker's thread."""
 
     def __init__(
         self,
         worker: Worker,
-        judgement: Judgement,
-        loader: Loader,
+        judgement: StateMonitor,
+        loader: ConfigReloader,
         archive: Archive,
-        crew: Crew,
+        crew: WorkerPool,
         *,
         pause: Callable[[bool], None],
         camera: Callable[[], str],

@@ -10,8 +10,8 @@ from spheremouse.commands import config as cli_config
 from spheremouse.files import config
 from spheremouse.files.rig import rig_text, save_camera
 from spheremouse.files.yaml import read_document
-from spheremouse.session import named
-from spheremouse.session.named import look
+from spheremouse.session import config_check
+from spheremouse.session.config_check import look
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.scene import default_scene
 from tests.files.test_registry import OUTPUT, installed  # noqa: F401  a fixture
@@ -27,7 +27,7 @@ def checked(tmp_path, monkeypatch):
     (tmp_path / "rig.yaml").write_text(rig_text(rig))
     save_camera(tmp_path / "camera.yaml", rig.camera)
     (tmp_path / "uinput").touch()
-    monkeypatch.setattr(named, "_UINPUT", tmp_path / "uinput")
+    monkeypatch.setattr(config_check, "_UINPUT", tmp_path / "uinput")
 
     def run(*lines):
         (tmp_path / "c.yaml").write_text("\n".join(["schema: 2", *lines, ""]))
@@ -115,11 +115,11 @@ def test_a_rig_of_another_size_than_is_asked_of_the_camera_is_wrong_with_or_with
 
 def test_a_map_of_another_ball_is_told(checked, tmp_path, monkeypatch):
     def other(*_):
-        raise named.ConfigurationError("rig.map.yaml: was made with a ball of radius 1 m")
+        raise config_check.ConfigurationError("rig.map.yaml: was made with a ball of radius 1 m")
 
     (tmp_path / "rig.map.yaml").write_text("schema: 1\n")
-    monkeypatch.setattr(named, "load_map", lambda path: path)
-    monkeypatch.setattr(named, "check_fits", other)
+    monkeypatch.setattr(config_check, "load_map", lambda path: path)
+    monkeypatch.setattr(config_check, "check_fits", other)
     assert checked("rig: rig.yaml", "map: rig.map.yaml") == (
         2,
         ["c.yaml:3: map: rig.map.yaml: was made with a ball of radius 1 m"],

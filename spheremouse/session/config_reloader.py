@@ -20,18 +20,18 @@ from spheremouse.session.changes import (
     told,
     values,
 )
-from spheremouse.session.control.desk import Asked
 from spheremouse.session.control.protocol import internal_error, refused
+from spheremouse.session.control.request_queue import Asked
 from spheremouse.session.follower import Setup
 from spheremouse.session.plan import Plan, Request, check_kinds, read_plan
-from spheremouse.session.process.threads import Crew
+from spheremouse.session.process.threads import WorkerPool
 
 READING = "reading"  # kind of the crew's work
 
 Prepare = Callable[[Plan, list[str]], Callable[[], bool]]
 
 
-class Loader:
+class ConfigReloader:
     """What a run is to do, as requested and as read."""
 
     def __init__(
@@ -41,7 +41,7 @@ class Loader:
         setup: Setup,
         prepare: Prepare,
         *,
-        crew: Crew,
+        crew: WorkerPool,
         ask: Callable[[Callable[[], None]], None],
         say: Callable[[str], None],
     ) -> None:
@@ -103,7 +103,7 @@ class Loader:
             return
         changed, exact = differences(self.plan, plan), values(self.plan, plan, assigned)
         try:
-            go_over = self._prepare(plan, changed)
+            apply = self._prepare(plan, changed)
         except SpheremouseError as e:
             self._not_applied(str(e), files, asked)
             return
@@ -112,7 +112,7 @@ class Loader:
         for path, stamp in files.items():
             if path in self._files:
                 self._files[path] = stamp  # when it was read: what was written since is news
-        ended = go_over()
+        ended = apply()
         read = [name for name in changed if name in ("rig", "map", "balls") and name not in exact]  # from their files
         text = f"configuration applied: {', '.join(filter(None, (told(exact), *read))) or 'nothing has changed'}"
         later = [name for name in changed if name in AT_START]

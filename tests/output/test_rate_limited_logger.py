@@ -6,7 +6,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spheremouse.output.sparing import Sparing
+from spheremouse.output.rate_limited_logger import RateLimitedLogger
 
 KINDS = ("gone", "back")
 
@@ -23,7 +23,7 @@ class Clock:
 
 def test_a_transcript():
     said, clock = [], Clock()
-    say = Sparing(said.append, clock=clock)
+    say = RateLimitedLogger(said.append, clock=clock)
     for k in range(40):
         say(f"port {k}: gone")
     say("is back")
@@ -44,7 +44,7 @@ def test_a_transcript():
 @given(st.lists(st.tuples(st.sampled_from(KINDS), st.floats(0.0, 0.7), st.booleans()), max_size=60))
 def test_of_each_kind_one_a_second_and_all_are_counted(story):
     said, clock = [], Clock()
-    say = Sparing(lambda text: said.append((clock.now, text)), clock=clock)
+    say = RateLimitedLogger(lambda text: said.append((clock.now, text)), clock=clock)
     for kind, wait, tends in story:
         clock.now += wait
         say(f"{len(said)} {kind}")

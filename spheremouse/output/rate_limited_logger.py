@@ -20,7 +20,7 @@ class _Kind:
     last: str = ""  # of these
 
 
-class Sparing:
+class RateLimitedLogger:
     """Says texts, but of each kind one in a while; how many it kept back it says with the next, or with the last."""
 
     def __init__(

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from experiments.kit import sights
+from experiments.kit import detections
 from experiments.kit.film import film_of, options_of, settings_of, tracked
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -16,16 +16,16 @@ def film():
 
 @pytest.fixture(scope="module")
 def seen(film):
-    return sights.look_at(film, settings_of(["tracker=ekf2"]))
+    return detections.look_at(film, settings_of(["tracker=ekf2"]))
 
 
 def test_filtering_again_gives_the_run_of_tracking(film, seen):
     settings = settings_of(["tracker=ekf2"])
-    whole, again = tracked(film, settings), sights.filtered(seen, settings, film)
+    whole, again = tracked(film, settings), detections.filtered(seen, settings, film)
     assert_array_equal(again.attitude, whole.run.attitude)
     assert_array_equal(again.rotation, whole.run.rotation)
     assert again.status == whole.run.status
-    errors = sights.errors(again, film.truth, film.rig.ball.radius)
+    errors = detections.errors(again, film.truth, film.rig.ball.radius)
     expected = {key: whole.report[key] for key in errors}
     expected["detection"] = {**expected["detection"], "recall_axis": None}  # it takes the camera's true pose
     assert errors == expected
@@ -34,11 +34,11 @@ def test_filtering_again_gives_the_run_of_tracking(film, seen):
 
 def test_so3_is_refused_since_it_looks_where_it_expects_discs(film, seen):
     with pytest.raises(AssertionError, match="so3"):
-        sights.filtered(seen, settings_of(), film)
+        detections.filtered(seen, settings_of(), film)
 
 
 def test_sigma_is_that_of_all_centres_and_changes_no_centre(seen):
-    even = sights.with_sigma(seen, 0.5)
+    even = detections.with_sigma(seen, 0.5)
     for new, old in zip(even.detections, seen.detections, strict=True):
         assert_allclose(new.covariance, np.tile(0.25 * np.eye(2), (len(old), 1, 1)))
         assert_array_equal(new.centre, old.centre)

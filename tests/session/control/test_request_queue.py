@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from spheremouse.errors import ControlError
-from spheremouse.session.control.desk import CALM, MOST, SHARE, Asked, Desk
 from spheremouse.session.control.protocol import Record, Request, Set, Snapshot
 from spheremouse.session.control.reply import Reply
+from spheremouse.session.control.request_queue import CALM, MOST, SHARE, Asked, RequestQueue
 
 RELOAD, REINIT, PAUSE = (Request(command=c) for c in ("reload", "reinit", "pause"))
 SET = Set(command="set", assignments=("motion.scale_x=2",))
@@ -50,7 +50,7 @@ def clock():
 
 @pytest.fixture
 def desk(clock):
-    return Desk(lambda: None, clock)
+    return RequestQueue(lambda: None, clock)
 
 
 @pytest.mark.parametrize("request_", [REINIT, RECORD, STOP, SNAPSHOT])
@@ -202,7 +202,7 @@ def _fail(error):
 
 @given(steps)
 def test_whatever_is_asked_each_is_answered_once_and_nothing_is_left(steps):
-    desk = Desk(lambda: None, Clock())
+    desk = RequestQueue(lambda: None, Clock())
     clients = [Client(desk, trusted=n % 2 == 0) for n in range(6)]
     under_way = []
     for what, *more in steps:

@@ -67,7 +67,7 @@ class Asked:
         self.trusted |= other.trusted
 
 
-class Desk:
+class RequestQueue:
     """What is asked and has not been begun, and what of each kind is under way."""
 
     def __init__(self, wake: Callable[[], None], clock: Callable[[], float] = time.monotonic) -> None:

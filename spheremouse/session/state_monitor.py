@@ -4,17 +4,17 @@ import time
 from collections.abc import Callable
 
 from spheremouse.capture.fetch import Capture
-from spheremouse.output.sparing import letters
+from spheremouse.output.rate_limited_logger import letters
 from spheremouse.session.arrivals import Arrivals
 from spheremouse.session.outputs import Outputs
-from spheremouse.session.states import Facts, State, judge, news
+from spheremouse.session.states import Conditions, State, derive_state, news
 from spheremouse.session.worker import Worker
 
 _STATUS_EVERY = 20.0  # s between two lines for systemd where nothing changes
 _UNSEEN = (State.NO_CAMERA, State.SEARCHING_TARGETS, State.LOST)  # in which the ball may turn without being seen
 
 
-class Judgement:
+class StateMonitor:
     """State, reason and since when. Called by the worker's thread; attributes may be read by others."""
 
     def __init__(
@@ -37,12 +37,12 @@ class Judgement:
         self.unseen = 0.0  # s in which the ball may have turned without being seen
         self._seen_once = False
 
-    def renew(self, now: float) -> bool:
+    def update(self, now: float) -> bool:
         """Judge anew, and say what has changed; True where that is that no frames come any more."""
         if self.state in _UNSEEN and self._seen_once:
             self.unseen += now - self._judged
         self._judged = now
-        before, (state, reason) = (self.state, self.reason), judge(self._facts(now))
+        before, (state, reason) = (self.state, self.reason), derive_state(self._facts(now))
         self._seen_once |= state is State.TRACKING
         if state is not before[0]:
             self.since = now
@@ -56,11 +56,11 @@ class Judgement:
             self._tell(f"{state}: {reason}; {self._arrivals.rate(now):.0f} frames/s")
         return state is State.NO_CAMERA and before[0] is not state
 
-    def _facts(self, now: float) -> Facts:
+    def _facts(self, now: float) -> Conditions:
         worker, capture, starting = self._worker, self._capture, self.starting
         if not starting and capture.attempts <= 1 and worker.seen == 0 and capture.opening:
             starting = capture.trouble
-        return Facts(
+        return Conditions(
             starting=starting,
             camera=capture.trouble or worker.trouble or self._arrivals.trouble(now),
             paused=self.paused,

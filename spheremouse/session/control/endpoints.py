@@ -14,7 +14,7 @@ from spheremouse.session.settings.control import ControlSettings, MetricsSetting
 _LISTEN_EVERY = 30.0  # s between two tries to have the control socket after all
 
 
-class Doors:
+class Endpoints:
     """Open from `open` until `close`."""
 
     def __init__(self, handle: Handle, say: Callable[[str], None]) -> None:

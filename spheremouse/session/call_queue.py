@@ -6,17 +6,17 @@ from collections.abc import Callable
 from functools import partial
 
 from spheremouse.errors import SpheremouseError
-from spheremouse.session.control.desk import Asked, Desk
+from spheremouse.session.control.request_queue import Asked, RequestQueue
 
 
-class Errands:
+class CallQueue:
     """They wait for the worker's next turn, whom they wake. No error of one ends the run."""
 
     def __init__(self, wake: Callable[[], None], say: Callable[[str], None]) -> None:
         """`say` takes lines for the log."""
         self._wake, self._say = wake, say
         self._todo: deque[Callable[[], None]] = deque()
-        self._desk = Desk(wake)
+        self._desk = RequestQueue(wake)
 
     def ask(self, action: Callable[[], None]) -> None:
         """Have it done; from any thread, and from a signal's handler."""

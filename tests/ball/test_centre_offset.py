@@ -5,7 +5,7 @@ import pytest
 from conftest import directions
 from numpy.testing import assert_allclose
 
-from spheremouse.ball.bearings import BearingSettings, averaged, fits, is_off, shift_of
+from spheremouse.ball.centre_offset import BearingSettings, averaged, fits, is_off, shift_of
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import Ball, Rig, Targets

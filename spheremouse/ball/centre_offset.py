@@ -38,7 +38,7 @@ class BearingSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Shift:
+class CentreOffset:
     """What rotation and shift explain of one frame's discs."""
 
     pairs: int
@@ -57,7 +57,7 @@ class Shift:
 def shift_of(
     points: SpherePoints, delay: Array, discs: Array, variance: Array, attitude: Array, rate: Array, radius: float,
     reach: float,
-) -> Shift | None:  # fmt: skip
+) -> CentreOffset | None:  # fmt: skip
     """The shift of the centre that makes known discs appear at `points`; None where fewer than four are seen,
     or all in one place.
 
@@ -84,23 +84,25 @@ def shift_of(
         )
     except np.linalg.LinAlgError:  # discs found in one place alone: no direction of a shift can be told from a turn
         return None
-    return Shift(pairs, shift, sigma, certainty, before, after) if pairs >= 4 and np.isfinite(certainty) else None
+    return (
+        CentreOffset(pairs, shift, sigma, certainty, before, after) if pairs >= 4 and np.isfinite(certainty) else None
+    )
 
 
-def is_off(found: Shift, radius: float, settings: BearingSettings, out_of_round: bool = False) -> bool:
+def is_off(found: CentreOffset, radius: float, settings: BearingSettings, out_of_round: bool = False) -> bool:
     """Is the centre off its place, and is that all that is wrong? A ball out of round has a centre that goes round."""
     least = (_ROUND if out_of_round else 1.0) * settings.lifted * radius
     far = found.distance > least and found.certainty > settings.certain
     return far and found.after < _EXPLAINED * found.before
 
 
-def fits(found: Shift, radius: float, settings: BearingSettings) -> bool:
+def fits(found: CentreOffset, radius: float, settings: BearingSettings) -> bool:
     """Do the discs fit a rotation about the centre?"""
     far = found.distance > 0.5 * settings.lifted * radius and found.certainty > 0.5 * settings.certain
     return not far and found.before < _MOST
 
 
-def averaged(mean: float, found: Shift, dt: float, settings: BearingSettings) -> float:
+def averaged(mean: float, found: CentreOffset, dt: float, settings: BearingSettings) -> float:
     """The mean chi-square per degree of freedom, `dt` s later."""
     keep = np.exp(-max(dt, 0.0) / settings.memory)
     return float(keep * mean + (1.0 - keep) * min(found.before, _MOST))

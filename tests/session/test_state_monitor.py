@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import pytest
 
 from spheremouse.session.arrivals import Arrivals
-from spheremouse.session.follower import News
-from spheremouse.session.judgement import Judgement
+from spheremouse.session.follower import LogMessages
+from spheremouse.session.state_monitor import StateMonitor
 from spheremouse.session.states import State
 from spheremouse.tracker import Status
 
@@ -15,13 +15,13 @@ class Run:
     """A judgement, and all that it is about, as attributes."""
 
     def __init__(self):
-        self.said, self.told, self.news = [], [], News()
+        self.said, self.told, self.news = [], [], LogMessages()
         self.follower = SimpleNamespace(waiting="", reason="", status=Status.TRACKING, take_news=self.take_news)
         self.worker = SimpleNamespace(follower=self.follower, trouble="", seen=1)
         self.capture = SimpleNamespace(trouble="", attempts=1, opening=False)
         self.pointer = SimpleNamespace(failed=None)
         self.arrivals = Arrivals()
-        self.judgement = Judgement(
+        self.judgement = StateMonitor(
             self.worker,
             self.capture,
             self.arrivals,
@@ -33,14 +33,14 @@ class Run:
         self.begun = self.now = self.judgement.since
 
     def take_news(self):
-        news, self.news = self.news, News()
+        news, self.news = self.news, LogMessages()
         return news
 
     def after(self, seconds, frames=True):
         self.now += seconds
         if frames:
             self.arrivals.add(self.now)
-        return self.judgement.renew(self.now)
+        return self.judgement.update(self.now)
 
 
 @pytest.fixture
@@ -96,7 +96,7 @@ def test_systemd_hears_of_changes_and_now_and_then(run):
 
 def test_what_the_tracker_has_to_say_is_said(run):
     run.after(0.1)
-    run.news = News("the ball turns", ("the map is saved",))
+    run.news = LogMessages("the ball turns", ("the map is saved",))
     run.after(0.1)
     run.after(0.1)
     assert run.said[1:] == ["the ball turns", "the map is saved"]

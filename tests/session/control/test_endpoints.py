@@ -7,7 +7,7 @@ import pytest
 
 from spheremouse.errors import ControlError
 from spheremouse.session.control.client import Client
-from spheremouse.session.control.doors import Doors
+from spheremouse.session.control.endpoints import Endpoints
 from spheremouse.session.control.places import SOCKET
 from spheremouse.session.settings.control import ControlSettings, MetricsSettings
 
@@ -26,7 +26,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def doors(said):
-    return contextlib.closing(Doors(answer, said.append))
+    return contextlib.closing(Endpoints(answer, said.append))
 
 
 def test_the_socket_is_had_when_who_had_it_is_gone(folder):

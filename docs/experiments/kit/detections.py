@@ -54,21 +54,22 @@ def look_at(film: Film, settings: Settings) -> Sights:
     return Sights(tuple(frame.stamp for frame in frames), seen, film.rig, start.pose)
 
 
-def with_sigma(sights: Sights, sigma: float) -> Sights:
+def with_sigma(detections: Sights, sigma: float) -> Sights:
     """With the same standard deviation for all centres: sigma_b of Wittich 2017, px per axis."""
     even = [
-        replace(d, covariance=np.broadcast_to(sigma**2 * np.eye(2), (len(d), 2, 2)).copy()) for d in sights.detections
+        replace(d, covariance=np.broadcast_to(sigma**2 * np.eye(2), (len(d), 2, 2)).copy())
+        for d in detections.detections
     ]
-    return replace(sights, detections=tuple(even))
+    return replace(detections, detections=tuple(even))
 
 
-def filtered(sights: Sights, settings: Settings, film: Film) -> Run:
+def filtered(detections: Sights, settings: Settings, film: Film) -> Run:
     """The run of `ekf1` or `ekf2`, as `session.track` gives it."""
     assert settings.tracker != "so3", "so3 looks where it expects discs"
-    tracker = build(sights.rig, sights.pose, settings)
-    state, history = begin(tracker, sights.stamps[0]), History()
-    last = len(film.frames) - len(sights.stamps)  # frames before the first view that showed the targets
-    for frame, seen in zip(film.frames[last:], sights.detections, strict=True):
+    tracker = build(detections.rig, detections.pose, settings)
+    state, history = begin(tracker, detections.stamps[0]), History()
+    last = len(film.frames) - len(detections.stamps)  # frames before the first view that showed the targets
+    for frame, seen in zip(film.frames[last:], detections.detections, strict=True):
         state, motion, events = advance(state, frame.stamp, seen, tracker)
         history.add(Epoch(frame, state, motion, events, {}))
     return history.run()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from spheremouse.output.counts import Remainder
-from spheremouse.output.hand import Pointing, PointingSettings, begun_anew, point, pointing_rate, taken_up
+from spheremouse.output.wand_mapping import Pointing, PointingSettings, begun_anew, point, pointing_rate, taken_up
 from spheremouse.tracker import Status
 from spheremouse.wand.course import begun
 from spheremouse.wand.state import WandPose
