@@ -51,7 +51,7 @@ class WatchSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Watch:
+class CameraMonitor:
     """What the targets looked like, and which is next."""
 
     patches: tuple[Image | None, ...]  # of each target (h, w) grey, reduced; None: not seen yet
@@ -72,7 +72,7 @@ class Watch:
         return len(self.patches)
 
 
-def begin(rig: Rig, pose: Pose) -> Watch | None:
+def begin(rig: Rig, pose: Pose) -> CameraMonitor | None:
     """A watch on the targets of a rig seen from a pose; None where fewer than three lie in the picture."""
     if len(rig.targets.codes) < 3:
         return None
@@ -93,7 +93,7 @@ def begin(rig: Rig, pose: Pose) -> Watch | None:
     patches = len(rig.targets.codes)
     corners, sizes, reductions = np.full((patches, 2), -1), np.zeros(patches), np.ones(patches)
     corners[which[room]], sizes[which[room]], reductions[which[room]] = corner[room], size[room], reduction[room]
-    return Watch(
+    return CameraMonitor(
         (None,) * patches,
         corners.astype(np.intp),
         sizes.astype(np.intp),
@@ -104,7 +104,9 @@ def begin(rig: Rig, pose: Pose) -> Watch | None:
     )
 
 
-def remember_targets(watch: Watch, image: Image, which: NDArray[np.intp], rig: Rig, rings: RingSettings) -> Watch:
+def remember_targets(
+    watch: CameraMonitor, image: Image, which: NDArray[np.intp], rig: Rig, rings: RingSettings
+) -> CameraMonitor:
     """The watch with what the targets `which` look like now, where that is a target: point-symmetric, and no wall."""
     patches, seen, place, zero = list(watch.patches), watch.seen.copy(), watch.place.copy(), watch.zero.copy()
     for k in which:
@@ -123,7 +125,7 @@ def remember_targets(watch: Watch, image: Image, which: NDArray[np.intp], rig: R
     return replace(watch, patches=tuple(patches), zero=zero, place=place, seen=seen)
 
 
-def target_shift(watch: Watch, image: Image, which: int, settings: WatchSettings, far: bool = False) -> Array:
+def target_shift(watch: CameraMonitor, image: Image, which: int, settings: WatchSettings, far: bool = False) -> Array:
     """How far, (2,) px, a target is from where it was; nan where it is hidden. `far`: within `reach`."""
     template = watch.patches[which]
     if template is None:
@@ -136,7 +138,7 @@ def target_shift(watch: Watch, image: Image, which: int, settings: WatchSettings
     return f * (at - before - watch.zero[which]) if best >= settings.score else np.full(2, np.nan)
 
 
-def target_shifts(watch: Watch, image: Image, settings: WatchSettings) -> tuple[Watch, Array]:
+def target_shifts(watch: CameraMonitor, image: Image, settings: WatchSettings) -> tuple[CameraMonitor, Array]:
     """The shift of every target, (n, 2) px, nan where hidden; looked for far where it is not near its place."""
     shift = np.array([target_shift(watch, image, k, settings) for k in range(len(watch))])
     for k in range(len(watch)):
@@ -146,8 +148,8 @@ def target_shifts(watch: Watch, image: Image, settings: WatchSettings) -> tuple[
 
 
 def check_next_target(
-    watch: Watch, image: Image, stamp: float, settings: WatchSettings, surprised: bool
-) -> tuple[Watch, bool]:
+    watch: CameraMonitor, image: Image, stamp: float, settings: WatchSettings, surprised: bool
+) -> tuple[CameraMonitor, bool]:
     """One target in its turn, when it is time; the next two at once when something is odd. Is one out of its place?
 
     A target that was there and is gone counts as out of its place, too, once; whether the camera moved, all must say.
@@ -183,7 +185,7 @@ def is_still(before: Array, now: Array, settings: WatchSettings) -> bool:
     return bool(np.count_nonzero(np.isfinite(step)) >= 3 and np.nanmedian(step) < settings.still)
 
 
-def on_rings(watch: Watch, image: Image, shift: Array, rig: Rig, rings: RingSettings) -> Array:
+def on_rings(watch: CameraMonitor, image: Image, shift: Array, rig: Rig, rings: RingSettings) -> Array:
     """Shifts, (n, 2) px, measured on the edges of the rings near where correlation found them; nan where not."""
     if image.ndim != 3:
         return np.full_like(shift, np.nan)
@@ -240,7 +242,7 @@ def _fitted(
     return None
 
 
-def _on_rings(watch: Watch, image: Image, which: int, shift: Array, rig: Rig, rings: RingSettings) -> Array:
+def _on_rings(watch: CameraMonitor, image: Image, which: int, shift: Array, rig: Rig, rings: RingSettings) -> Array:
     """Centre, (2,) px, of a target seen about `shift` px from its place; nan where its rings are not seen."""
     if image.ndim != 3 or not np.all(np.isfinite(shift)):
         return np.full(2, np.nan)
@@ -252,7 +254,7 @@ def _on_rings(watch: Watch, image: Image, which: int, shift: Array, rig: Rig, ri
     return same[0] + (x, y) if len(same) == 1 else np.full(2, np.nan)
 
 
-def _window(watch: Watch, image: Image, which: int, reach: int) -> tuple[Image, Array]:
+def _window(watch: CameraMonitor, image: Image, which: int, reach: int) -> tuple[Image, Array]:
     """Grey, reduced, of a patch and up to `reach` px of it on all sides; and how many lie left of it and above."""
     f, size = int(watch.reduction[which]), int(watch.size[which])
     x, y = (int(v) for v in watch.corner[which])

@@ -44,7 +44,7 @@ class CentreOffset:
     pairs: int
     shift: Array  # (3,) m, obj, of the ball's centre from where it is thought to be
     sigma: float  # m, its standard deviation in the direction in which it is known least
-    certainty: float  # standard deviations
+    mahalanobis: float  # standard deviations
     before: float  # chi-square of the directions with a rotation alone, per degree of freedom
     after: float  # the same with the shift
 
@@ -69,7 +69,7 @@ def shift_of(
         return None
     shift = np.empty(3)
     try:
-        pairs, sigma, certainty, before, after = _shift(
+        pairs, sigma, mahalanobis, before, after = _shift(
             points.direction,
             points.image_covariance,
             points.dposition_dball,
@@ -85,20 +85,22 @@ def shift_of(
     except np.linalg.LinAlgError:  # discs found in one place alone: no direction of a shift can be told from a turn
         return None
     return (
-        CentreOffset(pairs, shift, sigma, certainty, before, after) if pairs >= 4 and np.isfinite(certainty) else None
+        CentreOffset(pairs, shift, sigma, mahalanobis, before, after)
+        if pairs >= 4 and np.isfinite(mahalanobis)
+        else None
     )
 
 
 def is_off(found: CentreOffset, radius: float, settings: BearingSettings, out_of_round: bool = False) -> bool:
     """Is the centre off its place, and is that all that is wrong? A ball out of round has a centre that goes round."""
     least = (_ROUND if out_of_round else 1.0) * settings.lifted * radius
-    far = found.distance > least and found.certainty > settings.certain
+    far = found.distance > least and found.mahalanobis > settings.certain
     return far and found.after < _EXPLAINED * found.before
 
 
 def fits(found: CentreOffset, radius: float, settings: BearingSettings) -> bool:
     """Do the discs fit a rotation about the centre?"""
-    far = found.distance > 0.5 * settings.lifted * radius and found.certainty > 0.5 * settings.certain
+    far = found.distance > 0.5 * settings.lifted * radius and found.mahalanobis > 0.5 * settings.certain
     return not far and found.before < _MOST
 
 
@@ -179,7 +181,7 @@ def _shift(seen, noise, by_ball, delay, discs, variance, attitude, rate, radius,
     for k in range(6):
         explained_after += right[k] * x[k]
     worth = np.linalg.solve(Q[3:, 3:].copy(), x[3:].copy())
-    certainty = np.sqrt(max(worth[0] * x[3] + worth[1] * x[4] + worth[2] * x[5], 0.0))
+    mahalanobis = np.sqrt(max(worth[0] * x[3] + worth[1] * x[4] + worth[2] * x[5], 0.0))
     before = max(total - explained_before, 0.0) / (2 * pairs - 3)
     sigma = radius * np.sqrt(np.linalg.eigvalsh(Q[3:, 3:].copy())[2])
-    return pairs, sigma, certainty, before, max(total - explained_after, 0.0) / (2 * pairs - 6)
+    return pairs, sigma, mahalanobis, before, max(total - explained_after, 0.0) / (2 * pairs - 6)

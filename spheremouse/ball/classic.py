@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from spheremouse.ball.filters.euler import EulerState
-from spheremouse.ball.phases.candidates import all_are_discs, judged, updated
+from spheremouse.ball.phases.candidates import all_are_discs, classify_unmatched, updated
 from spheremouse.ball.phases.learn import learn
 from spheremouse.ball.phases.recover import begin_anew, seen_since
 from spheremouse.ball.state import Events, Learning, Lost, Recognising, Tracker, Tracking, TrackState
@@ -41,4 +41,4 @@ def _followed(state: State, stamp: float, tracker: Tracker, predicted: EulerStat
     if not state.confirmed:  # then no point starts a landmark
         none = np.zeros(len(state.points), dtype=bool)
         state = replace(state, filter=tracker.filter.update(predicted, state.points, none))
-    return judged(state, stamp, tracker, predicted, lambda posterior, *_: posterior)
+    return classify_unmatched(state, stamp, tracker, predicted, lambda posterior, *_: posterior)

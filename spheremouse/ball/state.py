@@ -6,7 +6,7 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.camera_watch import Watch
+from spheremouse.ball.camera_watch import CameraMonitor
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.lookalikes import StaticDistractors
 from spheremouse.ball.detect.projection import GREY, Projection
@@ -55,7 +55,7 @@ class Tracker(Generic[K]):
         return self.settings.tracker != "so3"
 
 
-class View(NamedTuple):
+class BufferedFrame(NamedTuple):
     """What one frame showed, and the state that was predicted for it."""
 
     stamp: float  # s
@@ -95,7 +95,7 @@ class Learning(NamedTuple):
     """Nothing has turned yet: any candidate may be a look-alike."""
 
     found: bool = False  # two discs were seen: the ball is tracked
-    views: tuple[View, ...] = ()  # since the ball was seen, to be filtered again without the look-alikes
+    views: tuple[BufferedFrame, ...] = ()  # since the ball was seen, to be filtered again without the look-alikes
     next_track: int = 0  # number of the next point that no view has shown yet
     beside_map: bool = False  # an older map exists, which outweighs what two points show
 
@@ -161,7 +161,7 @@ class TrackState(Generic[F]):
     search: SearchState = field(default_factory=SearchState)  # for discs that are not on the map yet
     colours: Colours = field(default_factory=Colours)
     absolute: bool = False  # the attitude is that of a map made earlier
-    watch: Watch | None = None  # on the targets: does the camera stand?
+    watch: CameraMonitor | None = None  # on the targets: does the camera stand?
     rebuilt: Tracker[Any] | None = None  # for the pose found after the camera was moved; None: it never was
     readout_known: bool = False  # play has shown what the rolling shutter takes
 
@@ -209,7 +209,7 @@ def clear_matches(filter_state: Any) -> Any:
     return replace(filter_state, used=np.zeros(0, dtype=np.intp))
 
 
-def tracked(
+def start_tracking(
     state: TrackState[F], phase: Learning | Tracking, filtered: F, reported: Array, stamp: float
 ) -> TrackState[F]:
     """Tracked from this frame on, by a filter just found or begun; motion counts from the attitude `reported`."""

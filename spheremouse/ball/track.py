@@ -32,7 +32,7 @@ from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import KINEMATIC_DIM, PLACED, So3State, consider
 from spheremouse.ball.phases import colours
 from spheremouse.ball.phases.camera_moved import Moved, hidden, out_of_sight, relative, surprised, with_references
-from spheremouse.ball.phases.follow import follow, look
+from spheremouse.ball.phases.follow import detect_discs, follow
 from spheremouse.ball.phases.learn import learn
 from spheremouse.ball.phases.lifted import check_bearings
 from spheremouse.ball.phases.readout import learn_readout
@@ -168,7 +168,7 @@ def _stages(
     if tracker.classic:
         detections, search = colours.seen_in(tracker.detector, state.colours).detect(frame.image), state.search
     else:
-        detections, search = look(state, frame, tracker, predicted)
+        detections, search = detect_discs(state, frame, tracker, predicted)
     detected()
     done = advance(state, frame.stamp, detections, tracker, predicted, search)
     done = colours.refined(done, frame, tracker)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 _KINDS = 256  # told apart at a time
 
 
-def letters(text: str) -> str:
+def strip_digits(text: str) -> str:
     """A text without its numbers."""
     return "".join(c for c in text if not c.isdigit())
 
@@ -27,7 +27,7 @@ class RateLimitedLogger:
         self,
         say: Callable[[str], None],
         every: float = 1.0,
-        kind: Callable[[str], str] = letters,
+        kind: Callable[[str], str] = strip_digits,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """`every` so many s one of each `kind`: texts that differ in their numbers alone are one."""

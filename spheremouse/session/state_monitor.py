@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 
 from spheremouse.capture.fetch import Capture
-from spheremouse.output.rate_limited_logger import letters
+from spheremouse.output.rate_limited_logger import strip_digits
 from spheremouse.session.arrivals import Arrivals
 from spheremouse.session.outputs import Outputs
 from spheremouse.session.states import Conditions, State, derive_state, news
@@ -49,7 +49,7 @@ class StateMonitor:
         told = self._worker.follower.take_news()
         for text in filter(None, (news(before, (state, reason), told.change), *told.more)):
             self._say(text)
-        other = state is not before[0] or letters(reason) != letters(before[1])
+        other = state is not before[0] or strip_digits(reason) != strip_digits(before[1])
         self.state, self.reason = state, reason
         if other or now >= self._tell_at:
             self._tell_at = now + _STATUS_EVERY

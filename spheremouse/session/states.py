@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from spheremouse.output.rate_limited_logger import letters
+from spheremouse.output.rate_limited_logger import strip_digits
 from spheremouse.tracker import Status
 
 
@@ -61,6 +61,6 @@ def news(before: tuple[State, str], now: tuple[State, str], event: str) -> str:
         return f"{state}: {why}"
     if event:
         return event
-    if state in (State.TRACKING, State.LOST) or letters(why) == letters(why_before):
+    if state in (State.TRACKING, State.LOST) or strip_digits(why) == strip_digits(why_before):
         return ""
     return f"{state}: {why}"

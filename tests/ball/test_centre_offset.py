@@ -46,15 +46,15 @@ def test_a_shift_of_the_centre_is_found(shift, turn):
 
 def test_a_rotation_alone_is_no_shift_and_noise_scatters_as_it_says():
     rng = np.random.default_rng(0)
-    certainty, before = [], []
+    mahalanobis, before = [], []
     for _ in range(200):
         out = found([0.0, 0.0, 0.0], 0.01 * rng.normal(size=3), SIGMA, rng)
         assert not is_off(out, 0.6, S)
         assert fits(out, 0.6, S)
-        certainty.append(out.certainty**2)
+        mahalanobis.append(out.mahalanobis**2)
         before.append(out.before)
     # chi-square with 3 degrees of freedom and 1: less, since the floor for print is not in the noise here
-    assert 0.05 < np.mean(certainty) < 3.0
+    assert 0.05 < np.mean(mahalanobis) < 3.0
     assert 0.02 < np.mean(before) < 1.0
 
 
@@ -93,4 +93,4 @@ def test_discs_seen_many_times_over_in_one_place_tell_no_shift():
         discs = np.tile(points.direction[0], (9, 1))
         for variance in (0.0, 1e-8):
             out = shift_of(points, np.zeros(9), discs, np.full(9, variance), np.eye(3), np.zeros(3), 0.6, 0.07)
-            assert out is None or np.isfinite(out.certainty)
+            assert out is None or np.isfinite(out.mahalanobis)

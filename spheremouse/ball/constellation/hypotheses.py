@@ -18,7 +18,7 @@ STEPS = 12  # of pairing and adjustment; most end after four
 
 
 class ObservationModel(NamedTuple):
-    """What is seen of a ball at a known attitude, as `constellation.Model` explains."""
+    """What is seen of a ball at a known attitude, as `constellation.IdentificationPrior` explains."""
 
     towards: Array  # (3,) unit vector from the ball to the camera
     edge: float  # cosine with `towards` at which a disc is seen half as often as one in the middle

@@ -16,7 +16,7 @@ from spheremouse.geometry.rotation import Array
 
 
 @dataclass(frozen=True, slots=True)
-class Model:
+class IdentificationPrior:
     """What is expected of detections, wide enough for any of them, and how far the search goes.
 
     What would be said of a ball before it is seen, and bounds on time; `foreshortened` and `kept` were settled on
@@ -51,7 +51,12 @@ class Attitude:
 
 
 def attitude(
-    seen: Array, known: Array, sigma: float, towards: Array, horizon: float, model: Model = Model()
+    seen: Array,
+    known: Array,
+    sigma: float,
+    towards: Array,
+    horizon: float,
+    model: IdentificationPrior = IdentificationPrior(),
 ) -> Attitude | None:
     """Most probable rotation of `known`, (m, 3) unit vectors, to `seen`, (n, 3); None where no three of them agree.
 

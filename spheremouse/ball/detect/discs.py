@@ -29,8 +29,8 @@ from spheremouse.ball.detect.projection import (
     projected,
     sample_weights_of,
 )
-from spheremouse.ball.detect.search import Lattice, SearchState, candidate_pixels, lattice, went
-from spheremouse.ball.detect.windows import View, look_at, view_of
+from spheremouse.ball.detect.search import Lattice, SearchState, candidate_pixels, lattice, update_rejections
+from spheremouse.ball.detect.windows import DiscModel, measure_discs, view_of
 from spheremouse.ball.rig import Rig, directions_at
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import MAX_SIDE, Pose
@@ -127,7 +127,7 @@ class DiscDetector:
     coarse: Image  # 255 on the ball, of the window of the coarse picture
     lattice: Lattice
     slivers: Lattice  # its part near the limb, where discs are too thin for the coarse picture
-    view: View
+    view: DiscModel
 
     def seeing(self, projection: Projection) -> "DiscDetector":
         """The detector with another projection of colours."""
@@ -147,7 +147,7 @@ class DiscDetector:
         plausible = np.flatnonzero((share > 0.3) & (share < 2.5))
         best = plausible[np.argsort(np.abs(np.log(share[plausible])), kind="stable")]
         best = best[first_of_each(places[index[best]], 0.3 * self.diameter)]
-        found = look_at(_with_channels(image), directions[best], self.view, noise, places[index[best]])[0]
+        found = measure_discs(_with_channels(image), directions[best], self.view, noise, places[index[best]])[0]
         return self._with_slivers(found, image, noise) if self.lattice.reduction > 1 else found
 
     def _with_slivers(self, found: Detections, image: Image, noise: float) -> Detections:
@@ -176,7 +176,7 @@ class DiscDetector:
         )  # light and discs do not change from frame to frame
         noise = self.noise(image) if again else state.noise
         known = 0.0 if again else state.size
-        found, size = look_at(
+        found, size = measure_discs(
             _with_channels(image), directions, self.view, noise, rate=rate, readout=readout, size=known
         )
         return found, replace(state, noise=noise, size=size) if again else state
@@ -188,11 +188,11 @@ class DiscDetector:
         colours = _with_channels(image)
         places = candidate_pixels(colours, self.view.mask, self.lattice, state, known, fit, radius, noise)
         if len(places) == 0:
-            return no_detections(), went(state, places, self.lattice.reduction)
+            return no_detections(), update_rejections(state, places, self.lattice.reduction)
         directions, index = directions_at(places, self.rig, self.pose)
-        found, _ = look_at(colours, directions, self.view, noise, places[index])
+        found, _ = measure_discs(colours, directions, self.view, noise, places[index])
         near = np.linalg.norm(places[:, None] - found.centre[None], axis=2) < radius
-        return found, went(state, places[~near.any(axis=1)], self.lattice.reduction)
+        return found, update_rejections(state, places[~near.any(axis=1)], self.lattice.reduction)
 
     def noise(self, image: Image) -> float:
         """Standard deviation of one pixel, grey values."""

@@ -160,7 +160,7 @@ def _samples(image: Image, projection: Projection) -> tuple[Image, int, int, int
     return projected(image, projection)[:, :, None], 0, 1, round(offset_of(projection, image.shape[2]))
 
 
-def went(state: SearchState, rejected: Array, reduction: int) -> SearchState:
+def update_rejections(state: SearchState, rejected: Array, reduction: int) -> SearchState:
     """The search's state after a frame in which the places `rejected`, (k, 2) px, turned out to be no discs."""
     turn = state.turn + 1
     if len(rejected) == 0:

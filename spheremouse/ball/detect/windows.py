@@ -20,7 +20,7 @@ from spheremouse.geometry.rotation import Array, exp_into
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class DiscModel:
     """What decides where discs are looked for, how they look and which are taken, laid out for compiled code."""
 
     mask: Image  # (h, w) 255 on the ball, a little within its outline
@@ -37,9 +37,9 @@ class View:
     apart: float  # px, of two that are nearer that which fits less well is left out
 
 
-def view_of(rig: Rig, pose: Pose, mask: Image, fit: FitSettings, least: float, apart: float) -> View:
+def view_of(rig: Rig, pose: Pose, mask: Image, fit: FitSettings, least: float, apart: float) -> DiscModel:
     """Of a device and a camera that stands still."""
-    return View(
+    return DiscModel(
         mask,
         np.ascontiguousarray(rig.ball.centre, dtype=np.float64),
         float(rig.ball.radius),
@@ -60,10 +60,10 @@ _ANYWHERE = np.zeros((0, 2))
 _STILL = np.zeros(3)
 
 
-def look_at(
+def measure_discs(
     image: Image,
     directions: Array,
-    view: View,
+    view: DiscModel,
     noise: float,
     places: Array = _ANYWHERE,
     rate: Array = _STILL,
@@ -81,7 +81,7 @@ def look_at(
     if len(directions) == 0:
         return no_detections(), size
     fit, share = view.fit, 1.0 if len(places) else _EXPECTED
-    centre, covariance, area, told = _look_at(
+    centre, covariance, area, told = _measure_discs(
         image, view.mask, np.ascontiguousarray(directions), np.ascontiguousarray(places), rate, readout, view.exposure,
         view.centre, view.radius, view.alpha, view.rotation, view.position, view.intrinsic, view.distortion, noise,
         view.least, view.apart, weights_of(fit.projection, image.shape[2]), fit.kernel, fit.blur, share * fit.contrast,
@@ -91,7 +91,7 @@ def look_at(
 
 
 @njit(cache=True, error_model="numpy")
-def _look_at(
+def _measure_discs(
     image, mask, directions, places, rate, readout, exposure, K, radius, alpha, rotation, P, intrinsic, distortion,
     noise, least, apart, weights, kernel, blur, contrast, size_tolerance, rim_least, sigma, size,
 ):  # fmt: skip

@@ -4,7 +4,7 @@ import numpy as np
 
 from spheremouse.ball import camera_watch as watching
 from spheremouse.ball.build import build
-from spheremouse.ball.camera_watch import Watch
+from spheremouse.ball.camera_watch import CameraMonitor
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.errors import PoseError
@@ -18,7 +18,7 @@ _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targe
 Moved = tuple[Tracker, Array | None]  # the tracker for another pose; what is added to its covariance, None: it is new
 
 
-def hidden(watch: Watch | None) -> bool:
+def hidden(watch: CameraMonitor | None) -> bool:
     """Are the targets out of sight that were in sight before?"""
     if watch is None or sum(patch is not None for patch in watch.patches) < 3:
         return False
@@ -37,7 +37,7 @@ def surprised(state: TrackState[So3State]) -> bool:
     )
 
 
-def with_references(watch: Watch, frame: Frame, tracker: Tracker) -> Watch:
+def with_references(watch: CameraMonitor, frame: Frame, tracker: Tracker) -> CameraMonitor:
     """What the targets look like, where that is not known yet: all at the first frame, then in their turn."""
     which = np.array([k for k, patch in enumerate(watch.patches) if patch is None], dtype=np.intp)
     if len(which) and watch.due > -np.inf:

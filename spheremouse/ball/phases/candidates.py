@@ -43,7 +43,7 @@ def all_are_discs(state: TrackState) -> bool:
     return state.confirmed and len(state.filter.used) == len(state.points) and not len(state.lookalikes.place)
 
 
-def judged(
+def classify_unmatched(
     state: TrackState[F], stamp: float, tracker: Tracker, predicted: F, take_up: AddLandmarks[F]
 ) -> TrackState[F]:
     """What is no known disc, by whether it turns with the ball, stands still, or does neither yet."""

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.points import SpherePoints
-from spheremouse.ball.state import Tracker, View
+from spheremouse.ball.state import BufferedFrame, Tracker
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array, align
 
@@ -14,7 +14,7 @@ _BETTER = 30.0  # squared deviations by which a turn must fit better than a shif
 _CENTRE_SIGMA = 0.1  # px, floor of the standard deviation of a path's length: unevenness of light
 
 
-def follow_points(views: tuple[View, ...], centre: Array, next_track: int) -> tuple[NDArray[np.intp], int]:
+def follow_points(views: tuple[BufferedFrame, ...], centre: Array, next_track: int) -> tuple[NDArray[np.intp], int]:
     """Number the points of a frame, at `centre` (n, 2) px: as in the view before where it shows them nearby.
 
     Each is looked for where its last step leads. Returns the numbers, (n,), and the next one that is free.
@@ -37,7 +37,7 @@ def follow_points(views: tuple[View, ...], centre: Array, next_track: int) -> tu
     return track, next_track + len(new)
 
 
-def still_while_two_turned(views: tuple[View, ...], tracker: Tracker) -> Array | None:
+def still_while_two_turned(views: tuple[BufferedFrame, ...], tracker: Tracker) -> Array | None:
     """Places, (k, 2) px, of points that stayed while two others moved as the ball makes them move.
 
     None while there is no such pair. Two points on a ball that turns keep their angle; two that are carried past it

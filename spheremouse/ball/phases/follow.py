@@ -10,7 +10,7 @@ from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import So3State, augment
-from spheremouse.ball.phases.candidates import all_are_discs, judged
+from spheremouse.ball.phases.candidates import all_are_discs, classify_unmatched
 from spheremouse.ball.phases.colours import seen_in
 from spheremouse.ball.phases.hypotheses import is_covered, updated_hypotheses, without_effect
 from spheremouse.ball.phases.recognise import recognised_attitude
@@ -22,7 +22,7 @@ _AT_REST = 0.05  # rad/s, below which a ball brings no disc into view or out of 
 _SECURE = 3  # discs in use of which one may vanish: with fewer, all of the picture is searched for more
 
 
-def look(
+def detect_discs(
     state: TrackState[So3State], frame: Frame, tracker: Tracker[So3Filter], predicted: So3State
 ) -> tuple[Detections, SearchState]:
     """The disc candidates of a frame, and the state of the search.
@@ -65,7 +65,7 @@ def follow(
             return replace(state, filter=found[0], alternatives=(), confirmed=True, supported_at=stamp)
     if state.alternatives:  # the attitude by which candidates would be judged is in doubt
         return state
-    return judged(state, stamp, tracker, predicted, _with_discs)
+    return classify_unmatched(state, stamp, tracker, predicted, _with_discs)
 
 
 def _with_discs(

@@ -15,7 +15,7 @@ from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.candidates import confirms
 from spheremouse.ball.phases.first_turn import follow_points, still_while_two_turned, would_move
 from spheremouse.ball.phases.hypotheses import is_covered, updated_hypotheses, without_effect
-from spheremouse.ball.state import Events, F, Learning, Tracker, Tracking, TrackState, View
+from spheremouse.ball.state import BufferedFrame, Events, F, Learning, Tracker, Tracking, TrackState
 from spheremouse.geometry.rotation import Array, log, rotation_between
 
 _CERTAIN = 9.0  # nats: odds of 8000 to 1 for a motion of the ball
@@ -44,7 +44,7 @@ def learn(
         return found(without_effect(state, tracker, predicted), phase, stamp)
     centre = state.detections.centre[state.points.index]
     track, next_track = follow_points(phase.views, centre, phase.next_track)
-    views = (*phase.views, View(stamp, state.detections, state.points, predicted, track))
+    views = (*phase.views, BufferedFrame(stamp, state.detections, state.points, predicted, track))
     if len(views) > _REPLAY:
         views = (views[0], *views[2:])  # the first frame stays as the anchor, so that slow motion adds up against it
     still = _still_since(views[0], views[-1], tracker)
@@ -60,7 +60,7 @@ def learn(
 
 
 def _with_all(
-    state: TrackState[F], stamp: float, tracker: Tracker, predicted: F, views: tuple[View, ...]
+    state: TrackState[F], stamp: float, tracker: Tracker, predicted: F, views: tuple[BufferedFrame, ...]
 ) -> TrackState[F]:
     """Return the state after filtering a frame with every point as a possible disc."""
     if isinstance(predicted, So3State):
@@ -73,7 +73,7 @@ def _with_all(
     return replace(state, filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
 
 
-def _without(state: TrackState[F], still: Array, views: tuple[View, ...], tracker: Tracker) -> TrackState[F]:
+def _without(state: TrackState[F], still: Array, views: tuple[BufferedFrame, ...], tracker: Tracker) -> TrackState[F]:
     """Return the state after filtering all views again, without the look-alikes at `still`, (k, 2) px."""
     stamp = views[-1].stamp
     state = replace(state, lookalikes=static.mask(state.lookalikes, still, stamp), alternatives=())
@@ -88,7 +88,9 @@ def _without(state: TrackState[F], still: Array, views: tuple[View, ...], tracke
     return replace(state, confirmed=not state.alternatives and len(state.filter.used) > 1)
 
 
-def _founders(state: TrackState, predicted: So3State, views: tuple[View, ...], tracker: Tracker) -> NDArray[np.bool_]:
+def _founders(
+    state: TrackState, predicted: So3State, views: tuple[BufferedFrame, ...], tracker: Tracker
+) -> NDArray[np.bool_]:
     """Return a mask, (n,), of the points that may add a disc to the map.
 
     All points may if fewer than two discs are established. All may if the ball has turned by a disc's width and the
@@ -112,7 +114,7 @@ def found(state: TrackState[F], phase: Learning, stamp: float) -> tuple[TrackSta
     return replace(state, phase=phase._replace(found=True)), (Found(len(state.points)),)
 
 
-def _still_since(anchor: View, now: View, tracker: Tracker) -> Array | None:
+def _still_since(anchor: BufferedFrame, now: BufferedFrame, tracker: Tracker) -> Array | None:
     """Return the places, (k, 2) px, of points that stayed while most others turned together like a ball.
 
     Returns None while that is uncertain, and if the motion also fits a flat object that passes.
@@ -138,7 +140,9 @@ def _still_since(anchor: View, now: View, tracker: Tracker) -> Array | None:
     return now.centre[stayed & would_move(now.points, rotation, tracker, s.moved)]
 
 
-def _flat(anchor: View, now: View, pairs: NDArray[np.intp], rotation: Array, tracker: Tracker) -> bool:
+def _flat(
+    anchor: BufferedFrame, now: BufferedFrame, pairs: NDArray[np.intp], rotation: Array, tracker: Tracker
+) -> bool:
     """Return True if a flat object that shifts, turns and grows in the picture fits nearly as well as the ball.
 
     `pairs` (k, 2) index the points of `anchor` and `now`, and `rotation`, (3, 3), takes one to the other. A turn about
@@ -161,12 +165,12 @@ def _flat(anchor: View, now: View, pairs: NDArray[np.intp], rotation: Array, tra
     return chi2_flat - float(weight @ np.sum(off * off, axis=1)) < 2.0 * _CERTAIN
 
 
-def _variance(view: View, which: NDArray[np.intp]) -> Array:
+def _variance(view: BufferedFrame, which: NDArray[np.intp]) -> Array:
     """Return the variance per axis, (k,) px², of the centres of the points `which`, (k,)."""
     return 0.5 * np.trace(view.detections.covariance[view.points.index[which]], axis1=1, axis2=2)
 
 
-def _changed(anchor: View, since: tuple[View, ...], settings: StaticSettings) -> bool:
+def _changed(anchor: BufferedFrame, since: tuple[BufferedFrame, ...], settings: StaticSettings) -> bool:
     """Return True if more than half of the anchor's points are missing from all later views."""
     later = np.concatenate([view.centre for view in since])
     if len(anchor.points) == 0 or len(later) == 0:

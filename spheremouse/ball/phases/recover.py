@@ -12,6 +12,7 @@ from spheremouse.ball.phases.learn import found, learn
 from spheremouse.ball.phases.lifted import back_on_bearings
 from spheremouse.ball.phases.recognise import recognised_attitude
 from spheremouse.ball.state import (
+    BufferedFrame,
     Events,
     F,
     Learning,
@@ -21,11 +22,10 @@ from spheremouse.ball.state import (
     Tracking,
     TrackState,
     Trial,
-    View,
     clear_matches,
     forget,
     lost,
-    tracked,
+    start_tracking,
 )
 
 _RESTS = 0.05  # rad/s, standard deviation of the rate of a ball at rest
@@ -73,9 +73,9 @@ def recover(
         if resting is None:
             filtered, reported = filtered.clone_attitude(), filtered.attitude
             if isinstance(last, Learning):
-                last = Learning(found=True, views=(View(stamp, state.detections, state.points, filtered),))
+                last = Learning(found=True, views=(BufferedFrame(stamp, state.detections, state.points, filtered),))
         state = replace(state, lookalikes=forget(state.lookalikes))
-        return tracked(state, last, filtered, reported, stamp), (Recognised(pairs),)
+        return start_tracking(state, last, filtered, reported, stamp), (Recognised(pairs),)
     if recognised is None and phase.lifted_at is None:
         state, events = _followed(state, phase, stamp, tracker, predicted)
         if events:
@@ -132,7 +132,7 @@ def try_new_map(
     filtered = tried.filter.clone_attitude()
     maps = [state.filter] if state.older is None else [state.filter, state.older]
     older = max(maps, key=lambda filter_state: int(np.sum(filter_state.hits)))
-    tried = replace(tracked(tried, Tracking(), filtered, filtered.attitude, stamp), older=older)
+    tried = replace(start_tracking(tried, Tracking(), filtered, filtered.attitude, stamp), older=older)
     return tried, (NewMap(), *events)
 
 
@@ -150,7 +150,7 @@ def _followed(
         return state, ()
     updated = replace(updated, lookalikes=forget(state.lookalikes))
     filtered = updated.filter.clone_attitude()
-    return tracked(updated, phase.last, filtered, filtered.attitude, stamp), (Recognised(pairs),)
+    return start_tracking(updated, phase.last, filtered, filtered.attitude, stamp), (Recognised(pairs),)
 
 
 def begin_anew(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[TrackState[F], Events]:
@@ -158,7 +158,7 @@ def begin_anew(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[Tr
     attitude = state.filter.attitude
     filtered, view = _new_map(state, stamp, tracker)
     state = replace(state, lookalikes=forget(state.lookalikes))
-    return tracked(state, Learning(found=True, views=(view,)), filtered, attitude, stamp), (NewMap(),)
+    return start_tracking(state, Learning(found=True, views=(view,)), filtered, attitude, stamp), (NewMap(),)
 
 
 def recognise(
@@ -172,7 +172,7 @@ def recognise(
     recognised = recognised_attitude(state, stamp, tracker)
     if recognised is not None:
         filtered, pairs = recognised
-        state = tracked(state, Tracking(), filtered.clone_attitude(), filtered.attitude, stamp)
+        state = start_tracking(state, Tracking(), filtered.clone_attitude(), filtered.attitude, stamp)
         return replace(state, absolute=True), (Recognised(pairs, saved=True),)
     before = phase.in_view_since
     since = stamp if before is None or len(state.points) < _SPEAKS else min(before, stamp)
@@ -184,8 +184,8 @@ def recognise(
     return state, (NewMap(saved=True), *events)
 
 
-def _new_map(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[F, View]:
+def _new_map(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[F, BufferedFrame]:
     """Return a new map at the last attitude from this frame's points, and the view. It may include look-alikes."""
     start = tracker.filter.initial(stamp, state.filter.attitude)
     filtered = tracker.filter.update(start, state.points)
-    return filtered, View(stamp, state.detections, state.points, start)
+    return filtered, BufferedFrame(stamp, state.detections, state.points, start)

@@ -5,7 +5,7 @@ from concurrent.futures import Future
 from spheremouse.ball.detect.absence import Absence, why_no_disc
 from spheremouse.ball.events import MotionReleased, MotionWithheld
 from spheremouse.ball.state import Tracker, TrackState
-from spheremouse.output.rate_limited_logger import letters
+from spheremouse.output.rate_limited_logger import strip_digits
 from spheremouse.session import messages
 from spheremouse.session.ball.looking import Elsewhere, begun
 from spheremouse.tracker import Frame, Status, Step
@@ -83,7 +83,9 @@ class MissingDiscs:
         if self._absence is None or points >= _FEW:
             return "", False
         told, self._told = self._told, messages.why_absent(self._absence)[0]
-        return messages.no_discs(self._seen, stamp - since, self._absence), letters(told) != letters(self._told)
+        return messages.no_discs(self._seen, stamp - since, self._absence), strip_digits(told) != strip_digits(
+            self._told
+        )
 
     def _forget(self) -> None:
         self._since: float | None = None  # s, stamp of the first frame in which the ball was not tracked

@@ -12,13 +12,13 @@ from scipy.stats import multivariate_normal
 
 from spheremouse.ball.constellation import evidence
 from spheremouse.ball.constellation import hypotheses as kernel
-from spheremouse.ball.constellation.identify import Model, attitude
+from spheremouse.ball.constellation.identify import IdentificationPrior, attitude
 from spheremouse.geometry import matching
 from spheremouse.geometry.rotation import align, exp, log, tangent_basis
 
 CAMERA = np.array([0.0, 0.0, 1.0])
 HORIZON = 0.25
-MODEL = Model()
+MODEL = IdentificationPrior()
 AREA = 2.0 * np.pi * (1.0 - HORIZON)
 
 

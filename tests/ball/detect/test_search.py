@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 from spheremouse.ball.detect.appearance import Appearance, appearance, ball_mask
 from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detector
 from spheremouse.ball.detect.projection import GREY, NEGATIVE
-from spheremouse.ball.detect.search import SearchState, candidate_pixels, went
+from spheremouse.ball.detect.search import SearchState, candidate_pixels, update_rejections
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 
@@ -242,7 +242,7 @@ def test_struts_and_shadows_cost_next_to_nothing(kind):
     for _ in range(256):
         places = look(image, state)
         counts.append(len(places))
-        state = went(state, places, 1)
+        state = update_rejections(state, places, 1)
     assert max(counts) <= 4
     if kind == "struts":  # what runs a little askew to the neighbours is a candidate, all along, until it is put off
         assert sum(counts) <= 256
@@ -277,7 +277,7 @@ def rejected_at(n_turns, gone=0):
             assert distances(places, centre)[0] < 1.0
             assert len(places) == 1
             turns.append(turn)
-        state = went(state, places, 1)
+        state = update_rejections(state, places, 1)
     return np.array(turns), state
 
 
@@ -292,15 +292,15 @@ def test_a_place_where_nothing_is_any_more_is_forgotten():
     _, state = rejected_at(120, gone=10)
     assert np.all(state.until <= state.turn)
     far = np.array([[340.0, 200.0]])
-    assert_array_equal(went(state, far, 1).rejected, far)
+    assert_array_equal(update_rejections(state, far, 1).rejected, far)
 
 
 def test_a_rejected_place_hides_no_disc_beside_it():
     """What is two radii away from a bolt is another thing."""
     centres = np.array([[300.3, 250.6], [322.0, 251.0]])
     image = photo(drawn(centres, np.repeat(36.0 * np.eye(2)[None], 2, axis=0)))
-    state = went(SearchState(), centres[:1], 1)
-    places = np.concatenate([look(image, went_on) for went_on in (state, went(state, NOWHERE, 1))])
+    state = update_rejections(SearchState(), centres[:1], 1)
+    places = np.concatenate([look(image, went_on) for went_on in (state, update_rejections(state, NOWHERE, 1))])
     assert distances(places, centres)[1] < 1.0
     assert distances(places, centres)[0] > 10.0
 
@@ -309,7 +309,7 @@ def test_places_remembered_are_bounded():
     rng = np.random.default_rng(8)
     state = SearchState()
     for _ in range(200):
-        state = went(state, rng.uniform(100.0, 400.0, (4, 2)), 1)
+        state = update_rejections(state, rng.uniform(100.0, 400.0, (4, 2)), 1)
         assert len(state.rejected) == len(state.until) == len(state.wait) <= 256
     assert state.turn == 200
 
