@@ -17,29 +17,29 @@ from spheremouse.capture.fetch import Capture
 from spheremouse.capture.newest import LatestFrame
 from spheremouse.capture.signals import SignalHandler, on_hang_up
 from spheremouse.output.pointer import Counts, minus, plus
-from spheremouse.output.sparing import Sparing
+from spheremouse.output.rate_limited_logger import RateLimitedLogger
 from spheremouse.output.third_axis import left_out
-from spheremouse.session.answers import Answers
 from spheremouse.session.arrivals import Arrivals
+from spheremouse.session.call_queue import CallQueue
 from spheremouse.session.cameras import held
 from spheremouse.session.changes import given
-from spheremouse.session.control.desk import Asked
-from spheremouse.session.control.doors import Doors
+from spheremouse.session.command_handler import CommandHandler
+from spheremouse.session.config_reloader import READING, ConfigReloader
+from spheremouse.session.control.endpoints import Endpoints
 from spheremouse.session.control.protocol import Request, refused
 from spheremouse.session.control.reply import Reply
-from spheremouse.session.errands import Errands
-from spheremouse.session.follower import MAP, POSE, TARGETS, Follower, Setup, Tracked
-from spheremouse.session.judgement import Judgement
-from spheremouse.session.loader import READING, Loader
+from spheremouse.session.control.request_queue import Asked
+from spheremouse.session.follower import MAP, POSE, TARGETS, FrameResult, Setup, TrackerAdapter
 from spheremouse.session.outputs import OUTPUT, Outputs
 from spheremouse.session.plan import Plan
 from spheremouse.session.plan import Request as PlanRequest
 from spheremouse.session.process import realtime
 from spheremouse.session.process.notify import Notifier
-from spheremouse.session.process.threads import Crew, begin
+from spheremouse.session.process.threads import WorkerPool, begin
 from spheremouse.session.process.usage import CpuShare, memory_mb
 from spheremouse.session.record.archive import RECORDING, SNAPSHOT, Archive
 from spheremouse.session.record.places import recordings_folder, tidy
+from spheremouse.session.state_monitor import StateMonitor
 from spheremouse.session.states import State
 from spheremouse.session.worker import Worker
 
@@ -48,7 +48,7 @@ _EVERY = 1.0  # s between two looks at files, and at what the process takes
 _COMPILING = 900.0  # s that a small computer may take for it
 _USELESS = 5.0  # s of frames that cannot be used, after which the camera is opened anew
 
-Show = Callable[[Tracked, Follower], None]
+Show = Callable[[FrameResult, TrackerAdapter], None]
 
 
 class Daemon:
@@ -72,20 +72,20 @@ class Daemon:
         many of them.
         """
         self._setup, self._reopen, self._print, self._show, self._limit = setup, reopen, say, show, frames
-        self._say = Sparing(self._say_now)  # from any thread; of each kind one line a second
+        self._say = RateLimitedLogger(self._say_now)  # from any thread; of each kind one line a second
         self._began = self._looked = self._cured = time.monotonic()
         self._over = self._finished = False
         self._cpu = CpuShare()
         self._scheduling = "usual scheduling"
         self._notifier = Notifier()
-        self._doors = Doors(self.handle, self._say)
+        self._doors = Endpoints(self.handle, self._say)
         self._stack = contextlib.ExitStack()
         self._stack.callback(self._doors.close)
         self._ring = LatestFrame()
-        self._errands = Errands(self._ring.wake, self._say)
+        self._errands = CallQueue(self._ring.wake, self._say)
         ask = self._errands.ask
-        self._crew = Crew((READING, TARGETS, POSE, MAP, OUTPUT, RECORDING, SNAPSHOT), self._say)
-        self._loader = Loader(request, plan, setup, self._prepare, crew=self._crew, ask=ask, say=self._say)
+        self._crew = WorkerPool((READING, TARGETS, POSE, MAP, OUTPUT, RECORDING, SNAPSHOT), self._say)
+        self._loader = ConfigReloader(request, plan, setup, self._prepare, crew=self._crew, ask=ask, say=self._say)
         self._archive = Archive(self._crew, ask, self._say)
         self._capture = Capture(open_camera, self._ring, self._say)
         self._arrivals = Arrivals()
@@ -93,10 +93,10 @@ class Daemon:
         self._worker = Worker(follower, self._say)
         self._outputs = Outputs(follower.outputs, plan.configuration.pointer, say=self._say, crew=self._crew, ask=ask)
         self._counts: Counts = (0, 0, 0)  # of all frames
-        self._judgement = Judgement(
+        self._judgement = StateMonitor(
             self._worker, self._capture, self._arrivals, self._outputs, say=self._say, tell=self._notifier.status
         )
-        self._answers = Answers(
+        self._answers = CommandHandler(
             self._worker,
             self._judgement,
             self._loader,
@@ -127,7 +127,7 @@ class Daemon:
         return self._finished
 
     @property
-    def follower(self) -> Follower:
+    def follower(self) -> TrackerAdapter:
         """What follows the ball: another one after a change of the device."""
         return self._worker.follower
 
@@ -186,7 +186,7 @@ class Daemon:
             self._tend(now)
             self._over |= self._outputs.ended
 
-    def _pass_on(self, made: Tracked, taken: float) -> None:
+    def _pass_on(self, made: FrameResult, taken: float) -> None:
         """What a frame gave, to all that want it; the pointer first."""
         # where the output has come back since this was judged, the next frame is the first one for it
         self._outputs.give(made.report, taken, self._judgement.state is not State.FAILED_OUTPUT)
@@ -198,7 +198,7 @@ class Daemon:
 
     def _judge(self, now: float) -> None:
         """State and reason. Without frames the pointer is not carried on, and what needs them is not waited for."""
-        if self._judgement.renew(now):
+        if self._judgement.update(now):
             self._outputs.rest(now)
             self.follower.interrupted(self._judgement.reason)
             self._archive.interrupted(self._judgement.reason)
@@ -313,7 +313,7 @@ class Daemon:
             self._outputs.pause(False)
 
     def _prepare(self, plan: Plan, changed: list[str]) -> Callable[[], bool]:
-        """The way to another plan, as `Loader` wants it."""
+        """The way to another plan, as `ConfigReloader` wants it."""
         change = self.follower.prepare(plan, changed)
         if "output" in changed:
             self._outputs.exchange(change.outputs, plan.configuration.pointer)
@@ -322,17 +322,17 @@ class Daemon:
         elif "axes" in changed:
             self._outputs.exchange_others(change.outputs[1:], plan.configuration.pointer)
 
-        def go_over() -> bool:
+        def apply() -> bool:
             another = not {"tracker", "motion", "rig", "balls"}.isdisjoint(changed)
             ended = another and self._archive.configuration_changes()
-            self._worker.follower = change.go_over()
+            self._worker.follower = change.apply()
             if "source" in changed:
                 self._capture.reopen(self._reopen(plan))
             if "pointer" in changed and "output" not in changed:
                 self._outputs.change(plan.configuration.pointer)
             return ended
 
-        return go_over
+        return apply
 
     # ---- the status ----
 

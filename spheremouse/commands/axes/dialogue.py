@@ -12,7 +12,7 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import MotionSettings, Player
 from spheremouse.output.gestures import Understood, Watch, understood
 from spheremouse.session.directions import Directions, of_ball, of_hand
-from spheremouse.session.follower import Follower, Tracked
+from spheremouse.session.follower import FrameResult, TrackerAdapter
 from spheremouse.session.screen import Tally
 from spheremouse.session.settings import Configuration
 
@@ -90,7 +90,7 @@ class Dialogue:
         """Lines of the run."""
         print(text, file=sys.stderr, flush=True)
 
-    def show(self, made: Tracked, follower: Follower) -> None:
+    def show(self, made: FrameResult, follower: TrackerAdapter) -> None:
         """Look at the motion of a frame."""
         self.tally.add(made.report.counts, sum(made.seconds.values()))
         motion = made.report.motion
