@@ -32,7 +32,7 @@ from spheremouse.errors import ConfigurationError, ControlError
 from spheremouse.files.rig import rig_text
 from spheremouse.output import reporter as reporter_module
 from spheremouse.session import arrivals as arrivals_module
-from spheremouse.session import loader as loader_module
+from spheremouse.session import config_reloader as loader_module
 from spheremouse.session import service as run_module
 from spheremouse.session.ball.setup import BallSetup
 from spheremouse.session.control.client import Client
