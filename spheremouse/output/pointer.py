@@ -1,14 +1,15 @@
-"""Counts per frame -> the pointer's course between frames, predicted forward, without loss or double counting.
+"""Predict the pointer between frames, without losing counts and without sending them twice.
 
-Takes what each frame brings, whole counts and the filter's rate in counts per second; says for any later time the sum
-of counts that should have been sent by then. Sums are whole numbers, only the prediction is a real one. All times are
-of one clock, on which frames are stamped and reports are made. docs/pointer.md shows what comes out.
+The input is one record a frame: whole counts, and the filter's rate in counts per second. The output is the sum of
+counts that is due at any later time. Sums are whole numbers; only the prediction is a real number. Frame stamps and
+report times are on the same clock. docs/pointer.md shows the effect.
 
-Per axis, in the direction `way` of the last counts: the sum is K + way (kept + u) with K the sum over all frames. From
-where the pointer is when a frame comes, u goes in a straight line to where the prediction will be some time before the
-next frame, and then along the prediction, speed x age + acceleration x age² / 2, up to `horizon` or until the ball
-would stand still. It never runs back. What a frame shows to be too far stays, `ahead`, until the ball has caught up;
-when the ball turns round instead, it stays as `kept` until the ball comes back.
+For each axis the sum is `truth + direction * (overshoot + u)`. `truth` is the sum over all frames, `direction` the sign
+of the last counts. When a frame comes, u starts at the pointer's position and goes in a straight line to the prediction
+for a time before the next frame. Then it follows the prediction, `speed * age + acceleration * age² / 2`, until
+`horizon` or until the ball would stop. u never decreases. If a frame shows that the pointer went too far, the excess
+stays in `ahead` until the ball has caught up. If the ball reverses instead, the excess stays in `overshoot` until the
+ball comes back.
 """
 
 from dataclasses import dataclass, replace
@@ -18,13 +19,13 @@ from spheremouse.settings import param
 
 Counts = tuple[int, int, int]  # x, y and third axis
 
-_DUE = 1e-6  # counts; as much is missing by rounding alone
-_FULL = 2.0  # from rest at constant acceleration the end is twice as fast as the mean
+_ROUNDING_TOLERANCE = 1e-6  # counts
+_MAX_SPEED_RATIO = 2.0  # final to mean speed; 2 is that of constant acceleration from rest
 
 
 @dataclass(frozen=True, slots=True)
 class PointerSettings:
-    """From frames to reports."""
+    """Settings of the steps from frames to reports."""
 
     rate: float = param(
         250.0,
@@ -53,73 +54,78 @@ class PointerSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
-    """One axis from one frame to the next. Offsets are counts beyond `truth` + `way` x `kept`, along `way`."""
+class AxisTrajectory:
+    """One axis from one frame to the next. Offsets are counts along `direction`, from `truth` with `overshoot`."""
 
     truth: int = 0  # counts, sum over all frames
-    way: int = 0  # -1 or 1, direction of the last counts; 0: there were none
-    kept: int = 0  # counts, never above 0: overshoot of the other direction
+    direction: int = 0  # -1 or 1, sign of the last counts; 0: no counts yet
+    overshoot: int = 0  # counts, 0 or negative: excess from before the last reversal
     ahead: int = 0  # counts, offset that the ball has to catch up with
-    start: int = 0  # counts, offset at `began`
-    goal: float = 0.0  # counts, offset at `ends`
-    began: float = 0.0  # s
-    ends: float = 0.0  # s
-    speed: float = 0.0  # counts/s, never below 0
+    start: int = 0  # counts, offset at `start_time`
+    goal: float = 0.0  # counts, offset at `goal_time`
+    start_time: float = 0.0  # s
+    goal_time: float = 0.0  # s
+    speed: float = 0.0  # counts/s, 0 or positive
     acceleration: float = 0.0  # counts/s²
     stamp: float = 0.0  # s, of the frame
-    last: float = 0.0  # s, end of the prediction, before which the speed does not fall below 0
+    prediction_end: float = 0.0  # s; the speed stays positive until then
 
     def at(self, now: float) -> int:
-        """Sum of counts that should have been sent by `now`, which is not before the frame came."""
-        if now < self.ends:
-            u = self.start + (self.goal - self.start) * (now - self.began) / (self.ends - self.began)
+        """Return the sum of counts that is due at `now` (s), which is not before the frame came."""
+        if now < self.goal_time:
+            duration = self.goal_time - self.start_time
+            u = self.start + (self.goal - self.start) * (now - self.start_time) / duration
         else:
             u = max(self.ahead, self.predicted(now))
-        return self.truth + self.way * (self.kept + floor(u + _DUE))
+        return self.truth + self.direction * (self.overshoot + floor(u + _ROUNDING_TOLERANCE))
 
     def predicted(self, now: float) -> float:
-        """Counts that the ball goes on from its frame to `now`."""
-        age = min(now, self.last) - self.stamp
+        """Return the counts that the ball is predicted to make between its frame and `now` (s)."""
+        age = min(now, self.prediction_end) - self.stamp
         return age * (self.speed + 0.5 * self.acceleration * age)
 
     @property
     def until(self) -> float:
-        """s; nothing is due later."""
+        """Time (s) after which nothing is due."""
         if self.speed > 0.0:
-            return max(self.ends, self.last)
-        return self.ends if self.start < self.goal else self.began
+            return max(self.goal_time, self.prediction_end)
+        return self.goal_time if self.start < self.goal else self.start_time
 
 
 @dataclass(frozen=True, slots=True)
 class Resampler:
     """All axes from one frame to the next."""
 
-    courses: tuple[Course, Course, Course] = (Course(), Course(), Course())
+    trajectories: tuple[AxisTrajectory, AxisTrajectory, AxisTrajectory] = (
+        AxisTrajectory(),
+        AxisTrajectory(),
+        AxisTrajectory(),
+    )
     stamp: float | None = None  # s, of the last frame
     rate: tuple[float, float, float] | None = None  # counts/s, of the last frame; None: it was not tracked
-    interval: float = 0.0  # s between the last two frames; 0: not known
-    until: float = 0.0  # s; nothing is due later, until there is a new frame
+    interval: float = 0.0  # s between the last two frames; 0: unknown
+    until: float = 0.0  # s; nothing is due later, until the next frame
 
     @property
     def truth(self) -> Counts:
         """Sum of the counts of all frames."""
-        x, y, z = self.courses
+        x, y, z = self.trajectories
         return x.truth, y.truth, z.truth
 
 
 def plus(a: Counts, b: Counts) -> Counts:
-    """Sum, axis by axis."""
+    """Return a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def minus(a: Counts, b: Counts) -> Counts:
-    """Difference, axis by axis."""
+    """Return a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 def due(resampler: Resampler, now: float) -> Counts:
-    """Sum of counts that should have been sent by `now`."""
-    x, y, z = resampler.courses
+    """Return the sum of counts that is due at `now` (s)."""
+    x, y, z = resampler.trajectories
     return x.at(now), y.at(now), z.at(now)
 
 
@@ -133,61 +139,75 @@ def take(
     tracking: bool,
     settings: PointerSettings,
 ) -> Resampler:
-    """A frame of time `stamp` that comes at `now`: its counts, and the rate (counts/s) to carry on with.
+    """Return the trajectories after a frame of time `stamp` (s), with its counts and rate (counts/s), came at `now`.
 
-    `sent` are the sums sent so far. While not `tracking` nothing is predicted, and counts are due at once.
+    `sent` are the sums sent so far. If not `tracking`, nothing is predicted and all counts are due at once.
     """
     interval = 0.0 if resampler.stamp is None else max(stamp - resampler.stamp, 0.0)
     horizon = settings.horizon if tracking and interval > 0.0 else 0.0
-    # Where a frame was dropped the interval is twice the one before, yet the next frame comes at the usual time.
+    # After a dropped frame the interval is twice as long, but the next frame still comes at the usual time.
     usual = min(interval, resampler.interval) or interval
-    ends = now + min(settings.smooth * usual, horizon)
-    began = now - 1.0 / settings.rate  # a report stands until the next one: the first has its share of the way
-    before = resampler.rate or rate
-    taken = min(stamp, now)  # a stamp ahead of the clock would have it run back to the frame
+    goal_time = now + min(settings.smooth * usual, horizon)
+    start_time = now - 1.0 / settings.rate  # the first report already has one period's part of the line
+    previous = resampler.rate or rate
+    taken = min(stamp, now)  # a stamp in the future would make the prediction run back
     a, b, c = (
-        _take(course, s, n, began, ends, taken, _foresight(n, r0, r, interval, horizon))
-        for course, s, n, r0, r in zip(resampler.courses, sent, counts, before, rate, strict=True)
+        _take(axis, s, n, start_time, goal_time, taken, _prediction(n, r0, r, interval, horizon))
+        for axis, s, n, r0, r in zip(resampler.trajectories, sent, counts, previous, rate, strict=True)
     )
     until = max(a.until, b.until, c.until)
     return Resampler((a, b, c), stamp, rate if tracking else None, interval, until)
 
 
-def _foresight(counts: int, before: float, rate: float, interval: float, horizon: float) -> tuple[float, float, float]:
-    """Speed (counts/s) in the direction of the counts, acceleration (counts/s²), and for how long they hold (s).
+def _prediction(
+    counts: int, previous_rate: float, rate: float, interval: float, horizon: float
+) -> tuple[float, float, float]:
+    """Return speed (counts/s) along the counts, acceleration (counts/s²) and duration (s) of the prediction.
 
-    From the rates at either end of the interval. At rest rates are noise, and where a filter has gone astray they may
-    be anything, even no numbers: what the counts do not bear out is not believed. The mean speed up to the horizon is
-    not above `full`.
+    The acceleration comes from the rates at both ends of the interval. At rest the rates are noise, and a filter that
+    diverged may return any rate, also NaN. So the counts limit the prediction: up to the horizon its mean speed is at
+    most `_MAX_SPEED_RATIO` times the mean speed of the frame.
     """
     if interval <= 0.0 or horizon <= 0.0:
         return 0.0, 0.0, 0.0
-    way = 1.0 if counts > 0 else -1.0
-    full = _FULL * abs(counts) / interval
-    speed = min(max(0.0, way * rate), full)  # 0 for a rate that is no number
-    acceleration = min(way * (rate - before) / interval, 2.0 * (full - speed) / horizon)
+    direction = 1.0 if counts > 0 else -1.0
+    limit = _MAX_SPEED_RATIO * abs(counts) / interval
+    speed = min(max(0.0, direction * rate), limit)  # max returns 0 for NaN
+    acceleration = min(direction * (rate - previous_rate) / interval, 2.0 * (limit - speed) / horizon)
     if speed <= 0.0 or not isfinite(acceleration):
         return speed, 0.0, horizon
     return speed, acceleration, min(horizon, -speed / acceleration if acceleration < 0.0 else inf)
 
 
 def _take(
-    course: Course,
+    axis: AxisTrajectory,
     sent: int,
     counts: int,
-    began: float,
-    ends: float,
+    start_time: float,
+    goal_time: float,
     stamp: float,
-    foresight: tuple[float, float, float],  # as `_foresight` gives it
-) -> Course:
-    speed, acceleration, lasts = foresight
-    way = 1 if counts > 0 else -1 if counts < 0 else course.way
-    kept = course.kept
-    if way != course.way:
-        lead = max(course.way * (sent - course.truth) - kept, 0)
-        kept = min(-kept - lead, 0)
-    truth = course.truth + counts
-    start = way * (sent - truth) - kept
+    prediction: tuple[float, float, float],  # as `_prediction` returns it
+) -> AxisTrajectory:
+    speed, acceleration, duration = prediction
+    direction = 1 if counts > 0 else -1 if counts < 0 else axis.direction
+    overshoot = axis.overshoot
+    if direction != axis.direction:
+        lead = max(axis.direction * (sent - axis.truth) - overshoot, 0)
+        overshoot = min(-overshoot - lead, 0)
+    truth = axis.truth + counts
+    start = direction * (sent - truth) - overshoot
     ahead = max(start, 0)
-    new = Course(truth, way, kept, ahead, start, 0.0, began, ends, speed, acceleration, stamp, stamp + lasts)
-    return replace(new, goal=max(float(ahead), new.predicted(ends)))
+    new = AxisTrajectory(
+        truth=truth,
+        direction=direction,
+        overshoot=overshoot,
+        ahead=ahead,
+        start=start,
+        start_time=start_time,
+        goal_time=goal_time,
+        speed=speed,
+        acceleration=acceleration,
+        stamp=stamp,
+        prediction_end=stamp + duration,
+    )
+    return replace(new, goal=max(float(ahead), new.predicted(goal_time)))

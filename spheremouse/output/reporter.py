@@ -86,8 +86,8 @@ class OutputThread:
         """
         self._open, self._settings, self._say, self._clock = open_output, settings, say, clock
         # A lock as a bell: it is rung by releasing it. Unlike a condition it never makes the one who rings wait.
-        self._bell = threading.Lock()
-        self._bell.acquire()
+        self._wakeup = threading.Lock()
+        self._wakeup.acquire()
         self._given: deque[_Given] = deque()
         self._sum, self._overflow = _NONE, _NONE  # counts given, and of these pushed out of the queue
         self._over = self._paused = self._ended = False
@@ -108,7 +108,7 @@ class OutputThread:
         self._thread = threading.Thread(target=self._run, name="reporter", daemon=True)
         begin(self._thread)
 
-    def give(self, report: Report, taken: float, wanted: bool = True) -> None:
+    def submit(self, report: Report, taken: float, wanted: bool = True) -> None:
         """A frame's report and the time (s, of the clock) it was taken. Never waits.
 
         What is not `wanted` is counted as unsent, as it is during a pause.
@@ -118,18 +118,18 @@ class OutputThread:
         if len(self._given) > QUEUED:
             with contextlib.suppress(IndexError):  # the thread was quicker
                 self._overflow = plus(self._overflow, self._given.popleft().report.counts)
-        self._ring()
+        self._wake_thread()
         self.failed  # noqa: B018  a look at whether the output hangs
 
     def rest(self, now: float) -> None:
         """Carry nothing on: no frame will say whether it is true."""
         self._given.append(_Given(no_report(now), now, True, self._clock(), frame=False))
-        self._ring()
+        self._wake_thread()
 
     def pause(self, paused: bool) -> None:
         """While paused nothing is sent; what comes meanwhile is counted as unsent."""
         self._paused = paused
-        self._ring()
+        self._wake_thread()
 
     def change(self, settings: PointerSettings) -> None:
         """Other settings, from the next frame on."""
@@ -188,14 +188,14 @@ class OutputThread:
     def close(self) -> None:
         """Close the output; waits for it, if it does not take too long. One that hangs is left behind."""
         self._over = True
-        self._ring()
+        self._wake_thread()
         if self._thread.ident is None:  # it was never begun
             return
         self._thread.join(HANGS if self._doing is not None and self._doing.hangs else _JOIN)
 
-    def _ring(self) -> None:
+    def _wake_thread(self) -> None:
         with contextlib.suppress(RuntimeError):  # it rings already
-            self._bell.release()
+            self._wakeup.release()
 
     # ---- the thread ----
 
@@ -209,7 +209,7 @@ class OutputThread:
                     self._fail(f"internal error: {_reason(e)}", e)
                 left = self._wake() - self._clock()
                 if left > 0.0:
-                    self._bell.acquire(timeout=min(left, threading.TIMEOUT_MAX))
+                    self._wakeup.acquire(timeout=min(left, threading.TIMEOUT_MAX))
         finally:
             self._close(None)
             self._drop_queue()
