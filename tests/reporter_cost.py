@@ -132,7 +132,7 @@ def measure(camera: Callable[[Give, float], None], rate: float, seconds: float) 
 
     def give(report: Report) -> None:
         sink.given[report.motion.stamp] = time.monotonic()
-        reporter.give(report, report.motion.stamp)
+        reporter.submit(report, report.motion.stamp)
 
     thread = threading.Thread(target=camera, args=(give, time.monotonic() + seconds))
     clock = time.pthread_getcpuclockid(reporter._thread.ident)

@@ -1,9 +1,10 @@
-"""The six axes of hand-held balls as text: one line per ball and frame, after two lines that begin with `#`.
+"""Write the six axes of hand-held balls as text: one line a ball and frame, after two header lines that begin with `#`.
 
-The first names the columns and nothing else, as `numpy.genfromtxt(names=True)` wants it; the second has their units.
-`t x y z yaw pitch roll sx sy sz syaw spitch sroll dx dy dz ball state`: s, m and degrees (`wand.axes`), standard
-deviations of the six, counts of the pointer (those of the ball that moves it, 0 of others), number of the ball from 1,
-and searching, tracking, hidden (predicted, not seen) or lost. What is not known is nan. Files as in `output.text`.
+The first header line has the column names alone, as `numpy.genfromtxt(names=True)` requires. The second has the units.
+`t x y z yaw pitch roll sx sy sz syaw spitch sroll dx dy dz ball state`: time, position and angles in s, m and degrees
+(`wand.axes`), the six standard deviations, the counts of the pointer, the number of the ball from 1, and its state. The
+counts are 0 for a ball that does not move the pointer. The states are searching, tracking, hidden (predicted, not seen)
+and lost. Unknown values are nan. Files open as in `output.text`.
 """
 
 from collections import OrderedDict
@@ -20,53 +21,53 @@ from spheremouse.wand.state import WandPose
 NAMES = "# t x y z yaw pitch roll sx sy sz syaw spitch sroll dx dy dz ball state"
 UNITS = "# s; m and degrees before the camera; their standard deviations; counts; number; a word"
 HEADER = f"{NAMES}\n{UNITS}"
-_WAITING = 512  # frames whose report never came, at most: those of an output that failed
+_MAX_FRAMES = 512  # without a report: while an output fails, its reports do not come
 
 
-class AxesOutput:
-    """Where the axes go: told of each frame's poses before its report is sent, by whoever sends reports."""
+class PoseLog:
+    """Poses of the frames whose reports have not been sent. Push the poses of a frame before you send its report."""
 
     def __init__(self, argument: str) -> None:
-        """`argument` as of an output `text:`."""
+        """Take `argument` as the output `text:` does."""
         self._argument = argument
         self._poses: OrderedDict[float, tuple[int, tuple[WandPose, ...]]] = OrderedDict()  # by the frame's stamp
 
-    def expect(self, stamp: float, poses: tuple[WandPose, ...], points: int = 0) -> None:
-        """The poses of the frame whose report comes next, and the index of the ball it moves by; from any thread."""
+    def push(self, stamp: float, poses: tuple[WandPose, ...], points: int = 0) -> None:
+        """Add the poses of a frame and the index of the ball that moves the pointer, from any thread."""
         self._poses[stamp] = points, poses
-        while len(self._poses) > _WAITING:
+        while len(self._poses) > _MAX_FRAMES:
             self._poses.popitem(last=False)
 
     def open(self) -> "AxesText":
-        """The output; opened anew where it has failed."""
+        """Open the output, which writes these poses."""
         return AxesText(*text.begin(self._argument, NAMES), self)
 
     def lines(self, report: Report) -> list[str]:
-        """What there is to be written of a frame."""
+        """Return the lines of the frame of a report, and forget its poses."""
         stamp = report.motion.stamp
         points, poses = self._poses.pop(stamp, (0, ()))
         return [line(stamp, pose, report.counts if k == points else (0, 0, 0), k + 1) for k, pose in enumerate(poses)]
 
 
 class AxesText(Text):
-    """Writes a line per ball with each report."""
+    """Writes one line a ball with each report."""
 
-    def __init__(self, file: TextIO, name: str, axes: AxesOutput) -> None:
+    def __init__(self, file: TextIO, name: str, poses: PoseLog) -> None:
         super().__init__(file, name, HEADER)
-        self._axes = axes
+        self._poses = poses
 
     def send(self, report: Report) -> None:
         """Write the frame's lines."""
-        for made in self._axes.lines(report):
-            self._write(made)
+        for text_line in self._poses.lines(report):
+            self._write(text_line)
 
     def describe(self, report: Report) -> str:
-        """The lines are of poses, which a report alone does not have."""
+        """Return nothing, because a report has no poses."""
         return ""
 
 
 def line(stamp: float, pose: WandPose, counts: tuple[int, int, int], number: int) -> str:
-    """A ball in a frame as a line: positions to a micrometre, angles to 0.0001 degrees."""
+    """Return a ball in a frame as a line: positions to a micrometre, angles to 0.0001 degrees."""
     position = angles = position_sigma = angles_sigma = np.full(3, np.nan)
     if pose.position is not None and pose.rotation is not None and pose.covariance is not None:
         axes = axes_of(pose.position, pose.rotation, pose.covariance)

@@ -48,9 +48,9 @@ class Outputs:
 
     def give(self, report: Report, taken: float, wanted: bool) -> None:
         """A frame's report, taken at a time (s); the pointer first, which may not want it."""
-        self.pointer.give(report, taken, wanted)
+        self.pointer.submit(report, taken, wanted)
         for other in self.others:
-            other.give(report, taken)
+            other.submit(report, taken)
         self._given = plus(self._given, report.counts)
 
     def rest(self, now: float) -> None:

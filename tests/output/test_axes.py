@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from spheremouse.errors import OutputError
 from spheremouse.output import OutputClosed
-from spheremouse.output.axes import HEADER, NAMES, AxesOutput, AxesText
+from spheremouse.output.axes import HEADER, NAMES, AxesText, PoseLog
 from spheremouse.tracker import Status
 from spheremouse.wand.axes import UPRIGHT, attitude, axes_of, wrapped
 from spheremouse.wand.state import WandPose
@@ -83,13 +83,13 @@ def written(output, *frames, points=0):
     file = io.StringIO()
     sink = AxesText(file, "here", output)
     for stamp, poses, counts in frames:
-        output.expect(stamp, poses, points)
+        output.push(stamp, poses, points)
         sink.send(report(*counts, stamp=stamp))
     return file.getvalue().splitlines()
 
 
 def test_a_line_per_ball_and_frame_with_as_many_columns_as_the_header_names():
-    lines = written(AxesOutput("-"), (0.1, (FOUND, GONE), (1, -2, 3)), (0.2, (HIDDEN, GONE), (0, 0, 0)), points=1)
+    lines = written(PoseLog("-"), (0.1, (FOUND, GONE), (1, -2, 3)), (0.2, (HIDDEN, GONE), (0, 0, 0)), points=1)
     assert lines[:2] == HEADER.splitlines()
     rows = [dict(zip(NAMES.split()[1:], line.split(), strict=True)) for line in lines[2:]]
     assert [(r["t"], r["ball"], r["state"]) for r in rows] == [
@@ -108,7 +108,7 @@ def test_a_line_per_ball_and_frame_with_as_many_columns_as_the_header_names():
 
 
 def test_numpy_reads_the_columns_by_their_names():
-    lines = written(AxesOutput("-"), (0.1, (FOUND, GONE), (1, -2, 3)), (0.2, (HIDDEN, GONE), (0, 0, 0)))
+    lines = written(PoseLog("-"), (0.1, (FOUND, GONE), (1, -2, 3)), (0.2, (HIDDEN, GONE), (0, 0, 0)))
     text = "\n".join(lines)
     table = np.genfromtxt(io.StringIO(text), names=True, dtype=None, encoding="utf-8")
     assert list(table.dtype.names) == NAMES.split()[1:]
@@ -120,9 +120,9 @@ def test_numpy_reads_the_columns_by_their_names():
 
 
 def test_a_motion_without_poses_writes_nothing_and_poses_without_a_motion_are_forgotten():
-    output = AxesOutput("-")
+    output = PoseLog("-")
     for k in range(2000):
-        output.expect(float(k), (FOUND,))
+        output.push(float(k), (FOUND,))
     assert len(output._poses) < 1000
     assert written(output, (0.5, (), (0, 0, 0))) == HEADER.splitlines()
 
@@ -131,10 +131,10 @@ def test_files_of_another_kind_are_kept(tmp_path):
     path = tmp_path / "axes.txt"
     path.write_text("# stamp dx dy dz rx ry rz wx wy wz\n0 1 2 3 0 0 0 0 0 0\n")
     with pytest.raises(OutputError, match="exists and is no log of motions"):
-        AxesOutput(str(path)).open()
+        PoseLog(str(path)).open()
     path.unlink()
     for times in (1, 2):  # one of its own is appended to
-        with AxesOutput(str(path)).open():
+        with PoseLog(str(path)).open():
             pass
         assert path.read_text() == times * (HEADER + "\n")
 
@@ -144,8 +144,8 @@ def test_a_reader_that_goes_ends_it_quietly():
         def write(self, _):
             raise BrokenPipeError
 
-    output = AxesOutput("-")
+    output = PoseLog("-")
     sink = AxesText(Gone(), "here", output)
-    output.expect(0.0, (FOUND,))
+    output.push(0.0, (FOUND,))
     with pytest.raises(OutputClosed):
         sink.send(report())

@@ -82,7 +82,7 @@ class WandSource:
         stamp, turn, turning = float(self._frames), (0.1, 0.2, 0.3), (1.0, 2.0, 3.0)
         given = report(*counts, stamp=stamp, rotation=turn, rate=turning, counts_rate=rate, confirmed=tracking)
         self.sum += counts
-        self._reporter.give(given, time.monotonic() if taken is None else taken, wanted)
+        self._reporter.submit(given, time.monotonic() if taken is None else taken, wanted)
 
 
 @pytest.fixture(autouse=True)
@@ -236,7 +236,7 @@ def test_at_rest_nothing_is_carried_on_and_an_output_of_frames_hears_nothing_of_
     given(0, 0, 0, taken=now - 0.01)
     given(100, 0, 0, rate=(1000.0, 0.0, 0.0), taken=now)
     reporter.rest(time.monotonic())
-    until(lambda: world.reports and not reporter._given)
+    until(lambda: world.reports and not reporter._queue)
     sent = world.sum
     time.sleep(0.3)
     assert world.sum == sent
@@ -339,7 +339,7 @@ def test_the_time_between_two_openings_grows(start, monkeypatch):
     world = World(missing=OutputError("not there"))
     reporter, _ = start(world)
     until(lambda: reporter._failures == 3)
-    assert reporter._again > time.monotonic() + 1800.0
+    assert reporter._retry_time > time.monotonic() + 1800.0
     assert world.opened == 3
 
 

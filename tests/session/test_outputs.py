@@ -99,7 +99,7 @@ def test_what_was_given_is_what_arrived_and_what_is_told_as_unsent(run):
         action()
     until(lambda: len(made.diary) == 11)
     made.give(1, 1, 1)
-    until(lambda: not made.outputs.pointer._given)
+    until(lambda: not any(made.outputs.pointer.queued))
     status, _ = made.outputs.status()
     until(lambda: np.array_equal(sum(s.counts for s in sinks) + made.outputs.status()[0]["unsent"], made.sum))
     assert status["failed"] is None

@@ -10,7 +10,7 @@ import numpy as np
 
 from spheremouse.errors import ConfigurationError, SourceError, SpheremouseError
 from spheremouse.output import Output, open_output
-from spheremouse.output.axes import AxesOutput
+from spheremouse.output.axes import PoseLog
 from spheremouse.output.pointer import Counts
 from spheremouse.output.wand_mapping import HandMapping
 from spheremouse.session.directions import of_hand
@@ -32,7 +32,7 @@ class WandFollower:
     """Frames in, motion out, for balls and their settings."""
 
     def __init__(
-        self, make: Make, plan: Plan, say: Callable[[str], None], axes: tuple[AxesOutput, ...] | None = None
+        self, make: Make, plan: Plan, say: Callable[[str], None], axes: tuple[PoseLog, ...] | None = None
     ) -> None:
         """`make` gives the tracker that a plan asks for, `axes` are those that go on. Raises ConfigurationError."""
         self._make, self._say = make, say
@@ -48,7 +48,7 @@ class WandFollower:
         self._take_on(plan, make(plan), axes_of(plan) if axes is None else axes)
         self._told = Told(self.points, self.tracker.balls[self.points].name)
 
-    def _take_on(self, plan: Plan, tracker: WandTracker, axes: tuple[AxesOutput, ...]) -> None:
+    def _take_on(self, plan: Plan, tracker: WandTracker, axes: tuple[PoseLog, ...]) -> None:
         self._plan, self.tracker, self._axes = plan, tracker, axes
         self.points = plan.configuration.wand.points - 1  # index of the ball that moves the pointer
         self.subject = WandSubject(tracker, plan.configuration)
@@ -85,7 +85,7 @@ class WandFollower:
         report = self._hand.report(epoch)
         self._motion = report.motion
         for axes in self._axes:
-            axes.expect(frame.stamp, self._poses, self.points)
+            axes.push(frame.stamp, self._poses, self.points)
         self._frames += 1
         self.status = self._poses[self.points].phase
         news = self._told.frame(frame.stamp, self._poses, frame.image)
@@ -180,7 +180,7 @@ class WandFollower:
         """Nothing is learnt of balls."""
 
 
-def axes_of(plan: Plan) -> tuple[AxesOutput, ...]:
+def axes_of(plan: Plan) -> tuple[PoseLog, ...]:
     """Where the axes of a plan go. ConfigurationError where that is the same place twice."""
     kind, _, argument = plan.output.partition(":")
     places = [argument] if kind == "text" else []
@@ -189,10 +189,10 @@ def axes_of(plan: Plan) -> tuple[AxesOutput, ...]:
         if places and _place(argument) == _place(further):
             raise ConfigurationError(f"--axes {further}: is the output already, which has the axes; leave it out")
         places.append(further)
-    return tuple(map(AxesOutput, places))
+    return tuple(map(PoseLog, places))
 
 
-def outputs_of(plan: Plan, axes: tuple[AxesOutput, ...]) -> tuple[Callable[[], Output], ...]:
+def outputs_of(plan: Plan, axes: tuple[PoseLog, ...]) -> tuple[Callable[[], Output], ...]:
     """What opens the pointer's output, which is that of axes where it is text, and those of further axes."""
     opened = [a.open for a in axes]
     return tuple(opened) if plan.output.partition(":")[0] == "text" else (partial(open_output, plan.output), *opened)

@@ -215,7 +215,7 @@ class World:
     def check_laws(self):
         given = np.sum([r.counts for _, r in self.frames], axis=0) if self.frames else np.zeros(3)
         status = self.daemon._outputs.pointer.status()
-        left = np.sum([g.report.counts for g in self.daemon._outputs.pointer._given] or [(0, 0, 0)], axis=0)
+        left = np.array(self.daemon._outputs.pointer.queued)
         assert np.array_equal(self.counts + status.unsent + left, given)
         seen = {e.frame.stamp for e, _ in self.frames if e.poses[0].seen}
         assert all(m.motion.stamp in seen for m in self.sent if any(m.counts))
