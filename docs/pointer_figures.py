@@ -32,7 +32,6 @@ WAYS = {  # settings, and whether the rates tell an acceleration
     "the rate alone, no acceleration": (PointerSettings(), False),
     "corrected at once (smooth 0)": (PointerSettings(smooth=0.0), True),
     "the default": (PointerSettings(), True),
-    "smooth 1": (PointerSettings(smooth=1.0), True),
 }
 FILMS = {
     "somebody plays, 30 Hz": SimulationOptions(motion="play", seconds=20.0, noise=3.0),

@@ -30,27 +30,27 @@ class PointerSettings:
     rate: float = param(
         250.0,
         "Hz",
-        "reports while the pointer moves: more than screens show; four per frame at 60 Hz",
+        "reports while the pointer moves: more than a screen shows, and four a frame at 60 Hz",
         ge=125,
         le=1000,
     )
     horizon: float = param(
         0.1,
         "s",
-        "motion is carried on so far beyond a frame's stamp: an interval at 30 Hz and what a slow camera takes; "
-        "0 sends each frame's counts at once, exactly",
+        "length of the prediction after a frame's stamp: an interval at 30 Hz and the latency of a slow camera; 0 "
+        "sends the counts of each frame at once, exactly",
         ge=0,
         le=0.25,
     )
     smooth: float = param(
         0.5,
         "-",
-        "share of the interval between frames in which the pointer gets to where a frame says: more comes later and is "
-        "hardly smoother; 0 is at once",
+        "duration of a correction as a fraction of the frame interval: 0 corrects at once; values above 0.5 add delay "
+        "and hardly any smoothness",
         ge=0,
         le=1,
     )
-    text: bool = param(False, "-", "outputs text and null get a line per report as well, not one per frame")
+    text: bool = param(False, "-", "outputs text and null receive each report, not one line a frame")
 
 
 @dataclass(frozen=True, slots=True)

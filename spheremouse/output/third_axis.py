@@ -1,13 +1,10 @@
-"""The third axis of an output: the ball's spin about the vertical, sent where `third=` asks for it.
-
-An output whose mouse has no such axis of its own leaves it out unless it is told what to send it as.
-"""
+"""The option `third=` of mouse outputs: how they send the ball's spin, an axis that a mouse does not have."""
 
 from spheremouse.errors import OutputError
 
 NONE = "none"
-WAYS = {  # what `third=` of each kind may be besides `none`
-    "auto": ("wheel",),  # what all of them can
+WAYS = {  # values of `third=` for each kind, besides `none`
+    "auto": ("wheel",),  # the only one that all three outputs have
     "desktop": ("wheel",),
     "serial": ("wheel", "pan"),
     "uinput": ("wheel", "rz"),
@@ -15,26 +12,26 @@ WAYS = {  # what `third=` of each kind may be besides `none`
 _WORDS = {"wheel": "the wheel (REL_WHEEL_HI_RES)", "rz": "REL_RZ", "pan": "the sideways wheel (REL_HWHEEL_HI_RES)"}
 
 
-def checked(kind: str, way: str) -> str:
-    """What `third=` of an output was given, as it stands; OutputError where the output cannot do that."""
+def checked(kind: str, third: str) -> str:
+    """Return the value of `third=`. Raise OutputError if the output does not have it."""
     known = (NONE, *WAYS[kind])
-    if way not in known:
-        raise OutputError(f"{kind}: third={way}; write third= with one of {', '.join(known)}")
-    return way
+    if third not in known:
+        raise OutputError(f"{kind}: third={third}; write third= with one of {', '.join(known)}")
+    return third
 
 
 def left_out(spec: str) -> str:
-    """Why an output `KIND:ARGUMENT` sends no third axis, and what to write; empty where it does or nobody knows."""
+    """Return the hint for an output `KIND:ARGUMENT` that does not send the spin; empty if it does or is a plug-in."""
     kind, _, argument = spec.partition(":")
     if kind not in WAYS or _given(argument) != NONE:
         return ""
     ways = " or ".join(f"third={way}" for way in WAYS[kind])
     what = "the third axis (the ball's spin) is not sent"
-    return f"{what}: output {kind} has no `third=`; {ways} sends it (docs/third-axis.md)"
+    return f"{what}: output {kind} has no `third=`; {ways} sends it (docs/outputs.md)"
 
 
 def sent_as(spec: str) -> str:
-    """What an output sends the third axis as, in words; empty where it does not, or has no mouse."""
+    """Return the axis that carries the spin of an output `KIND:ARGUMENT`, in words; empty if there is none."""
     kind, _, argument = spec.partition(":")
     return _WORDS.get(_given(argument), "") if kind in WAYS else ""
 

@@ -32,7 +32,7 @@ def test_it_is_left_out_where_the_output_makes_nothing_of_a_spin(kind):
 def test_the_sentence_names_the_output_and_every_way_that_it_has():
     assert left_out("uinput") == (
         "the third axis (the ball's spin) is not sent: output uinput has no `third=`; "
-        "third=wheel or third=rz sends it (docs/third-axis.md)"
+        "third=wheel or third=rz sends it (docs/outputs.md)"
     )
     assert "output serial has no `third=`; third=wheel or third=pan" in left_out("serial:/dev/ttyACM0,baud=115200")
     assert left_out("serial:auto, third = pan ,id=E661") == ""
