@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from modules import insert
+from modules import insert, remove
 
 from spheremouse.capture import open_source
 from spheremouse.capture.settings import CameraSettings
@@ -45,13 +45,15 @@ def node(name):
 def vivid():
     """A function that says which node is the camera; the node may change."""
     insert("vivid", n_devs=1, node_types="0x101", num_inputs=1, input_types=0, num_outputs=1, output_types=0)
-    return lambda: node("vid-cap")
+    yield lambda: node("vid-cap")
+    remove("vivid")  # other tests in this guest load it their way
 
 
 @pytest.fixture(scope="module")
 def loopback():
     insert("v4l2loopback", video_nr=LOOPBACK, max_buffers=8)
-    return str(LOOPBACK)
+    yield str(LOOPBACK)
+    remove("v4l2loopback")
 
 
 def drain(camera):

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from film import SLOW
-from modules import insert
+from modules import insert, remove
 from numba.core.dispatcher import Dispatcher
 from seats import LOOKS
 
@@ -147,11 +147,6 @@ def _write(film, node, name, at, pipe):
                 break
             (way, interval), word, rested = asked, "played", 0
     device.close()
-
-
-def remove(name):
-    """Unload it, as soon as nobody has it open."""
-    until(lambda: subprocess.run(["/sbin/rmmod", name], check=False, capture_output=True).returncode == 0, f"no {name}")
 
 
 # ---- the mouse ----
