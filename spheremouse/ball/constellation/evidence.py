@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.ball.constellation.hypotheses import STEPS, ObservationModel
+from spheremouse.ball.constellation.hypotheses import STEPS, Law
 from spheremouse.geometry.matching import match
 from spheremouse.geometry.rotation import Array
 
@@ -43,7 +43,7 @@ def _solved(A: Array, g: Array) -> tuple[Array, float]:
 
 
 @njit(cache=True)
-def _sight(R: Array, known: Array, law: ObservationModel) -> tuple[Array, Array]:
+def _sight(R: Array, known: Array, law: Law) -> tuple[Array, Array]:
     """Known directions turned, (m, 3), and how likely each is seen, were none hidden, (m,)."""
     m = len(known)
     p, visible = np.empty((m, 3)), np.empty(m)
@@ -57,14 +57,14 @@ def _sight(R: Array, known: Array, law: ObservationModel) -> tuple[Array, Array]
 
 
 @njit(cache=True)
-def max_log_likelihood_ratio(variance: float, law: ObservationModel) -> float:
+def max_log_likelihood_ratio(variance: float, law: Law) -> float:
     """Log likelihood ratio of a direction that meets a disc in plain sight exactly, over one false direction more."""
     false = 2.0 * law.false_mean / (1.0 + law.false_mean) / law.area
     return math.log(law.detected / (1.0 - law.detected)) - math.log(2.0 * np.pi * variance * false)
 
 
 @njit(cache=True)
-def _worth(p: Array, visible: Array, seen: Array, variance: Array, wide: float, law: ObservationModel) -> Array:
+def _worth(p: Array, visible: Array, seen: Array, variance: Array, wide: float, law: Law) -> Array:
     """Log likelihood ratio, (n, m), of each direction being each known one, over being false and that one unseen."""
     n, m = len(seen), len(p)
     worth = np.full((n, m), -1.0)
@@ -106,7 +106,7 @@ def _normal_equations(p: Array, column: NDArray[np.intp], seen: Array, variance:
 
 @njit(cache=True)
 def refine(
-    R: Array, seen: Array, known: Array, variance: Array, law: ObservationModel, first: float
+    R: Array, seen: Array, known: Array, variance: Array, law: Law, first: float
 ) -> tuple[Array, NDArray[np.intp], Array, float]:
     """Alternate one-to-one pairs and Gauss-Newton steps of Wahba's problem, from attitude R, (3, 3).
 
@@ -144,7 +144,7 @@ def false_count(k: int, mean: float, area: float) -> float:
 
 @njit(cache=True)
 def evidence(
-    R: Array, column: NDArray[np.intp], det: float, seen: Array, known: Array, variance: Array, law: ObservationModel
+    R: Array, column: NDArray[np.intp], det: float, seen: Array, known: Array, variance: Array, law: Law
 ) -> float:
     """Log density of all that is and is not seen, over attitudes about R, all equally likely before (Laplace 1774).
 
@@ -178,7 +178,7 @@ def evidence(
 
 @njit(cache=True)
 def attitudes(
-    starts: Array, seen: Array, known: Array, variance: Array, law: ObservationModel, first: float
+    starts: Array, seen: Array, known: Array, variance: Array, law: Law, first: float
 ) -> tuple[Array, NDArray[np.intp], Array, Array]:
     """`refine` and `evidence` of each start, (h, 3, 3): rotations, columns (h, n), information (h, 3, 3), log evidence.
 
@@ -198,7 +198,7 @@ def attitudes(
 
 @njit(cache=True)
 def only_two(
-    R: Array, origin: NDArray[np.intp], seen: Array, known: Array, variance: Array, law: ObservationModel, most: int
+    R: Array, origin: NDArray[np.intp], seen: Array, known: Array, variance: Array, law: Law, most: int
 ) -> float:
     """Log evidence that nothing but the two directions that made it meets: of all hypotheses together, from a sample.
 

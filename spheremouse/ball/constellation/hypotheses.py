@@ -17,7 +17,7 @@ _SMALL = 1e-6  # squared sine of half an angle: such a pair, or its opposite, fi
 STEPS = 12  # of pairing and adjustment; most end after four
 
 
-class ObservationModel(NamedTuple):
+class Law(NamedTuple):
     """What is seen of a ball at a known attitude, as `constellation.IdentificationPrior` explains."""
 
     towards: Array  # (3,) unit vector from the ball to the camera

@@ -67,7 +67,7 @@ def attitude(
     points = np.ascontiguousarray(seen[central])
     n = len(points)
     area = 2.0 * math.pi * (1.0 - horizon)
-    law = kernel.ObservationModel(
+    law = kernel.Law(
         towards,
         horizon + model.limb,
         model.blur,

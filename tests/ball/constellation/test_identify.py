@@ -24,9 +24,7 @@ AREA = 2.0 * np.pi * (1.0 - HORIZON)
 
 def law(hidden=MODEL.hidden, scales=MODEL.scales):
     edge = HORIZON + MODEL.limb
-    return kernel.ObservationModel(
-        CAMERA, edge, MODEL.blur, 0.8, np.array(hidden), np.array(scales), MODEL.false_mean, AREA
-    )
+    return kernel.Law(CAMERA, edge, MODEL.blur, 0.8, np.array(hidden), np.array(scales), MODEL.false_mean, AREA)
 
 
 def visibility(cosine):
