@@ -33,7 +33,7 @@ _LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow
 _LINEAR = 0.02  # rad: a correction larger than that is made again about where it led
 _NONE = np.zeros(0, dtype=np.intp)
 _RARE = 1e-3  # probability per frame below which chance does not explain the pairs
-_FASTEST = 6.0  # rad/s, of a turn by hand
+_LARGE_TWIST = 6.0  # rad/s: a third of `loss.fastest`, it counts by its logarithm
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _STILL = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 _DETECTED = 0.8  # probability that a disc in view is seen: hands and struts hide some
@@ -60,9 +60,7 @@ class So3Filter:
     horizon: float  # least cosine with it of a disc that can be seen
     disc_angle: float  # rad, angular radius of a disc
     radius: float  # m, of the ball
-    considered: Array = field(
-        default_factory=lambda: np.zeros((CONSIDERED_DIM, CONSIDERED_DIM))
-    )  # of pose, centre and radius
+    considered: Array = field(default_factory=lambda: np.zeros(2 * (CONSIDERED_DIM,)))  # of pose, centre and radius
     readout_sigma: float = 0.0  # s, of the rolling shutter's time
 
     def initial(self, stamp: float, attitude: Array) -> So3State:
@@ -504,7 +502,7 @@ class So3Filter:
         m, n = len(state.discs), len(points)
         hits, missed, keep = np.empty(m, dtype=np.intp), np.empty(m, dtype=np.intp), np.empty(m, dtype=np.bool_)
         found = np.empty(n, dtype=np.intp)
-        s = self.settings
+        s, probability = self.settings, self.detection_probability(state)
         dropped, new, known_seen, known_missed = kernel.keep_map(
             state.attitude,
             state.discs,
@@ -512,7 +510,7 @@ class So3Filter:
             self.horizon,
             state.hits,
             state.missed,
-            self.detection_probability(state),
+            probability,
             pairing.columns,
             s.trial,
             s.misses,
@@ -526,9 +524,7 @@ class So3Filter:
             keep,
             found,
         )
-        hidden = so3_visibility.update_hidden(
-            state.attitude, state.discs, state.hidden, pairing.columns, self.towards_camera, self.horizon
-        )
+        hidden = so3_visibility.update_hidden(state.hidden, probability, pairing.columns)
         state = replace(
             state, hits=hits, missed=missed, hidden=hidden, known_seen=known_seen, known_missed=known_missed
         )
@@ -586,14 +582,14 @@ def _twist_as_swing(state: So3State, column: int) -> So3State:
 
     One disc tells the swing, the two components of the rate across its direction, and nothing of the twist. The axis of
     a turn is no likelier to point at the disc than elsewhere. So the twist is the swing times the cotangent of an angle
-    whose cosine is uniform, up to the fastest turn of a hand. A ball whose one disc stands still is thus at rest. A
+    whose cosine is uniform, up to a large turn by hand. A ball whose one disc stands still is thus at rest. A
     twist that is known better is left alone.
     """
     axis = state.attitude @ state.discs[column]
     along = state.joint[:, 3:6] @ axis
     twist, variance = float(axis @ state.rate), float(axis @ along[3:6])
     swing = float(state.rate @ state.rate) - twist**2 + float(np.trace(state.joint[3:6, 3:6])) - variance
-    most = _FASTEST / math.sqrt(max(swing, 1e-12))
+    most = _LARGE_TWIST / math.sqrt(max(swing, 1e-12))
     expected = swing * (math.asinh(most) - most / math.hypot(1.0, most))
     if variance <= expected:
         return state

@@ -25,6 +25,7 @@ _SAME = 2e-3  # rad, between attitudes that are one: a tenth of a degree
 _WIDE_GATE = 3.0  # times the gate: a prior may be off by more than it says, and the likelihood decides
 _UNKNOWN_DISCS = 4.0  # at least, on the side that has not been seen: a ball has eight discs and more
 _FEW_POINTS = 4  # in view, of a ball whose discs may not tell its turn
+_LEAST_DETECTED = 1e-6  # probability: no model is as sure as nought
 _FALSE_POINTS = 0.5  # expected in view that are no disc, once look-alikes are masked
 
 
@@ -140,7 +141,7 @@ def _node(
     log_unpaired: float,
 ) -> _Node:
     state, evidence = filter_.correct(predicted, points, rows, columns)
-    detected = float(np.sum(np.log(filter_.detection_probability(state)[list(columns)])))
+    detected = float(np.sum(np.log(np.maximum(filter_.detection_probability(state)[list(columns)], _LEAST_DETECTED))))
     return _Node(rows, columns, state, evidence + detected + log_unpaired)
 
 

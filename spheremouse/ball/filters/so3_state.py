@@ -35,9 +35,7 @@ class So3State:
     hidden: Array = field(default_factory=lambda: np.zeros(0))  # (m,) probability that something lies before the disc
     used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # into the last points
     weights: Array = field(default_factory=lambda: np.zeros(0))  # (l,) probability of each level; empty: as usual
-    process: Array = field(
-        default_factory=lambda: np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
-    )  # of the last prediction, at the first level
+    process: Array = field(default_factory=_NO_PROCESS.copy)  # of the last prediction, at the first level
     manoeuvre_level: float = 1.0  # factor on the acceleration of a ball left alone that the last step was made at, rms
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says

@@ -18,7 +18,6 @@ _DETECTED = 0.95  # probability that a disc is detected that nothing hides
 _LIMB = 0.1  # cosine above the horizon at which half of all discs are detected: foreshortened to a tenth
 _LIMB_BLUR = 0.03  # cosine over which that changes
 _HANDS_STAY = 1.0  # s, after which a hand has moved
-_LEAST = 1e-6  # probability: no model is as sure as nought
 
 
 @njit(cache=True, error_model="numpy")
@@ -30,7 +29,7 @@ def detection_probability(attitude: Array, discs: Array, hidden: Array, towards:
     """
     probability = np.empty(len(discs))
     for k in range(len(discs)):
-        probability[k] = max(_in_sight(attitude, discs[k], towards, horizon) * (1.0 - hidden[k]), _LEAST)
+        probability[k] = _in_sight(attitude, discs[k], towards, horizon) * (1.0 - hidden[k])
     return probability
 
 
@@ -53,17 +52,13 @@ def carry_hidden(attitude: Array, rate: Array, discs: Array, hidden: Array, dt: 
     return carried
 
 
-@njit(cache=True, error_model="numpy")
-def update_hidden(
-    attitude: Array, discs: Array, hidden: Array, seen: NDArray[np.intp], towards: Array, horizon: float
-) -> Array:
-    """Return the probabilities, (m,), that something hides each disc, after a frame that shows the discs `seen`."""
-    updated = np.empty(len(discs))
-    for k in range(len(discs)):
-        missed_in_sight = 1.0 - _in_sight(attitude, discs[k], towards, horizon)
-        updated[k] = hidden[k] / (hidden[k] + (1.0 - hidden[k]) * missed_in_sight)
-    for k in seen:
-        updated[k] = 0.0
+def update_hidden(hidden: Array, probability: Array, seen: NDArray[np.intp]) -> Array:
+    """Return the probabilities, (m,), that something hides each disc, after a frame that shows the discs `seen`.
+
+    `probability` (m,) is that of each detection, as `detection_probability` gives it for `hidden` (m,).
+    """
+    updated = hidden / (1.0 - probability)
+    updated[seen] = 0.0
     return updated
 
 

@@ -10,12 +10,16 @@ FACING, STILL, NONE = np.array([[0.0, 0.0, 1.0]]), np.zeros(3), np.zeros(0, dtyp
 DT = 1.0 / 30.0
 
 
+def probabilities(hidden):
+    return detection_probability(np.eye(3), FACING, hidden, TOWARDS, HORIZON)
+
+
 def detected(hidden):
-    return detection_probability(np.eye(3), FACING, hidden, TOWARDS, HORIZON)[0]
+    return probabilities(hidden)[0]
 
 
 def missed(hidden, rate=STILL):
-    hidden = update_hidden(np.eye(3), FACING, hidden, NONE, TOWARDS, HORIZON)
+    hidden = update_hidden(hidden, probabilities(hidden), NONE)
     return carry_hidden(np.eye(3), rate, FACING, hidden, DT, DISC_ANGLE)
 
 
@@ -69,7 +73,7 @@ def test_the_probability_is_how_often_a_disc_is_detected(speed):
         promised.append(detected(hidden))
         happened.append(not lies_behind and rng.random() < visible_detected)
         seen = np.zeros(1, dtype=np.intp) if happened[-1] else NONE
-        hidden = update_hidden(np.eye(3), FACING, hidden, seen, TOWARDS, HORIZON)
+        hidden = update_hidden(hidden, probabilities(hidden), seen)
     promised, happened = np.array(promised), np.array(happened)
     for low, high in ((0.0, 0.2), (0.2, 0.6), (0.6, 0.9), (0.9, 1.0)):
         there = (promised >= low) & (promised < high)
