@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 import socket
-import struct
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +14,7 @@ from spheremouse.errors import ControlError, printable
 from spheremouse.files import plain_json
 from spheremouse.session.control import places
 from spheremouse.session.control.line import MAX_LINE
+from spheremouse.session.control.socket import peer_of
 from spheremouse.session.control.status import misfit
 
 _START = "start one with `spheremouse run` or `systemctl start spheremouse`"
@@ -56,8 +56,8 @@ class Client:
     @property
     def is_trusted(self) -> bool:
         """Whether the server at the other end runs as this user or as root, by the kernel's word."""
-        credentials = self._connected().getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
-        return struct.unpack("3i", credentials)[1] in (0, os.geteuid())
+        peer = peer_of(self._connected())
+        return peer is not None and peer.uid in (0, os.geteuid())
 
     def close(self) -> None:
         """Hang up; the next question calls again."""
