@@ -60,7 +60,7 @@ def process(*command: str, **options: object) -> Iterator[subprocess.Popen[str]]
             running.wait()
 
 
-class RequestQueue:
+class Desktop:
     """The desktop; `env` is for programs that are to run on it."""
 
     def __init__(self, stack: contextlib.ExitStack, folder: Path, ground: tuple[int, int, int] = GROUND) -> None:

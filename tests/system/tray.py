@@ -17,7 +17,7 @@ import pytest
 from PIL import Image, ImageChops
 
 sys.path.insert(0, str(Path(__file__).parent))
-from desk import SIDE, RequestQueue, end, gtk, missing, process, until
+from desk import SIDE, Desktop, end, gtk, missing, process, until
 
 from spheremouse.capture import open_source
 from spheremouse.errors import ControlError
@@ -53,7 +53,7 @@ def films(tmp_path_factory):
 @pytest.fixture
 def desk(tmp_path):
     with contextlib.ExitStack() as stack:
-        yield RequestQueue(stack, tmp_path)
+        yield Desktop(stack, tmp_path)
 
 
 with_menu = pytest.mark.skipif(
@@ -225,7 +225,7 @@ def test_the_icon_follows_every_change(world, backend):
 @with_menu
 def test_around_the_icon_is_the_panel_whatever_its_colour(tmp_path, backend, ground):
     with contextlib.ExitStack() as stack:
-        desk = RequestQueue(stack, tmp_path, ground)
+        desk = Desktop(stack, tmp_path, ground)
         tray = stack.enter_context(World(desk, tmp_path).tray(PYSTRAY_BACKEND=backend))
         assert until(lambda: desk.state() == "no-daemon")
         panel = Image.new("RGB", (SIDE - 8, SIDE), ground)  # what the tray is not as wide as

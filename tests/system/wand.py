@@ -48,7 +48,7 @@ class Hand:
         return counts.sum(axis=0), np.abs(counts).sum(axis=0)
 
 
-class RequestQueue:
+class CameraRun:
     """A camera, and `spheremouse run` before it."""
 
     def __init__(self, folder):
@@ -107,7 +107,7 @@ def desk(tmp_path_factory):
     with suppress(subprocess.CalledProcessError):
         insert("v4l2loopback", video_nr=9, max_buffers=8)
     warm.warm_up()
-    made = RequestQueue(tmp_path_factory.mktemp("desk"))
+    made = CameraRun(tmp_path_factory.mktemp("desk"))
     yield made
     for end in (made.program.kill, made.mouse.close, made.writer.end):
         with suppress(Exception):
