@@ -53,12 +53,6 @@ LADDER = tuple(float(2.0 ** (0.5 * k)) for k in range(10))  # rad/s, that are fi
 FILMED_SECONDS, _BLIND = 0.1, 0.05  # s of a filmed trial; at its end discs must have held the attitude as late as that
 
 
-# ---- what is seen ----
-
-
-# ---- a tracker before it ----
-
-
 @dataclass(frozen=True, slots=True)
 class Trial:
     """A tracker before a ball that lies still at first, and is looked at `fps` times per second."""

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -10,11 +11,11 @@ import typer
 from experiments import wand_films as wand_experiments
 from experiments.report.wand_rows import Row, rows, verdicts
 from experiments.wand_films import Film, Job, Variant, films, jobs
-from typer.testing import CliRunner
+from invoking import invoke
 
 from spheremouse.commands import wand as cli_wand
 from spheremouse.commands.evaluate import evaluate
-from spheremouse.errors import ConfigurationError, SpheremouseError
+from spheremouse.errors import ConfigurationError
 from spheremouse.evaluate.wand import errors
 from spheremouse.files.wand import load_wand, save_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
@@ -31,17 +32,8 @@ app.command()(evaluate)
 
 @pytest.fixture
 def run():
-    """(*words) -> exit code, what was printed; errors of ours as their text."""
-
-    def call(*words):
-        result = CliRunner().invoke(app, [str(w) for w in words])
-        if isinstance(result.exception, SpheremouseError):
-            return 2, str(result.exception)
-        if result.exception is not None and not isinstance(result.exception, SystemExit):
-            raise result.exception
-        return result.exit_code, result.output
-
-    return call
+    """Return a function (*words) -> exit code, output."""
+    return partial(invoke, app)
 
 
 @pytest.fixture(scope="module")

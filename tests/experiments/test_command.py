@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -19,10 +20,8 @@ from experiments.kit import run as run_module
 from experiments.kit.job import Job, Request
 from experiments.kit.run import work_all
 from experiments.report import page
+from invoking import invoke
 from jinja2 import ChoiceLoader, DictLoader
-from typer.testing import CliRunner
-
-from spheremouse.errors import SpheremouseError
 
 app = typer.Typer()
 app.command()(cli_experiments.experiments)
@@ -45,17 +44,8 @@ def made(tmp_path, monkeypatch):
 
 @pytest.fixture
 def run(made, tmp_path):
-    """(*words) -> exit code, what was printed; errors of ours as their text."""
-
-    def call(*words):
-        result = CliRunner().invoke(app, ["tiny", "--out", str(tmp_path / "out"), "--cores", "2", *map(str, words)])
-        if isinstance(result.exception, SpheremouseError):
-            return 2, str(result.exception)
-        if result.exception is not None and not isinstance(result.exception, SystemExit):
-            raise result.exception
-        return result.exit_code, result.output
-
-    return call
+    """Return a function (*words) -> exit code, output, of the experiment `tiny`."""
+    return partial(invoke, app, "tiny", "--out", tmp_path / "out", "--cores", 2)
 
 
 def done(made):
