@@ -28,7 +28,7 @@ FREEDOM = {"ball": 4, "targets": 9, "poses": 6}
 
 
 def spheremouse(*words: object) -> str:
-    """What a command prints; its error ends the script."""
+    """Return the output of a command. Its error ends the script."""
     done = subprocess.run(
         [sys.executable, "-m", "spheremouse", *map(str, words)], capture_output=True, text=True, check=False
     )
@@ -134,7 +134,7 @@ def covariances(runs: int) -> list[Row]:
 
 
 def tracked(far26: Path, work: Path) -> list[Row]:
-    """What far26's tracking loses by a rig from simulated photos, or from rolling."""
+    """Return the errors of tracking far26 with a rig from simulated photos, or from rolling."""
     evening, rig_file, roll_file = work / "evening", work / "far26.yaml", work / "roll.yaml"
     spheremouse("calibrate", "practice", evening, "--like", far26, "--no-film")
     camera_file = work / "evening-camera.yaml"

@@ -1,9 +1,8 @@
-"""The experiments of both theses, and what they left open: films made or taken, tracked, compared, written down.
+"""Experiments of both theses and their open questions: make or read films, track, compare, report.
 
-A module is one experiment, what `report/` has under its name says it. In `kit/`, `job` says what an experiment is,
-`run` works its jobs on all cores and keeps what they give, `film` and `world` are what most jobs are made of, `report`
-and `plot` write for readers; `r1` films what the thesis' real recording was like, `detections` detects once for many
-filters.
+Each module is one experiment. `report/` holds the template and the values of its section. `kit/` has the common parts:
+`job` defines an experiment, `run` executes jobs on all cores and keeps their results, `film` and `world` make what most
+jobs need, `r1` films a recording like R1 of the thesis, and `detections` detects once for several filters.
 """
 
 NAMES = (

@@ -46,8 +46,8 @@ def experiments(
 ) -> None:
     """Repeat the experiments of the theses, and those they left open, on all cores.
 
-    What each film gave is kept in DIR/experiments/jobs until the program changes: a run that was interrupted goes on
-    where it stopped. What fails is listed under its experiment, and is exit code 1.
+    DIR/experiments/jobs keeps the result of each film until the program changes, so an interrupted run continues. The
+    report lists failures under their experiment, and the exit code is 1.
     """
     from rich.console import Console
     from rich.markdown import Markdown

@@ -1,4 +1,4 @@
-"""How many discs on the ball: errors against their number, beside the least that is possible.
+"""Errors against the number of discs on the ball, beside the theoretical bound.
 
 Wittich 2017, section 4.7, table 20: 26, 50 and 74 discs (sets S1, S2, S3); here 6 to 100, on several layouts.
 """

@@ -39,7 +39,7 @@ _SHEET = np.uint8(110)  # grey value of a cover
 
 @dataclass(slots=True)
 class Eye:
-    """What is seen of a world, with pictures or without."""
+    """Observations of a world, with pictures or without."""
 
     world: World
     pictures: bool
@@ -74,7 +74,7 @@ FPS, _BEFORE, GROWS = 30.0, 1.0, 8.0  # Hz; s until the cover comes; s from noth
 
 
 def growing(world: World, kind: str) -> Array:
-    """Of each pixel of the ball the share of the visible ball that is hidden before it is, (h, w); 2 elsewhere."""
+    """Return for each pixel of the ball the share of the visible ball that is hidden first, (h, w); 2 elsewhere."""
     v, u = np.nonzero(world.ball)
     middle = project(world.scene.pose.to_cam(np.zeros((1, 3))), world.scene.camera)[0][0]
     away = np.hypot(u - middle[0], v - middle[1])

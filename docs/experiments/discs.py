@@ -1,4 +1,4 @@
-"""What is on the ball and before it: sizes of discs, their places, hands on them; errors beside the least possible.
+"""Errors by the sizes and places of discs and by hands on them, beside the theoretical bound.
 
 Wittich 2017, chapter 5, leaves the size of the discs open. 26 discs before the far camera; each film has other places
 of the discs.

@@ -137,7 +137,7 @@ def _times(run: Run) -> Array:
 
 
 def _window(run: Run, seconds: float) -> float:
-    """Where the figure begins, s: so that it shows how the run loses the ball for the first time, if it does."""
+    """Return the begin of the figure, s. It shows the first loss of the ball, if there is one."""
     lost = np.setdiff1d(np.arange(run.tracked[0], len(run.frame)), run.tracked) if len(run.tracked) else np.zeros(0)
     first = float(run.stamp[int(lost[0])]) if len(lost) else 0.0
     return float(np.clip(np.floor(first - 0.5 * _SHOWN), 0.0, max(0.0, seconds - _SHOWN)))
@@ -161,7 +161,7 @@ def _log_over_time(motion: Truth, mouse: MouseLog, agreed: r1.Agreement, begin: 
 
 
 def _matched(run: Run, mouse: MouseLog) -> Result:
-    """What `spheremouse match` finds, beside what was simulated."""
+    """Compare the result of `spheremouse match` with the simulation."""
     found = match(turning(run), mouse)
     if found is None:
         return {}

@@ -1,4 +1,4 @@
-"""Where tracking ends: how fast, how suddenly, behind how large a cover, and how long until it goes on afterwards.
+"""Limits of tracking: rate, acceleration, size of a cover, and time to recover.
 
 Most of it without pictures: `World` says which discs a camera would see, and where. What a detector adds, smeared discs
 and discs that a cover cuts, is filmed. A trial goes on from the state of the tracker at its start, so that each begins
@@ -114,7 +114,7 @@ class Trial:
 
 
 def _bisected(holds: Callable[[float], bool], low: float, high: float) -> float:
-    """Where what holds below ends; `high` where it holds everywhere, 0 where nowhere."""
+    """Bisect for the value up to which a condition holds; `high` if it always holds, 0 if never."""
     if holds(high):
         return high
     if high <= low or not holds(low):

@@ -183,7 +183,7 @@ def at_edge(film: kit.Film, k1: float) -> float:
 
 
 def _right(film: kit.Film) -> Result:
-    """What the right rig makes of a film, and the bound."""
+    """Track a film with the true rig, and return its bound."""
     tracked = kit.tracked(film, kit.settings_of())
     assert film.truth.motion is not None, "a film made here knows its motion"
     return {

@@ -1,4 +1,4 @@
-"""Where to put the camera: attitude and rate errors to expect from each direction and distance, and films as a check.
+"""Expected attitude and rate errors by direction and distance of the camera, with films as a check.
 
 Wittich 2017, chapter 5, asks for as many cameras as possible. The map is the posterior Cramer-Rao bound of what a
 camera there would measure, by geometry alone: which discs are wholly in view past the device's frame, how large they
@@ -155,7 +155,7 @@ class Size(NamedTuple):
 
 
 def measured_noise(pictures: int, places: int = len(_PICTURED)) -> list[Size]:
-    """How well centres are measured by the size of discs, from pictures at several places, in octaves of area."""
+    """Return the accuracy of centres by octave of disc area, from pictures at several places."""
     settings = kit.settings_of().discs
     areas, errors = [], []
     for k, place in enumerate(_PICTURED[:places]):
@@ -231,7 +231,7 @@ def _sigma(area: Array, noise: Sequence[Size]) -> Array:
 
 
 def _in_view(scene: Scene, toward: Array) -> NDArray[np.bool_]:
-    """Which discs at (n, 3) unit vectors in obj, on the near side, are wholly in the picture and hidden by nothing."""
+    """Return which discs, (n, 3) unit vectors in obj, are on the near side, wholly in the picture and not hidden."""
     angle = scene.disc_angle
     around = np.stack([np.cos(_RIM), np.sin(_RIM)], axis=1) @ tangent_basis(toward).transpose(0, 2, 1)
     points = np.concatenate([toward[:, None], np.cos(angle) * toward[:, None] + np.sin(angle) * around], axis=1)
@@ -255,7 +255,7 @@ def targets_in_view(scene: Scene) -> int:
 
 
 def _in_picture(cam: Array, scene: Scene) -> NDArray[np.bool_]:
-    """Which groups of points, (n, k, 3) in cam, are all in the picture."""
+    """Return which groups of points, (n, k, 3) in cam, are all in the picture."""
     uv = project(cam.reshape(-1, 3), scene.camera)[0].reshape(*cam.shape[:2], 2)
     return np.all((uv >= 0.0) & (uv <= (scene.camera.width - 1, scene.camera.height - 1)), axis=(1, 2))
 

@@ -1,4 +1,4 @@
-"""How late, how rough and how far off the resampled pointer is, against the camera's frame rate and its own settings.
+"""Delay, roughness and error of the resampled pointer, by frame rate and settings.
 
 `so3` follows a ball that somebody plays with, and one that is stopped; its counts and rates go through the daemon's
 own resampling (`spheremouse.output.pointer`) with the frames' stamps and times of arrival. Nothing here reads a clock.
@@ -60,7 +60,7 @@ def settings(way: str, fps: float) -> PointerSettings:
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """What the frames of a motion say."""
+    """Counts and rates of the frames of a motion."""
 
     stamp: Array  # (n,) s
     counts: Array  # (n, 3)
@@ -114,7 +114,7 @@ def exact(motion: Profile, stamps: Array, matrix: Array) -> Told:
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """Where a pointer, or the ball, is from SHOWN to SHOWN."""
+    """Path of a pointer or of the ball, in intervals of SHOWN."""
 
     t: Array  # (n,) s
     place: Array  # (n, 3) counts

@@ -1,4 +1,4 @@
-"""How well a disc's place on the ball is known, all over what a camera sees of it, and how much that is.
+"""Accuracy of a disc's place over the visible part of the ball, and the area of that part.
 
 Wittich 2017, table 13 and figure 39. Covariances are those that `intersect` carries from image, pose and ball; beside
 them stands the scatter of simulated detections, and of calibrations and poses that are off by chance.
@@ -271,7 +271,7 @@ def _covariance(sigma: Array, below: Sequence[Sequence[float]]) -> Array:
 
 
 def areas(points: int) -> Result:
-    """What is seen of the ball: alone from several distances, and in both views behind frame and hands, m²."""
+    """Return the visible area, m²: of the bare ball by distance, and in both views behind frame and hands."""
     sphere = _spread(points)
     scene = default_scene(1, "far")
     whole = 4.0 * np.pi * scene.ball_radius**2

@@ -1,4 +1,4 @@
-"""How many targets on the frame, how large, and of what kind: rings of three colours against ArUco and AprilTag tags.
+"""Number, size and kind of targets on the frame: rings of three colours against ArUco and AprilTag tags.
 
 Wittich 2017, chapter 5, leaves number, size and type open. All are put in the same places, as large as each other, and
 painted onto the same picture (`simulate.tags`); the camera's pose comes from the same adjustment (`resect`), for tags
@@ -39,7 +39,7 @@ SIZES = (8, 11, 14, 18, 24, 30, 36, 48)  # mm, radius of the outer circle, half 
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """How a picture is taken."""
+    """Settings of a picture."""
 
     noise: float  # grey values
     light: float = 1.0  # factor on grey values

@@ -1,4 +1,4 @@
-"""How the camera films: frame rate, resolution, motion blur, rolling shutter; errors beside the least possible ones.
+"""Errors by frame rate, resolution, motion blur and rolling shutter, beside the theoretical bound.
 
 Wittich 2017, chapter 5, leaves frame rate and resolution open. The ball turns from rest to rest about one axis after
 the other; each film has other places of the discs and another order of the axes.

@@ -30,13 +30,13 @@ def _cost(film: wand.Film) -> float:
 
 
 def film(key: str, quick: bool) -> Result:
-    """What the trackers made of one film."""
+    """Results of the trackers on one film."""
     (job,) = [job for job in wand.jobs(quick) if job.key == key]
     return wand.work(job)
 
 
 def recorded(path: str, quick: bool, variant: int) -> Result:
-    """What a tracker made of the shared recording, with each seed."""
+    """Results of a tracker on the shared recording, by seed."""
     film = wand.recording_film(quick)
     return wand.work_recording(Path(path), film.variants[variant], film.seeds)
 

@@ -37,7 +37,7 @@ from spheremouse.session.offline import initialise
 
 @dataclass(frozen=True, slots=True)
 class Sights:
-    """What is seen of a ball from a camera that stands."""
+    """Detections of a ball by a camera at rest."""
 
     stamps: tuple[float, ...]  # s
     detections: tuple[Detections, ...]  # by frame, of the whole picture

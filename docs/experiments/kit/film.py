@@ -1,4 +1,4 @@
-"""What most jobs are made of: a film made in memory or read from a dataset, the camera's pose, tracking, metrics."""
+"""Parts of most jobs: a film in memory or from a dataset, the camera's pose, tracking, metrics."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -75,7 +75,7 @@ def film_from_dataset(path: Path | str, frames: int | None = None) -> Film:
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """What became of a film."""
+    """Result of tracking a film."""
 
     run: Run
     found: Pose | None  # where the pose was looked for

@@ -1,4 +1,4 @@
-"""What an experiment is: jobs that give plain data, of which a page is made (`report/`).
+"""Jobs of an experiment. They return plain data, from which `report/` makes a page.
 
 A module of this package is an experiment: it has `jobs(request)`. A job names a function of that module, which runs in
 a process of its own with the job's parameters and returns what JSON can hold.
@@ -28,14 +28,14 @@ class Job:
 
     @property
     def recipe(self) -> str:
-        """What, beside the program, determines the result."""
+        """Return the function and parameters, which with the program determine the result."""
         name = f"{self.work.__module__}.{self.work.__qualname__}"
         return f"{name} {json.dumps(self.parameters, sort_keys=True)}"
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What is to be done."""
+    """Extent of a run."""
 
     quick: bool
     datasets: Path | None  # folder of the reference recordings; None: they are not here

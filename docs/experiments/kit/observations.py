@@ -30,7 +30,7 @@ _LEAST = 0.35  # cosine at which a disc is still seen
 
 @dataclass(frozen=True, slots=True)
 class SimulatedCalibration:
-    """What was observed, where to begin, and what is true, in `obj`."""
+    """Observations, initial values and truth, in `obj`."""
 
     device: Device
     camera: InteriorOrientation  # as calibrated
@@ -91,7 +91,7 @@ def simulated_calibration(
 
 
 def calibrated(simulated: SimulatedCalibration) -> DeviceCalibration:
-    """What the adjustment makes of it."""
+    """Adjust the observations."""
     s = simulated
     return adjust_device(s.views, s.discs, s.start, s.device, s.camera)
 
@@ -140,7 +140,7 @@ def _looking(rng: np.random.Generator, azimuth: float, height: float) -> Pose:
 
 
 def _in_view(poses: tuple[Pose, ...], directions: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Which photo shows which point: all targets, and discs of which two photos at least see the face."""
+    """Return which photo shows which point: all targets, and the discs that face the camera in two photos."""
     away = np.array([p.position for p in poses])[:, None] - _RADIUS * directions
     cosine = np.sum(away * directions, axis=2) / np.linalg.norm(away, axis=2)
     sees = cosine > _LEAST

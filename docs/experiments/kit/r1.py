@@ -115,6 +115,6 @@ def of_run(run: Run, mouse: MouseLog, radius: float) -> Agreement | None:
 
 
 def of_truth(motion: Truth, mouse: MouseLog, radius: float) -> Agreement | None:
-    """What the ball really did: no tracker agrees better, but by chance."""
+    """Return the true motion. A tracker agrees better only by chance."""
     turned = log(motion.attitude[1:] @ motion.attitude[:-1].transpose(0, 2, 1))
     return agreement(motion.stamp[:-1], motion.stamp[1:], surface_travel(turned, radius), mouse)

@@ -92,7 +92,7 @@ def acceleration(motion: Truth) -> float:
 
 
 def moved(motion: Truth) -> dict[str, float]:
-    """How lively a motion is: °/s, RMS and at most; rad/s²."""
+    """Return RMS and maximum of the rate, °/s, and of the acceleration, rad/s²."""
     speed = np.degrees(np.linalg.norm(motion.rate, axis=1))
     return {
         "rms": float(np.sqrt(np.mean(speed**2))),
@@ -102,7 +102,7 @@ def moved(motion: Truth) -> dict[str, float]:
 
 
 def brief(report: Result) -> Result:
-    """What is compared of a run: combined errors, times lost."""
+    """Return the combined errors of a run and how often it lost the ball."""
     return {
         "attitude": report["attitude_rmse_deg"]["combined"],
         "rate": report["rate_rmse_deg_s"]["combined"],

@@ -40,7 +40,7 @@ class World:
     points: Array = field(repr=False)  # (n, 1 + _RIM, 3) unit vectors, ball: middle and rim of each disc
 
     def see(self, attitude: Array, rng: np.random.Generator, cover: NDArray[np.bool_] | None = None) -> Detections:
-        """What a detector would find with the ball at (3, 3): discs wholly in view, not behind `cover` (h, w)."""
+        """Return detections with the ball at an attitude, (3, 3): discs wholly in view, not behind `cover` (h, w)."""
         scene, camera, eye = self.scene, self.scene.camera, self.scene.pose.position
         horizon = np.arccos(scene.ball_radius / np.linalg.norm(eye)) - scene.disc_angle
         near = scene.disc_directions @ (attitude.T @ eye) > np.cos(horizon) * np.linalg.norm(eye)

@@ -125,7 +125,7 @@ class So3Filter:
         )
 
     def is_significant(self, predicted: So3State, used: int, points: int) -> bool:
-        """Would so many of the points meet a predicted disc by chance in less than one frame of a thousand?
+        """Return whether chance explains so many pairs in less than one frame of a thousand.
 
         Each point lies in each disc's gate by chance with that gate's share of what the camera sees of the ball.
         """
@@ -370,7 +370,7 @@ class So3Filter:
         return state.weights if len(state.weights) else prior_of_levels(self.settings.levels)
 
     def _steps(self, state: So3State) -> tuple[float, float, Array]:
-        """What `so3_steps` asks of the interval since the last frame and of the player."""
+        """Return the arguments of `so3_steps`: the interval, s, the persistence, s, and the variance of each level."""
         return state.interval, self.settings.persistence, variances(self.settings)
 
     def _correct(self, state: So3State, points: SpherePoints, pairing: Pairing) -> tuple[So3State, float]:
@@ -444,7 +444,7 @@ class So3Filter:
         columns: NDArray[np.intp],
         added_process_noise: Array,
     ) -> tuple[Array, Array, Array, Array]:
-        """Of k pairs H's part for the core, (2k, 9), H @ joint, (2k, 23 + 2m), innovation, (2k,) rad, its covariance.
+        """Return for k pairs H, (2k, 9), H @ joint, (2k, 23 + 2m), the innovation, (2k,) rad, and its covariance.
 
         `added_process_noise` (9, 9) of the core, which is not in the covariances, counts for the curvature alone.
         """

@@ -1,4 +1,4 @@
-"""Where the so3 filter expects its discs, and which point agrees with which."""
+"""Predicted places of the discs, and the agreement of points with them."""
 
 import numpy as np
 from numba import njit
@@ -69,7 +69,7 @@ def _disc_covariance(P, H, at, added_process_noise):
 
 @njit(cache=True, error_model="numpy")
 def _row(H, E, t, rate, row, by_pose, by_ball, radius, J):
-    """Of one point: d z / d (core, considered, readout) into J, (2, FIRST), to first order in the delay t."""
+    """Write d z / d (core, considered, readout) of one point into J, (2, 20), to first order in the delay t."""
     for a in range(2):
         for c in range(3):
             J[a, c] = H[a, c]
@@ -80,7 +80,7 @@ def _row(H, E, t, rate, row, by_pose, by_ball, radius, J):
 
 @njit(cache=True, error_model="numpy")
 def considered_jacobian(H, E, rate, row, by_pose, by_ball, radius, J):
-    """Of one point: d z / d (pose, ball, readout) into J, (2, FIRST - CORE)."""
+    """Write d z / d (pose, ball, readout) of one point into J, (2, 11)."""
     for a in range(2):
         for c in range(CONSIDERED_DIM):
             value = E[c - 6, a] if 6 <= c < 9 else 0.0  # the direction counts from the centre
@@ -92,7 +92,7 @@ def considered_jacobian(H, E, rate, row, by_pose, by_ball, radius, J):
 
 @njit(cache=True, error_model="numpy")
 def _full_covariance(P, J, JP, at, H, added_process_noise):
-    """(2, 2) of a disc's predicted place, its errors at `at`, with all that J, (2, FIRST), depends on."""
+    """(2, 2) of a disc's predicted place, its errors at `at`, with all that J, (2, 20), depends on."""
     S = np.empty((2, 2))
     for a in range(2):
         for j in range(MAP_OFFSET + 2):
@@ -187,7 +187,7 @@ def distances(
 
 @njit(cache=True, error_model="numpy")
 def consistent(z, S, limit):
-    """Which of k pairs agree with one another, (k,): each by itself may pass the gate, not all together.
+    """Return a mask, (k,), of the pairs that agree with one another: each may pass the gate alone.
 
     The pair that contradicts the others and the prediction most is left out until none does (data snooping, Baarda
     1968, for pairs of coordinates): a look-alike beside the place of a hidden disc, above all after a gap.

@@ -161,5 +161,5 @@ def _log_missed(filter_: So3Filter, state: So3State, columns: tuple[int, ...]) -
 
 
 def _alike(a: So3State, b: So3State) -> bool:
-    """Whether two states have the same attitude."""
+    """Return whether two states have the same attitude."""
     return bool(np.trace(a.attitude.T @ b.attitude) > 1.0 + 2.0 * math.cos(_SAME))

@@ -51,7 +51,7 @@ def predict(attitude, rate, acceleration, joint, dt, tau, q, F, Q):
 
 @njit(cache=True, error_model="numpy")
 def transition(rate, acceleration, dt, tau, q, F, Q, turn):
-    """Of a step dt under an acceleration that fades with `tau`: F and Q, (9, 9), and the turn, (3,) rad.
+    """Compute F and Q, (9, 9), and the turn, (3,) rad, of a step dt under an acceleration that fades with `tau`.
 
     Q is what white jerk of density q adds (three nodes of Gauss-Legendre): jerk s before the end has faded to g_a by
     then, made a rate g_w of it, and turned the ball by Jl(turn s/dt) g_t.

@@ -76,7 +76,7 @@ def squared_levels(levels: tuple[float, ...]) -> Array:
 
 @cache
 def variances(settings: So3Settings) -> Array:
-    """Of the angular acceleration at each level, (l,) (rad/s²)² per axis."""
+    """Return the variance of the angular acceleration at each level, (l,) (rad/s²)² per axis."""
     return np.square(settings.acceleration_sigma * np.array(settings.levels))
 
 

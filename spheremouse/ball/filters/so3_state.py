@@ -45,12 +45,12 @@ class So3State:
 
     @property
     def is_placed(self) -> bool:
-        """Whether the attitude is known so well that it tells where each disc is: no other disc is as near."""
+        """Return whether the attitude tells the place of each disc: no other disc is as near."""
         return bool(np.linalg.eigvalsh(self.joint[:3, :3])[-1] < PLACED**2)
 
     @property
     def is_roughly_known(self) -> bool:
-        """Whether the attitude is better than a guess."""
+        """Return whether the attitude is better than a guess."""
         return bool(np.linalg.eigvalsh(self.joint[:3, :3])[-1] < 1.0)
 
     @property

@@ -26,7 +26,7 @@ def innovation(
     attitude, rate, acceleration, discs, basis, P, columns, curvature, seen, noise, delay, row, by_pose, by_ball,
     radius, H, HP, z, S,
 ):  # fmt: skip
-    """Of k pairs: H, (2k, 9), H P, (2k, n), z, (2k,) rad, and its covariance S, (2k, 2k).
+    """Compute for k pairs H, (2k, 9), H P, (2k, n), z, (2k,) rad, and its covariance S, (2k, 2k).
 
     `by_pose` (k, 3, 6) and `by_ball` (k, 3, 4) m are the Jacobians of the points on the ball: what is considered.
     """
@@ -177,7 +177,7 @@ def correct(P, H, HP, S, z, acceleration, steps, weights, learn, dx):
 
 @njit(cache=True, error_model="numpy")
 def rate_is_significant(rate, P):
-    """Whether the rate is five standard deviations from zero: noise taken for a rate would teach a readout."""
+    """Return whether the rate is five standard deviations from zero. Noise must not determine a readout."""
     if P[READOUT, READOUT] == 0.0:
         return False
     return rate @ np.linalg.solve(P[3:6, 3:6].copy(), rate) > 25.0

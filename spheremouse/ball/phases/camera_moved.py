@@ -19,14 +19,14 @@ Moved = tuple[Tracker, Array | None]  # the tracker for another pose; what is ad
 
 
 def hidden(watch: CameraMonitor | None) -> bool:
-    """Are the targets out of sight that were in sight before?"""
+    """Return whether the targets that were in view are hidden now."""
     if watch is None or sum(patch is not None for patch in watch.patches) < 3:
         return False
     return int(np.count_nonzero(watch.seen)) < 3
 
 
 def surprised(state: TrackState[So3State]) -> bool:
-    """Did the last frame's discs say something that a bumped camera would say?"""
+    """Return whether a bumped camera would explain the discs of the last frame."""
     if state.status is not Status.TRACKING:
         return state.status is Status.LOST
     freedom = 2 * len(state.filter.used)
@@ -38,7 +38,7 @@ def surprised(state: TrackState[So3State]) -> bool:
 
 
 def with_references(watch: CameraMonitor, frame: Frame, tracker: Tracker) -> CameraMonitor:
-    """What the targets look like, where that is not known yet: all at the first frame, then in their turn."""
+    """Learn the appearance of targets: of all at the first frame, then of one after the other."""
     which = np.array([k for k, patch in enumerate(watch.patches) if patch is None], dtype=np.intp)
     if len(which) and watch.due > -np.inf:
         which = which[which == (watch.turn + 1) % len(watch)] if frame.stamp >= watch.due else which[:0]

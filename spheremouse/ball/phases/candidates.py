@@ -15,7 +15,7 @@ AddLandmarks = Callable[[F, SpherePoints, NDArray[np.intp], Tracker], F]  # the 
 
 
 def confirms(posterior: FilterState, points: int, predicted: FilterState, tracker: Tracker) -> bool:
-    """Does the last frame, with so many points, confirm the attitude?
+    """Return whether the last frame, with so many points, confirms the attitude.
 
     Two discs do, or one while it adds to what is known well; but only if chance does not explain them, since of many
     false candidates a few always fit; and only at a rate that a hand can give.
@@ -39,14 +39,14 @@ def updated(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[
 
 
 def all_are_discs(state: TrackState) -> bool:
-    """Does the frame confirm the attitude with every point, and is no candidate followed?"""
+    """Return whether the frame confirms the attitude with every point, and no candidate is followed."""
     return state.confirmed and len(state.filter.used) == len(state.points) and not len(state.lookalikes.place)
 
 
 def classify_unmatched(
     state: TrackState[F], stamp: float, tracker: Tracker, predicted: F, take_up: AddLandmarks[F]
 ) -> TrackState[F]:
-    """What is no known disc, by whether it turns with the ball, stands still, or does neither yet."""
+    """Classify the points without a disc: they turn with the ball, stand still, or do neither yet."""
     points, centre, confirmed = state.points, state.detections.centre[state.points.index], state.confirmed
     rig, posterior = tracker.rig, state.filter
     if not confirmed and not _known_well(posterior, tracker):  # no point has a place on the ball
@@ -72,6 +72,6 @@ def classify_unmatched(
 
 
 def _known_well(filter_state: FilterState, tracker: Tracker) -> bool:
-    """Is the attitude known so well that one disc tells the rest?"""
+    """Return whether the attitude is known so well that one disc gives the rest."""
     worst = np.linalg.eigvalsh(filter_state.covariance[:3, :3])[-1]
     return bool(worst < tracker.settings.loss.known_sigma**2)

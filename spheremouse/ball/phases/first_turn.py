@@ -69,7 +69,7 @@ def _variance(points: SpherePoints, radius: float) -> Array:
 
 
 def would_move(points: SpherePoints, rotation: Array, tracker: Tracker, least: float) -> NDArray[np.bool_]:
-    """Which points would have come from at least `least` px away, were they discs under `rotation`."""
+    """Return a mask, (n,), of the points that `rotation`, (3, 3), would have moved by `least` px or more."""
     radius, centre = tracker.rig.ball.radius, tracker.rig.ball.centre
     uv = [
         project(tracker.pose.to_cam(centre + radius * d), tracker.rig.camera)[0]

@@ -98,7 +98,7 @@ def is_covered(state: TrackState[F], predicted: F, tracker: Tracker) -> bool:
 
 
 def without_effect(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:
-    """The frame without effect: something lies before most of the discs, and what is seen may be part of it."""
+    """Return the state without the frame: something lies before most discs, and its spots may be in view."""
     filtered = tracker.filter.update(predicted, no_points(tracker))
     if isinstance(filtered, So3State) and isinstance(predicted, So3State):
         filtered = replace(filtered, hidden=predicted.hidden)

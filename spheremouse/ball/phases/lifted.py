@@ -23,7 +23,7 @@ _FRAME = 0.1  # s, the longest that one frame counts for
 def check_bearings(
     state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
 ) -> tuple[TrackState[So3State], Events]:
-    """What the followed frame says of the ball's centre: a frame that shows it off its place is set aside.
+    """Check the ball's centre in a followed frame. A frame that shows it off its place has no effect.
 
     A second one in a row is a ball that was lifted: lost, and nothing sent, until the discs fit a rotation again. A
     ball out of round is said to be, and tracked as well as it goes; and so is one whose discs never were in their
@@ -67,7 +67,7 @@ def _all_fit(state: TrackState[So3State]) -> bool:
 
 
 def _shift(state: TrackState[So3State], filter_state: So3State, tracker: Tracker[So3Filter]) -> CentreOffset | None:
-    """How far the last frame's discs show the ball's centre off its place, with a filter's attitude and map."""
+    """Return the offset of the ball's centre by the last frame's discs, with a filter's attitude and map."""
     sure = np.flatnonzero(filter_state.hits >= tracker.filter.settings.trial)
     variance = filter_state.joint.diagonal()[MAP_OFFSET:-CLONE_DIM].reshape(-1, 2).mean(axis=1)[sure]
     return centre_offset.shift_of(
@@ -85,7 +85,7 @@ def _shift(state: TrackState[So3State], filter_state: So3State, tracker: Tracker
 def back_on_bearings(
     state: TrackState[So3State], phase: Lost, filter_state: So3State, tracker: Tracker[So3Filter]
 ) -> bool:
-    """Does a ball that was lifted turn about its centre again, at the attitude that its map tells?"""
+    """Return whether a lifted ball turns about its centre again, at the attitude of its map."""
     if phase.lifted_at is None:
         return True
     shift = _shift(state, filter_state, tracker)
