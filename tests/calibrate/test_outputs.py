@@ -10,7 +10,7 @@ from spheremouse.errors import CalibrationError
 
 
 @pytest.fixture
-def evening(tmp_path):
+def cabinet(tmp_path):
     (tmp_path / "device").mkdir()
     for name in ("device/1.jpg", "device.yaml", "camera.yaml", "old.yaml"):
         (tmp_path / name).write_text("mine")
@@ -29,22 +29,22 @@ def evening(tmp_path):
         (["nowhere/rig.yaml"], "there is no folder"),
     ],
 )
-def test_no_output_destroys_an_input_or_another_output(evening, outputs, words, force):
-    inputs = [evening / "device", evening / "device.yaml", evening / "camera.yaml", None]
+def test_no_output_destroys_an_input_or_another_output(cabinet, outputs, words, force):
+    inputs = [cabinet / "device", cabinet / "device.yaml", cabinet / "camera.yaml", None]
     with pytest.raises(CalibrationError, match=words):
-        check_outputs([evening / name for name in outputs], inputs, force)
+        check_outputs([cabinet / name for name in outputs], inputs, force)
 
 
-def test_what_is_there_is_replaced_with_force_only(evening):
+def test_what_is_there_is_replaced_with_force_only(cabinet):
     with pytest.raises(CalibrationError, match=r"old\.yaml: there already.*--force"):
-        check_outputs([evening / "old.yaml"], [], False)
-    check_outputs([evening / "old.yaml", evening / "new.yaml", Path("-"), None], [evening / "device"], True)
+        check_outputs([cabinet / "old.yaml"], [], False)
+    check_outputs([cabinet / "old.yaml", cabinet / "new.yaml", Path("-"), None], [cabinet / "device"], True)
 
 
-def test_folder_that_may_not_be_written_is_refused_beforehand(evening, monkeypatch):
+def test_folder_that_may_not_be_written_is_refused_beforehand(cabinet, monkeypatch):
     monkeypatch.setattr("os.access", lambda *_: False)  # root may write anywhere
     with pytest.raises(CalibrationError, match="may not be written"):
-        check_outputs([evening / "rig.yaml"], [], False)
+        check_outputs([cabinet / "rig.yaml"], [], False)
 
 
 def test_commands_survive_a_shell():

@@ -19,7 +19,7 @@ def init(
     ] = False,
 ) -> None:
     """Make a folder with room for photos, and device.yaml to fill in."""
-    from spheremouse.calibrate.evening.proposed import default_folder, next_command
+    from spheremouse.calibrate.guide.suggested import default_folder, next_command
     from spheremouse.files.atomic import write_atomically
     from spheremouse.files.device import device_template
 

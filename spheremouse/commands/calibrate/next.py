@@ -14,7 +14,7 @@ from spheremouse.errors import ConfigurationError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from spheremouse.calibrate.evening.checklist import Step
+    from spheremouse.calibrate.guide.checklist import Step
 
 EXAMPLE = "Example: spheremouse calibrate next cabinet"
 
@@ -33,8 +33,8 @@ def next_(
 
     One thing at a time, with its command. It looks at the folder alone, so an evening can be left and continued.
     """
-    from spheremouse.calibrate.evening.checklist import checklist
-    from spheremouse.calibrate.evening.proposed import default_folder
+    from spheremouse.calibrate.guide.checklist import checklist
+    from spheremouse.calibrate.guide.suggested import default_folder
     from spheremouse.files.atomic import write_atomically
 
     if json_file is not None and json_file != Path("-") and not json_file.parent.is_dir():

@@ -61,7 +61,7 @@ def photos(
     FOLDER/device, where `calibrate next` looks for them.
     """
     from spheremouse.calibrate.board_file import NAME, board_told, save_board
-    from spheremouse.calibrate.evening.proposed import camera_command, default_folder, device_command, photos_command
+    from spheremouse.calibrate.guide.suggested import camera_command, default_folder, device_command, photos_command
     from spheremouse.calibrate.photographing.screen import ENOUGH, Screen
     from spheremouse.calibrate.photographing.session import take_photos
     from spheremouse.capture import full_spec
@@ -115,7 +115,7 @@ def _board_judge(known: "BoardFile") -> "Callable[[Size], Judge]":
 
 
 def _device_judge(folder: Path, configured: "Configuration") -> "Callable[[Size], Judge]":
-    from spheremouse.calibrate.evening.proposed import init_command, photos_command
+    from spheremouse.calibrate.guide.suggested import init_command, photos_command
     from spheremouse.calibrate.outputs import note
     from spheremouse.calibrate.photographing.device import DeviceJudge
     from spheremouse.files.device import load_device, untouched

@@ -249,7 +249,7 @@ def _footage(given: _Given, live: bool, ask: bool) -> Any:
 
 def _write(given: _Given, solution: "Solution", made: "Calibrated") -> None:
     """Rig, map and figures into their files, and what was found to the reader."""
-    from spheremouse.calibrate.evening.proposed import axes_command
+    from spheremouse.calibrate.guide.suggested import axes_command
     from spheremouse.calibrate.rolling.advice import advise
     from spheremouse.calibrate.rolling.report import figures, text
     from spheremouse.files.disc_map import map_path, save_map, saved_now

@@ -22,7 +22,7 @@ def run(*words):
 
 
 @pytest.fixture
-def evening(tmp_path):
+def cabinet(tmp_path):
     """The camera of the shared stills."""
     truth = json.loads((datasets_dir() / "stills" / "truth.json").read_text())
     c = truth["camera"]
@@ -36,21 +36,21 @@ def options(folder, device):
     return ("--device", device, "--camera", folder / "camera.yaml", "--out", folder / "rig.yaml")
 
 
-def test_a_device_file_nobody_filled_in_is_refused(evening):
+def test_a_device_file_nobody_filled_in_is_refused(cabinet):
     """Its targets may well be those of the photos; the distances are not."""
-    device = evening / "device.yaml"
+    device = cabinet / "device.yaml"
     device.write_text(device_template(), encoding="utf-8")
     with pytest.raises(CalibrationError, match="delete its first line") as e:
-        run(datasets_dir() / "stills" / "device", *options(evening, device))
+        run(datasets_dir() / "stills" / "device", *options(cabinet, device))
     assert "\n" not in str(e.value)
-    assert not (evening / "rig.yaml").exists()
+    assert not (cabinet / "rig.yaml").exists()
 
 
-def test_what_comes_next_saves_what_is_answered(evening):
+def test_what_comes_next_saves_what_is_answered(cabinet):
     stills = datasets_dir() / "stills"
-    result = run(stills / "device", *options(evening, stills / "device.yaml"))
+    result = run(stills / "device", *options(cabinet, stills / "device.yaml"))
     assert result.exit_code == 0, result.output
     follows = next(line for line in result.output.splitlines() if line.startswith("next: "))
-    config, rig = evening / "config.yaml", evening / "rig.yaml"
+    config, rig = cabinet / "config.yaml", cabinet / "rig.yaml"
     assert follows.startswith(f"next: spheremouse axes --config {config} --rig {rig} --source ")
     assert "uinput" not in result.output  # `axes` has no such option

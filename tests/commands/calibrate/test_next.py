@@ -1,4 +1,4 @@
-"""`calibrate init` and `next`: an evening walked from the empty folder to the running mouse, and left at any point."""
+"""`calibrate init` and `next`: from the empty folder to the running mouse, left and continued at any point."""
 
 import json
 import os
@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from spheremouse.ball.rig import Ball, Rig, Targets
-from spheremouse.calibrate.evening.checklist import checklist
+from spheremouse.calibrate.guide.checklist import checklist
 from spheremouse.calibrate.photos import BOARD_ENOUGH, DEVICE_ENOUGH, read_photos
 from spheremouse.commands import app
 from spheremouse.errors import CalibrationError, ConfigurationError
@@ -82,25 +82,25 @@ def next_of(folder):
 
 
 @pytest.fixture
-def evening(tmp_path):
+def cabinet(tmp_path):
     folder = tmp_path / "my cabinet"
     assert run("init", folder).exit_code == 0
     return folder
 
 
 @pytest.fixture
-def finished(evening):
+def finished(cabinet):
     """All done, with provenance."""
-    photograph(evening / "board", BOARD_ENOUGH)
-    make_camera(evening)
-    fill_in(evening)
-    photograph(evening / "device", DEVICE_ENOUGH, 100)
-    make_rig(evening, provenance(evening / "device"))
-    tick(evening / "camera.yaml", 1)
-    tick(evening / "rig.yaml", 2)
-    (evening / "config.yaml").write_text("schema: 2\nmotion: {player: left}\n")
-    assert next_of(evening).name == "run"
-    return evening
+    photograph(cabinet / "board", BOARD_ENOUGH)
+    make_camera(cabinet)
+    fill_in(cabinet)
+    photograph(cabinet / "device", DEVICE_ENOUGH, 100)
+    make_rig(cabinet, provenance(cabinet / "device"))
+    tick(cabinet / "camera.yaml", 1)
+    tick(cabinet / "rig.yaml", 2)
+    (cabinet / "config.yaml").write_text("schema: 2\nmotion: {player: left}\n")
+    assert next_of(cabinet).name == "run"
+    return cabinet
 
 
 def test_an_evening_from_nothing_to_the_mouse(tmp_path):
@@ -178,30 +178,30 @@ def test_a_practice_set_ends_with_its_film(finished):
     assert words == ["spheremouse", "axes", "--config", str(config), "--rig", rig, *source]
 
 
-def test_some_photos_are_counted_and_may_do(evening):
-    photograph(evening / "board", 2)
-    assert "calibrate camera" not in str(next_of(evening).otherwise)  # two views of a plane are too few
-    photograph(evening / "board", 5)
-    step = next_of(evening)
-    assert (step.name, step.found) == ("photos of the board", f"5 photos of 64x48 in {evening / 'board'}")
+def test_some_photos_are_counted_and_may_do(cabinet):
+    photograph(cabinet / "board", 2)
+    assert "calibrate camera" not in str(next_of(cabinet).otherwise)  # two views of a plane are too few
+    photograph(cabinet / "board", 5)
+    step = next_of(cabinet)
+    assert (step.name, step.found) == ("photos of the board", f"5 photos of 64x48 in {cabinet / 'board'}")
     assert step.todo[0].startswith("5 so far")
     assert "calibrate photos" in step.command
     assert "calibrate camera" in step.otherwise[0][1]
-    make_camera(evening)
-    assert next_of(evening).name == "device.yaml"  # whoever went on may go on
-    board = checklist(evening)[1]
+    make_camera(cabinet)
+    assert next_of(cabinet).name == "device.yaml"  # whoever went on may go on
+    board = checklist(cabinet)[1]
     assert board.state == "too few"
-    assert board.found.startswith(f"5 photos of 64x48 in {evening / 'board'}; 10 to 20 ")
+    assert board.found.startswith(f"5 photos of 64x48 in {cabinet / 'board'}; 10 to 20 ")
 
 
-def test_photos_that_the_camera_did_not_use_do_not_count(evening):
-    photograph(evening / "board", BOARD_ENOUGH + 1)
-    every = provenance(evening / "board")["photos"]
+def test_photos_that_the_camera_did_not_use_do_not_count(cabinet):
+    photograph(cabinet / "board", BOARD_ENOUGH + 1)
+    every = provenance(cabinet / "board")["photos"]
     for left, state in ((1, "done"), (2, "too few")):
-        save_camera(evening / "camera.yaml", CAMERA, {"photos": every[left:], "left_out": every[:left]})
-        tick(evening / "camera.yaml", 1)
-        assert checklist(evening)[1].state == state
-    assert f"{BOARD_ENOUGH - 1} of use" in checklist(evening)[1].found
+        save_camera(cabinet / "camera.yaml", CAMERA, {"photos": every[left:], "left_out": every[:left]})
+        tick(cabinet / "camera.yaml", 1)
+        assert checklist(cabinet)[1].state == state
+    assert f"{BOARD_ENOUGH - 1} of use" in checklist(cabinet)[1].found
 
 
 def test_photos_that_came_later_ask_for_another_run(finished):
@@ -254,26 +254,26 @@ def test_a_device_file_changed_later_asks_for_another_run(finished):
     assert next_of(finished).found == "device.yaml is newer"
 
 
-def test_without_provenance_times_tell(evening):
-    photograph(evening / "board", 3)
-    save_camera(evening / "camera.yaml", CAMERA)
-    tick(evening / "camera.yaml", 1)
-    assert next_of(evening).name == "device.yaml"
-    tick(evening / "board" / "1.png", 10)
-    assert next_of(evening).found == "1 photo came later"
+def test_without_provenance_times_tell(cabinet):
+    photograph(cabinet / "board", 3)
+    save_camera(cabinet / "camera.yaml", CAMERA)
+    tick(cabinet / "camera.yaml", 1)
+    assert next_of(cabinet).name == "device.yaml"
+    tick(cabinet / "board" / "1.png", 10)
+    assert next_of(cabinet).found == "1 photo came later"
 
 
-def test_a_rig_from_rolling_needs_no_photos_of_the_device(evening):
-    photograph(evening / "board", 4)
-    make_camera(evening)
-    tick(evening / "camera.yaml", 1)
-    make_rig(evening)
-    tick(evening / "rig.yaml", 2)
-    states = {s.name: s.state for s in checklist(evening)}
+def test_a_rig_from_rolling_needs_no_photos_of_the_device(cabinet):
+    photograph(cabinet / "board", 4)
+    make_camera(cabinet)
+    tick(cabinet / "camera.yaml", 1)
+    make_rig(cabinet)
+    tick(cabinet / "rig.yaml", 2)
+    states = {s.name: s.state for s in checklist(cabinet)}
     assert states["device.yaml"] == states["photos of the device"] == "not needed"
-    assert next_of(evening).name == "axes"
-    tick(evening / "camera.yaml", 3)
-    assert "calibrate rolling" in next_of(evening).command
+    assert next_of(cabinet).name == "axes"
+    tick(cabinet / "camera.yaml", 3)
+    assert "calibrate rolling" in next_of(cabinet).command
 
 
 @pytest.mark.parametrize(
@@ -286,18 +286,18 @@ def test_a_rig_from_rolling_needs_no_photos_of_the_device(evening):
         ([9], 0.03, "--board 11x8 --square 20mm"),
     ],
 )
-def test_another_run_takes_the_board_of_the_first(evening, board, square, options):
-    photograph(evening / "board", 3)
-    make_camera(evening, board=board, square=square)
-    photograph(evening / "board", 1, 9)
-    tick(evening / "board" / "9.png", 100)
-    assert options in next_of(evening).command
+def test_another_run_takes_the_board_of_the_first(cabinet, board, square, options):
+    photograph(cabinet / "board", 3)
+    make_camera(cabinet, board=board, square=square)
+    photograph(cabinet / "board", 1, 9)
+    tick(cabinet / "board" / "9.png", 100)
+    assert options in next_of(cabinet).command
 
 
-def test_photos_that_cannot_be_used_are_the_next_thing(evening):
-    photograph(evening / "board", 3)
-    photograph(evening / "board", 1, 3, (32, 24))
-    step = next_of(evening)
+def test_photos_that_cannot_be_used_are_the_next_thing(cabinet):
+    photograph(cabinet / "board", 3)
+    photograph(cabinet / "board", 1, 3, (32, 24))
+    step = next_of(cabinet)
     assert step.name == "photos of the board"
     assert "3.png" in step.todo[0]
     assert "3 others are 64x48" in step.todo[0]
@@ -331,42 +331,42 @@ def test_it_goes_on_in_the_folder_itself_and_in_the_usual_one(tmp_path, monkeypa
     assert "into board." in run("next").stdout
 
 
-def test_the_terminal_shows_the_list_and_one_thing(evening):
-    photograph(evening / "board", BOARD_ENOUGH)
-    lines = run("next", evening).stdout.splitlines()
+def test_the_terminal_shows_the_list_and_one_thing(cabinet):
+    photograph(cabinet / "board", BOARD_ENOUGH)
+    lines = run("next", cabinet).stdout.splitlines()
     states = [line.split()[0] for line in lines[: len(NAMES)]]
     assert states == ["done", "done", "next", *["later"] * 5]
     assert "Next: camera.yaml" in lines
     assert sum("spheremouse calibrate" in line for line in lines) == 1
     command = shlex.split(lines[-1])  # one line, to copy, whatever is in the folder's name
-    assert str(evening / "board") in command
+    assert str(cabinet / "board") in command
 
 
-def test_json_is_the_same_list(evening, tmp_path):
-    printed = json.loads(run("next", evening, "--json", "-").stdout)
-    result = run("next", evening, "--json", tmp_path / "steps.json")
+def test_json_is_the_same_list(cabinet, tmp_path):
+    printed = json.loads(run("next", cabinet, "--json", "-").stdout)
+    result = run("next", cabinet, "--json", tmp_path / "steps.json")
     assert json.loads((tmp_path / "steps.json").read_text()) == printed
     assert "Next: photos of the board" in result.stdout
-    assert printed["folder"] == str(evening)
+    assert printed["folder"] == str(cabinet)
     assert [s["name"] for s in printed["steps"]] == NAMES
     assert [s["state"] for s in printed["steps"]].count("next") == 1
     with pytest.raises(ConfigurationError, match="no such folder"):
-        run("next", evening, "--json", tmp_path / "nowhere" / "x.json")
+        run("next", cabinet, "--json", tmp_path / "nowhere" / "x.json")
 
 
-def test_init_keeps_what_is_there(evening):
-    path = evening / "device.yaml"
+def test_init_keeps_what_is_there(cabinet):
+    path = cabinet / "device.yaml"
     assert path.read_text(encoding="utf-8") == device_template()
     assert load_device(path).ids == (1, 2, 3, 4)
-    photograph(evening / "board", 1)
+    photograph(cabinet / "board", 1)
     path.write_text("mine")
-    result = run("init", evening)
+    result = run("init", cabinet)
     assert result.exit_code == 0
     assert "kept as it is" in result.stdout
     assert path.read_text() == "mine"
-    run("init", evening, "--force")
+    run("init", cabinet, "--force")
     assert path.read_text(encoding="utf-8") == device_template()
-    assert (evening / "board" / "0.png").exists()
+    assert (cabinet / "board" / "0.png").exists()
 
 
 def test_a_file_where_the_folder_should_be(tmp_path):

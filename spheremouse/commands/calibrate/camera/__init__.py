@@ -98,7 +98,7 @@ def camera(
 
 def _follows(out: Path) -> str:
     """The command after this one, by what is in the folder of the camera file."""
-    from spheremouse.calibrate.evening.proposed import init_command, photos_command
+    from spheremouse.calibrate.guide.suggested import init_command, photos_command
     from spheremouse.calibrate.photos import has_photos
 
     folder = out.parent

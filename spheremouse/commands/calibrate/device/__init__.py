@@ -57,7 +57,7 @@ def device(
     from spheremouse.calibrate.device.advice import advise
     from spheremouse.calibrate.device.report import write_device_report
     from spheremouse.calibrate.device.results import device_json
-    from spheremouse.calibrate.evening.proposed import axes_command
+    from spheremouse.calibrate.guide.suggested import axes_command
     from spheremouse.calibrate.photos import check_size, read_photos
     from spheremouse.commands.calibrate.device.text import device_text
     from spheremouse.commands.config import root

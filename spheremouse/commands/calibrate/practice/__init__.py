@@ -40,8 +40,8 @@ def practice(
     Six photos are from front, left, right, high, low and turned by 90 degrees; more stand between and beside them. From
     the first a film is taken of three gestures, for `spheremouse axes` and `spheremouse run`.
     """
-    from spheremouse.calibrate.evening.found import FILM
-    from spheremouse.calibrate.evening.proposed import camera_command, device_command, next_command
+    from spheremouse.calibrate.guide.folder import FILM
+    from spheremouse.calibrate.guide.suggested import camera_command, device_command, next_command
     from spheremouse.commands.calibrate.practice.write import device_of, film_of, write_stills
     from spheremouse.simulate.ball.stills import prepare_stills
     from spheremouse.simulate.to_dataset import write_simulation

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from spheremouse.calibrate.evening import proposed
-from spheremouse.calibrate.evening.found import (
+from spheremouse.calibrate.guide import suggested
+from spheremouse.calibrate.guide.folder import (
     BOARD,
     CAMERA_FILE,
     CONFIG_FILE,
@@ -56,7 +56,7 @@ def checklist(folder: Path) -> list[Step]:
     shots = photos_in(folder / DEVICE, folder / CAMERA_FILE if have_camera else None)
     rolling: tuple[tuple[str, str], ...] = ()
     if not have_rig:
-        rolling = (("Without photos of the device, roll the ball for a minute:", proposed.rolling_command(folder)),)
+        rolling = (("Without photos of the device, roll the ball for a minute:", suggested.rolling_command(folder)),)
     return _in_turn(
         [
             _folder_step(folder, have_rig),
@@ -78,11 +78,11 @@ def _folder_step(folder: Path, overtaken: bool) -> Step:
     name = "folder"
     if not folder.is_dir():
         todo = ("Make a folder for all that belongs to this device:",)
-        return Step(name, "next", f"{folder}: no such folder", todo, proposed.init_command(folder))
+        return Step(name, "next", f"{folder}: no such folder", todo, suggested.init_command(folder))
     if (folder / DEVICE_FILE).exists():
         return Step(name, "done", str(folder))
     todo = ("Add the file that describes the device; what is there already is kept:",)
-    return Step(name, _open(overtaken), f"{folder}, without {DEVICE_FILE}", todo, proposed.init_command(folder))
+    return Step(name, _open(overtaken), f"{folder}, without {DEVICE_FILE}", todo, suggested.init_command(folder))
 
 
 def _board_step(folder: Path, board: Photos, overtaken: bool, left_out: frozenset[str]) -> Step:
@@ -95,7 +95,7 @@ def _board_step(folder: Path, board: Photos, overtaken: bool, left_out: frozense
         if good < BOARD_ENOUGH:
             few = "" if good == n else f", {good} of use"
             wanted = (
-                f"; {BOARD_ENOUGH} to {BOARD_MOST} make a lens reliable: {proposed.photos_command(folder, 'camera')}"
+                f"; {BOARD_ENOUGH} to {BOARD_MOST} make a lens reliable: {suggested.photos_command(folder, 'camera')}"
             )
             return Step(name, "too few", board.found + few + wanted)
     if n >= BOARD_ENOUGH:
@@ -106,20 +106,20 @@ def _board_step(folder: Path, board: Photos, overtaken: bool, left_out: frozense
         "Tilt the board by 30 to 45 degrees to every side, come near and go far, and reach all corners of the picture; "
         "each photo is taken by itself, and you are told what is missing:",
     )
-    take = proposed.photos_command(folder, "camera")
+    take = suggested.photos_command(folder, "camera")
     own = ((f"Or put {BOARD_ENOUGH} to {BOARD_MOST} sharp photos of the whole board into {board.folder}.", ""),)
     if n < 3:
         return Step(name, _open(overtaken), board.found, todo, take, own)
     so_far = (f"{n} so far, of {BOARD_ENOUGH} to {BOARD_MOST} sharp ones with the whole board in each. Go on:",)
-    return Step(name, "next", board.found, so_far, take, (("Or go on with these:", proposed.camera_command(folder)),))
+    return Step(name, "next", board.found, so_far, take, (("Or go on with these:", suggested.camera_command(folder)),))
 
 
 def _camera_step(folder: Path, camera: Result | None, board: Photos, overtaken: bool) -> Step:
     name = CAMERA_FILE
     if camera is None:
         todo = ("Is --square as measured on the print, and --board its inner corners, one less than squares each way?",)
-        return Step(name, _open(overtaken), "not there yet", todo, proposed.camera_command(folder))
-    again = proposed.camera_command(folder, camera.board, again=True)
+        return Step(name, _open(overtaken), "not there yet", todo, suggested.camera_command(folder))
+    again = suggested.camera_command(folder, camera.board, again=True)
     if camera.problem:
         return Step(name, "next", camera.found, (*camera.problem, "Mend the file, or make it anew:"), again)
     if changed := camera.changed(board.photos):
@@ -131,7 +131,7 @@ def _device_file_step(folder: Path, overtaken: bool, otherwise: tuple[tuple[str,
     name, path = DEVICE_FILE, folder / DEVICE_FILE
     if not path.exists():
         return Step(
-            name, _open(overtaken), "not there yet", ("It describes the device:",), proposed.init_command(folder)
+            name, _open(overtaken), "not there yet", ("It describes the device:",), suggested.init_command(folder)
         )
     try:
         device = load_device(path)
@@ -160,19 +160,19 @@ def _shots_step(folder: Path, shots: Photos, overtaken: bool, otherwise: tuple[t
         "Go round the device with the camera: front, both sides, above and below, three targets or more in view, and "
         "as much of the ball as possible; each photo is taken by itself, and you are told what is missing:",
     )
-    take = proposed.photos_command(folder, "device")
+    take = suggested.photos_command(folder, "device")
     if n < 2:
         own = f"Or put {DEVICE_ENOUGH} to {DEVICE_MOST} sharp photos into {shots.folder}."
         return Step(name, _open(overtaken), shots.found, todo, take, ((own, ""), *otherwise))
     so_far = (f"{n} so far, of {DEVICE_ENOUGH} to {DEVICE_MOST}: from the front, both sides, above and below. Go on:",)
-    return Step(name, "next", shots.found, so_far, take, (("Or go on with these:", proposed.device_command(folder)),))
+    return Step(name, "next", shots.found, so_far, take, (("Or go on with these:", suggested.device_command(folder)),))
 
 
 def _rig_step(folder: Path, rig: Result | None, shots: Photos) -> Step:
     name = RIG_FILE
     if rig is None:
-        return Step(name, "next", "not there yet", ("Put it all together:",), proposed.device_command(folder))
-    again = (proposed.device_command if shots.photos else proposed.rolling_command)(folder, again=True)
+        return Step(name, "next", "not there yet", ("Put it all together:",), suggested.device_command(folder))
+    again = (suggested.device_command if shots.photos else suggested.rolling_command)(folder, again=True)
     if rig.problem:
         return Step(name, "next", rig.found, (*rig.problem, "Mend the file, or make it anew:"), again)
     changed = [rig.changed(shots.photos)]
@@ -196,17 +196,17 @@ def _axes_step(folder: Path) -> Step:
         return Step("axes", "done", f"player: {shown(player)}")
     show = "The film shows it:" if film_in(folder) else "Stand where the player stands, and show it, asked one by one:"
     found = f"{path.name} does not say where the player stands" if path.exists() else "not asked yet"
-    return Step("axes", "next", found, (f"Which way is right? {show}",), proposed.axes_command(folder / RIG_FILE))
+    return Step("axes", "next", found, (f"Which way is right? {show}",), suggested.axes_command(folder / RIG_FILE))
 
 
 def _run_step(folder: Path) -> Step:
     watch = ["--output", "null", "--table"]
     if film := film_in(folder):
         todo = ("All is calibrated. Watch what the ball of the practice set does:",)
-        return Step("run", "next", "", todo, proposed.run_command(folder, "--source", film, *watch))
+        return Step("run", "next", "", todo, suggested.run_command(folder, "--source", film, *watch))
     todo = ("All is calibrated. Play; `spheremouse ctl watch` in another terminal says what the ball does:",)
-    told = (("Or only watch what the ball does:", proposed.run_command(folder, *watch)),)
-    return Step("run", "next", "", todo, proposed.run_command(folder, "--output", "auto"), told)
+    told = (("Or only watch what the ball does:", suggested.run_command(folder, *watch)),)
+    return Step("run", "next", "", todo, suggested.run_command(folder, "--output", "auto"), told)
 
 
 def _open(overtaken: bool) -> State:

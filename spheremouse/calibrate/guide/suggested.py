@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from spheremouse.calibrate.board_file import options_of
-from spheremouse.calibrate.evening.found import (
+from spheremouse.calibrate.guide.folder import (
     BOARD,
     CAMERA_FILE,
     CONFIG_FILE,
