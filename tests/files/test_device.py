@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from spheremouse.ball.device import Axes, Distance
-from spheremouse.calibrate.lengths import parse_board, parse_length
+from spheremouse.calibrate.board import parse_board, parse_length
 from spheremouse.calibrate.prints.sheets import TARGETS
 from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.files.device import device_template, load_device, untouched

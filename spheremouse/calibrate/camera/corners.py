@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.calibrate.board_file import BoardFile
-from spheremouse.calibrate.lengths import parse_board, parse_length
+from spheremouse.calibrate.board import BoardFile, parse_board, parse_length
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, project, unproject
 from spheremouse.geometry.rotation import Array

@@ -1,1 +1,1 @@
-"""An evening of calibration as its folder shows it: what is there, what is next, and with which command."""
+"""The guide through a calibration: the contents of its folder, the next step, and its command."""

@@ -1,14 +1,17 @@
-"""Where an evening of calibration stands: a folder in, a checklist out whose first open step is the next thing to do.
+"""The checklist of a calibration: the first open step is the next one to do.
 
-The folder is all there is: photos, the files made from them, their times and the hashes in their provenance. So a
-session can be left at any time and continued by somebody else.
+It reads the folder alone: photos, the files made from them, their times, and the hashes in their provenance. So you can
+leave a calibration at any time, and somebody else can continue it.
 """
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from spheremouse.calibrate.board import NAME as BOARD_FILE
+from spheremouse.calibrate.board import PRINTED
 from spheremouse.calibrate.guide import suggested
 from spheremouse.calibrate.guide.folder import (
     BOARD,
@@ -17,101 +20,127 @@ from spheremouse.calibrate.guide.folder import (
     DEVICE,
     DEVICE_FILE,
     RIG_FILE,
+    TRUTH_FILE,
     Photos,
     Result,
-    camera_in,
-    configured,
+    compare_with_truth,
     count,
-    film_in,
-    photos_in,
-    rig_in,
+    practice_film,
+    read_camera,
+    read_config,
+    read_photo_folder,
+    read_rig,
 )
 from spheremouse.calibrate.outputs import sha256
 from spheremouse.calibrate.photos import BOARD_ENOUGH, BOARD_MOST, DEVICE_ENOUGH, DEVICE_MOST
-from spheremouse.errors import ConfigurationError
+from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.files.device import UNTOUCHED, load_device, untouched
 from spheremouse.files.yaml import shown
 
 State = Literal["done", "too few", "not needed", "next", "later"]
 
+SERVICES = (
+    Path("/etc/spheremouse"),
+    Path(os.environ.get("XDG_CONFIG_HOME") or Path("~/.config").expanduser()) / "spheremouse",
+)  # folders with a service's rig.yaml
+
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A line of the checklist; all but the first three are for whoever is at it."""
+    """A line of the checklist; only an open step has a task."""
 
     name: str
     state: State
-    found: str  # what is there
+    found: str  # in the folder
     todo: tuple[str, ...] = ()
     command: str = ""  # to copy into the terminal
-    otherwise: tuple[tuple[str, str], ...] = ()  # other ways on: what, and its command
+    otherwise: tuple[tuple[str, str], ...] = ()  # further text, each with its command
 
 
-def checklist(folder: Path) -> list[Step]:
-    """All steps from nothing to a running mouse; exactly one is next."""
-    camera, rig = camera_in(folder), rig_in(folder)
+def checklist(folder: Path, services: Sequence[Path] = SERVICES) -> list[Step]:
+    """Return all steps from nothing to a running mouse; at most one is next.
+
+    The steps of a practice set end with a comparison with its truth. `services` are folders with a service's rig.yaml.
+    """
+    camera, rig = read_camera(folder), read_rig(folder)
     have_rig = rig is not None and not rig.problem
     have_camera = camera is not None and not camera.problem
-    board = photos_in(folder / BOARD)
-    shots = photos_in(folder / DEVICE, folder / CAMERA_FILE if have_camera else None)
+    board = read_photo_folder(folder / BOARD)
+    device = read_photo_folder(folder / DEVICE, folder / CAMERA_FILE if have_camera else None)
     rolling: tuple[tuple[str, str], ...] = ()
     if not have_rig:
         rolling = (("Without photos of the device, roll the ball for a minute:", suggested.rolling_command(folder)),)
-    return _in_turn(
+    ending = [_truth_step(folder), _own_cabinet_step(folder)] if (folder / TRUTH_FILE).is_file() else []
+    return _in_order(
         [
             _folder_step(folder, have_rig),
+            _print_step(folder, bool(board.photos) or have_camera or have_rig),
             _board_step(folder, board, have_camera or have_rig, camera.left_out if camera else frozenset()),
             _camera_step(folder, camera, board, have_rig),
             _device_file_step(folder, have_rig, rolling),
-            _shots_step(folder, shots, have_rig, rolling),
-            _rig_step(folder, rig, shots),
+            _device_step(folder, device, have_rig, rolling),
+            _rig_step(folder, rig, device),
             _axes_step(folder),
-            _run_step(folder),
+            *(ending or [_service_step(folder, services)]),
         ]
     )
 
 
-# ---- the steps; one that something made later has overtaken is not needed ----
+# ---- the steps; `overtaken` ones are not needed, as a later file exists ----
 
 
 def _folder_step(folder: Path, overtaken: bool) -> Step:
     name = "folder"
     if not folder.is_dir():
-        todo = ("Make a folder for all that belongs to this device:",)
+        todo = ("Make a folder for all files of this device:",)
         return Step(name, "next", f"{folder}: no such folder", todo, suggested.init_command(folder))
     if (folder / DEVICE_FILE).exists():
         return Step(name, "done", str(folder))
-    todo = ("Add the file that describes the device; what is there already is kept:",)
+    todo = ("Add the file that describes the device; existing files stay:",)
     return Step(name, _open(overtaken), f"{folder}, without {DEVICE_FILE}", todo, suggested.init_command(folder))
+
+
+def _print_step(folder: Path, overtaken: bool) -> Step:
+    name = "print"
+    pages = [place for place in (folder, folder / "print", PRINTED) if (place / BOARD_FILE).is_file()]
+    if pages:
+        found = f"the board in {folder / BOARD_FILE}" if pages[0] == folder else f"pages in {pages[0]}"
+        return Step(name, "done", found)
+    todo = ("Make the pages: ring targets, discs, two boards, and the instructions:",)
+    after = (
+        "Print them at 100 % (actual size): both rulers of a page must be 100 mm. Glue one board on something flat and "
+        "stiff. Measure a whole row of its squares, and divide: that is the square size.",
+        "",
+    )
+    return Step(name, _open(overtaken), "no pages yet", todo, suggested.print_command(folder), (after,))
 
 
 def _board_step(folder: Path, board: Photos, overtaken: bool, left_out: frozenset[str]) -> Step:
     """`left_out`: hashes of photos in which the calibration found no board, or one that does not fit."""
     name, n = "photos of the board", len(board.photos)
+    take = suggested.photos_command(folder, "camera")
     if board.problem:
         return Step(name, _open(overtaken), board.found, board.problem)
     if n and overtaken:
         good = sum(p.sha256 not in left_out for p in board.photos)
         if good < BOARD_ENOUGH:
             few = "" if good == n else f", {good} of use"
-            wanted = (
-                f"; {BOARD_ENOUGH} to {BOARD_MOST} make a lens reliable: {suggested.photos_command(folder, 'camera')}"
-            )
+            wanted = f"; {BOARD_ENOUGH} to {BOARD_MOST} make a lens reliable: {take}"
             return Step(name, "too few", board.found + few + wanted)
     if n >= BOARD_ENOUGH:
         return Step(name, "done", board.found)
     todo = (
-        "Fix the board to something flat (to print one: `spheremouse calibrate print`) and stand before the camera. "
-        "Change neither its zoom nor its focus from now on.",
-        "Tilt the board by 30 to 45 degrees to every side, come near and go far, and reach all corners of the picture; "
-        "each photo is taken by itself, and you are told what is missing:",
+        "Print the board at 100 %, glue it on something flat and stiff, and stand before the camera. From now on, "
+        "change neither its zoom nor its focus.",
+        "Tilt the board by 30 to 45 degrees to each side, come near and go far, and reach all corners of the picture. "
+        "The program takes each photo by itself, and shows what is missing. Give the measured square with --square:",
     )
-    take = suggested.photos_command(folder, "camera")
     own = ((f"Or put {BOARD_ENOUGH} to {BOARD_MOST} sharp photos of the whole board into {board.folder}.", ""),)
     if n < 3:
         return Step(name, _open(overtaken), board.found, todo, take, own)
     so_far = (f"{n} so far, of {BOARD_ENOUGH} to {BOARD_MOST} sharp ones with the whole board in each. Go on:",)
-    return Step(name, "next", board.found, so_far, take, (("Or go on with these:", suggested.camera_command(folder)),))
+    use_these = (("Or go on with these:", suggested.camera_command(folder)),)
+    return Step(name, "next", board.found, so_far, take, use_these)
 
 
 def _camera_step(folder: Path, camera: Result | None, board: Photos, overtaken: bool) -> Step:
@@ -121,27 +150,27 @@ def _camera_step(folder: Path, camera: Result | None, board: Photos, overtaken: 
         return Step(name, _open(overtaken), "not there yet", todo, suggested.camera_command(folder))
     again = suggested.camera_command(folder, camera.board, again=True)
     if camera.problem:
-        return Step(name, "next", camera.found, (*camera.problem, "Mend the file, or make it anew:"), again)
-    if changed := camera.changed(board.photos):
-        return Step(name, "next", changed, ("Calibrate the camera again:",), again)
+        return Step(name, "next", camera.found, (*camera.problem, "Correct the file, or make it again:"), again)
+    if changes := camera.changes(board.photos):
+        return Step(name, "next", changes, ("Calibrate the camera again:",), again)
     return Step(name, "done", camera.found)
 
 
 def _device_file_step(folder: Path, overtaken: bool, otherwise: tuple[tuple[str, str], ...]) -> Step:
     name, path = DEVICE_FILE, folder / DEVICE_FILE
     if not path.exists():
-        return Step(
-            name, _open(overtaken), "not there yet", ("It describes the device:",), suggested.init_command(folder)
-        )
+        make = suggested.init_command(folder)
+        return Step(name, _open(overtaken), "not there yet", ("It describes the device:",), make)
     try:
         device = load_device(path)
     except ConfigurationError as e:
         return Step(name, "next", "has mistakes", (*str(e).splitlines(), f"Correct this in {path}."))
     if untouched(path):
         todo = (
-            "Hang up the targets and put the discs on the ball (to print them: `spheremouse calibrate print`).",
-            f"Open {path} in an editor and go through it: codes, sizes, and distances between targets by tape.",
-            f"At last delete its first line ({UNTOUCHED.partition(':')[0]} ...).",
+            "Cut out the printed targets and discs. Glue three targets or more flat on the frame, in one plane and "
+            "not in a line, and the discs all over the ball.",
+            f"Open {path} in an editor. Enter codes, sizes, and distances between targets, measured by tape.",
+            f"Then delete its first line ({UNTOUCHED.partition(':')[0]} ...).",
         )
         return Step(name, _open(overtaken), "not filled in yet", todo, otherwise=otherwise)
     n = len(device.distances)
@@ -149,77 +178,104 @@ def _device_file_step(folder: Path, overtaken: bool, otherwise: tuple[tuple[str,
     return Step(name, "done", f"{len(device.ids)} targets, {measured}")
 
 
-def _shots_step(folder: Path, shots: Photos, overtaken: bool, otherwise: tuple[tuple[str, str], ...]) -> Step:
-    name, n = "photos of the device", len(shots.photos)
-    if shots.problem:
-        return Step(name, _open(overtaken), shots.found, shots.problem, otherwise=otherwise)
+def _device_step(folder: Path, photos: Photos, overtaken: bool, otherwise: tuple[tuple[str, str], ...]) -> Step:
+    name, n = "photos of the device", len(photos.photos)
+    if photos.problem:
+        return Step(name, _open(overtaken), photos.found, photos.problem, otherwise=otherwise)
     if n >= DEVICE_ENOUGH or (n and overtaken):
-        return Step(name, "done", shots.found)
+        return Step(name, "done", photos.found)
     todo = (
-        "Wedge the ball so that it cannot turn, and touch nothing until the last photo. Zoom, focus: as before.",
-        "Go round the device with the camera: front, both sides, above and below, three targets or more in view, and "
-        "as much of the ball as possible; each photo is taken by itself, and you are told what is missing:",
+        "Wedge the ball so that it cannot turn, and touch nothing until the last photo. Keep zoom and focus.",
+        "Carry the camera round the device: front, both sides, above and below. Keep three targets or more in view, "
+        "and as much of the ball as possible. The program takes each photo by itself, and shows what is missing:",
     )
     take = suggested.photos_command(folder, "device")
     if n < 2:
-        own = f"Or put {DEVICE_ENOUGH} to {DEVICE_MOST} sharp photos into {shots.folder}."
-        return Step(name, _open(overtaken), shots.found, todo, take, ((own, ""), *otherwise))
+        own = f"Or put {DEVICE_ENOUGH} to {DEVICE_MOST} sharp photos into {photos.folder}."
+        return Step(name, _open(overtaken), photos.found, todo, take, ((own, ""), *otherwise))
     so_far = (f"{n} so far, of {DEVICE_ENOUGH} to {DEVICE_MOST}: from the front, both sides, above and below. Go on:",)
-    return Step(name, "next", shots.found, so_far, take, (("Or go on with these:", suggested.device_command(folder)),))
+    use_these = (("Or go on with these:", suggested.device_command(folder)),)
+    return Step(name, "next", photos.found, so_far, take, use_these)
 
 
-def _rig_step(folder: Path, rig: Result | None, shots: Photos) -> Step:
+def _rig_step(folder: Path, rig: Result | None, photos: Photos) -> Step:
     name = RIG_FILE
     if rig is None:
-        return Step(name, "next", "not there yet", ("Put it all together:",), suggested.device_command(folder))
-    again = (suggested.device_command if shots.photos else suggested.rolling_command)(folder, again=True)
+        return Step(name, "next", "not there yet", ("Calibrate the device:",), suggested.device_command(folder))
+    again = (suggested.device_command if photos.photos else suggested.rolling_command)(folder, again=True)
     if rig.problem:
-        return Step(name, "next", rig.found, (*rig.problem, "Mend the file, or make it anew:"), again)
-    changed = [rig.changed(shots.photos)]
-    for path in (folder / CAMERA_FILE, *([folder / DEVICE_FILE] if shots.photos else [])):
+        return Step(name, "next", rig.found, (*rig.problem, "Correct the file, or make it again:"), again)
+    changes = [rig.changes(photos.photos)]
+    for path in (folder / CAMERA_FILE, *([folder / DEVICE_FILE] if photos.photos else [])):
         if path.is_file() and rig.precedes(path, sha256(path)):
-            changed.append(f"{path.name} is newer")
-    if found := "; ".join(filter(None, changed)):
+            changes.append(f"{path.name} is newer")
+    if found := "; ".join(filter(None, changes)):
         return Step(name, "next", found, ("Calibrate the device again:",), again)
-    return Step(name, "done", rig.found, tuple(f"But it warned: {text}" for text in rig.doubts))
+    warnings = f"; {count(len(rig.warnings), 'warning')} in its report" if rig.warnings else ""
+    return Step(name, "done", rig.found + warnings)
 
 
 def _axes_step(folder: Path) -> Step:
     path = folder / CONFIG_FILE
     try:
-        player = (configured(folder).get("motion") or {}).get("player")
+        player = (read_config(folder).get("motion") or {}).get("player")
     except ConfigurationError as e:
-        return Step("axes", "next", f"{path.name} cannot be used", (*str(e).splitlines(), "Mend the file."))
+        return Step("axes", "next", f"{path.name} cannot be used", (*str(e).splitlines(), "Correct the file."))
     except AttributeError:
-        return Step("axes", "next", f"{path.name} cannot be used", (f"{path}: motion is no section.", "Mend the file."))
+        problem = (f"{path}: motion is no section.", "Correct the file.")
+        return Step("axes", "next", f"{path.name} cannot be used", problem)
     if player is not None:
         return Step("axes", "done", f"player: {shown(player)}")
-    show = "The film shows it:" if film_in(folder) else "Stand where the player stands, and show it, asked one by one:"
+    show = "The film shows it:" if practice_film(folder) else "Stand where the player stands, and make three gestures:"
     found = f"{path.name} does not say where the player stands" if path.exists() else "not asked yet"
     return Step("axes", "next", found, (f"Which way is right? {show}",), suggested.axes_command(folder / RIG_FILE))
 
 
-def _run_step(folder: Path) -> Step:
-    watch = ["--output", "null", "--table"]
-    if film := film_in(folder):
-        todo = ("All is calibrated. Watch what the ball of the practice set does:",)
-        return Step("run", "next", "", todo, suggested.run_command(folder, "--source", film, *watch))
-    todo = ("All is calibrated. Play; `spheremouse ctl watch` in another terminal says what the ball does:",)
-    told = (("Or only watch what the ball does:", suggested.run_command(folder, *watch)),)
-    return Step("run", "next", "", todo, suggested.run_command(folder, "--output", "auto"), told)
+def _truth_step(folder: Path) -> Step:
+    found = compare_with_truth(folder)
+    return Step("truth", "done", found or f"cannot be compared with {TRUTH_FILE}")
+
+
+def _own_cabinet_step(folder: Path) -> Step:
+    todo = ("The practice is complete. Go on with your own cabinet:",)
+    watch: tuple[tuple[str, str], ...] = ()
+    if film := practice_film(folder):
+        run = suggested.run_command(folder, "--source", film, "--output", "null", "--table")
+        watch = (("To watch the tracker on the film of the practice:", run),)
+    return Step("your cabinet", "next", "", todo, suggested.own_cabinet_command(folder), watch)
+
+
+def _service_step(folder: Path, services: Sequence[Path]) -> Step:
+    try:
+        own = sha256(folder / RIG_FILE)
+        served = [place for place in services if (place / RIG_FILE).is_file() and sha256(place / RIG_FILE) == own]
+    except CalibrationError:  # no rig yet, or a service's file that this account may not read
+        served = []
+    if served:
+        return Step("service", "done", f"{served[0] / RIG_FILE} is this calibration")
+    config = services[0] / CONFIG_FILE
+    todo = ("All is calibrated. Try it; `spheremouse ctl watch` in another terminal shows what the ball does:",)
+    install = (
+        ("If the pointer goes where the ball goes, install the service, which starts with the computer:",
+         suggested.INSTALL),
+        ("Give it this calibration:", suggested.copy_command(folder, services[0])),
+        (f"Copy source, camera and motion from {folder / CONFIG_FILE} into {config}. Then start it:", suggested.START),
+    )  # fmt: skip
+    run = suggested.run_command(folder, "--output", "auto")
+    return Step("service", "next", "not installed with this calibration", todo, run, install)
 
 
 def _open(overtaken: bool) -> State:
     return "not needed" if overtaken else "next"
 
 
-def _in_turn(steps: Sequence[Step]) -> list[Step]:
-    """The first open step stays next, those behind it are for later; only what is open says what to do."""
-    found, waiting = [], False
+def _in_order(steps: Sequence[Step]) -> list[Step]:
+    """Keep the first open step as the next one, and put off those behind it; only open steps keep their task."""
+    result, waiting = [], False
     for step in steps:
         if step.state == "next":
-            found.append(replace(step, state="later") if waiting else step)
+            result.append(replace(step, state="later") if waiting else step)
             waiting = True
         else:
-            found.append(Step(step.name, step.state, step.found))
-    return found
+            result.append(Step(step.name, step.state, step.found))
+    return result

@@ -1,20 +1,26 @@
-"""What an evening's folder holds: photos, the files made from them, and what these say of their making."""
+"""Contents of a calibration's folder: photos, the files made from them, and the provenance of these files."""
 
+import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spheremouse.calibrate.board_file import options_made_of
+import numpy as np
+
+from spheremouse.calibrate.board import options_from_provenance
 from spheremouse.calibrate.photos import Photo, check_size, read_photos
 from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.files.rig import load_camera, load_rig
+from spheremouse.files.safe_open import read_bytes
 from spheremouse.files.yaml import read_document, without_schema
 
 BOARD, DEVICE = "board", "device"  # folders of photos
 CAMERA_FILE, DEVICE_FILE, RIG_FILE, CONFIG_FILE = "camera.yaml", "device.yaml", "rig.yaml", "config.yaml"
-FILM = "film"  # in a practice set: a dataset of three gestures
+FILM, TRUTH_FILE = "film", "truth.json"  # of a practice set: a dataset of three gestures, and the exact device
+
+_MAX_TRUTH_BYTES = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +33,7 @@ class Photos:
 
     @property
     def found(self) -> str:
+        """Number and size of the photos, in words."""
         if self.problem:
             return "cannot be used as they are"
         if not self.photos:
@@ -37,27 +44,27 @@ class Photos:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """A file made from others, and what it says of its making."""
+    """A file that a calibration wrote, with its provenance."""
 
     path: Path
     found: str  # in words
     problem: tuple[str, ...] = ()  # why it cannot be used
-    hashes: frozenset[str] = frozenset()  # of all it was made from
+    hashes: frozenset[str] = frozenset()  # of all files it was made from
     photo_hashes: frozenset[str] = frozenset()
     left_out: frozenset[str] = frozenset()  # hashes of photos
-    board: tuple[str, ...] = ()  # options of the camera command
+    board: tuple[str, ...] = ()  # options of `calibrate camera`
     size: tuple[int, int] | None = None  # px, of a camera
-    doubts: tuple[str, ...] = ()  # what the calibration itself warned of
+    warnings: tuple[str, ...] = ()  # of the calibration itself
 
     def precedes(self, path: Path, sha256: str) -> bool:
-        """Whether a file came later than this result, and is not what it was made from."""
+        """Return True for a file that is newer than this result and not among its sources."""
         if sha256 in self.hashes:
             return False
         state = path.stat()
-        return max(state.st_mtime_ns, state.st_ctime_ns) > self.path.stat().st_mtime_ns  # ctime: when it was copied
+        return max(state.st_mtime_ns, state.st_ctime_ns) > self.path.stat().st_mtime_ns  # ctime: of the copying
 
-    def changed(self, photos: Sequence[Photo]) -> str:
-        """Difference of the photos from those it was made from; nothing where there is none, or none are left."""
+    def changes(self, photos: Sequence[Photo]) -> str:
+        """Describe how photos differ from the sources of this result; empty if they are the same, or all gone."""
         new = sum(self.precedes(p.path, p.sha256) for p in photos)
         here = {p.sha256 for p in photos}
         gone = len(self.photo_hashes - here) if self.photo_hashes & here else 0
@@ -66,8 +73,8 @@ class Result:
         return ", ".join(words)
 
 
-def photos_in(folder: Path, camera_path: Path | None = None) -> Photos:
-    """The photos in a folder, and whether they are of the mode of a camera file."""
+def read_photo_folder(folder: Path, camera_path: Path | None = None) -> Photos:
+    """Read the photos in a folder, and check that they have the mode of a camera file."""
     try:
         there = any(p.is_file() and not p.name.startswith(".") for p in folder.iterdir())
         photos = read_photos([folder], note=lambda _: None) if there else []
@@ -80,8 +87,8 @@ def photos_in(folder: Path, camera_path: Path | None = None) -> Photos:
     return Photos(folder, tuple(photos))
 
 
-def camera_in(folder: Path) -> Result | None:
-    """The camera file."""
+def read_camera(folder: Path) -> Result | None:
+    """Read the camera file; None if there is none."""
     path = folder / CAMERA_FILE
     if not path.exists():
         return None
@@ -89,15 +96,15 @@ def camera_in(folder: Path) -> Result | None:
         camera = load_camera(path)
     except ConfigurationError as e:
         return Result(path, "cannot be used", tuple(str(e).splitlines()))
-    made = _provenance(path)
+    source = _provenance(path)
     words = f"{camera.width}x{camera.height}, focal length {camera.fx:.1f} px"
     size = camera.width, camera.height
-    used, left_out = _hashes(made.get("photos")), _hashes(made.get("left_out"))
-    return Result(path, words, (), _hashes(made), used, left_out, options_made_of(made), size)
+    used, left_out = _hashes(source.get("photos")), _hashes(source.get("left_out"))
+    return Result(path, words, (), _hashes(source), used, left_out, options_from_provenance(source), size)
 
 
-def rig_in(folder: Path) -> Result | None:
-    """The rig file."""
+def read_rig(folder: Path) -> Result | None:
+    """Read the rig file; None if there is none."""
     path = folder / RIG_FILE
     if not path.exists():
         return None
@@ -105,22 +112,43 @@ def rig_in(folder: Path) -> Result | None:
         rig = load_rig(path)
     except ConfigurationError as e:
         return Result(path, "cannot be used", tuple(str(e).splitlines()))
-    made = _provenance(path)
+    source = _provenance(path)
     size = "scale free" if rig.scale_free else f"ball of {rig.ball.radius:.3f} m radius"
     words = f"{size}, {count(len(rig.targets.ids), 'target')}"
-    said = made.get("warnings")
-    doubts = tuple(str(w) for w in said) if isinstance(said, tuple | list) else ()
-    return Result(path, words, (), _hashes(made), _hashes(made.get("photos")), doubts=doubts)
+    listed = source.get("warnings")
+    warnings = tuple(str(w) for w in listed) if isinstance(listed, tuple | list) else ()
+    return Result(path, words, (), _hashes(source), _hashes(source.get("photos")), warnings=warnings)
 
 
-def film_in(folder: Path) -> str | None:
-    """The film of a practice set as a source."""
+def practice_film(folder: Path) -> str | None:
+    """Return the film of a practice set as a source; None in the folder of a real device."""
     film = folder / FILM
     return f"dataset:{film}" if (film / "scene.json").is_file() else None
 
 
-def configured(folder: Path) -> dict[str, Any]:
-    """What the configuration file says, section by section; ConfigurationError where it cannot be read."""
+def compare_with_truth(folder: Path) -> str | None:
+    """Compare the rig of a practice set with its truth, in words; None without a truth, or a rig that can be read."""
+    try:
+        truth = json.loads(read_bytes(folder / TRUTH_FILE, _MAX_TRUTH_BYTES, "truth"))
+        rig = load_rig(folder / RIG_FILE)
+        positions = {t["code"]: np.array(t["position"], dtype=float) for t in truth["targets"]}
+        focal, radius = float(truth["camera"]["fx"]), float(truth["ball"]["radius"])
+    except (OSError, ConfigurationError, ValueError, KeyError, TypeError):
+        return None
+    words = [f"focal length {100.0 * (rig.camera.fx / focal - 1.0):+.3f} %"]
+    scale = radius / rig.ball.radius if rig.scale_free else 1.0
+    if not rig.scale_free:
+        sigma = float(np.sqrt(rig.ball.covariance[3, 3]))
+        words.append(f"ball's radius {1e3 * (rig.ball.radius - radius):+.2f} ± {1e3 * sigma:.2f} mm")
+    pairs = [(p, positions[c]) for c, p in zip(rig.targets.codes, rig.targets.position, strict=True) if c in positions]
+    if pairs:
+        worst = max(float(np.linalg.norm(scale * found - true)) for found, true in pairs)
+        words.append(f"targets at most {1e3 * worst:.2f} mm")
+    return f"errors against {TRUTH_FILE}: {', '.join(words)}"
+
+
+def read_config(folder: Path) -> dict[str, Any]:
+    """Read the configuration file by sections; ConfigurationError if it cannot be read."""
     path = folder / CONFIG_FILE
     data = without_schema(read_document(path), "configuration").data if path.exists() else {}
     if data is None:
@@ -131,18 +159,18 @@ def configured(folder: Path) -> dict[str, Any]:
 
 
 def count(n: int, thing: str) -> str:
-    """Number and noun."""
+    """Return a number with its noun."""
     return f"{n} {thing}{'' if n == 1 else 's'}"
 
 
 def _provenance(path: Path) -> dict[str, Any]:
     data = read_document(path).data
-    made = data.get("provenance") if isinstance(data, dict) else None
-    return made if isinstance(made, dict) else {}
+    source = data.get("provenance") if isinstance(data, dict) else None
+    return source if isinstance(source, dict) else {}
 
 
 def _hashes(part: Any) -> frozenset[str]:
-    """All SHA-256 in a part of a file, wherever they stand."""
+    """Collect all SHA-256 in a part of a file."""
 
     def walk(value: Any) -> Iterator[str]:
         if isinstance(value, str) and re.fullmatch(r"[0-9a-f]{64}", value):

@@ -5,7 +5,7 @@ from importlib import resources
 
 from markupsafe import Markup
 
-from spheremouse.calibrate.lengths import Board
+from spheremouse.calibrate.board import Board
 from spheremouse.calibrate.prints.sheets import mm
 from spheremouse.calibrate.prints.sketches import sketches
 from spheremouse.files.report.page import page

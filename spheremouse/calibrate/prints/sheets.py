@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.calibrate.lengths import Board
+from spheremouse.calibrate.board import Board
 from spheremouse.calibrate.prints.page import (
     BLACK,
     GREY,

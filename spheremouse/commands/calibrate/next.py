@@ -1,4 +1,4 @@
-"""`spheremouse calibrate next`: how far the evening is, and the one thing to do now."""
+"""`spheremouse calibrate next`: the checklist of a calibration, and the next step."""
 
 import dataclasses
 import json
@@ -29,9 +29,9 @@ def next_(
         Path | None, typer.Option("--json", metavar="FILE", help="Write the steps as JSON; - prints them instead.")
     ] = None,
 ) -> None:
-    """Say where a calibration stands, and what to do next.
+    """Show how far a calibration is, and the next step with its command.
 
-    One thing at a time, with its command. It looks at the folder alone, so an evening can be left and continued.
+    It reads the folder alone, so you can leave a calibration at any time and continue it later.
     """
     from spheremouse.calibrate.guide.checklist import checklist
     from spheremouse.calibrate.guide.suggested import default_folder
@@ -63,7 +63,10 @@ def _show(steps: "Sequence[Step]") -> None:
         style = _STYLES[step.state]
         table.add_row(Text(step.state, style), Text(step.name, style), step.found)
     console.print(table)
-    step = next(s for s in steps if s.state == "next")
+    step = next((s for s in steps if s.state == "next"), None)
+    if step is None:
+        console.print("\nThe calibration is complete, and the service has it. Its state: `spheremouse ctl status`.")
+        return
     console.print(f"\nNext: {step.name}", style="bold")
     for line in step.todo:
         console.print(line)

@@ -10,7 +10,7 @@ import typer
 from spheremouse.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from spheremouse.calibrate.board_file import BoardFile
+    from spheremouse.calibrate.board import BoardFile
     from spheremouse.calibrate.photographing.look import Judge
     from spheremouse.calibrate.photographing.screen import Screen
     from spheremouse.calibrate.photographing.session import Outcome
@@ -60,7 +60,7 @@ def photos(
     It says what is missing, ends when there are enough, and goes on where it was left. Photos go to FOLDER/board or
     FOLDER/device, where `calibrate next` looks for them.
     """
-    from spheremouse.calibrate.board_file import NAME, board_told, save_board
+    from spheremouse.calibrate.board import NAME, chosen_board, save_board
     from spheremouse.calibrate.guide.suggested import camera_command, default_folder, device_command, photos_command
     from spheremouse.calibrate.photographing.screen import ENOUGH, Screen
     from spheremouse.calibrate.photographing.session import take_photos
@@ -73,7 +73,7 @@ def photos(
     folder = default_folder() if folder is None else folder
     if folder.exists() and not folder.is_dir():
         raise CalibrationError(f"{folder}: is a file; name the folder that `spheremouse calibrate init` made")
-    known = board_told(folder, board, square, marker, dictionary)
+    known = chosen_board(folder, board, square, marker, dictionary)
     usual = folder / "config.yaml"
     configured = in_force(config or (usual if usual.exists() else None), settings or (), root())
     place = folder / ("board" if what == "camera" else "device")

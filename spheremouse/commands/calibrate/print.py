@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from spheremouse.calibrate.lengths import parse_board, parse_length
+from spheremouse.calibrate.board import parse_board, parse_length
 from spheremouse.errors import CalibrationError
 from spheremouse.files.atomic import replace
 from spheremouse.files.safe_open import read_bytes
@@ -57,7 +57,7 @@ def print_(
 
     Vector PDFs at true scale, with rulers to check the print; the recipe is HTML. The same options give the same bytes.
     """
-    from spheremouse.calibrate.board_file import NAME, BoardFile, text_of
+    from spheremouse.calibrate.board import NAME, BoardFile
     from spheremouse.calibrate.prints.page import pdf
     from spheremouse.calibrate.prints.recipe import recipe
     from spheremouse.calibrate.prints.sheets import (
@@ -82,7 +82,7 @@ def print_(
     if Kind.BOARDS in kinds:
         for pattern in (chessboard(corners, side), charuco(corners, side)):
             made[f"{pattern.file}-{size}.pdf"] = pdf(board_pages(pattern, corners, size), pattern.name)
-        made[NAME] = text_of(BoardFile(f"{corners.columns}x{corners.rows}", f"{mm(side)}mm")).encode()
+        made[NAME] = BoardFile(f"{corners.columns}x{corners.rows}", f"{mm(side)}mm").text.encode()
     if Kind.DISCS in kinds:
         radius = _millimetres("--disc-radius", disc_radius)
         made[f"discs-{discs}-{mm(radius)}mm-{size}.pdf"] = pdf(disc_pages(discs, radius, size), "Discs")
@@ -121,7 +121,7 @@ def _holds(path: Path, data: bytes) -> bool:
 
 def _write(folder: Path, made: dict[str, bytes], force: bool) -> None:
     """All files or, where one is there that differs, none; which board was printed last may change."""
-    from spheremouse.calibrate.board_file import NAME
+    from spheremouse.calibrate.board import NAME
 
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -66,7 +66,7 @@ def rolling(
     dataset's own); without any, roll it forward, then to the right: live you are told when, of a recording say when.
     Without a length the scale is free: all works, and counts are per radian.
     """
-    from spheremouse.calibrate.lengths import parse_length
+    from spheremouse.calibrate.board import parse_length
     from spheremouse.calibrate.rolling.lengths import Lengths
     from spheremouse.capture import full_spec
 

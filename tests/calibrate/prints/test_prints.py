@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.ball.rig import CODES
-from spheremouse.calibrate.lengths import Board
+from spheremouse.calibrate.board import Board
 from spheremouse.calibrate.prints.page import PAPERS, _figure, pdf
 from spheremouse.calibrate.prints.recipe import recipe
 from spheremouse.calibrate.prints.sheets import (

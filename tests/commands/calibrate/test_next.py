@@ -3,6 +3,7 @@
 import json
 import os
 import shlex
+import shutil
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from spheremouse.ball.rig import Ball, Rig, Targets
+from spheremouse.calibrate.board import BoardFile, save_board
 from spheremouse.calibrate.guide.checklist import checklist
 from spheremouse.calibrate.photos import BOARD_ENOUGH, DEVICE_ENOUGH, read_photos
 from spheremouse.commands import app
@@ -22,13 +24,14 @@ SIZE = (64, 48)
 CAMERA = InteriorOrientation(*SIZE, 60.0, 60.0, 31.5, 23.5)
 NAMES = [
     "folder",
+    "print",
     "photos of the board",
     "camera.yaml",
     "device.yaml",
     "photos of the device",
     "rig.yaml",
     "axes",
-    "run",
+    "service",
 ]
 
 
@@ -37,6 +40,11 @@ def run(*words):
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     return result
+
+
+def printed(folder):
+    (folder / "print").mkdir()
+    save_board(folder / "print" / "board.yaml", BoardFile())
 
 
 def photograph(folder, n, first=0, size=SIZE):
@@ -71,8 +79,7 @@ def tick(path, seconds):
 
 def next_of(folder):
     """The open step; the others are behind or before it."""
-    steps = checklist(folder)
-    assert [s.name for s in steps] == NAMES
+    steps = checklist(folder, [folder.parent / "service"])
     states = [s.state for s in steps]
     k = states.index("next")
     assert set(states[:k]) <= {"done", "too few", "not needed"}
@@ -81,10 +88,17 @@ def next_of(folder):
     return steps[k]
 
 
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """A working folder without printed pages."""
+    monkeypatch.chdir(tmp_path)
+
+
 @pytest.fixture
 def cabinet(tmp_path):
     folder = tmp_path / "my cabinet"
     assert run("init", folder).exit_code == 0
+    printed(folder)
     return folder
 
 
@@ -99,7 +113,7 @@ def finished(cabinet):
     tick(cabinet / "camera.yaml", 1)
     tick(cabinet / "rig.yaml", 2)
     (cabinet / "config.yaml").write_text("schema: 2\nmotion: {player: left}\n")
-    assert next_of(cabinet).name == "run"
+    assert next_of(cabinet).name == "service"
     return cabinet
 
 
@@ -109,6 +123,11 @@ def test_an_evening_from_nothing_to_the_mouse(tmp_path):
     step = next_of(folder)
     assert shlex.split(step.command) == ["spheremouse", "calibrate", "init", str(folder)]
     run(*shlex.split(step.command)[2:])
+
+    step = next_of(folder)
+    assert step.name == "print"
+    run(*shlex.split(step.command)[2:], "--only", "boards")
+    assert (folder / "print" / "board.yaml").exists()
 
     step = next_of(folder)
     assert step.name == "photos of the board"
@@ -160,22 +179,43 @@ def test_an_evening_from_nothing_to_the_mouse(tmp_path):
     configuration.write_text("schema: 2\nmotion: {player: left}\n")
 
     step = next_of(folder)
-    assert step.name == "run"
-    assert shlex.split(step.command)[:4] == ["spheremouse", "run", "--config", config]
+    assert [s.name for s in checklist(folder)] == NAMES
+    assert step.name == "service"
+    assert shlex.split(step.command) == ["spheremouse", "run", "--config", config, "--output", "auto"]
+    install, copy, start = (shlex.split(command) for _, command in step.otherwise)
+    assert install == ["sudo", "spheremouse", "service", "install"]
+    assert copy == ["sudo", "cp", rig, str(tmp_path / "service" / "rig.yaml")]
+    assert start[:2] == ["sudo", "systemctl"]
+    (tmp_path / "service").mkdir()
+    shutil.copy(*copy[2:])
+    steps = checklist(folder, [tmp_path / "service"])
+    assert [s.name for s in steps if s.state not in ("done", "not needed")] == []
 
 
-def test_a_practice_set_ends_with_its_film(finished):
+def test_a_practice_set_ends_with_its_truth_and_your_own_cabinet(finished, tmp_path):
     (finished / "film").mkdir()
     (finished / "film" / "scene.json").touch()
+    targets = [{"code": c, "position": p} for c, p in zip(("MCY", "CYM", "YMC"), np.eye(3).tolist(), strict=True)]
+    targets[1]["position"][2] = 0.002
+    truth = {"camera": {"fx": 60.3}, "ball": {"radius": 0.6003}, "targets": targets}
+    (finished / "truth.json").write_text(json.dumps(truth))
     source = ["--source", f"dataset:{finished / 'film'}"]
     config = finished / "config.yaml"
-    words = shlex.split(next_of(finished).command)
-    watched = [*source, "--output", "null", "--table"]
-    assert words == ["spheremouse", "run", "--config", str(config), *watched]
+
+    step = next_of(finished)
+    assert shlex.split(step.command) == ["spheremouse", "calibrate", "init", "cabinet"]
+    watched = ["spheremouse", "run", "--config", str(config), *source, "--output", "null", "--table"]
+    assert shlex.split(step.otherwise[0][1]) == watched
+    compared = next(s.found for s in checklist(finished) if s.name == "truth")
+    for figure in ("focal length -0.498 %", "ball's radius -0.30", "targets at most 2.00 mm"):
+        assert figure in compared
+    (tmp_path / "cabinet").mkdir()
+    assert shlex.split(next_of(finished).command) == ["spheremouse", "calibrate", "next"]
     config.unlink()
-    words = shlex.split(next_of(finished).command)
     rig = str(finished / "rig.yaml")
-    assert words == ["spheremouse", "axes", "--config", str(config), "--rig", rig, *source]
+    assert shlex.split(next_of(finished).command) == [
+        "spheremouse", "axes", "--config", str(config), "--rig", rig, *source
+    ]  # fmt: skip
 
 
 def test_some_photos_are_counted_and_may_do(cabinet):
@@ -189,7 +229,7 @@ def test_some_photos_are_counted_and_may_do(cabinet):
     assert "calibrate camera" in step.otherwise[0][1]
     make_camera(cabinet)
     assert next_of(cabinet).name == "device.yaml"  # whoever went on may go on
-    board = checklist(cabinet)[1]
+    board = checklist(cabinet)[2]
     assert board.state == "too few"
     assert board.found.startswith(f"5 photos of 64x48 in {cabinet / 'board'}; 10 to 20 ")
 
@@ -200,8 +240,8 @@ def test_photos_that_the_camera_did_not_use_do_not_count(cabinet):
     for left, state in ((1, "done"), (2, "too few")):
         save_camera(cabinet / "camera.yaml", CAMERA, {"photos": every[left:], "left_out": every[:left]})
         tick(cabinet / "camera.yaml", 1)
-        assert checklist(cabinet)[1].state == state
-    assert f"{BOARD_ENOUGH - 1} of use" in checklist(cabinet)[1].found
+        assert checklist(cabinet)[2].state == state
+    assert f"{BOARD_ENOUGH - 1} of use" in checklist(cabinet)[2].found
 
 
 def test_photos_that_came_later_ask_for_another_run(finished):
@@ -218,14 +258,14 @@ def test_photos_that_came_later_ask_for_another_run(finished):
     assert step.command.endswith("--force")
     make_rig(finished, provenance(finished / "device"))
     tick(finished / "rig.yaml", 300)
-    assert next_of(finished).name == "run"
+    assert next_of(finished).name == "service"
 
 
 def test_copying_the_folder_is_no_change(finished):
     """Photos newer than what was made of them, as after a copy without times: their hashes are known."""
     for photo in [*(finished / "board").iterdir(), *(finished / "device").iterdir()]:
         tick(photo, 1000)
-    assert next_of(finished).name == "run"
+    assert next_of(finished).name == "service"
 
 
 def test_a_view_without_the_board_is_not_new_for_ever(finished):
@@ -233,7 +273,7 @@ def test_a_view_without_the_board_is_not_new_for_ever(finished):
     photograph(finished / "board", 1, 60)
     tick(finished / "camera.yaml", 10)
     tick(finished / "rig.yaml", 20)
-    assert next_of(finished).name == "run"
+    assert next_of(finished).name == "service"
 
 
 def test_a_photo_thrown_out_asks_for_another_run_and_all_of_them_do_not(finished):
@@ -246,7 +286,7 @@ def test_a_photo_thrown_out_asks_for_another_run_and_all_of_them_do_not(finished
         photo.unlink()
     states = {s.name: s.state for s in checklist(finished)}
     assert states["photos of the board"] == states["photos of the device"] == "not needed"
-    assert next_of(finished).name == "run"
+    assert next_of(finished).name == "service"
 
 
 def test_a_device_file_changed_later_asks_for_another_run(finished):
@@ -326,6 +366,8 @@ def test_it_goes_on_in_the_folder_itself_and_in_the_usual_one(tmp_path, monkeypa
     monkeypatch.chdir(tmp_path)
     assert run("next").stdout.splitlines()[-1].strip() == "spheremouse calibrate init cabinet"
     assert "spheremouse calibrate next" in run("init").stdout.splitlines()[-1]
+    assert "Next: print" in run("next").stdout
+    printed(tmp_path / "cabinet")
     assert "cabinet/board" in run("next").stdout
     monkeypatch.chdir(tmp_path / "cabinet")
     assert "into board." in run("next").stdout
@@ -335,7 +377,7 @@ def test_the_terminal_shows_the_list_and_one_thing(cabinet):
     photograph(cabinet / "board", BOARD_ENOUGH)
     lines = run("next", cabinet).stdout.splitlines()
     states = [line.split()[0] for line in lines[: len(NAMES)]]
-    assert states == ["done", "done", "next", *["later"] * 5]
+    assert states == ["done", "done", "done", "next", *["later"] * 5]
     assert "Next: camera.yaml" in lines
     assert sum("spheremouse calibrate" in line for line in lines) == 1
     command = shlex.split(lines[-1])  # one line, to copy, whatever is in the folder's name

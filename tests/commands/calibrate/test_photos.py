@@ -8,7 +8,7 @@ import pytest
 from boards import CAMERA, picture, places
 from typer.testing import CliRunner
 
-from spheremouse.calibrate.board_file import NAME, BoardFile, load_board
+from spheremouse.calibrate.board import NAME, BoardFile, load_board
 from spheremouse.calibrate.camera import coverage
 from spheremouse.calibrate.photographing import board as judging
 from spheremouse.commands import app

@@ -52,7 +52,7 @@ def camera(
     reaching into all corners of the picture. `calibrate photos --for camera` takes them, and keeps in board.yaml beside
     them which board it was.
     """
-    from spheremouse.calibrate.board_file import NAME, board_told
+    from spheremouse.calibrate.board import NAME, chosen_board
     from spheremouse.calibrate.camera.advice import advise
     from spheremouse.calibrate.camera.calibrate import calibrate, provenance
     from spheremouse.calibrate.camera.corners import pattern_of
@@ -69,7 +69,7 @@ def camera(
             "--square: measure the side of a square on the print, and give it with the board's inner corners, as in "
             "--board 11x8 --square 86mm"
         )
-    told = board_told(folder.parent, board, square, marker, dictionary)
+    told = chosen_board(folder.parent, board, square, marker, dictionary)
     pattern = pattern_of(told)
     if distortion not in _TERMS:
         raise CalibrationError(f"--distortion {distortion}: must be one of {', '.join(map(str, _TERMS))}")

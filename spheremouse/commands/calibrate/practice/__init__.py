@@ -17,7 +17,7 @@ from spheremouse.errors import CalibrationError
 from spheremouse.files.atomic import NewFolder
 from spheremouse.simulate.ball.options import StillsOptions
 
-EXAMPLE = "Example: spheremouse calibrate practice evening --photos 8 --seed 1"
+EXAMPLE = "Example: spheremouse calibrate practice trial --photos 8 --seed 1"
 
 _PARTS = ("board", "board.yaml", "device", "device.yaml", "film", "truth.json")
 
@@ -35,10 +35,11 @@ def practice(
     filmed: Annotated[bool, typer.Option("--film/--no-film", help="With the film.")] = True,
     force: Annotated[bool, typer.Option("--force", help="Replace a practice set that is there.")] = False,
 ) -> None:
-    """Photograph a simulated device and board, with the truth: to try calibration before the real evening.
+    """Photograph a simulated device and board, to try calibration without a cabinet.
 
-    Six photos are from front, left, right, high, low and turned by 90 degrees; more stand between and beside them. From
-    the first a film is taken of three gestures, for `spheremouse axes` and `spheremouse run`.
+    Six photos are from front, left, right, high, low and turned by 90 degrees; further ones lie between and beside
+    them. A film from the first place shows three gestures, for `spheremouse axes` and `spheremouse run`. At the end
+    `calibrate next` compares your calibration with the truth.
     """
     from spheremouse.calibrate.guide.folder import FILM
     from spheremouse.calibrate.guide.suggested import camera_command, device_command, next_command

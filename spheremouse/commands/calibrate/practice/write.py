@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from spheremouse.calibrate.board_file import NAME, BoardFile, save_board
+from spheremouse.calibrate.board import NAME, BoardFile, save_board
 from spheremouse.errors import CalibrationError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.geometry.rotation import Array

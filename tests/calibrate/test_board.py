@@ -2,8 +2,8 @@
 
 import pytest
 
-from spheremouse.calibrate import board_file
-from spheremouse.calibrate.board_file import NAME, BoardFile, board_of, load_board, options_of, save_board
+from spheremouse.calibrate import board
+from spheremouse.calibrate.board import NAME, BoardFile, board_options, known_board, load_board, save_board
 from spheremouse.errors import ConfigurationError
 
 
@@ -35,15 +35,15 @@ def test_slips_are_told_with_their_line(tmp_path, text, said):
     with pytest.raises(ConfigurationError, match=NAME) as e:
         load_board(tmp_path / NAME)
     assert said in str(e.value)
-    assert options_of(tmp_path) == BoardFile().options
+    assert board_options(tmp_path) == BoardFile().options
 
 
-def test_the_evening_s_own_board_comes_before_the_one_that_was_printed(tmp_path, monkeypatch):
+def test_the_folder_s_own_board_comes_before_the_printed_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert board_of(tmp_path / "cabinet") is None
-    board_file.PRINTED.mkdir(parents=True)
-    save_board(board_file.PRINTED / NAME, BoardFile(square="40mm"))
-    assert options_of(tmp_path / "cabinet") == ["--board", "11x8", "--square", "40mm"]
+    assert known_board(tmp_path / "cabinet") is None
+    board.PRINTED.mkdir(parents=True)
+    save_board(board.PRINTED / NAME, BoardFile(square="40mm"))
+    assert board_options(tmp_path / "cabinet") == ["--board", "11x8", "--square", "40mm"]
     (tmp_path / "cabinet").mkdir()
     save_board(tmp_path / "cabinet" / NAME, BoardFile(square="39.9mm", marker="30mm"))
-    assert options_of(tmp_path / "cabinet") == ["--board", "11x8", "--square", "39.9mm", "--marker", "30mm"]
+    assert board_options(tmp_path / "cabinet") == ["--board", "11x8", "--square", "39.9mm", "--marker", "30mm"]
