@@ -315,7 +315,7 @@ def soak(frames: int, seed: int) -> list[str]:
     ball.open_output = lambda spec: cabinet.open_output(spec)  # noqa: PLW0108  it is made later
     capture.PATIENCE = arrivals.PATIENCE = 0.3
     capture.Capture.__init__.__defaults__ = (lambda _: None, 0.3)
-    capture.BACK_OFF = reporter.BACK_OFF = (0.005, 0.01)
+    capture.BACK_OFF = reporter.RETRY_DELAYS = (0.005, 0.01)
     run._USELESS = 0.5
     worker._FAULTS_WITHIN = 0.0  # the process is not to end
     with tempfile.TemporaryDirectory() as name:

@@ -1,7 +1,7 @@
-"""Outputs: where motion goes. `KIND:ARGUMENT` in, a context manager that takes reports out.
+"""Outputs: `KIND:ARGUMENT` opens a context manager that takes reports.
 
-An output is a module here with `open(argument: str) -> Output`; its name, one of `KINDS`, is its kind. Those of other
-distributions are named by entry points in the group `spheremouse.output`.
+An output is a module of this package with `open(argument: str) -> Output`. Its name is in `KINDS`. Other distributions
+add outputs by entry points in the group `spheremouse.output`.
 """
 
 import sys
@@ -17,7 +17,7 @@ KINDS = ("auto", "desktop", "null", "serial", "text", "uinput")
 
 
 class Report(NamedTuple):
-    """What an output is sent: the counts since the last report, and the motion that they stand for."""
+    """Counts since the last report, and the motion that they stand for."""
 
     counts: tuple[int, int, int]  # x, y and third axis
     rate: tuple[float, float, float]  # counts/s at its end
@@ -25,23 +25,23 @@ class Report(NamedTuple):
 
 
 def no_report(stamp: float) -> Report:
-    """Nothing to move by."""
+    """Return a report without motion."""
     return Report((0, 0, 0), (0.0, 0.0, 0.0), no_motion(stamp))
 
 
 class OutputClosed(Exception):  # noqa: N818  an end, not an error
-    """Whoever read the output has gone. Leaving the output's `with` block swallows it: a quiet end, no error."""
+    """The reader of the output is gone. Leaving the output's `with` block suppresses it: a normal end."""
 
 
 class Output(Protocol):
-    """Takes reports; closed by leaving its `with` block. What cannot be sent is an OutputError."""
+    """Sends reports; closed by leaving its `with` block. A report that cannot be sent raises OutputError."""
 
     def send(self, report: Report) -> None:
-        """Pass one report on."""
+        """Send one report."""
         ...
 
     def describe(self, report: Report) -> str:
-        """The text twin: what `send` does with this motion right now, in one line; empty for nothing."""
+        """Return the effect that `send` would have now, in one line of text; empty for none."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -53,27 +53,27 @@ class Output(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class DeliveryStatus:
-    """Counts of x, y and third axis that an output was sent since it was opened, and that have not arrived."""
+    """Counts of x, y and third axis that were sent since the output was opened and have not arrived."""
 
-    trouble: str = ""  # why nothing gets through, though it is open; empty: it does
-    waiting: tuple[int, int, int] = (0, 0, 0)  # not there yet
-    lost: tuple[int, int, int] = (0, 0, 0)  # will not get there, or nobody knows whether they have
+    trouble: str = ""  # reason why nothing arrives although the output is open; empty: it works
+    waiting: tuple[int, int, int] = (0, 0, 0)  # may still arrive
+    lost: tuple[int, int, int] = (0, 0, 0)  # will not arrive, or their arrival is unknown
 
 
 @runtime_checkable
 class Acknowledged(Protocol):
-    """An output whose other end says what has arrived. What troubles it passes by itself, if reports go on coming."""
+    """An output whose other end acknowledges counts. It recovers from trouble by itself if reports continue."""
 
-    def passage(self) -> DeliveryStatus:
-        """Counts that have not arrived; from any thread."""
+    def delivery(self) -> DeliveryStatus:
+        """Return the counts that have not arrived, from any thread."""
         ...
 
-    def give_up(self) -> None:
-        """Drop what is waiting: later it would be a jump."""
+    def drop_waiting(self) -> None:
+        """Drop the waiting counts, because later they would make the pointer jump."""
         ...
 
 
 def open_output(spec: str) -> Output:
-    """The output that `KIND:ARGUMENT` names; OutputError where there is none, or it lacks what an output must have."""
+    """Open the output `KIND:ARGUMENT`. Raise OutputError if it does not exist or lacks a method of `Output`."""
     members = ("send", "describe", "__enter__", "__exit__")
     return opened(sys.modules[__name__], "output", spec, OutputError, members)

@@ -1,58 +1,44 @@
-"""`auto[:third=none|wheel]`: the best mouse there is here, and standard error says which, and why none before it.
+"""`auto[:third=none|wheel]`: take the best mouse of this computer, and print to standard error which one, and why.
 
-uinput, which every program takes for a mouse, where the kernel lets us; else the board, known by its USB identity and
-never a mere adapter, behind which anything may sit; else the pointer of the desktop.
+The order is uinput, a board, the desktop's pointer. Every program takes a uinput device for a mouse. A board is known
+by its USB identity. A plain adapter is never taken, because any device may be behind it.
 """
 
 import sys
-from collections.abc import Callable
 
 from spheremouse.errors import OutputError
-from spheremouse.files.registry import options
 from spheremouse.output import Output, desktop, serial, uinput
-from spheremouse.output.serial import ports as ports_module
-from spheremouse.output.third_axis import NONE, checked
+from spheremouse.output.serial.ports import connected_ports, find_board
+from spheremouse.output.third_axis import NONE, parse_third
 
 
 def open(argument: str) -> Output:
-    """The first that can be opened."""
+    """Open the first output that works."""
     third = check(argument)
-    ways: list[Callable[[str], tuple[str, Output]]] = [_uinput, _board, _desktop]
+    option = f"third={third}" if third != NONE else ""
     failures: list[str] = []
-    for way in ways:
+    for module in (uinput, serial, desktop):
+        kind = module.__name__.rpartition(".")[2]
         try:
-            spec, output = way(f"third={third}" if third != NONE else "")
+            whole = _board(option) if module is serial else option
+            output = module.open(whole)
         except OutputError as e:
             failures.append(str(e))
             continue
+        spec = f"{kind}:{whole}" if whole else kind
         print(f"auto: takes {spec}" + (f" ({' | '.join(failures)})" if failures else ""), file=sys.stderr)
         return output
-    raise OutputError(f"auto: no mouse to be had. {' | '.join(failures)}")
+    raise OutputError(f"auto: found no mouse. {' | '.join(failures)}")
 
 
 def check(argument: str) -> str:
-    """The way of the third axis; OutputError where the argument is of no use."""
-    given = options(argument, {"third": str}, f"auto:{argument}", OutputError)
-    return checked("auto", str(given.get("third", NONE)))
+    """Return the value of `third=`. Raise OutputError if the argument is invalid."""
+    return parse_third("auto", argument)
 
 
-def _uinput(given: str) -> tuple[str, Output]:
-    return _spec("uinput", given), uinput.open(given)
-
-
-def _board(given: str) -> tuple[str, Output]:
-    ports = ports_module.ports_here()
-    port = ports_module.find_board(ports=ports, adapters=False)
+def _board(option: str) -> str:
+    """Return the argument for the board's port; by its USB serial number the board is found at any port."""
+    ports = connected_ports()
+    port = find_board(ports=ports, adapters=False)
     number = next((p.serial_number for p in ports if p.device == port), None)
-    # By its number, so that it is found again at another port.
-    where = f"auto,id={number}" if number else port
-    whole = ",".join(filter(None, (where, given)))
-    return f"serial:{whole}", serial.open(whole)
-
-
-def _desktop(given: str) -> tuple[str, Output]:
-    return _spec("desktop", given), desktop.open(given)
-
-
-def _spec(kind: str, given: str) -> str:
-    return f"{kind}:{given}" if given else kind
+    return ",".join(filter(None, (f"auto,id={number}" if number else port, option)))

@@ -40,7 +40,7 @@ class PoseLog:
 
     def open(self) -> "AxesText":
         """Open the output, which writes these poses."""
-        return AxesText(*text.begin(self._argument, NAMES), self)
+        return AxesText(*text.open_log(self._argument, NAMES), self)
 
     def lines(self, report: Report) -> list[str]:
         """Return the lines of the frame of a report, and forget its poses."""

@@ -1,8 +1,8 @@
-"""`desktop[:third=none|wheel]`: moves the pointer of the desktop that runs here, through pynput: X11, Windows, macOS.
+"""`desktop[:third=none|wheel]`: move the pointer of this desktop by pynput, on X11, Windows and macOS.
 
-For where there is neither uinput nor a board. The pointer is put where it is plus the counts, one pixel to a count: it
-stops at the screen's edges, and programs that read the mouse itself and not the pointer see nothing of it. Wayland lets
-no program move its pointer. With `third=wheel` the ball's spin scrolls, 120 counts to a notch.
+Use it if there is neither uinput nor a board. One count is one pixel, and the pointer stops at the edges of the screen.
+Programs that read the mouse and not the pointer receive nothing. Wayland lets no program move its pointer. With
+`third=wheel` the ball's spin scrolls, 120 counts to a notch.
 """
 
 import os
@@ -11,46 +11,43 @@ from types import TracebackType
 from typing import Any, Self
 
 from spheremouse.errors import OutputError
-from spheremouse.files.registry import options
 from spheremouse.output import Report
-from spheremouse.output.third_axis import NONE, checked
+from spheremouse.output.third_axis import parse_third, whole_notches
 
-NOTCH = 120  # counts, as of the other outputs' fine wheels
-_MOST = 10_000  # px: X11 takes positions of 16 bits, and no screen is wider than that
+_MAX_STEP_PX = 10_000  # X11 takes positions of 16 bits, and no screen is wider
 
 
 class Desktop:
     """The desktop's pointer."""
 
     def __init__(self, mouse: Any, third: str) -> None:
-        """`mouse` is pynput's controller."""
+        """Take a `pynput.mouse.Controller`."""
         self._mouse: Any = mouse
         self._third, self._notch = third, 0
 
     def send(self, report: Report) -> None:
         """Move the pointer, and scroll if whole notches are due."""
-        x, y, notches, left = self._made(report)
+        x, y, notches, left = self._steps(report)
         try:
             if x or y:
                 self._mouse.move(x, y)
             if notches:
                 self._mouse.scroll(0, notches)
-        except Exception as e:  # whatever the system's binding raises when the desktop goes away
+        except Exception as e:  # the system's binding may raise anything if the desktop ends
             raise OutputError(f"desktop: the pointer cannot be moved any more: {_line(e)}") from None
         self._notch = left
 
     def describe(self, report: Report) -> str:
-        """What `send` does, as in `pointer +3 -2 scroll +1`."""
-        x, y, notches, _ = self._made(report)
+        """Return the steps of `send`, as in `pointer +3 -2 scroll +1`."""
+        x, y, notches, _ = self._steps(report)
         parts = [f"pointer {x:+d} {y:+d}"] if x or y else []
         return " ".join(parts + ([f"scroll {notches:+d}"] if notches else []))
 
-    def _made(self, report: Report) -> tuple[int, int, int, int]:
-        """Pixels right and down, whole notches, and counts of the wheel left over."""
+    def _steps(self, report: Report) -> tuple[int, int, int, int]:
+        """Return pixels right and down, whole notches, and counts of the wheel left over."""
         x, y, z = report.counts
-        turned = self._notch + (z if self._third == "wheel" else 0)
-        notches = abs(turned) // NOTCH * (1 if turned > 0 else -1)
-        return max(-_MOST, min(_MOST, x)), max(-_MOST, min(_MOST, y)), notches, turned - notches * NOTCH
+        notches, left = whole_notches(self._notch + (z if self._third == "wheel" else 0))
+        return _clip(x), _clip(y), notches, left
 
     def __enter__(self) -> Self:
         return self
@@ -58,22 +55,21 @@ class Desktop:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._mouse = None  # pynput leaves the display when nobody holds it
+        self._mouse = None  # pynput disconnects from the display when the last reference goes
 
 
 def open(argument: str) -> Desktop:
-    """Find the desktop."""
+    """Connect to the desktop."""
     third = check(argument)
-    return Desktop(_find(), third)
+    return Desktop(_connect(), third)
 
 
 def check(argument: str) -> str:
-    """The way of the third axis; OutputError where the argument is of no use."""
-    given = options(argument, {"third": str}, f"desktop:{argument}", OutputError)
-    return checked("desktop", str(given.get("third", NONE)))
+    """Return the value of `third=`. Raise OutputError if the argument is invalid."""
+    return parse_third("desktop", argument)
 
 
-def _find() -> Any:
+def _connect() -> Any:
     if sys.platform not in ("win32", "darwin"):
         if os.environ.get("WAYLAND_DISPLAY") or os.environ.get("XDG_SESSION_TYPE") == "wayland":
             raise OutputError(
@@ -87,7 +83,7 @@ def _find() -> Any:
         from pynput.mouse import Controller
 
         mouse = Controller()
-        mouse.position  # noqa: B018  the first that needs an answer
+        mouse.position  # noqa: B018  the first call that needs an answer of the display
     except Exception as e:
         raise OutputError(f"desktop: {_refusal(e)}") from None
     return mouse
@@ -97,9 +93,13 @@ def _refusal(error: Exception) -> str:
     if sys.platform == "darwin":
         return f"macOS refuses ({_line(error)}); allow it in System Settings, Privacy & Security, Accessibility"
     if sys.platform == "win32":
-        return f"Windows refuses ({_line(error)}); start it in the session of whoever sits at the screen"
+        return f"Windows refuses ({_line(error)}); start it in the session of the user at the screen"
     display = os.environ.get("DISPLAY")
     return f"the X11 display {display} does not answer or refuses; check DISPLAY and XAUTHORITY, or use uinput"
+
+
+def _clip(pixels: int) -> int:
+    return max(-_MAX_STEP_PX, min(_MAX_STEP_PX, pixels))
 
 
 def _line(error: Exception) -> str:

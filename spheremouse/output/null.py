@@ -1,4 +1,4 @@
-"""`null`: takes reports and does nothing, to measure everything else."""
+"""`null`: discard all reports, for measurements of everything else."""
 
 from types import TracebackType
 from typing import Self
@@ -8,13 +8,13 @@ from spheremouse.output import Report
 
 
 class Null:
-    """An output that goes nowhere."""
+    """An output that discards all reports."""
 
     def send(self, report: Report) -> None:
-        """Nothing."""
+        """Discard the report."""
 
     def describe(self, report: Report) -> str:
-        """Nothing."""
+        """Return an empty text."""
         return ""
 
     def __enter__(self) -> Self:
@@ -27,12 +27,12 @@ class Null:
 
 
 def open(argument: str) -> Null:
-    """An output that goes nowhere."""
+    """Return an output that discards all reports."""
     check(argument)
     return Null()
 
 
 def check(argument: str) -> None:
-    """OutputError where there is an argument."""
+    """Raise OutputError if there is an argument."""
     if argument:
         raise OutputError(f"null:{argument}: takes no argument; write null")

@@ -1,65 +1,65 @@
-"""What is said again and again, said sparingly: one line of a kind in a while, with the number of the others."""
+"""Limit the rate of repeated log lines: one line of a kind in an interval, with the number of suppressed ones."""
 
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-_KINDS = 256  # told apart at a time
+_MAX_KINDS = 256  # the kind that was logged longest ago is forgotten
 
 
 def strip_digits(text: str) -> str:
-    """A text without its numbers."""
+    """Return a text without its digits."""
     return "".join(c for c in text if not c.isdigit())
 
 
 @dataclass(slots=True)
 class _Kind:
-    said: float  # s, when one was
-    more: int = 0  # that were kept back since
-    last: str = ""  # of these
+    logged_at: float  # s, time of the last line
+    suppressed: int = 0  # lines since then
+    last: str = ""  # the last suppressed line
 
 
 class RateLimitedLogger:
-    """Says texts, but of each kind one in a while; how many it kept back it says with the next, or with the last."""
+    """Logs one line of each kind in an interval. The next line, or the last one, has the number of suppressed lines."""
 
     def __init__(
         self,
-        say: Callable[[str], None],
-        every: float = 1.0,
+        log: Callable[[str], None],
+        interval: float = 1.0,
         kind: Callable[[str], str] = strip_digits,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`every` so many s one of each `kind`: texts that differ in their numbers alone are one."""
-        self._say, self._every, self._kind, self._clock = say, every, kind, clock
+        """Limit `log` to one line of each `kind` in `interval` (s). Lines that differ only in digits are one kind."""
+        self._log, self._interval, self._kind, self._clock = log, interval, kind, clock
         self._kinds: dict[str, _Kind] = {}
-        self._lock = threading.Lock()  # never held while something is said
+        self._lock = threading.Lock()  # not held during `log`
 
     def __call__(self, text: str) -> None:
-        """Say it now, or keep it back; from any thread."""
+        """Log a line now or suppress it, from any thread."""
         now, name = self._clock(), self._kind(text)
         with self._lock:
             kind = self._kinds.pop(name, None)
-            if kind is not None and now - kind.said < self._every:
-                kind.more, kind.last = kind.more + 1, text
+            if kind is not None and now - kind.logged_at < self._interval:
+                kind.suppressed, kind.last = kind.suppressed + 1, text
                 self._kinds[name] = kind
                 return
             self._kinds[name] = _Kind(now)
-            if len(self._kinds) > _KINDS:
-                del self._kinds[next(iter(self._kinds))]  # the one not heard of for longest
-        self._say(_with_count(text, 0 if kind is None else kind.more))
+            if len(self._kinds) > _MAX_KINDS:
+                del self._kinds[next(iter(self._kinds))]
+        self._log(_with_count(text, 0 if kind is None else kind.suppressed))
 
-    def tend(self, end: bool = False) -> None:
-        """Say the last of what was kept back, where it is time for it, or at the `end`."""
+    def flush(self, end: bool = False) -> None:
+        """Log the last suppressed line of each kind whose interval is over; of every kind at the `end`."""
         now, due = self._clock(), list[_Kind]()
         with self._lock:
             for name, kind in self._kinds.items():
-                if kind.more and (end or now - kind.said >= self._every):
+                if kind.suppressed and (end or now - kind.logged_at >= self._interval):
                     due.append(kind)
                     self._kinds[name] = _Kind(now)
         for kind in due:
-            self._say(_with_count(kind.last, kind.more - 1))
+            self._log(_with_count(kind.last, kind.suppressed - 1))
 
 
-def _with_count(text: str, more: int) -> str:
-    return f"{text} ({more} more like it)" if more else text
+def _with_count(text: str, suppressed: int) -> str:
+    return f"{text} ({suppressed} more like it)" if suppressed else text

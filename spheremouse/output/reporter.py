@@ -27,18 +27,18 @@ from spheremouse.output.pointer import Counts, PointerSettings, Resampler, minus
 from spheremouse.output.text import Text
 from spheremouse.tracker import no_motion
 
-BACK_OFF = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0)  # s
-LATE = 0.25  # s in the queue, after which the counts of a frame are dropped as unsent
+RETRY_DELAYS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0)  # s
+MAX_QUEUE_TIME = 0.25  # s; counts that waited longer in the queue become unsent
 # s for which callers must see the same output call pending before it counts as hanging. A call takes microseconds, and
 # the load of a machine adds milliseconds. The time starts at a caller's first look, so callers that were delayed
 # themselves raise no false alarm.
-HANGS = 0.4
-QUEUED = 256  # frames: seconds, at any camera's rate
-REMEMBERED = 4096  # latencies: a minute at 60 Hz
-_JOIN = 5.0  # s
+HANG_TIMEOUT = 0.4
+MAX_QUEUED_FRAMES = 256  # seconds, at any camera's rate
+LATENCY_COUNT = 4096  # a minute at 60 Hz
+_MAX_JOIN_TIME = 5.0  # s
 _OPENS, _SENDS, _CLOSES = "it cannot be opened", "it takes no report", "it cannot be closed"
 _NONE: Counts = (0, 0, 0)
-_PASSED = DeliveryStatus()
+_ALL_ARRIVED = DeliveryStatus()
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class ReporterStatus:
 class _QueuedReport:
     report: Report
     taken: float  # s, the frame's stamp on the clock
-    wanted: bool  # not paused
+    wanted: bool  # send it; False during a pause
     submitted: float  # s
     frame: bool = True  # False: an empty report that ends the prediction
 
@@ -79,15 +79,15 @@ class OutputThread:
         self,
         open_output: Callable[[], Output],
         settings: PointerSettings,
-        say: Callable[[str], None],
+        log: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
-        begin: Callable[[threading.Thread], None] = threading.Thread.start,
+        start: Callable[[threading.Thread], None] = threading.Thread.start,
     ) -> None:
-        """Start the thread, which calls `open_output` and `say`; `clock` (s) is monotonic.
+        """Start the thread, which calls `open_output` and `log`; `clock` (s) is monotonic.
 
-        Exceptions of `begin`, which starts the thread, propagate: the system may refuse a new thread.
+        Exceptions of `start`, which starts the thread, propagate, because the system may refuse a new thread.
         """
-        self._open, self._settings, self._say, self._clock = open_output, settings, say, clock
+        self._open, self._settings, self._log, self._clock = open_output, settings, log, clock
         # Releasing this lock wakes the thread. A condition would make the caller wait for the lock inside it.
         self._wakeup = threading.Lock()
         self._wakeup.acquire()
@@ -104,12 +104,12 @@ class OutputThread:
         self._pending_call: _PendingCall | None = None
         self._seen_call: tuple[_PendingCall, float] | None = None
         self._reports = self._frames = 0
-        self._latency = np.zeros(REMEMBERED)
+        self._latency = np.zeros(LATENCY_COUNT)
         self._last: _QueuedReport | None = None
         self._grid, self._period = 0.0, 1.0 / settings.rate  # s; reports follow a frame at whole periods
         self._next = np.inf  # s, when the next one is due
         self._thread = threading.Thread(target=self._run, name="reporter", daemon=True)
-        begin(self._thread)
+        start(self._thread)
 
     def submit(self, report: Report, taken: float, wanted: bool = True) -> None:
         """Queue a frame's report, taken at a time (s, of the clock), without blocking.
@@ -118,13 +118,13 @@ class OutputThread:
         """
         self._sum = plus(self._sum, report.counts)
         self._queue.append(_QueuedReport(report, taken, wanted and not self._paused, self._clock()))
-        if len(self._queue) > QUEUED:
+        if len(self._queue) > MAX_QUEUED_FRAMES:
             with contextlib.suppress(IndexError):  # the thread has emptied the queue
                 self._overflow = plus(self._overflow, self._queue.popleft().report.counts)
         self._wake_thread()
         self.failed  # noqa: B018  checks whether the output hangs
 
-    def rest(self, now: float) -> None:
+    def end_prediction(self, now: float) -> None:
         """End the prediction, because no frame will correct it."""
         self._queue.append(_QueuedReport(no_report(now), now, True, self._clock(), frame=False))
         self._wake_thread()
@@ -141,7 +141,7 @@ class OutputThread:
     def status(self) -> ReporterStatus:
         """Return the condition of the output, the sums of counts and the latency."""
         failed, arrived, unsent, ahead = self._sums()
-        n, latency = min(self._frames, REMEMBERED), None
+        n, latency = min(self._frames, LATENCY_COUNT), None
         if n:
             p50, p99 = np.percentile(self._latency[:n], (50.0, 99.0)).tolist()
             latency = Latency(p50, p99, float(self._latency[:n].max()))
@@ -162,12 +162,12 @@ class OutputThread:
 
     def _sums(self) -> tuple[str | None, Counts, Counts, Counts]:
         """Return the reason of a failure, and the counts sent, unsent and ahead."""
-        failed, past, sent, passage = self.failed, self._past, self._sent, _passage(self._output)
-        arrived = minus(plus(past, sent), plus(passage.waiting, passage.lost))
+        failed, past, sent, delivery = self.failed, self._past, self._sent, _delivery(self._output)
+        arrived = minus(plus(past, sent), plus(delivery.waiting, delivery.lost))
         if failed is not None:  # counts that have not arrived will not arrive
             return failed, arrived, minus(self._sum, arrived), _NONE
-        unsent = plus(plus(self._unsent, self._overflow), passage.lost)
-        return None, arrived, unsent, minus(minus(sent, self._resampler.truth), passage.waiting)
+        unsent = plus(plus(self._unsent, self._overflow), delivery.lost)
+        return None, arrived, unsent, minus(minus(sent, self._resampler.truth), delivery.waiting)
 
     @property
     def failed(self) -> str | None:
@@ -178,12 +178,12 @@ class OutputThread:
         if self._seen_call is None or self._seen_call[0] is not call:
             self._seen_call = call, now
         took = now - self._seen_call[1]
-        if took < HANGS:
+        if took < HANG_TIMEOUT:
             return self._failed
         reason = f"the output hangs: {call.what}{call.hint} for {took:.1f} s"
         if not call.hangs:
             call.hangs = True
-            self._say(f"output: {reason}")
+            self._log(f"output: {reason}")
         return reason
 
     @property
@@ -202,7 +202,9 @@ class OutputThread:
         self._wake_thread()
         if self._thread.ident is None:  # the thread was never started
             return
-        self._thread.join(HANGS if self._pending_call is not None and self._pending_call.hangs else _JOIN)
+        self._thread.join(
+            HANG_TIMEOUT if self._pending_call is not None and self._pending_call.hangs else _MAX_JOIN_TIME
+        )
 
     def _wake_thread(self) -> None:
         with contextlib.suppress(RuntimeError):  # the thread is awake already
@@ -216,7 +218,7 @@ class OutputThread:
                 try:
                     self._work()
                 except Exception as e:
-                    self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
+                    self._log("internal error, please report it:\n" + traceback.format_exc().rstrip())
                     self._fail(f"internal error: {_reason(e)}", e)
                 left = self._next_work_time() - self._clock()
                 if left > 0.0:
@@ -244,7 +246,7 @@ class OutputThread:
             if not queued.frame and self._per_frame:
                 continue
             now = self._clock()
-            late = now - queued.submitted > LATE and not self._per_frame
+            late = now - queued.submitted > MAX_QUEUE_TIME and not self._per_frame
             if self._failed is not None or self._output is None or self._paused or late or not queued.wanted:
                 self._unsent = plus(self._unsent, queued.report.counts)
                 if self._output is not None and self._failed is not None and not self._paused:
@@ -266,7 +268,7 @@ class OutputThread:
         due = pointer.due(self._resampler, now)
         counts = minus(due, self._sent)
         if self._send(report._replace(counts=counts), due):
-            self._latency[self._frames % REMEMBERED] = self._clock() - queued.taken
+            self._latency[self._frames % LATENCY_COUNT] = self._clock() - queued.taken
             self._frames += 1
 
     def _carry_on(self, now: float) -> None:
@@ -296,7 +298,7 @@ class OutputThread:
                 self._output.send(report)
         except OutputClosed as e:
             self._ended = True
-            self._fail("whoever read the output has gone", e)
+            self._fail("the reader of the output is gone", e)
             return False
         except Exception as e:
             self._fail(_reason(e), e)
@@ -304,11 +306,9 @@ class OutputThread:
         self._sent = due
         if report.counts != _NONE:
             self._reports += 1
-            self._failures = (
-                0  # not on opening: an output that opens and never sends must not be reopened at a fast rate
-            )
+            self._failures = 0  # reset by a report, not by opening: an output may open and never send
         if call.hangs:
-            self._say("output: works again")
+            self._log("output: works again")
             self._reset()  # the counts of that time would make the pointer jump
         return True
 
@@ -327,18 +327,18 @@ class OutputThread:
         """Log the start and the end of trouble that an open `Acknowledged` output reports."""
         if not isinstance(self._output, Acknowledged):
             return
-        trouble = self._output.passage().trouble
+        trouble = self._output.delivery().trouble
         if trouble and self._failed is None:
             self._reset()
-            self._output.give_up()
-            self._say(f"output: {trouble}")
+            self._output.drop_waiting()
+            self._log(f"output: {trouble}")
         if trouble:
             self._failed = trouble
         elif self._failed is not None:
             self._works_again()
 
     def _works_again(self) -> None:
-        self._say("output: works again")
+        self._log("output: works again")
         self._drop_queue()
         self._failed = None
 
@@ -357,9 +357,9 @@ class OutputThread:
         """Close the output, log the reason and set the time of the next attempt."""
         self._close(error)
         if reason != self._failed:
-            self._say(f"output: {reason}" + ("" if self._ended else "; trying again until it works"))
+            self._log(f"output: {reason}" + ("" if self._ended else "; trying again until it works"))
         self._failed = reason
-        self._retry_time = self._clock() + BACK_OFF[min(self._failures, len(BACK_OFF) - 1)]
+        self._retry_time = self._clock() + RETRY_DELAYS[min(self._failures, len(RETRY_DELAYS) - 1)]
         self._failures += 1
 
     def _close(self, error: Exception | None) -> None:
@@ -368,7 +368,7 @@ class OutputThread:
         if output is not None:
             with contextlib.suppress(Exception), self._pending(_CLOSES):
                 output.__exit__(None if error is None else type(error), error, None)
-            missing = plus(_passage(output).waiting, _passage(output).lost)
+            missing = plus(_delivery(output).waiting, _delivery(output).lost)
             self._past, self._unsent = minus(self._past, missing), plus(self._unsent, missing)
             self._output = None
 
@@ -401,9 +401,9 @@ def _without_rotation(report: Report, later: float = 0.0) -> Report:
     return Report(_NONE, report.rate, motion._replace(rate=report.motion.rate))
 
 
-def _passage(output: Output | None) -> DeliveryStatus:
+def _delivery(output: Output | None) -> DeliveryStatus:
     """Return the counts that have not arrived; none for an output that does not acknowledge."""
-    return output.passage() if isinstance(output, Acknowledged) else _PASSED
+    return output.delivery() if isinstance(output, Acknowledged) else _ALL_ARRIVED
 
 
 def _reason(error: Exception) -> str:

@@ -1,8 +1,8 @@
 """`text:-` and `text:FILE`: one line per report, after a header line that begins with `#`.
 
 A line is `stamp dx dy dz rx ry rz wx wy wz`: s, counts, rotation vector since the last line (rad, obj), rate (rad/s,
-obj), with all digits. Every line is flushed. The output appends to FILE, so that neither a second run nor a full disk
-costs a line; each opening writes the header line again. It refuses an existing file that holds anything but such a log.
+obj), with all digits. Every line is flushed. The output appends to FILE, so a second run or a full disk costs no line.
+Each opening writes the header line again. A file with other contents is refused.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ class Text:
 
     def __init__(self, file: TextIO, name: str, header: str = HEADER) -> None:
         self._file, self._name, self._reader_gone = file, name, False
-        with contextlib.suppress(OutputClosed):  # too early to end quietly: the first `send` does
+        with contextlib.suppress(OutputClosed):  # the first `send` raises it, inside the `with` block
             self._write(header)
 
     def send(self, report: Report) -> None:
@@ -37,7 +37,7 @@ class Text:
         self._write(line(report))
 
     def describe(self, report: Report) -> str:
-        """The line itself."""
+        """Return the line."""
         return line(report)
 
     def _write(self, text: str) -> None:
@@ -55,11 +55,11 @@ class Text:
             raise OutputError(f"{self._name}: cannot be written: {e.strerror or e}") from None
 
     def _drop_unwritten(self) -> None:
-        """Let the rest of the buffer go to nowhere, or Python complains about it when it flushes at the end."""
+        """Send the rest of the buffer to the null device; otherwise Python's flush at its exit prints an error."""
         with contextlib.suppress(OSError, ValueError):
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, self._file.fileno())
-            os.close(nowhere)
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, self._file.fileno())
+            os.close(null)
 
     def __enter__(self) -> Self:
         return self
@@ -73,25 +73,25 @@ class Text:
 
 
 def open(argument: str) -> Text:
-    """Lines to standard output (`-` or nothing) or to a file."""
-    return Text(*begin(argument, NAMES))
+    """Open standard output (`-` or nothing) or a file."""
+    return Text(*open_log(argument, NAMES))
 
 
 def check(argument: str) -> None:
-    """OutputError where the file is there and is no such log."""
+    """Raise OutputError if the file exists and is not such a log."""
     if argument in ("", "-"):
         return
-    with contextlib.suppress(OSError, ValueError):  # told when it is opened
-        _refuse_something_else(Path(argument), NAMES)
+    with contextlib.suppress(OSError, ValueError):  # `open` reports these
+        _refuse_other_files(Path(argument), NAMES)
 
 
-def begin(argument: str, names: str) -> tuple[TextIO, str]:
-    """Open the file to append lines to; return it with its name in messages. Its first line must begin with `names`."""
+def open_log(argument: str, names: str) -> tuple[TextIO, str]:
+    """Open a file to append lines to; return it and its name for messages. Its first line must begin with `names`."""
     if argument in ("", "-"):
         return sys.stdout, "standard output"
     path = Path(argument)
     try:
-        _refuse_something_else(path, names)
+        _refuse_other_files(path, names)
         file = open_to_append(path)
         _drop_unfinished_line(path, file.fileno())
         return TextIOWrapper(file, encoding="utf-8"), str(path)
@@ -101,19 +101,19 @@ def begin(argument: str, names: str) -> tuple[TextIO, str]:
 
 
 def line(report: Report) -> str:
-    """A report as a line; each number reads back to the very same."""
+    """Return a report as a line. Each number reads back exactly."""
     motion = report.motion
     exact = [float(v) for v in (*motion.rotation, *motion.rate[:3])]
     return " ".join([repr(float(motion.stamp)), *(str(int(n)) for n in report.counts), *map(repr, exact)])
 
 
-def _refuse_something_else(path: Path, names: str) -> None:
-    if _is_something_else(path, names):
+def _refuse_other_files(path: Path, names: str) -> None:
+    if _is_other_file(path, names):
         raise OutputError(f"{path}: exists and is no log of motions; choose another name or remove it")
 
 
 def _drop_unfinished_line(path: Path, descriptor: int) -> None:
-    """Remove the last line of a file if its end is missing, as on a full disk: its last number may be cut."""
+    """Remove the last line of a file if its end is missing, as after a full disk. Its last number may be cut."""
     status = os.fstat(descriptor)
     if not stat.S_ISREG(status.st_mode) or status.st_size == 0 or is_stream(path):
         return
@@ -126,8 +126,8 @@ def _drop_unfinished_line(path: Path, descriptor: int) -> None:
         os.ftruncate(descriptor, start + kept)
 
 
-def _is_something_else(path: Path, names: str) -> bool:
-    """Is there a file of another kind? Pipes and devices do not count."""
+def _is_other_file(path: Path, names: str) -> bool:
+    """Return True if a regular file exists whose first line does not begin with `names`."""
     try:
         status = path.stat()
     except FileNotFoundError:

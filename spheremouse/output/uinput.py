@@ -1,11 +1,10 @@
-"""`uinput[:third=none|wheel|rz]`: a mouse of the Linux kernel, as real to every program as one that is plugged in.
+"""`uinput[:third=none|wheel|rz]`: a mouse of the Linux kernel, which every program takes for a real one.
 
-One relative pointer with three buttons that are never pressed (desktops and games take a device for a mouse by
-REL_X, REL_Y and BTN_LEFT). It is created once and keeps its name and ids, so that a game's binding survives:
-name "spheremouse", bus 0x06 (virtual), vendor 0x5350, product 0x4d31, version 1. X and Y go together.
-The third axis, the ball spinning about the vertical, is off unless asked for: `wheel` sends REL_WHEEL_HI_RES (120 to a
-notch: one count each) with REL_WHEEL for each whole notch, which every program understands; `rz` sends REL_RZ, which
-programs for space mice read, one per count.
+It has relative X and Y and three buttons that are never pressed: desktops and games recognise a mouse by REL_X, REL_Y
+and BTN_LEFT. Name and ids never change, so a game's binding survives: name "spheremouse", bus 0x06 (virtual), vendor
+0x5350, product 0x4d31, version 1. The third axis, the ball's spin about the vertical, is off by default. `wheel` sends
+REL_WHEEL_HI_RES (one unit a count, 120 a notch), and REL_WHEEL for each whole notch, which every program understands.
+`rz` sends REL_RZ, one unit a count, for programs that read space mice.
 """
 
 import os
@@ -14,13 +13,11 @@ from types import TracebackType
 from typing import Any, Self
 
 from spheremouse.errors import OutputError
-from spheremouse.files.registry import options
 from spheremouse.output import Report
-from spheremouse.output.third_axis import NONE, checked
+from spheremouse.output.third_axis import parse_third, whole_notches
 
 NAME = "spheremouse"
 BUS, VENDOR, PRODUCT, VERSION = 0x06, 0x5350, 0x4D31, 1
-NOTCH = 120  # REL_WHEEL_HI_RES units of one detent
 
 # Linux, input-event-codes.h
 EV_KEY, EV_REL = 0x01, 0x02
@@ -28,12 +25,12 @@ REL_X, REL_Y, REL_RZ, REL_WHEEL, REL_WHEEL_HI_RES = 0x00, 0x01, 0x05, 0x08, 0x0B
 BTN_LEFT, BTN_RIGHT, BTN_MIDDLE = 0x110, 0x111, 0x112
 _NAMES = {0x00: "REL_X", 0x01: "REL_Y", 0x05: "REL_RZ", 0x08: "REL_WHEEL", 0x0B: "REL_WHEEL_HI_RES"}
 _AXES = {"none": [], "wheel": [REL_WHEEL, REL_WHEEL_HI_RES], "rz": [REL_RZ]}
-_MOST = 2**31 - 1  # an event's value is a signed 32-bit integer
+_MAX_VALUE = 2**31 - 1  # an event's value is a signed 32-bit integer
 
 
 @dataclass(frozen=True, slots=True)
 class Events:
-    """What one report becomes: relative events that end with one SYN_REPORT, and the part of a notch left over."""
+    """Relative events of one report, without their SYN_REPORT, and the part of a notch left over."""
 
     events: tuple[tuple[int, int], ...]  # code, value; never 0
     notch: int = 0  # REL_WHEEL_HI_RES units
@@ -42,16 +39,14 @@ class Events:
         return " ".join([*(f"{_NAMES[code]} {value:+d}" for code, value in self.events), "SYN"] if self.events else [])
 
 
-def events_of(report: Report, third: str, notch: int = 0) -> Events:
-    """Events of a report; `notch` is what the last report left over. Values beyond 32 bits saturate."""
-    x, y, z = (max(-_MOST, min(_MOST, n)) for n in report.counts)
+def to_events(report: Report, third: str, notch: int = 0) -> Events:
+    """Return the events of a report; `notch` (units) is left over from the last one. Values saturate at 32 bits."""
+    x, y, z = (max(-_MAX_VALUE, min(_MAX_VALUE, n)) for n in report.counts)
     events = [(REL_X, x), (REL_Y, y)]
     if third == "rz":
         events.append((REL_RZ, z))
     if third == "wheel":
-        notch += z
-        whole = abs(notch) // NOTCH * (1 if notch > 0 else -1)
-        notch -= whole * NOTCH
+        whole, notch = whole_notches(notch + z)
         events += [(REL_WHEEL, whole), (REL_WHEEL_HI_RES, z)]
     return Events(tuple((code, value) for code, value in events if value), notch)
 
@@ -64,19 +59,19 @@ class UInput:
 
     def send(self, report: Report) -> None:
         """Write the report, unless it is empty."""
-        made = events_of(report, self._third, self._notch)
+        report_events = to_events(report, self._third, self._notch)
         try:
-            for code, value in made.events:
+            for code, value in report_events.events:
                 self._device.write(EV_REL, code, value)
-            if made.events:
+            if report_events.events:
                 self._device.syn()
         except OSError as e:
             raise OutputError(f"uinput: the kernel takes no more events ({e.strerror or e}); start again") from None
-        self._notch = made.notch
+        self._notch = report_events.notch
 
     def describe(self, report: Report) -> str:
-        """The report's events, as in `REL_X +3 REL_Y -2 SYN`."""
-        return str(events_of(report, self._third, self._notch))
+        """Return the report's events, as in `REL_X +3 REL_Y -2 SYN`."""
+        return str(to_events(report, self._third, self._notch))
 
     def __enter__(self) -> Self:
         return self
@@ -94,9 +89,8 @@ def open(argument: str) -> UInput:
 
 
 def check(argument: str) -> str:
-    """The way of the third axis; OutputError where the argument is of no use."""
-    given = options(argument, {"third": str}, f"uinput:{argument}", OutputError)
-    return checked("uinput", str(given.get("third", NONE)))
+    """Return the value of `third=`. Raise OutputError if the argument is invalid."""
+    return parse_third("uinput", argument)
 
 
 def _create(third: str) -> Any:
@@ -116,7 +110,7 @@ def _create(third: str) -> Any:
     capabilities = {EV_KEY: [BTN_LEFT, BTN_RIGHT, BTN_MIDDLE], EV_REL: [REL_X, REL_Y, *_AXES[third]]}
 
     class Mouse(evdev.UInput):
-        """Without a look at its own event node: a service may write to uinput and read no input device."""
+        """Does not open its own event node, because a service may write uinput but read no input device."""
 
         def _find_device(self, fd: int) -> Any:
             return None
@@ -130,7 +124,7 @@ def _create(third: str) -> Any:
             version=VERSION,
             bustype=BUS,
             phys=f"{NAME}/input0",
-            max_effects=0,  # evdev would make it a device with force feedback, which no mouse is
+            max_effects=0,  # the default of evdev declares force feedback, which no mouse has
         )
     except (OSError, evdev.UInputError) as e:
         raise OutputError(f"uinput: the kernel refuses to create the mouse: {' '.join(str(e).split())}") from None

@@ -1,8 +1,8 @@
-"""Poses of a hand-held ball -> motion of a mouse, in counts, with nothing lost to rounding and no jitter at rest.
+"""Convert poses of a hand-held ball to mouse counts, without rounding loss and without jitter at rest.
 
-As with the ball in its frame, what counts is the rotation vector between two frames (or the shift), in axes that stand
-still: it has no singular attitude, however the ball is held. Between the pose and the pointer there is some play, as
-wide as the filter says that the pose may be off: within it a hand is taken to rest.
+The counts follow the rotation vector between two frames, or the shift, in axes of the camera. So no attitude of the
+ball is singular. A backlash between pose and pointer is as wide as the filter's standard deviations, times `play`.
+Within it the hand counts as resting.
 """
 
 from dataclasses import dataclass, field, replace
@@ -18,33 +18,33 @@ from spheremouse.tracker import Motion, Status
 from spheremouse.wand.course import Course, between
 from spheremouse.wand.state import WandEpoch, WandPose
 
-_TURN_FIRST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])  # what a pose has last, a motion has first
-_NOISE = 3.0  # standard deviations by which a pose may be off, besides what a hand does
+_ROTATION_FIRST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])  # a pose has it last, a motion first
+_MAX_NOISE_SIGMAS = 3.0  # error of a pose beside the fastest motion of a hand
 
 
 @dataclass(frozen=True, slots=True)
 class PointingSettings:
-    """From the ball's motion to counts."""
+    """Scale and direction of the counts of a hand-held ball."""
 
     by: Literal["turn", "shift"] = param(
         "turn",
         "-",
-        "the pointer follows how the ball turns (right and left: x; up and down: y; clockwise: third), or how it is "
-        "shifted (right and left: x; up and down: y; ahead: third)",
+        "turn: the pointer follows the ball's rotation (right and left: x; up and down: y; clockwise: third); shift: "
+        "its position (right and left: x; up and down: y; ahead: third)",
     )
     facing: bool = param(
-        True, "-", "who holds the ball faces the camera, as one on the screen; false: looks the way the camera does"
+        True, "-", "true: the player faces the camera, which is at the screen; false: looks the way the camera does"
     )
     counts_per_radian: float = param(
         1800.0,
         "counts/rad",
-        "scale of turns: 60 degrees, which a wrist does at ease, cross a screen of 1920 px",
+        "scale of rotations: 60 degrees, an easy motion of a wrist, cross a screen of 1920 px",
         **PER_RADIAN,
     )
     counts_per_metre: float = param(
         4800.0,
         "counts/m",
-        "scale of shifts: 0.4 m, which a forearm does at ease, cross a screen of 1920 px",
+        "scale of shifts: 0.4 m, an easy motion of a forearm, cross a screen of 1920 px",
         **PER_RADIAN,
     )
     scale_x: float = param(1.0, "-", "factor on the pointer's X", refused="to reverse it: invert_x", **FACTOR)
@@ -56,21 +56,21 @@ class PointingSettings:
     play: float = param(
         2.0,
         "-",
-        "play either way, in standard deviations of the pose as the filter reports them: 95 % of its errors lie "
-        "within two; 0 passes all of its jitter on",
+        "half width of the backlash, in standard deviations of the pose: 95 % of the errors lie within two; 0 passes "
+        "all jitter to the pointer",
         ge=0,
         le=10,
     )
     fastest: float = param(
-        3.0, "m/s", "no hand moves faster: what says so is a pose put right, or another ball, and moves nothing", **HAND
+        3.0, "m/s", "greatest speed of a hand: a faster motion is a corrected pose and moves nothing", **HAND
     )
-    fastest_turn: float = param(20.0, "rad/s", "the same of turns (1150 degrees/s)", **HAND_TURN)
+    fastest_turn: float = param(20.0, "rad/s", "greatest rate of a hand's rotation (1150 degrees/s)", **HAND_TURN)
 
     def directions(self) -> Array:
-        """Axes in `cam`, (3, 3), about which or along which the ball goes to the right, down, and the third way.
+        """Return the axes in `cam`, (3, 3), about or along which the ball moves right, down, and the third way.
 
-        Whoever holds the ball has right, down and ahead along cam's axes, or turned about y by half a turn. Pointing
-        further to the right is a turn about down, pointing down one about left, and clockwise one about ahead.
+        The player's right, down and ahead are cam's axes, rotated about y by half a turn if the player faces it.
+        Pointing right is a rotation about down, pointing down one about left, and clockwise one about ahead.
         """
         side = -1.0 if self.facing else 1.0
         if self.by == "turn":
@@ -78,7 +78,7 @@ class PointingSettings:
         return np.diag([side, 1.0, side])
 
     def matrix(self) -> Array:
-        """(3, 3): counts x, y, third per rad of rotation vector, or per m of shift, in cam."""
+        """Return counts x, y, third per rad of rotation vector, or per m of shift, in cam, (3, 3)."""
         scale = self.counts_per_radian if self.by == "turn" else self.counts_per_metre
         sign = np.where([self.invert_x, self.invert_y, self.invert_z], -1.0, 1.0)
         return self.directions() * (sign * (self.scale_x, self.scale_y, self.scale_z) * scale)[:, None]
@@ -86,7 +86,7 @@ class PointingSettings:
 
 @dataclass(frozen=True, slots=True)
 class ReferencePose:
-    """The pose that motion is counted from."""
+    """The last pose from which motion is counted."""
 
     stamp: float  # s
     position: Array  # (3,) m, cam
@@ -95,109 +95,110 @@ class ReferencePose:
 
     @property
     def variance(self) -> Array:
-        """(6,) m², rad²."""
+        """Return the variances, (6,) m², rad²."""
         return np.diag(self.covariance).clip(0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Pointing:
-    """State of the mapping from frame to frame."""
+class PointingState:
+    """State of the mapping between two frames."""
 
-    reference: ReferencePose | None = None  # None: the ball has not been seen, or was lost since
-    slack: Array = field(default_factory=lambda: np.zeros(3))  # rad or m, cam: motion taken up by the play
+    reference: ReferencePose | None = None  # None: the ball was never seen, or it was lost
+    slack: Array = field(default_factory=lambda: np.zeros(3))  # rad or m, cam: motion within the backlash
     remainder: Remainder = field(default_factory=Remainder)  # counts
+
+    def reset(self) -> "PointingState":
+        """Return the state without a reference: the motion to the next pose moves nothing."""
+        return PointingState(remainder=self.remainder)
 
 
 def point(
-    pointing: Pointing, pose: WandPose, course: Course | None, stamp: float, settings: PointingSettings
-) -> tuple[Pointing, Report]:
-    """The report of one frame, with the motion since the last pose, in cam; `course` has the velocity.
+    state: PointingState, pose: WandPose, course: Course | None, stamp: float, settings: PointingSettings
+) -> tuple[PointingState, Report]:
+    """Return the next state, and the report of a frame with the motion since the last pose, in cam.
 
-    Only poses that were seen move anything: a ball that is hidden for a moment is where it is when it shows again, one
-    that was lost begins anew from there.
+    `course` has the velocity. A ball that was hidden for a moment moves the pointer when it is seen again. A ball that
+    was lost does not.
     """
     still = no_report(stamp)
     if pose.phase is not Status.TRACKING or pose.position is None or pose.rotation is None:
-        return begun_anew(pointing), still
+        return state.reset(), still
     if not pose.seen or pose.covariance is None:
-        return pointing, still
+        return state, still
     now = ReferencePose(stamp, pose.position, pose.rotation, pose.covariance)
     velocity = np.zeros(6) if course is None else course.velocity
     rate = pointing_rate(velocity, settings)
-    if pointing.reference is None or _is_leap(pointing.reference, now, settings):
-        return replace(begun_anew(pointing), reference=now), Report((0, 0, 0), rate, _motion(now, now, course))
-    motion = _motion(pointing.reference, now, course)
+    if state.reference is None or _is_implausible(state.reference, now, settings):
+        return replace(state.reset(), reference=now), Report((0, 0, 0), rate, _motion(now, now, course))
+    motion = _motion(state.reference, now, course)
     if settings.by == "turn":
-        way, variance = motion.rotation, now.variance[3:]
+        displacement, variance = motion.rotation, now.variance[3:]
     else:
-        way, variance = motion.shift, now.variance[:3]
-    slack, passed = taken_up(pointing.slack, way, settings.play * np.sqrt(variance))
-    counts, remainder = to_counts(passed, settings.matrix(), pointing.remainder)
-    return Pointing(now, slack, remainder), Report(counts, rate, motion)
+        displacement, variance = motion.shift, now.variance[:3]
+    slack, passed = apply_backlash(state.slack, displacement, settings.play * np.sqrt(variance))
+    counts, remainder = to_counts(passed, settings.matrix(), state.remainder)
+    return PointingState(now, slack, remainder), Report(counts, rate, motion)
 
 
 def _motion(before: ReferencePose, now: ReferencePose, course: Course | None) -> Motion:
-    """The motion from one pose to another, and the rate at its end.
+    """Return the motion from one pose to another, and the rate at its end.
 
-    The errors of the two are taken as independent, and as those of the rate: where pictures err alike, the motion is
-    better than its covariance says.
+    The errors of poses and rate are assumed to be independent. If the images have equal errors, the motion is better
+    than its covariance.
     """
     turn, covariance, rate = log(now.rotation @ before.rotation.T), np.zeros((12, 12)), np.zeros(6)
-    if before is not now:  # else a motion begins to count
+    if before is not now:
         A, J = np.eye(6), np.eye(6)
         A[3:, 3:], J[:3, :3] = exp(turn), np.linalg.inv(left_jacobian(turn))
-        covariance[:6, :6] = J @ (now.covariance + A @ before.covariance @ A.T)[_TURN_FIRST] @ J.T
+        covariance[:6, :6] = J @ (now.covariance + A @ before.covariance @ A.T)[_ROTATION_FIRST] @ J.T
     if course is not None:
-        rate, covariance[6:, 6:] = np.roll(course.velocity, 3), course.covariance[6:, 6:][_TURN_FIRST]
+        rate, covariance[6:, 6:] = np.roll(course.velocity, 3), course.covariance[6:, 6:][_ROTATION_FIRST]
     return Motion(now.stamp, turn, now.position - before.position, rate, covariance, confirmed=True)
 
 
-def begun_anew(pointing: Pointing) -> Pointing:
-    """Wherever the ball is next seen, nothing moves to there."""
-    return Pointing(remainder=pointing.remainder)
-
-
 def pointing_rate(velocity: Array, settings: PointingSettings) -> tuple[float, float, float]:
-    """Counts/s of the three axes at a velocity, (6,) m/s and rad/s in cam."""
+    """Return counts/s of the three axes at a velocity (6,), m/s and rad/s in cam."""
     part = velocity[3:] if settings.by == "turn" else velocity[:3]
     x, y, z = (settings.matrix() @ part).tolist()
     return x, y, z
 
 
-def taken_up(slack: Array, way: Array, play: Array) -> tuple[Array, Array]:
-    """Slack after a way, and what of the way is passed on, all (3,), axis by axis.
+def apply_backlash(slack: Array, displacement: Array, half_width: Array) -> tuple[Array, Array]:
+    """Return the slack after a displacement, and the part that passes, all (3,), axis by axis.
 
-    As between two gears: the way goes into the slack until that is as wide as the play, the rest is passed on. No more
-    is passed on than the way itself, also where the play becomes narrower: what rests does not move.
+    As between two gears, a displacement first takes up the slack and then passes. No more passes than the displacement
+    itself, also if the backlash became narrower: a ball at rest does not move the pointer.
     """
-    slack = slack + way
-    beyond = np.minimum(np.abs(slack) - play, np.abs(way))
-    passed = np.where((beyond > 0.0) & (slack * way > 0.0), np.sign(way) * beyond, 0.0)
+    slack = slack + displacement
+    excess = np.minimum(np.abs(slack) - half_width, np.abs(displacement))
+    passed = np.where((excess > 0.0) & (slack * displacement > 0.0), np.sign(displacement) * excess, 0.0)
     return slack - passed, passed
 
 
-def _is_leap(before: ReferencePose, after: ReferencePose, settings: PointingSettings) -> bool:
-    """Is it further than a hand gets in that time, and the filter may be off?"""
+def _is_implausible(before: ReferencePose, after: ReferencePose, settings: PointingSettings) -> bool:
+    """Return True if the change exceeds the fastest motion of a hand and the error of both poses."""
     dt = after.stamp - before.stamp
-    way = between(before.position, before.rotation, after.position, after.rotation)
+    change = between(before.position, before.rotation, after.position, after.rotation)
     reach = np.repeat([settings.fastest * dt, settings.fastest_turn * dt], 3)
-    return bool(dt <= 0.0 or (np.abs(way) > reach + _NOISE * np.sqrt(before.variance + after.variance)).any())
+    return bool(
+        dt <= 0.0 or (np.abs(change) > reach + _MAX_NOISE_SIGMAS * np.sqrt(before.variance + after.variance)).any()
+    )
 
 
-class HandMapping:
-    """Reports of the pointer from the epochs of a run, as they come."""
+class WandMapping:
+    """Makes the pointer's reports from the epochs of a run."""
 
     def __init__(self, settings: PointingSettings, points: int = 0) -> None:
-        """`points` is the index of the ball that moves the pointer."""
+        """Take the index `points` of the ball that moves the pointer."""
         self._settings, self._points = settings, points
-        self._pointing = Pointing()
+        self._state = PointingState()
 
     def report(self, epoch: WandEpoch) -> Report:
-        """The next one."""
+        """Return the report of an epoch."""
         pose, course = epoch.poses[self._points], epoch.state.tracks[self._points].course
-        self._pointing, report = point(self._pointing, pose, course, epoch.frame.stamp, self._settings)
+        self._state, report = point(self._state, pose, course, epoch.frame.stamp, self._settings)
         return report
 
     def interrupted(self) -> None:
-        """No frames came for a while: nothing moves to where the ball is next seen."""
-        self._pointing = begun_anew(self._pointing)
+        """Reset after a break in the frames: the motion to the next pose moves nothing."""
+        self._state = self._state.reset()

@@ -55,7 +55,7 @@ class Outputs:
 
     def rest(self, now: float) -> None:
         """The pointer is carried on no longer."""
-        self.pointer.rest(now)
+        self.pointer.end_prediction(now)
 
     def pause(self, paused: bool) -> None:
         """While paused nothing is sent."""
@@ -143,7 +143,7 @@ class Outputs:
         begun: list[OutputThread] = []
         try:
             for open_it in openers:
-                begun.append(OutputThread(open_it, settings, self._say, begin=self._begin))
+                begun.append(OutputThread(open_it, settings, self._say, start=self._begin))
         except ControlError:
             give_up()
             for thread in begun:

@@ -208,7 +208,7 @@ class Daemon:
         capture, worker = self._capture, self._worker
         silent = self._arrivals.silent(now)
         self._notifier.progress(("attempts", capture.attempts) if silent else ("frames", worker.seen))
-        self._say.tend()
+        self._say.flush()
         self._quiet.rest(now)
         if now - self._looked < _EVERY:
             return
@@ -272,7 +272,7 @@ class Daemon:
     def _close(self) -> None:
         """Each, whatever becomes of the others; the last one first."""
         with contextlib.ExitStack() as last:
-            last.callback(self._say.tend, end=True)
+            last.callback(self._say.flush, end=True)
             last.callback(self._stack.close)
             last.callback(self.follower.close)
             last.callback(self._archive.discard)

@@ -25,7 +25,7 @@ from spheremouse.ball.warm import warm_up
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset, read_frames
-from spheremouse.output.wand_mapping import Pointing, point
+from spheremouse.output.wand_mapping import PointingState, point
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Frame, Motion, Status
@@ -204,7 +204,7 @@ def follow(tracker: state_module.WandTracker, frames: list[Frame], c: Configurat
     """The frames of a film of `hand` tracked, and their motion."""
     film, _ = hand()
     usual = wand.build(film.scene.camera, tuple(carried.ball for carried in film.scene.balls))
-    state, pointing = wand.begin(tracker, 1, frames[0].stamp), Pointing()
+    state, pointing = wand.begin(tracker, 1, frames[0].stamp), PointingState()
     for frame in frames:
         state, poses = in_time(
             "a ball in a hand",

@@ -7,7 +7,7 @@ from serial.tools import list_ports
 
 from spheremouse.errors import OutputError
 from spheremouse.output import desktop, open_output, serial, uinput
-from spheremouse.output.third_axis import WAYS
+from spheremouse.output.third_axis import VALUES
 
 BOARD = {"device": "/dev/ttyACM7", "vid": 0x239A, "pid": 0x80F4, "product": "spheremouse", "serial_number": "E661"}
 ADAPTER = {"device": "/dev/ttyUSB3", "vid": 0x0403, "pid": 0x6001, "product": "FT232R", "serial_number": "A5"}
@@ -63,7 +63,7 @@ def test_the_third_axis_is_passed_on(world):
 
 
 def test_what_it_passes_on_is_what_the_outputs_take():
-    assert all(set(WAYS["auto"]) <= set(WAYS[kind]) for kind in ("uinput", "serial", "desktop"))
+    assert all(set(VALUES["auto"]) <= set(VALUES[kind]) for kind in ("uinput", "serial", "desktop"))
 
 
 def test_a_board_without_a_number_is_taken_by_its_port(world):
@@ -76,7 +76,7 @@ def test_an_adapter_is_never_taken_for_a_board(world):
     world.ports = [ADAPTER]
     with pytest.raises(OutputError) as e:
         open_output("auto")
-    assert str(e.value).startswith("auto: no mouse to be had. uinput: not here | serial:auto: no board of ours among ")
+    assert str(e.value).startswith("auto: found no mouse. uinput: not here | serial:auto: no board of ours among ")
     assert str(e.value).endswith(" | desktop: not here")
 
 

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from reporting import report
 
 from spheremouse.errors import OutputError
-from spheremouse.output import desktop, open_output
+from spheremouse.output import open_output
 from spheremouse.output.desktop import Desktop
+from spheremouse.output.third_axis import NOTCH
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -65,7 +66,7 @@ def test_notches_follow_the_counts(turns):
     output = Desktop(pointer, "wheel")
     for k, z in enumerate(turns):
         output.send(report(z=z))
-        assert abs(sum(turns[: k + 1]) - desktop.NOTCH * pointer.scrolled) < desktop.NOTCH
+        assert abs(sum(turns[: k + 1]) - NOTCH * pointer.scrolled) < NOTCH
 
 
 def test_an_empty_motion_asks_nothing_of_the_desktop():

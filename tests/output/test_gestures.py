@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from spheremouse.geometry.rotation import exp
 from spheremouse.output.counts import MotionSettings
-from spheremouse.output.gestures import Watch, understood
+from spheremouse.output.gestures import GestureDetector, match_directions
 from spheremouse.simulate.ball.profile import Gesture as Turn
 from spheremouse.simulate.ball.profile import Gestures as Turns
 
@@ -22,11 +22,11 @@ def told(turns, hz, *, sigma=0.0, unit=1.0, seed=0):
         [sum((np.array(g.axis) * g.turned(np.array([t]))[0] for g in turns.gestures), np.zeros(3)) for t in times]
     )
     places = unit * (places + sigma * np.random.default_rng(seed).normal(size=places.shape))
-    watch, found = Watch(unit), []
+    detector, found = GestureDetector(unit), []
     for stamp, way in zip(times[1:], np.diff(places, axis=0), strict=True):
-        if (gesture := watch.add(stamp, way)) is not None:
+        if (gesture := detector.add(stamp, way)) is not None:
             found.append(gesture)
-    if (gesture := watch.ended()) is not None:
+    if (gesture := detector.finish()) is not None:
         found.append(gesture)
     return found
 
@@ -45,7 +45,7 @@ def test_three_motions_between_rests_are_three_gestures(hz, angle, length, unit)
     found = told(three(angle, length), hz, unit=unit)
     assert [g.straight for g in found] == [True] * 3
     for gesture, axis in zip(found, np.eye(3)[[2, 0, 1]], strict=True):
-        assert_allclose(gesture.way, unit * angle * axis, atol=0.05 * unit * angle)
+        assert_allclose(gesture.displacement, unit * angle * axis, atol=0.05 * unit * angle)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -80,16 +80,16 @@ def test_a_player_is_understood_who_stands_askew_and_whose_ball_stands_askew(pla
     up, ahead = np.array([0.0, 1.0, 0.0]), np.array(look, dtype=float)
     made = [np.cross(up, np.cross(ahead, up)), np.cross(up, ahead), up]
     askew = exp(np.radians(turned) * up) @ exp(np.radians(tilted) * np.array([1.0, 0.0, 0.0]))
-    found = understood([2.0 * askew @ way for way in made], [asked(p) for p in SEATS])
+    found = match_directions([2.0 * askew @ way for way in made], [asked(p) for p in SEATS])
     assert SEATS[found.candidate] == player
     assert found.fits
     if not tilted:
-        assert_allclose(np.degrees(found.off), [abs(turned), abs(turned), 0.0], atol=1e-4)
+        assert_allclose(np.degrees(found.errors), [abs(turned), abs(turned), 0.0], atol=1e-4)
 
 
 @pytest.mark.parametrize("player", SEATS)
 def test_a_mirror_image_is_nobodys(player):
     """The underside of the ball pushed, or the rig upside down: no seat has such directions."""
     right, away, spin = asked(player)
-    assert not understood([right, -away, spin], [asked(p) for p in SEATS]).fits
-    assert not understood([right, away, -spin], [asked(p) for p in SEATS]).fits
+    assert not match_directions([right, -away, spin], [asked(p) for p in SEATS]).fits
+    assert not match_directions([right, away, -spin], [asked(p) for p in SEATS]).fits

@@ -13,6 +13,7 @@ from reporting import report
 
 from spheremouse.errors import OutputError
 from spheremouse.output import open_output, text, uinput
+from spheremouse.output.third_axis import NOTCH
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -162,8 +163,8 @@ def test_standard_output_on_a_full_disk_is_one_line():
         ("none", (40_000, -40_000, 0), "REL_X +40000 REL_Y -40000 SYN"),
     ],
 )
-def test_events_of_a_motion(third, counts, words):
-    assert str(uinput.events_of(turned(*counts), third)) == words
+def test_to_events_a_motion(third, counts, words):
+    assert str(uinput.to_events(turned(*counts), third)) == words
 
 
 @given(st.lists(st.integers(-500, 500), max_size=50))
@@ -171,14 +172,14 @@ def test_notches_follow_the_fine_wheel(turns):
     """Whole notches never lag the sum of the fine ones by a notch, whichever way it turns."""
     notch = fine = whole = 0
     for z in turns:
-        made = uinput.events_of(turned(z=z), "wheel", notch)
+        made = uinput.to_events(turned(z=z), "wheel", notch)
         notch = made.notch
         events = dict(made.events)
         fine += events.get(uinput.REL_WHEEL_HI_RES, 0)
         whole += events.get(uinput.REL_WHEEL, 0)
         assert 0 not in events.values()
-        assert fine - whole * uinput.NOTCH == notch
-        assert abs(notch) < uinput.NOTCH
+        assert fine - whole * NOTCH == notch
+        assert abs(notch) < NOTCH
     assert fine == sum(turns)
 
 

@@ -87,8 +87,8 @@ class WandSource:
 
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch):
-    monkeypatch.setattr(module, "BACK_OFF", (0.005, 0.02))
-    monkeypatch.setattr(module, "LATE", PATIENCE)  # a test machine may hang as well
+    monkeypatch.setattr(module, "RETRY_DELAYS", (0.005, 0.02))
+    monkeypatch.setattr(module, "MAX_QUEUE_TIME", PATIENCE)  # a test machine may hang as well
 
 
 @pytest.fixture
@@ -179,7 +179,7 @@ def test_settings_change_while_it_runs(start):
 
 
 def test_giving_never_waits_and_what_is_pushed_out_is_counted(start, monkeypatch):
-    monkeypatch.setattr(module, "QUEUED", 5)
+    monkeypatch.setattr(module, "MAX_QUEUED_FRAMES", 5)
     world = World(gate=threading.Event())
     reporter, given = start(world)
     for _ in range(200):
@@ -192,7 +192,7 @@ def test_giving_never_waits_and_what_is_pushed_out_is_counted(start, monkeypatch
 
 
 def test_counts_that_waited_too_long_are_not_wanted(start, monkeypatch):
-    monkeypatch.setattr(module, "LATE", 0.0)
+    monkeypatch.setattr(module, "MAX_QUEUE_TIME", 0.0)
     world = World()
     reporter, given = start(world)
     given(1, 2, 3)
@@ -235,7 +235,7 @@ def test_at_rest_nothing_is_carried_on_and_an_output_of_frames_hears_nothing_of_
     now = time.monotonic()
     given(0, 0, 0, taken=now - 0.01)
     given(100, 0, 0, rate=(1000.0, 0.0, 0.0), taken=now)
-    reporter.rest(time.monotonic())
+    reporter.end_prediction(time.monotonic())
     until(lambda: world.reports and not reporter._queue)
     sent = world.sum
     time.sleep(0.3)
@@ -244,7 +244,7 @@ def test_at_rest_nothing_is_carried_on_and_an_output_of_frames_hears_nothing_of_
     path = tmp_path / "lines"
     reporter, given = start(World(), EXACT, lambda: open_output(f"text:{path}"))
     given(1, 2, 3)
-    reporter.rest(time.monotonic())
+    reporter.end_prediction(time.monotonic())
     given(4, 5, 6)
     until(lambda: path.exists() and path.read_text().count("\n") == 3)  # a header
 
@@ -335,7 +335,7 @@ def test_patience_grows_while_nothing_can_be_sent_though_it_opens(start):
 
 
 def test_the_time_between_two_openings_grows(start, monkeypatch):
-    monkeypatch.setattr(module, "BACK_OFF", (0.0, 0.0, 3600.0))
+    monkeypatch.setattr(module, "RETRY_DELAYS", (0.0, 0.0, 3600.0))
     world = World(missing=OutputError("not there"))
     reporter, _ = start(world)
     until(lambda: reporter._failures == 3)
@@ -351,7 +351,7 @@ def test_a_reader_that_has_gone_is_the_end(start):
     given(2, 0, 0)
     until(lambda: reporter.status().unsent == (3, 0, 0))
     assert world.opened == 1
-    assert reporter.status().failed == "whoever read the output has gone"
+    assert reporter.status().failed == "the reader of the output is gone"
 
 
 def test_closing_leaves_the_output(start):

@@ -7,7 +7,7 @@ import pytest
 from spheremouse import output as outputs
 from spheremouse.output import open_output
 from spheremouse.output.desktop import Desktop
-from spheremouse.output.third_axis import WAYS, left_out, sent_as
+from spheremouse.output.third_axis import VALUES, left_out, sent_as
 from spheremouse.output.uinput import UInput
 from tests.reporting import report
 
@@ -22,7 +22,7 @@ def made(kind, way):
 
 @pytest.mark.parametrize("kind", ["uinput", "desktop"])
 def test_it_is_left_out_where_the_output_makes_nothing_of_a_spin(kind):
-    for way in ("none", *WAYS[kind]):
+    for way in ("none", *VALUES[kind]):
         spec = f"{kind}:third={way}"
         assert bool(left_out(spec)) is (made(kind, way) == ""), spec
         assert bool(sent_as(spec)) is not bool(left_out(spec)), spec
@@ -47,4 +47,4 @@ def test_of_a_text_of_nothing_and_of_others_outputs_nothing_is_said(tmp_path):
 
 def test_every_output_with_a_third_axis_is_known_here():
     """A kind of ours is either told of, or has no `third=`."""
-    assert set(WAYS) == {"auto", "desktop", "serial", "uinput"} == set(outputs.KINDS) - {"text", "null"}
+    assert set(VALUES) == {"auto", "desktop", "serial", "uinput"} == set(outputs.KINDS) - {"text", "null"}

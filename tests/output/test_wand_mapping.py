@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from spheremouse.output.counts import Remainder
-from spheremouse.output.wand_mapping import Pointing, PointingSettings, begun_anew, point, pointing_rate, taken_up
+from spheremouse.output.wand_mapping import PointingSettings, PointingState, apply_backlash, point, pointing_rate
 from spheremouse.tracker import Status
 from spheremouse.wand.course import begun
 from spheremouse.wand.state import WandPose
@@ -41,7 +41,7 @@ def walk(seed, n=40, turn=0.03, shift=0.01):
     return np.cumsum(rng.normal(0.0, shift, (n, 3)), axis=0) + AHEAD, np.array([r.as_matrix() for r in R])
 
 
-def follow(poses, settings, before=Pointing()):  # noqa: B008  frozen
+def follow(poses, settings, before=PointingState()):  # noqa: B008  frozen
     """Counts of each pose, (n, 3), and what is remembered after the last."""
     counts = []
     for k, one in enumerate(poses):
@@ -112,7 +112,7 @@ def test_no_more_is_passed_on_than_comes_in_and_never_against_it(seed, ways):
     slack = np.zeros(3)
     for way in ways:
         play = rng.uniform(0.0, 0.1, 3)
-        after, passed = taken_up(slack, np.full(3, way), play)
+        after, passed = apply_backlash(slack, np.full(3, way), play)
         assert (np.abs(passed) <= abs(way)).all()
         assert (passed * way >= 0.0).all()
         assert after + passed == pytest.approx(slack + way)
@@ -130,7 +130,7 @@ def test_a_ball_that_was_lost_or_leapt_begins_anew_where_it_is(seed, by, fault):
     alone, state = follow(before, settings)
     assert (counts[: len(before)] == alone).all()
     assert not counts[len(before) : len(before) + len(away) + 1].any()
-    again, _ = follow(far, settings, begun_anew(state))
+    again, _ = follow(far, settings, state.reset())
     assert (counts[-len(far) :] == again).all()
 
 
@@ -145,7 +145,7 @@ def test_while_it_is_hidden_nothing_moves_and_afterwards_nothing_is_missing():
 
 def test_a_slow_camera_is_no_leap():
     p = np.array([0, 0, 1.0])
-    first, _ = point(Pointing(), pose(p, np.eye(3)), None, 0.0, PointingSettings())
+    first, _ = point(PointingState(), pose(p, np.eye(3)), None, 0.0, PointingSettings())
     for dt, moves in ((0.5, True), (0.02, False)):
         _, report = point(first, pose(p, turned(0, 60, 0)), None, dt, PointingSettings())
         assert (report.counts[0] > 0) == moves
@@ -154,7 +154,7 @@ def test_a_slow_camera_is_no_leap():
 
 def test_stamps_that_stand_still_move_nothing():
     p = np.array([0, 0, 1.0])
-    first, _ = point(Pointing(), pose(p, np.eye(3)), None, 1.0, PointingSettings())
+    first, _ = point(PointingState(), pose(p, np.eye(3)), None, 1.0, PointingSettings())
     _, report = point(first, pose(p, turned(0, 5, 0)), None, 1.0, PointingSettings())
     assert report.counts == (0, 0, 0)
 
@@ -197,7 +197,7 @@ def test_the_rate_is_that_of_the_counts(by, facing, velocity):
     counts, _ = follow(steps, settings)
     assert counts.sum(axis=0) == pytest.approx(np.array(pointing_rate(v, settings)) * 19 * DT, abs=1.0)
     course = replace(begun(0.0, AHEAD, np.eye(3), np.eye(6)), velocity=v)
-    for before in (Pointing(), follow(steps[:1], settings)[1]):
+    for before in (PointingState(), follow(steps[:1], settings)[1]):
         _, report = point(before, steps[1], course, DT, settings)
         assert report.motion.rate == pytest.approx(np.roll(v, 3))
         assert report.rate == pointing_rate(v, settings)
@@ -220,7 +220,7 @@ def test_a_motion_is_as_uncertain_as_sampled_poses_are():
             )
             for (at, to), d, C in zip(((p, R), (q, Q)), e, P, strict=True)
         ]
-        first, begins = point(Pointing(), poses[0], course, 0.0, fast)
+        first, begins = point(PointingState(), poses[0], course, 0.0, fast)
         assert not np.any(begins.motion.covariance[:6, :6])
         return point(first, poses[1], course, 0.1, fast)[1].motion
 
@@ -235,6 +235,6 @@ def test_a_motion_is_as_uncertain_as_sampled_poses_are():
 
 def test_fractions_survive_a_loss():
     """Nothing moves at it, and half a count is not lost for ever."""
-    counts, after = follow([MISSING], PointingSettings(), Pointing(remainder=Remainder((0.4, 0.0, -0.4))))
+    counts, after = follow([MISSING], PointingSettings(), PointingState(remainder=Remainder((0.4, 0.0, -0.4))))
     assert not counts.any()
     assert after.remainder.value == (0.4, 0.0, -0.4)

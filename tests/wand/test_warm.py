@@ -13,7 +13,7 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.wand.settings import WandSettings; from spheremouse.wand.track import build
 from spheremouse.output.wand_mapping import PointingSettings
 from spheremouse.wand.warm import warm_up
-from spheremouse.output.wand_mapping import HandMapping
+from spheremouse.output.wand_mapping import WandMapping
 from spheremouse.session.wand.offline import track_wand
 
 
@@ -42,7 +42,7 @@ def frames():
 
 for settings in (WandSettings(), WandSettings(proposal="motion"), WandSettings(region=False, outline=False)):
     tracker = build(film.scene.camera, tuple(b.ball for b in film.scene.balls), settings)
-    hand = HandMapping(PointingSettings())
+    hand = WandMapping(PointingSettings())
     phases = set()
     for epoch in track_wand(frames(), tracker):
         hand.report(epoch)

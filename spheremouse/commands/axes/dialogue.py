@@ -10,7 +10,7 @@ from spheremouse.capture.signals import SignalHandler
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import MotionSettings, Player
-from spheremouse.output.gestures import Understood, Watch, understood
+from spheremouse.output.gestures import DirectionMatch, GestureDetector, match_directions
 from spheremouse.session.directions import Directions, of_ball, of_hand
 from spheremouse.session.follower import FrameResult, TrackerAdapter
 from spheremouse.session.screen import Tally
@@ -76,10 +76,10 @@ class Dialogue:
         """`stopping` is asked as soon as all is understood."""
         self.tally, self._stopping, self._live = Tally(), stopping, live
         self._configuration, self._asked = configuration, asked_of(configuration)
-        self._watch = Watch(self._asked.unit)
+        self._detector = GestureDetector(self._asked.unit)
         self._made: list[Array] = []
         self._begun = False
-        self.found: Understood | None = None
+        self.found: DirectionMatch | None = None
 
     @property
     def stopped(self) -> bool:
@@ -100,13 +100,13 @@ class Dialogue:
             self._begun = True
             self._ask()
         way = np.concatenate([motion.rotation, motion.shift])[self._asked.directions[0].part]
-        self._take(self._watch.add(motion.stamp, way))
+        self._take(self._detector.add(motion.stamp, way))
 
     def conclusion(self) -> list[tuple[str, Any, Any]]:
         """Settings by name, with their values and those before. Raises CalibrationError where too little was shown."""
         if self.stopped:
             return []
-        self._take(self._watch.ended())  # a recording may end without a rest
+        self._take(self._detector.finish())  # a recording may end without a rest
         if self.found is None:
             which = " and ".join(f"'{words}'" for words in self._asked.gestures[len(self._made) :])
             raise CalibrationError(f"{len(self._made)} of 3 gestures were seen; missing: {which}")
@@ -130,7 +130,7 @@ class Dialogue:
         if not gesture.straight:
             print(f"   that went to and fro{': once, one way, please' if self._live else ', and is none'}", flush=True)
             return
-        self._made.append(gesture.way)
+        self._made.append(gesture.displacement)
         print(f"   seen: {size}", flush=True)
         if len(self._made) < len(self._asked.gestures):
             self._ask()
@@ -138,8 +138,8 @@ class Dialogue:
         self._understand()
 
     def _understand(self) -> None:
-        found = understood(self._made, self._asked.ways)
-        off = ", ".join(f"{np.degrees(angle):.0f}°" for angle in found.off)
+        found = match_directions(self._made, self._asked.ways)
+        off = ", ".join(f"{np.degrees(angle):.0f}°" for angle in found.errors)
         if found.fits:
             self.found = found
             saying = self._asked.choices[found.candidate][2]

@@ -24,7 +24,7 @@ from spheremouse.output.rate_limited_logger import RateLimitedLogger
 from spheremouse.output.serial.link import Link
 from spheremouse.output.serial.messages import Flags, Identity, Status
 from spheremouse.output.serial.ports import Port, PortGoneError, example_port, find_board, foreign_text, nobody
-from spheremouse.output.third_axis import NONE, checked
+from spheremouse.output.third_axis import NONE, validate_third
 
 BAUD, SLOWEST, FASTEST = 115200, 38400, 4_000_000
 NOT_TAKEN = "the mouse's computer takes no moves: it is off or asleep, or the board is not plugged into it"
@@ -116,7 +116,7 @@ class Serial:
         text = " ".join(f"{name} {n:+d}" for name, n in named if n)
         return f"{text} (waits for the board)" if text and not self._link.running else text
 
-    def passage(self) -> DeliveryStatus:
+    def delivery(self) -> DeliveryStatus:
         """Counts that the board has not passed on, and the reason why."""
         axes = (0, 1, *(() if self._third == "none" else (_AXIS[self._third],)))
         with self._lock:
@@ -125,7 +125,7 @@ class Serial:
             trouble = f"serial: {self._trouble()}" if link.stuck(time.perf_counter()) else ""
             return DeliveryStatus(trouble, _three(waiting[k] for k in axes), _three(lost[k] for k in axes))
 
-    def give_up(self) -> None:
+    def drop_waiting(self) -> None:
         """Drop what the board has not passed on."""
         with self._lock:
             self._link.give_up(time.perf_counter())
@@ -208,7 +208,7 @@ class Serial:
             with contextlib.suppress(PortGoneError):
                 _write_all(port, last, time.perf_counter() + _FLUSH)
             port.close()
-        self._say.tend(end=True)
+        self._say.flush(end=True)
         self._say(f"{self.statistics()}")
 
     # ---- the thread ----
@@ -303,7 +303,7 @@ class Serial:
 
     def _tell(self) -> None:
         """Say what is new."""
-        self._say.tend()
+        self._say.flush()
         while self._link.notices:
             self._say(self._link.notices.popleft())
         found, port, running = self._link.identity, self._port, self._link.running
@@ -343,7 +343,7 @@ def check(argument: str) -> tuple[str, str | None, int, str]:
     name, whole = "auto" if name.lower() == "auto" else name, f"serial:{argument}".removesuffix(":")
     given = options(rest, {"baud": int, "third": str, "id": str}, whole, OutputError)
     baud, identifier = int(given.get("baud", BAUD)), given.get("id")
-    third = checked("serial", str(given.get("third", NONE)))
+    third = validate_third("serial", str(given.get("third", NONE)))
     if not name or "=" in name:
         raise OutputError(f"{whole}: names no port; write serial:auto or serial:{example_port()}")
     check_speed(baud, "serial: baud")

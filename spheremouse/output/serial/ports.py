@@ -108,7 +108,7 @@ def find_board(identifier: str | None = None, ports: list[Any] | None = None, ad
 
     Where none is ours, the only adapter there is, if `adapters` are allowed.
     """
-    ports = [p for p in (ports_here() if ports is None else ports) if p.vid is not None]
+    ports = [p for p in (connected_ports() if ports is None else ports) if p.vid is not None]
     boards = [board for board in _boards(ports) if _data_port(board) is not None]
     if identifier is not None:
         found = [b for b in boards if b[-1].serial_number == identifier]
@@ -134,7 +134,7 @@ def find_board(identifier: str | None = None, ports: list[Any] | None = None, ad
     )
 
 
-def ports_here() -> list[Any]:
+def connected_ports() -> list[Any]:
     """All serial ports, as pyserial lists them."""
     from serial.tools import list_ports
 
@@ -206,7 +206,7 @@ def _refusal(name: str, error: Exception) -> str:
 
 def _there() -> str:
     try:
-        names = [p.device for p in ports_here()]
+        names = [p.device for p in connected_ports()]
     except OutputError:
         names = []
     return f"there is {', '.join(names)}" if names else "there is no serial port here: plug the board in"

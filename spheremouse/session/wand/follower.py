@@ -12,7 +12,7 @@ from spheremouse.errors import ConfigurationError, SourceError, SpheremouseError
 from spheremouse.output import Output, open_output
 from spheremouse.output.axes import PoseLog
 from spheremouse.output.pointer import Counts
-from spheremouse.output.wand_mapping import HandMapping
+from spheremouse.output.wand_mapping import WandMapping
 from spheremouse.session.directions import of_hand
 from spheremouse.session.follower import Change, FrameResult, LogMessages, TrackerAdapter
 from spheremouse.session.overlay.pen import Image, in_blocks
@@ -36,7 +36,7 @@ class WandFollower:
     ) -> None:
         """`make` gives the tracker that a plan asks for, `axes` are those that go on. Raises ConfigurationError."""
         self._make, self._say = make, say
-        self._hand = HandMapping(plan.configuration.wand.pointing, plan.configuration.wand.points - 1)
+        self._hand = WandMapping(plan.configuration.wand.pointing, plan.configuration.wand.points - 1)
         self._state: WandState | None = None
         self._poses: tuple[WandPose, ...] = ()
         self._motion: Motion | None = None  # the last one
@@ -128,7 +128,7 @@ class WandFollower:
             before = self.points
             self._take_on(plan, tracker, axes)
             if "motion" in changed or self.points != before:
-                self._hand = HandMapping(plan.configuration.wand.pointing, self.points)
+                self._hand = WandMapping(plan.configuration.wand.pointing, self.points)
             if self.points != before:
                 self._told = Told(self.points, tracker.balls[self.points].name)
                 self.status = self._poses[self.points].phase if self._poses else Status.SEARCHING
