@@ -52,7 +52,7 @@ def parameters(name: str, without: Collection[str] = ()) -> tuple[tuple[str, "da
     return tuple(
         (f"{prefix}{field.name}", field, hints[field.name])
         for field in dataclasses.fields(cls)
-        if not dataclasses.is_dataclass(hints[field.name]) and f"{prefix}{field.name}" not in without
+        if field.metadata and not dataclasses.is_dataclass(hints[field.name]) and f"{prefix}{field.name}" not in without
     )
 
 

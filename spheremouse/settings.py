@@ -1,6 +1,7 @@
 """Declare a setting by one call of `param`: default, unit, meaning and bounds.
 
 Settings are frozen dataclasses beside the code that uses them. Schema, configuration file and pages are made from them.
+A field without `param` is a constant that code may replace; no configuration file can set it.
 Every number has two bounds and every list a maximum length; every accepted value works. The reason for a bound is in
 the meaning or in a comment. Bounds that several settings share are here.
 
@@ -46,10 +47,6 @@ HAND_TURN: Bounds = {"ge": 0.01, "le": 1000.0}
 ANGLE: Bounds = {"ge": 1e-4, "le": 1.0}
 # Steps of a camera's controls, in the kernel 32-bit integers.
 STEPS: Bounds = {"ge": 0, "le": 2**31 - 1}
-# Widths of image filters; OpenCV's median filter allows 31.
-WIDTH: Bounds = {"ge": 1, "le": 31}
-# A number of frames, up to a second of the fastest camera.
-FRAMES: Bounds = {"ge": 1, "le": 1000}
 
 
 def param(

@@ -4,6 +4,7 @@ Wittich 2017, section 4.5, tables 14 to 18: `ekf2` on a film like R1, compared w
 like S1, compared with the truth. `so3` has neither parameter: a line beside them.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -117,12 +118,13 @@ def _scaled(film: Film, judge: Any) -> Result:
     for b in SIGMA_B:
         noisy, k = detections.with_sigma(seen, b), b / SIGMA_B[0]
         for w in SIGMA_W[:3]:
-            assumed = {
-                "acceleration_sigma": k * w,
-                "start_sigma": k * usual.start_sigma,
-                "radial_sigma": k * usual.radial_sigma,
-            }
-            settings = settings_of(["tracker=ekf2", *(f"euler.{name}={x}" for name, x in assumed.items())])
+            assumed = replace(
+                usual,
+                acceleration_sigma=k * w,
+                start_sigma=k * usual.start_sigma,
+                radial_sigma=k * usual.radial_sigma,
+            )
+            settings = replace(settings_of(["tracker=ekf2"]), euler=assumed)
             cells[key_of(k * w, b)] = judge(detections.filtered(noisy, settings, film))
     return cells
 

@@ -15,7 +15,7 @@ from experiments.kit import film as kit
 from experiments.kit.job import Job, Request, Result
 from experiments.kit.thesis import calibrated_rig
 from spheremouse.ball.detect.rings import TargetDetections, detect_targets
-from spheremouse.ball.pose import PoseSettings, Sighting, gather, predict_targets, resect
+from spheremouse.ball.pose import TARGET_SIGMA_PX, Sighting, gather, predict_targets, resect
 from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import euler_rate_matrix, exp, log, to_euler
@@ -82,7 +82,7 @@ def recorded(path: str, counts: Sequence[int]) -> Result:
 
 def drawn(view: View, seeds: int) -> Result:
     """Poses from targets whose centres are off by what one view is said to be off, with calibrated positions."""
-    sigma = PoseSettings().target_sigma
+    sigma = TARGET_SIGMA_PX
     scene = default_scene(50, view)
     exact = scene.rig()
     centre = predict_targets(scene.pose, exact)
@@ -125,10 +125,7 @@ def _poses(frames: Iterable[Frame], rigs: dict[str, Rig], true: Pose, counts: Se
         views.append(detect_targets(frame.image, exact.targets.radii, settings.rings))
     assert image is not None, "there are frames"
     by_count = {
-        str(n): {
-            name: _found(gather(views[:n], settings.pose), replace(rig, pose=None), true, image)
-            for name, rig in rigs.items()
-        }
+        str(n): {name: _found(gather(views[:n]), replace(rig, pose=None), true, image) for name, rig in rigs.items()}
         for n in counts
     }
     return {"counts": by_count, **_centres(views, exact, true)}

@@ -17,7 +17,7 @@ from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.ball.points import SpherePoints, intersect
-from spheremouse.ball.pose import PoseSettings, Sighting, predict_targets, resect
+from spheremouse.ball.pose import TARGET_SIGMA_PX, Sighting, predict_targets, resect
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import VISIBLE
 from spheremouse.geometry.camera import Pose
@@ -132,7 +132,7 @@ def _sights(scene: Scene, frames: int) -> _Sights:
 
 def _device(scene: Scene, seed: int) -> Rig:
     """A rig as calibrated, with the camera's pose from targets that are off by the floor of one view."""
-    rng, sigma = np.random.default_rng([seed, 5]), PoseSettings().target_sigma
+    rng, sigma = np.random.default_rng([seed, 5]), TARGET_SIGMA_PX
     exact, rig = scene.rig(), calibrated_rig(seed, scene.camera)
     centre = predict_targets(scene.pose, exact)
     seen = [

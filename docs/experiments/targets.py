@@ -239,7 +239,7 @@ def _posed(views: list[TargetDetections], rig: Rig, true: Pose, image: NDArray[n
     """Share found over views, error of the centres or corners, pose error and standard deviations."""
     share = [len(set(v.codes) & set(rig.targets.codes)) / len(rig.targets.codes) for v in views]
     best: dict[str, Sighting] = {}
-    for s in gather(views, kit.settings_of().pose):
+    for s in gather(views):
         if s.code not in best or s.views > best[s.code].views:
             best[s.code] = s
     result: Result = {"found": float(np.mean(share)), **_off(best.values(), rig, true)}

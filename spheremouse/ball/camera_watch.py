@@ -20,34 +20,19 @@ from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array, exp, hat, log
-from spheremouse.settings import PART, PIXELS, SECONDS, SIGMA_PX, param
 
 _FINE = 17  # px, half width of a patch that need not be finer: larger ones are reduced to about that
 _AROUND = 1.3  # outer radii of a target that its patch reaches: the ring's edge and some of what is behind
 _NEAR = 3  # px of the patch, searched in an ordinary look
 _POINT_SYMMETRY = 0.7  # correlation of a patch with itself turned by 180°, from which it is taken for a target
 _CONTRAST = 5.0  # grey values, standard deviation within a patch: less is a wall, or the dark
-
-
-@dataclass(frozen=True, slots=True)
-class WatchSettings:
-    """When the camera counts as bumped."""
-
-    interval: float = param(1.0, "s", "every ring target is looked at once in so long, one at a time", **SECONDS)
-    score: float = param(
-        0.7, "-", "least correlation with what was seen before: below, something is in front of it", **PART
-    )
-    displaced: float = param(
-        0.15, "px", "a target has moved: seven standard deviations of its rings, 0.05° of the ball far away", **PIXELS
-    )
-    still: float = param(0.15, "px", "between two frames the targets move less: the camera stands", **PIXELS)
-    reach: float = param(
-        0.05, "widths of the image", "how far a displaced target is looked for: beyond, by its colours", ge=1e-3, le=0.5
-    )
-    ring_sigma: float = param(0.02, "px", "standard deviation of a shift measured on the rings' edges", **SIGMA_PX)
-    match_sigma: float = param(
-        0.1, "px", "the same by correlation: what is behind a target shifts otherwise", **SIGMA_PX
-    )
+DISPLACED_PX = 0.15  # shift of a moved target: seven standard deviations of its rings, 0.05° of the ball far away
+RING_SIGMA_PX = 0.02  # standard deviation of a shift measured on the rings' edges
+MATCH_SIGMA_PX = 0.1  # standard deviation of a shift by correlation: the background of a target shifts otherwise
+_INTERVAL_S = 1.0  # the time in which each target is measured once, one at a time
+_MIN_CORRELATION = 0.7  # with the remembered patch; below, something hides the target
+_STILL_PX = 0.15  # shift of the targets between two frames while the camera stands
+_FAR = 0.05  # image widths within which a displaced target is searched; beyond, its colours find it
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,36 +110,34 @@ def remember_targets(
     return replace(watch, patches=tuple(patches), zero=zero, place=place, seen=seen)
 
 
-def target_shift(watch: CameraMonitor, image: Image, which: int, settings: WatchSettings, far: bool = False) -> Array:
-    """How far, (2,) px, a target is from where it was; nan where it is hidden. `far`: within `reach`."""
+def target_shift(watch: CameraMonitor, image: Image, which: int, far: bool = False) -> Array:
+    """How far, (2,) px, a target is from where it was; nan where it is hidden. `far`: within _FAR widths."""
     template = watch.patches[which]
     if template is None:
         return np.full(2, np.nan)
     f = int(watch.reduction[which])
-    reach = int(np.ceil(settings.reach * image.shape[1] / f)) if far else _NEAR
+    reach = int(np.ceil(_FAR * image.shape[1] / f)) if far else _NEAR
     window, before = _window(watch, image, which, reach)
     score = cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED)
     best, at = _top(score)
-    return f * (at - before - watch.zero[which]) if best >= settings.score else np.full(2, np.nan)
+    return f * (at - before - watch.zero[which]) if best >= _MIN_CORRELATION else np.full(2, np.nan)
 
 
-def target_shifts(watch: CameraMonitor, image: Image, settings: WatchSettings) -> tuple[CameraMonitor, Array]:
+def target_shifts(watch: CameraMonitor, image: Image) -> tuple[CameraMonitor, Array]:
     """The shift of every target, (n, 2) px, nan where hidden; looked for far where it is not near its place."""
-    shift = np.array([target_shift(watch, image, k, settings) for k in range(len(watch))])
+    shift = np.array([target_shift(watch, image, k) for k in range(len(watch))])
     for k in range(len(watch)):
         if not np.hypot(*shift[k]) < _NEAR - 1:
-            shift[k] = target_shift(watch, image, k, settings, far=True)
+            shift[k] = target_shift(watch, image, k, far=True)
     return replace(watch, seen=np.isfinite(shift[:, 0])), shift
 
 
-def check_next_target(
-    watch: CameraMonitor, image: Image, stamp: float, settings: WatchSettings, surprised: bool
-) -> tuple[CameraMonitor, bool]:
+def check_next_target(watch: CameraMonitor, image: Image, stamp: float, surprised: bool) -> tuple[CameraMonitor, bool]:
     """One target in its turn, when it is time; the next two at once when something is odd. Is one out of its place?
 
     A target that was there and is gone counts as out of its place, too, once; whether the camera moved, all must say.
     """
-    step = settings.interval / len(watch)
+    step = _INTERVAL_S / len(watch)
     if not surprised and watch.due - step <= stamp < watch.due:
         return watch, False
     seen, odd, turn = watch.seen.copy(), False, watch.turn
@@ -162,9 +145,9 @@ def check_next_target(
         turn = (turn + 1) % len(watch)
         if watch.patches[turn] is None:
             continue
-        shift = target_shift(watch, image, turn, settings)
+        shift = target_shift(watch, image, turn)
         there = bool(np.isfinite(shift[0]))
-        odd |= bool(np.hypot(*shift) > settings.displaced) if there else bool(seen[turn])
+        odd |= bool(np.hypot(*shift) > DISPLACED_PX) if there else bool(seen[turn])
         seen[turn] = there
     return replace(watch, seen=seen, turn=turn, due=stamp + step), odd
 
@@ -177,12 +160,12 @@ def displaced(shift: Array, limit: float) -> bool | None:
     return bool(2 * np.count_nonzero(np.hypot(*shift[seen].T) > limit) > np.count_nonzero(seen))
 
 
-def is_still(before: Array, now: Array, settings: WatchSettings) -> bool:
+def is_still(before: Array, now: Array) -> bool:
     """Do the targets keep their places from frame to frame: shifts, (n, 2) px each?"""
     if len(before) != len(now):
         return False
     step = np.hypot(*(now - before).T)
-    return bool(np.count_nonzero(np.isfinite(step)) >= 3 and np.nanmedian(step) < settings.still)
+    return bool(np.count_nonzero(np.isfinite(step)) >= 3 and np.nanmedian(step) < _STILL_PX)
 
 
 def on_rings(watch: CameraMonitor, image: Image, shift: Array, rig: Rig, rings: RingSettings) -> Array:

@@ -11,13 +11,16 @@ from numba import njit
 
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array
-from spheremouse.settings import SECONDS, SHARE, SIGMAS, param
+from spheremouse.settings import SHARE, param
 
 _FARTHEST = 0.1  # radii, standard deviation of a shift before anything is seen: it keeps the equations solvable
 _PRINT = 5e-4  # rad, standard deviation of a disc's place on the map and in the picture that no view removes
 _EXPLAINED = 0.1  # of the chi-square is left with the shift, at most, where a shift is what is wrong
 _ROUND = 3.0  # times as far the centre of a ball known to be out of round must be before it counts as lifted
 _MOST = 10.0  # chi-square per degree of freedom that a frame counts for in the mean: one wrong pair is not a bad ball
+OUT_OF_ROUND = 5.0  # mean chi-square per degree of freedom; at 1 the discs fit a rotation
+_MIN_MAHALANOBIS = 6.0  # standard deviations that an offset must be
+_MEAN_TIME_S = 1.0  # time constant of that mean; hands and struts spoil a disc for less
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,14 +29,6 @@ class BearingSettings:
 
     lifted: float = param(
         0.004, "radii", "the centre is off its place: a quarter of a degree of attitude, two or three counts", **SHARE
-    )
-    certain: float = param(6.0, "-", "standard deviations that this must be", **SIGMAS)
-    out_of_round: float = param(
-        5.0, "-", "mean chi-square per degree of freedom of the discs' places: at 1 they fit a rotation", gt=1, le=1e3
-    )
-    memory: float = param(1.0, "s", "time of that mean: hands and struts spoil a disc for less", **SECONDS)
-    patience: float = param(
-        5.0, "s", "off its place for so long it stays there: a new map is begun, with the centre where it is", **SECONDS
     )
 
 
@@ -94,19 +89,19 @@ def shift_of(
 def is_off(found: CentreOffset, radius: float, settings: BearingSettings, out_of_round: bool = False) -> bool:
     """Is the centre off its place, and is that all that is wrong? A ball out of round has a centre that goes round."""
     least = (_ROUND if out_of_round else 1.0) * settings.lifted * radius
-    far = found.distance > least and found.mahalanobis > settings.certain
+    far = found.distance > least and found.mahalanobis > _MIN_MAHALANOBIS
     return far and found.after < _EXPLAINED * found.before
 
 
 def fits(found: CentreOffset, radius: float, settings: BearingSettings) -> bool:
     """Do the discs fit a rotation about the centre?"""
-    far = found.distance > 0.5 * settings.lifted * radius and found.mahalanobis > 0.5 * settings.certain
+    far = found.distance > 0.5 * settings.lifted * radius and found.mahalanobis > 0.5 * _MIN_MAHALANOBIS
     return not far and found.before < _MOST
 
 
-def averaged(mean: float, found: CentreOffset, dt: float, settings: BearingSettings) -> float:
+def averaged(mean: float, found: CentreOffset, dt: float) -> float:
     """The mean chi-square per degree of freedom, `dt` s later."""
-    keep = np.exp(-max(dt, 0.0) / settings.memory)
+    keep = np.exp(-max(dt, 0.0) / _MEAN_TIME_S)
     return float(keep * mean + (1.0 - keep) * min(found.before, _MOST))
 
 

@@ -21,8 +21,10 @@ from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose, project, reduced_to_pixel, unproject
 from spheremouse.geometry.conics import ellipse_to_pixel, project_circle, project_sphere
 from spheremouse.geometry.rotation import Array, exp, hat
-from spheremouse.settings import SHARE, SIGMA_PX, param
+from spheremouse.settings import param
 
+TARGET_SIGMA_PX = 0.05  # standard deviation of a centre in one view that no averaging removes: print, sampling, lens
+_MIN_SEEN_SHARE = 0.3  # of the views; a target seen in fewer is left out
 _CHOICES = 250  # of one copy of each target that are tried: each is a resection of its own and takes milliseconds
 _CROWDED = (
     f"the picture shows more that looks like targets than is looked at ({MOST} of a kind): cover or move what is "
@@ -43,13 +45,6 @@ class PoseSettings:
         ge=1,
         le=100,
     )
-    target_sigma: float = param(
-        0.05,
-        "px",
-        "standard deviation of a target's centre in one view that no averaging removes: print, sampling, lens",
-        **SIGMA_PX,
-    )
-    seen_share: float = param(0.3, "-", "a target counts when it is seen in at least this part of the views", **SHARE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +68,13 @@ class Resection:
     variance_factor: float  # a posteriori, 1 where there is no redundancy
 
 
-def find_pose(views: list[TargetDetections], rig: Rig, image: Image, settings: PoseSettings) -> Resection:
+def find_pose(views: list[TargetDetections], rig: Rig, image: Image) -> Resection:
     """Pose of the camera from what is seen of the targets in some views of a still scene; `image` is any of them.
 
     Raises PoseError as `resect` does; where views showed too much that looks like targets, or targets that the rig does
     not have, that is said.
     """
-    sightings = gather(views, settings)
+    sightings = gather(views)
     try:
         return resect(sightings, rig, image)
     except PoseError as e:
@@ -89,11 +84,11 @@ def find_pose(views: list[TargetDetections], rig: Rig, image: Image, settings: P
         raise PoseError("; ".join((str(e), *more))) from None
 
 
-def gather(views: list[TargetDetections], settings: PoseSettings) -> list[Sighting]:
+def gather(views: list[TargetDetections]) -> list[Sighting]:
     """Targets that keep their place over the views; a thing seen now and then, or that moves, is left out.
 
     Views of a still scene share their systematic errors: only the noise averages out, and the covariance of the mean
-    never falls below `target_sigma` squared.
+    never falls below TARGET_SIGMA_PX squared.
     """
     groups: dict[str, list[list[Array]]] = {}
     for view in views:
@@ -104,14 +99,14 @@ def gather(views: list[TargetDetections], settings: PoseSettings) -> list[Sighti
     sightings = []
     for code, places in groups.items():
         for group in places:
-            if len(group) < max(settings.seen_share * len(views), 1):
+            if len(group) < max(_MIN_SEEN_SHARE * len(views), 1):
                 continue
             c = np.array(group)
             middle = np.median(c, axis=0)
             spread = 1.4826 * np.median(np.abs(c - middle), axis=0)
             c = c[np.all(np.abs(c - middle) <= 4 * spread + 0.2, axis=1)]  # a hand that brushed the target
             noise = np.diag(np.var(c, axis=0)) / len(c)
-            sightings.append(Sighting(code, c.mean(axis=0), settings.target_sigma**2 * np.eye(2) + noise, len(c)))
+            sightings.append(Sighting(code, c.mean(axis=0), TARGET_SIGMA_PX**2 * np.eye(2) + noise, len(c)))
     return sightings
 
 

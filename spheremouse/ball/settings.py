@@ -3,16 +3,14 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from spheremouse.ball.camera_watch import WatchSettings
 from spheremouse.ball.centre_offset import BearingSettings
 from spheremouse.ball.detect.blobs import BlobSettings
 from spheremouse.ball.detect.discs import DiscSettings
-from spheremouse.ball.detect.lookalikes import StaticSettings
 from spheremouse.ball.detect.rings import RingSettings
 from spheremouse.ball.filters.euler import EulerSettings
 from spheremouse.ball.filters.so3_settings import So3Settings
 from spheremouse.ball.pose import PoseSettings
-from spheremouse.settings import ANGLE, HAND_TURN, SECONDS, param
+from spheremouse.settings import HAND_TURN, SECONDS, param
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,12 +20,6 @@ class LossSettings:
     lost_after: float = param(
         0.3, "s", "unconfirmed for so long the prediction is a guess: hand passes are shorter, rolls change", **SECONDS
     )
-    known_sigma: float = param(
-        0.02,
-        "rad",
-        "one disc alone holds the attitude while none of its axes is less certain: half a disc's width",
-        **ANGLE,
-    )
     reset_after: float = param(
         1.0, "s", "discs in view, yet not recognised for so long: a new map is begun at the last attitude", **SECONDS
     )
@@ -36,13 +28,6 @@ class LossSettings:
         "rad/s",
         "no hand turns the ball faster (1150 °/s): what says so is a wrong pairing, or a bumped camera",
         **HAND_TURN,
-    )
-    identify_sigma: float = param(
-        0.003,
-        "rad",
-        "standard deviation of a direction when the map is searched; at a tenth any disc may be any other",
-        ge=1e-4,
-        le=0.1,
     )
 
 
@@ -56,9 +41,7 @@ class Settings:
     pose: PoseSettings = field(default_factory=PoseSettings)
     discs: DiscSettings = field(default_factory=DiscSettings)
     blobs: BlobSettings = field(default_factory=BlobSettings)
-    static: StaticSettings = field(default_factory=StaticSettings)
     so3: So3Settings = field(default_factory=So3Settings)
     euler: EulerSettings = field(default_factory=EulerSettings)
     loss: LossSettings = field(default_factory=LossSettings)
-    watch: WatchSettings = field(default_factory=WatchSettings)
     bearing: BearingSettings = field(default_factory=BearingSettings)

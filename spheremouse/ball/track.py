@@ -71,11 +71,9 @@ def seek_by_colour(frame: Frame, tracker: Tracker) -> Moved | None:
         return None
     try:
         seen = detect_targets(frame.image, rig.targets.radii, settings.rings)
-        pose = find_pose([seen], rig, frame.image, settings.pose).pose
+        pose = find_pose([seen], rig, frame.image).pose
         shift = predict_targets(pose, rig) - predict_targets(tracker.pose, rig)
-        return (
-            (build(rig, pose, settings), None) if watching.displaced(shift, 3.0 * settings.watch.match_sigma) else None
-        )
+        return (build(rig, pose, settings), None) if watching.displaced(shift, 3.0 * watching.MATCH_SIGMA_PX) else None
     except PoseError:
         return None
 
@@ -101,9 +99,7 @@ def step(
         return _check_camera(state, None, frame, tracker, seek)
     done = _stages(state, frame, tracker, detected)
     watch = with_references(state.watch, frame, tracker)
-    watch, odd = watching.check_next_target(
-        watch, frame.image, frame.stamp, tracker.settings.watch, surprised(done.state)
-    )
+    watch, odd = watching.check_next_target(watch, frame.image, frame.stamp, surprised(done.state))
     if watch is not done.state.watch:
         done = done._replace(state=replace(done.state, watch=watch))
     if odd or watch.asked or out_of_sight(done.state, frame.stamp):
@@ -184,13 +180,13 @@ def _check_camera(
     filtered and nothing sent: the prediction of the ball waits for the pose.
     """
     assert state.watch is not None
-    s, before = tracker.settings.watch, state.watch.shift
-    watch, shift = watching.target_shifts(state.watch, frame.image, s)
+    before = state.watch.shift
+    watch, shift = watching.target_shifts(state.watch, frame.image)
     on_rings = watching.on_rings(watch, frame.image, shift, tracker.rig, tracker.settings.rings)
-    moved = watching.displaced(on_rings, s.displaced)
+    moved = watching.displaced(on_rings, watching.DISPLACED_PX)
     if moved is None:
-        moved = watching.displaced(shift, 3.0 * s.match_sigma)
-    if moved and watching.is_still(before, shift, s):
+        moved = watching.displaced(shift, 3.0 * watching.MATCH_SIGMA_PX)
+    if moved and watching.is_still(before, shift):
         anew = relative(on_rings, shift, tracker) or seek(frame, tracker)
         if anew is not None:
             return _with_new_pose(state, *anew, frame, tracker)
@@ -207,7 +203,7 @@ def _check_camera(
         if anew is not None:
             return _with_new_pose(state, *anew, frame, tracker)
     if moved is False:  # then a target out of its place was moved by itself, or is in another light
-        alone = np.flatnonzero(np.hypot(*np.nan_to_num(shift).T) > s.displaced)
+        alone = np.flatnonzero(np.hypot(*np.nan_to_num(shift).T) > watching.DISPLACED_PX)
         watch = watching.remember_targets(watch, frame.image, alone, tracker.rig, tracker.settings.rings)
     done = done or _stages(state, frame, tracker)
     return done._replace(state=replace(done.state, watch=watch))
@@ -291,7 +287,7 @@ def advance(
 ) -> Step[TrackState]:
     """The stages after detection; `predicted` is the filter carried on to `stamp`, where that was done before."""
     carried: Any = tracker.filter.predict(state.filter, stamp) if predicted is None else predicted
-    free, lookalikes = static.unmasked(state.lookalikes, detections.centre, stamp, tracker.settings.static)
+    free, lookalikes = static.unmasked(state.lookalikes, detections.centre, stamp)
     if free.all():
         points = intersect(detections, tracker.rig, tracker.pose)
     else:

@@ -153,7 +153,7 @@ def model_of(cls: type) -> type[BaseModel]:
     """Return the pydantic model of a settings dataclass. It converts only int to float and rejects unknown keys."""
     hints = _hints(cls)
     fields: dict[str, Any] = {}
-    for field in dataclasses.fields(cls):
+    for field in _ordered(cls):
         annotation = _annotation(hints[field.name], field.metadata.get("bounds", {}), field.metadata.get("most"))
         required = _is_required(field)
         description = None if _is_section(cls, field) else _advice(field)
@@ -179,7 +179,7 @@ def to_yaml(value: Any) -> str:
     if isinstance(value, str):
         return value if _is_plain_word(value) else _quoted(value)
     if dataclasses.is_dataclass(value):
-        return "{" + ", ".join(f"{f.name}: {to_yaml(getattr(value, f.name))}" for f in dataclasses.fields(value)) + "}"
+        return "{" + ", ".join(f"{f.name}: {to_yaml(getattr(value, f.name))}" for f in _ordered(type(value))) + "}"
     if isinstance(value, tuple):
         return "[" + ", ".join(to_yaml(v) for v in value) + "]"
     return repr(value)
@@ -308,8 +308,12 @@ def _is_section(cls: type, field: "dataclasses.Field[Any]") -> bool:
 
 
 def _ordered(cls: type) -> list["dataclasses.Field[Any]"]:
-    """Return the fields of a settings class, sections last, so that YAML reads top-down."""
-    return sorted(dataclasses.fields(cls), key=lambda f: _is_section(cls, f))
+    """Return the settings of a class, sections last, so that YAML reads top-down.
+
+    A field with a default, but without `settings.param`, is a constant of the code.
+    """
+    found = [f for f in dataclasses.fields(cls) if f.metadata or _is_required(f) or _is_section(cls, f)]
+    return sorted(found, key=lambda f: _is_section(cls, f))
 
 
 def _is_required(field: "dataclasses.Field[Any]") -> bool:
@@ -354,7 +358,7 @@ def _commented(settings: Any, prefix: Key, keys: Collection[str] | None) -> Iter
         yield from _comment(_about(field, hints[field.name]), indent)
         for inner in _dataclasses_in(hints[field.name]):
             inner_hints = _hints(inner)
-            for f in dataclasses.fields(inner):
+            for f in _ordered(inner):
                 yield from _comment(f"{f.name}: {_about(f, inner_hints[f.name])}", indent, hang="  ")
         if isinstance(value, tuple) and any(dataclasses.is_dataclass(v) for v in value):
             yield f"{indent}{field.name}:"

@@ -246,11 +246,11 @@ def remedy(bound: Bound) -> str:
         case Bound.EDGES:
             return "focus the lens, hold the camera still, uncover all of it"
         case Bound.CENTRE:
-            return "uncover all of it; is it a print of ours? (rings.concentric)"
+            return "uncover all of it; is it a print of ours?"
         case Bound.SIZE:
             return "go nearer, choose a larger picture, or print larger targets (rings.min_radius)"
         case Bound.RATIO:
-            return "focus the lens; is it a print of ours? (rings.ratio)"
+            return "focus the lens; is it a print of ours?"
         case Bound.LIGHT:
             return "more light, or less glare (rings.saturation, rings.value)"
         case Bound.HUE:

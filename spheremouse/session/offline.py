@@ -66,7 +66,7 @@ def initialise(
             check_size(view, rig.camera)
         try:
             seen = [detect_targets(_colour(view), rig.targets.radii, settings.rings) for view in views]
-            resection = find_pose(seen, rig, views[0].image, settings.pose)
+            resection = find_pose(seen, rig, views[0].image)
         except PoseError as e:
             if str(e) != said:
                 said = str(e)

@@ -8,7 +8,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse.ball import camera_watch as watching
-from spheremouse.ball.camera_watch import WatchSettings
 from spheremouse.ball.detect.rings import RingSettings
 from spheremouse.ball.pose import predict_targets
 from spheremouse.ball.rig import Rig
@@ -16,7 +15,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 
-S, RINGS = WatchSettings(), RingSettings()
+RINGS = RingSettings()
 PUSH = (2.0, 1.0, -2.0, 0.1, -0.2, 0.1)  # mm and deg
 FAR_PUSH = (12.0, -12.0, 10.0, 1.2, -1.2, 1.0)
 
@@ -62,17 +61,17 @@ def test_a_camera_that_stands(near):
     watch = near.watch()
     assert watch.seen.all()
     for k, image in enumerate(near.still[1:] * 3):
-        _, shift = watching.target_shifts(watch, image, S)
+        _, shift = watching.target_shifts(watch, image)
         assert np.abs(shift).max() < 0.05
-        assert watching.displaced(shift, S.displaced) is False
-        watch, odd = watching.check_next_target(watch, image, 0.3 * k, S, surprised=k % 2 == 0)
+        assert watching.displaced(shift, watching.DISPLACED_PX) is False
+        watch, odd = watching.check_next_target(watch, image, 0.3 * k, surprised=k % 2 == 0)
         assert not odd
 
 
 def test_every_target_is_looked_at_once_in_an_interval(near):
     watch, turns = near.watch(), []
     for k in range(61):
-        after, _ = watching.check_next_target(watch, near.still[1], k / 30.0, S, surprised=False)
+        after, _ = watching.check_next_target(watch, near.still[1], k / 30.0, surprised=False)
         turns += [after.turn] if after is not watch else []
         watch = after
     n = len(watch)
@@ -86,9 +85,9 @@ def test_a_pushed_camera(name, grey, request):
     film = request.getfixturevalue(name)
     image = cv2.cvtColor(film.pushed[0], cv2.COLOR_BGR2GRAY) if grey else film.pushed[0]
     watch = film.watch(grey)
-    _, odd = watching.check_next_target(watch, image, 0.1, S, surprised=True)
+    _, odd = watching.check_next_target(watch, image, 0.1, surprised=True)
     assert odd
-    watch, shift = watching.target_shifts(watch, image, S)
+    watch, shift = watching.target_shifts(watch, image)
     assert_allclose(shift, film.shift, atol=0.25)
     rings = watching.on_rings(watch, image, shift, film.rig, RINGS)
     if grey:
@@ -96,7 +95,7 @@ def test_a_pushed_camera(name, grey, request):
     else:
         assert_allclose(rings, film.shift, atol=0.03)
     pose, added = watching.moved_pose(
-        shift if grey else rings, film.rig, film.before, S.match_sigma if grey else S.ring_sigma
+        shift if grey else rings, film.rig, film.before, watching.MATCH_SIGMA_PX if grey else watching.RING_SIGMA_PX
     )
     error = np.concatenate(
         [
@@ -113,10 +112,10 @@ def test_people_in_front_say_nothing(near):
     image = near.pushed[0].copy()
     for x, y in near.watch().corner[:2]:
         cv2.rectangle(image, (int(x) - 20, int(y) - 20), (int(x) + 60, int(y) + 60), (70, 90, 140), -1)
-    watch, shift = watching.target_shifts(near.watch(), image, S)
+    watch, shift = watching.target_shifts(near.watch(), image)
     assert np.isnan(shift[:2]).all()
     assert not watch.seen[:2].any()
-    assert watching.displaced(shift, S.displaced) is None
+    assert watching.displaced(shift, watching.DISPLACED_PX) is None
 
 
 def test_what_is_no_target_is_not_kept(near):
@@ -180,9 +179,9 @@ def test_a_target_that_moved_by_itself_is_left_out(near):
 
 def test_standing_still_needs_three_targets_that_keep_their_place(near):
     a = near.shift
-    assert watching.is_still(a, a + 0.02, S)
-    assert not watching.is_still(a, a + 1.0, S)
-    assert not watching.is_still(np.zeros((0, 2)), a, S)
+    assert watching.is_still(a, a + 0.02)
+    assert not watching.is_still(a, a + 1.0)
+    assert not watching.is_still(np.zeros((0, 2)), a)
     hidden = a.copy()
     hidden[:2] = np.nan
-    assert not watching.is_still(a, hidden, S)
+    assert not watching.is_still(a, hidden)

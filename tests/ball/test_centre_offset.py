@@ -5,7 +5,7 @@ import pytest
 from conftest import directions
 from numpy.testing import assert_allclose
 
-from spheremouse.ball.centre_offset import BearingSettings, averaged, fits, is_off, shift_of
+from spheremouse.ball.centre_offset import OUT_OF_ROUND, BearingSettings, averaged, fits, is_off, shift_of
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import Ball, Rig, Targets
@@ -77,12 +77,12 @@ def test_a_ball_out_of_round_must_be_farther_off_to_be_lifted():
 
 def test_one_bad_frame_does_not_spoil_the_mean():
     bad = found([0.0, 0.03, 0.0])
-    once = averaged(0.5, bad, 1.0 / 30.0, S)
+    once = averaged(0.5, bad, 1.0 / 30.0)
     assert once < 1.0
     mean = 0.5
     for _ in range(60):
-        mean = averaged(mean, bad, 1.0 / 30.0, S)
-    assert mean > S.out_of_round
+        mean = averaged(mean, bad, 1.0 / 30.0)
+    assert mean > OUT_OF_ROUND
 
 
 def test_discs_seen_many_times_over_in_one_place_tell_no_shift():

@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.rings import TargetDetections
 from spheremouse.ball.points import intersect
-from spheremouse.ball.pose import PoseSettings, Sighting, describe, gather, predict_targets, resect
+from spheremouse.ball.pose import Sighting, describe, gather, predict_targets, resect
 from spheremouse.ball.rig import CODES, Ball, Rig, Targets, considered_covariance
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
@@ -371,7 +371,7 @@ def test_views_are_averaged_but_not_below_the_floor():
     rng = np.random.default_rng(3)
     place = np.array([100.0, 50.0])
     seen = [view_of([("CMY", place + 0.2 * rng.normal(size=2))]) for _ in range(400)]
-    (s,) = gather(seen, PoseSettings())
+    (s,) = gather(seen)
     assert s.code == "CMY"
     assert s.views > 380
     assert np.abs(s.centre - place).max() < 0.05
@@ -385,7 +385,7 @@ def test_what_is_seen_now_and_then_or_moves_is_left_out():
         if k < 5:
             pairs.append(("YCM", (300.0, 300.0)))
         views.append(view_of(pairs))
-    assert [s.code for s in gather(views, PoseSettings())] == ["CMY"]
+    assert [s.code for s in gather(views)] == ["CMY"]
 
 
 def test_a_brushed_target_and_a_copy():
@@ -394,15 +394,15 @@ def test_a_brushed_target_and_a_copy():
     for k in range(30):
         at = np.array([100.0, 50.0]) + 0.02 * rng.normal(size=2) + (3.0 if k in (7, 8) else 0.0)
         views.append(view_of([("CMY", at), ("CMY", (400.0, 50.0))]))
-    first, copy = gather(views, PoseSettings())
+    first, copy = gather(views)
     assert np.abs(first.centre - [100.0, 50.0]).max() < 0.05
     assert first.views == 28
     assert_allclose(copy.centre, [400.0, 50.0])
 
 
 def test_no_views_no_sightings():
-    assert gather([], PoseSettings()) == []
-    assert gather([view_of([])], PoseSettings()) == []
+    assert gather([]) == []
+    assert gather([view_of([])]) == []
 
 
 # --- ambiguity -------------------------------------------------------------------------------------------------------

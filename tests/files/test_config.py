@@ -54,7 +54,8 @@ class Filter:
     level: Literal["auto"] | float = param("auto", "grey", "a number, or found in the picture")
     enabled: bool = param(True, "-", "whether at all")
     masks: tuple[Mask, ...] = param((Mask(1, 2), Mask()), "-", "bands; " + "many words " * 30)
-    things: tuple[Named, ...] = ()
+    things: tuple[Named, ...] = param((), "-", "things")
+    constant: float = 7.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,9 +159,10 @@ def test_the_commented_file_tells_all_of_every_parameter():
     flat = " ".join(line.strip().removeprefix("# ") for line in text.splitlines())
     for cls in (Root, Filter, Outer, Inner, Mask):
         for f in fields(cls):
-            assert f"{f.name}:" in text
             if not f.metadata:
+                assert (f"{f.name}:" in text) == is_dataclass(f.type)
                 continue
+            assert f"{f.name}:" in text
             meaning = " ".join(f.metadata["meaning"].split())
             assert meaning[1:] in flat, meaning
     assert "[rad/s²; > 0; default 0.1]" in flat
@@ -203,6 +205,7 @@ def test_overrides_add_up():
     [
         ("so3.aceleration_sigma=1", "--set so3.aceleration_sigma: unknown key; did you mean so3.acceleration_sigma?"),
         ("acceleration_sigma=1", "--set acceleration_sigma: unknown key; did you mean so3.acceleration_sigma?"),
+        ("so3.constant=1", "--set so3.constant: unknown key; did you mean so3.gate?"),
         ("outer.inner=1", "--set outer.inner: a section; set one of outer.inner.count"),
         (
             "so3.acceleration_sigma=-1",
@@ -271,7 +274,7 @@ foo: {a: 1}
         "13: outer: must be a section of `key: value` lines, is 3",
         "14: counts: unknown key; did you mean outer.inner.count?",
         "15: tracker: must be 'so3' or 'ekf1', is 'yes'; the default is so3",
-        "16: foo: unknown key; known here: so3, outer, tracker",
+        "16: foo: unknown key; known here: tracker, so3, outer",
     ]
 
 
@@ -411,7 +414,7 @@ def test_every_parameter_of_the_program_says_what_it_is():
         for f in fields(cls):
             if is_dataclass(f.type) and isinstance(f.type, type):
                 yield from declared(f.type)
-            else:
+            elif f.metadata:
                 yield f"{cls.__name__}.{f.name}", f.metadata
 
     found = dict(declared(Configuration))

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from spheremouse.ball.detect.rings import MOST, RingSettings, detect_targets
 from spheremouse.ball.pose import find_pose
 from spheremouse.ball.rig import CODES
-from spheremouse.ball.settings import Settings
 from tests.fuzz.scene import small_rig
 from tests.fuzz.targets import refused, target
 
@@ -81,4 +80,4 @@ def check_clutter(clutter: Clutter) -> None:
     assert len(found) == len(found.radius) == len(found.contours) <= MOST * len(CODES)
     assert np.all(np.isfinite(found.centre))
     assert np.all(found.radius > 0)
-    refused(lambda: find_pose([found] * 2, small_rig(), image, Settings().pose))
+    refused(lambda: find_pose([found] * 2, small_rig(), image))

@@ -132,7 +132,7 @@ def _targets(c: Configuration) -> None:
     )
     assert np.all(np.isfinite(seen.centre))
     seen = detect_targets(image, rig.targets.radii, usual.rings) if len(seen) < 3 else seen
-    refused(lambda: resect(gather([seen] * c.pose.frames, c.pose), rig, image))
+    refused(lambda: resect(gather([seen] * c.pose.frames), rig, image))
 
 
 def _in_its_frame(c: Configuration) -> None:
@@ -176,7 +176,7 @@ def clip() -> tuple[Rig, list[Frame]]:
     data = open_dataset(CLIP)
     frames = list(read_frames(data))
     seen = [detect_targets(f.image, data.rig.targets.radii, Configuration().rings) for f in frames[:3]]
-    pose = resect(gather(seen, Configuration().pose), data.rig, frames[0].image).pose
+    pose = resect(gather(seen), data.rig, frames[0].image).pose
     return replace(data.rig, pose=pose), frames
 
 

@@ -13,7 +13,7 @@ from experiments.poses import NAMES, NOISE, STRONG, VIEWS, VIEWS_USED
 from experiments.report.frames import markdown, rms, tidy
 from experiments.report.page import Page, fixed, table
 from experiments.report.plot import BOUND, THESIS, Drawing
-from spheremouse.ball.pose import PoseSettings
+from spheremouse.ball.pose import TARGET_SIGMA_PX
 from spheremouse.geometry.rotation import Array
 
 LARGE = ("correlation", "entries")  # of the poses, for which the page has the figures
@@ -42,7 +42,7 @@ def page(results: Results) -> Page:
         "views": VIEWS_USED,
         "noise": NOISE,
         "strong": STRONG,
-        "floor": PoseSettings().target_sigma,
+        "floor": TARGET_SIGMA_PX,
         "cameras": tables["camera"].nunique(),
         "table_12": _beside_the_thesis(calibrated["far"], "12"),
         "table_21": _beside_the_thesis(exact["far"], "21"),
@@ -180,7 +180,7 @@ def _curves(figure: pd.DataFrame) -> pd.DataFrame:
     # what is claimed is of floor and noise: what of it is noise, were the floor none
     views = curves.index.get_level_values("views")
     scatter = curves.index.get_level_values("view").map(figure.groupby("view")["scatter_px"].agg(rms).to_dict())
-    whole = np.hypot(PoseSettings().target_sigma, scatter / np.sqrt(figure["views"].max()))
+    whole = np.hypot(TARGET_SIGMA_PX, scatter / np.sqrt(figure["views"].max()))
     last = curves.groupby("view")["exact sigma"].transform("last")
     return curves.assign(independent=last / whole * scatter / np.sqrt(views))
 

@@ -24,7 +24,7 @@ from experiments.targets import (
     SURE,
     USUAL,
 )
-from spheremouse.ball.pose import PoseSettings
+from spheremouse.ball.pose import TARGET_SIGMA_PX
 from spheremouse.ball.rig import CODES
 
 _VECTORS = {
@@ -69,7 +69,7 @@ def page(results: Results) -> Page:
         "across": scale * USUAL,
         "rings": errors.loc["rings"],
         "times": errors["position_mm"] / errors["position_mm"]["rings"],
-        "allowed": PoseSettings().target_sigma,
+        "allowed": TARGET_SIGMA_PX,
         "sure": SURE,
         "least": _least(smallest, scale),
         "smallest": smallest,
@@ -94,7 +94,7 @@ def _tried(results: Results) -> pd.DataFrame:
                 records.append({**what, "condition": condition, **tried, **lengths})
     tried = tidy(records)
     # The claim follows the residuals where these are larger than what is allowed for.
-    noise = np.minimum(1.0, tried["point_px"] / PoseSettings().target_sigma)
+    noise = np.minimum(1.0, tried["point_px"] / TARGET_SIGMA_PX)
     tried = tried.assign(bound_mm=noise * tried["sigma_position_mm"])
     order = {name: k for k, name in enumerate((*CONDITIONS, *KINDS))}
     return tried.sort_values(["number", "size", "condition", "kind"], key=lambda column: column.replace(order))

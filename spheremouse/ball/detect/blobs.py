@@ -10,26 +10,26 @@ import cv2
 import numpy as np
 
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
-from spheremouse.settings import AREA, SHARE, SIGMA_PX, WIDTH, param
+from spheremouse.settings import AREA, param
+
+_MEDIAN_PX = 5  # width of the median filter; the thesis does not state it
+_OPENING_PX = 3  # width of the opening's square; the thesis does not state it
+_SIGMA_PX = 0.1  # sigma_b, standard deviation of a centre per axis (section 4.5)
 
 
 @dataclass(frozen=True, slots=True)
 class BlobSettings:
-    """Symbols of table 4 behind each name."""
+    """The published detector's bounds on a blob, which depend on camera and ball."""
 
-    median: int = param(5, "px", "width of the median filter, odd; the thesis does not state it", **WIDTH)
-    mask_step: int = param(10, "grey values", "u_M, step between masks", ge=1, le=255)
-    mask_width: int = param(30, "grey values", "u_B, width of a mask", ge=1, le=255)
-    masks: int = param(10, "-", "m, number of masks: grey 0 to 120; each takes its time", ge=1, le=52)  # of a step of 5
-    opening: int = param(3, "px", "width of the opening's square; the thesis does not state it", **WIDTH)
-    min_area: float = param(40.0, "px²", "F_min, least area of a contour", **AREA)
-    max_area: float = param(300.0, "px²", "F_max, largest area of a contour", **AREA)
-    convexity: float = param(0.95, "-", "q_min, least area over area of the convex hull", **SHARE)
-    sigma: float = param(0.1, "px", "sigma_b, standard deviation of a centre per axis (section 4.5)", **SIGMA_PX)
+    masks: int = param(10, "-", "number of masks, M: grey 0 to 120; each takes its time", ge=1, le=25)
+    min_area: float = param(40.0, "px²", "least area of a contour, F_min", **AREA)
+    max_area: float = param(300.0, "px²", "largest area of a contour, F_max", **AREA)
+    # As published (table 4); no settings.
+    mask_step: int = 10  # u_M, grey values between masks
+    mask_width: int = 30  # u_B, grey values
+    convexity: float = 0.95  # q_min, least area over area of the convex hull
 
     def __post_init__(self) -> None:
-        if self.median % 2 == 0:
-            raise ValueError("median: the width of a median filter is odd")
         if self.min_area > self.max_area:
             raise ValueError(f"min_area: {self.min_area:g} is above max_area, {self.max_area:g}: no blob has both")
 
@@ -44,13 +44,11 @@ class BlobDetector:
         """Blobs in an image (h, w, 3) BGR or (h, w); centres are centroids of contours (eq. 96)."""
         s = self.settings
         grey = image if image.ndim == 2 else _mean_of_channels(image)
-        if s.median > 1:
-            grey = cv2.medianBlur(grey, s.median)
-        kernel = np.ones((s.opening, s.opening), np.uint8)
+        grey = cv2.medianBlur(grey, _MEDIAN_PX)
         kept: list[tuple[float, tuple[float, float], Image]] = []
         for i in range(s.masks):
             mask = cv2.inRange(grey, np.array(s.mask_step * i), np.array(s.mask_step * i + s.mask_width))
-            mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel)
+            mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((_OPENING_PX, _OPENING_PX), np.uint8))
             contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)  # outlines of holes too
             kept += [blob for c in contours if (blob := self._blob(c)) is not None]
         unique = _without_contained(kept)
@@ -59,7 +57,7 @@ class BlobDetector:
         n = len(unique)
         return Detections(
             np.array([centre for _, centre, _ in unique]),
-            np.broadcast_to(s.sigma**2 * np.eye(2), (n, 2, 2)).copy(),
+            np.broadcast_to(_SIGMA_PX**2 * np.eye(2), (n, 2, 2)).copy(),
             np.array([area for area, _, _ in unique]),
             tuple(contour for _, _, contour in unique),
         )

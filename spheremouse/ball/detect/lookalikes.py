@@ -17,41 +17,13 @@ from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.settings import PIXELS, SECONDS, param
 
-
-@dataclass(frozen=True, slots=True)
-class StaticSettings:
-    """When a candidate has shown what it is."""
-
-    moved: float = param(
-        2.0,
-        "px",
-        "displacement by the ball's rotation after which stillness shows: many times a centre's noise",
-        **PIXELS,
-    )
-    still: float = param(
-        0.6,
-        "px",
-        "a look-alike's centre keeps within this: noise and passing shadows; half of `moved` at most",
-        **PIXELS,
-    )
-    search: float = param(4.0, "px", "a candidate is found again within this of where it stayed or turned to", **PIXELS)
-    forget: float = param(
-        1.0,
-        "s",
-        "a candidate not seen for so long is followed no more; in ten seconds noise makes thousands",
-        ge=1e-3,
-        le=10,
-    )
-    mask_radius: float = param(1.5, "px", "detections this close to a mask's centre are dropped", **PIXELS)
-    mask_life: float = param(
-        600.0, "s", "a mask under which nothing was seen for so long goes: hands hide bolts for minutes", **SECONDS
-    )
-
-    def __post_init__(self) -> None:
-        if self.still > 0.5 * self.moved:
-            raise ValueError(f"still: {self.still:g} px is more than half of moved, {self.moved:g} px")
+MOVED_PX = 2.0  # displacement by the ball's rotation that shows a static candidate: many times a centre's noise
+STILL_PX = 0.6  # a static candidate stays within this: noise and passing shadows; at most half of MOVED_PX
+MASK_RADIUS_PX = 1.5  # a mask hides the detections within this of its centre
+_MATCH_PX = 4.0  # a candidate is found again within this of its last place or of its rotated place
+_FORGET_AFTER_S = 1.0  # a candidate not seen for so long is dropped; in ten seconds noise makes thousands
+_MASK_LIFE_S = 600.0  # a mask that hid nothing for so long is dropped; hands hide bolts for minutes
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,15 +39,13 @@ class StaticDistractors:
     proven: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (t,) moved with the ball
 
 
-def unmasked(
-    state: StaticDistractors, centre: Array, stamp: float, settings: StaticSettings
-) -> tuple[NDArray[np.bool_], StaticDistractors]:
+def unmasked(state: StaticDistractors, centre: Array, stamp: float) -> tuple[NDArray[np.bool_], StaticDistractors]:
     """Which detections, (n, 2) px, are not under a mask, (n,); and the masks, with those renewed that hid one."""
     if len(state.masks) == 0 or len(centre) == 0:
         return np.ones(len(centre), dtype=bool), state
-    near = np.linalg.norm(centre[:, None] - state.masks[None], axis=2) < settings.mask_radius
+    near = np.linalg.norm(centre[:, None] - state.masks[None], axis=2) < MASK_RADIUS_PX
     seen = np.where(near.any(axis=0), stamp, state.mask_seen)
-    alive = stamp - seen < settings.mask_life
+    alive = stamp - seen < _MASK_LIFE_S
     return ~near.any(axis=1), replace(state, masks=state.masks[alive], mask_seen=seen[alive])
 
 
@@ -113,7 +83,6 @@ def classify_candidates(
     stamp: float,
     rig: Rig,
     pose: Pose,
-    settings: StaticSettings,
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], StaticDistractors]:
     """Follow the candidates of one frame: `centre` (n, 2) px, `direction` (n, 3) unit in obj, none of them masked.
 
@@ -123,13 +92,13 @@ def classify_candidates(
     n = len(centre)
     if n == 0:
         none = np.zeros(0, dtype=bool)
-        alive = stamp - state.seen < settings.forget
+        alive = stamp - state.seen < _FORGET_AFTER_S
         return none, none, state if alive.all() else _followed(state, alive)
     expected = _expected(state, attitude, rig, pose)
-    track = _found(state, expected, centre, settings)
+    track = _found(state, expected, centre)
     known = track >= 0
     which = track[known]
-    turns, stands = _told_apart(centre[known], state.anchor[which], expected[which], settings)
+    turns, stands = _told_apart(centre[known], state.anchor[which], expected[which])
     proven, still = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     proven[known] = state.proven[which] | turns
     still[known] = stands
@@ -138,7 +107,7 @@ def classify_candidates(
     place, seen, known_proven = state.place.copy(), state.seen.copy(), state.proven.copy()
     place[which], seen[which] = centre[known], stamp
     known_proven[which] = proven[known]
-    keep = stamp - seen < settings.forget
+    keep = stamp - seen < _FORGET_AFTER_S
     keep[which[stands]] = False
     new = ~known
     updated = replace(
@@ -152,9 +121,7 @@ def classify_candidates(
     return proven, still, mask(updated, centre[still], stamp)
 
 
-def _told_apart(
-    centre: Array, first: Array, turned: Array, settings: StaticSettings
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _told_apart(centre: Array, first: Array, turned: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which candidates turn with the ball, (n,), and which stand still, (n,): neither until the ball has turned enough.
 
     `centre`, (n, 2) px, is where they are, `first` where they were first seen, `turned` where discs would be by now.
@@ -162,18 +129,18 @@ def _told_apart(
     path = np.linalg.norm(turned - first, axis=1)
     off = np.linalg.norm(centre - turned, axis=1)
     stayed = np.linalg.norm(centre - first, axis=1)
-    tell = path > settings.moved
-    return tell & (off < 0.3 * path), tell & (stayed < settings.still) & (off > 0.5 * path)
+    tell = path > MOVED_PX
+    return tell & (off < 0.3 * path), tell & (stayed < STILL_PX) & (off > 0.5 * path)
 
 
 def known_before_to_turn(
-    state: StaticDistractors, centre: Array, attitude: Array, rig: Rig, pose: Pose, settings: StaticSettings
+    state: StaticDistractors, centre: Array, attitude: Array, rig: Rig, pose: Pose
 ) -> NDArray[np.bool_]:
     """Which of `centre`, (n, 2) px, are candidates that earlier frames have proven, at a predicted attitude, (n,)."""
     proven = np.zeros(len(centre), dtype=bool)
     if len(state.place) == 0:
         return proven
-    track = _found(state, _expected(state, attitude, rig, pose), centre, settings)
+    track = _found(state, _expected(state, attitude, rig, pose), centre)
     proven[track >= 0] = state.proven[track[track >= 0]]
     return proven
 
@@ -184,11 +151,11 @@ def _expected(state: StaticDistractors, attitude: Array, rig: Rig, pose: Pose) -
     return np.where(np.isfinite(turned), turned, state.place)
 
 
-def _found(state: StaticDistractors, expected: Array, centre: Array, settings: StaticSettings) -> NDArray[np.intp]:
+def _found(state: StaticDistractors, expected: Array, centre: Array) -> NDArray[np.intp]:
     """For each of `centre`, (n, 2) px, the candidate that stayed or turned there, (n,); -1 where there is none."""
     found = np.full(len(centre), -1, dtype=np.intp)
     if len(centre) and len(expected):
-        _nearest(centre, expected, state.place, settings.search, found)
+        _nearest(centre, expected, state.place, _MATCH_PX, found)
     return found
 
 

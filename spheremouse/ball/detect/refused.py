@@ -37,8 +37,8 @@ class Bound(StrEnum):
 
     EDGES = "edges"  # the rings lie in one another, and their edges cannot be measured
     SIZE = "size"  # rings.min_radius
-    CENTRE = "centre"  # rings.concentric
-    RATIO = "ratio"  # rings.ratio
+    CENTRE = "centre"  # RingSettings.concentric
+    RATIO = "ratio"  # RingSettings.ratio
     LIGHT = "light"  # rings.saturation, rings.value
     HUE = "hue"  # rings.cyan, rings.magenta, rings.yellow
     COLOURS = "colours"  # two of the three lie in one another

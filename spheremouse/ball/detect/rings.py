@@ -16,10 +16,12 @@ from scipy.spatial import KDTree
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import COLOURS
 from spheremouse.geometry.rotation import Array
-from spheremouse.settings import SHARE, WIDTH, param
+from spheremouse.settings import param
 
 MOST = 10  # copies of a target that are measured in a picture, the best: a device has one, a room a few
 _PICTURES = 2.0  # areas of the picture that are measured in all: targets side by side do not fill one
+_MEDIAN_PX = 3  # width of the median filter of a picture; it removes salt and keeps thin rings
+_OPENING_PX = 3  # width of the opening of a colour's mask; not more than a ring is wide
 _BAND = 2.0  # px, half width of the band in which an edge is measured: blur of lens and demosaicing
 
 
@@ -27,10 +29,6 @@ _BAND = 2.0  # px, half width of the band in which an edge is measured: blur of 
 class RingSettings:
     """Which pixels have a target's colour, and what shapes make a target."""
 
-    median: int = param(
-        3, "px", "width of the median filter, odd; 1 is none; 3 removes salt and keeps thin rings", **WIDTH
-    )
-    opening: int = param(3, "px", "width of the opening of the masks, 1 is none; not more than a ring is wide", **WIDTH)
     cyan: tuple[int, int] = param(
         (75, 105), "OpenCV hue, 0..180", "cyan print is 90; 15 either way for the light", ge=0, le=180
     )
@@ -45,23 +43,11 @@ class RingSettings:
         (60, 255), "0..255", "value bounds; table 4 has 110, which loses a dimmed scene", ge=0, le=255
     )
     min_radius: float = param(1.5, "px", "smallest inner disc: below, a colour is a guess", ge=0.5, le=1000)
-    concentric: float = param(
-        0.2,
-        "-",
-        "centres of a target's contours agree within this part of its radius; beyond all of it they are not nested",
-        **SHARE,
-    )
-    ratio: float = param(
-        1.5,
-        "-",
-        "radii may differ from the rig's proportions by this factor: a mask loses the mixed pixels",
-        gt=1,
-        le=10,  # ten times as large is no target
-    )
+    # Not settings, since they follow from the print. The search for rejected targets widens them.
+    concentric: float = 0.2  # of a target's radius, within which the centres of its contours agree
+    ratio: float = 1.5  # factor by which radii may differ from the rig's proportions; a mask loses the mixed pixels
 
     def __post_init__(self) -> None:
-        if self.median % 2 == 0:
-            raise ValueError("median: the width of a median filter is odd")
         for name in ("cyan", "magenta", "yellow", "saturation", "value"):
             least, greatest = getattr(self, name)
             if least > greatest:
@@ -161,16 +147,14 @@ def candidates_of(
 
 
 def _masks(image: Image, settings: RingSettings) -> list[Image]:
-    smooth = cv2.medianBlur(image, settings.median) if settings.median > 1 else image
+    smooth = cv2.medianBlur(image, _MEDIAN_PX)
     hsv = cv2.cvtColor(smooth, cv2.COLOR_BGR2HSV)
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (settings.opening, settings.opening))
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_OPENING_PX, _OPENING_PX))
     masks = []
     for low, high in (settings.cyan, settings.magenta, settings.yellow):
         s, v = settings.saturation, settings.value
         mask = cv2.inRange(hsv, np.array([low, s[0], v[0]]), np.array([high, s[1], v[1]]))
-        if settings.opening > 1:
-            mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel)
-        masks.append(mask)
+        masks.append(cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel))
     return masks
 
 

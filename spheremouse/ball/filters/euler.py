@@ -50,9 +50,6 @@ class EulerSettings:
         ge=1e-6,
         le=100,  # farther than any ball reaches
     )
-    start_sigma: float = param(
-        0.01, "rad, rad/s", "of the Euler angles and of their rates at the start; Wittich 2017, eq. 123", ge=1e-6, le=10
-    )
     radial_sigma: float = param(
         1e-4,
         "m",
@@ -61,6 +58,8 @@ class EulerSettings:
         ge=1e-7,  # less is lost in the digits of a point 1 m away
         le=1,
     )
+    # Not a setting: rad, rad/s, of the Euler angles and of their rates at the start (Wittich 2017, eq. 123).
+    start_sigma: float = 0.01
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,11 @@ from spheremouse.ball.filters import so3_match, so3_predict, so3_visibility
 from spheremouse.ball.filters import so3_update as kernel
 from spheremouse.ball.filters.so3_predict import CLONE_DIM, CONSIDERED_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_settings import (
+    DWELL_S,
+    ESTABLISHED_HITS,
+    MAX_MISSES_PER_HIT,
+    MAX_TRIAL_MISSES,
+    PERSISTENCE_S,
     So3Settings,
     prior_of_levels,
     squared_levels,
@@ -81,21 +86,21 @@ class So3Filter:
         """
         s = self.settings
         dt = float(min(max(stamp - state.stamp, 0.0), _LONGEST))
-        last = min(dt, 0.5 * s.persistence)
+        last = min(dt, 0.5 * PERSISTENCE_S)
         usual = prior_of_levels(s.levels)
         weights = state.weights if len(state.weights) else usual
-        density = 2.0 * variances(s)[0] / s.persistence
+        density = 2.0 * variances(s)[0] / PERSISTENCE_S
         attitude, rate, acceleration, joint = state.attitude, state.rate, state.acceleration, state.joint
         F, process = np.empty((KINEMATIC_DIM, KINEMATIC_DIM)), np.empty((KINEMATIC_DIM, KINEMATIC_DIM))
         if dt > last:
             density_of_all = density * float(weights @ squared_levels(s.levels))
             attitude, rate, acceleration, joint = so3_predict.predict(
-                attitude, rate, acceleration, joint, dt - last, s.persistence, density_of_all, F, process
+                attitude, rate, acceleration, joint, dt - last, PERSISTENCE_S, density_of_all, F, process
             )
         attitude, rate, acceleration, joint = so3_predict.predict(
             attitude, rate, acceleration, joint, last, np.inf, density, F, process
         )
-        stay = math.exp(-dt / s.dwell)
+        stay = math.exp(-dt / DWELL_S)
         return So3State(
             stamp,
             attitude,
@@ -371,7 +376,7 @@ class So3Filter:
 
     def _steps(self, state: So3State) -> tuple[float, float, Array]:
         """Return the arguments of `so3_steps`: the interval, s, the persistence, s, and the variance of each level."""
-        return state.interval, self.settings.persistence, variances(self.settings)
+        return state.interval, PERSISTENCE_S, variances(self.settings)
 
     def _correct(self, state: So3State, points: SpherePoints, pairing: Pairing) -> tuple[So3State, float]:
         """The state corrected by pairs, and their log likelihood, 1/rad² each."""
@@ -394,7 +399,7 @@ class So3Filter:
         noise_scale, mean = self._expected(state), np.zeros(len(state.joint))
         joint = state.joint.copy()
         joint[:KINEMATIC_DIM, :KINEMATIC_DIM] += (noise_scale - 1.0) * state.process
-        t, tau = state.interval, self.settings.persistence
+        t, tau = state.interval, PERSISTENCE_S
         gain, reach = so3_predict.integrals(t, tau)
         mean[:KINEMATIC_DIM] = np.outer(
             [reach - 0.5 * t * t, gain - t, math.expm1(-t / tau)], state.acceleration
@@ -512,9 +517,9 @@ class So3Filter:
             state.missed,
             probability,
             pairing.columns,
-            s.trial,
-            s.misses,
-            s.patience,
+            ESTABLISHED_HITS,
+            MAX_TRIAL_MISSES,
+            MAX_MISSES_PER_HIT,
             points.direction,
             pairing.rows,
             np.ones(n, dtype=np.bool_) if may_start_landmark is None else may_start_landmark,

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.points import SpherePoints
 
@@ -147,7 +148,7 @@ def _node(
 
 def new_density(filter_: So3Filter, state: So3State, seen: int) -> float:
     """Density, 1/sr, of points that are no disc of the map: discs not yet known, and false points."""
-    known = int(np.count_nonzero(state.hits >= filter_.settings.trial))
+    known = int(np.count_nonzero(state.hits >= ESTABLISHED_HITS))
     in_view = 0.5 * (1.0 - filter_.horizon)  # share of the ball
     unknown = max(seen / in_view - known, _UNKNOWN_DISCS)
     return (unknown + _FALSE_POINTS / in_view) / (4.0 * math.pi)

@@ -7,7 +7,13 @@ import numpy as np
 
 from spheremouse.ball.rig import MOST_DISCS
 from spheremouse.geometry.rotation import Array
-from spheremouse.settings import FACTOR, FRAMES, HAND_TURN, SECONDS, SIGMAS, param
+from spheremouse.settings import SIGMAS, param
+
+PERSISTENCE_S = 0.2  # mean time between two steps of the acceleration: a hand takes hold, lets go or stops the ball
+DWELL_S = 1.0  # mean time at a level of acceleration: a gesture takes about a second
+ESTABLISHED_HITS = 3  # frames in which a disc is seen until it is established
+MAX_TRIAL_MISSES = 3  # frames in which a disc on trial may be missing where it should be
+MAX_MISSES_PER_HIT = 5.0  # an established disc that misses more in a row is no disc
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,19 +27,6 @@ class So3Settings:
         ge=1e-3,  # slower than the friction of any bearing
         le=100,  # a stop by hand
     )
-    persistence: float = param(
-        0.2,
-        "s",
-        "mean time between two steps of the acceleration, as a hand takes hold, lets go or stops the ball",
-        ge=0.01,
-        le=10,
-    )
-    start_rate_sigma: float = param(
-        2.0,
-        "rad/s",
-        "standard deviation of the rate at the start, about zero: the ball may be rolling by then",
-        **HAND_TURN,
-    )
     gate: float = param(
         13.8, "-", "squared Mahalanobis distance of a pair: 99.9 % of chi-square with 2 degrees", **SIGMAS
     )
@@ -46,15 +39,6 @@ class So3Settings:
         le=1e4,  # of the quietest ball, a stop by hand
         most=12,  # a factor of two apart; each takes its time
     )
-    dwell: float = param(1.0, "s", "mean time the player stays at a level: a gesture takes about a second", **SECONDS)
-    trial: int = param(3, "frames", "sightings until a disc is kept for good", **FRAMES)
-    misses: int = param(3, "frames", "a disc on trial is dropped when it is not seen where it should be", **FRAMES)
-    patience: float = param(
-        5.0,
-        "-",
-        "a kept disc is dropped when missed in a row so many times as often as seen: no disc after all",
-        **FACTOR,
-    )
     most_discs: int = param(
         120,
         "discs",
@@ -62,6 +46,8 @@ class So3Settings:
         ge=4,
         le=MOST_DISCS,
     )
+    # Not a setting, since no user can know it: rad/s per axis about zero; the ball may roll at the start.
+    start_rate_sigma: float = 2.0
 
     def __post_init__(self) -> None:
         if not self.levels or list(self.levels) != sorted(self.levels):

@@ -60,7 +60,7 @@ def relative(on_rings: Array, shift: Array, tracker: Tracker) -> Moved | None:
     """The tracker for the pose that the shifts of the targets, (n, 2) px, tell, and what that adds to the pose's
     covariance; None where they tell none. Measured on the rings, or else by correlation."""
     rig, settings = tracker.rig, tracker.settings
-    for measured, sigma in ((on_rings, settings.watch.ring_sigma), (shift, settings.watch.match_sigma)):
+    for measured, sigma in ((on_rings, watching.RING_SIGMA_PX), (shift, watching.MATCH_SIGMA_PX)):
         found = watching.moved_pose(measured, rig, tracker.pose, sigma)
         if found is not None:
             try:

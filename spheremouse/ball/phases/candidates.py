@@ -11,6 +11,8 @@ from spheremouse.ball.filters import FilterState
 from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.state import F, Tracker, TrackState
 
+_KNOWN_SIGMA = 0.02  # rad per axis, up to which one disc alone holds the attitude: half a disc's width
+
 AddLandmarks = Callable[[F, SpherePoints, NDArray[np.intp], Tracker], F]  # the filter with some of the points as discs
 
 
@@ -31,9 +33,7 @@ def confirms(posterior: FilterState, points: int, predicted: FilterState, tracke
 def updated(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:
     """Filter the points; candidates that were seen to move with the ball may found discs."""
     points, centre = state.points, state.detections.centre[state.points.index]
-    proven = static.known_before_to_turn(
-        state.lookalikes, centre, predicted.attitude, tracker.rig, tracker.pose, tracker.settings.static
-    )
+    proven = static.known_before_to_turn(state.lookalikes, centre, predicted.attitude, tracker.rig, tracker.pose)
     posterior = tracker.filter.update(predicted, points, proven)
     return replace(state, filter=posterior, confirmed=confirms(posterior, len(points), predicted, tracker))
 
@@ -61,7 +61,6 @@ def classify_unmatched(
         stamp,
         rig,
         tracker.pose,
-        tracker.settings.static,
     )
     if not confirmed:  # a hand may have stopped the ball: what stands still says nothing, what goes on turning does
         lookalikes = replace(lookalikes, masks=state.lookalikes.masks, mask_seen=state.lookalikes.mask_seen)
@@ -74,4 +73,4 @@ def classify_unmatched(
 def _known_well(filter_state: FilterState, tracker: Tracker) -> bool:
     """Return whether the attitude is known so well that one disc gives the rest."""
     worst = np.linalg.eigvalsh(filter_state.covariance[:3, :3])[-1]
-    return bool(worst < tracker.settings.loss.known_sigma**2)
+    return bool(worst < _KNOWN_SIGMA**2)

@@ -3,12 +3,13 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.detect.lookalikes import MOVED_PX, STILL_PX
 from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.state import BufferedFrame, Tracker
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array, align
 
-_PATH = 5.0  # times `static.moved`: over so long a path, a turn and a shift of the picture differ by many deviations
+_PATH = 5.0  # times MOVED_PX: over so long a path, a turn and a shift of the picture differ by many deviations
 _FITS = 10.83  # chi-square with one degree of freedom, 99.9 %
 _BETTER = 30.0  # squared deviations by which a turn must fit better than a shift of the picture: odds of 3e6
 _CENTRE_SIGMA = 0.1  # px, floor of the standard deviation of a path's length: unevenness of light
@@ -43,11 +44,11 @@ def still_while_two_turned(views: tuple[BufferedFrame, ...], tracker: Tracker) -
     None while there is no such pair. Two points on a ball that turns keep their angle; two that are carried past it
     keep their offset in the picture. Over a long path only one of the two holds.
     """
-    now, s = views[-1], tracker.settings.static
+    now = views[-1]
     for view in views[:-1]:
         _, first, last = np.intersect1d(view.track, now.track, return_indices=True)
         path = np.linalg.norm(now.centre[last] - view.centre[first], axis=1)
-        moved, still = path > _PATH * s.moved, path < s.still
+        moved, still = path > _PATH * MOVED_PX, path < STILL_PX
         if np.count_nonzero(moved) != 2 or np.count_nonzero(still) > (view is views[0]):
             continue  # what stays and what moves must have been seen together from the first: else it came by
         pair = view.points.take(first[moved]), now.points.take(last[moved])
@@ -59,7 +60,7 @@ def still_while_two_turned(views: tuple[BufferedFrame, ...], tracker: Tracker) -
         as_shift = float(np.sum((step - step.mean(axis=0)) ** 2) / (2.0 * _CENTRE_SIGMA**2))
         if as_turn < _FITS and as_shift > as_turn + _BETTER:
             index = last[still]
-            return now.centre[index][would_move(now.points.take(index), rotation, tracker, s.moved)]
+            return now.centre[index][would_move(now.points.take(index), rotation, tracker, MOVED_PX)]
     return None
 
 

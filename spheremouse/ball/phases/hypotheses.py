@@ -36,9 +36,7 @@ def updated_hypotheses(
     """
     points, centre, f = state.points, state.detections.centre[state.points.index], tracker.filter
     if proven is None:
-        proven = static.known_before_to_turn(
-            state.lookalikes, centre, predicted.attitude, tracker.rig, tracker.pose, tracker.settings.static
-        )
+        proven = static.known_before_to_turn(state.lookalikes, centre, predicted.attitude, tracker.rig, tracker.pose)
     certain = None if state.alternatives else f.update_if_certain(predicted, points, proven & extend_map)
     if certain is not None:
         filtered, alternatives = certain, ()

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from spheremouse.ball.associate import common_rotation
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.appearance import seen_at
-from spheremouse.ball.detect.lookalikes import StaticSettings
+from spheremouse.ball.detect.lookalikes import MOVED_PX, STILL_PX
 from spheremouse.ball.events import Found, Turned
+from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.candidates import confirms
 from spheremouse.ball.phases.first_turn import follow_points, still_while_two_turned, would_move
@@ -51,7 +52,7 @@ def learn(
     if still is None and not phase.beside_map:
         still = still_while_two_turned(views, tracker)
     if still is None:
-        if len(views) == _REPLAY and _changed(views[0], views[1:], tracker.settings.static):
+        if len(views) == _REPLAY and _changed(views[0], views[1:]):
             views = views[-1:]
         return found(naive, phase._replace(views=views, next_track=next_track), stamp)
     state = _without(state, still, views, tracker) if len(still) else naive
@@ -79,7 +80,7 @@ def _without(state: TrackState[F], still: Array, views: tuple[BufferedFrame, ...
     state = replace(state, lookalikes=static.mask(state.lookalikes, still, stamp), alternatives=())
     filtered = tracker.filter.initial(views[0].stamp, views[0].attitude).with_reference_of(state.filter)
     for k, view in enumerate(views):
-        free, _ = static.unmasked(state.lookalikes, view.centre, view.stamp, tracker.settings.static)
+        free, _ = static.unmasked(state.lookalikes, view.centre, view.stamp)
         state = replace(state, filter=filtered, points=view.points.take(free), detections=view.detections)
         predicted = tracker.filter.predict(filtered, view.stamp)
         state = _with_all(state, view.stamp, tracker, predicted, views[:k])
@@ -97,7 +98,7 @@ def _founders(
     last frame confirmed its attitude, because new discs come into view then. If the ball stands, a new point is not on
     the ball, or is a disc that was hidden.
     """
-    few = np.count_nonzero(predicted.hits >= tracker.settings.so3.trial) < 2
+    few = np.count_nonzero(predicted.hits >= ESTABLISHED_HITS) < 2
     turned = rotation_between(views[0].attitude, predicted.attitude) if views else np.zeros(3)
     has_turned = np.linalg.norm(turned) > 2.0 * tracker.rig.disc_radius / tracker.rig.ball.radius
     follows = state.confirmed_at == state.filter.stamp and state.filter.known_missed < 0.5
@@ -119,12 +120,11 @@ def _still_since(anchor: BufferedFrame, now: BufferedFrame, tracker: Tracker) ->
 
     Returns None while that is uncertain, and if the motion also fits a flat object that passes.
     """
-    s = tracker.settings.static
     if len(anchor.points) < 3 or len(now.points) < 3:
         return None
     distance = np.linalg.norm(now.centre[:, None] - anchor.centre[None], axis=2)
-    stayed = distance.min(axis=1) < s.still
-    left = distance.min(axis=0) >= s.still
+    stayed = distance.min(axis=1) < STILL_PX
+    left = distance.min(axis=0) >= STILL_PX
     spread = np.sqrt(np.trace(now.points.image_covariance, axis1=1, axis2=2) / 2.0) / tracker.rig.ball.radius
     sigma = max(float(np.median(spread)), 1e-3)
     shared = common_rotation(anchor.points.direction[left], now.points.direction[~stayed], sigma)
@@ -133,11 +133,11 @@ def _still_since(anchor: BufferedFrame, now: BufferedFrame, tracker: Tracker) ->
     rotation, pairs = shared
     pairs = np.stack([np.flatnonzero(left)[pairs[:, 0]], np.flatnonzero(~stayed)[pairs[:, 1]]], axis=1)
     path = np.linalg.norm(anchor.centre[pairs[:, 0]] - now.centre[pairs[:, 1]], axis=1)
-    if np.median(path) < s.moved or 2 * len(pairs) <= np.count_nonzero(~stayed):
+    if np.median(path) < MOVED_PX or 2 * len(pairs) <= np.count_nonzero(~stayed):
         return None
     if _flat(anchor, now, pairs, rotation, tracker):
         return None
-    return now.centre[stayed & would_move(now.points, rotation, tracker, s.moved)]
+    return now.centre[stayed & would_move(now.points, rotation, tracker, MOVED_PX)]
 
 
 def _flat(
@@ -154,7 +154,7 @@ def _flat(
     towards = towards / np.linalg.norm(towards)
     middle = seen_at(np.stack([towards, rotation @ towards]), rig, pose)
     at_once = np.linalg.norm(log(rotation)) < tracker.settings.loss.fastest * _FRAME  # large turns match rows of spots
-    if at_once and np.linalg.norm(middle[1] - middle[0]) < 0.5 * tracker.settings.static.moved:
+    if at_once and np.linalg.norm(middle[1] - middle[0]) < 0.5 * MOVED_PX:
         return False
     off = now.centre[after] - seen_at(anchor.points.direction[before] @ rotation.T, rig, pose)
     weight = 1.0 / (_variance(anchor, before) + _variance(now, after) + _MODEL_ERROR**2)
@@ -170,10 +170,10 @@ def _variance(view: BufferedFrame, which: NDArray[np.intp]) -> Array:
     return 0.5 * np.trace(view.detections.covariance[view.points.index[which]], axis1=1, axis2=2)
 
 
-def _changed(anchor: BufferedFrame, since: tuple[BufferedFrame, ...], settings: StaticSettings) -> bool:
+def _changed(anchor: BufferedFrame, since: tuple[BufferedFrame, ...]) -> bool:
     """Return True if more than half of the anchor's points are missing from all later views."""
     later = np.concatenate([view.centre for view in since])
     if len(anchor.points) == 0 or len(later) == 0:
         return len(later) > 0
-    gone = np.linalg.norm(anchor.centre[:, None] - later[None], axis=2).min(axis=1) >= settings.still
+    gone = np.linalg.norm(anchor.centre[:, None] - later[None], axis=2).min(axis=1) >= STILL_PX
     return bool(np.count_nonzero(gone) > 0.5 * len(anchor.points))

@@ -10,6 +10,7 @@ from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.events import BallLost, OutOfRound, Why
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_predict import CLONE_DIM, MAP_OFFSET
+from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import So3State, delays
 from spheremouse.ball.state import CentreCheck, Events, Lost, Tracker, Tracking, TrackState, lost
 
@@ -50,13 +51,13 @@ def check_bearings(
         state = lost(replace(state, filter=blind), lifted_at=stamp)
         return state, (BallLost(Why.OFF_CENTRE, shift.distance, radii=radius == 1.0),)
     dt = min(stamp - state.confirmed_at, _FRAME)
-    misfit = centre_offset.averaged(before.misfit, shift, dt, s)
+    misfit = centre_offset.averaged(before.misfit, shift, dt)
     turned = 0.0 if off else before.rotation_since_failure
     if turned < _PROVEN and state.confirmed and shift.pairs >= _PAIRS and centre_offset.fits(shift, radius, s):
         turned += speed * dt * min(1.0, (0.5 * s.lifted * radius / max(shift.sigma, 1e-9)) ** 2)  # what it can tell
-    if not before.out_of_round and misfit > s.out_of_round:
+    if not before.out_of_round and misfit > centre_offset.OUT_OF_ROUND:
         return replace(state, phase=Tracking(CentreCheck(0, misfit, True, 0.0))), (OutOfRound(),)
-    still = before.out_of_round and misfit > 0.3 * s.out_of_round
+    still = before.out_of_round and misfit > 0.3 * centre_offset.OUT_OF_ROUND
     return replace(state, phase=Tracking(CentreCheck(0, misfit, still, turned))), ()
 
 
@@ -68,7 +69,7 @@ def _all_fit(state: TrackState[So3State]) -> bool:
 
 def _shift(state: TrackState[So3State], filter_state: So3State, tracker: Tracker[So3Filter]) -> CentreOffset | None:
     """Return the offset of the ball's centre by the last frame's discs, with a filter's attitude and map."""
-    sure = np.flatnonzero(filter_state.hits >= tracker.filter.settings.trial)
+    sure = np.flatnonzero(filter_state.hits >= ESTABLISHED_HITS)
     variance = filter_state.joint.diagonal()[MAP_OFFSET:-CLONE_DIM].reshape(-1, 2).mean(axis=1)[sure]
     return centre_offset.shift_of(
         state.points,

@@ -9,6 +9,8 @@ from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.geometry.rotation import rotation_between
 from spheremouse.tracker import Status
 
+IDENTIFY_SIGMA = 0.003  # rad, of a direction when the map is searched; at a tenth any disc may be any other
+
 
 def recognised_attitude(
     state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter]
@@ -18,12 +20,12 @@ def recognised_attitude(
     `identify` weighs all points, also those that meet no disc, so no further rule on their number is needed.
     After a short gap the rate is that from the last attitude confirmed; after a long one it is unknown.
     """
-    points, s = state.points, tracker.settings.loss
-    placed = state.filter.map_sigma() < s.identify_sigma  # a disc founded at a doubtful attitude tells no attitude
+    points = state.points
+    placed = state.filter.map_sigma() < IDENTIFY_SIGMA  # a disc founded at a doubtful attitude tells no attitude
     known = identify(
         points.direction,
         state.filter.discs[placed],
-        sigma=s.identify_sigma,
+        sigma=IDENTIFY_SIGMA,
         view_axis=tracker.filter.towards_camera,
         horizon=tracker.filter.horizon,
         risk=1e-3,
@@ -32,7 +34,7 @@ def recognised_attitude(
         return None
     gap = stamp - state.confirmed_at
     rate = None
-    if state.status is Status.TRACKING and 0.0 < gap <= s.lost_after:
+    if state.status is Status.TRACKING and 0.0 < gap <= tracker.settings.loss.lost_after:
         rate = rotation_between(state.reported_attitude, known.rotation) / gap
-    located = relocate(state.filter, known.rotation, s.identify_sigma, tracker.settings.so3, stamp, rate)
+    located = relocate(state.filter, known.rotation, IDENTIFY_SIGMA, tracker.settings.so3, stamp, rate)
     return tracker.filter.update(located, points, np.zeros(len(points), dtype=bool)), len(known.pairs)

@@ -6,11 +6,12 @@ import numpy as np
 
 from spheremouse.ball.events import BallLost, NewMap, Recognised, Why
 from spheremouse.ball.filters.so3 import So3Filter, relocate
+from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.hypotheses import updated_hypotheses
 from spheremouse.ball.phases.learn import found, learn
 from spheremouse.ball.phases.lifted import back_on_bearings
-from spheremouse.ball.phases.recognise import recognised_attitude
+from spheremouse.ball.phases.recognise import IDENTIFY_SIGMA, recognised_attitude
 from spheremouse.ball.state import (
     BufferedFrame,
     Events,
@@ -30,6 +31,7 @@ from spheremouse.ball.state import (
 
 _RESTS = 0.05  # rad/s, standard deviation of the rate of a ball at rest
 _SPEAKS = 4  # discs in view: fewer are no evidence against a map
+_NEW_CENTRE_AFTER_S = 5.0  # a ball off its centre for so long stays there: a new map begins about the new centre
 
 
 def lost_in_a_gap(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[TrackState[F], Events]:
@@ -80,14 +82,14 @@ def recover(
         state, events = _followed(state, phase, stamp, tracker, predicted)
         if events:
             return state, events
-    waits = phase.lifted_at is not None and 0.0 <= stamp - phase.lifted_at < tracker.settings.bearing.patience
+    waits = phase.lifted_at is not None and 0.0 <= stamp - phase.lifted_at < _NEW_CENTRE_AFTER_S
     if (
         waits
         or phase.in_view_since is None
         or stamp - max(phase.in_view_since, state.supported_at) < tracker.settings.loss.reset_after
     ):
         return state, ()
-    if np.count_nonzero(state.filter.hits >= tracker.settings.so3.trial) < 2:  # too few for recognition
+    if np.count_nonzero(state.filter.hits >= ESTABLISHED_HITS) < 2:  # too few for recognition
         return begin_anew(state, stamp, tracker)
     return try_new_map(state, phase, stamp, tracker)
 
@@ -101,8 +103,8 @@ def _where_it_was(
     does not explain them. The small attitude difference counts as motion. Otherwise errors of the camera's pose would
     add up. Returns None if the discs do not confirm the attitude.
     """
-    filter_, s = tracker.filter, tracker.settings.loss
-    placed = relocate(state.filter, state.reported_attitude, s.identify_sigma, tracker.settings.so3, stamp, np.zeros(3))
+    filter_ = tracker.filter
+    placed = relocate(state.filter, state.reported_attitude, IDENTIFY_SIGMA, tracker.settings.so3, stamp, np.zeros(3))
     placed.joint[3:6, 3:6] = _RESTS**2 * np.eye(3)
     filtered = filter_.update(placed, state.points, np.zeros(len(state.points), dtype=bool))
     seen = filtered.known_seen

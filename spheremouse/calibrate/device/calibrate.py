@@ -33,7 +33,7 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.least_squares.sphere import FEWEST
 from spheremouse.geometry.rotation import Array, hat
 
-TARGET_SIGMA = 0.05  # px, of a ring's centre (resect.PoseSettings)
+TARGET_SIGMA = 0.05  # px, of a ring's centre (TARGET_SIGMA_PX in ball/pose.py)
 _SPOT_SIGMA = 0.5  # px, of a dark spot's centroid: threshold, slope of the light, eccentricity
 _FACING = 0.5  # cosine at which any detector sees a disc
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.ball.device import Device
-from spheremouse.ball.pose import PoseSettings, gather
+from spheremouse.ball.pose import gather
 from spheremouse.ball.rig import Rig
 from spheremouse.calibrate.rolling.axes import Axes, axes_from_gestures, axes_from_targets
 from spheremouse.calibrate.rolling.axes_from_rings import axes_from_rings
@@ -63,7 +63,7 @@ class AxesFrom:
         assert self.rig is not None
         seen = _seen(views, self.rig.targets.radii)
         try:
-            return axes_from_targets(gather(seen, PoseSettings()), self.rig, rolled.rolling), "targets"
+            return axes_from_targets(gather(seen), self.rig, rolled.rolling), "targets"
         except PoseError as e:
             raise CalibrationError(str(e)) from None
 
@@ -75,7 +75,7 @@ def _seen(views: Views, radii: np.ndarray) -> list[TargetDetections]:
 def _sizes(views: list[TargetDetections]) -> list[tuple[str, np.ndarray, float]]:
     """Code, place and size of each target that keeps its place; of copies in the room the largest."""
     found: dict[str, tuple[str, np.ndarray, float]] = {}
-    for s in gather(views, PoseSettings()):
+    for s in gather(views):
         radii = [
             float(r)
             for v in views

@@ -15,7 +15,7 @@ from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detector
 from spheremouse.ball.detect.projection import Projection, weights_of
 from spheremouse.ball.detect.rings import detect_targets
-from spheremouse.ball.pose import find_pose, gather
+from spheremouse.ball.pose import TARGET_SIGMA_PX, find_pose, gather
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.commands.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
@@ -63,14 +63,14 @@ def targets(views: tuple[Frame, ...], rig: Rig, settings: Settings) -> tuple[Pos
     if not colour:
         return None, unchecked("targets", "the pictures are grey", "choose a format with colour: YUYV or MJPG")
     looked = [detect_targets(i, rig.targets.radii, settings.rings) for i in colour]
-    seen = sorted({s.code for s in gather(looked, settings.pose)} & set(rig.targets.codes))
+    seen = sorted({s.code for s in gather(looked)} & set(rig.targets.codes))
     numbers: dict[str, Any] = {"seen": len(seen), "of": len(rig.targets.codes), "codes": seen}
     try:
-        found = find_pose(looked, rig, colour[0], settings.pose)
+        found = find_pose(looked, rig, colour[0])
     except SpheremouseError as e:
         return None, refused("targets", e, **numbers)
     residual = float(np.sqrt(np.mean(found.residual**2)))
-    limit = expected_residual(rig, found.pose, settings.pose.target_sigma)
+    limit = expected_residual(rig, found.pose, TARGET_SIGMA_PX)
     numbers |= {"seen": len(found.codes), "residual_px": round(residual, 3), "limit_px": round(limit, 3)}
     text = (
         f"{len(found.codes)} of {len(rig.targets.codes)} found ({', '.join(found.codes)}), residual {residual:.2f} px"

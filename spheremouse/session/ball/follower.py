@@ -385,7 +385,7 @@ class _Reinitialisation:
             if any(f.image.ndim != 3 for f in self._frames):
                 raise PoseError("the frames are grey: the ring targets need colour")
             seen = [detect_targets(f.image, self._rig.targets.radii, self._settings.rings) for f in self._frames]
-            found = find_pose(seen, self._rig, self._frames[0].image, self._settings.pose)
+            found = find_pose(seen, self._rig, self._frames[0].image)
         except SpheremouseError as e:
             return partial(self.give_up, f"{e}; the pose before stays")
         except Exception as e:

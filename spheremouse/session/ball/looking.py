@@ -62,8 +62,8 @@ class FirstPose:
         if len(self._views) < self._settings.pose.frames:
             return None
         views, self._views, self._first = self._views, [], None
-        self.seen = tuple(sorted({s.code for s in gather(views, self._settings.pose)}))
-        return find_pose(views, self._rig, first, self._settings.pose)
+        self.seen = tuple(sorted({s.code for s in gather(views)}))
+        return find_pose(views, self._rig, first)
 
     def _come_of(self) -> Resection | None:
         if self._looking is None or not self._looking.done():

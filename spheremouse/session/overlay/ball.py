@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.appearance import appearance, ball_outline
+from spheremouse.ball.detect.lookalikes import MASK_RADIUS_PX
 from spheremouse.ball.pose import Resection, predict_targets
 from spheremouse.ball.rig import Rig, directions_at
 from spheremouse.ball.state import Epoch, Tracker, TrackState, current
@@ -78,7 +79,7 @@ def _predicted(state: TrackState, tracker: Tracker) -> Array:
 def _masked(state: TrackState, tracker: Tracker) -> Array:
     """Detections set aside as look-alikes, (k, 2) px."""
     offset = state.detections.centre[:, None] - state.lookalikes.masks[None]
-    near = np.linalg.norm(offset, axis=2) < tracker.settings.static.mask_radius
+    near = np.linalg.norm(offset, axis=2) < MASK_RADIUS_PX
     near[state.points.index] = False
     return state.detections.centre[near.any(axis=1)]
 

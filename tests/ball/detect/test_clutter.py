@@ -11,7 +11,7 @@ import pytest
 
 from spheremouse.ball.detect import rings
 from spheremouse.ball.detect.rings import MOST, TargetDetections, detect_targets
-from spheremouse.ball.pose import PoseSettings, Sighting, find_pose, predict_targets, resect
+from spheremouse.ball.pose import Sighting, find_pose, predict_targets, resect
 from spheremouse.capture.newest import Arrival
 from spheremouse.errors import PoseError
 from spheremouse.session.ball.follower import BallFollower
@@ -217,7 +217,7 @@ def test_more_copies_than_can_be_tried_are_refused_at_once(monkeypatch):
 def test_a_crowded_picture_is_why_targets_are_missing(crowded):
     view = TargetDetections((), np.zeros((0, 2)), np.zeros(0), (), crowded)
     with pytest.raises(PoseError) as refused:
-        find_pose([view], default_scene().rig(), np.zeros((480, 640), np.uint8), PoseSettings())
+        find_pose([view], default_scene().rig(), np.zeros((480, 640), np.uint8))
     assert ("cover or move what is colourful, or narrow the hues" in str(refused.value)) == crowded
 
 

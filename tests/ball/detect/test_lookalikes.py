@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from spheremouse.ball.detect.lookalikes import StaticDistractors, StaticSettings, classify_candidates, mask, unmasked
+from spheremouse.ball.detect.lookalikes import (
+    MASK_RADIUS_PX,
+    MOVED_PX,
+    StaticDistractors,
+    classify_candidates,
+    mask,
+    unmasked,
+)
 from spheremouse.ball.rig import Ball, Rig, Targets, directions_at
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp
@@ -12,7 +19,7 @@ CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
 NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
 RIG = Rig(CAMERA, Ball(0.6), NO_TARGETS, 0.02)
-SETTINGS = StaticSettings()
+FORGOTTEN_AFTER_S, MASK_LIFE_S = 1.0, 600.0
 DT = 1.0 / 30.0
 AXIS_Z = np.array([0.0, 0.0, 1.0])  # towards the camera
 
@@ -32,10 +39,10 @@ BOLT = np.array([[400.0, 300.0]])
 
 def look(state, uv, attitude, stamp):
     """One frame: drop what is masked, judge the rest. Verdicts are of all of `uv`."""
-    free, state = unmasked(state, uv, stamp, SETTINGS)
+    free, state = unmasked(state, uv, stamp)
     d, index = directions_at(uv[free], RIG, POSE)
     assert len(index) == np.count_nonzero(free)
-    p, s, state = classify_candidates(state, uv[free], d, attitude, stamp, RIG, POSE, SETTINGS)
+    p, s, state = classify_candidates(state, uv[free], d, attitude, stamp, RIG, POSE)
     proven, still = np.zeros(len(uv), dtype=bool), np.zeros(len(uv), dtype=bool)
     proven[free], still[free] = p, s
     return proven, still, free, state
@@ -66,7 +73,7 @@ def test_a_bolt_is_masked_as_soon_as_the_ball_has_turned_by_two_pixels_there():
     first = next(k for k, (_, still, _, _) in enumerate(out) if still[-1])
     d = directions_at(BOLT, RIG, POSE)[0]
     path = [np.linalg.norm(to_image(d @ R.T) - BOLT) for R in attitudes]
-    crossing = next(k for k, p in enumerate(path) if p > SETTINGS.moved)
+    crossing = next(k for k, p in enumerate(path) if p > MOVED_PX)
     assert crossing <= first <= crossing + 1
     assert not any(still[:-1].any() for _, still, _, _ in out)  # no disc, ever
     proven, _, free, state = out[-1]
@@ -107,7 +114,7 @@ def test_candidates_that_cannot_be_seen_again_are_forgotten():
     nothing = np.zeros((0, 2))
     *_, state = look(state, nothing, np.eye(3), 0.1)
     assert len(state.place) == len(DISCS) + 1
-    *_, state = look(state, nothing, np.eye(3), SETTINGS.forget + 0.2)
+    *_, state = look(state, nothing, np.eye(3), FORGOTTEN_AFTER_S + 0.2)
     assert len(state.place) == 0
 
 
@@ -116,32 +123,32 @@ def test_candidates_that_cannot_be_seen_again_are_forgotten():
 
 def test_a_mask_hides_what_is_within_its_radius_only():
     state = mask(StaticDistractors(), np.array([[100.0, 100.0]]), 0.0)
-    r = SETTINGS.mask_radius
+    r = MASK_RADIUS_PX
     uv = np.array([[100.0, 100.0], [100.0, 100.0 + 0.9 * r], [100.0 + 1.1 * r, 100.0]])
-    free, _ = unmasked(state, uv, 0.0, SETTINGS)
+    free, _ = unmasked(state, uv, 0.0)
     assert free.tolist() == [False, False, True]
 
 
 def test_a_mask_lives_as_long_as_it_is_needed():
     place = np.array([[100.0, 100.0]])
     elsewhere = np.array([[300.0, 100.0]])
-    life = SETTINGS.mask_life
+    life = MASK_LIFE_S
     state = mask(StaticDistractors(), place, 0.0)
-    _, state = unmasked(state, place, 0.9 * life, SETTINGS)  # renewed
-    _, state = unmasked(state, elsewhere, 1.8 * life, SETTINGS)
+    _, state = unmasked(state, place, 0.9 * life)  # renewed
+    _, state = unmasked(state, elsewhere, 1.8 * life)
     assert len(state.masks) == 1
-    _, state = unmasked(state, elsewhere, 2.0 * life, SETTINGS)
+    _, state = unmasked(state, elsewhere, 2.0 * life)
     assert len(state.masks) == 0
-    free, _ = unmasked(state, place, 2.0 * life, SETTINGS)
+    free, _ = unmasked(state, place, 2.0 * life)
     assert free.all()
 
 
 def test_empty_sets_pass_through():
     nothing = np.zeros((0, 2))
     state = StaticDistractors()
-    free, state = unmasked(state, nothing, 0.0, SETTINGS)
+    free, state = unmasked(state, nothing, 0.0)
     assert len(free) == 0
-    proven, still, state = classify_candidates(state, nothing, np.zeros((0, 3)), np.eye(3), 0.0, RIG, POSE, SETTINGS)
+    proven, still, state = classify_candidates(state, nothing, np.zeros((0, 3)), np.eye(3), 0.0, RIG, POSE)
     assert len(proven) == len(still) == len(state.place) == 0
 
 

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_predict import CLONE_DIM, CONSIDERED_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
-from spheremouse.ball.filters.so3_settings import So3Settings
+from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS, PERSISTENCE_S, So3Settings
 from spheremouse.ball.filters.so3_state import augment, inject
 from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.rig import Ball, Rig, Targets
@@ -173,7 +173,7 @@ def test_motion_since_the_reference_is_as_certain_as_runs_drawn_from_the_own_mod
     """NEES of rotation vector and rate, 95 % band; and what two attitudes have wrong alike does not count."""
     rng = np.random.default_rng(21)
     own = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)))
-    F, Q = white_jerk(DT, SETTINGS.acceleration_sigma, SETTINGS.persistence)
+    F, Q = white_jerk(DT, SETTINGS.acceleration_sigma, PERSISTENCE_S)
     jerk, runs, squares, shares = np.linalg.cholesky(Q), 60, [], []
     for _ in range(runs):
         R, w = np.eye(3), SETTINGS.start_rate_sigma * rng.normal(size=3)
@@ -208,7 +208,7 @@ def test_predicted_covariance_is_the_scatter_of_samples(dt):
     w, a0 = np.array([0.8, -1.2, 2.0]), np.array([-0.5, 0.3, 1.0])
     start = replace(noisy.initial(0.0, exp(np.array([0.2, 0.1, -0.4]))), rate=w, acceleration=a0, joint=P0)
     predicted = noisy.predict(start, dt)
-    n, steps, tau = 6000, 8, SETTINGS.persistence
+    n, steps, tau = 6000, 8, PERSISTENCE_S
     e = draw(P0, rng, n)
     R, rate, a = exp(e[:, :3]) @ start.attitude, w + e[:, 3:6], a0 + e[:, 6:]
     last = min(dt, 0.5 * tau)
@@ -246,7 +246,7 @@ def test_update_is_the_batch_solution():
         state = f.update(f.predict(state, k * dt), points)
     assert len(state.used) == 4
 
-    F, Q = white_jerk(dt, jolt, quiet.persistence)
+    F, Q = white_jerk(dt, jolt, PERSISTENCE_S)
     Wq = np.kron(np.linalg.cholesky(np.linalg.inv(Q)).T, np.eye(3))
     base = state.discs
 
@@ -277,7 +277,7 @@ def test_nees_of_runs_drawn_from_the_own_model():
     """50 runs with rates, accelerations and noise as the filter assumes, the map unknown: chi-square, 95 % band."""
     rng = np.random.default_rng(12)
     own = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)))
-    F, Q = white_jerk(DT, SETTINGS.acceleration_sigma, SETTINGS.persistence)
+    F, Q = white_jerk(DT, SETTINGS.acceleration_sigma, PERSISTENCE_S)
     jerk = np.linalg.cholesky(Q)
     runs, frames, checks = 50, 60, (10, 39, 59)
     nees = {k: [] for k in range(10, frames)}
@@ -405,7 +405,7 @@ def test_a_disc_on_trial_goes_and_a_kept_one_stays():
     real = seen(R[0])[1:]
     ghost = np.array([0.05, 0.1, 1.0]) / np.linalg.norm([0.05, 0.1, 1.0])
     with_ghost = points_at(np.vstack([real, ghost]))
-    for sightings, stays in ((SETTINGS.trial, True), (1, False)):
+    for sightings, stays in ((ESTABLISHED_HITS, True), (1, False)):
         state = FILTER.initial(0.0, R[0])
         for k in range(8):
             points = with_ghost if k < sightings else points_at(real)
@@ -513,7 +513,7 @@ def test_an_unseen_push_fades():
     for k in range(1, 31):
         state = FILTER.update(FILTER.predict(state, k * DT), points_at(np.zeros((0, 3))))
     at_once = FILTER.predict(replace(start, acceleration=np.array([5.0, 0.0, 0.0])), 1.0)
-    t, tau = 1.0, SETTINGS.persistence
+    t, tau = 1.0, PERSISTENCE_S
     assert_allclose(state.rate[0], 5.0 * tau * (1.0 - np.exp(-t / tau)), rtol=1e-9)
     assert_allclose(state.acceleration[0], 5.0 * np.exp(-t / tau), rtol=1e-9)
     assert abs(at_once.rate[0] - state.rate[0]) < 0.01
@@ -680,7 +680,7 @@ def played(filter_, rig, pose, errors, rng, *, frames=60, margin=0.3):
 
     And how many of the true pairs were made.
     """
-    F, Q = white_jerk(DT, SETTINGS.acceleration_sigma, SETTINGS.persistence)
+    F, Q = white_jerk(DT, SETTINGS.acceleration_sigma, PERSISTENCE_S)
     jerk = np.linalg.cholesky(Q)
     squares, used, possible = np.empty((len(errors), frames, 2)), 0, 0
     for run, error in enumerate(errors):
@@ -809,7 +809,7 @@ def test_update_with_considered_errors_is_the_batch_solution():
         state = consider.update(consider.predict(state, k * dt), intersect(detected(uv[k], sigma), rig, pose))
     assert len(state.used) == 5
 
-    F, Q = white_jerk(dt, jolt, quiet.persistence)
+    F, Q = white_jerk(dt, jolt, PERSISTENCE_S)
     Wq = np.kron(np.linalg.cholesky(np.linalg.inv(Q)).T, np.eye(3))
     Wc = np.linalg.cholesky(np.linalg.inv(consider.considered)).T
 
@@ -1044,7 +1044,7 @@ def readout_nees(rate_sigma, runs=60, frames=60, checks=(10, 30, 59)):
     """
     rng = np.random.default_rng(36)
     own = replace(LEARNING, settings=replace(SETTINGS, levels=(1.0,), start_rate_sigma=rate_sigma))
-    F, Q = white_jerk(DT, SETTINGS.acceleration_sigma, SETTINGS.persistence)
+    F, Q = white_jerk(DT, SETTINGS.acceleration_sigma, PERSISTENCE_S)
     jerk = np.linalg.cholesky(Q)
     squares = {k: [] for k in checks}
     for _ in range(runs):

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_predict import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
-from spheremouse.ball.filters.so3_settings import So3Settings
+from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS, So3Settings
 from spheremouse.ball.filters.so3_state import So3State, augment, consider, drop, inject, to_map, with_map
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import exp, log, tangent_basis
@@ -146,7 +146,7 @@ def test_with_map_leaves_the_rest_of_the_state():
 def test_a_filter_started_from_a_map_goes_on_as_well_as_before(rate):
     """Another run, another attitude, found to 3 mrad: as near to the truth, and as certain of it, as had it gone on."""
     before, R = learnt()
-    known = to_map(before, SETTINGS.trial)
+    known = to_map(before, ESTABLISHED_HITS)
     assert known is not None
     rng = np.random.default_rng(3)
     found = exp(3e-3 * rng.normal(size=3)) @ R
