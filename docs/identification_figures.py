@@ -1,7 +1,7 @@
-"""The tables of docs/identification.md: python docs/identification_figures.py [FAR26_DIR] [--trials N].
+"""The figures of docs/identification.md: python docs/identification_figures.py [FAR26_DIR] [--trials N].
 
-Writes them to the end of that page. With the 30,000 attitudes of the published tables it takes about ten minutes.
-Every ball is drawn anew from the trial's number: the same command gives the same tables, but for the times.
+Print all tables, and write the first one to the end of that page. The page quotes the others. With 30,000 attitudes it
+takes about ten minutes. The trial's number is the seed, so the same command gives the same tables except for the times.
 """
 
 import argparse
@@ -26,7 +26,7 @@ Draw = tuple[np.ndarray, np.ndarray, np.ndarray, dict]  # seen, map, true rotati
 
 @dataclass
 class Tally:
-    """What became of a series of trials."""
+    """Results of a series of trials."""
 
     right: int = 0
     wrong: int = 0
@@ -282,7 +282,7 @@ def speed(trials: int) -> str:
 
 
 def main() -> None:
-    """Write the tables."""
+    """Print the tables and write the first one."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("far26", type=Path, nargs="?", help="folder of the reference recording, for its layout")
     parser.add_argument("--trials", type=int, default=30_000)
@@ -311,7 +311,7 @@ def main() -> None:
     ]
     text = [f"## {title}\n\n{note}\n\n{make()}\n" for title, note, make in parts]
     page = Path(__file__).with_name("identification.md")
-    page.write_text(page.read_text().split(MARK)[0] + MARK + "\n\n" + "\n".join(text))
+    page.write_text(page.read_text().split(MARK)[0] + MARK + "\n\n" + text[0])
     print("\n".join(text))
 
 
