@@ -1,7 +1,7 @@
 """The figure and the table of docs/pointer.md: python docs/pointer_figures.py [--write] [--figure].
 
-The figure is drawn for a ball whose counts and rates are exact; the table is of simulated films that the tracker
-tracked. `--write` replaces both; without it the table is printed. Takes about two minutes, and the extra `plot`.
+The figure shows a ball with exact counts and rates, the table simulated films that the tracker tracked. Print the
+table. `--write` replaces the figure and the rows of the page. It takes about two minutes, and the extra `plot`.
 """
 
 import argparse
@@ -27,23 +27,24 @@ PAGE = Path(__file__).with_name("pointer.md")
 IMAGES = Path(__file__).parent / "images"
 MARKS = ("<!-- made by docs/pointer_figures.py --write -->", "<!-- end -->")
 LATENCY = {30.0: 0.05, 60.0: 0.03}  # s, from stamp to arrival: exposure, the wire, decoding, a step
-WAYS = {  # settings, and whether the rates tell an acceleration
-    "each frame at once (horizon 0)": (PointerSettings(horizon=0.0), True),
-    "the rate alone, no acceleration": (PointerSettings(), False),
-    "corrected at once (smooth 0)": (PointerSettings(smooth=0.0), True),
-    "the default": (PointerSettings(), True),
+WAYS = {  # settings, and whether the prediction uses an acceleration
+    "horizon 0": (PointerSettings(horizon=0.0), True),
+    "no acceleration": (PointerSettings(), False),
+    "smooth 0": (PointerSettings(smooth=0.0), True),
+    "default": (PointerSettings(), True),
 }
+ON_PAGE = ("horizon 0", "default")
 FILMS = {
-    "somebody plays, 30 Hz": SimulationOptions(motion="play", seconds=20.0, noise=3.0),
-    "somebody plays, 60 Hz": SimulationOptions(motion="play", seconds=20.0, noise=3.0, fps=60.0),
-    "400 °/s, stopped in 50 ms and flicked back, 30 Hz": SimulationOptions(motion="flick", noise=3.0),
-    "the same at 60 Hz": SimulationOptions(motion="flick", noise=3.0, fps=60.0),
+    "play, 30 Hz": SimulationOptions(motion="play", seconds=20.0, noise=3.0),
+    "play, 60 Hz": SimulationOptions(motion="play", seconds=20.0, noise=3.0, fps=60.0),
+    "flick (400 °/s, stop in 50 ms, reversal), 30 Hz": SimulationOptions(motion="flick", noise=3.0),
+    "flick, 60 Hz": SimulationOptions(motion="flick", noise=3.0, fps=60.0),
 }
 
 
 @dataclass(frozen=True)
 class Told:
-    """What frames say, and the ball itself."""
+    """Frames, and the ball itself."""
 
     stamp: Array  # (n,) s
     counts: Array  # (n, 3)
@@ -54,7 +55,7 @@ class Told:
 
 
 def pointer(told: Told, latency: float, settings: PointerSettings, accelerated: bool = True) -> tuple[Array, Array]:
-    """Times (k,) s of the reports at the steady rate, and what the pointer has moved by then, (k, 3) counts."""
+    """Return times (k,) s of the reports at the steady rate, and the pointer's positions, (k, 3) counts."""
     times, places = [], []
     resampler, sent = Resampler(), (0, 0, 0)
     arrivals = [*(told.stamp + latency), told.stamp[-1] + 1.0]
@@ -103,14 +104,19 @@ def figures(told: Told, latency: float, settings: PointerSettings, accelerated: 
     return [f"{rough:.2f}", f"{off:.1f}", f"{np.abs(shown - ball).max():.0f}", f"{left:.0f}"]
 
 
-def table() -> str:
-    """The table as Markdown."""
-    head = ["", "", "roughness", "from the ball, RMS", "at most", "withheld at the end"]
+def rows_of_films() -> list[list[str]]:
+    """Return a row for each film and way."""
     rows = []
     for film, options in FILMS.items():
         told = filmed(options)
-        for k, (way, (settings, accelerated)) in enumerate(WAYS.items()):
-            rows.append(["" if k else film, way, *figures(told, LATENCY[options.fps], settings, accelerated)])
+        for way, (settings, accelerated) in WAYS.items():
+            rows.append([film, way, *figures(told, LATENCY[options.fps], settings, accelerated)])
+    return rows
+
+
+def table(rows: list[list[str]]) -> str:
+    """Return rows as Markdown."""
+    head = ["film", "", "roughness", "from the ball, RMS", "at most", "withheld at the end"]
     return "\n".join(f"| {' | '.join(row)} |" for row in [head, ["---"] * len(head), *rows])
 
 
@@ -159,7 +165,7 @@ def draw(canvas: Any) -> None:
         axis.plot(told.clock, told.place[:, 0], color="0.5", alpha=0.6, linewidth=4.0, linestyle="-", label="the ball")
         for label, colour, settings in (
             ("horizon 0", "C1", PointerSettings(horizon=0.0)),
-            ("the default", "C0", PointerSettings()),
+            ("default", "C0", PointerSettings()),
         ):
             times, places = pointer(told, LATENCY[30.0], settings)
             shown = times < told.clock[-1]
@@ -179,11 +185,12 @@ def main() -> None:
         save(Drawing("pointer", draw, (7.2, 3.5)), IMAGES)
     if given.figure:
         return
-    made = table()
-    print(made)
+    rows = rows_of_films()
+    print(table(rows))
     if given.write:
         before, rest = PAGE.read_text(encoding="utf-8").split(MARKS[0])
         after = rest.split(MARKS[1])[1]
+        made = table([row for row in rows if row[1] in ON_PAGE])
         write_atomically(PAGE, f"{before}{MARKS[0]}\n\n{made}\n\n{MARKS[1]}{after}")
 
 
