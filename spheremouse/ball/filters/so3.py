@@ -158,8 +158,8 @@ class So3Filter:
         ordinary = self._update_ordinary(state, points, may_start_landmark)
         if ordinary is not None:
             return ordinary
-        best = self.nearest_pairs(state, points)
-        return self._keep_map(self._correct(state, points, best)[0], points, best, may_start_landmark)
+        corrected, pairs = self._correct_and_pair_again(state, points, self.nearest_pairs(state, points))
+        return self._keep_map(corrected, points, pairs, may_start_landmark)
 
     def nearest_pairs(self, state: So3State, points: SpherePoints) -> Pairing:
         """The pairs of least total distance, at the most likely level of process noise at which most points pair."""
@@ -193,10 +193,23 @@ class So3Filter:
         most = state.is_placed and 2 * pairs >= len(points)
         if pairs < 2:
             return None
-        corrected, _ = self._correct(state, points, nearest)
+        corrected, nearest = self._correct_and_pair_again(state, points, nearest)
         if not (most or self.is_significant(state, pairs, len(points)) or self._others_agree(corrected, len(points))):
             return None
         return self._keep_map(corrected, points, nearest, may_start_landmark)
+
+    def _correct_and_pair_again(
+        self, state: So3State, points: SpherePoints, pairing: Pairing
+    ) -> tuple[So3State, Pairing]:
+        """Return the state corrected by the pairs, and by those that lie in their places only after the correction."""
+        corrected, _ = self._correct(state, points, pairing)
+        if pairing.complete:
+            return corrected, pairing
+        again = self._pair(corrected, points, 1.0)
+        if len(again.rows) <= len(pairing.rows):
+            return corrected, pairing
+        again = replace(again, innovation=None)  # that is one from the corrected state
+        return self._correct(state, points, again)[0], again
 
     def _others_agree(self, corrected: So3State, points: int) -> bool:
         """Return whether chance does not explain that the pairs beyond two lie where those two put them.

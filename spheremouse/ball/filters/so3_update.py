@@ -310,10 +310,36 @@ def update(
     if not np.all(consistent(z, S + H @ added_process_noise @ H.T, 1.5 * gate)):
         return False, nothing, nothing, empty, 1.0, 0.0
     dx = np.empty(len(P))
+    if k < min(n, m) and _pairs_when_livelier(
+        attitude, rate, acceleration, discs, basis, P, visible, (noise_scales.max() - 1.0) * process, seen, noise,
+        delay, row, by_pose, by_ball, radius, gate, rows, columns,
+    ):  # fmt: skip
+        return False, nothing, nothing, empty, 1.0, 0.0
     _, nis, level = correct(P, H, HP, S, z, acceleration, steps, weights, rate_is_significant(rate, P), dx)
-    # where a point and a disc are left over, they may be a pair at a higher level, and the others contradict this one
-    plain = k == min(n, m) or nis < 2.0 * k + 6.0 * np.sqrt(k)
-    return plain, rows, columns, dx, level, nis
+    return True, rows, columns, dx, level, nis
+
+
+@njit(cache=True, error_model="numpy")
+def _pairs_when_livelier(
+    attitude, rate, acceleration, discs, basis, P, visible, added_process_noise, seen, noise, delay, row, by_pose,
+    by_ball, radius, gate, rows, columns,
+):  # fmt: skip
+    """Return whether a point and a disc that are in no pair of `rows` and `columns` are one at the liveliest level.
+
+    Then the ball may have been pushed, and the discs that the push moved least are not the only ones to use.
+    """
+    distance = np.empty((len(seen), len(visible)))
+    distance[0, 0] = gate
+    distances(
+        attitude, rate, acceleration, discs, basis, P, visible, added_process_noise[:3, :3], 0.0, seen, noise, delay,
+        row, by_pose, by_ball, radius, distance,
+    )  # fmt: skip
+    for i in range(len(seen)):
+        if not np.any(rows == i):
+            for j in range(len(visible)):
+                if distance[i, j] < gate and not np.any(columns == visible[j]):
+                    return True
+    return False
 
 
 @njit(cache=True, error_model="numpy")

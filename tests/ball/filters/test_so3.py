@@ -456,6 +456,20 @@ def test_a_flick_takes_a_wider_level_and_then_the_quiet_one_again():
     assert all(len(s.discs) <= 26 for s in states)
 
 
+@pytest.mark.parametrize("angle", [0.001, 0.0015, 0.002, 0.003, 0.005, 0.01])
+def test_every_disc_of_a_ball_that_starts_to_turn_stays_in_use(angle):
+    """A push moves discs near its axis least. They alone still pair as at rest, and would hold the ball there."""
+    rng = np.random.default_rng(31)
+    dt = 1.0 / 60.0
+    state, R = settled(rate=(0.0, 0.0, 0.0), n=60)
+    for axis in directions(12, 7, 0.3):
+        pushed = exp(angle * axis) @ R
+        points = points_at(seen(R) @ exp(angle * axis).T, rng=rng)
+        after = FILTER.update(FILTER.predict(state, state.stamp + dt), points, np.zeros(len(points), dtype=bool))
+        assert len(after.used) == len(points)
+        assert np.linalg.norm(log(after.attitude @ pushed.T)) < 4.0 * SIGMA
+
+
 def jerky(rng, seconds, fastest=4.0):
     """Attitudes and rates at 30 Hz: a new constant acceleration every 0.1 to 0.5 s, after a rest of a second."""
     stamps, rates = [0.0, 1.0], [np.zeros(3), np.zeros(3)]
