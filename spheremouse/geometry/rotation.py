@@ -204,6 +204,15 @@ def tangent_basis(u: Array) -> Array:
     return np.stack([first, second], axis=-1)
 
 
+def fibonacci_sphere(n: int) -> Array:
+    """Unit vectors evenly over the sphere, (n, 3): a spiral with the golden angle (González 2010)."""
+    k = np.arange(n) + 0.5
+    z = 1.0 - 2.0 * k / n
+    angle = np.pi * (1.0 + np.sqrt(5.0)) * k
+    r = np.sqrt(1.0 - z * z)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+
+
 def align(a: Array, b: Array, weights: Array | None = None) -> Array:
     """Rotation R, (3, 3), that minimises sum w |b - R a|^2 over pairs of vectors, both (n, 3).
 

@@ -65,12 +65,12 @@ def coverage(size: tuple[int, int], corners: Sequence[Array], rotations: Array) 
     return Coverage(len(corners), regions, leans, min(reach, 1.0))
 
 
-def bare(found: Coverage) -> list[str]:
+def missing_regions(found: Coverage) -> list[str]:
     """Places of the picture that no view shows, as in "in the upper left corner", from the top left."""
     return _places(found.regions == 0)
 
 
-def unleant(found: Coverage) -> list[str]:
+def missing_leans(found: Coverage) -> list[str]:
     """Ways that the board was not turned, or once only: a tilt has to be checked by another."""
     return [way for way, n in zip(LEANS, found.leans, strict=True) if n < _LEAN_VIEWS]
 
@@ -78,8 +78,8 @@ def unleant(found: Coverage) -> list[str]:
 def missing(found: Coverage) -> list[str]:
     """Views still wanted, as what to do with the board; left and right as the camera sees them."""
     again = {way: ", once more" if n else "" for way, n in zip(LEANS, found.leans, strict=True)}
-    words = [f"tilt the board by 20° to 45°, so that it faces {way}{again[way]}" for way in unleant(found)]
-    return words + [f"hold the board {place} of the picture" for place in bare(found)]
+    words = [f"tilt the board by 20° to 45°, so that it faces {way}{again[way]}" for way in missing_leans(found)]
+    return words + [f"hold the board {place} of the picture" for place in missing_regions(found)]
 
 
 def listed(words: Sequence[str]) -> str:

@@ -11,11 +11,8 @@ from scipy import sparse
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration, image_residuals
 from spheremouse.calibrate.device.plans import ENOUGH, NAMES, Advice, length, work_of
-from spheremouse.calibrate.device.what_if import (
-    spread,
-)
 from spheremouse.geometry.least_squares.reliability import redundancy
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.rotation import Array, fibonacci_sphere
 from spheremouse.geometry.statistics import FALSE_ALARM, gate, ratio_gate
 
 _RING = 0.03  # by which the size of rings may be off: print, blur, their colour's fringe
@@ -39,7 +36,7 @@ def coverage(directions: Array) -> float:
         return 0.0
     cosine = directions @ directions.T - 3.0 * np.eye(len(directions))
     reach = np.median(np.arccos(np.clip(cosine.max(axis=1), -1.0, 1.0)))
-    return float(np.mean((spread(2000) @ directions.T).max(axis=1) > np.cos(min(reach, np.pi))))
+    return float(np.mean((fibonacci_sphere(2000) @ directions.T).max(axis=1) > np.cos(min(reach, np.pi))))
 
 
 def photo_scatter(calibration: DeviceCalibration) -> tuple[Array, Array]:

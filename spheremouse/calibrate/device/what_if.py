@@ -15,7 +15,7 @@ from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, des
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.least_squares.adjust import cofactors
 from spheremouse.geometry.least_squares.sphere import fit_sphere
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.rotation import Array, fibonacci_sphere
 
 _TARGET_SLANT, _DISC_SLANT = np.cos(np.radians(70.0)), np.cos(np.radians(65.0))  # rings, discs are found up to there
 _APART = np.cos(np.radians(10.0))  # between rays that tell where a disc is (correspond)
@@ -84,7 +84,7 @@ def network(calibration: DeviceCalibration) -> Network:
     found = np.zeros_like(rule)
     found[seen.photo, seen.point - n] = True
     share = np.count_nonzero(found & rule) / max(np.count_nonzero(rule), 1)
-    places = sphere.centre + sphere.radius * spread(_SAMPLES)
+    places = sphere.centre + sphere.radius * fibonacci_sphere(_SAMPLES)
     twice = np.sum([discs_seen(bare, pose, places) for pose in solution.block.poses], axis=0) >= 2
     area = 4.0 * np.pi * max(float(np.mean(twice)), 1.0 / _SAMPLES)
     return replace(bare, disc_variance=bare.disc_variance / max(share, 0.05), density=(m - n) / area)
@@ -174,15 +174,6 @@ def discs_seen(net: Network, pose: Pose, points: Array) -> NDArray[np.bool_]:
     return (cosine > _DISC_SLANT) & _in_picture(net, pose, points, net.problem.device.disc_radius)
 
 
-def spread(n: int) -> Array:
-    """Unit vectors evenly over the sphere, (n, 3): a spiral with the golden angle."""
-    k = np.arange(n) + 0.5
-    z = 1.0 - 2.0 * k / n
-    angle = np.pi * (1.0 + np.sqrt(5.0)) * k
-    s = np.sqrt(1.0 - z * z)
-    return np.stack([s * np.cos(angle), s * np.sin(angle), z], axis=1)
-
-
 def looking(net: Network, direction: Array, distance: float) -> Pose:
     """A camera at `distance` m from the middle of device and ball, turned about its line of sight as its neighbour."""
     towards = np.array([pose.position - net.aim for pose in net.block.poses])
@@ -211,7 +202,7 @@ def _new_discs(net: Network, poses: tuple[Pose, ...]) -> Array:
 
     The two must be apart: rays nearly alike meet anywhere.
     """
-    places = net.centre + net.radius * spread(max(round(4.0 * np.pi * net.density), 1))
+    places = net.centre + net.radius * fibonacci_sphere(max(round(4.0 * np.pi * net.density), 1))
     seen = np.array([discs_seen(net, pose, places) for pose in poses])
     away = np.array([pose.position for pose in poses])[:, None] - places
     away /= np.linalg.norm(away, axis=2, keepdims=True)

@@ -250,13 +250,12 @@ def _footage(given: _Given, live: bool, ask: bool) -> Any:
 def _write(given: _Given, solution: "Solution", made: "Calibrated") -> None:
     """Rig, map and figures into their files, and what was found to the reader."""
     from spheremouse.calibrate.guide.suggested import axes_command
-    from spheremouse.calibrate.rolling.advice import advise
-    from spheremouse.calibrate.rolling.report import figures, text
+    from spheremouse.calibrate.report.rolling import advise, rolling_json, rolling_text
     from spheremouse.files.disc_map import map_path, save_map, saved_now
     from spheremouse.files.rig import save_rig
     from spheremouse.session.cameras import is_camera
 
-    result = figures(solution, made.axes, made.source, made.rig)
+    result = rolling_json(solution, made.axes, made.source, made.rig)
     if given.out is not None:
         saved = saved_now(made.disc_map, made.rig)
         provenance = {
@@ -271,7 +270,7 @@ def _write(given: _Given, solution: "Solution", made: "Calibrated") -> None:
         save_rig(given.out, made.rig, provenance)
         save_map(map_path(given.out), saved)
     printed = given.json_file is not None and write_json(given.json_file, result)
-    typer.echo(text(solution, made.axes, made.source, made.rig), err=printed)
+    typer.echo(rolling_text(solution, made.axes, made.source, made.rig), err=printed)
     for line in advise(solution.rolled):
         typer.echo(f"advice: {line}", err=printed)
     if given.out is None:

@@ -7,13 +7,13 @@ from boards import CAMERA, places, views
 from spheremouse.calibrate.camera.coverage import (
     LEANS,
     VIEWS,
-    bare,
     coverage,
     enough,
     gain,
     leans_of,
     listed,
     missing,
+    missing_regions,
     region_grid,
     regions_of,
 )
@@ -63,13 +63,13 @@ def test_what_is_missing_is_named():
     all_but_one = [uv for uv in grid if not (uv[0, 0] > 500.0 and uv[0, 1] < 100.0)]
     flat = np.broadcast_to(np.eye(3), (len(all_but_one), 3, 3))
     found = coverage(SIZE, all_but_one, flat)
-    assert bare(found) == ["in the upper right corner"]
+    assert missing_regions(found) == ["in the upper right corner"]
     assert missing(found)[-1] == "hold the board in the upper right corner of the picture"
     assert [f"faces {way}" in " ".join(missing(found)) for way in LEANS] == [True] * 4
     assert not enough(found)
     middle = coverage(SIZE, [block(250.0, 150.0)], np.eye(3)[None])
-    assert "in the middle" in bare(middle)  # the other regions there
-    assert {"at the top edge", "at the left edge", "in the lower left corner"} <= set(bare(middle))
+    assert "in the middle" in missing_regions(middle)  # the other regions there
+    assert {"at the top edge", "at the left edge", "in the lower left corner"} <= set(missing_regions(middle))
 
 
 def test_enough_is_all_regions_all_ways_and_ten_views():

@@ -16,8 +16,9 @@ from spheremouse.calibrate.device.advice import advise, coverage, photo_px, phot
 from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, predicted
 from spheremouse.calibrate.device.plans import ENOUGH, WORTH
 from spheremouse.calibrate.device.start import TargetViews
-from spheremouse.calibrate.device.what_if import network, sigmas, spread, targets_seen, with_distances, with_photos
+from spheremouse.calibrate.device.what_if import network, sigmas, targets_seen, with_distances, with_photos
 from spheremouse.geometry.camera import InteriorOrientation, Pose
+from spheremouse.geometry.rotation import fibonacci_sphere
 
 CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 960.0, 540.0)
 TARGETS = np.array([[-0.33, 0.2, 0.57], [-0.33, -0.6, 0.57], [0.33, -0.6, 0.57], [0.33, 0.2, 0.57]])
@@ -49,7 +50,7 @@ def calibrated(stations, pairs=EDGES, tape=0.001, seed=0, discs=70, worse=None, 
     )
     radii = np.array([0.012, 0.024, 0.036])
     device = Device((1, 2, 3, 4), ("MCY", "CYM", "YMC", "CMY"), radii, 0.02, Axes(2, 1, 3), distances)
-    normals = spread(discs)
+    normals = fibonacci_sphere(discs)
     on_ball = (RADIUS + bulge * rng.standard_normal((discs, 1))) * normals
     poses = tuple(station(*s) for s in stations)
     away = np.array([p.position for p in poses])[:, None] - on_ball
@@ -252,7 +253,7 @@ def test_image_points_not_used_speak_only_where_they_are_many(good):
 
 
 def test_coverage_is_the_share_of_the_surface():
-    assert coverage(spread(60)) > 0.95
-    half = spread(120)
+    assert coverage(fibonacci_sphere(60)) > 0.95
+    half = fibonacci_sphere(120)
     assert coverage(half[half[:, 2] > 0]) == pytest.approx(0.5, abs=0.1)
     assert coverage(half[:1]) == 0.0

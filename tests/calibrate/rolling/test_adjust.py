@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from spheremouse.ball.device import Axes, Device, Distance
 from spheremouse.ball.pose import Sighting, predict_targets
 from spheremouse.ball.rig import CODES, Ball, Rig, Targets
+from spheremouse.calibrate.report.rolling import advise
 from spheremouse.calibrate.rolling.adjust import adjust_rolling
-from spheremouse.calibrate.rolling.advice import advise
 from spheremouse.calibrate.rolling.axes import Axes as RolledAxes
 from spheremouse.calibrate.rolling.axes import axes_from_gestures, axes_from_targets
 from spheremouse.calibrate.rolling.axes_from_rings import axes_from_rings

@@ -53,12 +53,11 @@ def camera(
     them which board it was.
     """
     from spheremouse.calibrate.board import NAME, chosen_board
-    from spheremouse.calibrate.camera.advice import advise
     from spheremouse.calibrate.camera.calibrate import calibrate, provenance
     from spheremouse.calibrate.camera.corners import pattern_of
-    from spheremouse.calibrate.camera.report import camera_json, write_camera_report
     from spheremouse.calibrate.photos import read_photos
-    from spheremouse.commands.calibrate.camera.text import camera_text
+    from spheremouse.calibrate.report.camera import advise, camera_json, print_camera, write_camera_report
+    from spheremouse.commands.terminal import table_console
     from spheremouse.files.rig import save_camera
 
     if not photos:
@@ -87,7 +86,7 @@ def camera(
     save_camera(out, done.found.camera, made_from)
     if json_file is not None and write_json(json_file, figures):
         return
-    camera_text(done)
+    print_camera(done, table_console())
     typer.echo(f"{out}: the camera; {page}: the report")
     if any(kind != "good" for kind, _ in advise(done)):
         given = [*told.options, *([] if distortion == _ALL_TERMS else ["--distortion", str(distortion)])]

@@ -12,11 +12,14 @@ from experiments.kit.observations import calibrated, simulated_calibration
 from rich.console import Console
 
 from spheremouse.calibrate.device.advice import advise
-from spheremouse.calibrate.device.figures import magnification, photo_picture
-from spheremouse.calibrate.device.report import write_device_report
-from spheremouse.calibrate.device.results import device_json
 from spheremouse.calibrate.photos import read_photos
-from spheremouse.commands.calibrate.device.text import device_text
+from spheremouse.calibrate.report.device import (
+    device_json,
+    magnification,
+    photo_picture,
+    print_device,
+    write_device_report,
+)
 from spheremouse.geometry.conics import ellipse_to_pixel, project_sphere
 
 PROVENANCE = {"made_by": "spheremouse 9.9, calibrate device", "date": "2026-01-02T03:04:05+00:00", "camera": "c.yaml"}
@@ -45,7 +48,7 @@ def names(photos):
 
 
 def written(path, calibration, photos):
-    write_device_report(path, calibration, photos, PROVENANCE)
+    write_device_report(path, calibration, photos, PROVENANCE, advise(calibration, names(photos)))
     return path.read_text("utf-8")
 
 
@@ -82,7 +85,7 @@ class Elements(HTMLParser):
 @pytest.mark.parametrize("which", ["calibration", "free"])
 def test_json_is_the_calibration(which, request, photos):
     c = request.getfixturevalue(which)
-    found = json.loads(json.dumps(device_json(c, names(photos)), allow_nan=False))
+    found = json.loads(json.dumps(device_json(c, names(photos), advise(c, names(photos))), allow_nan=False))
     assert np.array([t["position"] for t in found["targets"]]) == pytest.approx(c.targets)
     sigma = np.sqrt(np.diag(c.covariance))
     assert np.ravel([t["sigma"] for t in found["targets"]]) == pytest.approx(sigma[c.block("targets")])
@@ -104,17 +107,17 @@ def test_json_is_the_calibration(which, request, photos):
 
 
 def test_distances_add_up_and_are_better_than_the_tape(calibration, free, photos):
-    found = device_json(calibration, names(photos))["distances"]
+    found = device_json(calibration, names(photos), advise(calibration, names(photos)))["distances"]
     assert len(found) == 4
     for d in found:
         assert d["adjusted"] - d["metres"] == pytest.approx(d["residual"], abs=1e-9)
         assert 0.3 * d["sigma"] < d["adjusted_sigma"] < d["sigma"]
-    assert device_json(free, names(photos))["distances"] == []
+    assert device_json(free, names(photos), advise(free, names(photos)))["distances"] == []
 
 
 def test_text_says_radius_photos_and_advice(calibration, photos):
     out = io.StringIO()
-    device_text(calibration, names(photos), console=Console(file=out, width=200))
+    print_device(calibration, names(photos), advise(calibration, names(photos)), Console(file=out, width=200))
     text = out.getvalue()
     sigma = 1e3 * np.sqrt(calibration.ball_covariance[3, 3])
     assert f"{1e3 * calibration.radius:.2f} ± {sigma:.2f} mm" in text
@@ -126,7 +129,7 @@ def test_text_says_radius_photos_and_advice(calibration, photos):
 
 def test_text_without_metres_has_none(free, photos):
     out = io.StringIO()
-    device_text(free, names(photos), console=Console(file=out, width=200))
+    print_device(free, names(photos), advise(free, names(photos)), Console(file=out, width=200))
     assert "R/1000" in out.getvalue()
     assert " mm" not in out.getvalue()
 
@@ -140,7 +143,7 @@ def test_page_needs_nothing_beside_it_and_says_all(which, request, photos, tmp_p
     links = [a.get(key) for _, a in elements.seen for key in ("src", "href", "xlink:href") if a.get(key)]
     assert all(link.startswith(("data:", "#")) for link in links)
     tags = [tag for tag, _ in elements.seen]
-    assert tags.count("svg") == 3
+    assert tags.count("svg") == 2
     assert tags.count("img") == 6
     assert tags.count("script") == tags.count("link") == 0
     words = " ".join(elements.words)
@@ -159,7 +162,7 @@ def test_photos_left_out_shift_nothing(calibration, photos, tmp_path):
     c = replace(
         calibration, photos=(0, 1, 3, 4, 5, 6), skipped=((2, "2 of 4 targets found"),), doubtful=((4, "it was turned"),)
     )
-    found = device_json(c, names(photos))
+    found = device_json(c, names(photos), advise(c, names(photos)))
     assert [p["file"] for p in found["photos"]] == [n for k, n in enumerate(names(photos)) if k != 2]
     assert found["skipped"] == [{"file": names(photos)[2], "why": "2 of 4 targets found"}]
     assert found["doubtful"] == [{"file": names(photos)[4], "why": "it was turned"}]
@@ -173,7 +176,7 @@ def test_a_photo_of_which_nothing_was_used_has_no_rms(calibration, photos, tmp_p
     m = calibration.measured
     used = m.used & (m.photo != 3)
     c = replace(calibration, measured=replace(m, used=used))
-    found = device_json(c, names(photos))["photos"][3]
+    found = device_json(c, names(photos), advise(c, names(photos)))["photos"][3]
     assert (found["points"], found["rms_px"]) == (0, None)
     assert "nan" not in " ".join(Elements(written(tmp_path / "r.html", c, photos)).words)
 

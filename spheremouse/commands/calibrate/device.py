@@ -53,13 +53,13 @@ def device(
     Six to twelve photos from as many sides as targets allow; the ball must not turn between them. Tape distances in
     the device file give metres; without any the scale is free and counts are per radian.
     """
+    from rich.console import Console
+
     from spheremouse.calibrate.device.adjust import DOUBTFUL_RMS
     from spheremouse.calibrate.device.advice import advise
-    from spheremouse.calibrate.device.report import write_device_report
-    from spheremouse.calibrate.device.results import device_json
     from spheremouse.calibrate.guide.suggested import axes_command
     from spheremouse.calibrate.photos import check_size, read_photos
-    from spheremouse.commands.calibrate.device.text import device_text
+    from spheremouse.calibrate.report.device import device_json, print_device, write_device_report
     from spheremouse.commands.config import root
     from spheremouse.files.config import in_force
     from spheremouse.files.device import UNTOUCHED, load_device, untouched
@@ -94,7 +94,7 @@ def device(
     figures = device_json(calibration, names, advice)
     if json_file is not None and write_json(json_file, figures):
         return
-    device_text(calibration, names, advice)
+    print_device(calibration, names, advice, Console(highlight=False))
     typer.echo(f"{out}: the rig; {the_map}: where its discs are; {page}: the report")
     if any(a.kind != "good" for a in advice):
         files = ["--device", device_file, "--camera", camera_file, *([] if config is None else ["--config", config])]

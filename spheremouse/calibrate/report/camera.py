@@ -1,0 +1,407 @@
+"""Report of `calibrate camera`: advice, JSON, tables on the terminal, and the HTML page."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from spheremouse.calibrate.camera.bundle import PARAMETERS
+from spheremouse.calibrate.camera.calibrate import Calibrated, false_views
+from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, listed, missing_leans, missing_regions
+from spheremouse.calibrate.photos import image
+from spheremouse.calibrate.report.scene import View, draw_axes, draw_camera, new_figure, scene_axes
+from spheremouse.files.atomic import write_atomically
+from spheremouse.files.report import page
+from spheremouse.files.report.style import BLUE, GOLD, GRID, INK, MUTED, PAPER, RED, round_number, styled
+from spheremouse.geometry.camera import Pose, interior_vector
+from spheremouse.geometry.rotation import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+_MIN_REACH = 0.85  # of the way to the picture's corners; beyond the last corner seen, the lens is extrapolated
+_MAX_FOCAL_ERROR = 5e-4  # of the focal length: 1 mm at 2 m, the accuracy that targets need
+_MIN_SIGNIFICANCE = 2.0  # standard deviations
+_NAMED_CORRELATION = 0.98
+_THUMBNAIL_WIDTH = 300  # px
+_MARKS = {"good": "[green]✓[/]", "note": "[blue]i[/]", "warning": "[yellow]![/]"}
+
+
+# ---- advice ----
+
+
+def advise(done: Calibrated) -> list[tuple[str, str]]:
+    """Return ("good" | "note" | "warning", sentence), warnings first."""
+    found = [*_view_advice(done), *_value_advice(done)]
+    if not any(kind == "warning" for kind, _ in found):
+        found.append(("good", "The camera is well determined."))
+    return sorted(found, key=lambda item: ("warning", "good", "note").index(item[0]))
+
+
+def _view_advice(done: Calibrated) -> Iterator[tuple[str, str]]:
+    covered = done.coverage
+    for i, why in false_views(done).items():
+        yield "warning", f"{done.photos[i].path.name} {why} It was left out."
+    if done.skipped:
+        names = ", ".join(done.photos[i].path.name for i in done.skipped)
+        yield "note", f"Left out, because the whole board is not found in them: {names}."
+    if covered.views < VIEWS:
+        yield "warning", f"Only {covered.views} views; {VIEWS} to 20 make a lens reliable."
+    if places := missing_regions(covered):
+        yield "note", f"No view shows the board {listed(places)}."
+    if ways := missing_leans(covered):
+        yield "note", f"Too few views of the board facing {listed(ways)}: tilt it by 20° to 45°, twice to each side."
+    if covered.reach < _MIN_REACH:
+        yield (
+            "note",
+            f"No corner lies beyond {100 * covered.reach:.0f} % of the way from the middle of the picture to its "
+            "corners: farther out the lens is a guess. Bring the board into the corners.",
+        )
+
+
+def _value_advice(done: Calibrated) -> Iterator[tuple[str, str]]:
+    found, camera, sigma = done.found, done.found.camera, done.found.deviations
+    if found.free[:2].all() and sigma[0] / camera.fx > _MAX_FOCAL_ERROR:
+        tilt = np.degrees(found.tilts()[found.used])
+        yield (
+            "warning",
+            f"The focal length is uncertain by {100 * sigma[0] / camera.fx:.2f} %; the "
+            f"board is tilted by {np.min(tilt):.0f}° to {np.max(tilt):.0f}°. More views at 30° to 45° help most.",
+        )
+    k3 = camera.distortion[4]
+    if found.free[8] and abs(k3) < _MIN_SIGNIFICANCE * sigma[8]:
+        yield (
+            "note",
+            f"k3 is {k3:.3f} with a standard deviation of {sigma[8]:.3f}: it may as well be 0, and "
+            "`--distortion 4` would do.",
+        )
+    if found.contradiction > 1.0:
+        yield (
+            "note",
+            "The views contradict each other more than their corners say; all standard deviations were "
+            f"made {np.sqrt(found.contradiction):.1f} times larger. Is the board flat, and did it stand still?"
+            + ("" if found.free.all() else " Or does the lens need more terms (`--distortion 5`)?"),
+        )
+    dropped = int(sum((~k).sum() for k, u in zip(found.kept, found.used, strict=True) if u))
+    if dropped:
+        yield "note", f"{dropped} corner{'s were' if dropped > 1 else ' was'} false and left out."
+
+
+# ---- JSON and terminal ----
+
+
+def camera_json(done: Calibrated) -> dict[str, Any]:
+    """Return the figures in px, m and degrees; `sigma` is of fx, fy, cx, cy, k1, k2, p1, p2, k3."""
+    found, camera = done.found, done.found.camera
+    rms, position, tilts = found.view_rms(), found.camera_positions(), np.degrees(found.tilts())
+    views: dict[int, dict[str, Any]] = {
+        i: {
+            "file": done.photos[i].path.name,
+            "rms_px": float(rms[k]),
+            "used": bool(found.used[k]),
+            "held_out_px": None if np.isnan(done.held_out[k]) else float(done.held_out[k]),
+            "corners": len(done.views[k].uv),
+            "false_corners": int((~found.kept[k]).sum()) if found.used[k] else None,
+            "tilt_deg": float(tilts[k]),
+            "distance_m": float(np.linalg.norm(position[k])),
+            "why": false_views(done).get(i),
+        }
+        for k, i in enumerate(done.index)
+    }
+    for i, why in done.skipped.items():
+        views[i] = {"file": done.photos[i].path.name, "rms_px": None, "used": False, "why": why}
+    interior = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    return {
+        "camera": {
+            **interior,
+            "dist": camera.distortion.tolist(),
+            "sigma": found.deviations.tolist(),
+            "correlation": found.correlation()[:9, :9].tolist(),
+        },
+        "rms_px": found.rms,
+        "held_out_px": _held_out_rms(done),
+        "contradiction": found.contradiction,
+        "coverage": {
+            "regions": done.coverage.regions.tolist(),
+            "leans": dict(zip(LEANS, done.coverage.leans.tolist(), strict=True)),
+            "reach": done.coverage.reach,
+        },
+        "board_views": [views[i] for i in sorted(views)],
+        "advice": [text for _, text in advise(done)],
+    }
+
+
+def print_camera(done: Calibrated, console: "Console") -> None:
+    """Print parameters, views and advice."""
+    held = _held_out_rms(done)
+    values = Table(box=None, title_justify="left", title_style="")
+    values.title = (
+        f"{int(done.found.used.sum())} views of {len(done.photos)} photos, {done.found.camera.width}x"
+        f"{done.found.camera.height}: reprojection {done.found.rms:.3f} px RMS"
+        + ("" if held is None else f", {held:.3f} px in views held out")
+    )
+    for name in ("", "value", "std. dev."):
+        values.add_column(name, justify="right" if name else "left")
+    for row in _parameter_rows(done):
+        values.add_row(*row[:3])
+    console.print(values)
+    views = Table(box=None)
+    for name in ("view", "rms, px", "held out, px", "tilt, °", "distance, m", ""):
+        views.add_column(name, justify="left" if name in ("view", "") else "right")
+    for row, used in _view_rows(done):
+        views.add_row(*map(escape, row), style=None if used else "red")
+    console.print(views)
+    for kind, text in advise(done):
+        console.print(f"{_MARKS[kind]} {escape(text.replace('`', ''))}")
+
+
+def _held_out_rms(done: Calibrated) -> float | None:
+    """RMS over all views held out, px."""
+    good = done.held_out[np.isfinite(done.held_out)]
+    return float(np.sqrt(np.mean(good**2))) if len(good) else None
+
+
+def _parameter_rows(done: Calibrated) -> list[list[str]]:
+    camera, sigma = done.found.camera, done.found.deviations
+    rows = []
+    for k, (v, s, free) in enumerate(zip(interior_vector(camera), sigma, done.found.free, strict=True)):
+        if not free:
+            rows.append([PARAMETERS[k], f"{v:g}", "held", ""])
+            continue
+        digits, unit = (3, " px") if k < 4 else (6, "")
+        ratio = f"{abs(v) / s:.1f}" if abs(v) < 100.0 * s else ""
+        rows.append([PARAMETERS[k], f"{v:.{digits}f}{unit}", f"{s:.{digits}f}{unit}", ratio])
+    return rows
+
+
+def _view_rows(done: Calibrated) -> list[tuple[list[str], bool]]:
+    """Cells of each photo, and whether it was used."""
+    found, rms = done.found, done.found.view_rms()
+    tilts, position = np.degrees(found.tilts()), found.camera_positions()
+    false, rows = false_views(done), {}
+    for k, i in enumerate(done.index):
+        gone = int((~found.kept[k]).sum()) if found.used[k] else 0
+        remark = false.get(i, f"{gone} false corner{'s' if gone > 1 else ''}" if gone else "")
+        held = "" if np.isnan(done.held_out[k]) else f"{done.held_out[k]:.3f}"
+        cells = [f"{rms[k]:.3f}", held, f"{tilts[k]:.0f}", f"{np.linalg.norm(position[k]):.2f}"]
+        rows[i] = ([done.photos[i].path.name, *cells, remark], bool(found.used[k]))
+    for i, why in done.skipped.items():
+        rows[i] = ([done.photos[i].path.name, "", "", "", "", f"left out: {why}"], False)
+    return [rows[i] for i in sorted(rows)]
+
+
+# ---- the page ----
+
+
+def write_camera_report(path: Path, done: Calibrated, provenance: Mapping[str, Any]) -> None:
+    """Write the page, whole or not at all; ConfigurationError if it cannot be written."""
+    with styled():
+        blocks = [
+            page.numbers(_headlines(done)),
+            page.advice(advise(done)),
+            _coverage_section(done),
+            _residual_section(done),
+            _value_section(done),
+            _view_section(done),
+        ]
+        foot = f"{provenance['made_by']}, {provenance['date']}"
+        write_atomically(path, page.page("Camera calibration", _lead(done), blocks, foot))
+
+
+def _lead(done: Calibrated) -> str:
+    found, camera, pattern = done.found, done.found.camera, done.pattern
+    kind = "chessboard" if pattern.marker is None else "ChArUco board"
+    distance = np.linalg.norm(found.camera_positions()[found.used], axis=1)
+    return (
+        f"{int(found.used.sum())} views of a {kind} with {pattern.columns} × {pattern.rows} inner corners, squares of "
+        f"{1e3 * pattern.square:g} mm, from {distance.min():.2f} to {distance.max():.2f} m; images of {camera.width} × "
+        f"{camera.height} px. It holds for this mode of the camera, this zoom and this focus, and for no other."
+    )
+
+
+def _headlines(done: Calibrated) -> list[tuple[str, str, str]]:
+    found, camera, sigma = done.found, done.found.camera, done.found.deviations
+    held = _held_out_rms(done)
+    return [
+        ("focal length", f"{camera.fx:.1f} px", f"± {sigma[0]:.2f} px, {100 * sigma[0] / camera.fx:.3f} %"),
+        ("principal point", f"{camera.cx:.1f}, {camera.cy:.1f}", f"± {sigma[2]:.2f}, {sigma[3]:.2f} px"),
+        ("reprojection error", f"{found.rms:.3f} px", f"RMS of {sum(int(k.sum()) for k in found.kept)} corners"),
+        ("views held out", "–" if held is None else f"{held:.3f} px", "RMS, calibrated without them"),
+    ]
+
+
+def _coverage_section(done: Calibrated) -> str:
+    corners = (
+        "All corners in the picture. The number in a region counts the views with corners there. In a region without "
+        "any, the lens is not known."
+    )
+    places = (
+        "The board and, in its frame, the camera's places and viewing directions. For a good focal length, they "
+        "surround the board on all four sides. The coloured axes are three squares long."
+    )
+    pictures = page.figure(_coverage_figure(done), corners), page.figure(_places_figure(done), places)
+    return page.section("Coverage", page.beside(*pictures))
+
+
+def _residual_section(done: Calibrated) -> str:
+    bars = (
+        "Root mean square distance between each view's corners and their places by the calibrated camera, with this "
+        "view and without it. Bars that stand out are bad photos."
+    )
+    arrows = (
+        f"Residuals of all views in one picture, {_magnification(done):.0f} times larger. They should point anywhere. "
+        "A common direction in one place is an error of the lens model."
+    )
+    return page.section(
+        "Reprojection errors",
+        page.figure(_views_figure(done), bars),
+        page.figure(_arrows_figure(done), arrows),
+    )
+
+
+def _value_section(done: Calibrated) -> str:
+    found = done.found
+    text = "From the inverse normal matrix of the adjustment, with the variances of the corners estimated in each view."
+    if found.contradiction > 1.0:
+        text += f" Widened by {np.sqrt(found.contradiction):.2f} because views contradict each other."
+    C = found.correlation()[:9, :9]
+    return page.section(
+        "Values and standard deviations",
+        page.table(["", "value", "std. dev.", "value / std. dev."], _parameter_rows(done)),
+        page.paragraph(text),
+        page.correlations(PARAMETERS, C),
+        page.paragraph(_strong_correlations(C)),
+    )
+
+
+def _strong_correlations(C: Array) -> str:
+    pairs = sorted((-abs(C[i, j]), i, j) for i in range(9) for j in range(i) if abs(C[i, j]) > _NAMED_CORRELATION)
+    if not pairs:
+        return f"No two are correlated by more than {_NAMED_CORRELATION}."
+    worst = ", ".join(f"{PARAMETERS[j]} and {PARAMETERS[i]} ({C[i, j]:+.3f})" for _, i, j in pairs)
+    return f"Correlated by more than {_NAMED_CORRELATION}: {worst}. Only their combination is certain."
+
+
+def _view_section(done: Calibrated) -> str:
+    head, rows = ["view", "RMS, px", "held out, px", "tilt, °", "distance, m", "remark"], _view_rows(done)
+    return page.section(
+        "Views",
+        page.table(head, [row for row, _ in rows], [not good for _, good in rows]),
+        page.sheet([_thumbnail(done, k) for k in range(len(done.views))]),
+    )
+
+
+# ---- figures ----
+
+
+def _used_corners(done: Calibrated) -> list[tuple[Array, Array]]:
+    """Places and residuals of the corners that took part, (n, 2) px each, of each view."""
+    found = done.found
+    each = zip(done.views, found.residuals, found.kept, found.used, strict=True)
+    return [(v.uv[k], r[k]) for v, r, k, used in each if used]
+
+
+def _picture_axes(figure: "Figure", done: Calibrated) -> "Axes":
+    """Axes that are the picture, in px."""
+    w, h = done.found.camera.width, done.found.camera.height
+    axes = figure.subplots()
+    axes.set(xlim=(-0.5, w - 0.5), ylim=(h - 0.5, -0.5), aspect="equal", xlabel="px")
+    axes.spines[["top", "right"]].set_visible(True)
+    return axes
+
+
+def _coverage_figure(done: Calibrated) -> "Figure":
+    figure = new_figure(4.6, 3.1)
+    axes = _picture_axes(figure, done)
+    rows, columns = done.coverage.regions.shape
+    w, h = done.found.camera.width / columns, done.found.camera.height / rows
+    for (i, j), views in np.ndenumerate(done.coverage.regions):
+        x, y = w * j - 0.5, h * i - 0.5
+        axes.plot([x, x + w, x + w], [y + h, y + h, y], color=GRID, lw=0.6)
+        if views == 0:
+            axes.fill([x, x + w, x + w, x], [y, y, y + h, y + h], color=RED, alpha=0.25, lw=0)
+        box = {"boxstyle": "round,pad=0.25", "facecolor": PAPER, "edgecolor": "none", "alpha": 0.9}
+        look = {"ha": "center", "va": "center", "fontsize": 13, "fontweight": "bold", "bbox": box, "zorder": 3}
+        axes.annotate(str(views), (x + 0.5 * w, y + 0.5 * h), color=INK if views else RED, **look)
+    for uv, _ in _used_corners(done):
+        axes.plot(uv[:, 0], uv[:, 1], ".", color=BLUE, markersize=1.6, alpha=0.6)
+    return figure
+
+
+def _places_figure(done: Calibrated) -> "Figure":
+    figure = new_figure(4.6, 3.1)
+    (axes,) = scene_axes(figure, 1)
+    turn, rise = np.radians((35.0, 22.0))
+    # the board's frame is X right, Y down, Z into the board
+    view = View(
+        np.array([np.cos(turn), 0.0, np.sin(turn)]),
+        np.array([np.sin(turn) * np.sin(rise), -np.cos(rise), -np.cos(turn) * np.sin(rise)]),
+    )
+    pattern, found, side = done.pattern, done.found, done.pattern.square
+    for i in range(-1, pattern.rows):
+        for j in range(-1, pattern.columns):
+            if (i + j) % 2 == 0:
+                corners = np.array([[j, i, 0], [j + 1, i, 0], [j + 1, i + 1, 0], [j, i + 1, 0]])
+                axes.fill(*view(corners * side).T, color=INK, lw=0)
+    places = found.camera_positions()
+    size = 0.12 * float(np.median(np.linalg.norm(places, axis=1)))
+    for k in np.flatnonzero(found.used).tolist():
+        draw_camera(axes, view, found.camera, Pose(found.rotations[k].T, places[k]), size)
+    draw_axes(axes, view, 3.0 * side)
+    return figure
+
+
+def _views_figure(done: Calibrated) -> "Figure":
+    found, rms = done.found, done.found.view_rms()
+    shown = np.flatnonzero(found.used).tolist()
+    figure = new_figure(9.4, 2.6)
+    axes = figure.subplots()
+    x = np.arange(len(shown))
+    axes.bar(x - 0.19, rms[shown], width=0.36, color=BLUE, label="RMS")
+    axes.bar(x + 0.19, np.nan_to_num(done.held_out[shown]), width=0.36, color=GOLD, label="RMS held out")
+    axes.axhline(found.rms, color=MUTED, linewidth=0.8, linestyle="--")
+    axes.annotate(f"all {found.rms:.3f}", (len(shown) - 0.4, found.rms), fontsize=8, va="bottom", color=MUTED)
+    names = [done.photos[done.index[k]].path.stem for k in shown]
+    many = len(names) > 10
+    axes.set_xticks(x, names, rotation=40 if many else 0, ha="right" if many else "center", fontsize=7.5)
+    axes.set(ylabel="px", xlim=(-0.6, len(shown) + 0.3))
+    axes.grid(axis="y")
+    axes.set_axisbelow(True)
+    axes.legend(ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2)
+    return figure
+
+
+def _magnification(done: Calibrated) -> float:
+    """A round number that makes the RMS a fortieth of the picture's width."""
+    return round_number(done.found.camera.width / 40.0 / max(done.found.rms, 1e-6))
+
+
+def _arrows_figure(done: Calibrated) -> "Figure":
+    figure = new_figure(9.4, 5.2)
+    axes = _picture_axes(figure, done)
+    scale = _magnification(done)
+    for uv, r in _used_corners(done):
+        look = {"scale_units": "xy", "scale": 1.0, "color": BLUE, "width": 0.0012, "alpha": 0.85}
+        axes.quiver(*uv.T, *(scale * r).T, angles="xy", **look)
+    return figure
+
+
+def _thumbnail(done: Calibrated, k: int) -> str:
+    """A small photo with its corners, those left out in red."""
+    photo, used = done.photos[done.index[k]], done.found.used[k]
+    scale = _THUMBNAIL_WIDTH / photo.size[0]
+    size = _THUMBNAIL_WIDTH, max(1, round(scale * photo.size[1]))
+    small = cv2.resize(image(photo), size, interpolation=cv2.INTER_AREA)
+    kept = done.found.kept[k] if used else np.zeros(len(done.views[k].uv), bool)
+    for (u, v), good in zip(done.views[k].uv, kept, strict=True):
+        at = round(16 * ((u + 0.5) * scale - 0.5)), round(16 * ((v + 0.5) * scale - 0.5))
+        cv2.circle(small, at, 28, (176, 133, 47) if good else (61, 85, 220), -1, cv2.LINE_AA, 4)
+    data = bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1])
+    remark = f"{done.found.view_rms()[k]:.3f} px" + ("" if used else ", left out")
+    return page.picture(data, f"{photo.path.name}: {remark}")
