@@ -96,7 +96,7 @@ def test_what_would_not_work_is_refused_in_one_line(assignment, says):
         ["camera.size=[160, 120]", "camera.fps=1", "pose.frames=1"],
         ["motion.counts_per_mm=200", "motion.scale_z=0.05"],
         ["discs.min_area=4", "discs.smoothing=0", "discs.sigma=0.2"],
-        ["so3.levels=[1]", "so3.most_discs=200"],
+        ["so3.levels=[1]"],
         ["loss.lost_after=5", "loss.reset_after=60", "bearing.lifted=0.01"],
         ["wand.farthest=15", "wand.particles=2000"],
     ],

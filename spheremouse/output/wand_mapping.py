@@ -13,7 +13,7 @@ import numpy as np
 from spheremouse.geometry.rotation import Array, exp, left_jacobian, log
 from spheremouse.output import Report, no_report
 from spheremouse.output.counts import Remainder, to_counts
-from spheremouse.settings import FACTOR, HAND, HAND_TURN, PER_RADIAN, param
+from spheremouse.settings import FACTOR, PER_RADIAN, param
 from spheremouse.tracker import Motion, Status
 from spheremouse.wand.course import Course, between
 from spheremouse.wand.state import WandEpoch, WandPose
@@ -61,10 +61,9 @@ class PointingSettings:
         ge=0,
         le=10,
     )
-    fastest: float = param(
-        3.0, "m/s", "greatest speed of a hand: a faster motion is a corrected pose and moves nothing", **HAND
-    )
-    fastest_turn: float = param(20.0, "rad/s", "greatest rate of a hand's rotation (1150 degrees/s)", **HAND_TURN)
+    # Not settings: no hand moves faster. A larger change is a corrected pose or another ball, and moves nothing.
+    fastest: float = 3.0  # m/s
+    fastest_turn: float = 20.0  # rad/s, 1150 °/s
 
     def directions(self) -> Array:
         """Return the axes in `cam`, (3, 3), about or along which the ball moves right, down, and the third way.

@@ -450,7 +450,7 @@ def test_each_section_is_applied_between_two_frames(playing, monkeypatch):
     world.until(lambda: world.opened == opened + 1)
     assert ask(world, "set", assignments=["output=sink:other"])["changed"] == ["output"]
     world.until(lambda: world.outputs == ["sink:quiet", "sink:other"])
-    for name, value in (("control.clients", 3), ("metrics.port", 9999), ("realtime", "auto")):
+    for name, value in (("control.group", "nobody"), ("metrics.port", 9999), ("realtime", "auto")):
         assert "read at the start only" in refused(world, "set", assignments=[f"{name}={value}"])
     assert ask(world, "set", assignments=[f"map={world.folder}/other.yaml"])["changed"] == ["map"]
     assert (world.folder / "rig.map.yaml").exists()
@@ -687,7 +687,7 @@ def test_a_snapshot_of_pictures_of_another_size(playing):
     ("assignment", "why"),
     [
         ("wand.particles=300", "the tracker in use, so3, does not read it"),
-        ("control.clients=3", "read at the start only"),
+        ("control.group=nobody", "read at the start only"),
     ],
 )
 def test_what_could_not_take_effect_is_refused(world, assignment, why):

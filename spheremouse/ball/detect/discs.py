@@ -35,7 +35,7 @@ from spheremouse.ball.rig import Rig, directions_at
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import MAX_SIDE, Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.settings import AREA, PART, SHARE, SIGMA_PX, param
+from spheremouse.settings import AREA, PART, SIGMA_PX, param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
 _SHOWN = 4.0  # px of the coarse picture, across a disc that its samples meet: they are 2 px apart, and print is blurred
@@ -79,12 +79,6 @@ class DiscSettings:
         "fitted over expected size may differ from 1 by this part: hand-cut discs, glare on a rim",
         **PART,
     )
-    rim: float = param(
-        0.7,
-        "-",
-        "least part of a disc's rim that must fit: with a fifth hidden, a cut still passes for a rim",
-        **SHARE,
-    )
     min_area: float = param(10.0, "px²", "smaller discs are not looked for: 3.6 px across, the size of noise", **AREA)
     masks: tuple[tuple[float, float, float, float], ...] = param(
         (),
@@ -97,6 +91,8 @@ class DiscSettings:
     sigma: float = param(
         0.03, "px", "floor of a centre's standard deviation: sampling, unevenness of light, print", **SIGMA_PX
     )
+    # Not a setting: least part of a disc's rim that must fit. With a fifth hidden, a cut still passes for a rim.
+    rim: float = 0.7
 
     def __post_init__(self) -> None:
         if self.weights and (len(self.weights) != 3 or not any(self.weights)):

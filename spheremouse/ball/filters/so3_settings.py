@@ -5,7 +5,6 @@ from functools import cache
 
 import numpy as np
 
-from spheremouse.ball.rig import MOST_DISCS
 from spheremouse.geometry.rotation import Array
 from spheremouse.settings import SIGMAS, param
 
@@ -39,13 +38,8 @@ class So3Settings:
         le=1e4,  # of the quietest ball, a stop by hand
         most=12,  # a factor of two apart; each takes its time
     )
-    most_discs: int = param(
-        120,
-        "discs",
-        "the map grows no larger: the time per frame, which grows with the square, stays bounded",
-        ge=4,
-        le=MOST_DISCS,
-    )
+    # Not a setting: size of the map, since the time per frame grows with its square. Half of 120 discs are in view.
+    most_discs: int = 120
     # Not a setting, since no user can know it: rad/s per axis about zero; the ball may roll at the start.
     start_rate_sigma: float = 2.0
 

@@ -18,9 +18,8 @@ class ControlSettings:
         "group whose members may use the socket and so steer the pointer (mode 0660); null allows root and the "
         "daemon's own user (0600)",
     )
-    clients: int = param(
-        16, "-", "maximum number of connections at a time; a person, a tray and a monitor need one each", ge=1, le=256
-    )
+    # Not a setting: connections at a time. A person, a tray and a monitor need one each.
+    clients: int = 16
 
 
 @dataclass(frozen=True, slots=True)
