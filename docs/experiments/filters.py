@@ -22,8 +22,7 @@ from experiments.kit.film import (
 from experiments.kit.job import Job, Request, Result
 from spheremouse.ball.truth import Truth
 from spheremouse.evaluate.metrics import Run, surface_speeds
-from spheremouse.evaluate.trackball.lag import travel
-from spheremouse.evaluate.trackball.match import match, turning
+from spheremouse.evaluate.trackball import CountPath, RotationSteps, match
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import prepare
@@ -155,14 +154,14 @@ def _over_time(run: Run, film: Film, begin: float) -> Result:
 def _log_over_time(motion: Truth, mouse: MouseLog, agreed: r1.Agreement, begin: float) -> Result:
     """The log's speeds between frames, brought to the ball's by lag and scale as in fig. 28, mm/s."""
     stamp = motion.stamp[(motion.stamp >= begin) & (motion.stamp < begin + _SHOWN)]
-    counts = travel(mouse).at(stamp + agreed.lag)
+    counts = CountPath.from_log(mouse).at(stamp + agreed.lag)
     speed = np.diff(counts, axis=0) / np.diff(stamp)[:, None] / agreed.scale
     return {"t": _plain(stamp[1:]), "speed": _plain(speed)}
 
 
 def _matched(run: Run, mouse: MouseLog) -> Result:
     """Compare the result of `spheremouse match` with the simulation."""
-    found = match(turning(run), mouse)
+    found = match(RotationSteps.from_run(run), mouse)
     if found is None:
         return {}
     return {

@@ -15,7 +15,7 @@ from experiments.kit.world import DISCS, NOISE, RATES, World, known_ball, world
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.track import advance, step
-from spheremouse.evaluate.trackball.lag import Turning, search, travel
+from spheremouse.evaluate.trackball import RotationSteps, match
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output.counts import Counter, MotionSettings, Remainder, to_counts
@@ -41,7 +41,7 @@ NEAR = 5.0  # counts, about 5 mm on the ball: a pointer is near
 TRACKED, JUMP = 0.98, 20.0  # of the frames; counts beyond a stop that are no noise
 _BEGIN = 1.2  # s: the ball begins to move after one second, and frames arrive later
 _FINE, _SAME = 1e-3, 1e-9  # s: of the integration; rounding of times
-_LAGS = np.arange(-0.03, 0.0301, 0.002)  # s, about the best on the grid of `lag.search`
+_LAGS = np.arange(-0.03, 0.0301, 0.002)  # s, about the lag that the search finds
 
 
 def latency(fps: float) -> float:
@@ -170,16 +170,16 @@ def measured(shown: Array, true: Path, begin: float) -> Result:
 def delay(shown: Array, true: Path) -> float | None:
     """ms, by which the ball's path has to be shifted to come nearest; None where the two have nothing in common.
 
-    Sought over all lags on the grid of `lag.search` (of x and y), and then finely about the best of them.
+    The search of `match` gives the lag to 20 ms, from x and y. The shift is then refined about it.
     """
     counts = np.diff(shown[:, :2], axis=0, prepend=shown[:1, :2])
     log_ = MouseLog(true.t, counts, np.zeros(len(shown)), np.zeros(len(shown), dtype=bool))
     if not np.any(counts):
         return None
-    found = search(Turning(true.t[:-1], true.t[1:], np.diff(true.place, axis=0)), travel(log_))
+    found = match(RotationSteps(true.t[:-1], true.t[1:], np.diff(true.place, axis=0)), log_)
     if found is None:
         return None
-    lags = found.lag + _LAGS
+    lags = found.peak.lag + _LAGS
     away = []
     for lag in lags:
         past = true.t - lag

@@ -1,9 +1,4 @@
-"""The log of a mouse: read from the kernel's event device, written to a file as it comes, and read back.
-
-A file is text, a line per report under the header `t,dx,dy,wheel,lost`: the kernel's time in s, counts, notches, and 1
-where reports before this one are known to be lost. Lines that begin with # are for people. The first and the last line
-are empty reports: they say from when to when the mouse was listened to, since a mouse at rest says nothing.
-"""
+"""Read the reports of a mouse from the kernel's event devices."""
 
 import contextlib
 import os
@@ -15,13 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 from spheremouse.errors import SourceError
 from spheremouse.files.mouse_log import MouseReport
-
-if TYPE_CHECKING:  # a mouse is listened to at once, and not when the numerics have been loaded
-    pass
 
 _INPUT = Path("/dev/input")
 _SYS = Path("/sys/class/input")
@@ -30,7 +22,7 @@ _SYS = Path("/sys/class/input")
 EV_SYN, EV_REL = 0x00, 0x02
 SYN_REPORT, SYN_DROPPED = 0x00, 0x03
 REL_X, REL_Y, REL_WHEEL = 0x00, 0x01, 0x08
-_WAIT = 0.1  # s; as late is it heard that it shall end
+_POLL_S = 0.1  # between two checks whether to stop
 _EVIOCSCLOCKID = 0x400445A0  # _IOW('E', 0xa0, int)
 
 
@@ -39,14 +31,14 @@ _EVIOCSCLOCKID = 0x400445A0  # _IOW('E', 0xa0, int)
 
 @dataclass(slots=True)
 class Assembler:
-    """Puts the kernel's events together to reports: those between two SYN_REPORT are one."""
+    """Joins the kernel's events to reports: all events between two SYN_REPORT are one."""
 
     _counts: dict[int, int] = field(default_factory=dict)
     _lost: bool = False
-    _skipping: bool = False  # after SYN_DROPPED what comes up to the next SYN_REPORT is a rest
+    _skipping: bool = False  # events from SYN_DROPPED to the next SYN_REPORT are incomplete
 
     def feed(self, stamp: float, kind: int, code: int, value: int) -> MouseReport | None:
-        """The report that this event ends; None while it goes on, or where it says nothing of motion."""
+        """Return the report that this event ends; None before its end, and for a report without motion."""
         if kind == EV_SYN and code == SYN_DROPPED:
             self._lost = self._skipping = True
             self._counts.clear()
@@ -68,9 +60,6 @@ class Assembler:
         return report
 
 
-# ---- the file ----
-
-
 # ---- devices ----
 
 
@@ -86,7 +75,7 @@ class Mouse:
 
 
 def mice(sys_input: Path = _SYS, nodes: Path = _INPUT) -> list[Mouse]:
-    """Those with relative X and Y, whether they may be read or not."""
+    """Return the devices with relative X and Y, whether you may read them or not."""
     found = []
     for folder in sorted(sys_input.glob("event*"), key=lambda p: int(re.sub(r"\D", "", p.name) or 0)):
         with contextlib.suppress(OSError, ValueError):
@@ -97,7 +86,7 @@ def mice(sys_input: Path = _SYS, nodes: Path = _INPUT) -> list[Mouse]:
 
 
 def choose(wanted: str | None, found: list[Mouse]) -> Mouse:
-    """The mouse of that path or part of a name; SourceError lists what there is."""
+    """Return the mouse of that path or part of a name; SourceError lists the connected mice."""
     listed = "\n".join(f"  {mouse}" for mouse in found)
     if wanted is not None and wanted.startswith("/"):
         path = Path(os.path.realpath(wanted))  # /dev/input/by-id/... are links
@@ -106,26 +95,28 @@ def choose(wanted: str | None, found: list[Mouse]) -> Mouse:
                 return mouse
         if not Path(wanted).exists():
             raise SourceError(
-                f"{wanted}: no such device; is it plugged in?" + (f" There are:\n{listed}" if found else "")
+                f"{wanted}: no such device; is it plugged in?" + (f" Connected are:\n{listed}" if found else "")
             )
         return Mouse(Path(wanted), "not known")
     if not found:
-        raise SourceError("no mouse or trackball is there; plug it in, or name it with --device /dev/input/eventN")
+        raise SourceError("no mouse or trackball is connected; plug it in, or name it with --device /dev/input/eventN")
     if wanted is not None:
         fitting = [m for m in found if wanted.casefold() in m.name.casefold()]
         if not fitting:
-            raise SourceError(f"--device {wanted}: no mouse has that in its name; there are:\n{listed}")
+            raise SourceError(f"--device {wanted}: no mouse has that in its name; connected are:\n{listed}")
         if len(fitting) > 1:
             listed = "\n".join(f"  {mouse}" for mouse in fitting)
             raise SourceError(f"--device {wanted}: fits {len(fitting)} mice; name one by its path:\n{listed}")
         return fitting[0]
     if len(found) > 1:
-        raise SourceError(f"{len(found)} mice are there; say which with --device PATH or part of its name:\n{listed}")
+        raise SourceError(
+            f"{len(found)} mice are connected; choose one with --device PATH or part of its name:\n{listed}"
+        )
     return found[0]
 
 
 class Listener:
-    """A mouse that is listened to; a context manager. Raises SourceError where it cannot be."""
+    """Reads a mouse, as a context manager. Raises SourceError if it cannot be opened."""
 
     def __init__(self, mouse: Mouse, grab: bool = False) -> None:
         self._mouse, self._device = mouse, _opened(mouse)
@@ -150,9 +141,9 @@ class Listener:
             self._device.close()
 
     def listen(self, add: Callable[[MouseReport], None], ended: Callable[[], bool]) -> str | None:
-        """Hand over every report until `ended`; what ended it otherwise, in words.
+        """Pass every report to `add` until `ended`. If the mouse is unplugged before, return a message.
 
-        Begins and ends with an empty report, so that the log says from when to when it knows that nothing moved.
+        The first and the last report are empty. They give the time of listening.
         """
         assembler, last = Assembler(), time.monotonic()
         add(MouseReport(last, 0, 0))
@@ -160,7 +151,7 @@ class Listener:
             done = ended()
             until = time.monotonic()
             try:
-                ready = select.select([self._device.fd], [], [], 0.0 if done else _WAIT)[0]
+                ready = select.select([self._device.fd], [], [], 0.0 if done else _POLL_S)[0]
                 events = list(self._device.read()) if ready else []
             except BlockingIOError:
                 events = []
@@ -170,7 +161,7 @@ class Listener:
             for event in events:
                 stamp = event.sec + 1e-6 * event.usec
                 report = assembler.feed(stamp, event.type, event.code, event.value)
-                if report is not None and report.stamp >= last:  # what lay in the queue before has another clock
+                if report is not None and report.stamp >= last:  # reports queued before have another clock
                     last = report.stamp
                     add(report)
             if done:
@@ -187,7 +178,7 @@ def _opened(mouse: Mouse) -> Any:
         return evdev.InputDevice(str(mouse.node))
     except PermissionError:
         raise SourceError(
-            f"{mouse}: may not be read; add yourself to the group input (sudo usermod -aG input $USER) and log in "
+            f"{mouse}: permission denied; add yourself to the group input (sudo usermod -aG input $USER) and log in "
             "again, or use sudo"
         ) from None
     except OSError as e:
@@ -195,7 +186,7 @@ def _opened(mouse: Mouse) -> Any:
 
 
 def _on_monotonic_clock(device: Any, mouse: Mouse) -> None:
-    """The clock of the frames' stamps, in place of the wall clock's, which may be set back."""
+    """Stamp events by the clock of the frames. The default is the wall clock, which can be set back."""
     import fcntl
 
     try:

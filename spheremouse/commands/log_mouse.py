@@ -1,6 +1,6 @@
-"""`spheremouse log-mouse`: write down what the old trackball says while the camera records."""
+"""`spheremouse log-mouse`: log the reports of the old trackball while the camera records."""
 
-import os
+import shlex
 import sys
 import time
 from pathlib import Path
@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-_MOST_SECONDS = 3600.0
+_MAX_SECONDS = 3600.0
 
 
 def log_mouse(
@@ -17,46 +17,42 @@ def log_mouse(
         str | None,
         typer.Option(
             metavar="PATH|NAME",
-            help="Node (/dev/input/eventN), or part of the mouse's name.  [default: the only mouse that is there]",
+            help="Node (/dev/input/eventN), or part of the mouse's name.  [default: the only connected mouse]",
         ),
     ] = None,
     seconds: Annotated[
-        float, typer.Option(metavar="S", min=0.1, max=_MOST_SECONDS, help="Stop after S seconds.")
+        float, typer.Option(metavar="S", min=0.1, max=_MAX_SECONDS, help="Stop after S seconds.")
     ] = 600.0,
     grab: Annotated[bool, typer.Option("--grab", help="Keep the mouse's motion from the desktop meanwhile.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Log the reports of a mouse or trackball, for `spheremouse match`.
 
-    Time stamps are the kernel's, by the clock that frames are stamped with. The mouse goes on working. Where several
-    are there they are listed. Ends with Ctrl-C, after --seconds, or when the mouse is unplugged; what came until then
-    is in the file.
+    The kernel stamps them by the clock of the frames. The mouse goes on working. If several mice are connected, the
+    command lists them. The log ends with Ctrl-C, after --seconds, or when the mouse is unplugged, and is then complete.
     """
     from spheremouse.capture.mouse import Listener, choose, mice
     from spheremouse.capture.signals import SignalHandler
     from spheremouse.errors import SourceError
-    from spheremouse.files.mouse_log import MOST, LogFile
+    from spheremouse.files.mouse_log import MAX_REPORTS, LogFile
 
     if not sys.platform.startswith("linux"):
-        raise SourceError("log-mouse: reads the event devices of Linux; on other systems there are none")
+        raise SourceError("log-mouse: works on Linux alone, whose event devices it reads")
     mouse = choose(device, mice())
-    with SignalHandler() as stopping, Listener(mouse, grab) as listener:
+    with SignalHandler() as signals, Listener(mouse, grab) as listener:
         with LogFile(out, f"device {mouse.name}", force) as file:
             print(f"listening to {mouse}; move the ball, end with Ctrl-C", file=sys.stderr, flush=True)
             end = time.monotonic() + seconds
-            why = listener.listen(file.add, lambda: stopping.asked or time.monotonic() >= end or file.reports >= MOST)
-        if why:
-            print(f"{why}: the log ends there", file=sys.stderr)
-        if file.reports >= MOST:
-            print(f"that are {MOST} reports, the most that a log may have", file=sys.stderr)
+            problem = listener.listen(
+                file.add, lambda: signals.asked or time.monotonic() >= end or file.reports >= MAX_REPORTS
+            )
+        if problem:
+            print(f"{problem}: the log ends there", file=sys.stderr)
+        if file.reports >= MAX_REPORTS:
+            print(f"the log ends after {MAX_REPORTS} reports, the largest number", file=sys.stderr)
     x, y = file.counts
     print(f"{out}: {file.reports} reports in {file.last - (file.first or 0.0):.1f} s, {x} counts in x and {y} in y")
     if file.reports == 0:
         print(f"nothing moved it: is {mouse.name} the mouse that lies under the ball?")
     else:
-        print(f"next: spheremouse match RECORDING {_quoted(out)}")
-
-
-def _quoted(path: Path) -> str:
-    text = os.fspath(path)
-    return f"'{text}'" if " " in text else text
+        print(f"next: spheremouse match RECORDING {shlex.quote(str(out))}")

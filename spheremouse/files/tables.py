@@ -7,6 +7,7 @@ second, or for 50 discs in an hour.
 import csv
 import math
 from array import array
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -19,23 +20,34 @@ MOST_NUMBERS = 50_000_000  # in all columns that are read
 
 
 def read_columns(
-    path: Path, columns: tuple[str, ...], optional: tuple[str, ...] = (), most: int | None = None
+    path: Path,
+    columns: tuple[str, ...],
+    optional: tuple[str, ...] = (),
+    most: int | None = None,
+    defaults: Mapping[str, float] | None = None,
 ) -> dict[str, Array]:
     """Return the `columns` by name, each (n,), with nan for empty cells of the `optional` ones; skip all others.
 
-    Reading stops after `most` rows and one more. Raises DatasetError, with the line, if a cell is no number, a row has
-    another width than the header, or the table has too many rows.
+    A column of `defaults` may be missing and then has that value. Lines that begin with # are comments. Reading stops
+    after `most` rows and one more. Raises DatasetError, with the line, if a cell is no number, a row has another width
+    than the header, or the table has too many rows.
     """
     fit = MOST_NUMBERS // len(columns)
+    defaults = defaults or {}
+    count = 0
     try:
         with open_to_read(path) as file:
-            reader = csv.reader(lines(file))
-            header = next(reader, [])
-            missing = [c for c in columns if c not in header]
+            reader = csv.reader("\n" if line.startswith("#") else line for line in lines(file))
+            rows = filter(None, reader)
+            header = [name.strip() for name in next(rows, [])]
+            missing = [c for c in columns if c not in header and c not in defaults]
             if missing:
-                raise DatasetError(f"{path}, line 1: no column {', '.join(missing)}")
-            wanted = [(array("d"), header.index(c), c, c in optional) for c in columns]
-            for count, cells in enumerate(filter(None, reader)):
+                raise DatasetError(
+                    f"{path}, line {max(1, reader.line_num)}: no column {', '.join(missing)}; the table begins with "
+                    "a line of column names"
+                )
+            wanted = [(array("d"), header.index(c), c, c in optional) for c in columns if c in header]
+            for cells in rows:
                 if len(cells) != len(header):
                     raise DatasetError(
                         f"{path}, line {reader.line_num}: {len(cells)} cells under {len(header)} columns"
@@ -44,11 +56,13 @@ def read_columns(
                     raise DatasetError(f"{path}: more than {fit} rows; shorten the recording")
                 for kept, place, column, may_be_empty in wanted:
                     kept.append(_number(path, reader.line_num, column, cells[place], may_be_empty))
-                if count == most:
+                count += 1
+                if most is not None and count > most:
                     break
     except (OSError, UnicodeDecodeError, csv.Error) as e:
         raise DatasetError(f"{path}: cannot be read: {getattr(e, 'strerror', None) or e}") from None
-    return {c: np.frombuffer(kept) if kept else np.empty(0) for kept, _, c, _ in wanted}
+    table = {c: np.frombuffer(kept) if kept else np.empty(0) for kept, _, c, _ in wanted}
+    return {c: table[c] if c in table else np.full(count, defaults[c]) for c in columns}
 
 
 def _number(path: Path, line: int, column: str, text: str, may_be_empty: bool) -> float:

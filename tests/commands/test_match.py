@@ -70,13 +70,6 @@ def test_the_scale_is_found_and_written_as_a_configuration(spheremouse, film, lo
     motion = config.load(out, Configuration).motion
     np.testing.assert_allclose(motion.matrix(0.6)[:2], MATRIX, atol=5.0)
     assert motion.matrix(0.6)[2, 1] == pytest.approx(600.0, rel=1e-3)
-    # the same as options
-    words = next(line for line in said.splitlines() if line.startswith("as options: ")).split()
-    again = Configuration()
-    for word in words[3::2]:
-        again = config.override(again, word)
-    assert again.motion == motion
-    # not over what is there
     text = out.read_text()
     code, _, complaints = spheremouse("match", film, log, "--out", out)
     assert code == 2
@@ -85,24 +78,24 @@ def test_the_scale_is_found_and_written_as_a_configuration(spheremouse, film, lo
     assert spheremouse("match", film, log, "--out", out, "--force")[0] == 0
 
 
-def test_with_these_settings_there_is_nothing_left_to_set(spheremouse, film, log, tmp_path):
+def test_with_these_settings_there_is_nothing_to_set(spheremouse, film, log, tmp_path):
     out = tmp_path / "scale.yaml"
     assert spheremouse("match", film, log, "--out", out)[0] == 0
     code, said, _ = spheremouse("match", film, log, "--config", out)
     assert code == 0
-    assert "none, the settings are right already" in said
+    assert said.endswith("the settings are right already\n")
 
 
-def test_a_log_of_another_time_is_said_and_nothing_written(spheremouse, film, tmp_path):
+def test_a_log_of_another_time_writes_nothing(spheremouse, film, tmp_path):
     path, out = tmp_path / "other.csv", tmp_path / "scale.yaml"
     write_log(path, simulate_log(play(20.0, np.random.default_rng(77)).rate, 0.0, 20.0, Trackball(MATRIX)))
     code, said, _ = spheremouse("match", film, path, "--out", out)
     assert code == 1
-    assert "verdict: no lag stands out" in said
+    assert "verdict: the log follows the ball at no lag" in said
     assert not out.exists()
 
 
-def test_what_cannot_be_used_is_one_line_and_exit_code_2(spheremouse, film, log, tmp_path):
+def test_unusable_input_is_one_line_and_exit_code_2(spheremouse, film, log, tmp_path):
     empty = tmp_path / "empty.csv"
     seen = read_log(log)
     write_log(empty, MouseLog(seen.stamp, 0.0 * seen.counts, seen.wheel, seen.lost))
@@ -114,7 +107,7 @@ def test_what_cannot_be_used_is_one_line_and_exit_code_2(spheremouse, film, log,
     for words, what in (
         ((film, empty), f"{empty}: no motion in it"),
         ((film, short), f"{short}: has less than 3 s of motion in common"),
-        ((film, broken), f"{broken}:2: 2 cells under 3 columns"),
+        ((film, broken), f"{broken}, line 2: 2 cells under 3 columns"),
         ((film, tmp_path / "no.csv"), "no such file"),
         ((tmp_path / "no", log), "no such recording"),
         ((film / "video.mkv", log), "give its rig file with --rig"),
@@ -136,7 +129,7 @@ def test_a_video_with_a_table_of_stamps_is_as_good_as_the_dataset(spheremouse, f
     stamps.write_text("frame,t\n" + "".join(f"{k},{t + 500.0}\n" for k, t in enumerate(dataset.truth.stamp)))
     code, said, complaints = spheremouse("match", video, log, "--rig", rig, "--stamps", stamps)
     assert (code, complaints) == (0, "")
-    assert "the log's clock is not that of the frames: it is 499.983 s behind" in said
+    assert "the clock of the log is 499.983 s behind that of the frames" in said
     stamps.write_text("frame,t\n0,1.0\n")
     code, _, complaints = spheremouse("match", video, log, "--rig", rig, "--stamps", stamps, "--set", "pose.frames=2")
     assert code == 2

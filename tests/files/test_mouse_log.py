@@ -70,25 +70,25 @@ def test_what_is_written_is_read(tmp_path_factory, rows):
 
 
 @pytest.mark.parametrize(
-    ("text", "line", "what"),
+    ("text", "place", "problem"),
     [
-        ("", 1, "empty; the first line is t,dx,dy,wheel,lost"),
-        ("# people\n\nt,dx\n1,2\n", 3, "no column dy"),
-        ("t,dx,dy\n1,2,3\n# so\n2,3\n", 4, "2 cells under 3 columns"),
-        ("t,dx,dy\n1,2,3\n0.5,1,1\n", 3, "t goes back, from 1.0 to 0.5 s"),
-        ("t,dx,dy\n1,2,x\n", 2, "dy: 'x' is not a number"),
-        ("t,dx,dy\n1,nan,3\n", 2, "dx: 'nan' is not a number"),
-        ("t,dx,dy\n1,1e300,3\n", 2, "dx: '1e300' is not a number"),
-        ("t,dx,dy\n1,2,3\n1e9,2,3\n", 3, "cut the log"),
+        ("", ", line 1: ", "no column t, dx, dy"),
+        ("# people\n\nt,dx\n1,2\n", ", line 3: ", "no column dy"),
+        ("t,dx,dy\n1,2,3\n# so\n2,3\n", ", line 4: ", "2 cells under 3 columns"),
+        ("t,dx,dy\n1,2,3\n0.5,1,1\n", ", report 2: ", "t goes back, from 1.0 to 0.5 s"),
+        ("t,dx,dy\n1,2,x\n", ", line 2: ", "dy: 'x' is not a number"),
+        ("t,dx,dy\n1,nan,3\n", ", line 2: ", "dx: 'nan' is not a number"),
+        ("t,dx,dy\n1,1e300,3\n", ", report 1: ", "a mouse cannot count beyond"),
+        ("t,dx,dy\n1,2,3\n1e9,2,3\n", ": ", "cut the log"),
     ],
 )
-def test_a_log_that_is_none_says_which_line(tmp_path, text, line, what):
+def test_an_invalid_log_is_rejected_with_its_place(tmp_path, text, place, problem):
     path = tmp_path / "log.csv"
     path.write_text(text)
     with pytest.raises(DatasetError) as error:
         read_log(path)
-    assert str(error.value).startswith(f"{path}:{line}: ")
-    assert what in str(error.value)
+    assert str(error.value).startswith(f"{path}{place}")
+    assert problem in str(error.value)
     assert "\n" not in str(error.value)
 
 
@@ -147,7 +147,7 @@ def test_one_is_chosen_by_path_or_name_or_because_there_is_no_other(sysfs, tmp_p
 
 def test_what_cannot_be_chosen_is_listed(sysfs):
     found = mice(sysfs, sysfs)
-    for wanted, what in ((None, "2 mice are there; say which"), ("x", "no mouse has that")):
+    for wanted, what in ((None, "2 mice are connected; choose one"), ("x", "no mouse has that")):
         with pytest.raises(SourceError, match=what) as error:
             choose(wanted, found)
         assert all(str(m) in str(error.value) for m in found)

@@ -130,7 +130,7 @@ def test_two_mice_are_listed(tmp_path):
         assert ended.returncode == 2
         assert "(Trackball A)" in ended.stderr
         assert "(Trackball B)" in ended.stderr
-        assert "say which with --device" in ended.stderr
+        assert "choose one with --device" in ended.stderr
         assert list(tmp_path.iterdir()) == []
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from experiments.kit.film import Film, film_of, options_of
 from spheremouse.ball.truth import Truth
 from spheremouse.evaluate.metrics import Run, pearson, surface_travel
-from spheremouse.evaluate.trackball.lag import travel
+from spheremouse.evaluate.trackball import CountPath
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.simulate.ball.film import prepare
@@ -89,7 +89,7 @@ def agreement(begin: Array, end: Array, moved: Array, mouse: MouseLog) -> Agreem
     `moved` (n, 2) mm of ball surface from `begin` to `end`, (n,) s. The log's counts in the same times are the
     reference: as speeds, since frames do not all take the same time.
     """
-    counts, dt = travel(mouse), (end - begin)[:, None]
+    counts, dt = CountPath.from_log(mouse), (end - begin)[:, None]
     speed = moved / dt
     best: Agreement | None = None
     for lag in np.arange(-_MOST, _MOST + 0.5 * _STEP, _STEP):
