@@ -1,6 +1,7 @@
 """The AVR firmware's protocol code, compiled here with cc, as an object: bytes in, bytes and mouse reports out."""
 
 import ctypes
+import functools
 import os
 import shutil
 import subprocess
@@ -46,6 +47,7 @@ def load(path: Path) -> ctypes.CDLL:
     return found
 
 
+@functools.cache
 def build() -> ctypes.CDLL:
     """Compile once."""
     with tempfile.TemporaryDirectory() as folder:

@@ -1,7 +1,6 @@
-"""A host and a board with a bad line between them and a clock that is turned by hand; `python -m tests.serial_world`.
+"""A host and a board with a bad line between them, at a simulated time; `python -m tests.serial_world`.
 
-The board is the firmware's own protocol.py, here under CPython; tests/output/serial/test_firmware.py puts
-MicroPython in its place.
+The board is the firmware's protocol.py under CPython; tests/output/serial/test_firmware.py runs it under MicroPython.
 """
 
 import argparse
@@ -19,7 +18,7 @@ PROTOCOL: Any = load_protocol()
 
 
 class Board:
-    """The firmware and a mouse that adds up."""
+    """The firmware, and a mouse that adds up its reports."""
 
     def __init__(self, fine: int = 0b101) -> None:
         self.moved, self.buttons, self.usb = [0, 0, 0, 0], 0, True
@@ -27,13 +26,13 @@ class Board:
         self.reset()
 
     def reset(self) -> None:
-        """Power off, power on."""
+        """Reset the board."""
         self.buttons = 0
         self.line, self.device = PROTOCOL.Line(), PROTOCOL.Device(PROTOCOL.SIMULATOR, b"world")
         self.device.set_multipliers(self._fine)
 
     def turn(self, data: bytes, now: int) -> bytes:
-        """What it answers to these bytes at `now` ms."""
+        """Return the answers to these bytes at `now` (ms)."""
         line, device, at = self.line, self.device, 0
         while at < len(data):
             at = line.take(data, at, len(data))
@@ -54,25 +53,31 @@ class Board:
 
 
 class Wire:
-    """One direction of the line, and what it does to bytes."""
+    """One direction of the line."""
 
-    def __init__(self, rng: np.random.Generator, damage: float = 0.0, lose: float = 0.0, twice: float = 0.0) -> None:
-        """Shares of bytes damaged, and of pieces that are lost or come twice."""
+    def __init__(
+        self, rng: np.random.Generator, damage: float = 0.0, lose: float = 0.0, twice: float = 0.0, delay: int = 0
+    ) -> None:
+        """Take the fractions of damaged bytes and of lost and repeated pieces, and the delay (ms)."""
         self.cut = False
-        self.held: bytes | None = None  # comes after the next piece
         self._rng, self._damage, self._lose, self._twice = rng, damage, lose, twice
+        self._delayed = [b""] * delay
         self._gaps: Iterator[int] = self._geometric()
-        self._sound = next(self._gaps) if damage else 0  # bytes until the next that is damaged
+        self._sound = next(self._gaps) if damage else 0  # bytes until the next damaged one
 
     def _geometric(self) -> Iterator[int]:
         while True:
             yield from (int(n) - 1 for n in self._rng.geometric(self._damage, 4096))
 
     def heal(self) -> None:
-        """Nothing more becomes of what it is given."""
+        """Damage and lose nothing more."""
         self.cut, self._damage, self._lose, self._twice = False, 0.0, 0.0, 0.0
 
     def __call__(self, data: bytes) -> bytes:
+        self._delayed.append(self._spoiled(data))
+        return self._delayed.pop(0)
+
+    def _spoiled(self, data: bytes) -> bytes:
         if not data or self.cut:
             return b""
         if self._lose and self._rng.random() < self._lose:
@@ -95,50 +100,54 @@ class Wire:
 class World:
     """Host, board and two wires; `step` is a millisecond."""
 
-    def __init__(self, board: Any, up: Wire, down: Wire, begin_ms: int = 0) -> None:
-        numbers = count(1)
+    def __init__(self, board: Any, up: Wire, down: Wire, begin_ms: int = 0, first_session: int = 1) -> None:
+        numbers = count(first_session)
         self.link = Link(lambda: next(numbers) * 0x01010101 & 0xFFFFFFFF or 1)
         self.board, self.up, self.down = board, up, down
         self.ms, self.given = begin_ms, [0, 0, 0, 0]
-        self._waiting, self.resets = b"", 0
-        self._first = self.link.opened(self.now)
+        self._answers, self.resets = b"", 0
+        self._first = self.link.port_opened(self.now)
 
     @property
     def now(self) -> float:
-        """s"""
+        """Time, s."""
         return self.ms / 1000.0
 
     def reset(self) -> None:
-        """The board's button."""
+        """Reset the board."""
         self.board.reset()
         self.resets += 1
 
+    def reopen(self) -> None:
+        """Close and open the port."""
+        self.link.port_closed(self.now)
+        self._first = self.link.port_opened(self.now)
+
     def give(self, counts: Any) -> None:
-        """One motion."""
+        """Add the counts of one motion."""
         for k, n in enumerate(counts):
             self.given[k] += int(n)
         self.link.add(counts, self.now)
 
-    def step(self, extra: bytes = b"", run: bool = True) -> None:
-        """A millisecond; `extra` bytes fall into the line; `run`: whether the host's program does."""
-        data = self.up(self._first) + extra
+    def step(self, noise: bytes = b"", run: bool = True) -> None:
+        """Let a millisecond pass, with `noise` on the line; if not `run`, the host's program stands still."""
+        data = self._first
         self._first = b""
-        if run:
-            while (frame := self.link.due(self.now)) is not None:
-                data += self.up(frame)
-        answer = self.board.turn(data, self.ms & 0x1FFFFFFF)
+        while run and (frame := self.link.next_frame(self.now)) is not None:
+            data += frame
+        answer = self.board.turn(self.up(data) + noise, self.ms & 0x1FFFFFFF)
         self.ms += 1
         if run:
-            self.link.receive(self._waiting, self.now)
-            self._waiting = b""
-        self._waiting += self.down(answer)
+            self.link.receive(self._answers, self.now)
+            self._answers = b""
+        self._answers += self.down(answer)
 
-    def settle(self, most: int = 2000) -> None:
-        """Let it come to rest, with a sound line and a tracker that says nothing new."""
+    def settle(self, max_ms: int = 2000) -> None:
+        """Let it come to rest on a healed line, without new counts."""
         self.up.heal()
         self.down.heal()
-        for _ in range(most):
-            self.link.alive(self.now)
+        for _ in range(max_ms):
+            self.link.keep_alive(self.now)
             self.step()
             if self.link.running and self.link.settled:
                 return
@@ -150,7 +159,7 @@ class World:
 
 
 def exchange(board: Any, motions: int, damage: float, seed: int = 0) -> World:
-    """Motions, one a millisecond and a frame each, over a line that damages a share of its bytes both ways."""
+    """Send motions, one a millisecond, over a line that damages a fraction of its bytes both ways."""
     rng = np.random.default_rng(seed)
     world = World(board, Wire(rng, damage), Wire(rng, damage))
     steps = rng.integers(-12, 13, (motions, 4)) + np.array([1, -1, 0, 0])  # drifts: the counters wrap
@@ -162,7 +171,7 @@ def exchange(board: Any, motions: int, damage: float, seed: int = 0) -> World:
 
 
 def main() -> None:
-    """A million motions, 1 % of the bytes damaged."""
+    """Send a million motions, with 1 % of the bytes damaged."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--motions", type=int, default=1_000_000)
     parser.add_argument("--damage", type=float, default=1.0, help="percent of bytes")

@@ -222,7 +222,7 @@ def test_names_that_a_user_gave_do_not_steer_roots_terminal(root, state, planted
 
 
 def append(path):
-    with text.begin(str(path), "# ours")[0] as file:
+    with text.open_log(str(path), "# ours")[0] as file:
         file.write("x")
 
 

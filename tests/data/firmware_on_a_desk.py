@@ -5,7 +5,7 @@ import json
 import sys
 
 from mouse import MOUSE, Mouse
-from protocol import CIRCUITPYTHON, Line, seal
+from protocol import CIRCUITPYTHON
 
 
 class Port:
@@ -112,26 +112,6 @@ def turn(text):
 def moved(text):
     """What the mouse has done so far."""
     return json.dumps(hid.moved)
-
-
-def taken(text):
-    """The contents of all whole frames in these bytes, as hex."""
-    line, data, found, at = Line(), bytes.fromhex(text), [], 0
-    while at < len(data):
-        at = line.take(data, at, len(data))
-        if line.length:
-            found.append(bytes(line.content[: line.length]).hex())
-    return json.dumps({"frames": found, "damaged": line.damaged})
-
-
-def sealed(text):
-    """A frame of this content (without CRC), with this number, as hex."""
-    asked = json.loads(text)
-    content = bytes.fromhex(asked["content"])
-    frame = bytearray(len(content) + 6)
-    frame[1 : 1 + len(content)] = content
-    seal(frame, asked["number"])
-    return json.dumps(frame.hex())
 
 
 def allocated(text):

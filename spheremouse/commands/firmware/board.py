@@ -1,4 +1,4 @@
-"""The board: its drive, what is on it, and what it answers at its port."""
+"""Examine a board: the files on its drive, and its answers at the serial port."""
 
 from pathlib import Path
 from typing import Any
@@ -6,19 +6,24 @@ from typing import Any
 from spheremouse.errors import OutputError
 from spheremouse.files.service import service_files
 from spheremouse.output.serial import Serial, firmware
-from spheremouse.output.serial.firmware import Drive, words
+from spheremouse.output.serial.firmware import Drive, format_version
 from spheremouse.output.serial.messages import Flags
 from spheremouse.output.serial.ports import find_board
 
-_BAD = 0.01  # share of frames that may come damaged before a line is called bad
+_MAX_DAMAGED = 0.01  # fraction of damaged frames on a good line
+BOOTSEL_STEPS = (
+    "hold BOOTSEL down while you plug the board in, copy CircuitPython's .uf2 file for your board "
+    "(https://circuitpython.org/downloads) to the drive RPI-RP2 or RP2350 that appears, and wait for the drive "
+    "CIRCUITPY"
+)
 
 
 class NoDriveError(OutputError):
     """No board's drive is mounted."""
 
 
-def board_at(path: Path | None) -> Drive:
-    """The board whose drive is at a path, or the only one there is; an OutputError says what to do where none is."""
+def select_drive(path: Path | None) -> Drive:
+    """Return the board whose drive is at a path, or the only board. Raise OutputError if there is none."""
     if path is not None:
         return firmware.read_drive(path)
     found = firmware.drives()
@@ -26,7 +31,7 @@ def board_at(path: Path | None) -> Drive:
         return found[0]
     if found:
         raise OutputError(f"several boards: {', '.join(str(d.path) for d in found)}; name one with --drive")
-    waiting = firmware.in_boot_loader()
+    waiting = firmware.boot_loader_drives()
     if waiting:
         raise NoDriveError(
             f"{waiting[0]}: a board without CircuitPython; copy its .uf2 file there "
@@ -34,29 +39,20 @@ def board_at(path: Path | None) -> Drive:
         )
     raise NoDriveError(
         "no drive CIRCUITPY is mounted; if the board has CircuitPython, mount its drive and name it with --drive, or "
-        f"take the jumper off pins 28 and 29 and plug it in again; if not, {how()}"
+        f"take the jumper off pins 28 and 29 and plug it in again; if not, {BOOTSEL_STEPS}"
     )
 
 
-def how() -> str:
-    """Put CircuitPython on a board, in words."""
-    return (
-        "hold BOOTSEL down while you plug the board in, copy CircuitPython's .uf2 file for your board "
-        "(https://circuitpython.org/downloads) to the drive RPI-RP2 or RP2350 that appears, and wait for the drive "
-        "CIRCUITPY"
-    )
-
-
-def too_old(board: Drive) -> str | None:
-    """The fault of a CircuitPython that does not run our program; None: it does."""
-    if board.circuitpython >= firmware.OLDEST:
+def unsupported_version(board: Drive) -> str | None:
+    """Return the problem of a CircuitPython that cannot run the firmware; None if it can."""
+    if board.circuitpython >= firmware.MIN_CIRCUITPYTHON:
         return None
-    found, least = (".".join(map(str, v)) for v in (board.circuitpython, firmware.OLDEST))
-    return f"CircuitPython {found} is too old; install {least} or newer: {how()}"
+    version, minimum = (".".join(map(str, v)) for v in (board.circuitpython, firmware.MIN_CIRCUITPYTHON))
+    return f"CircuitPython {version} is too old; install {minimum} or newer: {BOOTSEL_STEPS}"
 
 
-def what_stays(path: Path, others: list[str]) -> str | None:
-    """The fault that `--force` cannot mend; None: there is none."""
+def unremovable_file(path: Path, others: list[str]) -> str | None:
+    """Return the problem of a file that `--force` does not replace; None if there is none."""
     for name in others:
         if (path / name).is_dir():
             return f"{path / name}: is a folder, where a file has to be; move it away"
@@ -65,50 +61,49 @@ def what_stays(path: Path, others: list[str]) -> str | None:
     return None
 
 
-def look(board: Drive, ours: firmware.Version | None) -> tuple[dict[str, Any], str, list[str]]:
-    """What is on a board's drive, as figures and as a line, and what is wrong with that."""
+def examine_drive(board: Drive, ours: firmware.Version | None) -> tuple[dict[str, Any], str, list[str]]:
+    """Return the contents of a board's drive as figures and as a line, and its problems."""
     there, circuitpython = firmware.version_of(board.path), ".".join(map(str, board.circuitpython))
     found = {
         "path": str(board.path),
         "board": board.board,
         "circuitpython": circuitpython,
-        "version": words(there),
+        "version": format_version(there),
         "stale": firmware.stale(service_files(firmware.PICO), board.path),
     }
-    line = f"drive {board.path}: {board.board}, CircuitPython {circuitpython}, firmware {words(there)}"
-    return found, line, _wrong_with_drive(board, there, ours)
+    line = f"drive {board.path}: {board.board}, CircuitPython {circuitpython}, firmware {format_version(there)}"
+    return found, line, _drive_problems(board, there, ours)
 
 
-def _wrong_with_drive(board: Drive, there: firmware.Version | None, ours: firmware.Version | None) -> list[str]:
+def _drive_problems(board: Drive, there: firmware.Version | None, ours: firmware.Version | None) -> list[str]:
     source = service_files(firmware.PICO)
-    if fault := too_old(board):
-        return [fault]
+    if problem := unsupported_version(board):
+        return [problem]
     if others := firmware.foreign(source, board.path):
-        stays = what_stays(board.path, others)
         return [
-            stays
+            unremovable_file(board.path, others)
             or f"{', '.join(others)} on the drive belong to another program; save them and run "
             "`spheremouse firmware install --force`"
         ]
     if there is not None and ours is not None and there > ours:
-        return [f"firmware {words(there)} on the drive is newer than this program; update spheremouse"]
+        return [f"firmware {format_version(there)} on the drive is newer than this program; update spheremouse"]
     stale = firmware.stale(source, board.path)
     return [f"{', '.join(stale)} on the drive differ; run `spheremouse firmware install`"] if stale else []
 
 
-def wrong_version(runs: firmware.Version, ours: firmware.Version, kind: int) -> str:
-    """That another firmware runs than ours, and what to do on a board of that kind."""
+def other_version(runs: firmware.Version, ours: firmware.Version, kind: int) -> str:
+    """Return the problem and remedy of a board that runs another version of the firmware."""
     if runs > ours:
-        return f"firmware {words(runs)} runs, which is newer than this program; update spheremouse"
-    how = {
+        return f"firmware {format_version(runs)} runs, which is newer than this program; update spheremouse"
+    remedy = {
         1: "pull the board and plug it in again, or run `spheremouse firmware install`",
         2: "load the new one as docs/microcontroller.md says for the ATmega32U4 (make upload)",
     }.get(kind, "start it again")
-    return f"firmware {words(runs)} runs; {how}"
+    return f"firmware {format_version(runs)} runs; {remedy}"
 
 
-def ask(port: str, baud: int) -> tuple[Any, dict[str, Any], list[str]]:
-    """Identity of the board that answers, how it fares, and what is wrong with that."""
+def examine_port(port: str, baud: int) -> tuple[Any, dict[str, Any], list[str]]:
+    """Return the identity of the board that answers, its condition as figures, and its problems."""
     name = find_board() if port == "auto" else port
     output = Serial(lambda: name, baud, "none", lambda _: None)
     try:
@@ -117,16 +112,18 @@ def ask(port: str, baud: int) -> tuple[Any, dict[str, Any], list[str]]:
         output.close()
     if identity is None or status is None:
         raise OutputError(
-            f"serial: {name}: answers, but does not say how it fares: the line damages frames; use shorter wires, "
+            f"serial: {name}: answers HELLO, but not STATUS?: the line damages frames; use shorter wires, "
             "and see that GND is connected"
         )
     wrong, takes = [], bool(status.flags & Flags.USB_READY)
     if not takes:
         wrong.append("no computer takes its mouse; plug the board into the game's computer, or wake that up")
-    if status.damaged > _BAD * (status.frames + status.damaged) + 2:  # the first on a line may be
+    if (
+        status.damaged > _MAX_DAMAGED * (status.frames + status.damaged) + 2
+    ):  # the first frames on a line may be damaged
         wrong.append(
             f"{status.damaged} damaged frames beside {status.frames} whole ones; use shorter wires, see that GND is "
-            "connected, and plug the board in again to count anew"
+            "connected, and plug the board in again to reset the count"
         )
     state = (
         f"up {status.uptime} s, its mouse is {'taken' if takes else 'not taken'}; "
@@ -135,7 +132,7 @@ def ask(port: str, baud: int) -> tuple[Any, dict[str, Any], list[str]]:
     )
     found = {
         "port": name,
-        "firmware": words(identity.firmware),
+        "firmware": format_version(identity.firmware),
         "board": identity.board,
         "kind": identity.kind,
         "state": state,

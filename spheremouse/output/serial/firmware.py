@@ -1,6 +1,6 @@
-"""The firmware of boards that are the mouse: where its files are, what version they have, and a board's USB drive.
+"""The firmware's files, their version, and the USB drive of a board with CircuitPython.
 
-CircuitPython shows itself as a drive with a file boot_out.txt, whose first line names version and board.
+CircuitPython appears as a drive with a file boot_out.txt, whose first line names version and board.
 """
 
 import contextlib
@@ -17,15 +17,14 @@ from spheremouse.files.atomic import replace
 from spheremouse.files.service import service_files
 
 PICO = "firmware/pico"  # in `service/`
-FILES = ("boot.py", "mouse.py", "protocol.py", "code.py")  # code.py last: the board runs it when it changes
-MARK = "boot_out.txt"
-BOOT_LOADER = "INFO_UF2.TXT"
-OLDEST = (9, 0)  # CircuitPython
-_FIRST = b"# spheremouse firmware"  # of each of our files
-_INSTEAD = ("code.txt", "boot.txt")  # that CircuitPython runs, or may run, in place of ours
+FILES = ("boot.py", "mouse.py", "protocol.py", "code.py")  # code.py last, because the board runs it when it changes
+MIN_CIRCUITPYTHON = (9, 0)
+_BOOT_OUT = "boot_out.txt"
+_BOOT_LOADER_INFO = "INFO_UF2.TXT"
+_FIRST_LINE = b"# spheremouse firmware"
+_ALTERNATIVES = ("code.txt", "boot.txt")  # CircuitPython may run them in place of code.py and boot.py
 _IDENTITY = re.compile(r"CircuitPython (\d+)\.(\d+)\S* on [^;]*; (.+)")
 _BOARD = re.compile(r"^Board ID:(\S+)", re.M)
-_UID = re.compile(r"^UID:(\S+)", re.M)
 _VERSION = re.compile(r"^FIRMWARE = \((\d+), (\d+), (\d+)\)", re.M)
 
 Version = tuple[int, int, int]
@@ -38,11 +37,10 @@ class Drive:
     path: Path
     circuitpython: tuple[int, int]
     board: str
-    serial_number: str | None  # as USB tells it, where boot_out.txt does
 
 
 def load_protocol() -> ModuleType:
-    """The board's own protocol.py as a module; it runs here too."""
+    """Return the board's protocol.py as a module, because it runs in CPython too."""
     spec = importlib.util.spec_from_file_location("spheremouse_firmware_protocol", service_files(PICO) / "protocol.py")
     assert spec is not None
     assert spec.loader is not None
@@ -52,13 +50,13 @@ def load_protocol() -> ModuleType:
 
 
 def version_of(path: Path) -> Version | None:
-    """The version that a folder's protocol.py has; None where there is none."""
+    """Return the version of a folder's protocol.py; None if there is none."""
     found = _VERSION.search((_bytes(path / "protocol.py") or b"").decode("utf-8", "replace"))
     return None if found is None else (int(found[1]), int(found[2]), int(found[3]))
 
 
-def words(version: Version | None) -> str:
-    """1.2.3."""
+def format_version(version: Version | None) -> str:
+    """Return a version as in 1.2.3."""
     return "none" if version is None else ".".join(map(str, version))
 
 
@@ -66,47 +64,47 @@ def words(version: Version | None) -> str:
 
 
 def read_drive(path: Path) -> Drive:
-    """The board of a drive, as the drive's files tell."""
-    told = _bytes(path / MARK)
-    if told is None:
-        if (path / BOOT_LOADER).exists():
+    """Return the board of a drive, from the drive's files."""
+    boot_out = _bytes(path / _BOOT_OUT)
+    if boot_out is None:
+        if (path / _BOOT_LOADER_INFO).exists():
             raise OutputError(
                 f"{path}: this is the boot loader; copy CircuitPython's .uf2 file for your board there "
                 "(https://circuitpython.org/downloads), and name the drive CIRCUITPY that comes then"
             )
         raise OutputError(
-            f"{path}: no {MARK} in it, so this is no board with CircuitPython; name the drive called CIRCUITPY"
+            f"{path}: no {_BOOT_OUT} in it, so this is no board with CircuitPython; name the drive called CIRCUITPY"
         )
-    text = "\n".join(map(printable, told.decode("utf-8", "replace").splitlines()))
+    text = "\n".join(map(printable, boot_out.decode("utf-8", "replace").splitlines()))
     found = _IDENTITY.search(text)
     if found is None:
-        raise OutputError(f"{path / MARK}: says nothing of CircuitPython; install CircuitPython on the board first")
-    board, uid = _BOARD.search(text), _UID.search(text)
-    return Drive(path, (int(found[1]), int(found[2])), board[1] if board else found[3].strip(), uid[1] if uid else None)
+        raise OutputError(f"{path / _BOOT_OUT}: does not name CircuitPython; install CircuitPython on the board first")
+    board = _BOARD.search(text)
+    return Drive(path, (int(found[1]), int(found[2])), board[1] if board else found[3].strip())
 
 
 def drives() -> list[Drive]:
-    """Boards' drives that this system has mounted."""
+    """Return the mounted drives of boards with CircuitPython."""
     found = []
-    for path in _mounts():
+    for path in mounted_folders():
         with contextlib.suppress(OutputError, OSError):
-            if (path / MARK).is_file():
+            if (path / _BOOT_OUT).is_file():
                 found.append(read_drive(path))
     return found
 
 
-def in_boot_loader() -> list[Path]:
-    """Drives of boards that wait for an operating system: RP2040's boot loader shows INFO_UF2.TXT."""
+def boot_loader_drives() -> list[Path]:
+    """Return the drives of boards without CircuitPython: RP2040's boot loader shows INFO_UF2.TXT."""
     found = []
-    for path in _mounts():
+    for path in mounted_folders():
         with contextlib.suppress(OSError):
-            if (path / BOOT_LOADER).is_file() and not (path / MARK).exists():
+            if (path / _BOOT_LOADER_INFO).is_file() and not (path / _BOOT_OUT).exists():
                 found.append(path)
     return found
 
 
-def _mounts() -> Iterator[Path]:
-    """Folders below which drives are mounted, on each system."""
+def mounted_folders() -> Iterator[Path]:
+    """Yield the folders of mounted drives, on each system."""
     if os.name == "nt":
         yield from (Path(f"{letter}:\\") for letter in "DEFGHIJKLMNOPQRSTUVWXYZ")
         return
@@ -126,13 +124,13 @@ def _mounts() -> Iterator[Path]:
 
 
 def stale(source: Path, target: Path) -> list[str]:
-    """Files that are missing on the drive or differ."""
+    """Return the files that are missing on the drive or differ."""
     return [name for name in FILES if _bytes(target / name) != (source / name).read_bytes()]
 
 
 def foreign(source: Path, target: Path) -> list[str]:
-    """Programs of somebody else that installing would replace, or that would run in its place."""
-    others = [name for name in _INSTEAD if (target / name).exists()]
+    """Return files of another program that an installation would replace, or that would run in its place."""
+    others = [name for name in _ALTERNATIVES if (target / name).exists()]
     for name in FILES:
         there = _bytes(target / name)
         if (target / name).is_dir() or (there is not None and not _is_ours(there, (source / name).read_bytes())):
@@ -141,13 +139,13 @@ def foreign(source: Path, target: Path) -> list[str]:
 
 
 def _is_ours(there: bytes, here: bytes) -> bool:
-    """Of any version, or cut short when it was copied; or what nobody misses."""
-    fresh = (b'print("Hello World!")', b"import board")  # what CircuitPython brings
-    return there.startswith(_FIRST) or here.startswith(there.rstrip(b"\0")) or there.strip() in fresh
+    """Return True for any version of a file, for a copy that was cut short, and for CircuitPython's examples."""
+    fresh = (b'print("Hello World!")', b"import board")
+    return there.startswith(_FIRST_LINE) or here.startswith(there.rstrip(b"\0")) or there.strip() in fresh
 
 
 def copy(source: Path, target: Path, names: list[str]) -> None:
-    """Copy files so that each is the old or the new one, never half; read back what arrived."""
+    """Copy files atomically, and read them back."""
     for name in names:
         data = (source / name).read_bytes()
         try:
@@ -163,11 +161,11 @@ def copy(source: Path, target: Path, names: list[str]) -> None:
 
 
 def _sync(path: Path) -> None:
-    """Make a new name last; Windows does so by itself."""
+    """Write a new name to the disk; Windows does it by itself."""
     if os.name == "posix":
         handle = os.open(path, os.O_RDONLY)
         try:
-            with contextlib.suppress(OSError):  # not every file system can
+            with contextlib.suppress(OSError):  # some file systems cannot
                 os.fsync(handle)
         finally:
             os.close(handle)
@@ -175,6 +173,6 @@ def _sync(path: Path) -> None:
 
 def _bytes(path: Path) -> bytes | None:
     try:
-        return path.read_bytes() if path.is_file() else None  # a pipe on a drive would never end
+        return path.read_bytes() if path.is_file() else None  # reading a pipe would never end
     except OSError:
         return None

@@ -1,6 +1,6 @@
-"""The host's end of docs/protocol.md, without port, thread or clock: frames as dataclasses, and the link as a ledger.
+"""The host's end of docs/protocol.md without port, thread or clock: a ledger of counts, sessions and answers.
 
-Counts and bytes that came in, with the time in seconds, go in; bytes to send come out.
+Counts and received bytes go in with their time (s, of any monotonic clock). Frames to send come out.
 """
 
 from collections import deque
@@ -25,338 +25,319 @@ from spheremouse.output.serial.messages import (
     signed,
 )
 
-STEP = 1200  # counts: 600 per radian x 20 rad/s x SILENCE
-_REACH = STEP // 2  # between any two places that the board may have obeyed
-SILENCE = 0.1  # s
-AXES = ("X", "Y", "wheel", "pan")
+STEP_LIMIT = 1200  # counts: 600 per radian x 20 rad/s x SILENCE
+SILENCE = 0.1  # s without a MOTION, after which the device ends the session
+FAILURE_DELAY = 0.5  # s; a new session begins after 0.2 s without answers, and by then ten HELLOs were sent
 
-_KEEP = 0.02  # s between two MOTIONs: five chances before the device goes silent
-_REPEAT = 0.05  # s between two HELLOs
-_PATIENCE = 0.2  # s without an answer: twice the silence, after which the device has ended the session anyway
-_HANGS = 1.0  # s without a motion from the tracker: slower than any camera
-_BREAK = 1.0  # s after which counts are too late to be wanted
-# s without a session, or with a computer that takes nothing, after which that is a failure: without an answer a session
-# is begun anew after 0.2 s, and in 0.5 s there are ten HELLOs, each answered within milliseconds.
-STUCK = 0.5
-_AHEAD = 8  # frames unanswered: 13 ms of a line at 115200 baud
-_INSIST = 3 * 19 * 10  # bits: with more unanswered, a third of the line
-_FLYING = 64  # frames under way that are told apart
-_TIMES = 4096  # round trips remembered
-_REMEMBERED = 64  # sessions
+_MAX_SPREAD = STEP_LIMIT // 2  # counts between any two positions that the device may have obeyed
+_KEEP_ALIVE_INTERVAL = 0.02  # s between two MOTIONs: five chances before the device goes silent
+_HELLO_INTERVAL = 0.05  # s
+_ANSWER_TIMEOUT = 0.2  # s: twice the silence, after which the device has ended the session anyway
+_TRACKER_TIMEOUT = 1.0  # s without a report: slower than any camera
+_MAX_DELAY = 1.0  # s; later counts would make the pointer jump
+_MAX_UNANSWERED = 8  # frames: 13 ms of a line at 115200 baud
+_RETRY_BITS = 3 * 19 * 10  # with more unanswered frames, a third of the line's speed
+_MAX_IN_FLIGHT = 64  # frames whose send time is kept
+_ROUND_TRIPS = 4096  # the last ones are kept
 
 
-# ---- frames ----
+class _Targets:
+    """Interval on each axis of all positions that the device may have obeyed."""
 
+    def __init__(self, confirmed: Sequence[int]) -> None:
+        self._pending: deque[tuple[int, list[int], list[int]]] = deque()  # number, lowest, highest
+        self.low, self.high = list(confirmed), list(confirmed)
 
-# ---- the link ----
+    def nearest(self, total: Sequence[int]) -> list[int]:
+        """Return the next target: `total`, or as near to it as no step becomes too large, whatever is in flight."""
+        return [
+            min(max(t, high - _MAX_SPREAD), low + _MAX_SPREAD)
+            for t, low, high in zip(total, self.low, self.high, strict=True)
+        ]
+
+    def add(self, number: int, target: list[int]) -> None:
+        """Add the target of a MOTION."""
+        self._pending.append((number, target, target))
+        self.low, self.high = _hull([self.low, self.high, target])
+        if len(self._pending) > _MAX_IN_FLIGHT:  # join the two oldest
+            (_, *first), (newer, *second) = self._pending.popleft(), self._pending.popleft()
+            self._pending.appendleft((newer, *_hull([*first, *second])))
+
+    def acknowledge(self, number: int, confirmed: list[int]) -> None:
+        """Remove older targets than an answer's. The device may still be on the way to the answered one."""
+        while self._pending and signed(self._pending[0][0] - number) < 0:
+            self._pending.popleft()
+        if self._pending and self._pending[0] == (number, confirmed, confirmed):
+            self._pending.popleft()
+        self.low, self.high = _hull([confirmed, *(end for _, *ends in self._pending for end in ends)])
 
 
 class Link:
-    """Ledger of counts given, sent and passed on, over sessions, breaks and resets. Times in s of any steady clock."""
+    """Ledger of the counts that were submitted, sent and confirmed, over sessions, breaks and resets."""
 
-    def __init__(self, session: Callable[[], int], baud: int = 115200) -> None:
-        """`session` draws numbers that are not 0 and never come again."""
-        self._insist = _INSIST / baud  # s
+    def __init__(self, draw_session: Callable[[], int], baud: int = 115200) -> None:
+        """Take a function that returns session numbers: not 0, and never the same twice."""
         self.total, self.sent, self.confirmed = [0] * 4, [0] * 4, [0] * 4
         self.dropped = [0] * 4  # counts, with their signs
-        # At each reset of the board, what was sent and not confirmed, with its sign; and how far from it, at most, what
-        # arrived may be, either way.
-        self.unproven, self.uncertain = [0] * 4, [0] * 4
+        # At resets of the board: counts sent and not confirmed, and the largest error, either way, of taking them for
+        # confirmed.
+        self.written_off, self.uncertain = [0] * 4, [0] * 4
         self.buttons = 0
-        self.identity: Identity | None = None  # of the session that runs or ran last
+        self.identity: Identity | None = None  # of the current or last session
         self.status: Status | None = None
         self.ack: Ack | None = None
-        self.foreign: int | None = None  # version of a device that speaks another one
+        self.foreign_version: int | None = None  # of a device with another protocol
         self.running = False
-        self.broken: float | None = None  # s, since when nothing gets through; None: it does, for all that is known
-        self.heard = -np.inf  # s, last answer
+        self.blocked_since: float | None = None  # s; None: counts arrive, as far as is known
+        self.last_answer = -np.inf  # s
         self.sessions = self.motions = self.acks = 0
-        self.breaks = 0  # sessions that did not end by this end's own silence or word
-        self.notices: deque[str] = deque(maxlen=100)
-        self._draw = session
-        self._frames = Splitter()
-        self._asked = 0  # session; 0: none, there is no port
-        self._drawn: deque[int] = deque(maxlen=_REMEMBERED)  # sessions, the last one asked for
-        self._hello_at = 0.0
-        self._mine: Identity | None = None
-        self._heard_of: Ack | None = None  # the last one in this session
-        self._strayed = False  # has an answer shown that a HELLO from before has begun another?
-        self._base, self._acked = [0] * 4, [0] * 4
-        self._pressed = 0  # in the last MOTION
-        self._number, self._answered = 0, -1
-        self._moved = self._said = self._since = -np.inf  # s: last MOTION, last `add`, nothing confirmed since
-        self._flying: dict[int, float] = {}
-        self._targets: deque[tuple[int, list[int], list[int]]] = deque()  # number, from, to: where the board may go
-        self._lowest, self._highest = [0] * 4, [0] * 4  # of them, and of `confirmed`
-        self._times: deque[float] = deque(maxlen=_TIMES)
-        self._wants_status = self._wants_stop = False
+        self.breaks = 0  # sessions that the line or the device ended
+        self.notices: deque[str] = deque(maxlen=100)  # lines to log
+        self._draw_session, self._retry_interval = draw_session, _RETRY_BITS / baud
+        self._splitter = Splitter()
+        self._session = 0  # requested or current; 0: there is no port
+        self._hello_time = 0.0
+        self._base, self._acknowledged = [0] * 4, [0] * 4  # counts at the session's start, and counters of the last ACK
+        self._targets = _Targets(self.confirmed)
+        self._sent_buttons = 0
+        self._number, self._answered = 0, -1  # of the next frame, and of the last one answered
+        self._last_motion = self._last_report = self._unconfirmed_since = -np.inf  # s
+        self._in_flight: dict[int, float] = {}  # s, send time by number
+        self._round_trips: deque[float] = deque(maxlen=_ROUND_TRIPS)
+        self._status_requested = self._stop_requested = False
 
     # ---- from the tracker ----
 
     def add(self, counts: Sequence[int], now: float) -> None:
-        """Counts of x, y, wheel, pan."""
-        self._said = now
-        if self.total == self.confirmed:
-            self._since = now
+        """Add counts of x, y, wheel, pan."""
+        self._last_report = now
+        if self.settled:
+            self._unconfirmed_since = now
         for k, n in enumerate(counts):
             self.total[k] += int(n)
-        self._expire(now)
+        self._drop_old(now)
 
-    def alive(self, now: float) -> None:
-        """The tracker lives, though it has nothing to say."""
-        self._said = now
+    def keep_alive(self, now: float) -> None:
+        """Keep the session without a report."""
+        self._last_report = now
 
-    def give_up(self, now: float) -> None:
-        """Drop what has not got through; a session that runs is begun anew, so that the device drops it as well."""
+    def drop_waiting(self, now: float) -> None:
+        """Drop the counts that wait, and begin a new session, so that the device drops them as well."""
         if not self.settled:
             self._drop(self.sent)
-            self._since = -np.inf
+            self._unconfirmed_since = -np.inf
             if self.running:
                 self._begin(now)
 
-    def stuck(self, now: float) -> bool:
-        """Whether nothing gets through, and for longer than it takes to begin anew."""
-        return self.broken is not None and now - self.broken > STUCK
+    def has_failed(self, now: float) -> bool:
+        """Return True if nothing arrives for longer than a new session takes."""
+        return self.blocked_since is not None and now - self.blocked_since > FAILURE_DELAY
 
-    def ask_status(self) -> None:
-        """Ask the device for its STATUS."""
-        self._wants_status = True
+    def request_status(self) -> None:
+        """Send STATUS? next."""
+        self._status_requested = True
 
-    def stop(self) -> None:
-        """Have STOP sent; the session ends with it."""
-        self._wants_stop = self.running
+    def request_stop(self) -> None:
+        """Send STOP next, which ends the session."""
+        self._stop_requested = self.running
 
     # ---- from the port ----
 
-    def opened(self, now: float) -> bytes:
-        """A port is open, and nothing waits in it: what to send first."""
-        self._frames = Splitter()
+    def port_opened(self, now: float) -> bytes:
+        """Begin on a port without waiting bytes; return the bytes to send first."""
+        self._splitter = Splitter()
         self._begin(now)
         return b"\0"
 
-    def closed(self, now: float) -> None:
-        """The port is gone."""
+    def port_closed(self, now: float) -> None:
+        """End the session, because the port is gone."""
         self.breaks += self.running
-        self._ended(now)
-        self._asked = 0
+        self._end(now)
+        self._session = 0
 
     def receive(self, data: bytes, now: float) -> None:
-        """Take in bytes that the device sent."""
-        for frame in self._frames.take(data):
+        """Process bytes from the device."""
+        for frame in self._splitter.take(data):
             if frame.version != VERSION:
                 if frame.type == IDENTITY:
-                    self.foreign = frame.version
+                    self.foreign_version = frame.version
                 continue
-            self.heard = now
-            found = parse(frame)
-            if isinstance(found, Identity):
-                self._identified(found, now)
-            elif isinstance(found, Ack):
-                self._acknowledged(found, now)
-            elif isinstance(found, Status):
-                self.status = found
+            self.last_answer = now
+            message = parse(frame)
+            if isinstance(message, Identity):
+                self._on_identity(message, now)
+            elif isinstance(message, Ack):
+                self._on_ack(message, now)
+            elif isinstance(message, Status):
+                self.status = message
 
     # ---- to the port ----
 
-    def due(self, now: float) -> bytes | None:
-        """The next frame to send, if there is one now."""
-        self._expire(now)
+    def next_frame(self, now: float) -> bytes | None:
+        """Return the frame to send now; None if there is none."""
+        self._drop_old(now)
         if self.running:
-            if self._wants_stop:
-                self._wants_stop = False
-                self.running, self._asked = False, 0
-                return encode(STOP, self._next(now))
-            if self._unanswered and now - max(self.heard, min(self._flying.values(), default=now)) > _PATIENCE:
+            if self._stop_requested:
+                self._stop_requested = self.running = False
+                self._session = 0
+                return encode(STOP, self._take_number(now))
+            oldest = min(self._in_flight.values(), default=now)
+            if self._unanswered and now - max(self.last_answer, oldest) > _ANSWER_TIMEOUT:
                 self.breaks += 1
                 self._begin(now)
-            elif now - self._said < _HANGS and now - self._moved >= SILENCE:
-                self._begin(now)  # the device has gone silent
+            elif now - self._last_report < _TRACKER_TIMEOUT and now - self._last_motion >= SILENCE:
+                self._begin(now)  # the device has ended the session
         if not self.running:
-            if self._asked and now >= self._hello_at:
-                self._hello_at = now + _REPEAT
-                return hello(self._next(now), self._asked)
+            if self._session and now >= self._hello_time:
+                self._hello_time = now + _HELLO_INTERVAL
+                return hello(self._take_number(now), self._session)
             return None
-        if self._wants_status:
-            self._wants_status = False
-            return encode(ASK_STATUS, self._next(now))
-        if now - self._said >= _HANGS:
-            return None
-        target = self._target()
-        news = target != self.sent or self.buttons != self._pressed
-        wait = _KEEP if not news else self._insist if self._unanswered >= _AHEAD else 0.0
-        if now - self._moved < wait:
-            return None
-        self.sent, self._pressed, self._moved = target, self.buttons, now
-        self.motions += 1
-        self._targets.append((self._number, target, target))
-        self._lowest, self._highest = _hull([self._lowest, self._highest, target])
-        if len(self._targets) > _FLYING:  # two as one, that reaches as far as both
-            (_, *one), (number, *other) = self._targets.popleft(), self._targets.popleft()
-            self._targets.appendleft((number, *_hull([*one, *other])))
-        counters = [s - b for s, b in zip(target, self._base, strict=True)]
-        return motion(self._next(now), counters, self.buttons)
+        if self._status_requested:
+            self._status_requested = False
+            return encode(ASK_STATUS, self._take_number(now))
+        return self._next_motion(now)
 
-    def wake(self, now: float) -> float:
-        """Seconds until `due` may have something to say though nothing comes in."""
+    def _next_motion(self, now: float) -> bytes | None:
+        if now - self._last_report >= _TRACKER_TIMEOUT:
+            return None
+        target = self._targets.nearest(self.total)
+        if target == self.sent and self.buttons == self._sent_buttons:
+            interval = _KEEP_ALIVE_INTERVAL
+        else:
+            interval = self._retry_interval if self._unanswered >= _MAX_UNANSWERED else 0.0
+        if now - self._last_motion < interval:
+            return None
+        self.sent, self._sent_buttons, self._last_motion = target, self.buttons, now
+        self.motions += 1
+        self._targets.add(self._number, target)
+        counters = [s - b for s, b in zip(target, self._base, strict=True)]
+        return motion(self._take_number(now), counters, self.buttons)
+
+    def next_wait(self, now: float) -> float:
+        """Return the time (s) until `next_frame` may return a frame without new input."""
         if self.running:
-            wait = self._insist if self.total != self.sent and self._unanswered >= _AHEAD else _KEEP
-            return max(0.0, min(_KEEP, self._moved + wait - now)) if now - self._said < _HANGS else _KEEP
-        return max(0.0, min(_KEEP, self._hello_at - now)) if self._asked else _KEEP
+            busy = self.total != self.sent and self._unanswered >= _MAX_UNANSWERED
+            interval = self._retry_interval if busy else _KEEP_ALIVE_INTERVAL
+            left = self._last_motion + interval - now if now - self._last_report < _TRACKER_TIMEOUT else np.inf
+        else:
+            left = self._hello_time - now if self._session else np.inf
+        return max(0.0, min(_KEEP_ALIVE_INTERVAL, left))
 
     @property
     def settled(self) -> bool:
-        """Whether all that was given has been passed on."""
+        """True if all counts are confirmed or dropped."""
         return self.total == self.confirmed
 
     @property
     def waiting(self) -> list[int]:
-        """Counts that were given and neither passed on for all that is known, nor dropped."""
+        """Counts that were added and are neither confirmed nor dropped."""
         return [t - c for t, c in zip(self.total, self.confirmed, strict=True)]
 
     @property
     def damaged(self) -> int:
-        """Answers that came damaged since the port was opened."""
-        return self._frames.damaged
+        """Damaged answers since the port was opened."""
+        return self._splitter.damaged
 
     def round_trip(self, q: float) -> float:
-        """Quantile of the round-trip time of the last answers, s; NaN before the first."""
-        return float(np.quantile(self._times, q)) if self._times else float("nan")
+        """Return a quantile of the last round-trip times (s); NaN before the first answer."""
+        return float(np.quantile(self._round_trips, q)) if self._round_trips else float("nan")
 
-    # ---- within ----
+    # ---- sessions ----
 
     @property
     def _unanswered(self) -> int:
         return (self._number - 1 - self._answered) & 0xFFFF
 
-    def _target(self) -> list[int]:
-        """Target of the next MOTION: not far from anything that is under way, whichever of it the board has obeyed.
-
-        So no step is too large, and a board that is reset is nowhere farther from `sent` than that.
-        """
-        return [
-            min(max(t, high - _REACH), low + _REACH)
-            for t, low, high in zip(self.total, self._lowest, self._highest, strict=True)
-        ]
-
-    def _next(self, now: float) -> int:
+    def _take_number(self, now: float) -> int:
         number = self._number
         self._number = (number + 1) & 0xFFFF
-        self._flying[number] = now
-        while len(self._flying) > _FLYING:
-            del self._flying[next(iter(self._flying))]
+        self._in_flight[number] = now
+        while len(self._in_flight) > _MAX_IN_FLIGHT:
+            del self._in_flight[next(iter(self._in_flight))]
         return number
 
-    def _ended(self, now: float) -> None:
-        if self.running and self.broken is None:
-            self.broken = now
+    def _end(self, now: float) -> None:
+        if self.running and self.blocked_since is None:
+            self.blocked_since = now
         self.running = False
 
     def _begin(self, now: float) -> None:
-        """Ask for a new session; the number stays the same until it is answered."""
-        if self.running or not self._asked:
-            self._ended(now)
-            self._asked = self._draw()
-            self._drawn.append(self._asked)
-        self._hello_at = now
+        """Request a new session. Its number stays the same until the device answers."""
+        if self.running or not self._session:
+            self._end(now)
+            self._session = self._draw_session()
+        self._hello_time = now
 
-    def _identified(self, found: Identity, now: float) -> None:
-        if self.running and self._mine is not None and found.last == self._mine.session:
-            self._leave_for(found, now)
-        if self.running or not self._asked or found.session != self._asked:
+    def _on_identity(self, identity: Identity, now: float) -> None:
+        if self.running or not self._session or identity.session != self._session:
             return
-        mine, before = self._mine, self.confirmed
-        if mine is not None and found.last == mine.session and not self._strayed:
-            self._confirm(found.counters)
-        elif mine is not None and (found.first, found.last) != (mine.first, mine.last):
-            ours = found.last in self._drawn
-            self._write_off("begun anew by a frame from before" if ours else "started again")
-            if ours:  # it has obeyed us there
-                self._acked = [0] * 4
-                self._confirm(found.counters)
-        self._mine = self.identity = found
-        if now - self._since > _BREAK:
+        previous, before = self.identity, self.confirmed
+        if previous is not None and identity.last == previous.session:
+            self._confirm(identity.counters)
+        elif previous is not None and (identity.first, identity.last) != (previous.first, previous.last):
+            self._write_off()
+        self.identity = identity
+        if now - self._unconfirmed_since > _MAX_DELAY:
             self._drop(self.confirmed)
         if before != self.confirmed:
-            self._since = now
-        self.sent, self._base, self._acked = list(self.confirmed), list(self.confirmed), [0] * 4
-        self._flying.clear()
-        self._targets.clear()
-        self._lowest, self._highest = list(self.confirmed), list(self.confirmed)
-        self._answered, self._pressed, self._moved = (self._number - 1) & 0xFFFF, 0, now
-        self.running, self._strayed, self._heard_of = True, False, None
+            self._unconfirmed_since = now
+        self.sent, self._base, self._acknowledged = list(self.confirmed), list(self.confirmed), [0] * 4
+        self._targets = _Targets(self.confirmed)
+        self._in_flight.clear()
+        self._answered, self._sent_buttons, self._last_motion = (self._number - 1) & 0xFFFF, 0, now
+        self.running = True
         self.sessions += 1
 
-    def _leave_for(self, found: Identity, now: float) -> None:
-        """A HELLO from before has begun a session in place of ours; what the board does in it is ours as well."""
-        self._confirm(found.counters)
-        self._mine, self._acked = found, [0] * 4
-        self.breaks += 1
-        self._begin(now)
-
-    def _acknowledged(self, ack: Ack, now: float) -> None:
-        newer = 0 < (ack.number - self._answered) & 0xFFFF <= self._unanswered
-        if not self.running or not newer:  # one from before: what came since has said more
-            return
-        if self._heard_of is not None and self._implausible(ack, self._heard_of):
-            self._strayed = True
-            self.breaks += 1
-            self._begin(now)
-            return
-        self.ack = self._heard_of = ack
+    def _on_ack(self, ack: Ack, now: float) -> None:
+        if not self.running or not 0 < (ack.number - self._answered) & 0xFFFF <= self._unanswered:
+            return  # of an older frame than the last answered one
+        self.ack = ack
         self.acks += 1
         if ack.flags & Flags.RUNNING and ack.flags & Flags.USB_READY:
-            self.broken = None
-        elif self.broken is None:
-            self.broken = now
+            self.blocked_since = None
+        elif self.blocked_since is None:
+            self.blocked_since = now
         if not ack.flags & Flags.RUNNING:
             self.breaks += 1
             self._begin(now)
             return
-        if ack.number in self._flying:
-            self._times.append(now - self._flying[ack.number])
+        if ack.number in self._in_flight:
+            self._round_trips.append(now - self._in_flight[ack.number])
         self._answered = ack.number
-        for number in [n for n in self._flying if signed(n - ack.number) <= 0]:
-            del self._flying[number]
+        for number in [n for n in self._in_flight if signed(n - ack.number) <= 0]:
+            del self._in_flight[number]
         before = list(self.confirmed)
         self._confirm(ack.counters)
-        while self._targets and signed(self._targets[0][0] - ack.number) < 0:
-            self._targets.popleft()  # the newest that was answered may be due still
-        if self._targets and self._targets[0] == (ack.number, self.confirmed, self.confirmed):
-            self._targets.popleft()
-        self._lowest, self._highest = _hull([self.confirmed, *(t for _, *two in self._targets for t in two)])
+        self._targets.acknowledge(ack.number, self.confirmed)
         if before != self.confirmed or self.settled:
-            self._since = now
-
-    def _implausible(self, ack: Ack, before: Ack) -> bool:
-        """Has the board missed more frames than were sent? Then a HELLO from before has set its numbers back."""
-        return (ack.lost - before.lost) & 0xFFFF > (self._number - 1 - before.number) & 0xFFFF
+            self._unconfirmed_since = now
 
     def _confirm(self, counters: Sequence[int]) -> None:
-        self.confirmed = [c + signed(n - a) for c, n, a in zip(self.confirmed, counters, self._acked, strict=True)]
-        self._acked = list(counters)
+        self.confirmed = [
+            c + signed(n - a) for c, n, a in zip(self.confirmed, counters, self._acknowledged, strict=True)
+        ]
+        self._acknowledged = list(counters)
 
-    def _write_off(self, why: str) -> None:
-        """The board has forgotten where it was. What may have been passed on is not sent again."""
-        far = [max(s - a, b - s) for s, a, b in zip(self.sent, self._lowest, self._highest, strict=True)]
-        self.uncertain = [u + n for u, n in zip(self.uncertain, far, strict=True)]
-        self.unproven = [u + s - c for u, s, c in zip(self.unproven, self.sent, self.confirmed, strict=True)]
+    def _write_off(self) -> None:
+        """Take all sent counts for confirmed, because the board has lost its counters. Nothing is sent twice."""
+        bounds = zip(self.sent, self._targets.low, self._targets.high, strict=True)
+        errors = [max(s - low, high - s) for s, low, high in bounds]
+        self.uncertain = [u + n for u, n in zip(self.uncertain, errors, strict=True)]
+        self.written_off = [w + s - c for w, s, c in zip(self.written_off, self.sent, self.confirmed, strict=True)]
         self.confirmed = list(self.sent)
-        self.notices.append(f"the board was {why}" + (f"; {_several(far)} uncertain" if any(far) else ""))
+        total = sum(errors)
+        counts = f"; {total} count{'s' if total != 1 else ''} uncertain" if total else ""
+        self.notices.append(f"the board was started again{counts}")
 
-    def _expire(self, now: float) -> None:
-        if not self.settled and now - self._since > _BREAK:
+    def _drop_old(self, now: float) -> None:
+        if not self.settled and now - self._unconfirmed_since > _MAX_DELAY:
             self._drop(self.sent)
 
     def _drop(self, keep: Sequence[int]) -> None:
-        self.dropped = [d + t - s for d, t, s in zip(self.dropped, self.total, keep, strict=True)]
+        self.dropped = [d + t - k for d, t, k in zip(self.dropped, self.total, keep, strict=True)]
         self.total = list(keep)
 
 
 def _hull(points: Sequence[Sequence[int]]) -> tuple[list[int], list[int]]:
-    """The lowest and the highest of each axis."""
+    """Return the lowest and the highest value on each axis."""
     return [min(axis) for axis in zip(*points, strict=True)], [max(axis) for axis in zip(*points, strict=True)]
-
-
-def _several(counts: Sequence[int]) -> str:
-    n = sum(map(abs, counts))
-    return f"{n} count{'s' if n != 1 else ''}"

@@ -1,4 +1,4 @@
-"""Frames of the serial protocol: bytes in and out."""
+"""Frames of the serial protocol (docs/protocol.md): bytes in and out."""
 
 import struct
 import zlib
@@ -11,16 +11,18 @@ from cobs import cobs
 VERSION = 1
 HELLO, MOTION, ASK_STATUS, STOP = 0x01, 0x02, 0x03, 0x04
 IDENTITY, ACK, STATUS = 0x81, 0x82, 0x83
-MOST = 64  # bytes of a frame's content
-KINDS = {1: "CircuitPython", 2: "AVR", 3: "simulator"}
+BODY_BYTES = {HELLO: 4, MOTION: 9, ASK_STATUS: 0, STOP: 0, IDENTITY: 44, ACK: 15, STATUS: 26}
+MAX_CONTENT_BYTES = 64
+FIRMWARE_KINDS = {1: "CircuitPython", 2: "AVR", 3: "simulator"}
 _HEADER, _CRC = struct.Struct("<BBH"), struct.Struct("<I")
 _MOTION, _ACK = struct.Struct("<4HB"), struct.Struct("<H4HBHH")
 _IDENTITY, _STATUS = struct.Struct("<II4HIHH3BB16s"), struct.Struct("<IIIHHHIHBB")
-_BODY = {HELLO: 4, MOTION: 9, ASK_STATUS: 0, STOP: 0, IDENTITY: 44, ACK: 15, STATUS: 26}
+
+Counters = tuple[int, int, int, int]  # x, y, wheel, pan, modulo 2^16
 
 
 class Flags(IntFlag):
-    """Of ACK and STATUS."""
+    """Flags of ACK and STATUS."""
 
     RUNNING = 0x01
     TOO_LARGE = 0x02
@@ -31,7 +33,7 @@ class Flags(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A frame that came whole."""
+    """An undamaged frame."""
 
     version: int
     type: int
@@ -41,12 +43,12 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """A device's answer on its kind, version and number."""
+    """A device's kind, version and sessions."""
 
     session: int
     last: int  # session that ended before; 0: none
-    counters: tuple[int, int, int, int]  # passed on in it, modulo 2^16
-    first: int  # session since the device was started
+    counters: Counters  # passed on in the last session
+    first: int  # session since the device's start
     step: int  # counts
     silence: int  # ms
     firmware: tuple[int, int, int]
@@ -55,15 +57,15 @@ class Identity:
 
     def __str__(self) -> str:
         version = ".".join(map(str, self.firmware))
-        return f"firmware {version} ({KINDS.get(self.kind, f'kind {self.kind}')}) on {self.board}"
+        return f"firmware {version} ({FIRMWARE_KINDS.get(self.kind, f'kind {self.kind}')}) on {self.board}"
 
 
 @dataclass(frozen=True, slots=True)
 class Ack:
-    """A device's account of the counts it has passed on."""
+    """A device's counters: the counts that it has passed on."""
 
     number: int
-    counters: tuple[int, int, int, int]  # modulo 2^16
+    counters: Counters
     flags: Flags
     refused: int
     lost: int
@@ -71,7 +73,7 @@ class Ack:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """A device's condition and counters."""
+    """A device's condition and totals."""
 
     session: int
     uptime: int  # s
@@ -86,48 +88,49 @@ class Status:
 
 
 def encode(kind: int, number: int, body: bytes = b"", version: int = VERSION) -> bytes:
-    """A frame as it goes over the line, with the 0x00 at its end."""
+    """Return a frame's bytes on the line, with the 0x00 at its end."""
     content = _HEADER.pack(version, kind, number & 0xFFFF) + body
     return cobs.encode(content + _CRC.pack(zlib.crc32(content))) + b"\0"
 
 
 def hello(number: int, session: int) -> bytes:
-    """HELLO."""
+    """Return a HELLO."""
     return encode(HELLO, number, _CRC.pack(session))
 
 
 def motion(number: int, counters: Sequence[int], buttons: int) -> bytes:
-    """MOTION; counters may be any whole numbers."""
+    """Return a MOTION; `counters` are any whole numbers."""
     return encode(MOTION, number, _MOTION.pack(*(c & 0xFFFF for c in counters), buttons))
 
 
 def decode(coded: bytes) -> Frame | None:
-    """The frame that stands between two 0x00; None where it is damaged. Another version's length is not judged."""
+    """Return the frame between two 0x00; None if it is damaged. A frame of another version may have any length."""
     try:
         content = cobs.decode(coded)
     except cobs.DecodeError:
         return None
-    if not _HEADER.size + _CRC.size <= len(content) <= MOST:
+    if not _HEADER.size + _CRC.size <= len(content) <= MAX_CONTENT_BYTES:
         return None
     content, crc = content[: -_CRC.size], content[-_CRC.size :]
     version, kind, number = _HEADER.unpack_from(content)
     body = content[_HEADER.size :]
-    if _CRC.unpack(crc)[0] != zlib.crc32(content) or (version == VERSION and _BODY.get(kind) != len(body)):
+    if _CRC.unpack(crc)[0] != zlib.crc32(content) or (version == VERSION and BODY_BYTES.get(kind) != len(body)):
         return None
     return Frame(version, kind, number, body)
 
 
 def parse(frame: Frame) -> Identity | Ack | Status | None:
-    """The body of what a device sends; None for all else."""
+    """Return the message of a device; None if the frame is no such message."""
     if frame.version != VERSION:
         return None
     if frame.type == ACK:
-        number, *counters, flags, refused, lost = _ACK.unpack(frame.body)
-        return Ack(number, _four(counters), Flags(flags), refused, lost)
+        number, x, y, wheel, pan, flags, refused, lost = _ACK.unpack(frame.body)
+        return Ack(number, (x, y, wheel, pan), Flags(flags), refused, lost)
     if frame.type == IDENTITY:
-        session, last, *counters, first, step, silence, a, b, c, kind, board = _IDENTITY.unpack(frame.body)
+        session, last, x, y, wheel, pan, first, step, silence, *version, kind, board = _IDENTITY.unpack(frame.body)
         name = "".join(c if c.isprintable() else "?" for c in board.rstrip(b"\0").decode("ascii", "replace"))
-        return Identity(session, last, _four(counters), first, step, silence, (a, b, c), kind, name)
+        a, b, c = version
+        return Identity(session, last, (x, y, wheel, pan), first, step, silence, (a, b, c), kind, name)
     if frame.type == STATUS:
         session, uptime, whole, damaged, refused, lost, reports, errors, flags, buttons = _STATUS.unpack(frame.body)
         return Status(session, uptime, whole, damaged, refused, lost, reports, errors, Flags(flags), buttons)
@@ -135,14 +138,14 @@ def parse(frame: Frame) -> Identity | Ack | Status | None:
 
 
 class Splitter:
-    """Cuts what comes in at each 0x00; keeps no more than one frame."""
+    """Splits received bytes at each 0x00. It keeps the bytes of one frame at most."""
 
     def __init__(self) -> None:
         self.damaged = 0
         self._rest, self._too_long = b"", False
 
     def take(self, data: bytes) -> Iterator[Frame]:
-        """Frames that are whole now."""
+        """Yield the undamaged frames that end in `data`."""
         *ends, rest = (self._rest + data).split(b"\0")
         for coded in ends:
             if not coded and not self._too_long:
@@ -153,15 +156,10 @@ class Splitter:
                 self.damaged += 1
             else:
                 yield frame
-        self._too_long = self._too_long or len(rest) > MOST + 1
+        self._too_long = self._too_long or len(rest) > MAX_CONTENT_BYTES + 1
         self._rest = b"" if self._too_long else rest
 
 
 def signed(difference: int) -> int:
-    """A difference modulo 2^16 as a number from -32768 to 32767."""
+    """Return a difference modulo 2^16 as a number from -32768 to 32767."""
     return (difference + 0x8000 & 0xFFFF) - 0x8000
-
-
-def _four(values: Sequence[int]) -> tuple[int, int, int, int]:
-    a, b, c, d = values
-    return a, b, c, d

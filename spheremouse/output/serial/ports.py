@@ -1,4 +1,4 @@
-"""Serial ports, and which of them is a board of ours."""
+"""Serial ports, and the search for the port of a spheremouse board."""
 
 import contextlib
 import os
@@ -10,8 +10,8 @@ from spheremouse.errors import OutputError
 from spheremouse.output.serial.messages import VERSION
 
 PRODUCT = "spheremouse"
-CIRCUITPYTHON = (0x239A, 0x2E8A)  # USB vendors of its boards with RP2040 and RP2350: Adafruit, Raspberry Pi
-ADAPTERS = {  # USB vendor and product of chips that are nothing but a serial adapter
+CIRCUITPYTHON = (0x239A, 0x2E8A)  # USB vendors of boards with RP2040 and RP2350: Adafruit, Raspberry Pi
+ADAPTERS = {  # USB vendor and product of chips that are only a serial adapter
     (0x10C4, 0xEA60): "CP210x",
     (0x1A86, 0x7522): "CH340",
     (0x1A86, 0x7523): "CH340",
@@ -32,32 +32,32 @@ ADAPTERS = {  # USB vendor and product of chips that are nothing but a serial ad
 
 
 class PortGoneError(Exception):
-    """The port cannot be used any more."""
+    """The port does not work any more."""
 
 
 class Port:
-    """A serial port that never waits but to read."""
+    """A serial port. Only `read` and `write_all` wait."""
 
     def __init__(self, name: str, baud: int) -> None:
-        """Raises OutputError where it cannot be opened."""
+        """Open a port. Raise OutputError if it does not open."""
         import serial
 
         port = None
         try:
             port = serial.Serial(name, baud, timeout=0.0, write_timeout=0.0, exclusive=True)
             port.reset_input_buffer()
-        except Exception as e:  # termios.error, for one, is no OSError
+        except Exception as e:  # for example termios.error, which is no OSError
             with contextlib.suppress(Exception):
                 if port is not None:
                     port.close()
             raise OutputError(f"serial: {_refusal(name, e)}") from None
         with contextlib.suppress(Exception):
-            port.set_low_latency_mode(True)  # an FTDI chip holds answers back for 16 ms otherwise
+            port.set_low_latency_mode(True)  # otherwise an FTDI chip delays answers by 16 ms
         self._port, self.name = port, name
         self._posix = os.name == "posix"
 
     def read(self, timeout: float) -> bytes:
-        """Bytes that have come in; waits for `timeout` s at most."""
+        """Return the received bytes after at most `timeout` (s)."""
         try:
             if not self._posix:
                 return self._read_elsewhere(timeout)
@@ -73,7 +73,7 @@ class Port:
         return data
 
     def write(self, data: bytes) -> int:
-        """Bytes that were taken, without waiting."""
+        """Write without waiting; return the number of bytes that the system took."""
         try:
             return os.write(self._port.fileno(), data) if self._posix else int(self._port.write(data) or 0)
         except BlockingIOError:
@@ -81,15 +81,23 @@ class Port:
         except (OSError, ValueError, TypeError) as e:
             raise PortGoneError(_reason(e)) from None
 
+    def write_all(self, data: bytes, end: float) -> None:
+        """Write everything and wait until it is sent, until `end` (s, of `time.perf_counter`) at most."""
+        while data and time.perf_counter() < end:
+            data = data[self.write(data) :]
+            time.sleep(0.001 if data else 0.0)
+        while self.queued() and time.perf_counter() < end:
+            time.sleep(0.001)
+
     def queued(self) -> int:
-        """Bytes that the system has taken and not sent."""
+        """Return the number of bytes in the system's queue."""
         try:
             return int(self._port.out_waiting)
         except (OSError, ValueError, TypeError) as e:
             raise PortGoneError(_reason(e)) from None
 
     def close(self) -> None:
-        """Close it, whatever has become of it; what is still queued is not waited for."""
+        """Close the port, also a broken one. Bytes in the queue are dropped."""
         with contextlib.suppress(Exception):
             self._port.reset_output_buffer()
         with contextlib.suppress(Exception):
@@ -97,23 +105,23 @@ class Port:
 
     def _read_elsewhere(self, timeout: float) -> bytes:
         """Windows has no `select` for ports."""
-        until = time.perf_counter() + timeout
-        while not (waiting := self._port.in_waiting) and time.perf_counter() < until:
+        end = time.perf_counter() + timeout
+        while not (waiting := self._port.in_waiting) and time.perf_counter() < end:
             time.sleep(0.001)
         return self._port.read(waiting) if waiting else b""
 
 
 def find_board(identifier: str | None = None, ports: list[Any] | None = None, adapters: bool = True) -> str:
-    """The port of the board by its USB identity; `ports` as pyserial lists them.
+    """Return the port of the board with a USB serial number, or of the only board; `ports` as pyserial lists them.
 
-    Where none is ours, the only adapter there is, if `adapters` are allowed.
+    If no board is found and `adapters` are allowed, return the port of the only adapter.
     """
     ports = [p for p in (connected_ports() if ports is None else ports) if p.vid is not None]
-    boards = [board for board in _boards(ports) if _data_port(board) is not None]
+    boards = [board for board in _boards(ports) if _has_data_port(board)]
     if identifier is not None:
         found = [b for b in boards if b[-1].serial_number == identifier]
     else:
-        found = [b for b in boards if _is_ours(b)]
+        found = [b for b in boards if _is_spheremouse(b)]
         if not found and adapters:
             found = [b for b in boards if _id(b) in ADAPTERS]
     if len(found) == 1:
@@ -135,26 +143,26 @@ def find_board(identifier: str | None = None, ports: list[Any] | None = None, ad
 
 
 def connected_ports() -> list[Any]:
-    """All serial ports, as pyserial lists them."""
+    """Return all serial ports, as pyserial lists them."""
     from serial.tools import list_ports
 
     try:
         return list(list_ports.comports())
-    except (TypeError, ValueError, OSError):  # what it reads of a board that is just being unplugged is gone
+    except (TypeError, ValueError, OSError):  # a board that is just being unplugged has no description
         raise OutputError("serial:auto: ports are changing just now; try again") from None
 
 
 def _boards(ports: list[Any]) -> list[list[Any]]:
-    """The ports of each board, data ports last."""
+    """Return the ports of each board, data ports last."""
     found: dict[Any, list[Any]] = {}
-    for port in sorted(ports, key=_interface):
+    for port in sorted(ports, key=_console_first):
         place = (port.location or ("" if port.serial_number else port.device)).partition(":")[0]
         found.setdefault((port.vid, port.pid, port.serial_number, place), []).append(port)
     return list(found.values())
 
 
-def _interface(port: Any) -> tuple[int, str, int, str]:
-    """Data ports behind consoles: by the interface's name, else by its number, else by the port's name."""
+def _console_first(port: Any) -> tuple[int, str, int, str]:
+    """Sort data ports behind consoles: by the interface's name, else by its number, else by the port's name."""
     number = (port.location or "").rpartition(":")[2]
     return (int("CDC2" in (port.interface or "")), number, len(port.device), port.device)
 
@@ -163,28 +171,28 @@ def _id(board: list[Any]) -> tuple[int, int]:
     return board[-1].vid, board[-1].pid
 
 
-def _says_ours(board: list[Any]) -> bool:
+def _is_named(board: list[Any]) -> bool:
     return any(PRODUCT in f"{p.product} {p.serial_number}".lower() for p in board)
 
 
-def _is_ours(board: list[Any]) -> bool:
-    """By name; where the system tells none (Windows), CircuitPython with a data port, which is rare elsewhere."""
-    return _says_ours(board) or (len(board) == 2 and board[-1].vid in CIRCUITPYTHON and board[-1].product is None)
+def _is_spheremouse(board: list[Any]) -> bool:
+    """Recognise a board by name. Windows has no names; there it is CircuitPython with a data port, rare elsewhere."""
+    return _is_named(board) or (len(board) == 2 and board[-1].vid in CIRCUITPYTHON and board[-1].product is None)
 
 
-def _data_port(board: list[Any]) -> Any | None:
-    """Never CircuitPython's console: a Ctrl-C among the bytes of a frame would stop the program there."""
+def _has_data_port(board: list[Any]) -> bool:
+    """Return False for CircuitPython's console alone: a Ctrl-C in a frame's bytes would stop the program there."""
     port = board[-1]
     interface = port.interface or ""
     if "CDC2" in interface or _id(board) in ADAPTERS:
-        return port
+        return True
     if "CircuitPython CDC" in interface:
-        return None
-    alone = len(board) == 1 and port.vid in CIRCUITPYTHON and not _says_ours(board)
-    return None if alone else port
+        return False
+    return len(board) > 1 or port.vid not in CIRCUITPYTHON or _is_named(board)
 
 
-def foreign_text(version: int) -> str:
+def version_mismatch(version: int) -> str:
+    """Return the message about a board with another version of the protocol."""
     advice = (
         "update spheremouse"
         if version > VERSION
@@ -196,7 +204,7 @@ def foreign_text(version: int) -> str:
 def _refusal(name: str, error: Exception) -> str:
     number = getattr(error, "errno", None)
     if isinstance(error, FileNotFoundError) or number == 2:
-        return f"{name} does not exist; {_there()}"
+        return f"{name} does not exist; {_list_ports()}"
     if isinstance(error, PermissionError) or number == 13:
         return f"{name} may not be used; be in its group (dialout on Debian: sudo adduser $USER dialout), log in again"
     if number in (11, 16) or "exclusively lock" in str(error):
@@ -204,7 +212,7 @@ def _refusal(name: str, error: Exception) -> str:
     return f"{name} cannot be opened: {_reason(error)}"
 
 
-def _there() -> str:
+def _list_ports() -> str:
     try:
         names = [p.device for p in connected_ports()]
     except OutputError:
@@ -217,7 +225,8 @@ def _reason(error: Exception) -> str:
     return " ".join(text.split())
 
 
-def nobody(damaged: int) -> str:
+def no_answer(damaged: int) -> str:
+    """Return the message about a port without a valid answer, with the number of damaged ones."""
     if damaged:
         return (
             "something answers, but garbled; use shorter wires, see that GND is connected and that both ends have the "
@@ -230,4 +239,5 @@ def nobody(damaged: int) -> str:
 
 
 def example_port() -> str:
+    """Return a port's name as this system has it."""
     return "COM5" if os.name == "nt" else "/dev/ttyACM1"

@@ -12,7 +12,7 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
-from serial_world import Board, Wire, World, exchange
+from serial_world import Board, exchange
 from typer.testing import CliRunner
 
 from spheremouse.commands.firmware import app
@@ -20,7 +20,6 @@ from spheremouse.errors import OutputError
 from spheremouse.files.service import service_files
 from spheremouse.output.serial import firmware, messages
 from spheremouse.output.serial import link as host
-from spheremouse.output.serial.firmware import words
 
 HERE = Path(__file__).parents[2]
 PICO = service_files(firmware.PICO)
@@ -90,23 +89,6 @@ def test_it_is_micropython(micropython):
     assert micropython("version")[0] == "micropython"
 
 
-def test_micropython_makes_and_reads_the_hosts_bytes(micropython):
-    rng = np.random.default_rng(0)
-    stream, contents = b"", []
-    for k in range(200):
-        kind = int(rng.choice(sorted(messages._BODY)))
-        body = rng.integers(0, 256, messages._BODY[kind]).astype(np.uint8).tobytes()
-        body = bytes(b if rng.random() < 0.5 else 0 for b in body)
-        made = micropython("sealed", {"content": (bytes([1, kind, 0, 0]) + body).hex(), "number": 65_500 + k & 0xFFFF})
-        assert bytes.fromhex(made) == messages.encode(kind, 65_500 + k, body)
-        stream += rng.bytes(int(rng.integers(0, 90))) + b"\0" + bytes.fromhex(made)  # noise between
-        contents.append(body)
-    found = micropython("taken", stream.hex())
-    bodies = [bytes.fromhex(f)[4:-4] for f in found["frames"]]
-    assert bodies == contents
-    assert found["damaged"] > 100
-
-
 def test_micropython_and_cpython_answer_the_same_to_anything(micropython):
     """Frames, damage, cuts, floods and time that passes: byte by byte the same answers."""
     rng = np.random.default_rng(1)
@@ -141,22 +123,6 @@ def test_the_sum_arrives_through_micropython(micropython):
     world = exchange(MicroPythonBoard(micropython), 5000, 0.01)
     assert world.short == [0, 0, 0, 0]
     assert world.link.uncertain == [0, 0, 0, 0]
-
-
-def test_breaks_and_resets_under_micropython(micropython):
-    rng = np.random.default_rng(5)
-    world = World(MicroPythonBoard(micropython), Wire(rng, 0.002), Wire(rng, 0.002))
-    for k in range(1500):
-        world.give((3, 1, 2, 0))
-        world.up.cut = 300 < k < 480
-        if k in (800, 1100):
-            world.board.reset()
-        world.step()
-    world.settle()
-    short = np.array(world.short)
-    assert (short >= 0).all()
-    assert (short <= world.link.uncertain).all()
-    assert world.link.dropped == [0, 0, 0, 0]
 
 
 def test_the_loop_allocates_nothing(micropython):
@@ -250,12 +216,12 @@ def test_a_computer_that_asks_every_8_ms(mouse):
     hid = SimpleNamespace(get_last_received_report=lambda report_id: None, send_report=send_report)
     board = mouse.Mouse(1, b"", hid, port, None, None, SimpleNamespace(usb_connected=True))
     link = host.Link(iter(range(1, 100)).__next__)
-    came.extend(link.opened(0.0))
+    came.extend(link.port_opened(0.0))
     for ms in range(8000):
         if ms % 4 == 0 and ms < 7900:
             link.add((1, 0, 0, 0), ms / 1000)
             given.append(ms)
-        while (frame := link.due(ms / 1000)) is not None:
+        while (frame := link.next_frame(ms / 1000)) is not None:
             came.extend(frame)
         port.in_waiting = len(came)
         if clock.ms <= ms:  # its turn before is over
@@ -319,54 +285,6 @@ def test_the_light(mouse):
 
 # ---- the report descriptor ----
 
-INPUT, FEATURE = 8, 11
-
-
-def parsed(descriptor):
-    """Fields of a HID report descriptor, by USB's HID 1.11, section 6.2.2: written for this test alone."""
-    state, stack, usages, limits, depth, fields, place, at = {}, [], [], {}, [], [], {}, 0
-    while at < len(descriptor):
-        size = (0, 1, 2, 4)[descriptor[at] & 3]
-        kind, tag = descriptor[at] >> 2 & 3, descriptor[at] >> 4
-        data = descriptor[at + 1 : at + 1 + size]
-        value, signed = int.from_bytes(data, "little"), int.from_bytes(data, "little", signed=True)
-        at += 1 + size
-        if kind == 1:  # global
-            if tag == 10:
-                stack.append(dict(state))
-            elif tag == 11:
-                state = stack.pop()
-            else:
-                state[tag] = signed if tag in (1, 2, 3, 4, 5) else value
-        elif kind == 2:  # local
-            if tag == 0:
-                usages.append((state[0], value))
-            else:
-                limits[tag] = (state[0], value)
-        elif tag == 10:
-            depth.append((value, usages[0] if usages else None))
-            usages, limits = [], {}
-        elif tag == 12:
-            depth.pop()
-        else:
-            if 1 in limits:
-                usages = [(limits[1][0], u) for u in range(limits[1][1], limits[2][1] + 1)]
-            bits, number = state[7], state[9]
-            for k in range(number):
-                key = (tag, state.get(8, 0))
-                fields.append(
-                    SimpleNamespace(
-                        kind=tag, report=state.get(8, 0), at=place.get(key, 0), bits=bits, flags=value,
-                        usage=None if value & 1 else usages[min(k, len(usages) - 1)],
-                        logical=(state[1], state[2]), physical=(state.get(3, 0), state.get(4, 0)),
-                        within=tuple(depth),
-                    )
-                )  # fmt: skip
-                place[key] = place.get(key, 0) + bits
-            usages, limits = [], {}
-    assert depth == stack == []
-    return fields, place
-
 
 @pytest.fixture
 def mouse(monkeypatch):
@@ -386,62 +304,6 @@ def test_the_descriptor_is_that_of_the_page(mouse):
     told = re.findall(r"^((?:[0-9a-f]{2} ?)+)", table, re.M)
     assert bytes.fromhex("".join(told)) == mouse.DESCRIPTOR
     assert f"{len(mouse.DESCRIPTOR)} bytes; all" in page
-
-
-def test_the_descriptor_says_what_the_reports_hold(mouse):
-    fields, place = parsed(mouse.DESCRIPTOR)
-    assert place == {(INPUT, mouse.MOUSE): 8 * mouse.REPORT_LENGTH, (FEATURE, mouse.MULTIPLIERS): 8}
-    assert mouse.FEATURE_LENGTH == 1
-    values = [(f.usage, f.at, f.bits, f.flags, f.logical) for f in fields if f.kind == INPUT and f.usage]
-    buttons = [((9, 1 + k), k, 1, 2, (0, 1)) for k in range(5)]
-    axes = [(1, 0x30), (1, 0x31), (1, 0x38), (0x0C, 0x238)]  # X, Y, wheel, AC pan
-    assert values == buttons + [(u, 8 + 16 * k, 16, 6, (-32767, 32767)) for k, u in enumerate(axes)]
-    for f in fields:
-        if f.kind == INPUT and f.usage:
-            assert f.physical == (0, 0)
-            assert f.within[0] == (1, (1, 2))  # application: mouse
-            assert f.within[1] == (0, (1, 1))  # physical: pointer
-
-
-def test_each_multiplier_shares_a_collection_with_its_axis(mouse):
-    fields, _ = parsed(mouse.DESCRIPTOR)
-    multipliers = [f for f in fields if f.usage == (1, 0x48)]
-    assert [(f.kind, f.report, f.at, f.bits, f.flags) for f in multipliers] == [
-        (FEATURE, mouse.MULTIPLIERS, 0, 2, 2),
-        (FEATURE, mouse.MULTIPLIERS, 2, 2, 2),
-    ]
-    for f in multipliers:
-        assert (f.logical, f.physical) == ((0, 1), (1, 120))
-        assert f.within[-1][0] == 2  # logical
-    opened = [k for k in range(len(mouse.DESCRIPTOR) - 1) if mouse.DESCRIPTOR[k : k + 2] == b"\xa1\x02"]
-    closed = [mouse.DESCRIPTOR.index(b"\x81\x06\xc0", k) for k in opened]
-    pieces = [mouse.DESCRIPTOR[a:b] for a, b in zip(opened, closed, strict=True)]
-    assert [(b"\x09\x48" in p, b"\x09\x38" in p, b"\x0a\x38\x02" in p) for p in pieces] == [
-        (True, True, False),
-        (True, False, True),
-    ]
-
-
-def test_the_firmware_puts_values_where_the_descriptor_says(mouse):
-    fields, _ = parsed(mouse.DESCRIPTOR)
-    device, line = mouse.protocol.Device(1, b""), mouse.protocol.Line()
-    device.set_multipliers(0b0101)
-    device.usb_ready = True
-    for frame in (messages.hello(0, 5), messages.motion(1, (300, -301, 1000, -1001), 0b10001)):
-        line.take(frame, 0, len(frame))
-        device.handle(line, 0)
-    assert device.due()
-    whole = int.from_bytes(device.report, "little")
-    assert len(device.report) == mouse.REPORT_LENGTH
-    found = {}
-    for f in fields:
-        if f.kind == INPUT and f.usage:
-            raw = whole >> f.at & (1 << f.bits) - 1
-            found[f.usage] = raw - (1 << f.bits) if f.logical[0] < 0 and raw >> f.bits - 1 else raw
-    assert found == {
-        (9, 1): 1, (9, 2): 0, (9, 3): 0, (9, 4): 0, (9, 5): 1,
-        (1, 0x30): 300, (1, 0x31): -301, (1, 0x38): 1000, (0x0C, 0x238): -1001,
-    }  # fmt: skip
 
 
 # ---- boot.py and code.py, on stand-ins for CircuitPython's modules ----
@@ -601,44 +463,50 @@ def run(*arguments):
     return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
-def test_the_drive_says_what_it_is(drive):
-    found = firmware.read_drive(drive)
-    assert (found.circuitpython, found.board, found.serial_number) == ((9, 2), "raspberry_pi_pico", "E6616408432B8A2A")
+def refusal(*arguments):
+    result = run(*arguments)
+    assert isinstance(result.exception, OutputError)
+    assert "\n" not in str(result.exception)
+    return str(result.exception)
 
 
-def test_installing_and_again(drive):
+def check(drive):
+    """Exit code and output of a check of the drive alone."""
+    result = run("check", "--drive", drive, "--port", "none")
+    return result.exit_code, result.output
+
+
+def test_an_installation_and_another_one(drive):
     result = run("install", "--drive", drive)
     assert result.exit_code == 0, result.exception
     assert "firmware 1.0.0 in place of none on raspberry_pi_pico" in result.output
     assert "pull the board and plug it in again; then: spheremouse firmware check" in result.output
+    assert "GP0 and GP1" not in result.output
+    assert sorted(firmware.FILES) == sorted(p.name for p in PICO.glob("*.py"))
     for name in firmware.FILES:
         assert (drive / name).read_bytes() == (PICO / name).read_bytes()
     assert sorted(p.name for p in drive.iterdir()) == ["boot.py", "boot_out.txt", "code.py", "mouse.py", "protocol.py"]
     assert "has firmware 1.0.0 already" in run("install", "--drive", drive).output
-    result = run("check", "--drive", drive, "--port", "none")
-    assert result.exit_code == 0
-    assert "CircuitPython 9.2, firmware 1.0.0" in result.output
-    assert "whether it runs was not asked; next: spheremouse firmware check" in result.output
-
-
-def test_every_file_of_the_firmware_is_installed():
-    assert sorted(firmware.FILES) == sorted(p.name for p in PICO.glob("*.py"))
+    code, said = check(drive)
+    assert code == 0
+    assert "CircuitPython 9.2, firmware 1.0.0" in said
+    assert "to check the running firmware: spheremouse firmware check" in said
+    (drive / "boot_out.txt").write_text(BOOT_OUT.replace("raspberry_pi_pico", "adafruit_qtpy_rp2040"))
+    (drive / "mouse.py").unlink()
+    assert "it must have pins named GP0 and GP1" in run("install", "--drive", drive).output
 
 
 def test_an_older_firmware_is_replaced_and_check_sees_it(drive):
     run("install", "--drive", drive)
     new = (PICO / "protocol.py").read_text()
     (drive / "protocol.py").write_text(new.replace("FIRMWARE = (1, 0, 0)", "FIRMWARE = (0, 9, 1)"))
-    result = run("check", "--drive", drive, "--port", "none")
-    assert result.exit_code == 1
-    assert "firmware 0.9.1" in result.output
-    assert "protocol.py on the drive differ; run `spheremouse firmware install`" in result.output
+    code, said = check(drive)
+    assert code == 1
+    assert "firmware 0.9.1" in said
+    assert "protocol.py on the drive differ; run `spheremouse firmware install`" in said
     assert "1.0.0 in place of 0.9.1 on raspberry_pi_pico: protocol.py" in run("install", "--drive", drive).output
     (drive / "protocol.py").write_text(new.replace("FIRMWARE = (1, 0, 0)", "FIRMWARE = (1, 2, 0)"))
-    assert (
-        "1.2.0 on the drive is newer than this program; update spheremouse"
-        in run("check", "--drive", drive, "--port", "none").output
-    )
+    assert "1.2.0 on the drive is newer than this program; update spheremouse" in check(drive)[1]
     assert "newer than 1.0.0 of this program; update spheremouse, or go back with --force" in refusal(
         "install", "--drive", drive
     )
@@ -647,8 +515,7 @@ def test_an_older_firmware_is_replaced_and_check_sees_it(drive):
 
 @pytest.mark.parametrize("name", firmware.FILES)
 @pytest.mark.parametrize("left", [0, 5, 300, "zeros"])
-def test_a_copy_that_was_cut_short_is_ours(drive, name, left):
-    """The plug was pulled while it was written."""
+def test_a_copy_that_was_cut_short_is_replaced(drive, name, left):
     run("install", "--drive", drive)
     data = (PICO / name).read_bytes()
     (drive / name).write_bytes(bytes(len(data)) if left == "zeros" else data[:left] + bytes(64))
@@ -657,88 +524,68 @@ def test_a_copy_that_was_cut_short_is_ours(drive, name, left):
     assert (drive / name).read_bytes() == data
 
 
-def test_each_file_says_whose_it_is():
-    for name in firmware.FILES:
-        assert (PICO / name).read_bytes().startswith(firmware._FIRST + b"\n")
-
-
 def test_both_firmwares_have_the_version_that_check_compares_with():
     text = (service_files("firmware/avr") / "spheremouse" / "protocol.c").read_text()
-    assert f"FIRMWARE[3] = {{{words(firmware.version_of(PICO)).replace('.', ', ')}}}" in text
+    version = firmware.format_version(firmware.version_of(PICO)).replace(".", ", ")
+    assert f"FIRMWARE[3] = {{{version}}}" in text
 
 
-def test_what_stands_in_the_way_of_the_program(drive):
+def test_files_of_another_program_stay(drive):
+    (drive / "code.py").write_text("import my_keyboard\n")
+    assert "code.py of another program there; save them and use --force" in refusal("install", "--drive", drive)
+    assert (drive / "code.py").read_text() == "import my_keyboard\n"
+    assert not (drive / "boot.py").exists()
+    remedy = "code.py on the drive belong to another program; save them and run `spheremouse firmware install --force`"
+    assert remedy in check(drive)[1]
+    assert run("install", "--drive", drive, "--force").exit_code == 0
     (drive / "code.txt").write_text("print(1)")
     assert "code.txt: CircuitPython runs it in place of our program; move it away" in refusal(
         "install", "--drive", drive, "--force"
     )
     (drive / "code.txt").unlink()
+    (drive / "mouse.py").unlink()
     (drive / "mouse.py").mkdir()
     assert "mouse.py: is a folder, where a file has to be; move it away" in refusal("install", "--drive", drive)
-    assert "is a folder" in run("check", "--drive", drive, "--port", "none").output
+    assert "is a folder" in check(drive)[1]
 
 
-def test_boards_that_may_lack_pins_are_remarked_on(drive):
-    assert "GP0 and GP1" not in run("install", "--drive", drive).output
-    (drive / "boot_out.txt").write_text(BOOT_OUT.replace("raspberry_pi_pico", "adafruit_qtpy_rp2040"))
-    (drive / "mouse.py").unlink()
-    assert "it must have pins named GP0 and GP1" in run("install", "--drive", drive).output
-
-
-def test_another_program_is_not_overwritten_unasked(drive):
-    (drive / "code.py").write_text("import my_keyboard\n")
-    result = run("install", "--drive", drive)
-    assert isinstance(result.exception, OutputError)
-    assert "code.py of another program there; save them and use --force" in str(result.exception)
-    assert (drive / "code.py").read_text() == "import my_keyboard\n"
-    assert not (drive / "boot.py").exists()
-    result = run("check", "--drive", drive, "--port", "none")
-    assert "code.py on the drive belong to another program; save them and run `spheremouse firmware install --f" in (
-        result.output
-    )
-    assert run("install", "--drive", drive, "--force").exit_code == 0
-
-
-def refusal(*arguments):
-    result = run(*arguments)
-    assert isinstance(result.exception, OutputError)
-    assert "\n" not in str(result.exception)
-    return str(result.exception)
-
-
-def test_drives_that_are_none(drive, tmp_path, monkeypatch):
+def test_folders_that_are_no_drive_of_a_board(drive, tmp_path):
     assert "no boot_out.txt in it" in refusal("install", "--drive", tmp_path / "none")
     (drive / "boot_out.txt").write_text("Adafruit CircuitPython 7.3.3 on 2022-08-29; Raspberry Pi Pico with rp2040\n")
     assert "CircuitPython 7.3 is too old; install 9.0 or newer: hold BOOTSEL" in refusal("install", "--drive", drive)
-    result = run("check", "--drive", drive, "--port", "none")
-    assert result.exit_code == 1
-    assert "CircuitPython 7.3 is too old" in result.output
+    code, said = check(drive)
+    assert code == 1
+    assert "CircuitPython 7.3 is too old" in said
     (tmp_path / "INFO_UF2.TXT").write_text("UF2 Bootloader v3.0\n")
     (drive / "boot_out.txt").unlink()
     assert "this is the boot loader; copy CircuitPython's .uf2 file" in refusal("install", "--drive", tmp_path)
     (drive / "boot_out.txt").write_text("something else\n")
-    assert "says nothing of CircuitPython" in refusal("install", "--drive", drive)
-    monkeypatch.setattr(firmware, "_mounts", lambda: iter(()))
+    assert "does not name CircuitPython" in refusal("install", "--drive", drive)
+
+
+def test_the_drive_is_found_among_others(drive, tmp_path_factory, monkeypatch):
+    other, loader, second = (tmp_path_factory.mktemp(name) for name in ("other", "loader", "second"))
+    (loader / "INFO_UF2.TXT").write_text("UF2 Bootloader v3.0\n")
+    (second / "boot_out.txt").write_text(BOOT_OUT)
+
+    def mount(*paths):
+        monkeypatch.setattr(firmware, "mounted_folders", lambda: iter(paths))
+
+    mount(other, loader, drive)
+    assert [d.path for d in firmware.drives()] == [drive]
+    assert firmware.boot_loader_drives() == [loader]
+    mount(drive, second)
+    assert "several boards" in refusal("install")
+    mount(loader)
+    assert "a board without CircuitPython; copy its .uf2 file there" in refusal("install")
+    mount()
     said = refusal("install")
     assert "no drive CIRCUITPY is mounted; if the board has CircuitPython, mount its drive and name it with" in said
     assert "or take the jumper off pins 28 and 29" in said
     assert "if not, hold BOOTSEL down while you plug the board in" in said
 
 
-def test_the_drive_is_found_among_others(drive, tmp_path_factory, monkeypatch):
-    other, loader, second = (tmp_path_factory.mktemp(name) for name in ("other", "loader", "second"))
-    (loader / "INFO_UF2.TXT").write_text("UF2 Bootloader v3.0\n")
-    monkeypatch.setattr(firmware, "_mounts", lambda: iter((other, loader, drive)))
-    assert [d.path for d in firmware.drives()] == [drive]
-    assert firmware.in_boot_loader() == [loader]
-    (second / "boot_out.txt").write_text(BOOT_OUT)
-    monkeypatch.setattr(firmware, "_mounts", lambda: iter((drive, second)))
-    assert "several boards" in refusal("install")
-    monkeypatch.setattr(firmware, "_mounts", lambda: iter((loader,)))
-    assert "a board without CircuitPython; copy its .uf2 file there" in refusal("install")
-
-
-def test_a_drive_that_breaks_keeps_the_old_or_the_new_file(drive, monkeypatch):
+def test_a_full_drive_keeps_the_old_file(drive, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
@@ -748,42 +595,43 @@ def test_a_drive_that_breaks_keeps_the_old_or_the_new_file(drive, monkeypatch):
     assert (drive / "code.py").read_text() == 'print("Hello World!")\n'
 
 
-def test_checking_over_the_port():
+# ---- the port ----
+
+
+@pytest.fixture
+def simulated():
+    """The class of simulated boards."""
     pytest.importorskip("pty")
     from spheremouse.output.serial.simulator import Simulator
 
-    with Simulator() as simulator:
-        result = run("check", "--port", simulator.port, "--json", "-")
+    return Simulator
+
+
+def test_a_check_over_the_port(simulated, drive, tmp_path):
+    with simulated() as board:
+        result = run("check", "--port", board.port, "--json", "-")
         assert result.exit_code == 0, result.exception
         found = json.loads(result.output)
         assert found["port"]["firmware"] == found["here"] == "1.0.0"
-        assert found["port"]["board"] == "simulator"
-        assert found["wrong"] == []
-        assert "all is well" in run("check", "--port", simulator.port).output
-
-
-def test_a_board_whose_computer_sleeps_is_not_all_well(tmp_path):
-    pytest.importorskip("pty")
-    from spheremouse.output.serial.simulator import Simulator
-
-    with Simulator() as simulator:
-        simulator.awake = False
-        result = run("check", "--port", simulator.port, "--json", tmp_path / "found.json")
+        assert (found["port"]["board"], found["wrong"]) == ("simulator", [])
+        assert "all is well" in run("check", "--port", board.port).output
+        board.awake = False
+        result = run("check", "--port", board.port, "--json", tmp_path / "found.json")
     assert result.exit_code == 1
     assert "plug the board into the game's computer, or wake that up" in result.output
-    assert "all is well" not in result.output
     assert json.loads((tmp_path / "found.json").read_text())["wrong"]
     assert "there already" in str(run("check", "--port", "none", "--json", tmp_path / "found.json").exception)
+    run("install", "--drive", drive)
+    result = run("check", "--drive", drive, "--port", tmp_path / "none")
+    assert result.exit_code == 1
+    assert "if the firmware has just been copied, pull the board and plug it in again" in result.output
 
 
-def test_checking_over_a_bad_line():
-    """One frame that is lost is no reason to give up; many are a reason to say so."""
-    pytest.importorskip("pty")
-    from spheremouse.output.serial.simulator import Simulator
-
-    with Simulator(damage=0.02, seed=2) as simulator:
+def test_a_check_over_a_bad_line(simulated):
+    """It repeats a question whose answer is lost, and reports many damaged frames."""
+    with simulated(damage=0.02, seed=2) as board:
         for _ in range(5):
-            result = run("check", "--port", simulator.port)
+            result = run("check", "--port", board.port)
             assert "frames," in result.output, result.exception
         assert result.exit_code == 1
         assert "use shorter wires, see that GND is connected" in result.output
@@ -795,30 +643,18 @@ def test_checking_over_a_bad_line():
         ((0, 9, 0), 1, "pull the board and plug it in again, or run `spheremouse firmware install`"),
         ((0, 9, 0), 2, "load the new one as docs/microcontroller.md says for the ATmega32U4"),
         ((1, 1, 0), 1, "newer than this program; update spheremouse"),
-        ((1, 1, 0), 2, "newer than this program; update spheremouse"),
     ],
 )
-def test_another_version_runs(runs, kind, advice):
-    pytest.importorskip("pty")
-    from spheremouse.output.serial.simulator import Simulator
-
+def test_another_version_runs(simulated, runs, kind, advice):
     protocol = firmware.load_protocol()
     protocol.FIRMWARE, protocol.SIMULATOR = runs, kind
-    with Simulator(protocol=protocol) as simulator:
-        result = run("check", "--port", simulator.port)
+    with simulated(protocol=protocol) as board:
+        result = run("check", "--port", board.port)
     assert result.exit_code == 1
     assert advice in result.output
 
 
-def test_a_board_that_was_not_plugged_in_anew(drive, tmp_path):
-    run("install", "--drive", drive)
-    result = run("check", "--drive", drive, "--port", tmp_path / "none")
-    assert result.exit_code == 1
-    assert "if the firmware has just been copied, pull the board and plug it in again" in result.output
-
-
-def test_the_simulator_ends_with_what_its_mouse_did(tmp_path):
-    pytest.importorskip("pty")
+def test_a_simulation_ends_with_the_sums_of_its_mouse(simulated, tmp_path):
     result = run("simulate", "--link", tmp_path / "board", "--seconds", "0.1")
     assert result.exit_code == 0, result.exception
     assert "a simulated board" in result.output
@@ -832,7 +668,7 @@ def test_the_simulator_ends_with_what_its_mouse_did(tmp_path):
     assert (tmp_path / "precious").is_symlink()
 
 
-def test_measuring_refuses_before_it_measures(tmp_path):
+def test_options_are_checked_first(tmp_path):
     result = run("measure", "--seconds", "3000", "--json", tmp_path / "none" / "x.json")
     assert "there is no folder" in str(result.exception)
     for command in (("measure",), ("simulate",), ("check", "--port", "x")):
@@ -840,7 +676,7 @@ def test_measuring_refuses_before_it_measures(tmp_path):
     assert "write a port's name, auto or none" in refusal("check", "--port", "")
 
 
-def test_a_measure_in_which_nothing_arrives_is_no_success(monkeypatch):
+def test_a_measurement_without_arrivals_fails(monkeypatch):
     from spheremouse.output.serial import Statistics, benchmark
 
     nothing = Statistics((float("nan"), float("nan")), 0, 0, 0, 0, 0, 0, 0, 0, 5)

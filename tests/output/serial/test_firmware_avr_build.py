@@ -177,17 +177,17 @@ def test_multipliers_are_kept_until_the_next_reset(computer):
 def play(computer, moves, damage=None, buttons=lambda n: 0, line=b"T", every=1):
     """The host's ledger at one end of the cable, the program at the other: a motion `every` ms. The link, at rest."""
     link = host.Link(SESSIONS.__next__)
-    waiting, n = link.opened(computer.now / 1000), 0
+    waiting, n = link.port_opened(computer.now / 1000), 0
     while n < len(moves) or not link.settled:
         assert n < len(moves) + 1000
         now = computer.now / 1000
         if n < len(moves):
             link.add(moves[n], now)
         else:
-            link.alive(now)
+            link.keep_alive(now)
         link.buttons = buttons(n)
         n += 1
-        while (frame := link.due(now)) is not None:
+        while (frame := link.next_frame(now)) is not None:
             waiting += frame
         said = computer.turn(every, damage(waiting) if damage else waiting, line)
         link.receive(damage(said) if damage else said, computer.now / 1000)
@@ -234,16 +234,6 @@ def test_two_computers_the_pins_at_115200_baud(computer):
     assert (link.sessions, link.damaged) == (1, 0)
     assert link.motions > 490  # 500 frames a second
     print(f"pins: {len(moves)} motions in {link.motions} frames, {link.acks} answers")
-
-
-def test_a_host_that_dies_leaves_no_button_down(computer):
-    play(computer, [(1, 0, 0, 0)] * 20, buttons=lambda n: 1 if n > 5 else 0)
-    assert computer.buttons == 1
-    computer.turn(80)
-    assert computer.buttons == 1
-    computer.turn(40)
-    assert computer.buttons == 0
-    assert computer.moved == [20, 0, 0, 0]
 
 
 def test_a_flood_and_a_computer_that_does_not_read(computer):
