@@ -23,9 +23,9 @@ from experiments.report.cells import (
     trials,
 )
 from experiments.report.frames import markdown, tidy
+from experiments.report.labels import End, label_ends, label_level
 from experiments.report.page import Page
 from experiments.report.plot import BOUND, Drawing
-from spheremouse.files.report.labels import End, label_ends, label_level
 
 _HIDDEN = ["discs", "ball", "sight", "cover", "filter", "hidden"]
 _WAITS = ["fps", "ball", "sight", "filter", "what", "ms", "frames"]
@@ -92,7 +92,7 @@ def _cover_figure(bare: pd.DataFrame) -> Drawing:
             colour, mark, dash = LOOK[who]
             right.plot(counts, over.loc[who]["median"], color=colour, marker=mark, linestyle=dash)
             right.plot(counts, over.loc[who]["min"], color=colour, linestyle=dash, linewidth=0.7)
-            labels.append(End(who, over.loc[who]["median"].iloc[-1], colour, counts[-1]))
+            labels.append(End(who, over.loc[who]["median"].iloc[-1], colour))
         right.set(xscale="log", xlabel="discs on the ball", title="median and worst cover", ylim=(0.0, 102.0))
         right.set_xticks(counts, [f"{n:g}" for n in counts])
         right.minorticks_off()
@@ -156,7 +156,7 @@ def _again_figure(bare: pd.DataFrame) -> Drawing:
                 waits = spread(shown[(shown["what"] == what) & (shown["filter"] == who)].groupby("fps")["ms"])
                 if len(waits):
                     banded(ax, waits.index * BESIDE[who], waits, look)
-                    ends.append(End(who, waits["median"].iloc[-1], look[0], rates[-1] * BESIDE[who]))
+                    ends.append(End(who, waits["median"].iloc[-1], look[0]))
             ax.axhline(never, color="0.5", **BOUND)
             label_level(ax, never, f"never (in {AFTER:g} s)")
             ax.set(yscale="log", ylim=(1.0, 2.2 * never), title=f"{what} right again")

@@ -10,9 +10,9 @@ from experiments.kit.film import TRACKERS
 from experiments.kit.job import Result, Results
 from experiments.light import SIGMAS, THESIS_24, WORST, decoded, key_of
 from experiments.report.frames import markdown, rms, tidy
+from experiments.report.labels import label_points
 from experiments.report.page import Page
 from experiments.report.plot import BOUND, THESIS, Drawing
-from spheremouse.files.report.labels import label_points
 
 LARGE = ("shown",)  # what the figures are drawn from
 _FILMS = {"s1": "S1, ours", "far26": "far26"}

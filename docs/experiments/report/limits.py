@@ -33,9 +33,9 @@ from experiments.report.cells import (
 )
 from experiments.report.covers import finding_again, hiding
 from experiments.report.frames import by, markdown, tidy
+from experiments.report.labels import End, label_ends, label_level
 from experiments.report.page import Page
 from experiments.report.plot import BOUND, Drawing
-from spheremouse.files.report.labels import End, label_ends, label_level
 from spheremouse.simulate.ball.film import default_scene
 
 _GENTLEST = ACCELERATIONS[0]  # rad/s²
@@ -129,11 +129,11 @@ def _speed_figure(rows: pd.DataFrame) -> Drawing:
                 reached = gentle[gentle["filter"] == who].set_index("fps")[column].clip(lower=least)
                 found = spread(reached.groupby("fps"))
                 banded(ax, found.index * BESIDE[who], found, look)
-                ends.append(End(who, found["median"].iloc[-1], look[0], rates[-1] * BESIDE[who]))
+                ends.append(End(who, found["median"].iloc[-1], look[0]))
             if column == "push":
                 between = [PUSH * fps for fps in rates]
                 ax.plot(rates, between, color="0.5", **BOUND)
-                ends.append(End("between\ntwo frames", between[-1], "0.5", rates[-1]))
+                ends.append(End("between\ntwo frames", between[-1], "0.5"))
             ax.axhline(most, color="0.5", **BOUND)
             label_level(ax, most, "all that was tried")
             ax.set(yscale="log", ylim=(least, 2.0 * most), title=label)
@@ -228,14 +228,14 @@ def _film_figure(rows: pd.DataFrame) -> Drawing:
             colour, mark, _ = LOOK[who]
             found = spread(usual[usual["filter"] == who].groupby("exposure")["rate"])
             banded(ax, range(len(exposures)), found, LOOK[who])
-            ends.append(End(who, found["median"].iloc[-1], colour, len(exposures) - 1))
+            ends.append(End(who, found["median"].iloc[-1], colour))
             others = shown[(shown["fps"] != _USUAL) & (shown["filter"] == who) & shown["exposure"].isin(exposures)]
             for _, (fps, e, rate) in others.groupby(["fps", "exposure"])["rate"].median().reset_index().iterrows():
                 x = place[e] + (0.12 if fps > _USUAL else -0.12)
                 ax.plot([x], [rate], color=colour, marker=mark, markerfacecolor="none", linestyle="")
         smeared = [(place[e], in_degrees(_width(1e-3 * e))) for e in exposures if e]
         ax.plot(*zip(*smeared, strict=True), color="0.5", **BOUND)
-        ends.append(End("smear: a disc's width", smeared[-1][1], "0.5", smeared[-1][0]))
+        ends.append(End("smear: a disc's width", smeared[-1][1], "0.5"))
         ax.axhline(in_degrees(LADDER[-1]), color="0.5", linewidth=0.6)
         ax.set(yscale="log", xlabel="exposure, ms", ylabel="highest rate followed, °/s", ylim=(30.0, 4000.0))
         ax.set_xticks(range(len(exposures)), [f"{e:g}" for e in exposures])

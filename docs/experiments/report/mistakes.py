@@ -23,9 +23,9 @@ from experiments.mistakes import (
 )
 from experiments.report.cells import COLOURS
 from experiments.report.frames import by, markdown, tidy
+from experiments.report.labels import End, label_ends
 from experiments.report.page import Page
 from experiments.report.plot import BOUND, Drawing, plain_numbers
-from spheremouse.files.report.labels import End, label_ends
 
 _WHO = (*TRACKERS, FREE)
 _LABELS = {
@@ -245,7 +245,7 @@ def _panel(
             ax.plot(points["size"], points["median"], color=look["color"], linestyle="", **mark)
         if span and who == "so3":
             ax.fill_between(line["size"], line["min"], line["max"], color=look["color"], alpha=0.13, linewidth=0)
-        ends.append(End(str(who), line["median"].iloc[-1], look["color"], line["size"].iloc[-1]))
+        ends.append(End(str(who), line["median"].iloc[-1], look["color"]))
     name, level = ("bound", f"bound.{quantity}") if quantity in ("attitude", "rate") else ("right rig", quantity)
     if right[level] > 0.0:
         ax.axhline(right[level], color="0.5", **BOUND)

@@ -13,9 +13,9 @@ from experiments.kit.job import Results
 from experiments.parameters import EXACT, SIGMA_B, SIGMA_W, key_of
 from experiments.parameters import THESIS as TYPED
 from experiments.report.frames import by, markdown, tidy
+from experiments.report.labels import label_level
 from experiments.report.page import MISSING, Page
 from experiments.report.plot import BOUND, THESIS, Drawing, plain_numbers
-from spheremouse.files.report.labels import label_level
 from spheremouse.simulate.ball.film import SimulationOptions
 
 _FILMS = {"r1": "R1-like", "s1": "S1, ours", "far26": "far26"}

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from experiments.kit.job import Results
 from experiments.places import DISCS, FAR, FOCAL, LENSES, NEAR_BEST, NOISE, TOP, Place, Size
 from experiments.report.frames import markdown, tidy
+from experiments.report.labels import label_points
 from experiments.report.page import Page
 from experiments.report.plot import BOUND, Drawing
-from spheremouse.files.report.labels import label_points
 
 _POSED = 3  # targets that make a pose
 _SPAN = 1.5  # times the least error: the least that colours tell apart

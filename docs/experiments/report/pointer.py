@@ -27,9 +27,9 @@ from experiments.pointer import (
 )
 from experiments.report.cells import banded, plain, rate_axis, spread, trials
 from experiments.report.frames import markdown, tidy
+from experiments.report.labels import End, label_ends, label_level
 from experiments.report.page import Page
 from experiments.report.plot import BOUND, Drawing
-from spheremouse.files.report.labels import End, label_ends, label_level
 from spheremouse.output.pointer import PointerSettings
 
 _LOOK: dict[str, tuple[str, str, Any]] = {
@@ -199,7 +199,7 @@ def _stop_figure(stops: pd.DataFrame, stopped: dict[float, Result]) -> Drawing:
                                color=_LOOK[DEFAULT][0], fontsize=8.0)  # fmt: skip
         rates = sorted(stopped)
         rate_axis(right, rates)
-        ends = [End(way, spans["median"].iloc[-1], _LOOK[way][0], rates[-1]) for way, spans in found.items()]
+        ends = [End(way, spans["median"].iloc[-1], _LOOK[way][0]) for way, spans in found.items()]
         label_ends(right, ends)
 
     return Drawing("pointer-stop", draw, (7.2, 3.2))

@@ -10,11 +10,11 @@ from experiments.kit.job import Results
 from experiments.kit.tour import AXES, FAR_OFF, FOLLOWED, KNOWN, NEAR, NOISE, SHARE, USUAL, is_lost
 from experiments.report.cells import COLOURS, DASHES, MARKS
 from experiments.report.frames import by, markdown, tidy
+from experiments.report.labels import End, label_ends
 from experiments.report.page import Page
 from experiments.report.plot import BOUND, Drawing, plain_numbers
 from experiments.viewing import FASTEST, KINDS, Kind
 from spheremouse.ball.rig import UNKNOWN_READOUT
-from spheremouse.files.report.labels import End, label_ends
 
 _UNITS = {"attitude": "°", "rate": "°/s"}
 
@@ -203,4 +203,4 @@ def _line(ax: Any, line: pd.DataFrame, who: str, what: str) -> End | None:
             ax.plot([row.x], [getattr(row, what)], color=colour, linestyle="", markerfacecolor=face, **look)
     if who == KNOWN:
         ax.fill_between(line["x"], line[f"{what} min"], line[f"{what} max"], color=colour, alpha=0.15, linewidth=0)
-    return End(who, line[what].iloc[-1], colour, line["x"].iloc[-1])
+    return End(who, line[what].iloc[-1], colour)

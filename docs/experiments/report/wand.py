@@ -9,13 +9,13 @@ import pandas as pd
 from experiments import wand_films as wand
 from experiments.kit.job import Result, Results
 from experiments.report.frames import markdown
+from experiments.report.labels import label_points
 from experiments.report.page import Page, fixed
 from experiments.report.plot import Drawing, plain_numbers
 from experiments.report.wand_rows import ENOUGH, SOME, Row, rows, verdicts
 from experiments.wand import SPEEDS
 from spheremouse.evaluate.table import axes, shown
 from spheremouse.evaluate.wand import OFF_ANGLE, RECOVERED
-from spheremouse.files.report.labels import label_points
 from spheremouse.geometry.rotation import log
 
 _SHOWN = "drive-01"  # the film whose errors are drawn frame by frame
