@@ -1,15 +1,15 @@
-"""Pictures shown to the judge of photos, as a person shows them."""
+"""Pictures shown to the selector of photos, as a person shows them."""
 
 
-def resumed(judge, *pictures):
-    """The judge, to whom pictures taken before are known."""
+def resumed(selector, *pictures):
+    """The selector, to whom pictures taken before are known."""
     for image in pictures:
-        assert judge.resume(lambda image=image: image)
-    return judge
+        assert selector.resume(lambda image=image: image)
+    return selector
 
 
-def looked(judge, image, times=2):
+def looked(selector, image, times=2):
     """A picture that rests for some frames."""
     for _ in range(times):
-        look = judge.look(image)
-    return look
+        check = selector.check(image)
+    return check

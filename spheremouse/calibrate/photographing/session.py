@@ -1,114 +1,189 @@
-"""A session before a camera: frames in, a folder of photos out, each of which added something.
+"""A photo session: frames of a camera in, a folder of photos out, with words and a tone for the person.
 
-The folder is the session: what is in it counts, so that it can be left at any time and continued. A photo is written
-whole or not at all, under a number that nothing has.
+The folder is the session: its photos count, so you can leave it at any time and continue it. Each photo is written
+whole or not at all, under an unused number.
 """
 
+import io
+import shutil
+import subprocess
 import threading
+import wave
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from types import TracebackType
+from typing import Self
 
 import cv2
+import numpy as np
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
 
 from spheremouse.ball.detect.detections import Image
-from spheremouse.calibrate.photographing.look import Judge, Look
+from spheremouse.calibrate.photographing.selector import FrameCheck, Selector
 from spheremouse.calibrate.photos import has_photos, image, read_photos
 from spheremouse.errors import CalibrationError, SpheremouseError
 from spheremouse.files.atomic import replace
 from spheremouse.files.pictures import Size, px
 from spheremouse.tracker import Frame
 
+TAKEN, ENOUGH = (880.0,), (660.0, 880.0, 1100.0)  # Hz
 
-class Teller(Protocol):
-    """Whoever tells a person what goes on."""
-
-    def say(self, text: str) -> None:
-        """Something that stays to be read."""
-        ...
-
-    def show(self, judge: Judge, look: Look) -> None:
-        """The last frame, and how far it is."""
-        ...
-
-    def taken(self, path: Path, judge: Judge, look: Look) -> None:
-        """A photo was taken."""
-        ...
+_SAMPLE_RATE = 16_000  # Hz
+_TONE_SECONDS = 0.12
+_PLAYER = "aplay"  # of alsa-utils; plays its standard input
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a session ended."""
+    """The end of a session."""
 
-    judge: Judge | None  # None: no frame came
+    selector: Selector | None  # None: no frame came
     frames: int
-    hindered: str  # what hindered most frames
-    failure: SpheremouseError | None  # what ended the source
+    hindrance: str  # of most frames
+    failure: SpheremouseError | None  # of the source
+
+
+class Screen:
+    """The person's view of a session: a live picture on a terminal, elsewhere lines; a context manager."""
+
+    def __init__(self, tones: bool, console: Console | None = None) -> None:
+        self._console = console or Console(stderr=True, highlight=False, soft_wrap=True)
+        if not self._console.is_terminal:
+            self._console.width = 1000
+        self._live = Live(console=self._console, transient=True) if self._console.is_terminal else None
+        self._tones = tones
+        self._wanted = ""
+
+    def __enter__(self) -> Self:
+        if self._live is not None:
+            self._live.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.__exit__(kind, error, trace)
+
+    def print(self, text: str) -> None:
+        """Print a line that stays."""
+        self._console.print(Text(text))
+
+    def show(self, selector: Selector, check: FrameCheck) -> None:
+        """Show the last frame in words; without a terminal print a new instruction only."""
+        wanted = selector.wanted()
+        if self._live is not None:
+            text = Text("\n".join(selector.status()) + "\n")
+            text.append(check.words + "\n", "green" if check.gain else "yellow")
+            if wanted:
+                text.append(f"Next: {wanted[0]}\n", "bold")
+            text.append("A photo is taken by itself when the picture is sharp, still and new. Ctrl-C ends.", "dim")
+            self._live.update(text)
+        elif check.gain and wanted and wanted[0] != self._wanted:
+            self._wanted = wanted[0]
+            self.print(f"wanted: {wanted[0]}")
+
+    def taken(self, path: Path, selector: Selector, check: FrameCheck) -> None:
+        """Report a new photo."""
+        self.print(f"{path.name}: {check.gain} ({selector.count} photo{'' if selector.count == 1 else 's'})")
+        self.ring(TAKEN)
+
+    def ring(self, tones: Sequence[float]) -> None:
+        """Ring the terminal's bell, and play tones, Hz, if there is a player."""
+        if not self._tones:
+            return
+        if self._live is not None:
+            self._console.bell()
+        if player := shutil.which(_PLAYER):
+            quiet = subprocess.DEVNULL
+            with suppress(OSError):
+                playing = subprocess.Popen([player, "-q", "-"], stdin=subprocess.PIPE, stdout=quiet, stderr=quiet)
+                assert playing.stdin is not None
+                playing.stdin.write(tones_as_wav(tones))
+                playing.stdin.close()
+
+
+def tones_as_wav(tones: Sequence[float]) -> bytes:
+    """Return tones, Hz, one after the other as a WAV file."""
+    t = np.arange(round(_SAMPLE_RATE * _TONE_SECONDS)) / _SAMPLE_RATE
+    swell = 9000.0 * np.sin(np.pi * t / _TONE_SECONDS)  # an abrupt tone clicks
+    samples = np.concatenate([swell * np.sin(2.0 * np.pi * tone * t) for tone in tones])
+    file = io.BytesIO()
+    with wave.open(file, "wb") as sound:
+        sound.setnchannels(1)
+        sound.setsampwidth(2)
+        sound.setframerate(_SAMPLE_RATE)
+        sound.writeframes(samples.astype("<i2").tobytes())
+    return file.getvalue()
 
 
 def take_photos(
-    frames: Iterable[Frame], begin: Callable[[Size], Judge], folder: Path, live: bool, teller: Teller
+    frames: Iterable[Frame], begin: Callable[[Size], Selector], folder: Path, live: bool, screen: Screen
 ) -> Outcome:
-    """Photos into `folder` until they are enough, or no more frames come.
+    """Take photos into `folder` until the selector has enough, or no more frames come.
 
-    CalibrationError where the folder cannot be used, or holds photos of another size.
+    `begin` makes the selector for frames of a size. Raises CalibrationError if the folder cannot be used, or holds
+    photos of another size.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as e:
         raise CalibrationError(f"{folder}: cannot be made: {e.strerror or e}") from None
-    judge: Judge | None = None
-    aside = BackgroundTask(live)
-    count, why, failure = 0, Counter[str](), None
+    selector: Selector | None = None
+    background = BackgroundTask(live)
+    count, hindrances, failure = 0, Counter[str](), None
     try:
         for frame in frames:
             count += 1
-            if judge is None:
-                judge = _continued(begin, frame.image, folder, teller)
-            aside.ask(judge)
-            if judge.enough:
+            if selector is None:
+                selector = _resumed(begin, frame.image, folder, screen)
+            background.start(selector)
+            if selector.enough:
                 break
-            look = judge.look(frame.image)
-            why[look.words.rpartition("; ")[2]] += 1
-            if look.gain:
+            check = selector.check(frame.image)
+            hindrances[check.words.rpartition("; ")[2]] += 1
+            if check.gain:
                 path = store(frame.image, folder)
-                judge.add(look, _reader(path))
-                aside.ask(judge)
-                teller.taken(path, judge, look)
-            teller.show(judge, look)
+                selector.add(check, lambda path=path: image(read_photos([path], lambda _: None)[0]))
+                background.start(selector)
+                screen.taken(path, selector, check)
+            screen.show(selector, check)
     except CalibrationError:
         raise
     except SpheremouseError as e:
         failure = e
-    return Outcome(judge, count, why.most_common(1)[0][0] if why else "", failure)
+    return Outcome(selector, count, hindrances.most_common(1)[0][0] if hindrances else "", failure)
 
 
 def store(picture: Image, folder: Path) -> Path:
-    """Write a photo under the next free number; whole or not at all."""
+    """Write a photo under the next unused number."""
     number = 0
     while (path := folder / f"view_{number:03d}.png").exists():
         number += 1
     try:
-        replace(path, cv2.imencode(".png", picture)[1].tobytes(), 0o600)  # of people, perhaps
+        replace(path, cv2.imencode(".png", picture)[1].tobytes(), 0o600)  # it may show people
     except OSError as e:
         raise CalibrationError(f"{path}: cannot be written: {e.strerror or e}") from None
     return path
 
 
 class BackgroundTask:
-    """Long calculations: at once where frames can wait, in a thread where they come when they come."""
+    """Long calculations: at once for a recording, in a thread beside a live camera."""
 
     def __init__(self, live: bool) -> None:
         self._live = live
         self._thread: threading.Thread | None = None
 
-    def ask(self, judge: Judge) -> None:
-        """Begin what there is to calculate, unless something is under way."""
+    def start(self, selector: Selector) -> None:
+        """Start the selector's pending work, unless a thread is still running."""
         if self._thread is not None and self._thread.is_alive():
             return
-        calculate = judge.pending_work()
+        calculate = selector.pending_work()
         if calculate is None:
             return
         if not self._live:
@@ -118,28 +193,21 @@ class BackgroundTask:
         self._thread.start()
 
 
-def _continued(begin: Callable[[Size], Judge], picture: Image, folder: Path, teller: Teller) -> Judge:
-    """A judge that begins with what the folder holds."""
+def _resumed(begin: Callable[[Size], Selector], picture: Image, folder: Path, screen: Screen) -> Selector:
+    """A selector with the photos in the folder."""
     size = picture.shape[1], picture.shape[0]
-    judge = begin(size)
+    selector = begin(size)
     if not has_photos(folder):
-        return judge
-    photos = read_photos([folder], lambda text: teller.say(f"note: {text}"))
+        return selector
+    photos = read_photos([folder], lambda text: screen.print(f"note: {text}"))
     if photos[0].size != size:
         raise CalibrationError(
             f"{folder}: holds photos of {px(photos[0].size)}, the camera gives {px(size)}; choose that mode with "
             f"--source KIND:ARG,width={photos[0].size[0]},height={photos[0].size[1]}, or put the photos elsewhere"
         )
-    teller.say(f"{folder}: looking at the {len(photos)} photos there")
-    idle = [p.path.name for p in photos if not judge.resume(lambda photo=p: image(photo))]
-    teller.say(f"{folder}: goes on with {judge.count} photos")
+    screen.print(f"{folder}: looking at the {len(photos)} photos there")
+    idle = [p.path.name for p in photos if not selector.resume(lambda photo=p: image(photo))]
+    screen.print(f"{folder}: goes on with {selector.count} photos")
     if idle:
-        teller.say(f"note: {', '.join(idle)}: show too little to count")
-    return judge
-
-
-def _reader(path: Path) -> Callable[[], Image]:
-    def read() -> Image:
-        return image(read_photos([path], lambda _: None)[0])
-
-    return read
+        screen.print(f"note: {', '.join(idle)}: show too little to count")
+    return selector

@@ -1,4 +1,4 @@
-"""`spheremouse calibrate photos`: the photos of an evening, taken by the camera that will watch the ball."""
+"""`spheremouse calibrate photos`: photos of board or device, taken by the camera that will watch the ball."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -11,17 +11,16 @@ from spheremouse.errors import CalibrationError
 
 if TYPE_CHECKING:
     from spheremouse.calibrate.board import BoardFile
-    from spheremouse.calibrate.photographing.look import Judge
-    from spheremouse.calibrate.photographing.screen import Screen
-    from spheremouse.calibrate.photographing.session import Outcome
+    from spheremouse.calibrate.photographing.selector import Selector
+    from spheremouse.calibrate.photographing.session import Outcome, Screen
     from spheremouse.capture import Source
     from spheremouse.files.pictures import Size
     from spheremouse.session.settings import Configuration
 
 EXAMPLE = "Example: spheremouse calibrate photos cabinet --for camera --source v4l2:/dev/video0"
 
-_MOST = (1920, 1080)  # px: larger pictures cost time in every frame of play, and their edges are no sharper
-_LEAST = {"camera": 3, "device": 2}  # photos that the next command takes
+_MAX_SIZE = (1920, 1080)  # px; larger pictures cost time in every frame of play, and their edges are no sharper
+_MIN_PHOTOS = {"camera": 3, "device": 2}  # for the next command
 
 
 def photos(
@@ -55,15 +54,14 @@ def photos(
     ] = None,
     sound: Annotated[bool, typer.Option("--sound/--no-sound", help="A tone for every photo.")] = True,
 ) -> None:
-    """Take the photos with the camera that will watch the ball: each by itself, when it is sharp, still and new.
+    """Take photos with the camera that will watch the ball: each by itself, when the picture is sharp, still and new.
 
-    It says what is missing, ends when there are enough, and goes on where it was left. Photos go to FOLDER/board or
-    FOLDER/device, where `calibrate next` looks for them.
+    It shows what is missing, ends when there are enough photos, and continues an earlier session. Photos go to
+    FOLDER/board or FOLDER/device, where `calibrate next` finds them.
     """
     from spheremouse.calibrate.board import NAME, chosen_board, save_board
     from spheremouse.calibrate.guide.suggested import camera_command, default_folder, device_command, photos_command
-    from spheremouse.calibrate.photographing.screen import ENOUGH, Screen
-    from spheremouse.calibrate.photographing.session import take_photos
+    from spheremouse.calibrate.photographing.session import ENOUGH, Screen, take_photos
     from spheremouse.capture import full_spec
     from spheremouse.capture.signals import SignalHandler
     from spheremouse.commands.config import root
@@ -74,50 +72,51 @@ def photos(
     if folder.exists() and not folder.is_dir():
         raise CalibrationError(f"{folder}: is a file; name the folder that `spheremouse calibrate init` made")
     known = chosen_board(folder, board, square, marker, dictionary)
-    usual = folder / "config.yaml"
-    configured = in_force(config or (usual if usual.exists() else None), settings or (), root())
+    own = folder / "config.yaml"
+    configured = in_force(config or (own if own.exists() else None), settings or (), root())
     place = folder / ("board" if what == "camera" else "device")
-    begin = _board_judge(known) if what == "camera" else _device_judge(folder, configured)
+    begin = _board_selector(known) if what == "camera" else _device_selector(folder, configured)
     with Screen(sound) as screen:
         with _opened(source, configured, folder, place, screen) as stream, SignalHandler() as stopping:
             outcome = take_photos(stopping.frames(iter(stream)), begin, place, stream.live, screen)
-        if what == "camera" and outcome.judge is not None and outcome.judge.count:
+        selector = outcome.selector
+        if what == "camera" and selector is not None and selector.count:
             save_board(folder / NAME, known)
-        if config is None and outcome.judge is not None and outcome.judge.count:
-            _keep(usual, source, configured, settings or ())
-        if outcome.judge is not None and outcome.judge.enough:
+        if config is None and selector is not None and selector.count:
+            _save_settings(own, source, configured, settings or ())
+        if selector is not None and selector.enough:
             screen.ring(ENOUGH)
     again = photos_command(folder, what, () if source is None else ("--source", source))
     follows = (camera_command if what == "camera" else device_command)(folder)
-    _conclude(outcome, place, follows, again, _LEAST[what], stopping.asked)
+    _conclude(outcome, place, follows, again, _MIN_PHOTOS[what], stopping.asked)
 
 
-def _keep(config: Path, source: str | None, configured: "Configuration", settings: Sequence[str]) -> None:
-    """Write the camera and its controls, as told, into the evening's configuration: all that follows takes the same."""
+def _save_settings(config: Path, source: str | None, configured: "Configuration", settings: Sequence[str]) -> None:
+    """Write the camera and its controls into the folder's configuration, for the commands that follow."""
     from spheremouse.files.config import assigned
     from spheremouse.files.edit import save_settings
     from spheremouse.session.cameras import is_camera
     from spheremouse.session.settings import Configuration
 
-    told = assigned(configured, settings)
+    given = assigned(configured, settings)
     if source is not None and is_camera(source):
-        told["source",] = source
-    if told:
-        save_settings(config, told, Configuration)
+        given["source",] = source
+    if given:
+        save_settings(config, given, Configuration)
 
 
-def _board_judge(known: "BoardFile") -> "Callable[[Size], Judge]":
+def _board_selector(known: "BoardFile") -> "Callable[[Size], Selector]":
     from spheremouse.calibrate.camera.corners import pattern_of
-    from spheremouse.calibrate.photographing.board import BoardJudge
+    from spheremouse.calibrate.photographing.board import BoardSelector
 
     pattern = pattern_of(known)
-    return lambda size: BoardJudge(pattern, size)
+    return lambda size: BoardSelector(pattern, size)
 
 
-def _device_judge(folder: Path, configured: "Configuration") -> "Callable[[Size], Judge]":
+def _device_selector(folder: Path, configured: "Configuration") -> "Callable[[Size], Selector]":
     from spheremouse.calibrate.guide.suggested import init_command, photos_command
     from spheremouse.calibrate.outputs import note
-    from spheremouse.calibrate.photographing.device import DeviceJudge
+    from spheremouse.calibrate.photographing.device import DeviceSelector
     from spheremouse.files.device import load_device, untouched
     from spheremouse.files.pictures import px
     from spheremouse.files.rig import load_camera
@@ -133,13 +132,13 @@ def _device_judge(folder: Path, configured: "Configuration") -> "Callable[[Size]
     if untouched(known):
         note(f"{known}: still as `calibrate init` wrote it; are these your targets?")
 
-    def begin(size: "Size") -> "Judge":
+    def begin(size: "Size") -> "Selector":
         if size != (camera.width, camera.height):
             mode = px((camera.width, camera.height))
             raise CalibrationError(
                 f"{lens} is for the mode {mode}, the camera gives {px(size)}: take the same mode for all photos"
             )
-        return DeviceJudge(device, camera, configured.rings, configured.discs)
+        return DeviceSelector(device, camera, configured.rings, configured.discs)
 
     return begin
 
@@ -148,40 +147,39 @@ def _device_judge(folder: Path, configured: "Configuration") -> "Callable[[Size]
 def _opened(
     source: str | None, configured: "Configuration", folder: Path, place: Path, screen: "Screen"
 ) -> Iterator["Source"]:
-    """The camera, in the mode of the photos there are."""
+    """Open the camera in the mode of the existing photos."""
     from spheremouse.capture import full_spec
     from spheremouse.capture.default_camera import default_camera, in_size
     from spheremouse.session.cameras import looked_through, node_of_source
 
     spec = full_spec(source or configured.source or default_camera())
     kind, _, argument = spec.partition(":")
-    size = _size_there(place, folder / "camera.yaml") or configured.camera.size
+    size = _known_size(place, folder / "camera.yaml") or configured.camera.size
     if kind == "v4l2" and size is None and "width=" not in spec:
         from spheremouse.capture import v4l2
 
-        size = v4l2.full_size(argument, _MOST)
+        size = v4l2.full_size(argument, _MAX_SIZE)
     spec = in_size(spec, size)
     with looked_through(spec, configured.camera) as stream:
         if kind == "v4l2":
-            _say_focus(node_of_source(spec), screen)
-        screen.say(f"{spec}: photos go to {place}")
+            _warn_of_autofocus(node_of_source(spec), screen)
+        screen.print(f"{spec}: photos go to {place}")
         yield stream
 
 
-def _say_focus(node: Path | None, screen: "Screen") -> None:
-    """A lens that moves by itself is told, as the doctor tells it."""
+def _warn_of_autofocus(node: Path | None, screen: "Screen") -> None:
     from spheremouse.commands.doctor.controls import read
 
     controls = None if node is None else read(node)
     if controls is not None and controls.automatic_focus:
-        screen.say(
+        screen.print(
             "note: the focus is automatic: each time it moves, the calibration no longer holds; "
             "give --set camera.focus=N here and camera.focus in the configuration"
         )
 
 
-def _size_there(place: Path, lens: Path) -> "Size | None":
-    """Size of the photos there are, or of the camera file."""
+def _known_size(place: Path, lens: Path) -> "Size | None":
+    """Size of the existing photos, or of the camera file."""
     from spheremouse.calibrate.photos import has_photos, read_photos
     from spheremouse.files.rig import load_camera
 
@@ -193,12 +191,12 @@ def _size_there(place: Path, lens: Path) -> "Size | None":
     return None
 
 
-def _conclude(outcome: "Outcome", place: Path, follows: str, again: str, least: int, stopped: bool) -> None:
-    """What there is, what is missing, and what to type; raises what ended the camera."""
-    judge = outcome.judge
-    count = 0 if judge is None else judge.count
+def _conclude(outcome: "Outcome", place: Path, follows: str, again: str, min_photos: int, stopped: bool) -> None:
+    """Print the photos, what is missing, and the next command; raise the failure of the camera."""
+    selector = outcome.selector
+    count = 0 if selector is None else selector.count
     many = f"{count} photo{'' if count == 1 else 's'}"
-    if judge is not None and judge.enough:
+    if selector is not None and selector.enough:
         print(f"{place}: {many}, which is enough")
         print(f"next: {follows}")
         return
@@ -206,10 +204,10 @@ def _conclude(outcome: "Outcome", place: Path, follows: str, again: str, least: 
         kept = f"{many} in {place} {'is' if count == 1 else 'are'} kept, and the same command goes on"
         raise type(outcome.failure)(f"{outcome.failure}; {kept}")
     if count == 0 and not stopped:
-        why = f": most often {outcome.hindered}" if outcome.hindered else ""
+        why = f": most often {outcome.hindrance}" if outcome.hindrance else ""
         raise CalibrationError(f"no photo in {outcome.frames} frames{why}")
-    wanted = [] if judge is None else judge.wanted()
+    wanted = [] if selector is None else selector.wanted()
     print(f"{place}: {many} so far{''.join(f'; {text}' for text in wanted[:3])}")
     print(f"go on: {again}")
-    if count >= least:
+    if count >= min_photos:
         print(f"or go on with these: {follows}")

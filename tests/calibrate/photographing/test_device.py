@@ -10,7 +10,7 @@ from photographed import looked, resumed
 
 from spheremouse.ball.device import Axes, Device
 from spheremouse.calibrate.device.plans import ENOUGH
-from spheremouse.calibrate.photographing.device import DeviceJudge
+from spheremouse.calibrate.photographing.device import DeviceSelector
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
@@ -29,11 +29,11 @@ def pictures(stills):
     return [photo.image for photo in photos(stills)]
 
 
-def judge_of(stills, *pictures, **changes):
+def selector_of(stills, *pictures, **changes):
     targets, scene = stills.scene.targets, stills.scene
     device = Device(targets.ids, targets.codes, targets.radii, scene.disc_radius, Axes(*targets.ids[:3]))
     camera = replace(scene.camera, covariance=1e-2 * np.eye(9) * np.array([1, 1, 1, 1, *[1e-6] * 5]))
-    return resumed(DeviceJudge(replace(device, **changes), camera, None, None), *pictures)
+    return resumed(DeviceSelector(replace(device, **changes), camera, None, None), *pictures)
 
 
 def photographed(stills, pose):
@@ -51,58 +51,58 @@ def turned(stills, pose, degrees, axis=(0.0, 1.0, 0.0)):
 
 
 def test_a_picture_from_a_new_side_is_taken_and_its_angle_is_the_true_one(stills, pictures):
-    judge = judge_of(stills, *pictures[:2])
-    look = looked(judge, pictures[2])
+    selector = selector_of(stills, *pictures[:2])
+    check = looked(selector, pictures[2])
     way = np.array([p.position for p in stills.device_poses[:3]]) - stills.scene.targets.position.mean(axis=0)
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     true = np.degrees(np.arccos(way[:2] @ way[2])).min()
-    (told,) = re.findall(r"(\d+)° from the nearest photo", look.gain)
+    (told,) = re.findall(r"(\d+)° from the nearest photo", check.gain)
     assert float(told) == pytest.approx(true, abs=1.0)
 
 
 def test_the_same_side_is_taken_once_unless_it_is_from_nearer(stills, pictures):
-    judge = judge_of(stills, *pictures[:2])
+    selector = selector_of(stills, *pictures[:2])
     front = stills.device_poses[0]
-    near = looked(judge, photographed(stills, turned(stills, front, 6.0)))
+    near = looked(selector, photographed(stills, turned(stills, front, 6.0)))
     assert not near.gain
     assert "6° from a photo there is, 10° are wanted" in near.words
-    assert looked(judge, photographed(stills, turned(stills, front, 14.0))).gain.startswith("14°")
+    assert looked(selector, photographed(stills, turned(stills, front, 14.0))).gain.startswith("14°")
     middle = stills.scene.targets.position.mean(axis=0)
     closer = Pose(front.rotation, middle + 0.7 * (front.position - middle))
-    assert looked(judge, photographed(stills, closer)).gain == "from nearer"
+    assert looked(selector, photographed(stills, closer)).gain == "from nearer"
 
 
 def test_what_moves_or_is_blurred_is_refused(stills, pictures):
-    judge = judge_of(stills)
-    assert "hold still" in judge.look(pictures[0]).words
-    assert "moves by 4 px" in judge.look(np.roll(pictures[0], 4, axis=1)).words
-    assert looked(judge, pictures[0]).gain == "the first"
-    blurred = looked(judge, cv2.GaussianBlur(pictures[0], (0, 0), 1.5))
+    selector = selector_of(stills)
+    assert "hold still" in selector.check(pictures[0]).words
+    assert "moves by 4 px" in selector.check(np.roll(pictures[0], 4, axis=1)).words
+    assert looked(selector, pictures[0]).gain == "the first"
+    blurred = looked(selector, cv2.GaussianBlur(pictures[0], (0, 0), 1.5))
     assert not blurred.gain
-    assert re.search(r"blurred \(edges of 1\.\d px, 0\.6 px at best\)", blurred.words)
+    assert re.search(r"blurred \(edges of 1\.\d px, 0\.4 px at best\)", blurred.words)
 
 
 def test_too_few_targets_another_device_and_a_mirrored_picture_are_named(stills, pictures):
-    judge = judge_of(stills, *pictures[:2])
-    assert "0 of 4 targets found" in looked(judge, np.full_like(pictures[0], 90)).words
-    assert looked(judge, np.zeros_like(pictures[0])).words == "the picture is dark"
-    assert not looked(judge, pictures[2][:, ::-1].copy()).gain
+    selector = selector_of(stills, *pictures[:2])
+    assert "0 of 4 targets found" in looked(selector, np.full_like(pictures[0], 90)).words
+    assert looked(selector, np.zeros_like(pictures[0])).words == "the picture is dark"
+    assert not looked(selector, pictures[2][:, ::-1].copy()).gain
     with pytest.raises(CalibrationError, match="colours"):
-        judge.look(pictures[0][..., 0])
+        selector.check(pictures[0][..., 0])
 
 
 def test_the_adjustment_says_how_good_it_is_and_where_to_go(stills, pictures):
     """Photos from the front alone: it asks for the sides; from all sides: it is content."""
-    judge = judge_of(stills, pictures[0])
-    assert judge.pending_work() is None  # too few to adjust
-    assert "take one from the left" in judge.wanted()
-    judge = judge_of(stills, *pictures)
-    calculate = judge.pending_work()
+    selector = selector_of(stills, pictures[0])
+    assert selector.pending_work() is None  # too few to adjust
+    assert "take one from the left" in selector.wanted()
+    selector = selector_of(stills, *pictures)
+    calculate = selector.pending_work()
     calculate()
-    assert judge.pending_work() is None
-    known = judge.assessment
+    assert selector.pending_work() is None
+    known = selector.assessment
     assert known.photos == len(pictures)
     assert known.good
     part = float(re.search(r"ball to ([\d.]+) % of it", known.words)[1])
     assert part < 100.0 * ENOUGH
-    assert judge.enough == (not known.wanted)
+    assert selector.enough == (not known.wanted)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from boards import CAMERA, PATTERN, picture, places
 
-from spheremouse.calibrate.photographing.board import BoardJudge
-from spheremouse.calibrate.photographing.look import Look
+from spheremouse.calibrate.photographing.board import BoardSelector
+from spheremouse.calibrate.photographing.selector import FrameCheck
 from spheremouse.calibrate.photographing.session import take_photos
 from spheremouse.errors import CalibrationError, SourceError
 from spheremouse.tracker import Frame
@@ -24,19 +24,19 @@ def pictures():
     ]
 
 
-class Told:
+class Recorder:
     """Takes down what a person would see."""
 
     def __init__(self):
         self.lines = []
 
-    def say(self, text):
+    def print(self, text):
         self.lines.append(text)
 
-    def show(self, judge, look):
-        assert judge.status()
+    def show(self, selector, check):
+        assert selector.status()
 
-    def taken(self, path, judge, look):
+    def taken(self, path, selector, check):
         assert path.exists()
         self.lines.append(path.name)
 
@@ -48,15 +48,15 @@ def film(pictures, rest=3):
             yield Frame(image, 0.1 * (k * rest + j), k * rest + j)
 
 
-def taken(frames, folder, begin=lambda size: BoardJudge(PATTERN, size), live=False):
-    told = Told()
+def taken(frames, folder, begin=lambda size: BoardSelector(PATTERN, size), live=False):
+    told = Recorder()
     return take_photos(frames, begin, folder, live, told), told.lines
 
 
 def test_each_view_is_kept_once_and_a_session_goes_on_where_it_was(tmp_path, pictures):
     folder = tmp_path / "new" / "board"
     outcome, lines = taken(film([pictures[0], pictures[0], pictures[1]]), folder)
-    assert (outcome.judge.count, outcome.frames, outcome.failure) == (2, 9, None)
+    assert (outcome.selector.count, outcome.frames, outcome.failure) == (2, 9, None)
     assert lines == ["view_000.png", "view_001.png"]
     assert np.array_equal(cv2.imread(str(folder / "view_000.png")), pictures[0])
     before = {p.name: p.read_bytes() for p in folder.iterdir()}
@@ -74,7 +74,7 @@ def test_a_camera_that_goes_away_leaves_what_there_is(tmp_path, pictures):
     outcome, lines = taken(broken(), tmp_path)
     assert lines == ["view_000.png"]
     assert str(outcome.failure) == "the camera is gone"
-    assert outcome.judge.count == 1
+    assert outcome.selector.count == 1
 
 
 def test_photos_of_another_mode_are_no_place_for_these(tmp_path, pictures):
@@ -89,7 +89,7 @@ def test_photos_that_show_nothing_are_named_and_left(tmp_path, pictures):
     cv2.imwrite(str(tmp_path / "wall.png"), np.full((480, 640, 3), 90, np.uint8))
     outcome, lines = taken(film(pictures[:1]), tmp_path)
     assert "note: wall.png: show too little to count" in lines
-    assert outcome.judge.count == 1
+    assert outcome.selector.count == 1
     assert (tmp_path / "wall.png").exists()
 
 
@@ -101,22 +101,22 @@ def test_a_folder_that_cannot_be_is_said_so(tmp_path, pictures):
 
 def test_what_hinders_most_is_known_at_the_end(tmp_path):
     outcome, lines = taken(film([np.full((480, 640, 3), 90, np.uint8)]), tmp_path)
-    assert (outcome.hindered, outcome.judge.count, lines) == ("it shows no chessboard", 0, [])
+    assert (outcome.hindrance, outcome.selector.count, lines) == ("it shows no chessboard", 0, [])
 
 
 class Slow:
-    """A judge that takes every picture and calculates after each."""
+    """A selector that takes every picture and calculates after each."""
 
     def __init__(self, size):
         self.count, self.calculated, self.enough = 0, 0, False
 
-    def look(self, picture):
-        return Look(None, "", "new")
+    def check(self, picture):
+        return FrameCheck(None, "", "new")
 
     def resume(self, read):
         return True
 
-    def add(self, look, read):
+    def add(self, check, read):
         self.count += 1
         assert read().shape == (480, 640, 3)
 
@@ -142,7 +142,7 @@ class Slow:
 def test_it_ends_when_the_calculation_says_enough(tmp_path, pictures, live):
     """Of a recording as soon as that is known; before a camera while frames come."""
     outcome, _ = taken(film(pictures * 20, rest=1), tmp_path, Slow, live)
-    assert outcome.judge.enough
-    assert outcome.judge.count == 2 if not live else outcome.judge.count >= 2
+    assert outcome.selector.enough
+    assert outcome.selector.count == 2 if not live else outcome.selector.count >= 2
     assert sorted(p.name for p in tmp_path.iterdir())[:2] == ["view_000.png", "view_001.png"]
     assert all(re.fullmatch(r"view_\d{3}\.png", p.name) for p in tmp_path.iterdir())

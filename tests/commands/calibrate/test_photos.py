@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from spheremouse.calibrate.board import NAME, BoardFile, load_board
 from spheremouse.calibrate.camera import coverage
-from spheremouse.calibrate.photographing import board as judging
+from spheremouse.calibrate.photographing import board as photographing
 from spheremouse.commands import app
 from spheremouse.errors import CalibrationError, ConfigurationError, SourceError
 from spheremouse.files.config import load
@@ -50,7 +50,7 @@ def film(path, poses, rest=2):
 
 
 def test_photos_are_taken_until_they_are_enough_and_the_next_command_works(tmp_path, poses, monkeypatch):
-    monkeypatch.setattr(judging, "enough", lambda found: found.views >= 4)
+    monkeypatch.setattr(photographing, "enough", lambda found: found.views >= 4)
     folder = tmp_path / "my cabinet"
     result = run("--for", "camera", folder, *BOARD, "--source", film(tmp_path / "f.mkv", poses))
     assert f"{folder / 'board'}: 4 photos, which is enough" in result.stdout
