@@ -10,7 +10,7 @@ from spheremouse.files.rig.models import CameraFile, RigFile
 from spheremouse.files.wand import _Wand
 from spheremouse.geometry.camera import MAX_PIXELS, MAX_SIDE, too_large
 from spheremouse.session.settings import Configuration
-from spheremouse.wand.rims import ColourSettings
+from spheremouse.wand.settings import ColourSettings
 
 FREE = ("provenance",)  # sections for people, which nothing reads
 

@@ -9,7 +9,8 @@ import pytest
 from spheremouse.session.balls import read_balls
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Status
-from spheremouse.wand.track import begin, build, step
+from spheremouse.wand.build import build
+from spheremouse.wand.track import begin, step
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "docs" / "wand.md").read_text(encoding="utf-8")

@@ -17,10 +17,10 @@ from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.wand.offline import track_wand
 from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
-from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball, led_ball
+from spheremouse.wand.ball import WandBall, WandTruth, contrast_ball, grzonka_ball, led_ball
+from spheremouse.wand.build import build
 from spheremouse.wand.settings import WandSettings
-from spheremouse.wand.track import begin, build, step
-from spheremouse.wand.truth import WandTruth
+from spheremouse.wand.track import begin, step
 
 BALLS = {"grzonka": grzonka_ball, "contrast": contrast_ball, "led": led_ball}
 RECORDING = "wand_drive"  # of the shared datasets

@@ -16,9 +16,8 @@ from spheremouse.evaluate.metrics import mean_nees
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.geometry.statistics import gate
 from spheremouse.tracker import Event
-from spheremouse.wand.ball import WandBall
+from spheremouse.wand.ball import WandBall, WandTruth
 from spheremouse.wand.state import WandEpoch, WandPose
-from spheremouse.wand.truth import WandTruth
 
 # Beside the ball, or another side of it taken for this one (the pattern repeats after 90 degrees, but for its colours)
 OFF_ANGLE = np.radians(45.0)

@@ -19,7 +19,7 @@ from spheremouse.files.yaml import SCHEMAS, Document, Problem
 from spheremouse.geometry.rotation import Array, align, log
 from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
 from spheremouse.wand.colour import DEFAULT_COLOURS
-from spheremouse.wand.rims import ColourSettings
+from spheremouse.wand.settings import ColourSettings
 
 _ALIKE = np.radians(6.0)  # discs this near to one another are taken for the same one: half of the smallest disc
 _TURNED = np.radians(15.0)  # smaller turns onto itself are the same attitude, in effect

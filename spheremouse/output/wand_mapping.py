@@ -15,7 +15,7 @@ from spheremouse.output import Report, no_report
 from spheremouse.output.counts import Remainder, to_counts
 from spheremouse.settings import FACTOR, PER_RADIAN, param
 from spheremouse.tracker import Motion, Status
-from spheremouse.wand.course import Course, between
+from spheremouse.wand.pose_velocity import PoseVelocityState, pose_difference
 from spheremouse.wand.state import WandEpoch, WandPose
 
 _ROTATION_FIRST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])  # a pose has it last, a motion first
@@ -112,12 +112,16 @@ class PointingState:
 
 
 def point(
-    state: PointingState, pose: WandPose, course: Course | None, stamp: float, settings: PointingSettings
+    state: PointingState,
+    pose: WandPose,
+    velocity_state: PoseVelocityState | None,
+    stamp: float,
+    settings: PointingSettings,
 ) -> tuple[PointingState, Report]:
     """Return the next state, and the report of a frame with the motion since the last pose, in cam.
 
-    `course` has the velocity. A ball that was hidden for a moment moves the pointer when it is seen again. A ball that
-    was lost does not.
+    `velocity_state` has the velocity. A ball that was hidden for a moment moves the pointer when it is seen again. A
+    ball that was lost does not.
     """
     still = no_report(stamp)
     if pose.phase is not Status.TRACKING or pose.position is None or pose.rotation is None:
@@ -125,11 +129,11 @@ def point(
     if not pose.seen or pose.covariance is None:
         return state, still
     now = ReferencePose(stamp, pose.position, pose.rotation, pose.covariance)
-    velocity = np.zeros(6) if course is None else course.velocity
+    velocity = np.zeros(6) if velocity_state is None else velocity_state.velocity
     rate = pointing_rate(velocity, settings)
     if state.reference is None or _is_implausible(state.reference, now, settings):
-        return replace(state.reset(), reference=now), Report((0, 0, 0), rate, _motion(now, now, course))
-    motion = _motion(state.reference, now, course)
+        return replace(state.reset(), reference=now), Report((0, 0, 0), rate, _motion(now, now, velocity_state))
+    motion = _motion(state.reference, now, velocity_state)
     if settings.by == "turn":
         displacement, variance = motion.rotation, now.variance[3:]
     else:
@@ -139,7 +143,7 @@ def point(
     return PointingState(now, slack, remainder), Report(counts, rate, motion)
 
 
-def _motion(before: ReferencePose, now: ReferencePose, course: Course | None) -> Motion:
+def _motion(before: ReferencePose, now: ReferencePose, velocity_state: PoseVelocityState | None) -> Motion:
     """Return the motion from one pose to another, and the rate at its end.
 
     The errors of poses and rate are assumed to be independent. If the images have equal errors, the motion is better
@@ -150,8 +154,11 @@ def _motion(before: ReferencePose, now: ReferencePose, course: Course | None) ->
         A, J = np.eye(6), np.eye(6)
         A[3:, 3:], J[:3, :3] = exp(turn), np.linalg.inv(left_jacobian(turn))
         covariance[:6, :6] = J @ (now.covariance + A @ before.covariance @ A.T)[_ROTATION_FIRST] @ J.T
-    if course is not None:
-        rate, covariance[6:, 6:] = np.roll(course.velocity, 3), course.covariance[6:, 6:][_ROTATION_FIRST]
+    if velocity_state is not None:
+        rate, covariance[6:, 6:] = (
+            np.roll(velocity_state.velocity, 3),
+            velocity_state.covariance[6:, 6:][_ROTATION_FIRST],
+        )
     return Motion(now.stamp, turn, now.position - before.position, rate, covariance, confirmed=True)
 
 
@@ -177,7 +184,7 @@ def apply_backlash(slack: Array, displacement: Array, half_width: Array) -> tupl
 def _is_implausible(before: ReferencePose, after: ReferencePose, settings: PointingSettings) -> bool:
     """Return True if the change exceeds the fastest motion of a hand and the error of both poses."""
     dt = after.stamp - before.stamp
-    change = between(before.position, before.rotation, after.position, after.rotation)
+    change = pose_difference(before.position, before.rotation, after.position, after.rotation)
     reach = np.repeat([settings.fastest * dt, settings.fastest_turn * dt], 3)
     return bool(
         dt <= 0.0 or (np.abs(change) > reach + _MAX_NOISE_SIGMAS * np.sqrt(before.variance + after.variance)).any()
@@ -194,8 +201,8 @@ class WandMapping:
 
     def report(self, epoch: WandEpoch) -> Report:
         """Return the report of an epoch."""
-        pose, course = epoch.poses[self._points], epoch.state.tracks[self._points].course
-        self._state, report = point(self._state, pose, course, epoch.frame.stamp, self._settings)
+        pose, velocity_state = epoch.poses[self._points], epoch.state.tracks[self._points].pose_velocity
+        self._state, report = point(self._state, pose, velocity_state, epoch.frame.stamp, self._settings)
         return report
 
     def interrupted(self) -> None:

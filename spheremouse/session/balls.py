@@ -7,7 +7,7 @@ from pathlib import Path
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.wand import load_wand
 from spheremouse.wand.ball import WandBall
-from spheremouse.wand.rims import ColourSettings
+from spheremouse.wand.settings import ColourSettings
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,16 +1,20 @@
-"""Spots assigned to the discs of a ball."""
+"""Assignment of spots to the discs of a ball, by two and by three spots, and the pose of each assignment."""
 
 import numpy as np
 from numba import njit
 
-_NEIGHBOURS = 8  # of a spot that triples are made with: as many as a side of a ball shows
+_MAX_NEIGHBOURS = 8  # of a spot: as many discs as one side of a ball shows
 
 
 @njit(cache=True, error_model="numpy")
-def search(xy, area, colour, direction, angle, colours, limits, pixels, least, glare, begin, effort, found):
-    """Hypotheses into `found`: score, centre in radii of the ball, rotation. Gives their number.
+def assign_spots(
+    xy, area, colour, direction, angle, colours, limits, pixels, min_score, glare, begin, max_assignments, found
+):
+    """Write poses to `found`, (k, 13): score, centre in radii of the ball, rotation. Return their number.
 
-    And the spot at which the effort was spent, or 0.
+    The second result is the spot at which `max_assignments` were reached, or 0. Spots are `xy` (n, 2) reduced
+    coordinates, `area` and index of `colour`; discs are `direction` (m, 3), angular radius `angle` and index in
+    `colours`; `limits` are those of the ball's radius over its distance; `pixels` is the tolerance of a centroid.
     """
     n, m = len(xy), len(direction)
     kept = 0
@@ -19,7 +23,7 @@ def search(xy, area, colour, direction, angle, colours, limits, pixels, least, g
     R = np.empty((3, 3))
     E = np.empty((3, 3))
     q = np.empty((n, 2))
-    pale = np.empty((len(glare), 3))
+    glare_q = np.empty((len(glare), 3))
     pairs = np.empty((m, m))
     by_colour = np.zeros(max(np.max(colours), np.max(colour)) + 1, dtype=np.int64)
     for i in range(m):
@@ -34,9 +38,9 @@ def search(xy, area, colour, direction, angle, colours, limits, pixels, least, g
     spent = 0
     for at in range(n):
         s0 = (begin + at) % n
-        if spent >= effort:
+        if spent >= max_assignments:
             return kept, s0
-        # a tangent plane at this spot's ray, in which the picture is a small, undistorted plan
+        # plane tangent to the unit sphere at this spot's ray: nearby, perspective has no effect
         x, y = xy[s0, 0], xy[s0, 1]
         length = np.sqrt(x * x + y * y + 1.0)
         across = np.sqrt(1.0 + x * x)
@@ -46,38 +50,38 @@ def search(xy, area, colour, direction, angle, colours, limits, pixels, least, g
         E[1, 1] = E[2, 2] * E[0, 0] - E[0, 2] * E[2, 0]
         E[2, 1] = E[0, 2] * E[1, 0] - E[1, 2] * E[0, 0]
         for s in range(len(glare)):
-            depth = _plan(glare[s, 0], glare[s, 1], E, pale[s])
-            pale[s, 2] = glare[s, 2] if depth > 0.0 else 0.0
+            depth = _project_to_plane(glare[s, 0], glare[s, 1], E, glare_q[s])
+            glare_q[s, 2] = glare[s, 2] if depth > 0.0 else 0.0
         for s in range(n):
-            depth = _plan(xy[s, 0], xy[s, 1], E, q[s])
+            depth = _project_to_plane(xy[s, 0], xy[s, 1], E, q[s])
             gap[s] = q[s, 0] ** 2 + q[s, 1] ** 2
             if depth <= 0.0:
                 gap[s] = 1e9
         near[:] = np.argsort(gap)
-        count = min(n, _NEIGHBOURS + 1)
+        count = min(n, _MAX_NEIGHBOURS + 1)
         for i1 in range(1, count):
             s1 = near[i1]
             if s1 > s0 and gap[s1] < 4.0 * limits[1] ** 2:
                 spent += by_colour[colour[s0]] * by_colour[colour[s1]]
                 kept = _assign_two(
-                    s0, s1, q, area, colour, direction, angle, colours, pairs, limits, pixels, least, pale, E, R,
-                    near, count, found, kept,
+                    s0, s1, q, area, colour, direction, angle, colours, pairs, limits, pixels, min_score, glare_q,
+                    E, R, near, count, found, kept,
                 )  # fmt: skip
             for i2 in range(i1 + 1, count):
                 s2 = near[i2]
                 if gap[s2] > 4.0 * limits[1] ** 2 or (s1 < s0 and s2 < s0):
                     continue
                 spent += by_colour[colour[s0]] * by_colour[colour[s1]] * by_colour[colour[s2]]
-                kept = _assign(
-                    s0, s1, s2, q, area, colour, direction, angle, colours, pairs, limits, pixels, least, pale, E, R,
-                    near, count, found, kept,
+                kept = _assign_three(
+                    s0, s1, s2, q, area, colour, direction, angle, colours, pairs, limits, pixels, min_score, glare_q,
+                    E, R, near, count, found, kept,
                 )  # fmt: skip
     return kept, 0
 
 
 @njit(cache=True, error_model="numpy")
-def _plan(x, y, E, q):
-    """A ray's place in the tangent plane E, into q, (2,) or longer; gives its depth."""
+def _project_to_plane(x, y, E, q):
+    """Write a ray's coordinates in the tangent plane E to q, (2,) or longer; return its depth."""
     depth = E[0, 2] * x + E[1, 2] * y + E[2, 2]
     q[0] = (E[0, 0] * x + E[1, 0] * y + E[2, 0]) / depth
     q[1] = (E[0, 1] * x + E[1, 1] * y + E[2, 1]) / depth
@@ -85,14 +89,13 @@ def _plan(x, y, E, q):
 
 
 @njit(cache=True, error_model="numpy")
-def _assign(
-    s0, s1, s2, q, area, colour, direction, angle, colours, pairs, limits, pixels, least, pale, E, R, near, count,
-    found, kept,
+def _assign_three(
+    s0, s1, s2, q, area, colour, direction, angle, colours, pairs, limits, pixels, min_score, glare_q, E, R, near,
+    count, found, kept,
 ):  # fmt: skip
     m = len(direction)
     d00, d01 = q[s1, 0] - q[s0, 0], q[s1, 1] - q[s0, 1]
     d10, d11 = q[s2, 0] - q[s0, 0], q[s2, 1] - q[s0, 1]
-    # the largest of the three is not much smaller than its disc seen from the front: bounds the scale from below
     for a in range(m):
         if colours[a] != colour[s0]:
             continue
@@ -130,7 +133,7 @@ def _assign(
                 scale = np.sqrt(half + root)
                 if not limits[0] < scale < limits[1]:
                     continue
-                # the area of each spot is not larger than its disc
+                # no spot is larger than its disc
                 largest = 1.6 * np.pi * scale * scale
                 if (
                     area[s0] > largest * angle[a] ** 2 + 9.0 * pixels**2
@@ -138,7 +141,7 @@ def _assign(
                     or area[s2] > largest * angle[c] ** 2 + 9.0 * pixels**2
                 ):
                     continue
-                # the part of both rows along the triangle's normal: eigenvector of the smaller eigenvalue
+                # part of both rows along the triangle's normal: eigenvector of the smaller eigenvalue
                 ex, ey = a01, half - root - a00
                 if abs(ex) + abs(ey) < 1e-12 * half:
                     ex, ey = (1.0, 0.0) if a00 < a11 else (0.0, 1.0)
@@ -175,18 +178,18 @@ def _assign(
                         R[1, 0] * direction[a, 0] + R[1, 1] * direction[a, 1] + R[1, 2] * direction[a, 2]
                     )
                     kept = _keep(
-                        cx, cy, scale, R, E, q, area, colour, direction, angle, colours, pixels, least, pale, near,
-                        count, found, kept,
+                        cx, cy, scale, R, E, q, area, colour, direction, angle, colours, pixels, min_score, glare_q,
+                        near, count, found, kept,
                     )  # fmt: skip
     return kept
 
 
 @njit(cache=True, error_model="numpy")
 def _assign_two(
-    s0, s1, q, area, colour, direction, angle, colours, pairs, limits, pixels, least, pale, E, R, near, count, found,
-    kept,
+    s0, s1, q, area, colour, direction, angle, colours, pairs, limits, pixels, min_score, glare_q, E, R, near, count,
+    found, kept,
 ):  # fmt: skip
-    """Two spots with their areas: how far a disc is turned away shows in its area."""
+    """Assign two spots to pairs of discs. The area of a spot gives the angle by which its disc is turned away."""
     m = len(direction)
     dx, dy = q[s1, 0] - q[s0, 0], q[s1, 1] - q[s0, 1]
     gap = dx * dx + dy * dy
@@ -202,7 +205,7 @@ def _assign_two(
             if not limits[0] < scale < limits[1]:
                 continue
             za, zb = turned_a / square, turned_b / square
-            if za > 1.25 or zb > 1.25:  # larger than their discs seen from the front
+            if za > 1.25 or zb > 1.25:  # spots larger than discs seen from the front
                 continue
             za, zb = min(za, 0.999), min(zb, 0.999)
             # in units of the radius: x of a with |a| = 1, |a + d| = 1
@@ -227,14 +230,14 @@ def _assign_two(
                 R[:] = outer @ inner.T
                 kept = _keep(
                     q[s0, 0] - scale * ax, q[s0, 1] - scale * ay, scale, R, E, q, area, colour, direction, angle,
-                    colours, pixels, least, pale, near, count, found, kept,
+                    colours, pixels, min_score, glare_q, near, count, found, kept,
                 )  # fmt: skip
     return kept
 
 
 @njit(cache=True, error_model="numpy")
 def _frame(ax, ay, az, bx, by, bz, F):
-    """Orthonormal columns along a + b, a - b and across both; exact for unit vectors."""
+    """Write orthonormal columns along a + b, a - b and across both to F, (3, 3). a and b are unit vectors."""
     sx, sy, sz = ax + bx, ay + by, az + bz
     n = np.sqrt(sx * sx + sy * sy + sz * sz)
     sx, sy, sz = sx / n, sy / n, sz / n
@@ -250,13 +253,30 @@ def _frame(ax, ay, az, bx, by, bz, F):
 
 @njit(cache=True, error_model="numpy")
 def _keep(
-    cx, cy, scale, R, E, q, area, colour, direction, angle, colours, pixels, least, pale, near, count, found, kept
+    cx,
+    cy,
+    scale,
+    R,
+    E,
+    q,
+    area,
+    colour,
+    direction,
+    angle,
+    colours,
+    pixels,
+    min_score,
+    glare_q,
+    near,
+    count,
+    found,
+    kept,
 ):
-    """Put a pose into `found` if it explains enough, in place of the worst where it is full. Gives the number kept."""
-    score, number = _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels, pale, near, count)
-    if score < least:
+    """Write a pose of sufficient score to `found`, over the worst one if it is full. Return the number of poses."""
+    score, number = _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels, glare_q, near, count)
+    if score < min_score:
         return kept
-    score *= number  # two discs agree by chance, five do not
+    score *= number  # two discs can agree by chance, five cannot
     row = kept
     if kept == len(found):
         row = np.argmin(found[:, 0])
@@ -273,13 +293,13 @@ def _keep(
 
 
 @njit(cache=True, error_model="numpy")
-def _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels, pale, near, count):
-    """Part of the discs in view, by area, that have a spot of their colour and size where they should be; their number.
+def _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels, glare_q, near, count):
+    """Return the fraction, by area, of the visible discs with a spot of their colour and size, and their number.
 
-    A spot on the ball that is no disc counts against it. What glare hides of a disc is not asked for.
+    A spot on the ball without a disc reduces the fraction. The part of a disc that glare hides does not.
     """
-    have, asked, number = 0.0, 0.0, 0
-    used = 0  # bits of the spots that are a disc
+    found_area, expected_area, number = 0.0, 0.0, 0
+    used_spots = 0  # bits of the spots that belong to a disc
     within = (0.15 * scale + pixels) ** 2
     for d in range(len(direction)):
         z = -(R[2, 0] * direction[d, 0] + R[2, 1] * direction[d, 1] + R[2, 2] * direction[d, 2])
@@ -289,13 +309,13 @@ def _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels,
         y = cy + scale * (R[1, 0] * direction[d, 0] + R[1, 1] * direction[d, 1] + R[1, 2] * direction[d, 2])
         expected = np.pi * (scale * angle[d]) ** 2 * z
         shown = expected
-        for g in range(len(pale)):
-            gap = np.sqrt((pale[g, 0] - x) ** 2 + (pale[g, 1] - y) ** 2)
-            shown -= _overlap(np.sqrt(expected / np.pi), pale[g, 2], gap)
+        for g in range(len(glare_q)):
+            gap = np.sqrt((glare_q[g, 0] - x) ** 2 + (glare_q[g, 1] - y) ** 2)
+            shown -= _overlap(np.sqrt(expected / np.pi), glare_q[g, 2], gap)
         shown = max(shown, 0.0)
         if z > 0.25:
-            asked += shown
-        # a highlight or a finger leaves a part of a disc, whose centroid lies anywhere within its outline
+            expected_area += shown
+        # a highlight or a finger leaves part of a disc, with a centroid anywhere inside its outline
         length = max(np.sqrt((x - cx) ** 2 + (y - cy) ** 2), 1e-9)
         ux, uy = (x - cx) / length, (y - cy) / length
         inside = (scale * angle[d]) ** 2
@@ -307,22 +327,22 @@ def _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels,
             across, aside = dx * ux + dy * uy, dy * ux - dx * uy
             part = area[s] < expected and (across / max(z, 0.25)) ** 2 + aside**2 < inside
             if part or dx * dx + dy * dy < within:
-                used |= 1 << i
+                used_spots |= 1 << i
                 if z > 0.25:
-                    # glare's reach is not known to the pixel: any area from what it leaves to the whole disc will do
-                    have += shown * min(area[s] / max(shown, 1e-12), expected / area[s], 1.0)
+                    # the reach of glare is inexact: any area from the rest to the whole disc agrees
+                    found_area += shown * min(area[s] / max(shown, 1e-12), expected / area[s], 1.0)
                     number += 1
                 break
     for i in range(count):
         s = near[i]
-        if not used & (1 << i) and (q[s, 0] - cx) ** 2 + (q[s, 1] - cy) ** 2 < (0.9 * scale) ** 2:
-            asked += area[s]
-    return (have / asked if asked > 0.0 else 0.0), number
+        if not used_spots & (1 << i) and (q[s, 0] - cx) ** 2 + (q[s, 1] - cy) ** 2 < (0.9 * scale) ** 2:
+            expected_area += area[s]
+    return (found_area / expected_area if expected_area > 0.0 else 0.0), number
 
 
 @njit(cache=True, error_model="numpy")
 def _overlap(a, b, gap):
-    """Area that two circles of radii a and b share, their centres `gap` apart."""
+    """Return the common area of two circles of radii a and b at a distance `gap`."""
     if gap >= a + b:
         return 0.0
     if gap <= abs(a - b):

@@ -1,8 +1,8 @@
-"""The six axes of a hand-held ball as people read them: x, y, z in metres, yaw, pitch and roll, each with its sigma.
+"""Six axes of a hand-held ball: x, y, z in metres, yaw, pitch and roll, each with its standard deviation.
 
-The angles are omega, phi, kappa of `R_cam_ball` (docs/conventions), counted from a ball that stands upright, azimuth 0
-towards the camera: pitch = omega - 90°, roll = phi, yaw = -90° - kappa. They are singular where the pole lies along
-the camera's x axis; upright, and pointed at the camera or away from it, they are not.
+The angles are omega, phi, kappa of `R_cam_ball` (docs/conventions), relative to an upright ball with azimuth 0 towards
+the camera: pitch = omega - 90°, roll = phi, yaw = -90° - kappa. They are singular if the pole points along the camera's
+x axis, and regular for an upright ball and one that points at the camera or away from it.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ import numpy as np
 from spheremouse.geometry.rotation import Array, euler_rate_matrix, from_euler, to_euler
 
 _QUARTER = 0.5 * np.pi
-_SINGULAR = 1e-6  # cosine of phi below which the angles say nothing
+_MIN_COS_PHI = 1e-6  # below, the angles are undefined
 UPRIGHT = from_euler(np.array([_QUARTER, 0.0, -_QUARTER]))  # R_cam_ball with yaw, pitch and roll 0
 
 
@@ -23,14 +23,14 @@ class Axes:
     position: Array  # (3,) m, cam: right, down, away
     angles: Array  # (3,) rad: yaw about the pole, pitch towards the camera, roll to the right in the picture
     position_sigma: Array  # (3,) m
-    angles_sigma: Array  # (3,) rad, no more than pi: then the angle is unknown
+    angles_sigma: Array  # (3,) rad, at most pi, which is that of an unknown angle
 
 
 def axes_of(position: Array, rotation: Array, covariance: Array) -> Axes:
-    """Axes of a pose T_cam_ball with its covariance, (6, 6), as `wand.track` gives it."""
+    """Return the axes of a pose T_cam_ball with covariance (6, 6) m, rad of `WandPose`."""
     omega, phi, kappa = to_euler(rotation)
     angles = wrapped(np.array([-_QUARTER - kappa, omega - _QUARTER, phi]))
-    if np.cos(phi) > _SINGULAR:
+    if np.cos(phi) > _MIN_COS_PHI:
         J = np.linalg.inv(euler_rate_matrix(np.array([omega, phi, kappa])))
         variance = np.diag(J @ covariance[3:, 3:] @ J.T)[[2, 0, 1]]
         sigma = np.minimum(np.sqrt(np.maximum(variance, 0.0)), np.pi)
@@ -40,11 +40,11 @@ def axes_of(position: Array, rotation: Array, covariance: Array) -> Axes:
 
 
 def attitude(angles: Array) -> Array:
-    """R_cam_ball, (3, 3), of yaw, pitch and roll, rad: the way back."""
+    """Return R_cam_ball, (3, 3), from yaw, pitch and roll, (3,) rad."""
     yaw, pitch, roll = angles
     return from_euler(np.array([pitch + _QUARTER, roll, -_QUARTER - yaw]))
 
 
 def wrapped(angles: Array) -> Array:
-    """Angles in (-pi, pi], rad."""
+    """Wrap angles to (-pi, pi], rad."""
     return np.pi - (np.pi - angles) % (2.0 * np.pi)

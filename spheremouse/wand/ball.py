@@ -1,7 +1,7 @@
-"""The hand-held ball: its discs in the ball's own frame, and Grzonka's left-handed frame converted once.
+"""Hand-held balls: their discs, their frame and their true motion.
 
-The frame `ball`: origin at the centre, z towards the pole (away from stick or robot), x at azimuth 0, y at azimuth 90°,
-counter-clockwise seen from above: right-handed. Balls after Grzonka 2005, sections 3.4.1 and 5.2.
+The frame `ball` has its origin at the centre, z towards the pole (away from stick or robot), x at azimuth 0 and y at
+azimuth 90°, counter-clockwise seen from above: right-handed. Balls after Grzonka 2005, sections 3.4.1 and 5.2.
 """
 
 from dataclasses import dataclass
@@ -10,13 +10,13 @@ import numpy as np
 
 from spheremouse.geometry.rotation import Array
 
-_POINTS_AT = 0.65  # of a disc's radius, its four outer points, where nobody says: between the thesis' 0.48 and 0.69
+_OUTER_POINTS = 0.65  # of a disc's radius, default of its four outer points: between the thesis' 0.48 and 0.69
 _FLIP = np.diag([1.0, -1.0, 1.0])  # x right, y up, z away (left-handed) to x right, y down, z forward
 
 
 @dataclass(frozen=True, slots=True)
 class WandDisc:
-    """A disc on the ball: a spherical cap."""
+    """Disc on a ball: a spherical cap."""
 
     direction: Array  # (3,) unit vector of its centre, ball
     angle: float  # rad, angular radius
@@ -26,33 +26,44 @@ class WandDisc:
 
 @dataclass(frozen=True, slots=True)
 class WandBall:
-    """A ball with its discs."""
+    """Ball with its discs."""
 
     name: str
     radius: float  # m
     discs: tuple[WandDisc, ...]
-    body: str = "white"  # of the ball between the discs: "white" or "black"
+    body: str = "white"  # colour between the discs: "white" or "black"
 
     @property
     def colours(self) -> tuple[str, ...]:
-        """Colours of the discs, each once, in alphabetical order."""
+        """Colours of the discs in alphabetical order."""
         return tuple(sorted({d.colour for d in self.discs}))
+
+
+@dataclass(frozen=True, slots=True)
+class WandTruth:
+    """True motion of a ball, one row per frame."""
+
+    stamp: Array  # (n,) s
+    position: Array  # (n, 3) m, centre in cam
+    rotation: Array  # (n, 3, 3) R_cam_ball
+
+    def __len__(self) -> int:
+        return len(self.stamp)
 
 
 def wand_disc(
     azimuth: float, latitude: float, angle: float, colour: str, points_angle: float | None = None
 ) -> WandDisc:
-    """A disc by azimuth, latitude and angular radius, rad."""
+    """Return a disc from azimuth, latitude and angular radius, rad."""
     direction = np.array([np.cos(latitude) * np.cos(azimuth), np.cos(latitude) * np.sin(azimuth), np.sin(latitude)])
-    return WandDisc(direction, angle, colour, _POINTS_AT * angle if points_angle is None else points_angle)
+    return WandDisc(direction, angle, colour, _OUTER_POINTS * angle if points_angle is None else points_angle)
 
 
 def grzonka_ball() -> WandBall:
-    """The ball of Grzonka 2005, section 3.4.1: 10 cm, discs of 2.1 and 3.5 cm at four azimuths, red and blue.
+    """Return the ball of Grzonka 2005, section 3.4.1: 10 cm, red and blue discs of 2.1 and 3.5 cm at four azimuths.
 
-    The colours of upper and lower disc go through the Gray code, (red, red), (red, blue), (blue, blue), (blue, red).
-    The latitudes, which the thesis does not print, are those of the shared recording: 55° and 15°. A disc's diameter
-    is that of its rim.
+    The colours of upper and lower disc are a Gray code: (red, red), (red, blue), (blue, blue), (blue, red). The thesis
+    prints no latitudes; those of the shared recording are 55° and 15°. A disc's diameter is that of its rim.
     """
     radius = 0.05
     upper, lower = np.arcsin(0.0105 / radius), np.arcsin(0.0175 / radius)
@@ -65,8 +76,8 @@ def grzonka_ball() -> WandBall:
     return WandBall("grzonka", radius, tuple(discs))
 
 
-# Azimuth, latitude, angular radius in degrees. One colour carries no code, so the places do: sizes in turn, gaps along
-# each row all different, rows that reach both halves, so that four or more are in view from wherever one looks.
+# Azimuth, latitude, angular radius in degrees. One colour carries no code, so places and sizes do. Sizes vary, gaps
+# in a row differ, and both halves have rows, so that every view shows four discs or more.
 _UNEVEN = (
     (0, 52, 14), (75, 48, 9), (130, 58, 11), (215, 45, 15), (290, 55, 8),
     (25, 8, 12), (62, 0, 8), (112, 12, 15), (165, -2, 9), (205, 5, 11), (262, 10, 14), (318, 2, 9),
@@ -75,16 +86,16 @@ _UNEVEN = (
 
 
 def contrast_ball() -> WandBall:
-    """One colour, dark on white, after the outlook of Grzonka 2005 (section 5.2, figure 25): marks at uneven places.
+    """Return a ball with dark discs on white at uneven places, after Grzonka 2005 (section 5.2, figure 25).
 
-    The thesis sketches lines whose heights follow the Gray code, with blocks at uneven distances. Discs of three sizes
-    at uneven distances carry the same information, and their rims measure in every direction.
+    The thesis sketches lines whose heights follow the Gray code, with blocks at uneven distances. Discs of several
+    sizes at uneven distances carry the same information, and their rims measure in every direction.
     """
     return _uneven("contrast", "dark", "white")
 
 
 def led_ball() -> WandBall:
-    """Lit discs (light-emitting diodes behind diffusers) on a black ball, at the places of `contrast_ball`."""
+    """Return a black ball with lit discs (LEDs behind diffusers) at the places of `contrast_ball`."""
     return _uneven("led", "light", "black")
 
 
@@ -95,9 +106,8 @@ def _uneven(name: str, colour: str, body: str) -> WandBall:
 
 
 def from_left_handed(position: Array, rotation: Array) -> tuple[Array, Array]:
-    """Position, (..., 3) m, and rotation, (..., 3, 3), from Grzonka's frame (x right, y up, z away) to `cam`.
+    """Convert position, (..., 3) m, and rotation, (..., 3, 3), from Grzonka's frame (x right, y up, z away) to `cam`.
 
-    The flip of one axis turns the sense of every rotation: R = F R_left F with F = diag(1, -1, 1). It is its own
-    inverse, so this is also the way back.
+    Flipping one axis reverses every rotation: R = F R_left F with F = diag(1, -1, 1). It is its own inverse.
     """
     return position @ _FLIP, _FLIP @ rotation @ _FLIP

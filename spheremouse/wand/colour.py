@@ -1,9 +1,8 @@
-"""A picture in, one weight field per colour out: how near a place is to pixels of that colour, 0 to 255.
+"""Weight fields of the colours in a picture: 255 inside an area of the colour, 0 farther from it than 2 px.
 
-HSV with the brightness normalised to a mean of 127, six bounds per colour, binary images convolved with a 5 x 5
-Gaussian (Grzonka 2005, section 3.4.2 and 3.4.3). Only a region of interest need be looked at, and a large ball is
-looked at in a reduced picture, so that the work does not depend on its size. Where glare has washed the colours out, a
-further field says that nothing is known.
+HSV with the brightness normalised to a mean of 127, six bounds for each colour, binary pictures convolved with a 5 x 5
+Gaussian (Grzonka 2005, sections 3.4.2 and 3.4.3). A region of interest and a reduced picture for a large ball keep the
+time independent of the ball's size. A further field marks glare, which hides all colours.
 """
 
 from dataclasses import dataclass
@@ -14,29 +13,28 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array
-from spheremouse.wand.rims import BRIGHTEST, ColourSettings, Image, rim_shift, shift_by_brightness
+from spheremouse.wand.rims import OVEREXPOSED, Image, rim_shift, rim_shift_by_brightness
+from spheremouse.wand.settings import ColourSettings
 
 Region = tuple[int, int, int, int]  # left, top, right, bottom px; right and bottom excluded
 
 MEAN_BRIGHTNESS = 127.0
-FIELD_SIGMA = 1.2  # px of the field: the kernel's 1.1 and half a pixel of thresholding and interpolation
+FIELD_SIGMA = 1.2  # px of the field: 1.1 of the kernel, 0.5 of thresholding and interpolation
 _KERNEL = (5, 5)
-_SAMPLE = 16  # every so many rows and columns tell the mean brightness, from thousands of pixels
-# Glare is the sun's mirror image, as wide as the gloss is rough. All is paler around the spot that is overexposed.
-# Print is known to be by its hue without its saturation; of the rest nobody knows.
-_HALO = 1.0  # radii of an overexposed spot around it of which nobody knows: a lobe has fallen to a tenth at twice its
-_HALO_LEAST, _HALO_MOST = 2.0, 8.0  # half width; px. Pale print is looked for as far as the greatest
-_PALE = 0.25  # of a colour's least saturation: above it is a tint, below noise and white
-_GLARE_ACROSS = 38  # px, beyond which a spot is no mirror image on a ball of at most 128 px, but white or sky or a lamp
-_GLARE_LEAST = 3  # px; fewer are noise
-_GLARE_SPOTS = 24  # the largest that are looked at
-_ACROSS = 64.0  # px, a ball's diameter beyond which the picture is reduced: its rims then outweigh the pixels' noise
+_SAMPLE_STEP = 16  # rows and columns, for mean brightness and colours: thousands of pixels suffice
+# Glare is the mirror image of the sun, as wide as the gloss is rough. Around an overexposed spot all colours are paler:
+# there print shows by its hue, and any other pixel may be print or white.
+_HALO_RADII = 1.0  # of an overexposed spot, around it: a gloss lobe has fallen to a tenth at twice its half width
+_MIN_HALO, _MAX_HALO = 2.0, 8.0  # px; pale print counts as glare up to the greatest
+_MIN_TINT = 0.25  # of a colour's least saturation: below is noise and white
+_MAX_GLARE_SIZE = 38  # px: a larger spot is no mirror image on a ball of at most 128 px, but white, sky or a lamp
+_MIN_GLARE_PIXELS = 3  # fewer are noise
+_MAX_GLARE_SPOTS = 24  # the largest
+_MAX_DIAMETER = 64.0  # px of a ball; a picture of a larger one is reduced: its rims still outweigh the pixels' noise
 
-
-# Of print on white, light mixes before it becomes grey values: a pixel half disc, half white has 0.2 of full saturation
-# only, as pale things of a room have. The bound lies at 0.37, where three quarters are disc: the rim is selected a
-# third of a pixel too far inward, which `rim_shift` tells. Hues: red keeps clear of skin and wood (20 to 35°), blue of
-# teal and purple.
+# Light mixes before the camera's gamma, so a pixel half print, half white has 0.2 of full saturation, as pale things in
+# a room have. The bound at 0.37 selects pixels of three quarters print: the rim is a third of a pixel too far inside,
+# which `rim_shift` corrects. Red avoids the hues of skin and wood (20 to 35°), blue those of teal and purple.
 DEFAULT_COLOURS: dict[str, ColourSettings] = {
     "red": ColourSettings(hue_min=340.0, hue_max=14.0, saturation_min=95.0, value_min=25.0),
     "blue": ColourSettings(hue_min=205.0, hue_max=262.0, saturation_min=95.0, value_min=25.0),
@@ -47,128 +45,128 @@ DEFAULT_COLOURS: dict[str, ColourSettings] = {
 
 @dataclass(frozen=True, slots=True)
 class Fields:
-    """Weight fields of part of a picture, reduced `factor` times."""
+    """Weight fields of part of a picture that is reduced `factor` times."""
 
     weight: NDArray[np.uint8]  # (c, h, w), 255 deep within the colour
     binary: NDArray[np.uint8]  # (c, h, w), 255 or 0
-    left: int  # px of the whole picture, where the fields begin
+    left: int  # px of the whole picture, first column of the fields
     top: int
     factor: int
-    share: Array  # (c,) part of the whole picture's pixels that have the colour
+    fraction: Array  # (c,) of the whole picture's pixels that have the colour
     colours: tuple[str, ...]
-    rim: Array  # (c,) px of the field that a rim between print and white is selected outward of where it is
-    glare: NDArray[np.uint8]  # (1, h, w) 255 where glare hides all colours, blurred as `weight`; (0, 1, 1): nowhere
+    rim: Array  # (c,) px of the field by which a rim between print and white is selected too far outward
+    glare: NDArray[np.uint8]  # (1, h, w) 255 inside glare, blurred as `weight`; (0, 1, 1) without glare
 
     def place(self) -> Array:
-        """(3,): left, top, factor, for compiled code."""
+        """Return left, top, factor, (3,), for compiled code."""
         return np.array([self.left, self.top, self.factor], dtype=float)
 
 
 @dataclass(frozen=True, slots=True)
-class Tone:
-    """What the whole picture says of a region: told by every sixteenth row and column."""
+class PictureColours:
+    """Brightness and colours of a whole picture, from every sixteenth row and column."""
 
-    mean: float  # of the HSV brightness
-    share: Array  # (c,) part of the pixels that have each colour
+    mean: float  # HSV brightness, 0 to 255
+    fraction: Array  # (c,) of the pixels that have each colour
 
 
-def tone(image: Image, colours: dict[str, ColourSettings], names: tuple[str, ...]) -> Tone:
-    """Brightness and colours of a BGR picture, (h, w, 3)."""
-    sample = np.ascontiguousarray(image[_SAMPLE // 2 :: _SAMPLE, _SAMPLE // 2 :: _SAMPLE])
+def picture_colours(image: Image, colours: dict[str, ColourSettings], names: tuple[str, ...]) -> PictureColours:
+    """Return brightness and colours of a BGR picture, (h, w, 3)."""
+    sample = np.ascontiguousarray(image[_SAMPLE_STEP // 2 :: _SAMPLE_STEP, _SAMPLE_STEP // 2 :: _SAMPLE_STEP])
     mean = float(_mean_value(sample))
-    _, count, _ = _selected(sample, _bounds(colours, names, mean))
-    return Tone(mean, count / sample[:, :, 0].size)
+    _, count, _ = _binary_pictures(sample, _bounds(colours, names, mean))
+    return PictureColours(mean, count / sample[:, :, 0].size)
 
 
-def fields(
+def colour_fields(
     image: Image,
     colours: dict[str, ColourSettings],
     names: tuple[str, ...],
     region: Region | None = None,
     factor: int = 1,
-    known: Tone | None = None,
+    known: PictureColours | None = None,
 ) -> Fields:
-    """Weight fields of the colours `names` in a BGR picture, (h, w, 3), or in a region of it.
+    """Return weight fields of the colours `names` in a BGR picture, (h, w, 3), or in a region of it.
 
-    `known` is the picture's `tone` where it is known already.
+    The picture is reduced `factor` times. `known` is the result of `picture_colours`, computed here if missing.
     """
     h, w = image.shape[:2]
-    known = known or tone(image, colours, names)
+    known = known or picture_colours(image, colours, names)
     left, top, right, bottom = region or (0, 0, w, h)
     part = image[top:bottom, left:right]
     if factor > 1:
         part = cv2.resize(part, (part.shape[1] // factor, part.shape[0] // factor), interpolation=cv2.INTER_AREA)
     part = np.ascontiguousarray(part, dtype=np.uint8)
     bounds = _bounds(colours, names, known.mean)
-    binary, count, white = _selected(part, bounds)
+    binary, count, white = _binary_pictures(part, bounds)
     weight = np.empty_like(binary)
     for one, to in zip(binary, weight, strict=True):
         cv2.GaussianBlur(one, _KERNEL, 0.0, dst=to, borderType=cv2.BORDER_REPLICATE)
     glare = np.zeros((0, 1, 1), dtype=np.uint8) if white is None else _glare(part, bounds, white, binary)
-    share = known.share if region else count / max(binary[0].size, 1)
+    fraction = known.fraction if region else count / max(binary[0].size, 1)
     rim = [
         rim_shift(colours[name]) / factor
         if colours[name].saturation_min > 0.0
-        else shift_by_brightness(part, one, bound, factor)
+        else rim_shift_by_brightness(part, one, bound, factor)
         for name, one, bound in zip(names, binary, bounds, strict=True)
     ]
-    return Fields(weight, binary, left, top, factor, share, names, np.array(rim), glare)
+    return Fields(weight, binary, left, top, factor, fraction, names, np.array(rim), glare)
 
 
 def _bounds(colours: dict[str, ColourSettings], names: tuple[str, ...], mean: float) -> NDArray[np.float32]:
-    """A row as of `_row` for each colour, in a picture of a mean brightness."""
+    """Return the bounds of each colour, (c, 6), in a picture of a mean brightness."""
     gain = MEAN_BRIGHTNESS / max(mean, 1.0)
-    return np.array([_row(colours[name], gain) for name in names], dtype=np.float32)
+    return np.array([_bounds_row(colours[name], gain) for name in names], dtype=np.float32)
 
 
-def _selected(
+def _binary_pictures(
     image: Image, bounds: NDArray[np.float32]
 ) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.uint8] | None]:
-    """Binary pictures, (c, h, w), how many pixels each has, and pixels that are overexposed and of none, if any."""
+    """Return binary pictures, (c, h, w), their numbers of pixels, and overexposed pixels of no colour, if any."""
     binary = np.zeros((len(bounds), *image.shape[:2]), dtype=np.uint8)
     count = np.zeros(len(bounds), dtype=np.int64)
     white = np.zeros(image.shape[:2], dtype=np.uint8)
     some = _select(image, bounds, binary, count, white)
-    return binary, count, white if some >= _GLARE_LEAST else None
+    return binary, count, white if some >= _MIN_GLARE_PIXELS else None
 
 
 def _glare(
     image: Image, bounds: NDArray[np.float32], white: NDArray[np.uint8], binary: NDArray[np.uint8]
 ) -> NDArray[np.uint8]:
-    """Blurred picture, (1, h, w) or (0, 1, 1), of what glare makes pale: overexposed spots `white` and around them."""
+    """Return the field of glare, (1, h, w), or (0, 1, 1) without any: overexposed spots `white` and their halos."""
     n, label, stats, _ = cv2.connectedComponentsWithStats(white, connectivity=8)
     width, height, area = (stats[:, k] for k in (cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT, cv2.CC_STAT_AREA))
     spots = 1 + np.flatnonzero(
-        (width[1:n] <= _GLARE_ACROSS) & (height[1:n] <= _GLARE_ACROSS) & (area[1:n] >= _GLARE_LEAST)
+        (width[1:n] <= _MAX_GLARE_SIZE) & (height[1:n] <= _MAX_GLARE_SIZE) & (area[1:n] >= _MIN_GLARE_PIXELS)
     )
     if len(spots) == 0:
         return np.zeros((0, 1, 1), dtype=np.uint8)
     pale = np.zeros(white.shape, dtype=np.uint8)
-    margin = int(_HALO_MOST) + 1
-    for i in spots[np.argsort(-area[spots], kind="stable")][:_GLARE_SPOTS]:
-        reach = min(max(_HALO * np.sqrt(area[i] / np.pi), _HALO_LEAST), _HALO_MOST)
+    margin = int(_MAX_HALO) + 1
+    for i in spots[np.argsort(-area[spots], kind="stable")][:_MAX_GLARE_SPOTS]:
+        reach = min(max(_HALO_RADII * np.sqrt(area[i] / np.pi), _MIN_HALO), _MAX_HALO)
         x, y = stats[i, cv2.CC_STAT_LEFT], stats[i, cv2.CC_STAT_TOP]
         top, left = max(y - margin, 0), max(x - margin, 0)
         part = np.s_[top : y + height[i] + margin, left : x + width[i] + margin]
-        away = cv2.distanceTransform(np.where(label[part] == i, np.uint8(0), np.uint8(1)), cv2.DIST_L2, 5)
-        _spread(image, bounds, away, top, left, reach, pale)
+        distance = cv2.distanceTransform(np.where(label[part] == i, np.uint8(0), np.uint8(1)), cv2.DIST_L2, 5)
+        _grow_glare(image, bounds, distance, top, left, reach, pale)
     for one in binary:
         pale[one > 0] = 0
     return np.asarray(cv2.GaussianBlur(pale, _KERNEL, 0.0, borderType=cv2.BORDER_REPLICATE), dtype=np.uint8)[None]
 
 
 @njit(cache=True, error_model="numpy")
-def _spread(image, bounds, away, top, left, reach, pale):
-    """Pixels of `pale` to 255: within `reach` of an overexposed spot, and pale print next to those.
+def _grow_glare(image, bounds, distance, top, left, reach, pale):
+    """Set pixels of `pale` to 255 within `reach` of an overexposed spot, and connected pale print.
 
-    `away` is the distance from the spot, of the pixels from `top`, `left` on.
+    `distance` px is that from the spot, (h, w), of the pixels from `top`, `left` on.
     """
-    h, w = away.shape
+    h, w = distance.shape
     stack = np.empty((h * w, 2), dtype=np.int64)
     n = 0
     for i in range(h):
         for j in range(w):
-            if away[i, j] <= reach:
+            if distance[i, j] <= reach:
                 pale[top + i, left + j] = 255
                 stack[n, 0], stack[n, 1] = i, j
                 n += 1
@@ -178,15 +176,15 @@ def _spread(image, bounds, away, top, left, reach, pale):
         for k in range(max(i - 1, 0), min(i + 2, h)):
             for l in range(max(j - 1, 0), min(j + 2, w)):
                 u, v = left + l, top + k
-                if pale[v, u] == 0 and away[k, l] <= _HALO_MOST and _tinted(image[v, u], bounds):
+                if pale[v, u] == 0 and distance[k, l] <= _MAX_HALO and _is_tinted(image[v, u], bounds):
                     pale[v, u] = 255
                     stack[n, 0], stack[n, 1] = k, l
                     n += 1
 
 
 @njit(cache=True, error_model="numpy")
-def _tinted(pixel, bounds):
-    """Has a pixel the hue of a colour, and less saturation than it takes, yet some?"""
+def _is_tinted(pixel, bounds):
+    """Return true if a pixel has the hue of a colour, but only part of the required saturation."""
     b, g, r = np.int32(pixel[0]), np.int32(pixel[1]), np.int32(pixel[2])
     high = max(b, g, r)
     spread = high - min(b, g, r)
@@ -194,14 +192,16 @@ def _tinted(pixel, bounds):
         return False
     hue = _hue(b, g, r, high, spread)
     for c in range(len(bounds)):
-        if _PALE * bounds[c, 2] * high < spread < bounds[c, 2] * high and _inside(hue, bounds[c, 0], bounds[c, 1]):
+        if _MIN_TINT * bounds[c, 2] * high < spread < bounds[c, 2] * high and _hue_between(
+            hue, bounds[c, 0], bounds[c, 1]
+        ):
             return True
     return False
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def _hue(b, g, r, high, spread):
-    """Hue in degrees, 0 to 360; `high` the greatest of the channels, `spread` above 0 that less the least."""
+    """Return the hue in degrees, 0 to 360. `high` is the greatest channel, `spread` > 0 that minus the least."""
     if high == r:
         hue = np.float32(60.0) * np.float32(g - b) / np.float32(spread)
     elif high == g:
@@ -212,24 +212,24 @@ def _hue(b, g, r, high, spread):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _inside(hue, low, top):
-    """Does a hue lie between two, through 0 where the first is the greater?"""
+def _hue_between(hue, low, top):
+    """Return true if a hue lies from `low` to `top`, through 0 if `low` is greater."""
     return (low <= hue <= top) if low <= top else (hue >= low or hue <= top)
 
 
-def reduction(diameter: float) -> int:
-    """How often to reduce the picture for a ball so many pixels across."""
-    return max(int(diameter / _ACROSS), 1)
+def reduction_factor(diameter: float) -> int:
+    """Return the factor by which to reduce the picture of a ball of this diameter, px."""
+    return max(int(diameter / _MAX_DIAMETER), 1)
 
 
-def _row(colour: ColourSettings, gain: float) -> tuple[float, ...]:
-    """Bounds for one picture: hue, saturation, brightness of its own pixels."""
+def _bounds_row(colour: ColourSettings, gain: float) -> tuple[float, ...]:
+    """Return the bounds of hue, saturation and brightness for one picture's own pixels."""
     return (
         colour.hue_min,
         colour.hue_max,
         colour.saturation_min / 255.0,
         colour.saturation_max / 255.0,
-        min(colour.value_min / gain, BRIGHTEST),
+        min(colour.value_min / gain, OVEREXPOSED),
         colour.value_max / gain,
     )
 
@@ -245,9 +245,9 @@ def _mean_value(image):
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _select(image, bounds, binary, count, white):
-    """Pixels of each colour to 255 where the bounds, as `_row` gives them, are met; overexposed others to `white`.
+    """Set pixels within the bounds of each colour to 255 in `binary`, and other overexposed ones in `white`.
 
-    Gives the number of the latter.
+    Return the number of the latter.
     """
     h, w, _ = image.shape
     n = len(bounds)
@@ -256,8 +256,8 @@ def _select(image, bounds, binary, count, white):
         least = min(least, bounds[c, 2])
         darkest = min(darkest, bounds[c, 4])
         brightest = max(brightest, bounds[c, 5])
-    grey = np.int32(least * np.float32(256.0))  # of 256: below, no colour whatever the hue
-    overexposed, some = np.int32(BRIGHTEST), 0
+    grey = np.int32(least * np.float32(256.0))  # of 256: no colour has less saturation
+    overexposed, some = np.int32(OVEREXPOSED), 0
     low_value, high_value = np.int32(min(darkest, np.float32(255.0))), np.int32(min(brightest, np.float32(255.0)))
     for i in range(h):
         for j in range(w):
@@ -272,7 +272,7 @@ def _select(image, bounds, binary, count, white):
             hue = _hue(b, g, r, high, spread) if spread > 0 else np.float32(0.0)
             for c in range(n):
                 if (
-                    _inside(hue, bounds[c, 0], bounds[c, 1])
+                    _hue_between(hue, bounds[c, 0], bounds[c, 1])
                     and bounds[c, 2] * high <= spread <= bounds[c, 3] * high
                     and bounds[c, 4] <= high <= bounds[c, 5]
                 ):

@@ -1,4 +1,4 @@
-"""Points on a ball with what colours they should have: what a likelihood compares."""
+"""Points on a ball with their expected colours, which the likelihood compares with a picture."""
 
 from dataclasses import dataclass
 
@@ -10,13 +10,13 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.wand.ball import WandBall
 
-_RIM = 12  # points on a rim
-_BESIDE = 6  # points beside it
-_BESIDE_BY = 0.11  # rad: half the gap between the discs of one azimuth, and three pixels of a ball 50 px across
-_BARE = 80  # directions tried for bare points
-# In single precision, or the loops over points would be computed in double: numbers of the functions below
-NONE, _HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
-_FAR = np.float32(3.6)
+_RIM_POINTS = 12
+_OUTER_POINTS = 6  # just outside a rim
+_OUTER_DISTANCE = 0.11  # rad from the rim: half the gap of two discs, and 3 px of a ball 50 px across
+_BARE_CANDIDATES = 80  # directions
+# Single precision: with one double the loops over points would be computed in double.
+ZERO, _HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_MAX_ARGUMENT = np.float32(3.6)
 _CUBIC = (np.float32(0.7988), np.float32(0.03528), np.float32(0.10584))
 _TANH = tuple(np.float32(c) for c in (135135.0, 17325.0, 378.0, 62370.0, 3150.0, 28.0))
 _ARC = (np.float32(0.1350363), np.float32(0.0472763), np.float32(0.0119235))
@@ -24,18 +24,18 @@ _ARC = (np.float32(0.1350363), np.float32(0.0472763), np.float32(0.0119235))
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """Points on a ball, in its frame."""
+    """Points on a ball, in `ball`."""
 
-    # (p, 10): direction, unit; tangent along the rim, unit; rad from the rim towards the disc's centre, negative beside
-    # the disc; rad to the far rim; 1 / tan of the disc's angular radius; sr that each
-    # point of the disc stands for, at its centre, which comes first, else 0
+    # (p, 10): direction, unit; tangent along the rim, unit; rad from the rim towards the disc's centre, negative
+    # outside the disc; rad to the far rim; 1 / tan of the disc's angular radius; sr of each point of the disc, at
+    # its first point, the centre, and 0 at the others
     table: Array
-    colour: NDArray[np.int64]  # (p,) index of the colour; -1: bare of all
+    colour: NDArray[np.int64]  # (p,) index of the colour; -1 of a bare point
 
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """What the compiled functions need of ball, points and camera."""
+    """Ball, points and camera for compiled functions."""
 
     points: Points
     radius: float  # m
@@ -43,7 +43,7 @@ class Model:
 
 
 def ball_points(ball: WandBall, names: tuple[str, ...]) -> Points:
-    """The points of a ball; `names` are the colours of the fields."""
+    """Return the points of a ball. `names` are the colours of the fields."""
     rows = []
     for disc in ball.discs:
         c = names.index(disc.colour)
@@ -51,40 +51,39 @@ def ball_points(ball: WandBall, names: tuple[str, ...]) -> Points:
         rows.append((disc.direction, basis[:, 0], disc.angle, disc.angle, c))  # the centre comes first
         rings = (
             (4, disc.points_angle, disc.angle - disc.points_angle),
-            (_RIM, disc.angle, 0.0),
-            (_BESIDE, disc.angle + _BESIDE_BY, -_BESIDE_BY),
+            (_RIM_POINTS, disc.angle, 0.0),
+            (_OUTER_POINTS, disc.angle + _OUTER_DISTANCE, -_OUTER_DISTANCE),
         )
         for n, away, inside in rings:
             for phi in np.arange(n) * (2.0 * np.pi / n):
                 out = basis @ np.array([np.cos(phi), np.sin(phi)])
                 along = basis @ np.array([-np.sin(phi), np.cos(phi)])
                 u = np.cos(away) * disc.direction + np.sin(away) * out
-                if inside < 0.0 and _within(u, ball, _BESIDE_BY / 2, disc.colour):
+                if inside < 0.0 and _within(u, ball, _OUTER_DISTANCE / 2, disc.colour):
                     continue
                 rows.append((u, along, inside, disc.angle, c))
-    for u in _spiral(_BARE):
-        if not _within(u, ball, 1.5 * _BESIDE_BY, None):
+    for u in _spiral(_BARE_CANDIDATES):
+        if not _within(u, ball, 1.5 * _OUTER_DISTANCE, None):
             rows.append((u, tangent_basis(u)[:, 0], -1.0, 1.0, -1))
     table, last = [], None
     for u, t, inside, angle, c in rows:
-        # what a point stands for is written down at the first of each disc, and of the bare ones
         first = inside == angle or (c < 0 and last != c)
         last = c
-        share = _solid_angle(angle, c) if first else 0.0
-        table.append([*u, *t, inside, 2.0 * angle - inside, 1.0 / np.tan(angle), share])
+        solid_angle = _solid_angle(angle, c) if first else 0.0
+        table.append([*u, *t, inside, 2.0 * angle - inside, 1.0 / np.tan(angle), solid_angle])
     return Points(np.array(table), np.array([row[4] for row in rows], dtype=np.int64))
 
 
-def model(ball: WandBall, camera: InteriorOrientation, names: tuple[str, ...] | None = None) -> Model:
-    """A ball before a camera; `names` are the colours of the fields, those of the ball where not given."""
+def ball_model(ball: WandBall, camera: InteriorOrientation, names: tuple[str, ...] | None = None) -> Model:
+    """Return a ball before a camera. `names` are the colours of the fields, by default those of the ball."""
     return Model(
         ball_points(ball, names or ball.colours), ball.radius, np.concatenate([camera.intrinsic, camera.distortion])
     )
 
 
 def _solid_angle(angle: float, colour: int) -> float:
-    """Of one point of a disc or of a bare one, sr."""
-    return 4.0 * np.pi / _BARE if colour < 0 else np.pi * angle**2 / (5 + _RIM)
+    """Return the solid angle of one point, sr."""
+    return 4.0 * np.pi / _BARE_CANDIDATES if colour < 0 else np.pi * angle**2 / (5 + _RIM_POINTS)
 
 
 def _spiral(n: int) -> Array:
@@ -95,7 +94,7 @@ def _spiral(n: int) -> Array:
 
 
 def _within(u: Array, ball: WandBall, margin: float, colour: str | None) -> bool:
-    """Does a direction lie in or near a disc, of one colour or of any?"""
+    """Return true if a direction is inside a disc of a colour, or of any, or within `margin` rad of it."""
     return any(
         np.arccos(np.clip(u @ d.direction, -1.0, 1.0)) < d.angle + margin
         for d in ball.discs
@@ -104,12 +103,12 @@ def _within(u: Array, ball: WandBall, margin: float, colour: str | None) -> bool
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def normals(x):
-    """Gaussian distribution function and density, to 0.02 %, without a call.
+def normal_cdf_pdf(x):
+    """Return the standard normal distribution function and density, to 0.02 %.
 
-    The logistic of a cubic (Bowling et al. 2009), its hyperbolic tangent as a continued fraction.
+    It is the logistic function of a cubic (Bowling et al. 2009), with the hyperbolic tangent as a continued fraction.
     """
-    x = min(max(x, -_FAR), _FAR)
+    x = min(max(x, -_MAX_ARGUMENT), _MAX_ARGUMENT)
     xx = x * x
     y = x * (_CUBIC[0] + _CUBIC[1] * xx)
     yy = y * y
@@ -119,8 +118,8 @@ def normals(x):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def turn(cosine):
-    """2 / pi times the arc sine, to 5e-5 (Abramowitz, Stegun 1964, 4.4.45)."""
+def scaled_asin(cosine):
+    """Return 2 / pi times the arc sine, to 5e-5 (Abramowitz, Stegun 1964, 4.4.45)."""
     x = min(abs(cosine), ONE)
     rest = np.sqrt(ONE - x) * (ONE - x * (_ARC[0] - x * (_ARC[1] - x * _ARC[2])))
-    return ONE - rest if cosine > NONE else rest - ONE
+    return ONE - rest if cosine > ZERO else rest - ONE

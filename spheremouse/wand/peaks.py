@@ -1,67 +1,70 @@
-"""Peaks of the likelihood: poses that a picture supports, looked for, climbed and weighed."""
+"""Peaks of the likelihood: search for them, refine them, verify them."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array
 from spheremouse.wand import limb
 from spheremouse.wand.ball import WandBall
-from spheremouse.wand.colour import Fields, Region, Tone, fields, reduction
+from spheremouse.wand.colour import Fields, PictureColours, Region, colour_fields, reduction_factor
 from spheremouse.wand.likelihood import log_likelihood
 from spheremouse.wand.model import Model
-from spheremouse.wand.particles import (
-    Peaks,
-)
-from spheremouse.wand.refine import Peak, refine
+from spheremouse.wand.motions import search_region
+from spheremouse.wand.particles import MotionMixture, PeakMixture
+from spheremouse.wand.refine import Peak, refine_pose
 from spheremouse.wand.rims import Image
 from spheremouse.wand.settings import WandSettings
-from spheremouse.wand.spots import spots
-from spheremouse.wand.start import convincing, distinct, hypotheses, same
-from spheremouse.wand.state import WandTracker
+from spheremouse.wand.start import distinct_poses, evidence_without_prior, find_spots, pose_hypotheses
+from spheremouse.wand.state import Track, WandTracker
 
-_MOST_PEAKS = 3  # of the likelihood followed at a time: a pose, its mirror, a second ball
-_WORSE = 15.0  # log-likelihood below the best at which a peak is none
-_WIDER = 1.5  # covariance of a proposal over that of its peak: the likelihood has thicker tails than a Gaussian
-SURE = 0.8  # match of a pose that is believed at first sight: less is looked at twice, or is the mirror of the truth
-_STRONG, _LENIENT = 2.0, 0.15  # times the evidence asked for: a pose that has it may match so much less
-_COARSE = 36.0  # px across: in a picture so far reduced, a hypothesis is within reach of its peak
-HIDDEN_LEVEL = 0.4  # of that level: below, and with a poor match, more than half is hidden or it is another thing
-ELSEWHERE = 0.5  # of that level: what has less, elsewhere in the picture, is not the ball but a thing of its colours
-_FLANK = 0.15  # of the field's range: poses half a pixel from a peak are told from others yet
-_ROUNDS, _ROUNDS_NEAR = 8, 3  # of the refinement, from a hypothesis and from the flank of a peak
-_STEEP = 0.5  # `Peak.slope` above which a pose is still on its way: half a standard deviation off
-_DISCS = 3  # that show of a pose nothing led to: any two spots are explained by some pose
+_MAX_PEAKS = 3  # of the likelihood: a pose, its mirror, a second ball
+_MAX_LOG_LIKELIHOOD_LOSS = 15.0  # against the best peak
+_PROPOSAL_WIDTH = (
+    1.5  # covariance of a proposal over that of its peak: the likelihood has thicker tails than a Gaussian
+)
+CERTAIN_MATCH = 0.8  # match of a pose that is accepted at first sight: less may be the mirror of the true pose
+_STRONG_EVIDENCE = 2.0  # times the required evidence: a pose with that much passes with a smaller match,
+_MATCH_REDUCTION = 0.15  # by this
+_COARSE_DIAMETER = 36.0  # px: in a picture reduced so far, a hypothesis converges to its peak
+MIN_EVIDENCE_HIDDEN = 0.4  # of the track's evidence: below, with a poor match, half is hidden or it is another thing
+MIN_EVIDENCE_ELSEWHERE = 0.5  # of the track's evidence: other things in the ball's colours have less
+_COARSE_SIGMA = 0.15  # of the field's range: ranks poses half a pixel from a peak
+_MAX_ROUNDS, _MAX_ROUNDS_NEAR = 8, 3  # of the refinement, from a hypothesis and from near a peak
+_MAX_SLOPE = 0.5  # `Peak.slope` of a converged pose: half a standard deviation off
+_MIN_DISCS = 3  # of a pose without prior: some pose explains any two spots
 
 
 class Scene:
-    """One picture and what has been made of it so far: the whole picture's fields are made at most once."""
+    """One picture and its weight fields. The fields of the whole picture are computed once at most."""
 
-    def __init__(self, image: Image, tracker: WandTracker, known: Tone) -> None:
+    def __init__(self, image: Image, tracker: WandTracker, colours: PictureColours) -> None:
+        """`image` is (h, w, 3) BGR."""
         self.image = image
         self.tracker = tracker
-        self.tone = known
+        self.colours = colours
         self.whole: Fields | None = None
         self.searched = False
 
     def all(self) -> Fields:
-        """Fields of the whole picture."""
+        """Return the fields of the whole picture."""
         if self.whole is None:
             self.whole = self.part(None, 1)
         return self.whole
 
     def part(self, region: Region | None, factor: int) -> Fields:
-        """Fields of a region."""
-        return fields(self.image, self.tracker.colours, self.tracker.names, region, factor, self.tone)
+        """Return the fields of a region, reduced `factor` times; None is the whole picture."""
+        return colour_fields(self.image, self.tracker.colours, self.tracker.names, region, factor, self.colours)
 
 
 @dataclass(frozen=True, slots=True)
 class SearchContext:
-    """One ball that is looked for in one picture."""
+    """Search for one ball in one picture."""
 
     scene: Scene
     index: int  # of the ball
-    others: list[Array]  # (3,) m, cam: where other balls are
+    others: list[Array]  # (3,) m, cam: positions of the other balls
 
     @property
     def tracker(self) -> WandTracker:
@@ -77,14 +80,14 @@ class SearchContext:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Modes:
     """Peaks of one ball in one picture, the best first."""
 
     peaks: tuple[Peak, ...]
-    log_likelihood: Array  # (k,)
-    match: Array  # (k,)
+    log_likelihood: Array  # (k,) ratio against a picture without the ball
+    match: Array  # (k,) fraction of the coloured points that show their colour
     fields: Fields | None
-    turn: int = 0  # spot with which the next search begins
+    next_spot: int = 0  # spot with which the next search begins
 
     @property
     def position(self) -> Array:
@@ -96,187 +99,189 @@ class Found:
         """(k, 3, 3) R_cam_ball."""
         return np.array([k.rotation for k in self.peaks]).reshape(-1, 3, 3)
 
-
-def some_peaks(found: Found, kept: list[int]) -> Found:
-    """Some of its peaks."""
-    return replace(
-        found,
-        peaks=tuple(found.peaks[i] for i in kept),
-        log_likelihood=found.log_likelihood[kept],
-        match=found.match[kept],
-    )
+    def select(self, kept: list[int] | NDArray[np.int64]) -> "Modes":
+        """Return the peaks of these indices, in their order."""
+        peaks = tuple(self.peaks[i] for i in kept)
+        return replace(self, peaks=peaks, log_likelihood=self.log_likelihood[kept], match=self.match[kept])
 
 
-def passes_without_prior(found: Found, sought: SearchContext) -> Found:
-    """Those of its peaks that would be a ball if nothing led to them."""
-    tracker, kept = sought.tracker, []
-    if found.fields is None:
-        return found
-    for i, k in enumerate(found.peaks):
-        discs, bare = convincing(
-            sought.scene.image, k.position, k.rotation, sought.ball, sought.model, tracker.camera, found.fields
+def fields_near(track: Track, motions: MotionMixture, context: SearchContext) -> Fields:
+    """Return the fields of the part of the picture that a tracked ball can reach, or of all of it (`region`)."""
+    scene, s = context.scene, context.tracker.settings
+    region, factor = search_region(track, motions, context.tracker, context.ball.radius)
+    fields = scene.part(region if s.region else None, factor)
+    if not s.region and factor == 1:
+        scene.whole = fields
+    return fields
+
+
+def modes_without_prior(modes: Modes, context: SearchContext) -> Modes:
+    """Return the peaks that show three discs and a bare ball between them: evidence without a predicted pose."""
+    tracker, kept = context.tracker, []
+    if modes.fields is None:
+        return modes
+    for i, k in enumerate(modes.peaks):
+        discs, bare = evidence_without_prior(
+            context.scene.image, k.position, k.rotation, context.ball, context.model, tracker.camera, modes.fields
         )
-        if discs >= _DISCS and bare >= tracker.settings.match:
+        if discs >= _MIN_DISCS and bare >= tracker.settings.match:
             kept.append(i)
-    return some_peaks(found, kept)
+    return modes.select(kept)
 
 
-def _weighed(peaks: list[Peak], m: Model, seen: Fields) -> tuple[Array, Array]:
-    """Log-likelihood ratio and match of peaks."""
+def _weigh(peaks: list[Peak], m: Model, fields: Fields) -> Modes:
+    """Return peaks with log-likelihood ratio and match, in the same order."""
     position = np.array([k.position for k in peaks])
-    out, match = log_likelihood(position, np.array([k.rotation for k in peaks]), m, seen)
-    limb.weigh(position, np.arange(len(peaks)), np.array([k.edges for k in peaks]), m.radius, m.lens, seen.factor, out)
-    return out, match
+    edges = np.array([k.edges for k in peaks])
+    value, match = log_likelihood(position, np.array([k.rotation for k in peaks]), m, fields)
+    limb.add_log_likelihood(position, np.arange(len(peaks)), edges, m.radius, m.lens, fields.factor, value)
+    return Modes(tuple(peaks), value, match, fields)
 
 
 def refine_modes(
     position: Array,
     rotation: Array,
-    most: int,
-    sought: SearchContext,
-    seen: Fields,
+    count: int,
+    context: SearchContext,
+    fields: Fields,
     outline: bool = True,
-    sure: float = 0.0,
-) -> Found:
-    """Peaks near the best of some poses; of the best alone where its log-likelihood is above `sure`."""
-    m, radius = sought.model, sought.ball.radius
-    empty = Found((), np.zeros(0), np.zeros(0), seen)
+    sufficient: float = 0.0,
+) -> Modes:
+    """Refine the `count` best of n poses, (n, 3) m and (n, 3, 3), to peaks of the likelihood.
+
+    If the best log-likelihood exceeds `sufficient`, refine that pose alone.
+    """
+    m, radius = context.model, context.ball.radius
+    empty = Modes((), np.zeros(0), np.zeros(0), fields)
     if len(position) == 0:
         return empty
-    first, _ = log_likelihood(position, rotation, m, seen, _FLANK)
-    rounds = _ROUNDS
-    if sure and first.max() > sure:
-        most, rounds = 1, _ROUNDS_NEAR
+    first, _ = log_likelihood(position, rotation, m, fields, _COARSE_SIGMA)
+    rounds = _MAX_ROUNDS
+    if sufficient and first.max() > sufficient:
+        count, rounds = 1, _MAX_ROUNDS_NEAR
     order = np.argsort(-first, kind="stable")
-    starts = order[distinct(position[order], rotation[order], 0.5 * radius, most)]
+    starts = order[distinct_poses(position[order], rotation[order], 0.5 * radius, count)]
     none = np.zeros((limb.DIRECTIONS, 5))
-    peaks = [refine(position[i], rotation[i], m, seen, none, rounds) for i in starts]
-    if len(peaks) > _MOST_PEAKS:  # only those that come to something are climbed to the end
-        value, _ = _weighed(peaks, m, seen)
-        peaks = [peaks[i] for i in np.argsort(-value, kind="stable")[: 2 * _MOST_PEAKS] if value[i] > 0.0]
-    peaks = [_converged(k, m, seen) for k in peaks]
-    peaks = [k for k in peaks if _in_view(k, sought)]
+    peaks = [refine_pose(position[i], rotation[i], m, fields, none, rounds) for i in starts]
+    if len(peaks) > _MAX_PEAKS:  # further rounds for the promising ones only
+        value = _weigh(peaks, m, fields).log_likelihood
+        peaks = [peaks[i] for i in np.argsort(-value, kind="stable")[: 2 * _MAX_PEAKS] if value[i] > 0.0]
+    peaks = [_converge(k, m, fields) for k in peaks]
+    peaks = [k for k in peaks if _in_view(k, context)]
     if not peaks:
         return empty
-    value, match = _weighed(peaks, m, seen)
-    least = min(value.max() - 2.0 * _WORSE, 0.5 * value.max())  # a second ball is worth a word, if not a particle
-    best = [peaks[i] for i in np.argsort(-value) if value[i] > least][: 4 * _MOST_PEAKS]
-    position, rotation = np.array([k.position for k in best]), np.array([k.rotation for k in best])
-    chosen = [best[i] for i in distinct(position, rotation, radius, _MOST_PEAKS)]
-    if outline and sought.tracker.settings.outline:
-        chosen = [_outlined(k, sought, seen) for k in chosen]
-    value, match = _weighed(chosen, m, seen)
-    order = np.argsort(-value)
-    return Found(tuple(chosen[i] for i in order), value[order], match[order], seen)
+    modes = _weigh(peaks, m, fields)
+    value = modes.log_likelihood
+    # a second ball is reported although it gets no particles
+    least = min(value.max() - 2.0 * _MAX_LOG_LIKELIHOOD_LOSS, 0.5 * value.max())
+    best = modes.select([i for i in np.argsort(-value) if value[i] > least][: 4 * _MAX_PEAKS])
+    chosen = [best.peaks[i] for i in distinct_poses(best.position, best.rotation, radius, _MAX_PEAKS)]
+    if outline and context.tracker.settings.outline:
+        chosen = [_refine_with_outline(k, context, fields) for k in chosen]
+    modes = _weigh(chosen, m, fields)
+    return modes.select(np.argsort(-modes.log_likelihood))
 
 
-def _in_view(peak: Peak, sought: SearchContext) -> bool:
-    """Is it in reach of the camera, and neither before nor behind another ball?"""
-    s, p, radius = sought.tracker.settings, peak.position, sought.ball.radius
+def _in_view(peak: Peak, context: SearchContext) -> bool:
+    """Return true within the range of distances, unless another ball is in front of or behind this one."""
+    s, p, radius = context.tracker.settings, peak.position, context.ball.radius
     return s.nearest < p[2] < 1.2 * s.farthest and all(
-        np.linalg.norm(p[:2] / p[2] - o[:2] / o[2]) > radius / p[2] for o in sought.others
+        np.linalg.norm(p[:2] / p[2] - o[:2] / o[2]) > radius / p[2] for o in context.others
     )
 
 
-def _outlined(peak: Peak, sought: SearchContext, seen: Fields) -> Peak:
-    """The peak, climbed on with the ball's outline as it is measured there."""
-    m, discs = sought.model, sought.tracker.discs[sought.index]
+def _refine_with_outline(peak: Peak, context: SearchContext, fields: Fields) -> Peak:
+    m, discs = context.model, context.tracker.discs[context.index]
     p, R = peak.position, peak.rotation
-    edges = limb.measure(sought.scene.image, p, R, discs, sought.ball.radius, m.lens, seen.factor)
-    return _converged(refine(p, R, m, seen, edges, _ROUNDS_NEAR), m, seen)
+    edges = limb.measure_edges(context.scene.image, p, R, discs, context.ball.radius, m.lens, fields.factor)
+    return _converge(refine_pose(p, R, m, fields, edges, _MAX_ROUNDS_NEAR), m, fields)
 
 
-def _converged(peak: Peak, m: Model, seen: Fields) -> Peak:
-    """The peak, climbed to the end where a few rounds did not reach it."""
+def _converge(peak: Peak, m: Model, fields: Fields) -> Peak:
+    """Refine a peak further, up to twice, if its slope shows that it has not converged."""
     for _ in range(2):
-        if peak.slope >= _STEEP:
-            peak = refine(peak.position, peak.rotation, m, seen, peak.edges, _ROUNDS)
+        if peak.slope >= _MAX_SLOPE:
+            peak = refine_pose(peak.position, peak.rotation, m, fields, peak.edges, _MAX_ROUNDS)
     return peak
 
 
-def _one(a: Peak, b: Peak, radius: float) -> bool:
-    return same(a.position, a.rotation, b.position, b.rotation, radius)
+def is_ball(modes: Modes, settings: WandSettings, evidence: float = 0.0) -> bool:
+    """Return true if the best peak is the ball. `evidence` is that of its track, 0 for a ball without one.
 
-
-def accepted(found: Found, settings: WandSettings, level: float = 0.0) -> bool:
-    """Is the best peak the ball? `level`: what its log-likelihood has been of late; 0 where it is not followed yet.
-
-    A highlight or a hand takes points away, but what is left of a ball says more than anything that happens to match.
+    A highlight or a hand hides points, but the rest of a ball has more evidence than an accidental match.
     """
-    if not found.peaks:
+    if not modes.peaks:
         return False
-    value, match = float(found.log_likelihood[0]), float(found.match[0])
-    strong = value >= max(_STRONG * settings.evidence, ELSEWHERE * level)
-    if value < settings.evidence or match < settings.match - (_LENIENT if strong else 0.0):
+    value, match = float(modes.log_likelihood[0]), float(modes.match[0])
+    strong = value >= max(_STRONG_EVIDENCE * settings.evidence, MIN_EVIDENCE_ELSEWHERE * evidence)
+    if value < settings.evidence or match < settings.match - (_MATCH_REDUCTION if strong else 0.0):
         return False
-    return bool(strong or match >= SURE or (level > 0.0 and value >= HIDDEN_LEVEL * level))
+    return bool(strong or match >= CERTAIN_MATCH or (evidence > 0.0 and value >= MIN_EVIDENCE_HIDDEN * evidence))
 
 
-def search(sought: SearchContext, turn: int) -> Found:
-    """Peaks in the whole picture, from spot `turn` on."""
-    sought.scene.searched = True
-    return from_spots(sought, sought.scene.all(), 12, turn)
+def search_picture(context: SearchContext, first_spot: int) -> Modes:
+    """Return the peaks in the whole picture, from spot `first_spot` on."""
+    context.scene.searched = True
+    return modes_from_spots(context, context.scene.all(), 12, first_spot)
 
 
-def from_spots(sought: SearchContext, seen: Fields, most: int, turn: int = 0) -> Found:
-    """Peaks from the spots of a region.
+def modes_from_spots(context: SearchContext, fields: Fields, count: int, first_spot: int = 0) -> Modes:
+    """Return peaks near the `count` best hypotheses that the spots of a region give.
 
-    A hypothesis is as exact as the ball is near round and far away, some hundredths of its diameter. So near balls are
-    looked for in reduced pictures first.
+    A hypothesis is wrong by some hundredths of the ball's diameter. Large balls are therefore refined in a reduced
+    picture first.
     """
-    tracker, ball = sought.tracker, sought.ball
-    guess = hypotheses(spots(seen), ball, tracker.camera, tracker.names, tracker.settings, first=turn)
+    tracker, ball = context.tracker, context.ball
+    guess = pose_hypotheses(find_spots(fields), ball, tracker.camera, tracker.names, tracker.settings, first_spot)
     across = 2.0 * tracker.camera.fx * ball.radius / np.maximum(guess.position[:, 2], ball.radius)
-    coarse = np.maximum(np.rint(across / _COARSE), seen.factor).astype(int)
+    coarse = np.maximum(np.rint(across / _COARSE_DIAMETER), fields.factor).astype(int)
     position, rotation = [], []
     for factor in np.unique(coarse):
         group = coarse == factor
-        if factor == seen.factor:
+        if factor == fields.factor:
             position.append(guess.position[group])
             rotation.append(guess.rotation[group])
             continue
-        reduced = sought.scene.part(whole_region(seen), int(factor))
-        part = int(np.ceil(most * np.mean(group)))
-        found = refine_modes(guess.position[group], guess.rotation[group], part, sought, reduced, outline=False)
-        position.append(found.position)
-        rotation.append(found.rotation)
+        reduced = context.scene.part(covered_region(fields), int(factor))
+        part = int(np.ceil(count * np.mean(group)))
+        modes = refine_modes(guess.position[group], guess.rotation[group], part, context, reduced, outline=False)
+        position.append(modes.position)
+        rotation.append(modes.rotation)
     if not position:
-        return Found((), np.zeros(0), np.zeros(0), seen, guess.following)
-    found = refine_modes(np.concatenate(position), np.concatenate(rotation), most, sought, seen)
-    if found.peaks:
-        factor = reduction(2.0 * tracker.camera.fx * ball.radius / found.peaks[0].position[2])
-        if factor > seen.factor:
-            larger = sought.scene.part(whole_region(seen), factor)
-            found = refine_modes(found.position, found.rotation, _MOST_PEAKS, sought, larger)
-    return replace(found, turn=guess.following)
+        return Modes((), np.zeros(0), np.zeros(0), fields, guess.next_spot)
+    modes = refine_modes(np.concatenate(position), np.concatenate(rotation), count, context, fields)
+    if modes.peaks:
+        factor = reduction_factor(2.0 * tracker.camera.fx * ball.radius / modes.peaks[0].position[2])
+        if factor > fields.factor:
+            larger = context.scene.part(covered_region(fields), factor)
+            modes = refine_modes(modes.position, modes.rotation, _MAX_PEAKS, context, larger)
+    return replace(modes, next_spot=guess.next_spot)
 
 
-def whole_region(seen: Fields) -> Region:
-    """The part of the picture that fields cover."""
-    h, w = seen.binary.shape[1:]
-    return seen.left, seen.top, seen.left + w * seen.factor, seen.top + h * seen.factor
+def covered_region(fields: Fields) -> Region:
+    """Return the part of the picture that fields cover, px."""
+    h, w = fields.binary.shape[1:]
+    return fields.left, fields.top, fields.left + w * fields.factor, fields.top + h * fields.factor
 
 
-def as_peaks(found: Found) -> Peaks:
-    covariance = np.array([_WIDER * k.covariance for k in found.peaks])
+def proposals(modes: Modes) -> PeakMixture:
+    """Return Gaussians from which to draw particles, wider than their peaks."""
+    covariance = np.array([_PROPOSAL_WIDTH * k.covariance for k in modes.peaks])
     _, log_det = np.linalg.slogdet(covariance)
-    mass = found.log_likelihood + 0.5 * log_det + 3.0 * np.log(2.0 * np.pi)
-    return Peaks(found.position, found.rotation, covariance, mass)
+    mass = modes.log_likelihood + 0.5 * log_det + 3.0 * np.log(2.0 * np.pi)
+    return PeakMixture(modes.position, modes.rotation, covariance, mass)
 
 
-def joined(a: Found, b: Found, radius: float) -> Found:
-    """Peaks of two searches. Both are judged by the fields of the better: they may lie in different parts."""
+def merge_modes(a: Modes, b: Modes, radius: float) -> Modes:
+    """Return the distinct peaks of two searches in the same fields, or the better search if the fields differ."""
     if not b.peaks:
         return a
     if not a.peaks:
         return b
     best, rest = (a, b) if a.log_likelihood[0] >= b.log_likelihood[0] - 1.0 else (b, a)
-    if best.fields is rest.fields:
-        peaks, value, match = list(best.peaks), list(best.log_likelihood), list(best.match)
-        for k, v, m in zip(rest.peaks, rest.log_likelihood, rest.match, strict=True):
-            if len(peaks) < _MOST_PEAKS and not any(_one(k, c, radius) for c in peaks):
-                peaks.append(k)
-                value.append(v)
-                match.append(m)
-        return Found(tuple(peaks), np.array(value), np.array(match), best.fields)
-    return best
+    if best.fields is not rest.fields:
+        return best
+    position, rotation = (np.concatenate([getattr(k, name) for k in (best, rest)]) for name in ("position", "rotation"))
+    value, match = np.append(best.log_likelihood, rest.log_likelihood), np.append(best.match, rest.match)
+    both = Modes((*best.peaks, *rest.peaks), value, match, best.fields)
+    return both.select(distinct_poses(position, rotation, radius, _MAX_PEAKS, kept=len(best.peaks)))

@@ -1,143 +1,187 @@
-"""Poses from the picture alone: coloured spots in, poses of the ball that explain them out.
+"""Poses of a ball from one picture alone: coloured spots in, poses that explain them out.
 
-The outlook of Grzonka 2005 (section 5.2) proposes a window that looks for places with both colours, and yaw hypotheses
-there. Spots say more: three of them with three discs of the ball assigned, and the ball's distance large against its
-radius, give the whole pose in two solutions, and so do two with their areas. Spots near each other are assigned to
-discs of their colours in every possible way; a pose that shows discs where there is no spot, or has spots where there
-is no disc, falls back. Hypotheses of any attitude result, not of yaw only: a hand turns the ball as it likes.
+The outlook of Grzonka 2005 (section 5.2) proposes a window that searches for places with both colours, and hypotheses
+of yaw there. Three spots give more: assigned to three discs, at a distance that is large against the ball's radius,
+they give the whole pose in two solutions, and so do two spots with their areas. The search assigns neighbouring spots
+to discs of their colours in all ways and ranks the poses by how many discs have a spot and how many spots have a disc.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import InteriorOrientation, project, unproject
 from spheremouse.geometry.rotation import Array
-from spheremouse.wand.assign import search
+from spheremouse.wand.assign import assign_spots
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import Fields
-from spheremouse.wand.likelihood import BEGINS, FULLY
+from spheremouse.wand.likelihood import FULL_FACING, MIN_FACING
 from spheremouse.wand.model import Model
 from spheremouse.wand.rims import Image
 from spheremouse.wand.settings import WandSettings
-from spheremouse.wand.spots import Spots
 
-_PALE = 0.37  # of full saturation: print has more, whatever white has in the light of a lamp or of the sky has less
-_LEAST = 0.4  # of the discs in view, by area, that a pose must explain: a hand or a highlight may take more than half
-_KEPT = 48  # hypotheses handed on
-EFFORT = 300_000  # assignments tried per picture, some ms: a ball with eight discs before fifty spots needs fewer
-_SAME_TURN, _SAME_PLACE, _SAME_DEPTH = 0.35, 0.7, 8.0  # rad, radii across and along: hypotheses nearer are one
+_MIN_SPOT_AREA = 6  # px: the centroid of a smaller spot is that of a pixel
+_MIN_BOX_FRACTION = 0.3  # of its upright box that a spot fills: pi / 4 for an ellipse, less if it lies diagonally
+_MAX_SPOTS = 60  # the largest; a picture with more is of one colour
+_MAX_GLARE_SPOTS = 8  # the largest; a ball shows one for each light
+_MAX_BARE_SATURATION = 0.37  # of full saturation: print has more, white paper in any light less
+_MIN_SCORE = 0.4  # of the visible discs, by area, that a pose must explain: a hand may hide more than half
+_MAX_HYPOTHESES = 48
+MAX_ASSIGNMENTS = 300_000  # per picture, some ms: a ball of eight discs and fifty spots need fewer
+_SAME_ANGLE, _SAME_ACROSS, _SAME_DEPTH = 0.35, 0.7, 8.0  # rad, radii, radii: closer poses are one
+
+
+@dataclass(frozen=True, slots=True)
+class Spots:
+    """Connected pixels of one colour each."""
+
+    centre: Array  # (n, 2) px
+    area: Array  # (n,) px²
+    colour: NDArray[np.int64]  # (n,) index of the colour
+    glare: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (m, 3) u, v px, area px² of glare
 
 
 @dataclass(frozen=True, slots=True)
 class Hypotheses:
-    """Poses, the best explanation first."""
+    """Poses that explain spots, the best first."""
 
     position: Array  # (n, 3) m, cam
     rotation: Array  # (n, 3, 3) R_cam_ball
-    score: Array  # (n,) discs in view that have a spot, times their part of all in view by area
-    following: int = 0  # index of the spot to begin with next time: there was no time for all; 0: there was
+    score: Array  # (n,) number of visible discs with a spot, times their fraction of all visible discs by area
+    next_spot: int = 0  # spot with which to begin the next search; 0 after a complete one
 
 
-def hypotheses(
-    seen: Spots,
+def find_spots(fields: Fields) -> Spots:
+    """Return the connected areas of the binary pictures that can be discs, the largest first."""
+    rows = []
+    f = fields.factor
+    for c, binary in enumerate(fields.binary):
+        n, _, stats, centre = cv2.connectedComponentsWithStats(binary, connectivity=4)
+        area = stats[:, cv2.CC_STAT_AREA]
+        box = stats[:, cv2.CC_STAT_WIDTH] * stats[:, cv2.CC_STAT_HEIGHT]
+        good = (area >= _MIN_SPOT_AREA) & (area <= binary.size / 8) & (area >= _MIN_BOX_FRACTION * box)
+        good[0] = False  # the background
+        for i in np.flatnonzero(good[:n]):
+            u, v = (centre[i] + 0.5) * f - 0.5
+            rows.append((u + fields.left, v + fields.top, area[i] * f * f, c))
+    rows.sort(key=lambda row: -row[2])
+    table = np.array(rows[:_MAX_SPOTS], dtype=float).reshape(-1, 4)
+    return Spots(table[:, :2], table[:, 2], table[:, 3].astype(np.int64), _glare_spots(fields))
+
+
+def _glare_spots(fields: Fields) -> Array:
+    """Return the largest areas of glare, (m, 3): u, v px, area px²."""
+    if len(fields.glare) == 0:
+        return np.zeros((0, 3))
+    f = fields.factor
+    n, _, stats, centre = cv2.connectedComponentsWithStats((fields.glare[0] > 127).astype(np.uint8), connectivity=8)
+    area = stats[1:n, cv2.CC_STAT_AREA].astype(float)
+    place = (centre[1:n] + 0.5) * f - 0.5 + [fields.left, fields.top]
+    largest = np.argsort(-area, kind="stable")[:_MAX_GLARE_SPOTS]
+    return np.column_stack([place, area * f * f])[largest]
+
+
+def pose_hypotheses(
+    spots: Spots,
     ball: WandBall,
     camera: InteriorOrientation,
     names: tuple[str, ...],
     settings: WandSettings,
-    first: int = 0,
-    effort: int = EFFORT,
+    first_spot: int = 0,
+    max_assignments: int = MAX_ASSIGNMENTS,
 ) -> Hypotheses:
-    """Poses of a ball that explain spots, its centre between `nearest` and `farthest` of the settings away.
+    """Return poses of a ball that explain spots, its centre between `nearest` and `farthest` of the settings.
 
-    `names` are the colours of the fields the spots come from. No more assignments are tried than `effort`, beginning
-    with those of spot `first`: where there are more, the next picture's turn is at `following`.
+    `names` are the colours of the fields from which the spots come. The search begins with `first_spot` and ends after
+    `max_assignments`; the next picture continues at `next_spot`.
     """
     none = Hypotheses(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0))
-    if len(seen.area) < 2:
+    if len(spots.area) < 2:
         return none
-    xy, _ = unproject(seen.centre, camera)
+    xy, _ = unproject(spots.centre, camera)
     good = np.isfinite(xy[:, 0])
-    xy, area, colour = xy[good], seen.area[good], seen.colour[good]
+    xy, area, colour = xy[good], spots.area[good], spots.colour[good]
     if len(xy) < 2:
         return none
     direction = np.array([d.direction for d in ball.discs])
     angle = np.array([d.angle for d in ball.discs])
     colours = np.array([names.index(d.colour) for d in ball.discs])
-    glare, _ = unproject(seen.glare[:, :2], camera)
-    radius = np.sqrt(seen.glare[:, 2] / (np.pi * camera.fx * camera.fy))
+    glare, _ = unproject(spots.glare[:, :2], camera)
+    radius = np.sqrt(spots.glare[:, 2] / (np.pi * camera.fx * camera.fy))
     glare = np.column_stack([glare, radius])[np.isfinite(glare[:, 0])]
-    found = np.empty((_KEPT, 13))
+    found = np.empty((_MAX_HYPOTHESES, 13))
     limits = np.array([ball.radius / settings.farthest, ball.radius / settings.nearest])
-    begin = first % len(xy)
-    n, following = search(
-        xy, area / (camera.fx * camera.fy), colour, direction, angle, colours, limits, 1.5 / camera.fx, _LEAST, glare,
-        begin, effort, found,
+    n, next_spot = assign_spots(
+        xy, area / (camera.fx * camera.fy), colour, direction, angle, colours, limits, 1.5 / camera.fx, _MIN_SCORE,
+        glare, first_spot % len(xy), max_assignments, found,
     )  # fmt: skip
     found = found[np.argsort(-found[:n, 0], kind="stable")]
     position = found[:, 1:4] * ball.radius
     rotation = found[:, 4:].reshape(-1, 3, 3)
-    chosen = distinct(position, rotation, ball.radius)
-    return Hypotheses(position[chosen], rotation[chosen], found[chosen, 0], following)
+    chosen = distinct_poses(position, rotation, ball.radius)
+    return Hypotheses(position[chosen], rotation[chosen], found[chosen, 0], next_spot)
 
 
-def convincing(
+def evidence_without_prior(
     image: Image, position: Array, rotation: Array, ball: WandBall, model: Model, camera: InteriorOrientation,
     fields: Fields,
 ) -> tuple[int, float]:  # fmt: skip
-    """What speaks for a pose that nothing led to: discs that show, and the part of the bare ball that looks like it.
+    """Return the evidence for a pose without a predicted one: discs that show, fraction of bare points that look bare.
 
-    Two spots of any place and size are explained by some pose: six numbers, six unknowns. The third tells. Between its
-    discs a ball is white, paler than any print and evenly bright but for its shadow, or black; rooms are not.
+    Some pose explains any two spots, since six numbers have six unknowns. A third disc is evidence, and so is the body:
+    white is paler than print and evenly bright except for its shadow, black is darker than the discs.
     """
     u = model.points.table[:, :3] @ rotation.T
     x = position + ball.radius * u
     facing = -np.einsum("ni,ni->n", u, x) / np.linalg.norm(x, axis=1)
     uv, _ = project(x, camera)
-    inner = model.points.table[:, 6] > 0.0  # of a disc: its centre, which comes first, and four points
+    inner = model.points.table[:, 6] > 0.0  # centre of a disc and four points
     shows = np.zeros(len(u), dtype=bool)
     place = np.rint((uv - [fields.left, fields.top] + 0.5) / fields.factor - 0.5)
     h, w = fields.binary.shape[1:]
-    good = (facing > BEGINS) & np.all((place >= 0) & (place < [w, h]), axis=1)  # nan is not
+    good = (facing > MIN_FACING) & np.all((place >= 0) & (place < [w, h]), axis=1)  # false for nan
     column, row = place[good].astype(int).T
     colour = model.points.colour[good]
     shows[good] = (colour >= 0) & (fields.binary[colour, row, column] > 0)
     disc = np.cumsum(model.points.table[:, 9] > 0.0)
     number = len(np.unique(disc[shows & inner]))
     pixel = np.rint(uv)
-    good = (facing > FULLY) & np.all((pixel >= 0) & (pixel < [camera.width, camera.height]), axis=1)
+    good = (facing > FULL_FACING) & np.all((pixel >= 0) & (pixel < [camera.width, camera.height]), axis=1)
     bare, print_ = good & (model.points.colour < 0), good & shows & inner
     if not bare.any():
         return number, 0.0
     bgr = image[pixel[bare, 1].astype(int), pixel[bare, 0].astype(int)].astype(float)
     high = bgr.max(axis=1)
     if ball.body == "white":
-        like = (high - bgr.min(axis=1) <= _PALE * high) & (high >= 0.5 * np.quantile(high, 0.8))
+        like = (high - bgr.min(axis=1) <= _MAX_BARE_SATURATION * high) & (high >= 0.5 * np.quantile(high, 0.8))
     else:
         lit = image[pixel[print_, 1].astype(int), pixel[print_, 0].astype(int)].max(axis=1, initial=0)
         like = high <= 0.5 * (np.median(lit) if len(lit) else 0.0)
     return number, float(np.mean(like))
 
 
-def distinct(position: Array, rotation: Array, radius: float, most: int = _KEPT) -> list[int]:
-    """Of poses in falling order, those that are not near a better one, so many at `most`."""
-    chosen: list[int] = []
-    for i in range(len(position)):
-        if len(chosen) < most and not any(
-            same(position[i], rotation[i], position[j], rotation[j], radius) for j in chosen
+def distinct_poses(
+    position: Array, rotation: Array, radius: float, count: int = _MAX_HYPOTHESES, kept: int = 0
+) -> list[int]:
+    """Return the indices of at most `count` poses, best first, without those close to a better one.
+
+    The first `kept` poses are kept in any case.
+    """
+    chosen = list(range(kept))
+    for i in range(kept, len(position)):
+        if len(chosen) < count and not any(
+            _coincide(position[i], rotation[i], position[j], rotation[j], radius) for j in chosen
         ):
             chosen.append(i)
     return chosen
 
 
-def same(p: Array, R: Array, q: Array, S: Array, radius: float) -> bool:
-    """Are two poses so near that they are one? Across the line of sight a fraction of the radius tells."""
-    return bool(_same(p, R, q, S, radius))
-
-
 @njit(cache=True)
-def _same(p, R, q, S, radius):
+def _coincide(p, R, q, S, radius):
+    """Compare two poses, less strictly along the line of sight, where a pose is less certain."""
     square, dot, gap = 0.0, 0.0, 0.0
     trace = 0.0
     for i in range(3):
@@ -147,5 +191,5 @@ def _same(p, R, q, S, radius):
         for j in range(3):
             trace += R[i, j] * S[i, j]
     along = dot * dot / square
-    near = gap - along < (_SAME_PLACE * radius) ** 2 and along < (_SAME_DEPTH * radius) ** 2
-    return near and 0.5 * (trace - 1.0) > np.cos(_SAME_TURN)
+    near = gap - along < (_SAME_ACROSS * radius) ** 2 and along < (_SAME_DEPTH * radius) ** 2
+    return near and 0.5 * (trace - 1.0) > np.cos(_SAME_ANGLE)

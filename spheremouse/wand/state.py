@@ -1,5 +1,6 @@
-"""What the wand's tracking carries from frame to frame."""
+"""State of the wand's tracker, and the poses that it returns."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,78 +9,76 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Event, Frame, Status
 from spheremouse.wand.ball import WandBall
-from spheremouse.wand.course import Course
 from spheremouse.wand.model import Model
-from spheremouse.wand.particles import (
-    Particles,
-)
-from spheremouse.wand.rims import ColourSettings
-from spheremouse.wand.settings import WandSettings
+from spheremouse.wand.particles import Particles
+from spheremouse.wand.pose_velocity import PoseVelocityState
+from spheremouse.wand.settings import ColourSettings, WandSettings
 
-MIXTURE = np.array([0.45, 0.45, 0.1])  # rest, go on, free
+PRIOR_MOTION_PROBABILITY = np.array([0.45, 0.45, 0.1])  # rest, constant velocity, sudden start
 
 
 @dataclass(frozen=True, slots=True)
 class WandTracker:
-    """What stays the same from frame to frame."""
+    """Constant inputs of the tracker: settings, camera, balls, and the filter that follows one ball."""
 
     settings: WandSettings
     camera: InteriorOrientation
     balls: tuple[WandBall, ...]
-    models: tuple[Model, ...]
+    models: tuple[Model, ...]  # of each ball
     discs: tuple[Array, ...]  # (m, 4) of each ball: direction, angular radius
     colours: dict[str, ColourSettings]
     names: tuple[str, ...]  # of the colours in use
+    follow: Callable[..., tuple["Track", "WandPose"]]  # (track, stamp, context, search_due, rng), as `track.follow`
 
 
 @dataclass(frozen=True, slots=True)
 class WandPose:
-    """A ball in one frame."""
+    """Pose of a ball in one frame."""
 
     name: str
-    position: Array | None  # (3,) m, cam; None where it is not known
+    position: Array | None  # (3,) m, cam; None if unknown
     rotation: Array | None  # (3, 3) R_cam_ball
     covariance: Array | None  # (6, 6) m, rad: position + d, exp(theta) @ rotation, cam axes
     phase: Status
-    event: Event | None  # what a user should know; None where all is well
-    match: float = 0.0  # part of the coloured points that show
+    event: Event | None  # a problem that the user should know; None without one
+    match: float = 0.0  # fraction of the coloured points that show their colour
     effective: float = 0.0  # effective number of particles before resampling
-    seen: bool = False  # in this frame, not only predicted
+    seen: bool = False  # measured in this frame, not only predicted
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """One ball's state."""
+    """State of one ball."""
 
     phase: Status = Status.SEARCHING
     particles: Particles | None = None
     pose: tuple[Array, Array, Array] | None = None  # position, rotation, covariance
-    course: Course | None = None  # of the peak that it follows; while it is tracked
-    motion: Array = field(default_factory=MIXTURE.copy)  # (3,) probabilities of the motions
-    repeats: Array = field(default_factory=lambda: np.zeros((6, 6)))  # what the last picture had wrong: its covariance
+    pose_velocity: PoseVelocityState | None = None  # of the followed peak; None unless tracked
+    motion_probability: Array = field(default_factory=PRIOR_MOTION_PROBABILITY.copy)  # (3,)
+    measurement_covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))  # of the last frame's peak
     stamp: float = 0.0  # s, of the particles
-    seen: float = -np.inf  # s
+    seen: float = -np.inf  # s, last measurement
     unseen_frames: int = 0
-    level: float = 0.0  # log-likelihood ratio that this ball's pose has had of late
-    turn: int = 0  # spot with which the next search begins, where a picture has too many for one
-    second: tuple[int, Array] | None = None  # pictures in a row with another ball like it, and where, (3,) m
+    evidence: float = 0.0  # running mean of the log-likelihood ratio of this ball's pose
+    next_spot: int = 0  # spot with which the next search begins, if one frame has too many spots for one search
+    second: tuple[int, Array] | None = None  # frames in a row with an undeclared ball like it, and its position, (3,) m
 
     @property
     def velocity(self) -> Array:
-        """(6,) m/s, rad/s in cam axes; zero where it is not known."""
-        return np.zeros(6) if self.course is None else self.course.velocity
+        """(6,) m/s, rad/s in cam axes; zero if unknown."""
+        return np.zeros(6) if self.pose_velocity is None else self.pose_velocity.velocity
 
 
 @dataclass(frozen=True, slots=True)
 class WandState:
-    """The tracker's memory."""
+    """State of the tracker between two frames."""
 
     tracks: tuple[Track, ...]
-    looked: float = -np.inf  # s, last search of the whole picture
-    waited: int = 0  # frames since
-    complaint: Event | None = None  # of the last search: about colours
-    worth: float = 0.0  # at 1, it is worth a word though all balls are followed
-    heard: float = -np.inf  # s, of the last search
+    last_search: float = -np.inf  # s, last search of the whole picture
+    frames_since_search: int = 0
+    colour_problem: Event | None = None  # that the last search of the whole picture found
+    colour_problem_age: float = 0.0  # over the age at which it is reported although all balls are tracked
+    colour_problem_stamp: float = -np.inf  # s, last update of it
     seed: int = 0
 
 

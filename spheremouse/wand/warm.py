@@ -1,7 +1,7 @@
-"""The wand's compiled functions made ready before the first frame: small balls before a small camera, once a process.
+"""Compilation of the wand's functions before the first frame, on small pictures, so that no frame waits for it.
 
-As `warm` does for the ball in its frame, and for the same reason: no frame should wait for a compiler. A ball is looked
-for, found, followed, hidden, lost and found again; in both ways to draw particles, near enough to be reduced, and far.
+The tracker searches for a ball, finds it, follows it, predicts it hidden, loses it and finds it again. The pictures
+and settings cover both filters, all likelihoods, and balls near enough for a reduced picture and far ones.
 """
 
 from functools import cache
@@ -14,8 +14,9 @@ from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import Array, exp
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball
+from spheremouse.wand.build import build
 from spheremouse.wand.settings import WandSettings
-from spheremouse.wand.track import begin, build, step
+from spheremouse.wand.track import begin, step
 
 _LENS = np.array([-0.1, 0.02, 0.0, 0.0, 0.0])
 _CAMERA = InteriorOrientation(640, 480, 500.0, 500.0, 319.5, 239.5, _LENS)
@@ -28,7 +29,7 @@ _DT = 1.0 / 30.0
 
 @cache
 def warm_up() -> None:
-    """Call what tracking calls; once a process."""
+    """Compile the functions of the tracker, or load them from the cache. Further calls return at once."""
     for ball, depth, settings in (
         (grzonka_ball(), 0.8, WandSettings()),
         (grzonka_ball(), 0.25, WandSettings()),
@@ -37,21 +38,21 @@ def warm_up() -> None:
         (grzonka_ball(), 0.8, WandSettings(proposal="motion", likelihood="product")),
         (contrast_ball(), 0.8, WandSettings(region=False)),
     ):
-        _watch(ball, depth, settings)
+        _track(ball, depth, settings)
 
 
-def _watch(ball: WandBall, depth: float, settings: WandSettings) -> None:
+def _track(ball: WandBall, depth: float, settings: WandSettings) -> None:
     tracker = build(_CAMERA, (ball,), settings)
     state = begin(tracker)
     shown = [_picture(ball, depth, 0.1 * k) for k in range(4)]
     empty = _picture(None, depth, 0.0)
     for k, image in enumerate((empty, *shown, shown[-1], empty, empty, shown[0], shown[0])):
-        stamp = k * (_DT if k < 7 else 0.3)  # hidden, and then lost
+        stamp = k * (_DT if k < 7 else 0.3)  # hidden, then lost
         state, _ = step(state, Frame(image, stamp, k), tracker)
 
 
 def _picture(ball: WandBall | None, depth: float, turned: float) -> NDArray[np.uint8]:
-    """A ball straight ahead, its pole up, turned about it by some rad; no lens, no shade: it must be found, no more."""
+    """Return a picture of an upright ball straight ahead, `turned` by rad about its pole, without shading."""
     image = np.full((_CAMERA.height, _CAMERA.width, 3), _ROOM, dtype=np.uint8)
     if ball is None:
         return image
@@ -72,7 +73,7 @@ def _picture(ball: WandBall | None, depth: float, turned: float) -> NDArray[np.u
 
 
 def _colours(ball: WandBall, directions: Array) -> NDArray[np.uint8]:
-    """BGR, (n, 3), of places on a ball, (n, 3) unit vectors in `ball`."""
+    """Return the colours, (n, 3) BGR, of directions in `ball`, (n, 3) unit vectors."""
     found = np.full((len(directions), 3), _BODY[ball.body], dtype=np.uint8)
     for disc in ball.discs:
         found[directions @ disc.direction > np.cos(disc.angle)] = _PAINT[disc.colour]

@@ -21,9 +21,8 @@ from spheremouse.files.wand import load_wand, save_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import contrast_ball, grzonka_ball, led_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS
-from spheremouse.wand.pick_colours import Circle, disc_mask, find, judged, pick
-from spheremouse.wand.rims import ColourSettings
-from spheremouse.wand.settings import WandSettings
+from spheremouse.wand.pick_colours import Circle, check_bounds, circle_mask, find_ball, pick_bounds
+from spheremouse.wand.settings import ColourSettings, WandSettings
 
 app = typer.Typer()
 app.add_typer(cli_wand.app, name="wand")
@@ -133,7 +132,7 @@ def test_a_recording_of_a_ball_in_its_frame_is_no_wand(run, tmp_path):
 
 
 def test_the_ball_is_found_and_its_bounds_select_its_discs(shot):
-    picked = pick(shot[0].frame.image, grzonka_ball())
+    picked = pick_bounds(shot[0].frame.image, grzonka_ball())
     true = circle_of(*shot)
     assert np.hypot(picked.circle.u - true.u, picked.circle.v - true.v) < 0.1 * true.radius
     assert picked.circle.radius == pytest.approx(true.radius, rel=0.1)
@@ -150,8 +149,8 @@ def test_bounds_follow_the_light(shot):
     """Under blue light, in which white is blue, the bounds picked are others, and still select the discs alone."""
     image, circle = shot[0].frame.image, circle_of(*shot)
     tinted = np.clip(image * np.array([1.0, 0.9, 0.7]), 0, 255).astype(np.uint8)
-    picked = pick(tinted, grzonka_ball(), circle)
-    plain = pick(image, grzonka_ball(), circle)
+    picked = pick_bounds(tinted, grzonka_ball(), circle)
+    plain = pick_bounds(image, grzonka_ball(), circle)
     assert picked.colours["blue"].saturation_min > plain.colours["blue"].saturation_min
     for name in ("red", "blue"):
         assert picked.inside[name] == pytest.approx(plain.inside[name], abs=0.03)
@@ -161,7 +160,7 @@ def test_bounds_follow_the_light(shot):
 def test_one_colour_is_split_by_brightness():
     film = prepare_wand(WandOptions(motion="hand", seed=2, seconds=1.0, size=(640, 480)), contrast_ball())
     shot = next(simulate_wand(film))
-    picked = pick(shot.frame.image, contrast_ball(), circle_of(shot, film))
+    picked = pick_bounds(shot.frame.image, contrast_ball(), circle_of(shot, film))
     assert 0.05 < picked.inside["dark"] < 0.35
     assert 40 < picked.colours["dark"].value_max < 140
 
@@ -265,11 +264,11 @@ def test_lit_discs_are_told_from_a_bright_room(seed):
     film = prepare_wand(WandOptions(motion="hand", seed=seed, seconds=0.5, size=(640, 480)), led_ball())
     shot = next(simulate_wand(film))
     true = circle_of(shot, film)
-    picked = pick(shot.frame.image, led_ball())
+    picked = pick_bounds(shot.frame.image, led_ball())
     assert np.hypot(picked.circle.u - true.u, picked.circle.v - true.v) < 0.1 * true.radius
     assert 0.1 < picked.inside["light"] < 0.25
     assert picked.outside["light"] < 0.02
-    assert picked.much() == []
+    assert picked.stray_colours() == []
 
 
 def plain_ball(body, disc, room):
@@ -292,13 +291,13 @@ def test_what_is_beside_the_ball_narrows_bounds_only_where_that_gains():
     for what, room in (("plain", (128, 128, 128)), ("bluish", bluish), ("blue", blue)):
         image, circle = plain_ball(white, blue, (128, 128, 128))
         image[:, :80] = plain_ball(room, room, room)[0][:, :80]
-        picked[what] = pick(image, ball, circle)
+        picked[what] = pick_bounds(image, ball, circle)
     assert picked["plain"].colours["blue"].saturation_min < 153 < picked["bluish"].colours["blue"].saturation_min < 225
     assert picked["bluish"].outside["blue"] < 0.001
     assert picked["bluish"].inside["blue"] > 0.8 * picked["plain"].inside["blue"]
     assert picked["blue"].colours["blue"].saturation_min == picked["plain"].colours["blue"].saturation_min
-    assert picked["blue"].much() == ["blue"]
-    assert picked["plain"].much() == picked["bluish"].much() == []
+    assert picked["blue"].stray_colours() == ["blue"]
+    assert picked["plain"].stray_colours() == picked["bluish"].stray_colours() == []
 
 
 def test_the_hint_is_said_of_brightness_too(run, tmp_path):
@@ -331,17 +330,17 @@ def test_what_cannot_be_picked_is_said_in_words(run, picture, shot, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["empty.png", "hand.png"]
     image, circle = shot[0].frame.image, circle_of(*shot)
     with pytest.raises(ConfigurationError, match="green: the bounds select nothing on the ball"):
-        judged(image, {"green": ColourSettings(hue_min=100, hue_max=140, saturation_min=200)}, circle)
+        check_bounds(image, {"green": ColourSettings(hue_min=100, hue_max=140, saturation_min=200)}, circle)
     with pytest.raises(ConfigurationError, match=r"light: the bounds select .* % of the picture"):
-        judged(image, {"light": ColourSettings(value_min=20)}, circle)
+        check_bounds(image, {"light": ColourSettings(value_min=20)}, circle)
 
 
 def test_a_circle_is_where_it_says():
-    mask = disc_mask((40, 60), Circle(20.0, 15.0, 10.0), 1.0)
+    mask = circle_mask((40, 60), Circle(20.0, 15.0, 10.0), 1.0)
     assert np.count_nonzero(mask) == pytest.approx(np.pi * 100, rel=0.04)
     assert np.argwhere(mask).mean(axis=0) == pytest.approx([15.0, 20.0])
     with pytest.raises(ConfigurationError):
-        find(np.random.default_rng(0).integers(100, 140, (200, 200, 3), dtype=np.uint8), grzonka_ball())
+        find_ball(np.random.default_rng(0).integers(100, 140, (200, 200, 3), dtype=np.uint8), grzonka_ball())
 
 
 # ---- experiments ----

@@ -10,8 +10,7 @@ from scipy.stats import chi2
 from spheremouse.evaluate.wand import WandRun, alike, errors, followed, found_from, is_lost, off, wand_report
 from spheremouse.geometry.rotation import exp
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
-from spheremouse.wand.ball import contrast_ball, grzonka_ball
-from spheremouse.wand.truth import WandTruth
+from spheremouse.wand.ball import WandTruth, contrast_ball, grzonka_ball
 
 RADIUS = 0.05
 N = 60

@@ -12,7 +12,7 @@ from spheremouse.geometry.rotation import exp
 from spheremouse.session.balls import read_balls
 from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball, led_ball, wand_disc
 from spheremouse.wand.colour import DEFAULT_COLOURS
-from spheremouse.wand.rims import ColourSettings
+from spheremouse.wand.settings import ColourSettings
 
 GIVEN = Path(__file__).parents[2] / "calibration" / "wand"
 

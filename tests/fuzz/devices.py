@@ -19,7 +19,7 @@ from spheremouse.files.rig import load_rig, rig_text
 from spheremouse.files.wand import load_wand, wand_text
 from spheremouse.files.yaml import parse_document
 from spheremouse.tracker import Frame
-from spheremouse.wand import track as wand
+from spheremouse.wand.build import build as build_wand
 from spheremouse.wand.colour import DEFAULT_COLOURS
 from tests.fuzz.extremes import USUAL
 from tests.fuzz.parameters import Configuration, as_usual, clip, follow, hand, in_time, sound
@@ -166,5 +166,5 @@ def check_wand_numbers(changes: list[Change]) -> None:
     found = refused(lambda: load_wand(path))
     if found is not None:
         film, frames = hand()
-        tracker = wand.build(film.scene.camera, (found.ball,), None, found.colours)
+        tracker = build_wand(film.scene.camera, (found.ball,), None, found.colours)
         follow(tracker, frames[:2], Configuration())

@@ -31,6 +31,7 @@ from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, 
 from spheremouse.tracker import Frame, Motion, Status
 from spheremouse.wand import state as state_module
 from spheremouse.wand import track as wand
+from spheremouse.wand.build import build as build_wand
 from spheremouse.wand.warm import warm_up as warm_up_wand
 from tests.fuzz.extremes import extremes, numbers
 from tests.fuzz.targets import refused, target
@@ -197,13 +198,13 @@ def _in_a_hand(c: Configuration) -> None:
     """A ball in a hand, looked for and followed."""
     film, frames = hand()
     balls = tuple(carried.ball for carried in film.scene.balls)
-    follow(wand.build(film.scene.camera, balls, c.wand), frames, c)
+    follow(build_wand(film.scene.camera, balls, c.wand), frames, c)
 
 
 def follow(tracker: state_module.WandTracker, frames: list[Frame], c: Configuration) -> None:
     """The frames of a film of `hand` tracked, and their motion."""
     film, _ = hand()
-    usual = wand.build(film.scene.camera, tuple(carried.ball for carried in film.scene.balls))
+    usual = build_wand(film.scene.camera, tuple(carried.ball for carried in film.scene.balls))
     state, pointing = wand.begin(tracker, 1, frames[0].stamp), PointingState()
     for frame in frames:
         state, poses = in_time(
@@ -211,7 +212,7 @@ def follow(tracker: state_module.WandTracker, frames: list[Frame], c: Configurat
             lambda s=state, f=frame: wand.step(s, f, tracker),
             lambda f=frame: wand.step(wand.begin(usual, 1, f.stamp), f, usual),
         )
-        pointing, report = point(pointing, poses[0], state.tracks[0].course, frame.stamp, c.wand.pointing)
+        pointing, report = point(pointing, poses[0], state.tracks[0].pose_velocity, frame.stamp, c.wand.pointing)
         sound(report.motion)
         assert all(math.isfinite(rate) for rate in report.rate)
         for pose in poses:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from spheremouse.output.counts import Remainder
 from spheremouse.output.wand_mapping import PointingSettings, PointingState, apply_backlash, point, pointing_rate
 from spheremouse.tracker import Status
-from spheremouse.wand.course import begun
+from spheremouse.wand.pose_velocity import initialise
 from spheremouse.wand.state import WandPose
 
 DT = 1.0 / 30.0
@@ -196,9 +196,9 @@ def test_the_rate_is_that_of_the_counts(by, facing, velocity):
     steps = [pose((0, 0, 1) + v[:3] * k * DT, Rotation.from_rotvec(v[3:] * k * DT).as_matrix(), 0.0) for k in range(20)]
     counts, _ = follow(steps, settings)
     assert counts.sum(axis=0) == pytest.approx(np.array(pointing_rate(v, settings)) * 19 * DT, abs=1.0)
-    course = replace(begun(0.0, AHEAD, np.eye(3), np.eye(6)), velocity=v)
+    pose_velocity = replace(initialise(0.0, AHEAD, np.eye(3), np.eye(6)), velocity=v)
     for before in (PointingState(), follow(steps[:1], settings)[1]):
-        _, report = point(before, steps[1], course, DT, settings)
+        _, report = point(before, steps[1], pose_velocity, DT, settings)
         assert report.motion.rate == pytest.approx(np.roll(v, 3))
         assert report.rate == pointing_rate(v, settings)
 
@@ -210,7 +210,7 @@ def test_a_motion_is_as_uncertain_as_sampled_poses_are():
     P = [a @ a.T for a in A]
     p, R = np.array([0.1, -0.2, 1.0]), turned(20, -30, 40)
     q, Q = p + 0.02, turned(25, -10, 50)
-    course = begun(0.0, q, Q, np.eye(6))
+    pose_velocity = initialise(0.0, q, Q, np.eye(6))
     fast = PointingSettings(fastest=100.0, fastest_turn=100.0)
 
     def motion(e):
@@ -220,9 +220,9 @@ def test_a_motion_is_as_uncertain_as_sampled_poses_are():
             )
             for (at, to), d, C in zip(((p, R), (q, Q)), e, P, strict=True)
         ]
-        first, begins = point(PointingState(), poses[0], course, 0.0, fast)
+        first, begins = point(PointingState(), poses[0], pose_velocity, 0.0, fast)
         assert not np.any(begins.motion.covariance[:6, :6])
-        return point(first, poses[1], course, 0.1, fast)[1].motion
+        return point(first, poses[1], pose_velocity, 0.1, fast)[1].motion
 
     drawn = [motion([L @ rng.normal(size=6) for L in A]) for _ in range(4000)]
     scatter = np.cov(np.array([np.concatenate([m.rotation, m.shift]) for m in drawn]).T)
@@ -230,7 +230,7 @@ def test_a_motion_is_as_uncertain_as_sampled_poses_are():
     scale = np.sqrt(np.outer(np.diag(scatter), np.diag(scatter)))
     assert np.abs(told[:6, :6] - scatter).max() < 0.1 * np.diag(scatter).max()
     assert np.abs((told[:6, :6] - scatter) / scale).max() < 0.15
-    assert told[6:9, 6:9] == pytest.approx(course.covariance[9:, 9:])
+    assert told[6:9, 6:9] == pytest.approx(pose_velocity.covariance[9:, 9:])
 
 
 def test_fractions_survive_a_loss():

@@ -27,8 +27,8 @@ from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.files.rig import load_rig, rig_text, save_camera
 from spheremouse.tracker import Frame
 from spheremouse.wand import warm as wand_warm
+from spheremouse.wand.build import build as build_wand
 from spheremouse.wand.track import begin as begin_wand
-from spheremouse.wand.track import build as build_wand
 from spheremouse.wand.track import step as step_wand
 
 REFERENCE = Path(os.environ.get("SPHEREMOUSE_DATASETS", Path(__file__).parents[3] / "shared" / "datasets")) / "far26"

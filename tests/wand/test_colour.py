@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse.wand.colour import DEFAULT_COLOURS, Tone, fields, reduction, tone
-from spheremouse.wand.rims import ColourSettings, rim_shift
+from spheremouse.wand.colour import DEFAULT_COLOURS, PictureColours, colour_fields, picture_colours, reduction_factor
+from spheremouse.wand.rims import rim_shift
+from spheremouse.wand.settings import ColourSettings
 
 NAMES = ("blue", "red")
 
@@ -19,7 +20,7 @@ def picture(gain=1.0):
 
 
 def test_red_and_blue_are_told_from_grey_and_skin():
-    found = fields(picture(), DEFAULT_COLOURS, NAMES)
+    found = colour_fields(picture(), DEFAULT_COLOURS, NAMES)
     blue, red = found.binary
     assert red[30, 30] == 255
     assert red.sum() == 400 * 255
@@ -32,8 +33,8 @@ def test_hsv_is_that_of_opencv():
     rng = np.random.default_rng(1)
     image = rng.integers(0, 256, (64, 64, 3), dtype=np.uint8)
     bounds = ColourSettings(340.0, 20.0, 100.0, 230.0, 40.0, 1e4)
-    mean = tone(image, {"x": bounds}, ("x",)).mean
-    found = fields(image, {"x": bounds}, ("x",)).binary[0] > 0
+    mean = picture_colours(image, {"x": bounds}, ("x",)).mean
+    found = colour_fields(image, {"x": bounds}, ("x",)).binary[0] > 0
     hsv = cv2.cvtColor(image.astype(np.float32) / 255.0, cv2.COLOR_BGR2HSV)
     h, s, v = hsv[..., 0], 255.0 * hsv[..., 1], 255.0 * hsv[..., 2]
     asked = ((h >= 340) | (h <= 20)) & (s >= 100) & (s <= 230) & (v * 127.0 / mean >= 40)
@@ -43,22 +44,22 @@ def test_hsv_is_that_of_opencv():
 @pytest.mark.parametrize("gain", [0.4, 1.2])
 def test_brightness_does_not_matter(gain):
     assert (
-        fields(picture(gain), DEFAULT_COLOURS, NAMES).binary.sum()
-        == fields(picture(), DEFAULT_COLOURS, NAMES).binary.sum()
+        colour_fields(picture(gain), DEFAULT_COLOURS, NAMES).binary.sum()
+        == colour_fields(picture(), DEFAULT_COLOURS, NAMES).binary.sum()
     )
 
 
 def test_a_region_shows_what_the_whole_shows():
     image = picture()
-    whole = fields(image, DEFAULT_COLOURS, NAMES)
-    part = fields(image, DEFAULT_COLOURS, NAMES, (10, 10, 90, 50))
+    whole = colour_fields(image, DEFAULT_COLOURS, NAMES)
+    part = colour_fields(image, DEFAULT_COLOURS, NAMES, (10, 10, 90, 50))
     np.testing.assert_array_equal(part.binary, whole.binary[:, 10:50, 10:90])
     inner = np.s_[:, 5:-5, 5:-5]
     np.testing.assert_array_equal(part.weight[inner], whole.weight[:, 10:50, 10:90][inner])
 
 
 def test_the_field_falls_with_the_distance_from_the_colour():
-    weight = fields(picture(), DEFAULT_COLOURS, NAMES).weight[1].astype(int)
+    weight = colour_fields(picture(), DEFAULT_COLOURS, NAMES).weight[1].astype(int)
     across = weight[30, 36:46]
     assert across[0] == 255
     assert across[-1] == 0
@@ -67,9 +68,9 @@ def test_the_field_falls_with_the_distance_from_the_colour():
 
 
 def test_large_balls_are_looked_at_reduced():
-    assert reduction(50) == 1
-    assert reduction(130) == 2
-    half = fields(picture(), DEFAULT_COLOURS, NAMES, None, 2)
+    assert reduction_factor(50) == 1
+    assert reduction_factor(130) == 2
+    half = colour_fields(picture(), DEFAULT_COLOURS, NAMES, None, 2)
     assert half.binary.shape == (2, 48, 64)
     assert half.binary[1, 15, 15] == 255
 
@@ -90,11 +91,11 @@ def test_a_bound_on_saturation_moves_a_rim_by_what_mixed_light_says(saturation):
     white, red = np.array([0.75, 0.77, 0.78]), np.array([0.014, 0.012, 0.51])
     image = np.rint(255.0 * (cover * red + (1.0 - cover) * white) ** (1 / 2.2)).astype(np.uint8)
     bounds = ColourSettings(hue_min=340.0, hue_max=14.0, saturation_min=saturation)
-    found = fields(image, {"red": bounds}, ("red",))
+    found = colour_fields(image, {"red": bounds}, ("red",))
     shift = np.sqrt(np.count_nonzero(found.binary[0]) / np.pi) - radius
     assert found.rim[0] == rim_shift(bounds)
     assert shift == pytest.approx(rim_shift(bounds), abs=0.1)
-    assert fields(image, {"red": bounds}, ("red",), None, 2).rim[0] == pytest.approx(0.5 * rim_shift(bounds))
+    assert colour_fields(image, {"red": bounds}, ("red",), None, 2).rim[0] == pytest.approx(0.5 * rim_shift(bounds))
 
 
 @pytest.mark.parametrize(
@@ -112,11 +113,11 @@ def test_a_bound_on_brightness_moves_a_rim_by_what_the_picture_shows_beside_it(p
     grey = np.rint(255.0 * (cover * print_ + (1.0 - cover) * paper) ** (1 / 2.2)).astype(np.uint8)
     bounds = {"some": ColourSettings(**bound)}
     mean = 127.0 if "value_max" in bound else 140.0
-    found = fields(np.repeat(grey, 3, axis=2), bounds, ("some",), known=Tone(mean, np.zeros(1)))
+    found = colour_fields(np.repeat(grey, 3, axis=2), bounds, ("some",), known=PictureColours(mean, np.zeros(1)))
     shift = np.sqrt(np.count_nonzero(found.binary[0]) / np.pi) - radius
     assert shift < -0.2
     assert found.rim[0] == pytest.approx(shift, abs=within)
-    nothing = fields(np.full((40, 40, 3), 130, np.uint8), bounds, ("some",))
+    nothing = colour_fields(np.full((40, 40, 3), 130, np.uint8), bounds, ("some",))
     assert nothing.rim[0] == 0.0
 
 
@@ -138,23 +139,25 @@ def shift_of(found, radius, n=3, rows=48):
 @pytest.mark.parametrize("radius", [2.0, 3.0, 5.0])
 def test_small_dark_discs_have_their_rims_told(radius):
     dark = {"dark": ColourSettings(value_max=75.0)}
-    found = fields(discs_on(radius, 0.01, 0.7), dark, ("dark",), known=Tone(127.0, np.zeros(1)))
+    found = colour_fields(discs_on(radius, 0.01, 0.7), dark, ("dark",), known=PictureColours(127.0, np.zeros(1)))
     assert shift_of(found, radius) < -0.2
     assert found.rim[0] == pytest.approx(shift_of(found, radius), abs=0.15)
 
 
 def test_a_large_dark_thing_does_not_tell_where_the_rims_of_discs_are():
     """A dark piece of furniture on a grey wall: rims on grey lie elsewhere than rims on white."""
-    dark, known = {"dark": ColourSettings(value_max=75.0)}, Tone(127.0, np.zeros(1))
+    dark, known = {"dark": ColourSettings(value_max=75.0)}, PictureColours(127.0, np.zeros(1))
 
     def furniture(width):
         wall = np.full((120, width), 110.0)
         wall[20:, 20:-20] = 30.0
         return wall
 
-    found = fields(discs_on(4.0, 0.01, 0.8, beside=furniture), dark, ("dark",), known=known)
+    found = colour_fields(discs_on(4.0, 0.01, 0.8, beside=furniture), dark, ("dark",), known=known)
     assert found.rim[0] == pytest.approx(shift_of(found, 4.0), abs=0.1)
-    alone = fields(np.repeat(furniture(144).astype(np.uint8)[..., None], 3, axis=2), dark, ("dark",), known=known)
+    alone = colour_fields(
+        np.repeat(furniture(144).astype(np.uint8)[..., None], 3, axis=2), dark, ("dark",), known=known
+    )
     assert alone.rim[0] == 0.0  # no disc at all
 
 
@@ -162,9 +165,9 @@ def test_a_large_dark_thing_does_not_tell_where_the_rims_of_discs_are():
 @pytest.mark.parametrize("light", [1.0, 1.5, 3.0, 8.0])
 def test_overexposed_discs_have_their_rims_told_by_how_wide_these_seem(radius, light):
     """Light that grey values do not show puts the rim outward: from 0.6 px within to as much beyond."""
-    found = fields(
+    found = colour_fields(
         discs_on(radius, light, 0.02), {"light": ColourSettings(value_min=215.0)}, ("light",),
-        known=Tone(140.0, np.zeros(1)),
+        known=PictureColours(140.0, np.zeros(1)),
     )  # fmt: skip
     true = shift_of(found, radius)
     assert found.rim[0] == pytest.approx(true, abs=0.2 if light < 4.0 else 0.4)
@@ -178,7 +181,7 @@ def test_in_reduced_pictures_rims_are_told_in_their_own_pixels(factor, light, gr
     lit = light > ground
     bounds = {"some": ColourSettings(value_min=215.0) if lit else ColourSettings(value_max=75.0)}
     image = discs_on(radius, light, ground, side=side)
-    found = fields(image, bounds, ("some",), None, factor, Tone(140.0 if lit else 127.0, np.zeros(1)))
+    found = colour_fields(image, bounds, ("some",), None, factor, PictureColours(140.0 if lit else 127.0, np.zeros(1)))
     assert found.rim[0] == pytest.approx(shift_of(found, radius / factor), abs=0.12)
 
 
@@ -187,11 +190,11 @@ def test_where_brightness_does_not_tell_a_colour_from_the_rest_no_rim_is_moved()
     image = np.full((60, 60, 3), (200, 190, 185), np.uint8)
     cv2.circle(image, (30, 30), 10, (20, 20, 190), -1)
     red = {"red": ColourSettings(hue_min=340.0, hue_max=14.0, value_min=40.0)}
-    assert fields(image, red, ("red",), known=Tone(127.0, np.zeros(1))).rim[0] == 0.0
+    assert colour_fields(image, red, ("red",), known=PictureColours(127.0, np.zeros(1))).rim[0] == 0.0
     image[:] = 255
     cv2.circle(image, (30, 30), 10, (20, 20, 255), -1)
     with np.errstate(all="raise"):
-        assert fields(image, red, ("red",), known=Tone(127.0, np.zeros(1))).rim[0] == 0.0
+        assert colour_fields(image, red, ("red",), known=PictureColours(127.0, np.zeros(1))).rim[0] == 0.0
 
 
 def glaring(strength, across=20):
@@ -207,7 +210,7 @@ def glaring(strength, across=20):
 def test_print_that_glare_makes_pale_is_said_to_be_unknown(strength):
     """Of the disc's pixels that have lost their colour, all but a few are; of the white far from it, none."""
     image, disc = glaring(strength)
-    found = fields(image, DEFAULT_COLOURS, NAMES)
+    found = colour_fields(image, DEFAULT_COLOURS, NAMES)
     pale = disc & (found.binary[1] == 0)
     inner = pale & (cv2.erode(disc.astype(np.uint8), np.ones((5, 5))) > 0)  # its rim is mixed light anyway
     assert inner.sum() > 40
@@ -220,15 +223,15 @@ def test_print_that_glare_makes_pale_is_said_to_be_unknown(strength):
 
 def test_without_overexposed_pixels_nothing_is_unknown():
     image, _ = glaring(0.0)
-    assert len(fields(image, DEFAULT_COLOURS, NAMES).glare) == 0
+    assert len(colour_fields(image, DEFAULT_COLOURS, NAMES).glare) == 0
 
 
 def test_a_white_wall_or_a_lit_disc_is_no_glare():
     """Larger than the sun's image on a ball can be; or a colour that is looked for."""
     image = np.full((96, 128, 3), 90, dtype=np.uint8)
     image[20:80, 30:110] = 255
-    assert len(fields(image, DEFAULT_COLOURS, NAMES).glare) == 0
+    assert len(colour_fields(image, DEFAULT_COLOURS, NAMES).glare) == 0
     image[:] = 90
     image[40:52, 40:52] = 255
-    assert fields(image, DEFAULT_COLOURS, NAMES).glare[0][46, 46] == 255
-    assert len(fields(image, DEFAULT_COLOURS, ("light",)).glare) == 0
+    assert colour_fields(image, DEFAULT_COLOURS, NAMES).glare[0][46, 46] == 255
+    assert len(colour_fields(image, DEFAULT_COLOURS, ("light",)).glare) == 0

@@ -12,10 +12,11 @@ from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand import limb
 from spheremouse.wand.ball import grzonka_ball
-from spheremouse.wand.colour import DEFAULT_COLOURS, fields
-from spheremouse.wand.likelihood import SIGMA, counts, expected_field, log_likelihood, published
-from spheremouse.wand.model import model
-from spheremouse.wand.refine import refine
+from spheremouse.wand.colour import DEFAULT_COLOURS, colour_fields
+from spheremouse.wand.likelihood import SIGMA, disc_weights, expected_field, log_likelihood
+from spheremouse.wand.model import ball_model
+from spheremouse.wand.published.track import log_product
+from spheremouse.wand.refine import field_residuals, refine_pose
 
 BALL = grzonka_ball()
 NONE = np.zeros((limb.DIRECTIONS, 5))
@@ -26,9 +27,9 @@ def view():
     """A frame of the independent renderer: fields, model, position, rotation, picture."""
     film = prepare_wand(WandOptions(motion="hand", seed=2, seconds=0.1, size=(640, 480), focal=1000.0, distance=1.6))
     shot = next(iter(simulate_wand(film)))
-    m = model(BALL, film.scene.camera)
+    m = ball_model(BALL, film.scene.camera)
     return (
-        fields(shot.frame.image, DEFAULT_COLOURS, BALL.colours),
+        colour_fields(shot.frame.image, DEFAULT_COLOURS, BALL.colours),
         m,
         shot.position[0],
         shot.rotation[0],
@@ -67,7 +68,7 @@ def test_hiding_points_does_not_pay(view):
     at, _ = values(view, p, R)
     assert value[0] < at[0] - 50
     assert match[0] < 0.5
-    assert values(view, p, away, published)[0][0] < values(view, p, R, published)[0][0]
+    assert values(view, p, away, log_product)[0][0] < values(view, p, R, log_product)[0][0]
 
 
 def test_a_pose_may_be_counted_as_another_one(view):
@@ -75,17 +76,17 @@ def test_a_pose_may_be_counted_as_another_one(view):
     seen, m, p, R, _ = view
     far = replace(m, lens=np.array([0.3 * m.lens[0], 0.3 * m.lens[1], *m.lens[2:]]))  # 19 px across
     position, rotation = np.array([p, 0.97 * p]), np.array([R, R])
-    own = counts(position, rotation, far, 1)
+    own = disc_weights(position, rotation, far, 1)
     assert own.shape == (2, len(BALL.discs) + 1)
     assert np.all(own > 0.0)
     assert np.all(own[1] >= own[0])
     plain, _ = log_likelihood(position, rotation, far, seen)
-    same, _ = log_likelihood(position, rotation, far, seen, counted_as=(own, np.array([0, 1])))
+    same, _ = log_likelihood(position, rotation, far, seen, fixed_weights=(own, np.array([0, 1])))
     assert same == pytest.approx(plain, rel=1e-5)
-    first, _ = log_likelihood(position, rotation, far, seen, counted_as=(own, np.array([0, 0])))
+    first, _ = log_likelihood(position, rotation, far, seen, fixed_weights=(own, np.array([0, 0])))
     assert first[0] == pytest.approx(plain[0], rel=1e-5)
     assert abs(first[1]) < abs(plain[1])
-    none, _ = log_likelihood(position, rotation, far, seen, counted_as=(own, np.array([-1, -1])))
+    none, _ = log_likelihood(position, rotation, far, seen, fixed_weights=(own, np.array([-1, -1])))
     np.testing.assert_array_equal(none, plain)
 
 
@@ -99,8 +100,8 @@ def test_the_refinement_climbs_and_tells_the_curvature(view):
     seen, m, p, R, _ = view
     rng = np.random.default_rng(1)
     start = p + np.array([0.002, -0.002, 0.03])
-    peak = refine(start, exp(np.array([0.08, -0.06, 0.05])) @ R, m, seen, NONE)
-    peak = refine(peak.position, peak.rotation, m, seen, NONE, 3)
+    peak = refine_pose(start, exp(np.array([0.08, -0.06, 0.05])) @ R, m, seen, NONE)
+    peak = refine_pose(peak.position, peak.rotation, m, seen, NONE, 3)
     assert np.linalg.norm(log(peak.rotation @ R.T)) < np.deg2rad(2.5)
     assert np.all(np.abs(peak.position - p) < [0.002, 0.002, 0.05])
     d = rng.standard_normal((3000, 6)) @ np.linalg.cholesky(peak.covariance).T
@@ -117,7 +118,7 @@ def test_the_outline_is_that_of_a_sphere():
     c = np.array([0.3, -0.2, 0.8])
     centre, shape = project_sphere(c, 0.05)
     for k in range(limb.DIRECTIONS):
-        u, v, x, y, z = limb.outline(c, 0.05, lens, k)
+        u, v, x, y, z = limb.outline_point(c, 0.05, lens, k)
         xy = (np.array([u, v]) - [640, 480]) / 900.0 - centre
         assert xy @ np.linalg.solve(shape, xy) == pytest.approx(1.0, abs=1e-9)
         np.testing.assert_allclose(project((c + np.array([x, y, z]))[None], camera)[0][0], [u, v], atol=1e-9)
@@ -128,12 +129,12 @@ def test_the_outline_is_found_where_it_is(view):
     """Of a ball taken for 3 % nearer than it is, the edges lie inward by that."""
     _, m, p, R, image = view
     discs = np.array([[*d.direction, d.angle] for d in BALL.discs])
-    found = limb.measure(image, 0.97 * p, R, discs, BALL.radius, m.lens, 1)
+    found = limb.measure_edges(image, 0.97 * p, R, discs, BALL.radius, m.lens, 1)
     good = found[:, 4] > 0
     assert good.sum() >= 8
     r = []
     for k in np.flatnonzero(good):
-        u, v, *_ = limb.outline(p, BALL.radius, m.lens, k)
+        u, v, *_ = limb.outline_point(p, BALL.radius, m.lens, k)
         r.append((found[k, :2] - (u, v)) @ found[k, 2:4])
     r = np.array(r)
     edge = np.abs(r) < 1.0  # the others are of the room behind it
@@ -167,11 +168,9 @@ def test_the_expected_field_ends_at_the_limb(turned):
 def test_the_truth_s_residuals_are_as_wide_as_said(view):
     """Twice as wide and the covariance were four times too large; half, and it were too small."""
     seen, m, p, R, _ = view
-    from spheremouse.wand.refine import _residuals
-
     n = len(m.points.table)
     counts, r, g, e, field = (np.zeros(n) for _ in range(5))
-    _residuals(
+    field_residuals(
         p, R, m.points.table, m.points.colour, m.radius, m.lens, seen.weight, seen.glare, seen.place(), seen.rim,
         counts, r, g, e, field,
     )  # fmt: skip
@@ -234,6 +233,6 @@ def test_the_refinement_climbs_to_the_same_place_through_glare(view):
     gone = np.where(spot, 0, seen.weight).astype(np.uint8)
     veiled = replace(seen, weight=gone, glare=(255 * spot[None]).astype(np.uint8))
     start = p + np.array([0.002, -0.002, 0.03]), exp(np.array([0.08, -0.06, 0.05])) @ R
-    peak = refine(*start, m, veiled, NONE)
+    peak = refine_pose(*start, m, veiled, NONE)
     assert np.linalg.norm(log(peak.rotation @ R.T)) < np.deg2rad(3.0)
     assert np.all(np.abs(peak.position - p) < [0.002, 0.002, 0.05])

@@ -6,41 +6,41 @@ from scipy.spatial.transform import Rotation
 
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.wand.particles import (
-    Motions,
+    MotionMixture,
     Particles,
-    Peaks,
-    effective,
-    estimate,
-    low_variance,
-    moved,
-    normalised,
-    proposed,
+    PeakMixture,
+    effective_number,
+    low_variance_indices,
+    mean_pose,
+    move,
+    normalise,
+    propose,
+    regularised_covariance,
     scatter,
-    steadied,
 )
 
 ONE = np.diag([0.02**2, 0.02**2, 0.05**2, 0.2**2, 0.1**2, 0.15**2])
 
 
 def motions(shift, probability=(0.6, 0.399), birth=1e-9):
-    return Motions(np.array([np.zeros(6), shift]), np.stack([ONE, 0.25 * ONE]), np.array(probability), birth)
+    return MotionMixture(np.array([np.zeros(6), shift]), np.stack([ONE, 0.25 * ONE]), np.array(probability), birth)
 
 
 def test_low_variance_takes_each_particle_as_often_as_its_weight_says_to_one():
     w = np.array([0.5, 0.0, 0.26, 0.24])
     for start in np.linspace(0.0, 0.999, 7):
-        count = np.bincount(low_variance(w, 100, start), minlength=4)
+        count = np.bincount(low_variance_indices(w, 100, start), minlength=4)
         assert np.all(np.abs(count - 100 * w) < 1.0 + 1e-9)
         assert count[1] == 0
 
 
 def test_effective_number():
-    assert effective(np.full(40, 1 / 40)) == pytest.approx(40)
-    assert effective(np.array([1.0, 0.0, 0.0])) == pytest.approx(1)
+    assert effective_number(np.full(40, 1 / 40)) == pytest.approx(40)
+    assert effective_number(np.array([1.0, 0.0, 0.0])) == pytest.approx(1)
 
 
 def test_weights_are_normalised_whatever_their_size():
-    w, total = normalised(np.array([-2000.0, -2000.0 + np.log(3.0)]))
+    w, total = normalise(np.array([-2000.0, -2000.0 + np.log(3.0)]))
     np.testing.assert_allclose(w, [0.25, 0.75])
     assert total == pytest.approx(-2000.0 + np.log(4.0))
 
@@ -49,7 +49,7 @@ def test_the_mean_and_covariance_are_those_of_the_sample():
     rng = np.random.default_rng(4)
     R = exp(np.array([2.0, -1.0, 0.5]))
     cloud = scatter(np.array([0.1, 0.2, 1.0]), R, ONE, 60_000, rng)
-    p, mean, covariance = estimate(cloud)
+    p, mean, covariance = mean_pose(cloud)
     np.testing.assert_allclose(p, [0.1, 0.2, 1.0], atol=1e-3)
     assert np.linalg.norm(log(mean @ R.T)) < 3e-3
     np.testing.assert_allclose(covariance, ONE, atol=8e-4)
@@ -62,14 +62,14 @@ def test_the_mean_rotation_turns_with_the_particles():
     w = rng.random(30)
     cloud = Particles(np.zeros((30, 3)), exp(rng.normal(size=(30, 3)) * 0.5), w / w.sum())
     turn = exp(np.array([1.0, 2.0, -0.3]))
-    _, mean, _ = estimate(cloud)
-    _, turned, _ = estimate(Particles(cloud.position, turn @ cloud.rotation, cloud.weight))
+    _, mean, _ = mean_pose(cloud)
+    _, turned, _ = mean_pose(Particles(cloud.position, turn @ cloud.rotation, cloud.weight))
     np.testing.assert_allclose(turned, turn @ mean, atol=1e-9)
 
 
 def test_a_sample_of_few_says_little_of_its_spread():
-    np.testing.assert_allclose(steadied(np.zeros((6, 6)), 0.0, ONE), ONE)
-    np.testing.assert_allclose(steadied(2 * ONE, 1e9, ONE), 2 * ONE)
+    np.testing.assert_allclose(regularised_covariance(np.zeros((6, 6)), 0.0, ONE), ONE)
+    np.testing.assert_allclose(regularised_covariance(2 * ONE, 1e9, ONE), 2 * ONE)
 
 
 @pytest.mark.parametrize("n", [20_000])
@@ -88,17 +88,17 @@ def test_proposals_leave_the_posterior_what_it_is(n):
         d = np.concatenate([cloud.position - to, log(cloud.rotation @ toR.T)], axis=1)
         return -0.5 * np.einsum("ni,ij,nj->n", d, np.linalg.inv(L), d)
 
-    alone = moved(parents, m, rng)
-    w, _ = normalised(likelihood(alone))
-    p, R, covariance = estimate(Particles(alone.position, alone.rotation, w))
+    alone = move(parents, m, rng)
+    w, _ = normalise(likelihood(alone))
+    p, R, covariance = mean_pose(Particles(alone.position, alone.rotation, w))
 
     wide = 3.0 * L
-    peaks = Peaks((to + 0.005)[None], (exp(np.full(3, 0.03)) @ toR)[None], wide[None], np.array([0.0]))
-    drawn, ratio, nearest = proposed(parents, m, peaks, 0.1, n, rng)
+    peaks = PeakMixture((to + 0.005)[None], (exp(np.full(3, 0.03)) @ toR)[None], wide[None], np.array([0.0]))
+    drawn, ratio, nearest = propose(parents, m, peaks, 0.1, n, rng)
     assert np.all(nearest == 0)
-    v, _ = normalised(ratio + likelihood(drawn))
-    q, S, spread = estimate(Particles(drawn.position, drawn.rotation, v))
-    assert effective(v) > 2.0 * effective(w)
+    v, _ = normalise(ratio + likelihood(drawn))
+    q, S, spread = mean_pose(Particles(drawn.position, drawn.rotation, v))
+    assert effective_number(v) > 2.0 * effective_number(w)
     scale = np.sqrt(np.diag(covariance))
     assert np.all(np.abs(q - p) < 0.06 * scale[:3])
     assert np.all(np.abs(log(S @ R.T)) < 0.06 * scale[3:])
@@ -109,8 +109,8 @@ def test_births_follow_a_peak_that_no_motion_reaches():
     rng = np.random.default_rng(7)
     parents = scatter(np.array([0.0, 0.0, 1.0]), np.eye(3), 0.01 * ONE, 500, rng)
     far = np.array([0.8, 0.3, 2.0])
-    peaks = Peaks(far[None], exp(np.array([[2.0, 0, 0]])), 0.01 * ONE[None], np.array([0.0]))
-    drawn, ratio, _ = proposed(parents, motions(np.zeros(6)), peaks, 0.1, 500, rng)
+    peaks = PeakMixture(far[None], exp(np.array([[2.0, 0, 0]])), 0.01 * ONE[None], np.array([0.0]))
+    drawn, ratio, _ = propose(parents, motions(np.zeros(6)), peaks, 0.1, 500, rng)
     near = np.linalg.norm(drawn.position - far, axis=1) < 0.1
     assert 0.8 < near.mean() < 0.97  # all but the blind ones
     assert np.ptp(ratio[near]) < 25.0

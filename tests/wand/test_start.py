@@ -11,12 +11,12 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.simulate.wand.render import WandRenderer
 from spheremouse.tracker import Frame, Status
 from spheremouse.wand.ball import contrast_ball, grzonka_ball
-from spheremouse.wand.colour import DEFAULT_COLOURS, fields
-from spheremouse.wand.model import model
+from spheremouse.wand.build import build
+from spheremouse.wand.colour import DEFAULT_COLOURS, colour_fields
+from spheremouse.wand.model import ball_model
 from spheremouse.wand.settings import WandSettings
-from spheremouse.wand.spots import spots
-from spheremouse.wand.start import convincing, hypotheses
-from spheremouse.wand.track import begin, build, step
+from spheremouse.wand.start import evidence_without_prior, find_spots, pose_hypotheses
+from spheremouse.wand.track import begin, step
 
 CAMERA = InteriorOrientation(640, 480, 500.0, 500.0, 320.0, 240.0)
 PICTURES = 50
@@ -74,16 +74,20 @@ def test_a_true_pose_convinces_and_another_place_does_not():
     film = prepare_wand(WandOptions(motion="hand", seed=2, seconds=0.1, size=(640, 480)))
     (shot,) = simulate_wand(film)
     ball, camera, image = grzonka_ball(), film.scene.camera, shot.frame.image
-    seen = fields(image, DEFAULT_COLOURS, ball.colours)
+    seen = colour_fields(image, DEFAULT_COLOURS, ball.colours)
     p, R = shot.position[0], shot.rotation[0]
-    discs, bare = convincing(image, p, R, ball, model(ball, camera), camera, seen)
+    discs, bare = evidence_without_prior(image, p, R, ball, ball_model(ball, camera), camera, seen)
     assert discs >= 3
     assert bare > 0.8
-    discs, _ = convincing(image, p + np.array([0.2, 0.0, 0.0]), R, ball, model(ball, camera), camera, seen)
+    discs, _ = evidence_without_prior(
+        image, p + np.array([0.2, 0.0, 0.0]), R, ball, ball_model(ball, camera), camera, seen
+    )
     assert discs < 3
     # a red pixel everywhere: all discs of that colour show, but the ball is nowhere bare
     red = np.full_like(image, (30, 30, 200))
-    _, bare = convincing(red, p, R, ball, model(ball, camera), camera, fields(red, DEFAULT_COLOURS, ball.colours))
+    _, bare = evidence_without_prior(
+        red, p, R, ball, ball_model(ball, camera), camera, colour_fields(red, DEFAULT_COLOURS, ball.colours)
+    )
     assert bare == 0.0
 
 
@@ -91,13 +95,15 @@ def test_a_search_in_turns_finds_what_a_whole_one_finds():
     film = prepare_wand(WandOptions(motion="hand", seed=3, seconds=0.1, size=(640, 480), focal=700.0), contrast_ball())
     (shot,) = simulate_wand(film)
     ball, camera = contrast_ball(), film.scene.camera
-    seen = spots(fields(shot.frame.image, DEFAULT_COLOURS, ball.colours))
-    whole = hypotheses(seen, ball, camera, ball.colours, WandSettings(), effort=10**12)
-    assert whole.following == 0
+    seen = find_spots(colour_fields(shot.frame.image, DEFAULT_COLOURS, ball.colours))
+    whole = pose_hypotheses(seen, ball, camera, ball.colours, WandSettings(), max_assignments=10**12)
+    assert whole.next_spot == 0
     best, turns, first = 0.0, 0, 0
     while turns < 100:
-        part = hypotheses(seen, ball, camera, ball.colours, WandSettings(), first=first, effort=100_000)
-        best, turns, first = max(best, float(part.score[0]) if len(part.score) else 0.0), turns + 1, part.following
+        part = pose_hypotheses(
+            seen, ball, camera, ball.colours, WandSettings(), first_spot=first, max_assignments=100_000
+        )
+        best, turns, first = max(best, float(part.score[0]) if len(part.score) else 0.0), turns + 1, part.next_spot
         if first == 0 or turns * 100_000 > 60 * 28 * 17**3:
             break
     assert turns > 3

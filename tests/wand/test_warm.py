@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
-from spheremouse.wand.settings import WandSettings; from spheremouse.wand.track import build
+from spheremouse.wand.settings import WandSettings; from spheremouse.wand.build import build
 from spheremouse.output.wand_mapping import PointingSettings
 from spheremouse.wand.warm import warm_up
 from spheremouse.output.wand_mapping import WandMapping

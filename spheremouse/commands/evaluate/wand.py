@@ -22,9 +22,8 @@ from spheremouse.session.settings import Configuration
 from spheremouse.session.wand.messages import sentence
 from spheremouse.session.wand.offline import Known, track_wand
 from spheremouse.wand.ball import WandBall
-from spheremouse.wand.rims import ColourSettings
-from spheremouse.wand.settings import WandSettings
-from spheremouse.wand.track import build
+from spheremouse.wand.build import build
+from spheremouse.wand.settings import ColourSettings, WandSettings
 
 _NO_TRUTH = "no truth.csv to compare with: no errors are known; frames tracked and times say what can be said without"
 

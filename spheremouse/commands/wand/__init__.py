@@ -12,7 +12,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.simulate.wand.options import WandOptions
 
 if TYPE_CHECKING:
-    from spheremouse.wand.pick_colours import Picked
+    from spheremouse.wand.pick_colours import PickedBounds
 
 app = typer.Typer(no_args_is_help=True, help="A hand-held ball: film it, or pick the bounds of its colours.")
 
@@ -81,7 +81,7 @@ def colours(
     from spheremouse.files.wand import WandFile, load_wand, save_wand
     from spheremouse.wand.ball import grzonka_ball
     from spheremouse.wand.colour import DEFAULT_COLOURS
-    from spheremouse.wand.pick_colours import Circle, find, judged, overlay, pick
+    from spheremouse.wand.pick_colours import Circle, check_bounds, draw_selection, find_ball, pick_bounds
 
     ball = grzonka_ball()
     given = WandFile(ball, {c: DEFAULT_COLOURS[c] for c in ball.colours}) if wand is None else load_wand(wand)
@@ -93,10 +93,10 @@ def colours(
     image = read_picture(picture)
     circle = None if at is None else Circle(*_circle(at))
     if check:
-        picked = judged(image, given.colours, find(image, given.ball) if circle is None else circle)
+        picked = check_bounds(image, given.colours, find_ball(image, given.ball) if circle is None else circle)
     else:
-        picked = pick(image, given.ball, circle)
-    write_picture(show, overlay(image, picked))
+        picked = pick_bounds(image, given.ball, circle)
+    write_picture(show, draw_selection(image, picked))
     _print(picked, narrower=check)
     print(f"{show}: what they select")
     if out is not None:
@@ -115,7 +115,7 @@ def _shown_at(picture: Path, given: Path | None) -> Path:
     return show
 
 
-def _print(picked: "Picked", narrower: bool) -> None:
+def _print(picked: "PickedBounds", narrower: bool) -> None:
     """Where the ball is, its bounds and what they select; `narrower`: bounds may be blamed for that, too."""
     c = picked.circle
     print(f"the ball is at {c.u:.0f}, {c.v:.0f}, radius {c.radius:.0f} px (not so? say it with --at U,V,RADIUS)")
@@ -125,7 +125,7 @@ def _print(picked: "Picked", narrower: bool) -> None:
         print(
             f"  selects {100 * picked.inside[name]:.1f} % of the ball, {100 * picked.outside[name]:.2f} % of the rest"
         )
-        if name in picked.much():
+        if name in picked.stray_colours():
             instead = ", or narrow the bounds" if narrower else ""
             print(f"  much beside the ball is {name}: clear it away, or use another background{instead}")
 

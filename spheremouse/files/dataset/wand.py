@@ -32,8 +32,7 @@ from spheremouse.files.dataset.stamps import Stamps, read_stamps, recorded_frame
 from spheremouse.files.tables import read_columns
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.tracker import Frame
-from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
-from spheremouse.wand.truth import WandTruth
+from spheremouse.wand.ball import WandBall, WandDisc, WandTruth, wand_disc
 
 WAND_COLUMNS = ("frame", "t", "x", "y", "z", *MATRIX_COLUMNS)  # centre (m) and R_cam_ball by rows, in cam
 _FRAME = (

@@ -15,8 +15,8 @@ from spheremouse.session.wand.follower import WandFollower
 from spheremouse.session.wand.offline import make_wand_ready
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, grzonka_ball
+from spheremouse.wand.build import build
 from spheremouse.wand.state import WandTracker
-from spheremouse.wand.track import build
 
 
 @dataclass(frozen=True, slots=True)

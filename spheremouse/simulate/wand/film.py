@@ -19,8 +19,7 @@ from spheremouse.simulate.wand.path import HAND_RATE, HAND_SPEED, WandPath, driv
 from spheremouse.simulate.wand.render import Carried, WandRenderer, WandScene, indoor_light, outdoor_light
 from spheremouse.simulate.wand.things import Passing
 from spheremouse.tracker import Frame
-from spheremouse.wand.ball import WandBall, grzonka_ball
-from spheremouse.wand.truth import WandTruth
+from spheremouse.wand.ball import WandBall, WandTruth, grzonka_ball
 
 _DRIVE_FPS, _HAND_FPS = 0.8, 15.0  # Hz: that of the thesis' recording, and what the issue asks of a hand
 _DRIVE_FOCAL, _HAND_FOCAL = 2100.0, 1000.0  # px at 1280 columns: the thesis' lens, and that of a webcam

@@ -19,7 +19,7 @@ from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import grzonka_ball
-from spheremouse.wand.track import build
+from spheremouse.wand.build import build
 
 
 @pytest.fixture(scope="module")

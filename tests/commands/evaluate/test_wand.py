@@ -9,7 +9,7 @@ from spheremouse.files.wand import save_wand
 from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.ball import grzonka_ball
-from spheremouse.wand.rims import ColourSettings
+from spheremouse.wand.settings import ColourSettings
 
 
 def film(path, **options):

@@ -21,7 +21,7 @@ from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.axes import UPRIGHT
 from spheremouse.wand.ball import contrast_ball, grzonka_ball
-from spheremouse.wand.rims import ColourSettings
+from spheremouse.wand.settings import ColourSettings
 
 WAND = ("run", "--tracker", "wand")
 

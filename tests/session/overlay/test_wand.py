@@ -19,8 +19,9 @@ from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.tracker import Frame, Status
 from spheremouse.wand.ball import grzonka_ball
+from spheremouse.wand.build import build
 from spheremouse.wand.state import WandEpoch, WandPose
-from spheremouse.wand.track import begin, build
+from spheremouse.wand.track import begin
 
 CAMERA = InteriorOrientation(640, 480, 500.0, 505.0, 322.0, 238.0, np.array([-0.2, 0.05, 0.001, -0.001, 0.0]))
 BALL = grzonka_ball()

@@ -8,10 +8,11 @@ import pytest
 from spheremouse.geometry.rotation import exp
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import grzonka_ball
-from spheremouse.wand.edge import distances, on_edges
-from spheremouse.wand.model import model
+from spheremouse.wand.build import build
+from spheremouse.wand.model import ball_model
+from spheremouse.wand.published.edges import edge_distances, log_edges
 from spheremouse.wand.settings import WandSettings
-from spheremouse.wand.track import begin, build, step
+from spheremouse.wand.track import begin, step
 
 
 @pytest.fixture(scope="module")
@@ -22,15 +23,15 @@ def film():
 
 def test_the_truth_lies_on_edges_and_its_neighbours_do_not(film):
     camera, shots = film
-    m = model(grzonka_ball(), camera)
+    m = ball_model(grzonka_ball(), camera)
     p, R = shots[0].position[0], shots[0].rotation[0]
-    away, place = distances(shots[0].frame.image, None, 1)
-    at, part = on_edges(p[None], R[None], m, away, place)
+    away, place = edge_distances(shots[0].frame.image, None, 1)
+    at, part = log_edges(p[None], R[None], m, away, place)
     assert part[0] > 0.6
     steps = np.concatenate([np.eye(3), -np.eye(3)]) * [0.006, 0.006, 0.12]
-    beside, _ = on_edges(p + steps, np.repeat(R[None], 6, 0), m, away, place)
+    beside, _ = log_edges(p + steps, np.repeat(R[None], 6, 0), m, away, place)
     assert np.all(beside < at[0] - 3.0)
-    turned, _ = on_edges(
+    turned, _ = log_edges(
         np.repeat(p[None], 6, 0), exp(np.concatenate([np.eye(3), -np.eye(3)]) * 0.2) @ R, m, away, place
     )
     assert np.all(turned < at[0] - 3.0)
@@ -38,29 +39,29 @@ def test_the_truth_lies_on_edges_and_its_neighbours_do_not(film):
 
 def test_colours_do_not_matter(film):
     camera, shots = film
-    m = model(grzonka_ball(), camera)
+    m = ball_model(grzonka_ball(), camera)
     image = shots[0].frame.image
     p, R = shots[0].position, shots[0].rotation
-    one, _ = on_edges(p, R, m, *distances(image, None, 1))
-    other, _ = on_edges(p, R, m, *distances(255 - image, None, 1))
+    one, _ = log_edges(p, R, m, *edge_distances(image, None, 1))
+    other, _ = log_edges(p, R, m, *edge_distances(255 - image, None, 1))
     assert one[0] == pytest.approx(other[0], abs=0.5)
 
 
 def test_a_region_shows_what_the_whole_shows(film):
     camera, shots = film
-    m = model(grzonka_ball(), camera)
+    m = ball_model(grzonka_ball(), camera)
     image, p, R = shots[0].frame.image, shots[0].position, shots[0].rotation
     u, v = (camera.fx * p[0][:2] / p[0][2] + [camera.cx, camera.cy]).astype(int)
-    whole, _ = on_edges(p, R, m, *distances(image, None, 1))
-    part, _ = on_edges(p, R, m, *distances(image, (u - 80, v - 80, u + 80, v + 80), 1))
+    whole, _ = log_edges(p, R, m, *edge_distances(image, None, 1))
+    part, _ = log_edges(p, R, m, *edge_distances(image, (u - 80, v - 80, u + 80, v + 80), 1))
     assert part[0] == pytest.approx(whole[0], abs=0.3)
 
 
 def test_without_edges_all_poses_are_alike(film):
     camera, shots = film
-    m = model(grzonka_ball(), camera)
-    away, place = distances(np.full((480, 640, 3), 90, dtype=np.uint8), None, 1)
-    value, part = on_edges(shots[0].position, shots[0].rotation, m, away, place)
+    m = ball_model(grzonka_ball(), camera)
+    away, place = edge_distances(np.full((480, 640, 3), 90, dtype=np.uint8), None, 1)
+    value, part = log_edges(shots[0].position, shots[0].rotation, m, away, place)
     assert part[0] == 0.0
     assert value[0] == pytest.approx(20.0 * np.log(0.1))
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from spheremouse.geometry.rotation import exp, log
-from spheremouse.wand.course import begun, measured, predicted, speed_covariance, told
+from spheremouse.wand.pose_velocity import initialise, predict, predicted_velocity_covariance, update, with_velocity
 
 ACCELERATION = np.repeat([2.0, 10.0], 3)
 NOISE = np.diag([0.001, 0.001, 0.01, 0.02, 0.02, 0.01]) ** 2
@@ -13,7 +13,7 @@ DT = 1.0 / 30.0
 
 
 def start(position=(0.1, -0.05, 1.0), rotation=None):
-    return begun(0.0, np.array(position), np.eye(3) if rotation is None else rotation, NOISE)
+    return initialise(0.0, np.array(position), np.eye(3) if rotation is None else rotation, NOISE)
 
 
 def moved(position, rotation, rng, frames, dt=DT):
@@ -36,24 +36,24 @@ def seen(pose, rng):
 def test_what_moves_evenly_is_told_exactly():
     """Whatever the attitude, and however far it turns between two frames."""
     velocity = np.array([0.1, -0.2, 0.3, 2.0, -1.0, 3.0])
-    course = start()
+    state = start()
     for k in range(1, 200):
         t = 0.1 * k
         position = np.array([0.1, -0.05, 1.0]) + velocity[:3] * t
-        course = measured(course, t, position, exp(velocity[3:] * t), NOISE, 0.1 * ACCELERATION)
-    np.testing.assert_allclose(course.velocity, velocity, atol=1e-6)
-    ahead = predicted(course, course.stamp + 0.05, ACCELERATION)
-    np.testing.assert_allclose(ahead.position, course.position + 0.05 * velocity[:3], atol=1e-6)
-    np.testing.assert_allclose(log(ahead.rotation @ course.rotation.T), 0.05 * velocity[3:], atol=1e-6)
+        state = update(state, t, position, exp(velocity[3:] * t), NOISE, 0.1 * ACCELERATION)
+    np.testing.assert_allclose(state.velocity, velocity, atol=1e-6)
+    ahead = predict(state, state.stamp + 0.05, ACCELERATION)
+    np.testing.assert_allclose(ahead.position, state.position + 0.05 * velocity[:3], atol=1e-6)
+    np.testing.assert_allclose(log(ahead.rotation @ state.rotation.T), 0.05 * velocity[3:], atol=1e-6)
 
 
 def test_it_is_the_best_linear_estimate_of_all_that_was_seen():
     """Along one axis: weighted least squares of all frames at once, with accelerations as unknowns."""
     rng = np.random.default_rng(1)
-    course, z, frames = start(), [1.0], 25
+    state, z, frames = start(), [1.0], 25
     for k in range(1, frames):
         z.append(1.0 + rng.normal(0.0, 0.01))
-        course = measured(course, k * DT, np.array([0.1, -0.05, z[-1]]), np.eye(3), NOISE, ACCELERATION)
+        state = update(state, k * DT, np.array([0.1, -0.05, z[-1]]), np.eye(3), NOISE, ACCELERATION)
     n = frames - 1  # unknowns: position and velocity at first, then the accelerations
     A, y, w = np.zeros((frames + 1 + n, 2 + n)), np.zeros(frames + 1 + n), np.zeros(frames + 1 + n)
     for k in range(frames):
@@ -67,8 +67,8 @@ def test_it_is_the_best_linear_estimate_of_all_that_was_seen():
     last = np.zeros((2, 2 + n))
     last[0, :2], last[0, 2:] = (1.0, n * DT), [(0.5 + n - 1 - j) * DT**2 for j in range(n)]
     last[1, 1], last[1, 2:] = 1.0, DT
-    assert [course.position[2], course.velocity[2]] == pytest.approx(last @ x, rel=1e-8)
-    P = course.covariance[np.ix_([2, 8], [2, 8])]
+    assert [state.position[2], state.velocity[2]] == pytest.approx(last @ x, rel=1e-8)
+    P = state.covariance[np.ix_([2, 8], [2, 8])]
     np.testing.assert_allclose(P, last @ C @ last.T, rtol=1e-8)
 
 
@@ -77,72 +77,72 @@ def test_errors_are_as_large_as_said():
     for _ in range(60):
         first = np.array([0.1, -0.05, 1.0]), exp(rng.standard_normal(3))
         poses = moved(*first, rng, 20)
-        course = begun(0.0, *seen(first, rng), NOISE)
+        state = initialise(0.0, *seen(first, rng), NOISE)
         for k, pose in enumerate(poses):
-            course = measured(course, (k + 1) * DT, *seen(pose, rng), NOISE, ACCELERATION)
+            state = update(state, (k + 1) * DT, *seen(pose, rng), NOISE, ACCELERATION)
         p, R, v = poses[-1]
-        e = np.concatenate([course.position - p, log(course.rotation @ R.T), course.velocity - v])
-        nees.append(e @ np.linalg.solve(course.covariance, e))
+        e = np.concatenate([state.position - p, log(state.rotation @ R.T), state.velocity - v])
+        nees.append(e @ np.linalg.solve(state.covariance, e))
     low, high = chi2.ppf([0.005, 0.995], 12 * len(nees)) / len(nees)
     assert low < np.mean(nees) < high
 
 
 def test_the_covariance_stays_symmetric_and_positive():
-    course = start()
+    state = start()
     for k in range(1, 400):
-        course = measured(course, 0.004 * k, course.position, course.rotation, 100.0 * NOISE, ACCELERATION)
-        assert np.linalg.eigvalsh(course.covariance)[0] > 0.0
-    np.testing.assert_array_equal(course.covariance, course.covariance.T)
+        state = update(state, 0.004 * k, state.position, state.rotation, 100.0 * NOISE, ACCELERATION)
+        assert np.linalg.eigvalsh(state.covariance)[0] > 0.0
+    np.testing.assert_array_equal(state.covariance, state.covariance.T)
 
 
 @pytest.mark.parametrize("speed", [3.0, 9.0, 18.0])
 def test_a_ball_that_is_fast_from_the_first_frame_has_its_velocity_in_a_few(speed):
     """However much faster than a hand is thought to begin."""
     rng, velocity = np.random.default_rng(5), np.array([0.9, 0.0, 0.0, 0.0, speed, 0.0])
-    course = start()
+    state = start()
     for k in range(1, 8):
         at = np.array([0.1, -0.05, 1.0]) + velocity[:3] * k * DT, exp(velocity[3:] * k * DT)
-        course = measured(course, k * DT, *seen(at, rng), NOISE, ACCELERATION)
-    off = course.velocity - velocity
-    assert np.all(np.abs(off) < 4.0 * np.sqrt(np.diag(course.covariance)[6:]))
+        state = update(state, k * DT, *seen(at, rng), NOISE, ACCELERATION)
+    off = state.velocity - velocity
+    assert np.all(np.abs(off) < 4.0 * np.sqrt(np.diag(state.covariance)[6:]))
     assert abs(off[4]) < 0.15 * speed
 
 
 def test_from_a_pose_that_no_hand_reaches_it_begins_at_rest():
     rng = np.random.default_rng(3)
-    course = start()
-    for k, pose in enumerate(moved(course.position, course.rotation, rng, 30)):
-        course = measured(course, (k + 1) * DT, *seen(pose, rng), NOISE, ACCELERATION)
-    elsewhere = course.position + np.array([0.4, 0.0, 0.0]), course.rotation
-    new = measured(course, course.stamp + DT, *elsewhere, NOISE, ACCELERATION)
+    state = start()
+    for k, pose in enumerate(moved(state.position, state.rotation, rng, 30)):
+        state = update(state, (k + 1) * DT, *seen(pose, rng), NOISE, ACCELERATION)
+    elsewhere = state.position + np.array([0.4, 0.0, 0.0]), state.rotation
+    new = update(state, state.stamp + DT, *elsewhere, NOISE, ACCELERATION)
     assert np.all(new.velocity == 0.0)
     np.testing.assert_array_equal(new.position, elsewhere[0])
-    np.testing.assert_array_equal(new.covariance, begun(0.0, *elsewhere, NOISE).covariance)
-    mirrored = course.position, exp(np.array([0.0, 1.6, 0.0])) @ course.rotation
-    assert np.all(measured(course, course.stamp + DT, *mirrored, NOISE, ACCELERATION).velocity == 0.0)
-    again = measured(course, course.stamp, *mirrored, NOISE, ACCELERATION)  # at the same stamp
+    np.testing.assert_array_equal(new.covariance, initialise(0.0, *elsewhere, NOISE).covariance)
+    mirrored = state.position, exp(np.array([0.0, 1.6, 0.0])) @ state.rotation
+    assert np.all(update(state, state.stamp + DT, *mirrored, NOISE, ACCELERATION).velocity == 0.0)
+    again = update(state, state.stamp, *mirrored, NOISE, ACCELERATION)  # at the same stamp
     assert np.all(again.velocity == 0.0)
 
 
 @pytest.mark.parametrize(("off", "anew"), [(5.9, False), (6.1, True)])
 def test_six_standard_deviations_are_too_far_off(off, anew):
-    course = predicted(start(), DT, ACCELERATION)
-    S = course.covariance[0, 0] + NOISE[0, 0]
-    at = course.position + np.array([off * np.sqrt(S), 0.0, 0.0])
-    found = measured(start(), DT, at, course.rotation, NOISE, ACCELERATION)
+    state = predict(start(), DT, ACCELERATION)
+    S = state.covariance[0, 0] + NOISE[0, 0]
+    at = state.position + np.array([off * np.sqrt(S), 0.0, 0.0])
+    found = update(start(), DT, at, state.rotation, NOISE, ACCELERATION)
     assert bool(found.position[0] == at[0]) == anew
 
 
 def test_the_covariance_ahead_is_that_of_numerical_derivatives():
     """Of a ball that turns by a radian until then: attitude and velocity, without noise."""
     velocity = np.array([0.3, -0.2, 0.1, 3.0, -4.0, 2.0])
-    course = told(start(rotation=exp(np.array([0.3, 1.0, -0.5]))), velocity, np.diag([1e-4] * 3 + [1e-3] * 3))
+    state = with_velocity(start(rotation=exp(np.array([0.3, 1.0, -0.5]))), velocity, np.diag([1e-4] * 3 + [1e-3] * 3))
     dt, step = 0.19, 1e-6
 
     def ahead(d):
-        turned = exp(d[3:6]) @ course.rotation
-        moved_on = predicted(begun(0.0, course.position + d[:3], turned, NOISE), 0.0, ACCELERATION)
-        one = predicted(told(moved_on, velocity + d[6:], np.eye(6)), dt, ACCELERATION)
+        turned = exp(d[3:6]) @ state.rotation
+        moved_on = predict(initialise(0.0, state.position + d[:3], turned, NOISE), 0.0, ACCELERATION)
+        one = predict(with_velocity(moved_on, velocity + d[6:], np.eye(6)), dt, ACCELERATION)
         return one.position, one.rotation, one.velocity
 
     p, R, v = ahead(np.zeros(12))
@@ -150,8 +150,8 @@ def test_the_covariance_ahead_is_that_of_numerical_derivatives():
     for k in range(12):
         a, b, c = ahead(step * np.eye(12)[k])
         J[:, k] = np.concatenate([a - p, log(b @ R.T), c - v]) / step
-    expected = J @ course.covariance @ J.T
-    np.testing.assert_allclose(predicted(course, dt, np.zeros(6)).covariance, expected, rtol=1e-4, atol=1e-9)
+    expected = J @ state.covariance @ J.T
+    np.testing.assert_allclose(predict(state, dt, np.zeros(6)).covariance, expected, rtol=1e-4, atol=1e-9)
 
 
 @pytest.mark.parametrize("gap", [0.4, 1.25])
@@ -159,10 +159,10 @@ def test_after_a_gap_errors_are_as_large_as_said(gap):
     """A hand changes its acceleration five times a second, whether a picture comes or not."""
     rng, nees = np.random.default_rng(6), []
     for _ in range(80):
-        course = start()
-        poses = moved(course.position, course.rotation, rng, 10)
+        state = start()
+        poses = moved(state.position, state.rotation, rng, 10)
         for k, pose in enumerate(poses):
-            course = measured(course, (k + 1) * DT, *seen(pose, rng), NOISE, ACCELERATION)
+            state = update(state, (k + 1) * DT, *seen(pose, rng), NOISE, ACCELERATION)
         p, R, v = poses[-1]
         number = int(np.ceil(gap / 0.2))
         dt = gap / number
@@ -170,38 +170,38 @@ def test_after_a_gap_errors_are_as_large_as_said(gap):
             a = 0.5 * ACCELERATION * rng.standard_normal(6)
             way = v * dt + 0.5 * a * dt**2
             p, R, v = p + way[:3], exp(way[3:]) @ R, v + a * dt
-        course = measured(course, course.stamp + gap, *seen((p, R), rng), NOISE, ACCELERATION)
-        e = (course.velocity - v)[:3]  # turns of a radian and more are not linear
-        nees.append(e @ np.linalg.solve(course.covariance[6:9, 6:9], e))
+        state = update(state, state.stamp + gap, *seen((p, R), rng), NOISE, ACCELERATION)
+        e = (state.velocity - v)[:3]  # turns of a radian and more are not linear
+        nees.append(e @ np.linalg.solve(state.covariance[6:9, 6:9], e))
     low, high = chi2.ppf([0.005, 0.995], 3 * len(nees)) / len(nees)
     assert low < np.mean(nees) < high
 
 
 def test_a_ball_that_stops_in_a_gap_is_not_thought_to_go_back():
-    course = start()
+    state = start()
     for k in range(1, 20):
         at = np.array([0.1 + 0.3 * k * DT, -0.05, 1.0])
-        course = measured(course, k * DT, at, np.eye(3), NOISE, ACCELERATION)
-    stopped = course.position + np.array([0.03, 0.0, 0.0])
-    found = measured(course, course.stamp + 0.4, stopped, np.eye(3), NOISE, ACCELERATION)
+        state = update(state, k * DT, at, np.eye(3), NOISE, ACCELERATION)
+    stopped = state.position + np.array([0.03, 0.0, 0.0])
+    found = update(state, state.stamp + 0.4, stopped, np.eye(3), NOISE, ACCELERATION)
     assert abs(found.velocity[0]) < 2.0 * np.sqrt(found.covariance[6, 6])
-    late = measured(course, course.stamp + 3.0, stopped, np.eye(3), NOISE, ACCELERATION)
+    late = update(state, state.stamp + 3.0, stopped, np.eye(3), NOISE, ACCELERATION)
     assert np.all(late.velocity == 0.0)
-    never = measured(course, course.stamp + 1e7, stopped, np.eye(3), NOISE, ACCELERATION)
+    never = update(state, state.stamp + 1e7, stopped, np.eye(3), NOISE, ACCELERATION)
     assert np.linalg.eigvalsh(never.covariance)[0] > 0.0
 
 
 def test_a_velocity_that_is_told_is_believed():
     velocity = np.array([0.1, 0.0, 0.0, 0.0, 2.0, 0.0])
-    course = told(start(), velocity, 1e-6 * np.eye(6))
-    np.testing.assert_array_equal(course.covariance[:6, :6], NOISE)
-    ahead = predicted(course, 0.4, np.zeros(6))
-    np.testing.assert_allclose(ahead.position - course.position, [0.04, 0.0, 0.0], atol=1e-12)
+    state = with_velocity(start(), velocity, 1e-6 * np.eye(6))
+    np.testing.assert_array_equal(state.covariance[:6, :6], NOISE)
+    ahead = predict(state, 0.4, np.zeros(6))
+    np.testing.assert_allclose(ahead.position - state.position, [0.04, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(log(ahead.rotation), [0.0, 0.8, 0.0], atol=1e-12)
 
 
 def test_the_velocity_is_as_uncertain_ahead_as_when_one_is_there():
-    course = predicted(start(), 0.1, ACCELERATION)
+    state = predict(start(), 0.1, ACCELERATION)
     for later in (0.15, 0.25, 0.9):
-        there = predicted(course, later, ACCELERATION).covariance[6:, 6:]
-        np.testing.assert_allclose(speed_covariance(course, later, ACCELERATION), there)
+        there = predict(state, later, ACCELERATION).covariance[6:, 6:]
+        np.testing.assert_allclose(predicted_velocity_covariance(state, later, ACCELERATION), there)
