@@ -12,9 +12,9 @@ from experiments.kit import detections
 from experiments.kit import film as kit
 from experiments.kit.job import Job, Request, Result
 from spheremouse.ball.truth import VISIBLE
-from spheremouse.calibrate.layout import search as layout
+from spheremouse.calibrate.layout.choose import assess, choose_directions
 from spheremouse.errors import PoseError
-from spheremouse.geometry.rotation import Array, exp
+from spheremouse.geometry.rotation import Array, exp, fibonacci_sphere
 from spheremouse.simulate.ball.film import HandVisit, Simulation, prepare
 from spheremouse.simulate.ball.profile import Gesture, Gestures
 from spheremouse.simulate.ball.scene import spread_directions
@@ -24,7 +24,6 @@ _RADIUS = 0.6  # m, of the ball
 NOISE = 3.0  # grey values
 NEARLY = 1.25  # times the least error is as good
 _VIEW_ANGLE = np.radians(70.0)  # as `spheremouse layout`
-SURE, MISSING, _TRIALS = np.radians(0.1), 0.2, 200  # of recognising attitudes, as docs/layout has it
 _LAYOUT_SEEDS = 2  # their films are longer, and the seeds differ little
 SETTLE = 1.0  # s, before hands come: the camera's pose is found by then
 
@@ -80,10 +79,8 @@ def laid_out(kind: str, seed: int, frames: int) -> Result:
     once = Gestures((Gesture(0.0, seconds, (1.0, 0.0, 0.0), 2.0 * np.pi, 0.3),), seconds)
     result = _followed(replace(simulation, profile=once))
     directions = simulation.scene.disc_directions
-    judged = layout.judge(directions, _VIEW_ANGLE)
-    trials = layout.recognised(directions, _VIEW_ANGLE, SURE, MISSING, _TRIALS, np.random.default_rng([seed, 8]))
-    named = {"in_view": judged.in_view, "contradictions": judged.separability}
-    return {**result, **named, "recognised": trials.found, "mistaken": trials.wrong}
+    found = assess(directions, _VIEW_ANGLE)
+    return {**result, "in_view": found.in_view, "recognised": found.recognised, "mistaken": found.mistaken}
 
 
 def with_hands(kind: str, seed: int, frames: int) -> Result:
@@ -134,12 +131,11 @@ def directions_of(kind: str, seed: int) -> Array:
     """Unit vectors, (26, 3), of a layout; each seed has other places."""
     rng = np.random.default_rng([seed, 9])
     if kind == "designed":
-        *_, last = layout.search(DISCS, float(_VIEW_ANGLE), 0.1, seed, 60)
-        return last.directions
+        return choose_directions(DISCS, float(_VIEW_ANGLE), 0.1, seed)
     if kind == "spread":
         return _irregular(20.0, seed)
     if kind == "even":
-        return layout.evenly_spread(DISCS) @ exp(rng.normal(size=3)).T
+        return fibonacci_sphere(DISCS) @ exp(rng.normal(size=3)).T
     if kind == "rows":
         return in_rows() @ exp(rng.normal(size=3)).T
     if kind == "random":

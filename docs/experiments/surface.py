@@ -22,7 +22,7 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import VISIBLE
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.matching import assign
-from spheremouse.geometry.rotation import Array, euler_rate_matrix, tangent_basis, to_euler
+from spheremouse.geometry.rotation import Array, euler_rate_matrix, fibonacci_sphere, tangent_basis, to_euler
 from spheremouse.simulate.ball.film import HandVisit, Renderer, RenderOptions, Scene, View, default_scene
 from spheremouse.simulate.ball.hands import draw_hand, place_hand
 from spheremouse.simulate.shapes import Sphere, look
@@ -272,7 +272,7 @@ def _covariance(sigma: Array, below: Sequence[Sequence[float]]) -> Array:
 
 def areas(points: int) -> Result:
     """Return the visible area, m²: of the bare ball by distance, and in both views behind frame and hands."""
-    sphere = _spread(points)
+    sphere = fibonacci_sphere(points)
     scene = default_scene(1, "far")
     whole = 4.0 * np.pi * scene.ball_radius**2
     alone = [
@@ -291,14 +291,6 @@ def areas(points: int) -> Result:
             "two hands": whole * _behind_hands(sphere[shown], scene, 2) * float(np.mean(shown)),
         }
     return {"distance": list(_DISTANCES), "alone": alone, "views": views}
-
-
-def _spread(n: int) -> Array:
-    """Unit vectors, (n, 3), each of which stands for the same area: a spiral of golden angles."""
-    k = np.arange(n) + 0.5
-    z, turn = 1.0 - 2.0 * k / n, np.pi * (1.0 + np.sqrt(5.0)) * k
-    r = np.sqrt(1.0 - z * z)
-    return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
 
 
 def _met(sphere: Array, scene: Scene, pose: Pose, around: bool) -> NDArray[np.bool_]:

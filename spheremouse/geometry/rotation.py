@@ -205,7 +205,7 @@ def tangent_basis(u: Array) -> Array:
 
 
 def fibonacci_sphere(n: int) -> Array:
-    """Unit vectors evenly over the sphere, (n, 3): a spiral with the golden angle (González 2010)."""
+    """Return unit vectors (n, 3), evenly spread on a spiral of the golden angle (González 2010)."""
     k = np.arange(n) + 0.5
     z = 1.0 - 2.0 * k / n
     angle = np.pi * (1.0 + np.sqrt(5.0)) * k

@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.discs import DISCS, HANDS, LAYOUTS, MISSING, NEARLY, NOISE, SETTLE, SIZES, SURE
+from experiments.discs import DISCS, HANDS, LAYOUTS, NEARLY, NOISE, SETTLE, SIZES
 from experiments.kit.film import TRACKERS
 from experiments.kit.job import Results
 from experiments.kit.tour import FAR_OFF, FOLLOWED
 from experiments.report.frames import by, markdown, tidy
 from experiments.report.page import Page, fixed
 from experiments.report.plot import BOUND, Drawing, decades
+from spheremouse.calibrate.layout.choose import TRIAL_HIDDEN, TRIAL_SIGMA
 from spheremouse.evaluate.metrics import MIN_AREA
 
 _RECOGNISED = 99.0  # % of the pictures: good enough
@@ -24,12 +25,11 @@ _COLUMNS = {
     "so3.mean_discs": "used",
     "so3.detection.centre_rms_px": "centre",
 }
-_OF_FILMS = ("diameter_px", "whole", "in_view", "contradictions", "recognised", "mistaken", "used")
+_OF_FILMS = ("diameter_px", "whole", "in_view", "recognised", "mistaken", "used")
 _HEADS = {  # of columns beside the errors, with digits
     "diameter_px": ("diameter, px", 1),
     "whole": ("wholly in view, %", 0),
     "in_view": ("discs in view, least", 1),
-    "contradictions": ("contradictions, worst view", 1),
     "recognised": ("recognised, %", 1),
     "mistaken": ("mistaken, %", 1),
     "used": ("discs used", 1),
@@ -53,8 +53,8 @@ def page(results: Results) -> Page:
         "followed": FOLLOWED,
         "min_area": MIN_AREA,
         "nearly": NEARLY,
-        "missing": MISSING,
-        "sure": np.degrees(SURE),
+        "missing": TRIAL_HIDDEN,
+        "sure": np.degrees(TRIAL_SIGMA),
         "recognised": _RECOGNISED,
         "settle": SETTLE,
         "sizes": sizes,
@@ -64,7 +64,7 @@ def page(results: Results) -> Page:
         "times": hands["attitude"]["so3"] / hands["attitude"]["so3"]["none"],
         "tables": {
             "size": _table(size, "radius, mm", ["diameter_px", "whole", "used", "centre"]),
-            "layout": _table(layout, "places", ["in_view", "contradictions", "recognised", "mistaken", "used"]),
+            "layout": _table(layout, "places", ["in_view", "recognised", "mistaken", "used"]),
             "hands": _table(hand, "hands", ["whole", "used"]),
         },
         "unfound": ", ".join(f"{key} ({r['unfound']})" for key, r in results.items() if "unfound" in r),

@@ -1,7 +1,7 @@
-"""The two drawings of the placement guide: directions in, SVG out, in mm of paper.
+"""Draw the two figures of the placement guide as SVG, in mm of paper.
 
-Both halves of the ball as azimuthal equidistant maps, so that distances from the pole are to scale; and a sketch of
-how the tape is held.
+Both halves of the ball are azimuthal equidistant maps, so distances from the pole are to scale. A sketch shows
+the tape.
 """
 
 from collections.abc import Iterator
@@ -18,12 +18,12 @@ _WIDTH = 180.0
 
 
 def drawn_radius(radius: float, disc_radius: float) -> float:
-    """m, the radius at which discs of a ball are drawn: their own, unless a pencil's point is larger."""
+    """Return the drawn radius of discs in m: their own, or that of a pencil's point if it is larger."""
     return max(disc_radius, 0.9 / _RIM * 0.5 * np.pi * radius)
 
 
 def drawing(directions: Array, radius: float, disc_radius: float) -> Markup:
-    """Both halves of a ball with its discs, distances from the pole to scale, as SVG; radii in m."""
+    """Return both halves of a ball with its discs as SVG; radii in m."""
     return svg.drawing(_WIDTH, 4 * _RIM + 18, "both halves", _halves(directions, radius, disc_radius))
 
 
@@ -42,7 +42,7 @@ def _halves(directions: Array, radius: float, disc_radius: float) -> Iterator[Ma
     for upper, cy in ((True, top), (False, bottom)):
         for reading in np.arange(0.0, circumference - 0.4 * step, step):
             yield _line(at(upper, 0.06 * _RIM, reading), at(upper, _RIM, reading), "grid")
-            if 0.5 < reading / mm < 2.0 * np.pi - 0.5:  # where the halves touch there is no room
+            if 0.5 < reading / mm < 2.0 * np.pi - 0.5:  # the halves touch there
                 x, y = at(upper, _RIM + 4.6, reading)
                 yield _text(x, y + 1.0, f"{reading:.0f}", "scale")
         label = _free_spoke(directions, upper, np.arange(0.5 * step, circumference, step) / mm)
@@ -67,12 +67,12 @@ def _halves(directions: Array, radius: float, disc_radius: float) -> Iterator[Ma
         px, py = at(upper, (polar if upper else 2.0 * quarter - polar) * scale, float(np.arctan2(y, x)) * mm)
         yield svg.element("circle", class_="disc", cx=px, cy=py, r=size)
         text = f"{k + 1} = P" if k == 0 and z > 1.0 - 1e-12 else str(k + 1)
-        left = px > cx and np.hypot(px + 6.0 - cx, py - (top if upper else bottom)) > _RIM  # else it hides the rim
+        left = px > cx and np.hypot(px + 6.0 - cx, py - (top if upper else bottom)) > _RIM  # keep the rim visible
         yield _haloed(px - size - 0.8 - 2.9 * len(text) if left else px + size + 0.8, py + 1.5, text, "number")
 
 
 def _free_spoke(directions: Array, upper: bool, azimuths: Array) -> float:
-    """The azimuth, of some, along which a half has the most room between its discs."""
+    """Return the azimuth, of some, with the most room between the discs of a half."""
     side = directions[(directions[:, 2] >= 0.0) == upper]
     polar = np.linspace(0.15, 0.5, 8) * np.pi
     heights = np.cos(polar) if upper else -np.cos(polar)
@@ -90,12 +90,12 @@ def _text(x: float, y: float, text: str, style: str) -> Markup:
 
 
 def _haloed(x: float, y: float, text: str, style: str) -> Markup:
-    """Text with a white edge, legible across lines. Drawn twice: not every printer knows `paint-order`."""
+    """Draw text with a white edge, legible across lines. It is drawn twice, since printers may ignore `paint-order`."""
     return _text(x, y, text, f"{style} halo") + _text(x, y, text, style)
 
 
 def sketch() -> Markup:
-    """A ball with P, the band and one disc of the lower half, seen from a little above."""
+    """Return a ball with P, the band and one disc of the lower half, seen from a little above."""
     return svg.drawing(84, 84, "tape from P over the band to a disc", _held_tape())
 
 
@@ -104,7 +104,7 @@ def _held_tape() -> Iterator[Markup]:
     radius, cx, cy = 34.0, 42.0, 40.0
 
     def seen(polar: Array | float, azimuth: Array | float) -> tuple[Array, NDArray[np.bool_]]:
-        """Places in the drawing, (..., 2), and which are on the near side; the reader looks along -x, P is up."""
+        """Return places in the drawing (..., 2), and whether they are on the near side. P is up."""
         x, y, z = np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)
         across, up, towards = x, np.cos(tilt) * y - np.sin(tilt) * z, np.sin(tilt) * y + np.cos(tilt) * z
         return np.stack(np.broadcast_arrays(cx + radius * across, cy - radius * up), axis=-1), towards >= 0.0

@@ -1,7 +1,7 @@
-"""A page to print for whoever puts the discs on the ball with a tape measure: directions in, one HTML file out.
+"""Write the placement guide: one HTML page for a person who puts the discs on the ball with a tape measure.
 
-Lengths on the page are mm along the surface. A pole mark P, a band of masking tape round the equator with its own mm
-scale, and a tape pulled from P over the band: every disc has one place, and no two arcs to be crossed.
+Lengths on the page are mm along the surface. The tape runs from a pole P over a band of masking tape round the equator
+with a scale in mm, so every disc has one place.
 """
 
 from dataclasses import dataclass
@@ -9,68 +9,34 @@ from pathlib import Path
 
 import numpy as np
 
+from spheremouse.calibrate.layout.choose import TRIAL_HIDDEN, TRIAL_SIGMA, Assessment, misplaced, recognition
 from spheremouse.calibrate.layout.drawing import drawing, drawn_radius, sketch
-from spheremouse.calibrate.layout.search import CLEAR, ENOUGH, Judgement, Trials, alike
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.atomic import write_atomically
 from spheremouse.files.report.page import page, rendered
 from spheremouse.geometry.rotation import Array
 
+_SHOWN_ERROR = np.radians(5.0)  # of discs placed by eye
+
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Place of one disc; all but numbers in mm along the surface."""
+    """Place of one disc, in mm along the surface."""
 
     number: int  # from 1, in the order of work
-    band: int | None  # reading of the band that the tape runs over; None at the pole
+    band: int | None  # reading of the band under the tape; None at the pole
     from_pole: int
-    below_band: int  # negative above it, towards the pole
-    checks: tuple[tuple[int, int], ...]  # number of a disc already there, and distance to it
-
-
-@dataclass(frozen=True, slots=True)
-class Accuracy:
-    """Effect of inaccurate placement on a layout: the worst of some random misplacements."""
-
-    sd_mm: float  # mm to either side
-    separability: float  # contradictions
-    in_view: int  # discs
-
-
-@dataclass(frozen=True, slots=True)
-class Design:
-    """A layout as it is on the tape, and what it is worth."""
-
-    directions: Array  # (n, 3) unit vectors, ball: z to the pole mark, x to the band's zero
-    radius: float  # m, of the ball
-    disc_radius: float  # m, along the surface
-    view_angle: float  # rad
-    seed: int
-    judgement: Judgement
-    trials: Trials
-    trial_sigma: float  # rad
-    trial_missing: float
-    accuracy: tuple[Accuracy, ...]
-    tries: int  # misplaced layouts for each line of `accuracy`
-
-    @property
-    def bears_mm(self) -> float:
-        """The largest standard deviation tried up to which every misplaced layout was clear; 0 for none."""
-        bears = 0.0
-        for a in self.accuracy:
-            if a.separability < CLEAR or a.in_view < min(ENOUGH, self.judgement.in_view):
-                break
-            bears = a.sd_mm
-        return bears
+    below_band: int  # negative towards the pole
+    checks: tuple[tuple[int, int], ...]  # number of a disc on the ball, and distance to it
 
 
 def tape_step(radius: float) -> int:
-    """mm to which a tape is read: 5 on a large ball, 1 on one that a hand can hold."""
+    """Return the step of the tape's readings in mm: 5 on a large ball, 1 on one that a hand can hold."""
     return 5 if radius >= 0.3 else 1
 
 
 def on_the_tape(directions: Array, radius: float) -> Array:
-    """Directions, (n, 3), at the whole steps of the tape nearest to those given: from the pole, and along the band."""
+    """Round directions (n, 3) to whole steps of the tape, from the pole and along the band."""
     step = 1e-3 * tape_step(radius) / radius
     polar = np.rint(np.arccos(np.clip(directions[:, 2], -1.0, 1.0)) / step) * step
     azimuth = np.rint(np.arctan2(directions[:, 1], directions[:, 0]) / step) * step
@@ -78,7 +44,7 @@ def on_the_tape(directions: Array, radius: float) -> Array:
 
 
 def places(directions: Array, radius: float) -> list[Place]:
-    """Lengths to measure for each disc, in the order of `directions`; each is checked by the two nearest before it."""
+    """Return the lengths to measure for each disc, with checks by the two nearest of the discs before it."""
     step, mm = tape_step(radius), 1e3 * radius
     angle = np.arccos(np.clip(directions @ directions.T, -1.0, 1.0))
 
@@ -98,59 +64,38 @@ def places(directions: Array, radius: float) -> list[Place]:
     return found
 
 
-def write_guide(path: Path, design: Design) -> None:
-    """Write the page; whole or not at all."""
+def write_guide(
+    path: Path, directions: Array, found: Assessment, radius: float, disc_radius: float, view_angle: float, seed: int
+) -> None:
+    """Write the page, whole or not at all. Radii in m, `view_angle` in rad."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as e:
         raise ConfigurationError(f"{path.parent}: cannot be made: {e.strerror or e}") from None
-    write_atomically(path, guide_text(design))
-
-
-def guide_text(design: Design) -> str:
-    """The page as HTML: steps, drawing, table. It needs no other file."""
-    n, mm = len(design.directions), 1e3 * design.radius
+    n, mm = len(directions), 1e3 * radius
     circumference = round(2.0 * np.pi * mm)
-    step = tape_step(design.radius)
+    step = tape_step(radius)
+    inexact = misplaced(directions, _SHOWN_ERROR, np.random.default_rng(seed))
     guide = rendered(
         "spheremouse.calibrate.layout",
         "guide.html",
-        design=design,
+        found=found,
         discs=n,
-        careless=_careless(design),
+        inexact_mm=f"{_SHOWN_ERROR * mm:.0f}",
+        inexact_recognised=100.0 * recognition(inexact, view_angle)[0],
         sketch=sketch(),
         circumference=circumference,
         quarter=round(0.25 * circumference / step) * step,
-        mark=500 if design.radius >= 0.3 else 50,
+        mark=500 if radius >= 0.3 else 50,
         step=step,
-        to_scale=drawn_radius(design.radius, design.disc_radius) == design.disc_radius,
-        drawing=drawing(design.directions, design.radius, design.disc_radius),
-        places=places(design.directions, design.radius),
-        short=_short,
-        view=f"{np.degrees(design.view_angle):.0f}",
-        apart=f"{design.judgement.apart * mm:.0f}",
-        usual=np.median(design.judgement.contradictions),
-        alike=f"{alike(n) * mm:.0f}",
-        sigma=f"{np.degrees(design.trial_sigma):.2g}",
+        to_scale=drawn_radius(radius, disc_radius) == disc_radius,
+        drawing=drawing(directions, radius, disc_radius),
+        places=places(directions, radius),
+        view=f"{np.degrees(view_angle):.0f}",
+        distance=f"{found.distance * mm:.0f}",
+        sigma=f"{np.degrees(TRIAL_SIGMA):.2g}",
+        hidden=f"{100 * TRIAL_HIDDEN:.0f}",
     )
-    ball = f"Ball {2 * mm:.0f} mm in diameter ({circumference} mm around) · discs {2e3 * design.disc_radius:.0f} mm"
-    return page(f"Where to put the {n} discs", f"{ball} · layout of seed {design.seed}", [guide], paper="A4")
-
-
-def _careless(design: Design) -> str:
-    """What inaccurate placement does to this layout, in a sentence."""
-    bears = design.bears_mm
-    if bears == 0.0:
-        tried = f"{len(design.accuracy)} degrees of carelessness"
-        return f"Of {tried} that were tried, none kept all views apart: more discs would."
-    least = min(a.separability for a in design.accuracy if a.sd_mm <= bears)
-    most = ", the most that was tried" if bears == design.accuracy[-1].sd_mm else ""
-    return (
-        f"Even where every disc was off by {_short(bears)} mm at random (standard deviation to either side{most}), "
-        f"at least {least:.1f} discs told any view from all others."
-    )
-
-
-def _short(mm: float) -> str:
-    """A length in whole mm, or in tenths where it is short."""
-    return f"{mm:.0f}" if mm >= 10.0 else f"{mm:.1f}"
+    ball = f"Ball {2 * mm:.0f} mm in diameter ({circumference} mm around) · discs {2e3 * disc_radius:.0f} mm"
+    text = page(f"Where to put the {n} discs", f"{ball} · layout of seed {seed}", [guide], paper="A4")
+    write_atomically(path, text)
