@@ -15,11 +15,10 @@ from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "system"))
-from desk import SIDE, RequestQueue, gtk, missing, process, until  # noqa: E402
+from desk import SIDE, Desktop, gtk, missing, process, until  # noqa: E402
 
 from spheremouse.commands.tray.view import NO_DAEMON  # noqa: E402
-from spheremouse.session.control.protocol import Request  # noqa: E402
-from spheremouse.session.control.reply import Reply  # noqa: E402
+from spheremouse.session.control.request_queue import PendingRequest  # noqa: E402
 from spheremouse.session.control.server import ControlServer  # noqa: E402
 from spheremouse.session.control.status import STATES  # noqa: E402
 from spheremouse.session.settings.control import ControlSettings  # noqa: E402
@@ -47,15 +46,15 @@ def pictures(ground: tuple[int, int, int], *, menu: bool = False) -> dict[str, I
     """The tray on a panel of this colour, by state; also of the menu, into a file, where that is asked for."""
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        desk = RequestQueue(stack, folder, ground)
+        desk = Desktop(stack, folder, ground)
         socket = folder / "control.sock"
         command = [sys.executable, "-m", "spheremouse", "tray", "--socket", str(socket)]
         stack.enter_context(process(*command, env=desk.env))
         found = {NO_DAEMON: seen(desk, NO_DAEMON)}
         state = "tracking"
 
-        def handle(_: Request, reply: Reply) -> None:
-            reply({"state": state, "reason": "the ball turns", "fps": 59.9})
+        def handle(pending: PendingRequest) -> None:
+            pending.answer({"state": state, "reason": "the ball turns", "fps": 59.9})
 
         with ControlServer(socket, ControlSettings(), handle, lambda _: None):
             for state in STATES:  # `handle` reads it
@@ -69,7 +68,7 @@ def pictures(ground: tuple[int, int, int], *, menu: bool = False) -> dict[str, I
     return found
 
 
-def seen(desk: RequestQueue, state: str) -> Image.Image:
+def seen(desk: Desktop, state: str) -> Image.Image:
     """The tray once it shows the state."""
     if not until(lambda: desk.state() == state):
         sys.exit(f"tray_figures.py: the tray does not show {state}")

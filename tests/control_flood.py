@@ -1,7 +1,7 @@
-"""What the worst clients cost a daemon: `python -m tests.control_flood [--seconds S]`.
+"""Measure the cost of hostile clients: `python -m tests.control_flood [--seconds S]`.
 
-A server in this process, a client in another that floods it in one way; shown are the server's share of a core, and
-how late a thread of this process wakes that wants to 250 times a second, as the reporter does.
+A server runs in this process, a client that floods it in another. The output is the server's share of a core, and the
+delay of a thread of this process that wakes 250 times a second, as the reporter does.
 """
 
 import argparse
@@ -43,7 +43,7 @@ while left():
 
 
 def lateness(stop: threading.Event, late: list[float]) -> None:
-    """Seconds by which this thread wakes too late, until told to stop."""
+    """Append the delays of this thread's wake-ups, in s, until `stop`."""
     due = time.monotonic()
     while not stop.is_set():
         due += PERIOD
@@ -53,7 +53,7 @@ def lateness(stop: threading.Event, late: list[float]) -> None:
 
 
 def main() -> int:
-    """Try each way and print a line of it."""
+    """Try each kind of flood and print a line."""
     parser = argparse.ArgumentParser(prog="python -m tests.control_flood", description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--seconds", type=float, default=5.0, metavar="S", help="for each way")
     seconds = parser.parse_args().seconds
@@ -61,7 +61,7 @@ def main() -> int:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "c"
             stop, late = threading.Event(), list[float]()
-            with ControlServer(path, ControlSettings(), lambda request, reply: reply({"state": "tracking"})):
+            with ControlServer(path, ControlSettings(), lambda pending: pending.answer({"state": "tracking"})):
                 code = CLIENT.format(seconds=seconds, path=str(path), body=body.replace("\n", "\n        "))
                 thread = threading.Thread(target=lateness, args=(stop, late))
                 thread.start()

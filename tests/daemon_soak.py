@@ -170,7 +170,7 @@ class Cabinet(World):
     def tracked_frame(self, made: Any, _: Any) -> None:
         """In the worker's thread."""
         assert self.daemon is not None
-        motion, counts, state = made.epoch.motion, made.report.counts, self.daemon._judgement.state
+        motion, counts, state = made.epoch.motion, made.report.counts, self.daemon._monitor.state
         self.tracked += 1
         self.given += counts
         self._state_of[motion.stamp] = str(state)

@@ -113,6 +113,7 @@ class World:
         # what goes wrong
         self.missing = ""  # why the camera cannot be opened, or has gone
         self.silent = False  # it gives no frames
+        self.paced = False  # it gives a frame every DT, whether or not the ones before were released
         self.hang: threading.Event | None = None  # its driver hangs until it is set
         self.carried = False  # the pointer is carried on between frames
         self.fault = ""  # of the frames: damaged, internal, size, dark, hidden
@@ -128,6 +129,7 @@ class World:
         self.out = 0  # raw frames not given back
         self._free = threading.Event()
         self._free.set()
+        self._due = 0.0
         self.stamp = time.monotonic()
         self.sent: list[Any] = []  # motions
         self.outputs: list[str] = []  # opened
@@ -161,7 +163,10 @@ class World:
             self.hang.wait(PATIENCE)
         if self.missing:
             raise SourceError(self.missing)
-        if not self._free.wait(timeout):
+        if self.paced:
+            self._due = max(self._due + DT, time.monotonic() - DT)
+            time.sleep(max(0.0, self._due - time.monotonic()))
+        elif not self._free.wait(timeout):
             return None
         if self.silent:
             time.sleep(0.01)

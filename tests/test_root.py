@@ -26,7 +26,7 @@ from spheremouse.files.atomic import write_atomically
 from spheremouse.files.service import service_files
 from spheremouse.output import text
 from spheremouse.output.serial import firmware
-from spheremouse.session.control import socket as control_socket
+from spheremouse.session.control import socket_file
 from spheremouse.session.overlay.file import OverlayFile
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
 from spheremouse.simulate.to_dataset import write_simulation
@@ -292,8 +292,8 @@ def test_a_file_that_root_replaces_stays_its_owners(state, planted, nobody, monk
 
 
 def test_a_socket_is_made_by_root_in_no_folder_of_another_user(state):
-    with pytest.raises(ControlError, match="is another user's"):
-        control_socket.lock(state / "socket")
+    with pytest.raises(ControlError, match="is another user's"), socket_file.listening(state / "socket", None):
+        pass
     assert list(state.iterdir()) == []
 
 

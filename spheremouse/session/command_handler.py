@@ -1,4 +1,4 @@
-"""What the worker does about each request that waited at the desk, until it is answered."""
+"""Requests of the control socket, handled by the worker's thread."""
 
 from collections.abc import Callable
 from functools import partial
@@ -6,7 +6,7 @@ from functools import partial
 from spheremouse.errors import ControlError
 from spheremouse.session.config_reloader import ConfigReloader
 from spheremouse.session.control.protocol import Record, Set, Snapshot, refused
-from spheremouse.session.control.request_queue import Asked
+from spheremouse.session.control.request_queue import PendingRequest
 from spheremouse.session.follower import POSE
 from spheremouse.session.process.threads import WorkerPool
 from spheremouse.session.record.archive import Archive
@@ -16,73 +16,75 @@ from spheremouse.session.worker import Worker
 
 
 class CommandHandler:
-    """Called by the worker's thread."""
+    """Answers each request, at once or when a thread of the pool has done its part."""
 
     def __init__(
         self,
         worker: Worker,
-        judgement: StateMonitor,
-        loader: ConfigReloader,
+        monitor: StateMonitor,
+        reloader: ConfigReloader,
         archive: Archive,
-        crew: WorkerPool,
+        workers: WorkerPool,
         *,
         pause: Callable[[bool], None],
         camera: Callable[[], str],
-        say: Callable[[str], None],
+        log: Callable[[str], None],
     ) -> None:
-        """`pause` begins or ends it; `camera` describes the camera in a line; `say` takes lines for the log."""
-        self._worker, self._judgement, self._loader = worker, judgement, loader
-        self._archive, self._crew = archive, crew
-        self._pause, self._camera, self._say = pause, camera, say
+        """`pause(True)` begins a pause, `pause(False)` ends it; `camera` describes the camera in a line."""
+        self._worker, self._monitor, self._reloader = worker, monitor, reloader
+        self._archive, self._workers = archive, workers
+        self._pause, self._camera, self._log = pause, camera, log
 
-    def answer(self, asked: Asked) -> None:
-        """Now, or when the crew has done its part; ControlError where it is refused."""
-        request = asked.request
+    def handle(self, pending: PendingRequest) -> None:
+        """Answer a request; ControlError refuses it."""
+        request = pending.request
         if isinstance(request, Set):
-            self._loader.set(request.assignments, asked)
+            self._reloader.set(request.assignments, pending)
         elif isinstance(request, Record):
-            self._record(request, asked)
+            self._record(request, pending)
         elif isinstance(request, Snapshot):
-            if self._judgement.state is State.NO_CAMERA and not self._pictures_come():
+            if self._monitor.state is State.NO_CAMERA and not self._frames_arrive():
                 raise self._no_picture()
-            self._archive.want_snapshot(request, self._loader.plan.configuration, asked)
+            self._archive.want_snapshot(request, self._reloader.plan.configuration, pending)
         elif request.command == "reload":
-            self._loader.reload(asked)
+            self._reloader.reload(pending)
         elif request.command == "reinit":
-            self._estimate(asked)
+            self._estimate(pending)
         else:
             self._pause(request.command == "pause")
-            asked({"state": str(self._judgement.state)})
+            pending.answer({"state": str(self._monitor.state)})
 
-    def _record(self, request: Record, asked: Asked) -> None:
+    def _record(self, request: Record, pending: PendingRequest) -> None:
         subject = self._worker.follower.subject
         if request.stop:
-            self._archive.stop(asked)
+            self._archive.stop(pending)
         elif subject is None:
-            raise ControlError(f"nothing to record before the camera's pose is known: {self._judgement.reason}")
+            raise ControlError(f"nothing to record before the camera's pose is known: {self._monitor.reason}")
         else:
-            c = self._loader.plan.configuration
-            self._archive.record(request, c, subject, self._camera(), asked)
+            c = self._reloader.plan.configuration
+            self._archive.record(request, c, subject, self._camera(), pending)
 
-    def _estimate(self, asked: Asked) -> None:
-        """The camera's pose anew, by the crew: what was begun is given up when who asked has hung up."""
-        if self._judgement.state is State.NO_CAMERA:
+    def _estimate(self, pending: PendingRequest) -> None:
+        """Estimate the camera's pose again, in a thread of the pool, until the client disconnects."""
+        if self._monitor.state is State.NO_CAMERA:
             raise self._no_picture()
-        if self._crew.busy(POSE):
-            raise ControlError("the camera's pose is being estimated already, for one who has hung up; ask again")
-        self._worker.follower.reinitialise(partial(self._told_pose, asked), lambda: not asked.gone)
+        if self._workers.busy(POSE):
+            raise ControlError(
+                "the camera's pose is being estimated already, for a client that has disconnected; ask again"
+            )
+        self._worker.follower.reinitialise(partial(self._answer_pose, pending), lambda: not pending.cancelled)
 
-    def _told_pose(self, asked: Asked, error: str | None, text: str) -> None:
+    def _answer_pose(self, pending: PendingRequest, error: str | None, text: str) -> None:
         if error is None:
-            self._say(text)
-            asked({"message": text})
+            self._log(text)
+            pending.answer({"message": text})
         else:
-            self._say(f"camera pose: {error}")
-            asked(refused(error))
+            self._log(f"camera pose: {error}")
+            pending.answer(refused(error))
 
-    def _pictures_come(self) -> bool:
-        """Where there is `no camera`: do frames come that are of no use but to be looked at?"""
-        return self._worker.unfit and self._judgement.reason == self._worker.trouble
+    def _frames_arrive(self) -> bool:
+        """Whether frames arrive in the state `no-camera`: a snapshot can show frames that cannot be tracked."""
+        return self._worker.unfit and self._monitor.reason == self._worker.trouble
 
     def _no_picture(self) -> ControlError:
-        return ControlError(f"there is no picture now: {self._judgement.state}: {self._judgement.reason}")
+        return ControlError(f"there is no picture now: {self._monitor.state}: {self._monitor.reason}")

@@ -21,7 +21,7 @@ from spheremouse.session.changes import (
     values,
 )
 from spheremouse.session.control.protocol import internal_error, refused
-from spheremouse.session.control.request_queue import Asked
+from spheremouse.session.control.request_queue import PendingRequest
 from spheremouse.session.follower import Setup
 from spheremouse.session.plan import Plan, Request, check_kinds, read_plan
 from spheremouse.session.process.threads import WorkerPool
@@ -57,17 +57,17 @@ class ConfigReloader:
         """Has a file been written since it was read?"""
         return self._files != stamps_of(self.request, self.plan)
 
-    def set(self, assignments: tuple[str, ...], asked: Asked) -> None:
+    def set(self, assignments: tuple[str, ...], pending: PendingRequest) -> None:
         """Change parameters, KEY=VALUE. ControlError for those that could not take effect."""
         check_settable(self.request, assignments)
         wanted = replace(self.request, changes=latest((*self.request.changes, *assignments)))
-        self._load(wanted, asked, assignments)
+        self._load(wanted, pending, assignments)
 
-    def reload(self, asked: Asked) -> None:
+    def reload(self, pending: PendingRequest) -> None:
         """Read all anew; what was set is void."""
-        self._load(replace(self.request, changes=()), asked)
+        self._load(replace(self.request, changes=()), pending)
 
-    def _load(self, wanted: Request, asked: Asked, assigned: tuple[str, ...] = ()) -> None:
+    def _load(self, wanted: Request, pending: PendingRequest, assigned: tuple[str, ...] = ()) -> None:
         before = self.plan
 
         def read() -> None:
@@ -83,29 +83,29 @@ class ConfigReloader:
             except Exception as e:
                 error = internal_error(e)
             else:
-                self._ask(lambda: asked.attempt(lambda: self._apply(wanted, plan, files, asked, assigned)))
+                self._ask(lambda: pending.attempt(lambda: self._apply(wanted, plan, files, pending, assigned)))
                 return
-            self._ask(lambda: asked.attempt(lambda: self._not_applied(error, files, asked)))
+            self._ask(lambda: pending.attempt(lambda: self._not_applied(error, files, pending)))
 
         self._crew.do(READING, read)
 
-    def _not_applied(self, error: str, files: dict[Path, int], asked: Asked) -> None:
+    def _not_applied(self, error: str, files: dict[Path, int], pending: PendingRequest) -> None:
         self._files = files
         self._say(f"configuration not applied: {error}")
-        asked(refused(error))
+        pending.answer(refused(error))
 
     def _apply(
-        self, wanted: Request, plan: Plan, files: dict[Path, int], asked: Asked, assigned: tuple[str, ...]
+        self, wanted: Request, plan: Plan, files: dict[Path, int], pending: PendingRequest, assigned: tuple[str, ...]
     ) -> None:
         """Another plan from here on; what cannot be changed under way is said."""
-        if asked.gone:
-            asked(refused("given up: who asked has hung up"))
+        if pending.cancelled:
+            pending.answer(refused("given up: the client has disconnected"))
             return
         changed, exact = differences(self.plan, plan), values(self.plan, plan, assigned)
         try:
             apply = self._prepare(plan, changed)
         except SpheremouseError as e:
-            self._not_applied(str(e), files, asked)
+            self._not_applied(str(e), files, pending)
             return
         # Nothing from here on is refused.
         self.request, self.plan, self._files = wanted, plan, stamps_of(wanted, plan)
@@ -119,6 +119,6 @@ class ConfigReloader:
         if later:
             text += f" ({', '.join(later)}: from the next start on)"
         text += "; the recording has ended, for it is of one configuration" if ended else ""
-        if changed or not asked.quiet:
+        if changed or not pending.quiet:
             self._say(text)
-        asked({"changed": changed, "values": exact, "message": text})
+        pending.answer({"changed": changed, "values": exact, "message": text})

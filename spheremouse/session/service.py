@@ -20,15 +20,13 @@ from spheremouse.output.pointer import Counts, minus, plus
 from spheremouse.output.rate_limited_logger import RateLimitedLogger
 from spheremouse.output.third_axis import left_out
 from spheremouse.session.arrivals import Arrivals
-from spheremouse.session.call_queue import CallQueue
 from spheremouse.session.cameras import held
 from spheremouse.session.changes import given
 from spheremouse.session.command_handler import CommandHandler
 from spheremouse.session.config_reloader import READING, ConfigReloader
 from spheremouse.session.control.endpoints import Endpoints
 from spheremouse.session.control.protocol import Request, refused
-from spheremouse.session.control.reply import Reply
-from spheremouse.session.control.request_queue import Asked
+from spheremouse.session.control.request_queue import PendingRequest, RequestQueue
 from spheremouse.session.follower import MAP, POSE, TARGETS, FrameResult, Setup, TrackerAdapter
 from spheremouse.session.outputs import OUTPUT, Outputs
 from spheremouse.session.plan import Plan
@@ -78,12 +76,12 @@ class Daemon:
         self._cpu = CpuShare()
         self._scheduling = "usual scheduling"
         self._notifier = Notifier()
-        self._doors = Endpoints(self.handle, self._say)
+        self._endpoints = Endpoints(self.handle, self._say)
         self._stack = contextlib.ExitStack()
-        self._stack.callback(self._doors.close)
+        self._stack.callback(self._endpoints.close)
         self._ring = LatestFrame()
-        self._errands = CallQueue(self._ring.wake, self._say)
-        ask = self._errands.ask
+        self._requests = RequestQueue(self._ring.wake, self._say)
+        ask = self._requests.call
         self._crew = WorkerPool((READING, TARGETS, POSE, MAP, OUTPUT, RECORDING, SNAPSHOT), self._say)
         self._loader = ConfigReloader(request, plan, setup, self._prepare, crew=self._crew, ask=ask, say=self._say)
         self._archive = Archive(self._crew, ask, self._say)
@@ -93,18 +91,18 @@ class Daemon:
         self._worker = Worker(follower, self._say)
         self._outputs = Outputs(follower.outputs, plan.configuration.pointer, say=self._say, crew=self._crew, ask=ask)
         self._counts: Counts = (0, 0, 0)  # of all frames
-        self._judgement = StateMonitor(
+        self._monitor = StateMonitor(
             self._worker, self._capture, self._arrivals, self._outputs, say=self._say, tell=self._notifier.status
         )
-        self._answers = CommandHandler(
+        self._commands = CommandHandler(
             self._worker,
-            self._judgement,
+            self._monitor,
             self._loader,
             self._archive,
             self._crew,
             pause=self._pause,
             camera=lambda: self._capture.description,
-            say=self._say,
+            log=self._say,
         )
 
     def run(self, stopping: SignalHandler) -> None:
@@ -112,7 +110,7 @@ class Daemon:
         try:
             with on_hang_up(self._reload):  # as other services do
                 self._crew.begin()
-                self._open_doors()  # who is refused there has opened no output, and emptied no file
+                self._open_endpoints()  # who is refused there has opened no output, and emptied no file
                 self._outputs.begin()
                 self._tell_left_out(self._loader.plan)
                 if self._get_ready(stopping):
@@ -162,14 +160,14 @@ class Daemon:
     def _loop(self, stopping: SignalHandler) -> None:
         while not (stopping.asked or self._over):
             arrival = self._ring.take(_TICK)
-            self._errands.do_all(self._answers.answer)
+            self._requests.run(self._commands.handle)
             now = time.monotonic()
             if arrival is not None:
                 self._arrivals.add(now)
                 try:
                     made = self._worker.work(arrival, colour=self._archive.wants_colour)
                     if made is not None:
-                        if self._judgement.state is not State.TRACKING:
+                        if self._monitor.state is not State.TRACKING:
                             self._judge(now)  # nothing moves before it is said that it may
                         self._pass_on(made, arrival.taken)
                     elif self._worker.untracked is not None:
@@ -189,7 +187,7 @@ class Daemon:
     def _pass_on(self, made: FrameResult, taken: float) -> None:
         """What a frame gave, to all that want it; the pointer first."""
         # where the output has come back since this was judged, the next frame is the first one for it
-        self._outputs.give(made.report, taken, self._judgement.state is not State.FAILED_OUTPUT)
+        self._outputs.give(made.report, taken, self._monitor.state is not State.FAILED_OUTPUT)
         self._counts = plus(self._counts, made.report.counts)
         self._archive.keep(made, self.follower, lambda: minus(self._counts, self.unsent))
         self._show(made, self.follower)
@@ -198,10 +196,10 @@ class Daemon:
 
     def _judge(self, now: float) -> None:
         """State and reason. Without frames the pointer is not carried on, and what needs them is not waited for."""
-        if self._judgement.update(now):
+        if self._monitor.update(now):
             self._outputs.rest(now)
-            self.follower.interrupted(self._judgement.reason)
-            self._archive.interrupted(self._judgement.reason)
+            self.follower.interrupted(self._monitor.reason)
+            self._archive.interrupted(self._monitor.reason)
 
     def _tend(self, now: float) -> None:
         """What has time: the watchdog after progress, files now and then, young garbage."""
@@ -215,20 +213,20 @@ class Daemon:
         self._looked = now
         self._cpu.look(now)
         worker.look()
-        self._doors.tend(self._loader.plan.configuration.control, now)
+        self._endpoints.retry(self._loader.plan.configuration.control, now)
         if worker.trouble and not capture.trouble and now - max(worker.good, self._cured) > _USELESS:
             self._cured = now
             capture.again()
         if self._loader.outdated:
-            self._errands.do_now(Asked(Request(command="reload"), Reply(), quiet=True), self._loader.reload)
+            self._requests.run_now(PendingRequest(Request(command="reload"), quiet=True), self._loader.reload)
         self._archive.tend()
 
     # ---- beginning and end ----
 
-    def _open_doors(self) -> None:
+    def _open_endpoints(self) -> None:
         """The control socket, metrics, and the news that we are there."""
         c = self._loader.plan.configuration
-        self._doors.open(c.control, c.metrics, self.status)
+        self._endpoints.open(c.control, c.metrics, self.status)
         removed = tidy(recordings_folder(c.record))
         if removed:
             self._say(f"record: {removed} half-written by a run that was cut off, removed")
@@ -237,18 +235,18 @@ class Daemon:
     def _get_ready(self, stopping: SignalHandler) -> bool:
         """Whether it came to that: a compiler is not waited for by who is asked to stop."""
         plan = self._loader.plan
-        self._judgement.starting = "the program is made ready"
+        self._monitor.starting = "the program is made ready"
         self._notifier.patience(_COMPILING)
         self._judge(time.monotonic())
         with held(plan):  # whoever comes second hears so now
             ready = self._crew.make(READING, lambda: self._setup.make_ready(plan, self._compiled))
             while not ready.wait(_TICK):
-                self._errands.do_all(self._answers.answer)
+                self._requests.run(self._commands.handle)
                 self._judge(time.monotonic())
                 if stopping.asked or self._over:
                     return False
         self._notifier.usual()
-        self._judgement.starting = ""
+        self._monitor.starting = ""
         self._realtime = plan.configuration.realtime == "auto"
         self._scheduling = realtime.prepare(self._realtime)
         self._quiet = self._stack.enter_context(contextlib.closing(realtime.GcPause()))
@@ -263,7 +261,7 @@ class Daemon:
             self._say(words)
 
     def _compiled(self, how_far: str) -> None:
-        self._judgement.starting = f"the program is made ready: {how_far}"
+        self._monitor.starting = f"the program is made ready: {how_far}"
 
     def _claim(self, thread: int | None) -> None:
         if self._realtime:
@@ -283,29 +281,29 @@ class Daemon:
 
     def _say_now(self, text: str) -> None:
         self._print(text)
-        self._doors.publish(text)
+        self._endpoints.publish(text)
 
     # ---- what is asked ----
 
     def _reload(self) -> None:
-        self._errands.ask(lambda: self._errands.put(Asked(Request(command="reload"), Reply())))
+        self._requests.call(lambda: self._requests.put(PendingRequest(Request(command="reload"))))
 
-    def handle(self, request: Request, reply: Reply) -> None:
-        """A request of the control socket, in its thread."""
-        how = self._judgement
-        if request.command == "status":
-            reply(self.status())
-        elif request.command == "stop":
+    def handle(self, pending: PendingRequest) -> None:
+        """Answer a request of the control socket, in its thread, or leave it to the worker."""
+        monitor, command = self._monitor, pending.request.command
+        if command == "status":
+            pending.answer(self.status())
+        elif command == "stop":
             self._over = True
             self._ring.wake()
-            reply({})
-        elif how.starting and request.command not in ("pause", "resume"):
-            reply(refused(f"{how.state}: {how.starting}"))
+            pending.answer({})
+        elif monitor.starting and command not in ("pause", "resume"):
+            pending.answer(refused(f"{monitor.state}: {monitor.starting}"))
         else:
-            self._errands.put(Asked(request, reply))
+            self._requests.put(pending)
 
     def _pause(self, paused: bool) -> None:
-        self._judgement.paused = "by `spheremouse ctl pause`; `resume` ends it" if paused else ""
+        self._monitor.paused = "by `spheremouse ctl pause`; `resume` ends it" if paused else ""
         if paused:
             self._outputs.pause(True)
         self._judge(time.monotonic())
@@ -339,7 +337,7 @@ class Daemon:
     def status(self) -> dict[str, Any]:
         """How it is, as docs/control.md says; from any thread."""
         now = time.monotonic()
-        worker, plan, how = self._worker, self._loader.plan, self._judgement
+        worker, plan, how = self._worker, self._loader.plan, self._monitor
         output, latency = self._outputs.status()
         return {
             "state": str(how.state),

@@ -36,9 +36,9 @@ class Recorder(Daemon):
         super().__init__()
         self.asked = []
 
-    def __call__(self, request, reply):
-        self.asked.append(request)
-        super().__call__(request, reply)
+    def __call__(self, pending):
+        self.asked.append(pending.request)
+        super().__call__(pending)
 
 
 @pytest.fixture
@@ -170,7 +170,7 @@ def test_a_pause_is_seen_behind_a_worse_state():
     ],
 )
 def test_the_daemons_own_words_come_first(ctl, path, words, reply, said):
-    with ControlServer(path, ControlSettings(), lambda _, answer: answer(dict(reply))):
+    with ControlServer(path, ControlSettings(), lambda pending: pending.answer(dict(reply))):
         assert ctl(*words) == (0, f"{said}\n", "")
 
 
@@ -191,7 +191,7 @@ def test_a_status_that_is_none_of_ours_is_one_line(ctl, daemon, words, change, k
     daemon.status = daemon.status | change
     code, out, err = ctl(*words)
     assert (code, out) == (cli_ctl.NO_DAEMON, "")
-    assert f"gives no status of spheremouse ({key}: Input should be a valid" in err
+    assert f"is no status of spheremouse ({key}: Input should be a valid" in err
     assert err.count("\n") == 1
 
 
@@ -292,7 +292,9 @@ def test_wrong_usage_is_exit_code_2(ctl, daemon):
 def test_no_daemon_is_exit_code_3_and_says_how_to_start_one(ctl, path):
     code, out, err = ctl("status")
     assert (code, out) == (3, "")
-    assert err.startswith(f"spheremouse: no daemon runs (nobody listens at {path}); start one with `spheremouse run`")
+    assert err.startswith(
+        f"spheremouse: no daemon runs (no daemon listens at {path}); start one with `spheremouse run`"
+    )
     code, _, err = ctl("pause", "--socket", "/nowhere/at/all")
     assert (code, "/nowhere/at/all" in err) == (3, True)
 
@@ -334,18 +336,14 @@ def test_watching_streams_until_interrupted(path, daemon, as_json):
 
 def test_watching_a_daemon_that_ends_is_exit_code_3(ctl, path):
     daemon = Recorder()
-    server = ControlServer(path, ControlSettings(), daemon)
 
-    class Ending:
-        def __call__(self, request, reply):
-            daemon(request, reply)
-            if len(daemon.asked) == 2:
-                server._ending.set()
+    def handle(pending):
+        daemon(pending)
+        if len(daemon.asked) == 2:
+            threading.Thread(target=server.close).start()
 
-    server._handle = Ending()
+    server = ControlServer(path, ControlSettings(), handle)
     code, out, err = ctl("watch", "--interval", "0.1")
-    server._ending.clear()
-    server.close()
     assert code == 3
     assert "● tracking" in out
     assert "the daemon has ended" in err
@@ -430,7 +428,7 @@ def test_set_and_save_in_one_and_what_the_command_line_said_is_refused_before_it
 
 def test_a_server_that_sends_a_byte_now_and_then_is_left_in_time(path, monkeypatch):
     """One deadline holds for the whole reply."""
-    monkeypatch.setitem(client_module._PATIENCE, "status", 0.3)
+    monkeypatch.setitem(client_module._TIMEOUTS, "status", 0.3)
     ended = threading.Event()
 
     def drip(listener):

@@ -9,12 +9,10 @@ from pathlib import Path
 from hypothesis import strategies as st
 
 from spheremouse.session.control.client import Client
-from spheremouse.session.control.limits import Limits
-from spheremouse.session.control.line import encode
-from spheremouse.session.control.protocol import COMMANDS, BadRequestError
+from spheremouse.session.control.protocol import COMMANDS, BadRequestError, encode
 from spheremouse.session.control.protocol import parse as parse_request
 from spheremouse.session.control.protocol import refused as refused_reply
-from spheremouse.session.control.server import ControlServer
+from spheremouse.session.control.server import ControlServer, Limits
 from spheremouse.session.settings.control import ControlSettings
 from tests.fuzz.strategies import mutated, mutated_json, words
 from tests.fuzz.targets import target
@@ -89,7 +87,7 @@ def _control_server() -> ControlServer:
     return ControlServer(
         Path("control.sock").absolute(),
         ControlSettings(),
-        lambda request, reply: reply({"state": "tracking"}),
+        lambda pending: pending.answer({"state": "tracking"}),
         _SAID.append,
-        Limits(pace=1e6, burst=1e6),
+        Limits(rate=1e6),
     )

@@ -208,8 +208,8 @@ def test_the_icon_follows_every_change(world, backend):
     """Also where a reason is long and not English; a window that is left behind would show an old state."""
     state = "tracking"
 
-    def handle(_, reply):
-        reply({"state": state, "reason": f"{state} → Жук " * 20})
+    def handle(pending):
+        pending.answer({"state": state, "reason": f"{state} → Жук " * 20})
 
     with world.tray(PYSTRAY_BACKEND=backend) as tray:
         for _ in range(3):

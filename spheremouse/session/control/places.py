@@ -1,4 +1,4 @@
-"""Where the daemon's socket is: the folder a daemon puts it into, and the places where a client looks for it."""
+"""The path of the control socket, for the daemon and for its clients."""
 
 import os
 import socket
@@ -14,7 +14,7 @@ _SYSTEM = Path("/run/spheremouse")
 
 
 def runtime_folder() -> Path:
-    """Folder of what lives as long as the daemon: systemd's, else the system's or the user's, made where it is not."""
+    """Return the runtime folder, made if needed: systemd's, else for root the system's, for others the user's."""
     given = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
     if given:
         return Path(given)
@@ -30,14 +30,14 @@ def runtime_folder() -> Path:
 
 
 def socket_path(configured: str | None) -> Path:
-    """The socket's path: as configured (`control.socket`), or in the runtime folder."""
+    """Return the daemon's socket: as configured (`control.socket`), or in the runtime folder."""
     return runtime_folder() / SOCKET if configured is None else Path(configured).expanduser().absolute()
 
 
 def find_socket() -> Path:
-    """The socket a client tries: $SPHEREMOUSE_SOCKET, else the user's daemon, else the system's.
+    """Return the socket for a client: $SPHEREMOUSE_SOCKET, else the user's daemon, else the system's.
 
-    Among several the first at which somebody answers; where nobody does the first that is there.
+    Of several, it is the first that answers, else the first that exists.
     """
     given = os.environ.get("SPHEREMOUSE_SOCKET")
     if given:
@@ -48,13 +48,13 @@ def find_socket() -> Path:
 
 
 def candidates() -> Iterator[Path]:
-    """Where a daemon's socket may be without anybody having said so."""
+    """Yield the usual paths of a daemon's socket."""
     given = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
-    if given:  # we were started by the service, to reload it for instance
+    if given:  # the service started us, for example to reload it
         yield Path(given) / SOCKET
     own = _own_folder()
     if os.environ.get("XDG_RUNTIME_DIR") or not own.exists() or _is_ours(own):
-        yield own / SOCKET  # what others put under /tmp in our name is not for us
+        yield own / SOCKET  # not if another user made it in /tmp
     yield _SYSTEM / SOCKET
 
 
@@ -64,7 +64,7 @@ def _own_folder() -> Path:
 
 
 def _is_there(path: Path) -> bool:
-    """Also where we may not look: asking there says so."""
+    """Whether the path exists, or may exist in a folder that is closed to us."""
     try:
         path.lstat()
     except PermissionError:
@@ -75,7 +75,7 @@ def _is_there(path: Path) -> bool:
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether it is a folder, no link, of this user or root, in which nobody else can put anything."""
+    """Whether it is a folder, not a link, that only this user or root may write to."""
     try:
         found = path.lstat()
     except OSError:

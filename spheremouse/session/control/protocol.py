@@ -1,8 +1,10 @@
-"""What goes over the control socket: one JSON object a line, UTF-8. Bytes in, checked requests out, and replies back.
+"""Messages of the control socket: one JSON object a line, UTF-8. docs/control.md describes them.
 
-docs/control.md is the description; its examples are the tests.
+The tests play the examples of that page.
 """
 
+import json
+import math
 import re
 from typing import Annotated, Any, Literal
 
@@ -13,14 +15,15 @@ from spheremouse.files import plain_json
 from spheremouse.files.validate import nearest, validated
 from spheremouse.files.yaml import Document
 
-MAX_MARKS = 4000  # brackets, braces and commas in a request: Python stands still while it reads JSON, 0.1 ms a thousand
+MAX_LINE = 65536  # bytes of a message, with its end of line
+MAX_MARKS = 4000  # brackets, braces and commas in a request: parsing JSON holds the interpreter, 0.1 ms a thousand
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 Id = str | int
 
 
 class BadRequestError(ControlError):
-    """A line that is no request; `id` is the client's where it could be read."""
+    """A line is no valid request. `id` is the client's, if it could be read."""
 
     def __init__(self, message: str, id_: Id | None = None) -> None:
         super().__init__(message)
@@ -55,7 +58,7 @@ class Request(BaseModel):
 
 
 class Set(Request):
-    """Change parameters until the next start: all of them or, where one is wrong, none."""
+    """Change parameters until the next start or reload. If one is invalid, none is changed."""
 
     assignments: tuple[Annotated[str, Field(max_length=1000)], ...] = Field(
         min_length=1, max_length=50, description='write for example ["motion.scale_x=2"]'
@@ -63,7 +66,7 @@ class Set(Request):
 
 
 class Record(Request):
-    """Begin a recording, or end it. A name, never a path: the daemon's folder of recordings is in its configuration."""
+    """Begin a recording, or end it. `folder` is a name in the daemon's folder of recordings, not a path."""
 
     seconds: float | None = Field(None, gt=0, le=86400, description="leave it out for the configured length")
     folder: Name | None = Field(None, description="leave it out and the daemon makes one of date and time")
@@ -72,14 +75,14 @@ class Record(Request):
 
 
 class Snapshot(Request):
-    """Write the present picture, into the daemon's folder of recordings."""
+    """Write the next frame as a picture into the daemon's folder of recordings."""
 
     file: Annotated[Name, AfterValidator(_picture_name)] | None = Field(None, description="such as bug-1.png")
     everything: bool = Field(False, description="false keeps the ball and the targets only")
 
 
 class Watch(Request):
-    """Send the status every `interval` s from now on, and log lines as they come."""
+    """Send the status every `interval` s, and each line that the daemon logs."""
 
     interval: float = Field(1.0, ge=0.1, le=60.0, description="the default is 1 s")
 
@@ -95,7 +98,7 @@ COMMANDS = tuple(_REQUESTS)
 
 
 def parse(line: bytes) -> Request:
-    """The request in a line, or a BadRequestError that says in one line what is wrong with it."""
+    """Return the request in a line. BadRequestError names the problem in one line."""
     data = _read(line)
     if not isinstance(data, dict):
         raise BadRequestError('a request is a JSON object, such as {"command": "status"}')
@@ -132,7 +135,7 @@ def _read(line: bytes) -> Any:
 
 
 def _tuples(value: Any) -> Any:
-    """Lists as tuples, as `validated` expects them."""
+    """Return the value with tuples in place of lists, as `validated` expects."""
     if isinstance(value, list):
         return tuple(map(_tuples, value))
     return {k: _tuples(v) for k, v in value.items()} if isinstance(value, dict) else value
@@ -148,16 +151,40 @@ def _is_id(value: Any) -> bool:
 
 
 def done(reply: dict[str, Any], id_: Id | None = None) -> dict[str, Any]:
-    """A reply to a request that was carried out; `ok` and `error` may already stand in it."""
+    """Return the reply to a completed request. `reply` may be one of `refused`, which stays a refusal."""
     return {"ok": True, **({} if id_ is None else {"id": id_}), **reply}
 
 
 def refused(error: str, id_: Id | None = None) -> dict[str, Any]:
-    """A reply to a request that was not."""
+    """Return the reply to a refused request."""
     line = "; ".join(" ".join(part.split()) for part in error.splitlines() if part.strip())
     return {"ok": False, **({} if id_ is None else {"id": id_}), "error": line[:2000]}
 
 
 def internal_error(e: Exception) -> str:
-    """What who asked is told of an error of ours."""
+    """Return the reply's text for an error of the program itself."""
     return f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it"
+
+
+def encode(message: dict[str, Any]) -> bytes:
+    """Return a message as a line. Numbers that are not finite become null. ValueError if it exceeds MAX_LINE."""
+    text = json.dumps(_plain(message), ensure_ascii=False, allow_nan=False)
+    line = text.encode("utf-8", "backslashreplace") + b"\n"  # half a surrogate pair becomes JSON's own escape of it
+    if len(line) > MAX_LINE:
+        raise ValueError(f"a message of {len(line)} bytes")
+    return line
+
+
+def _plain(value: Any) -> Any:
+    """Return data that JSON can hold: of NumPy's scalars and arrays, tuples, paths and enumerations too."""
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_plain(v) for v in value]
+    return _plain(value.tolist()) if hasattr(value, "tolist") else str(value)

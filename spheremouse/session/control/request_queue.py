@@ -1,24 +1,18 @@
-"""Where requests wait for the worker: of each kind one is under way at a time, and the owner's are not behind members'.
-
-`put` is called by the thread of the control socket, `take` by the worker between two frames. What is refused is refused
-here, before anything is made for it; what waits is little, and nothing once its asker has hung up.
-"""
+"""Requests and calls that wait for the worker's thread. Of each kind of request, one is under way at a time."""
 
 import threading
-import time
+import traceback
+from collections import deque
 from collections.abc import Callable
-from math import ceil
+from functools import partial
 from typing import Any
 
 from spheremouse.errors import SpheremouseError
 from spheremouse.session.control.protocol import Record, Request, internal_error, refused
-from spheremouse.session.control.reply import Reply
 
-MOST = 8  # that wait, of members, and as many of the owner's: clients wait one each
-SHARE = 0.1  # of the time that a kind of work may go on for members: a reading of files costs the worker turns
-CALM = 2.0  # s that the owner waits at most after what was given up, lest a script that is cut off does it all day
+MAX_WAITING = 8  # requests
 
-_LOAD, _STOP = "load", "record --stop"
+_STOP = "record --stop"
 _ALREADY = {
     "snapshot": "a snapshot is being written already",
     "record": "a recording is being begun already",
@@ -27,124 +21,117 @@ _ALREADY = {
 }
 
 
-def _kind(request: Request) -> str:
-    if isinstance(request, Record) and request.stop:
-        return _STOP
-    return _LOAD if request.command in ("set", "reload") else request.command
+class PendingRequest:
+    """A request that has no reply yet."""
 
-
-class Asked:
-    """A request and who waits for it: one, or several that are served by the same. Called with the answer, once."""
-
-    def __init__(self, request: Request, reply: Reply, *, quiet: bool = False) -> None:
-        """`quiet`: there is nothing to say of it where nothing comes of it."""
-        self.request, self.kind, self.trusted, self.quiet = request, _kind(request), reply.trusted, quiet
-        self._replies = [reply]
-        self._done: Callable[[], None] = lambda: None
+    def __init__(
+        self, request: Request, send: Callable[[dict[str, Any]], None] = lambda _: None, *, quiet: bool = False
+    ) -> None:
+        """`send` passes the reply on, from any thread. `quiet`: log nothing if nothing changes."""
+        self.request, self.quiet = request, quiet
+        self.cancelled = False  # its client has disconnected
+        self._send = send
+        self._finish: Callable[[], None] = lambda: None
 
     @property
-    def gone(self) -> bool:
-        """Has everybody hung up who asked?"""
-        return all(reply.gone for reply in self._replies)
+    def kind(self) -> str:
+        """Requests of one kind exclude each other."""
+        if isinstance(self.request, Record) and self.request.stop:
+            return _STOP
+        return "load" if self.request.command in ("set", "reload") else self.request.command
 
-    def __call__(self, message: dict[str, Any]) -> None:
-        self._done()
-        for reply in self._replies:
-            reply(message)
+    def answer(self, message: dict[str, Any]) -> None:
+        """Send the reply, and let the next request of this kind begin. From any thread."""
+        self._finish()
+        self._send(message)
 
     def attempt(self, action: Callable[[], None]) -> None:
-        """On the way to an answer: whatever goes wrong is one, or nothing of this kind would ever be begun again."""
+        """Run a part of the work. An error becomes the reply; an internal error is raised too."""
         try:
             action()
         except (SpheremouseError, OSError) as e:
-            self(refused(str(e)))
+            self.answer(refused(str(e)))
         except Exception as e:
-            self(refused(internal_error(e)))
+            self.answer(refused(internal_error(e)))
             raise
-
-    def _joined(self, other: "Asked") -> None:
-        self._replies += other._replies
-        self.trusted |= other.trusted
 
 
 class RequestQueue:
-    """What is asked and has not been begun, and what of each kind is under way."""
+    """Other threads add requests and calls; the worker's thread runs them between two frames."""
 
-    def __init__(self, wake: Callable[[], None], clock: Callable[[], float] = time.monotonic) -> None:
-        """`wake` is called, from any thread, when there is something to take."""
-        self._wake, self._clock = wake, clock
+    def __init__(self, wake: Callable[[], None], log: Callable[[str], None]) -> None:
+        """`wake` wakes the worker, from any thread."""
+        self._wake, self._log = wake, log
+        self._calls: deque[Callable[[], None]] = deque()
         self._lock = threading.Lock()
-        self._waiting: list[Asked] = []
-        self._under_way: dict[str, tuple[Asked, float]] = {}  # kind -> and since when, s
-        self._rests: dict[tuple[str, bool], float] = {}  # kind, of the owner? -> s, until when they wait for it
+        self._waiting: list[PendingRequest] = []
+        self._under_way: dict[str, PendingRequest] = {}  # by kind
 
-    def put(self, asked: Asked) -> None:
-        """It waits for its turn, or is answered that it is refused. From any thread."""
+    def call(self, action: Callable[[], None]) -> None:
+        """Run an action in the worker's thread. From any thread and from signal handlers."""
+        self._calls.append(action)
+        self._wake()
+
+    def put(self, pending: PendingRequest) -> None:
+        """Add a request, or refuse it. From any thread."""
         with self._lock:
-            self._waiting = [a for a in self._waiting if not a.gone]
-            error = self._refusal(asked)
-            if not error:
-                self._waiting.append(asked)
+            self._waiting = [p for p in self._waiting if not p.cancelled]
+            busy = pending.kind in self._under_way or any(p.kind == pending.kind for p in self._waiting)
+            error = ""
+            if busy and pending.kind in _ALREADY:
+                error = f"{_ALREADY[pending.kind]}; ask again when it is done"
+            elif len(self._waiting) >= MAX_WAITING:
+                error = f"{MAX_WAITING} requests wait already; ask again when they are done"
+            else:
+                self._waiting.append(pending)
         if error:
-            asked(refused(error))
+            pending.answer(refused(error))
         else:
             self._wake()
 
-    def take(self) -> Asked | None:
-        """What is to be begun now; its kind is under way until it is answered."""
+    def take(self) -> PendingRequest | None:
+        """Return the next request, which is then under way until its answer."""
         if not self._waiting:
             return None
         with self._lock:
-            now = self._clock()
-            self._waiting = [a for a in self._waiting if not a.gone]
-            for asked in sorted(self._waiting, key=lambda a: not a.trusted):
-                if asked.kind not in self._under_way and now >= self._rests.get((asked.kind, asked.trusted), now):
-                    break
-            else:
-                return None
-            self._waiting.remove(asked)
-            if asked.request.command == "reload":  # what is read now is what the others want to be read
-                for other in [a for a in self._waiting if a.request.command == "reload"]:
-                    self._waiting.remove(other)
-                    asked._joined(other)
-            self._begin(asked, now)
-            return asked
+            self._waiting = [p for p in self._waiting if not p.cancelled]
+            pending = next((p for p in self._waiting if p.kind not in self._under_way), None)
+            if pending is not None:
+                self._waiting.remove(pending)
+                self._begin(pending)
+            return pending
 
-    def begin(self, asked: Asked) -> bool:
-        """Begin it at once, unless one of its kind is under way."""
+    def run(self, handle: Callable[[PendingRequest], None]) -> None:
+        """Run the calls and begin the requests, in the worker's thread. `handle` answers at once or later."""
+        while self._calls:
+            self._guard(self._calls.popleft())
+        while (pending := self.take()) is not None:
+            self._guard(partial(pending.attempt, partial(handle, pending)))
+
+    def run_now(self, pending: PendingRequest, handle: Callable[[PendingRequest], None]) -> None:
+        """Begin a request in the worker's thread, unless one of its kind is under way."""
         with self._lock:
-            free = asked.kind not in self._under_way
-            if free:
-                self._begin(asked, self._clock())
-            return free
-
-    def _begin(self, asked: Asked, now: float) -> None:
-        self._under_way[asked.kind] = asked, now
-        asked._done = lambda: self._end(asked)
-
-    def _end(self, asked: Asked) -> None:
-        with self._lock:
-            of_its_kind, since = self._under_way.get(asked.kind, (None, 0.0))
-            if of_its_kind is not asked:  # answered twice
+            if pending.kind in self._under_way:
                 return
-            del self._under_way[asked.kind]
-            now = self._clock()
-            if asked.gone or not asked.trusted:
-                rest = (now - since) * (1.0 / SHARE - 1.0)
-                self._rests[asked.kind, asked.trusted] = now + (min(rest, CALM) if asked.trusted else rest)
+            self._begin(pending)
+        pending.attempt(partial(handle, pending))
+
+    def _begin(self, pending: PendingRequest) -> None:
+        self._under_way[pending.kind] = pending
+        pending._finish = partial(self._end, pending)
+
+    def _end(self, pending: PendingRequest) -> None:
+        with self._lock:
+            if self._under_way.get(pending.kind) is not pending:  # a second answer
+                return
+            del self._under_way[pending.kind]
         self._wake()
 
-    def _refusal(self, asked: Asked) -> str:
-        """Why it is not taken in; empty where it is. The owner waits for what a member asked, and for nobody else."""
-        same = [a for a in self._waiting if a.kind == asked.kind]
-        if asked.kind in _ALREADY:
-            if asked.kind in self._under_way:
-                same.append(self._under_way[asked.kind][0])
-            if any(a.trusted or not asked.trusted for a in same):
-                return f"{_ALREADY[asked.kind]}; ask again when it is done"
-            left = self._rests.get((asked.kind, False), 0.0) - self._clock()
-            if not asked.trusted and left > 0.0:
-                return f"{asked.request.command}: there was one just now; ask again in {ceil(left)} s"
-        if sum(a.trusted == asked.trusted for a in self._waiting) >= MOST:
-            return "too much is asked at once; ask again"
-        return ""
+    def _guard(self, action: Callable[[], None]) -> None:
+        """Log an error in place of ending the run."""
+        try:
+            action()
+        except SpheremouseError as e:
+            self._log(str(e))
+        except Exception:
+            self._log("internal error, please report it:\n" + traceback.format_exc().rstrip())

@@ -1,4 +1,4 @@
-"""The parts of a status, checked where they are read."""
+"""The status report and its parts. A client checks the types of what it receives."""
 
 from typing import Annotated, Any, Literal
 
@@ -18,7 +18,7 @@ _Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class Quantiles(_Part):
-    """Of the last frames, ms."""
+    """Times of the last frames, ms."""
 
     p50: float
     p99: float
@@ -26,7 +26,7 @@ class Quantiles(_Part):
 
 
 class PoseStatus(_Part):
-    """Where the camera is, in `obj`."""
+    """The camera's pose in `obj`."""
 
     position_m: _Triple
     sigma_mm: _Triple
@@ -35,7 +35,7 @@ class PoseStatus(_Part):
 
 
 class TargetsStatus(_Part):
-    """Codes of targets while the camera's pose is sought: those of the rig, and those that it does not have."""
+    """Codes of the targets while the camera's pose is unknown. `strangers` are seen and not in the rig."""
 
     seen: list[str]
     missing: list[str]
@@ -43,7 +43,7 @@ class TargetsStatus(_Part):
 
 
 class MotionStatus(_Part):
-    """How the ball that points moves: right, down or towards who stands there, third; and in words."""
+    """The motion of the ball that points: right, down or towards the player, third axis; and in words."""
 
     rate: _Triple
     unit: Literal["°/s", "m/s"]
@@ -51,7 +51,7 @@ class MotionStatus(_Part):
 
 
 class BallStatus(_Part):
-    """A ball in a hand, in `cam`; null where it is not known."""
+    """A ball in a hand, in `cam`; None if its pose is unknown."""
 
     name: str
     state: Literal["searching", "tracking", "hidden", "lost"]
@@ -62,7 +62,7 @@ class BallStatus(_Part):
 
 
 class OutputStatus(_Part):
-    """Where motion goes."""
+    """The output."""
 
     spec: str
     left_out: str | None = None
@@ -73,14 +73,14 @@ class OutputStatus(_Part):
 
 
 class SourceStatus(_Part):
-    """Where pictures come from."""
+    """The source of the frames."""
 
     spec: str
     description: str
 
 
 class RecordingStatus(_Part):
-    """A recording that runs."""
+    """The recording in progress."""
 
     folder: str
     frames: int
@@ -90,7 +90,7 @@ class RecordingStatus(_Part):
 
 
 class StatusReport(_Part):
-    """What a status holds; later versions may add to it, and take nothing away."""
+    """The status. Later versions may add keys and remove none."""
 
     state: State
     reason: str
@@ -132,10 +132,10 @@ class StatusReport(_Part):
 
 
 def misfit(status: dict[str, Any]) -> str | None:
-    """What in a status no daemon says, in words: a value that is not of its kind. None where it may be shown.
+    """Return the first value of a status that has the wrong type, in words; None if there is none.
 
-    What is missing, or null, an older version did not know; a state that is not known here is a later one's; the name
-    of a file need not be text.
+    Missing and null values are allowed, for older versions; unknown states, for later ones; and file names that are
+    not text.
     """
     try:
         StatusReport.model_validate(status)

@@ -1,7 +1,7 @@
-"""What is kept of the pictures when somebody asks for it: recordings and snapshots, written by threads of the crew.
+"""Recordings and snapshots, which threads of the pool write.
 
-Nothing is made for who has hung up: a recording is not begun, a snapshot not taken, and what was begun meanwhile is
-dropped before its first frame. From then on a recording is there whoever asked for it.
+A request whose client has disconnected is cancelled before the recording's first frame and before the snapshot is
+written. Later a recording continues without its client.
 """
 
 import contextlib
@@ -15,8 +15,7 @@ from typing import Any
 from spheremouse.errors import ControlError, OutputError, SpheremouseError
 from spheremouse.output.pointer import Counts
 from spheremouse.session.control.protocol import Record, Snapshot, internal_error, refused
-from spheremouse.session.control.reply import Reply
-from spheremouse.session.control.request_queue import Asked
+from spheremouse.session.control.request_queue import PendingRequest
 from spheremouse.session.follower import FrameResult, TrackerAdapter
 from spheremouse.session.overlay.pen import Image
 from spheremouse.session.process.threads import WorkerPool
@@ -28,8 +27,8 @@ from spheremouse.session.settings.record import RecordSettings
 from spheremouse.session.subject import Subject
 from spheremouse.tracker import Frame
 
-RECORDING, SNAPSHOT = "recording", "snapshot"  # kinds of the crew's work
-_GONE = ControlError("given up: who asked has hung up")
+RECORDING, SNAPSHOT = "recording", "snapshot"  # threads of the pool
+_CANCELLED = ControlError("given up: the client has disconnected")
 
 
 class Archive:
@@ -45,9 +44,9 @@ class Archive:
         self._crew, self._ask, self._say = crew, ask, say
         self._recorder: Recorder | None = None
         self._made: Recorder | None = None  # by the crew, and not taken over yet
-        self._begun: tuple[Asked, dict[str, Any]] | None = None  # who is told what at the recording's first frame
+        self._begun: tuple[PendingRequest, dict[str, Any]] | None = None  # answered at the first frame
         self._bare = False  # the recording has no frame in colour yet
-        self._wanted: tuple[Path, Asked, RecordSettings] | None = None  # the snapshot of the next frame
+        self._wanted: tuple[Path, PendingRequest, RecordSettings] | None = None  # the snapshot of the next frame
 
     @property
     def wants_colour(self) -> bool:
@@ -72,19 +71,19 @@ class Archive:
         self._give_up()
         self._tell_first()  # it begins when they come again
         if self._wanted is not None:
-            (_, asked, _), self._wanted = self._wanted, None
-            asked(refused(f"there is no picture now: {reason}"))
+            (_, pending, _), self._wanted = self._wanted, None
+            pending.answer(refused(f"there is no picture now: {reason}"))
 
     def tend(self) -> None:
         """End a recording that has reached its bounds."""
         self._give_up()
         if self._recorder is not None and self._recorder.status().ended is not None:
-            self._end(Reply())
+            self._end()
 
     def close(self) -> None:
         """End what is being recorded."""
         if self._recorder is not None:
-            self._end(Reply())
+            self._end()
 
     def discard(self) -> None:
         """Once nothing is written any more: what was begun too late for a frame."""
@@ -94,17 +93,19 @@ class Archive:
 
     def _give_up(self) -> None:
         """What nobody waits for any more, and has no frame yet."""
-        if self._wanted is not None and self._wanted[1].gone:
-            (_, asked, _), self._wanted = self._wanted, None
-            asked(refused(str(_GONE)))
-        if self._begun is not None and self._begun[0].gone and self._recorder is not None:
-            (asked, _), self._begun = self._begun, None
+        if self._wanted is not None and self._wanted[1].cancelled:
+            (_, pending, _), self._wanted = self._wanted, None
+            pending.answer(refused(str(_CANCELLED)))
+        if self._begun is not None and self._begun[0].cancelled and self._recorder is not None:
+            (pending, _), self._begun = self._begun, None
             recorder, self._recorder, self._bare = self._recorder, None, False
-            self._drop(recorder, asked)
+            self._drop(recorder, pending)
 
     # ---- recordings ----
 
-    def record(self, request: Record, c: Configuration, subject: Subject, described: str, asked: Asked) -> None:
+    def record(
+        self, request: Record, c: Configuration, subject: Subject, described: str, pending: PendingRequest
+    ) -> None:
         """Begin a recording; `described` is the camera in a line.
 
         ControlError where one is being made.
@@ -125,52 +126,52 @@ class Archive:
         told = {"folder": str(folder), "seconds": settings.seconds, "message": words}
 
         def begin() -> None:
-            if asked.gone:
-                raise _GONE
+            if pending.cancelled:
+                raise _CANCELLED
             self._made = Recorder(folder, subject, settings, described)
-            self._ask(lambda: self._has_begun(told, asked))
+            self._ask(lambda: self._has_begun(told, pending))
 
-        self._crew.do(RECORDING, lambda: self._answer(asked, begin))
+        self._crew.do(RECORDING, lambda: self._answer(pending, begin))
 
-    def _has_begun(self, told: dict[str, Any], asked: Asked) -> None:
+    def _has_begun(self, told: dict[str, Any], pending: PendingRequest) -> None:
         recorder, self._made = self._made, None
         assert recorder is not None
-        if asked.gone:
-            self._drop(recorder, asked)
+        if pending.cancelled:
+            self._drop(recorder, pending)
             return
-        self._recorder, self._bare, self._begun = recorder, True, (asked, told)
+        self._recorder, self._bare, self._begun = recorder, True, (pending, told)
 
-    def _drop(self, recorder: Recorder, asked: Asked) -> None:
+    def _drop(self, recorder: Recorder, pending: PendingRequest) -> None:
         """A recording without a frame, of which nothing is left."""
         recorder.stop()
 
         def finish() -> None:
             with contextlib.suppress(SpheremouseError):  # it has no frame, and says so
                 recorder.finish()
-            raise _GONE
+            raise _CANCELLED
 
-        self._crew.do(RECORDING, lambda: self._answer(asked, finish))
+        self._crew.do(RECORDING, lambda: self._answer(pending, finish))
 
     def _tell_first(self) -> None:
         if self._begun is not None:
-            (asked, told), self._begun = self._begun, None
+            (pending, told), self._begun = self._begun, None
             self._say(f"record: {told['message']}")
-            asked(told)
+            pending.answer(told)
 
-    def stop(self, asked: Asked) -> None:
+    def stop(self, pending: PendingRequest) -> None:
         """End the recording. ControlError where there is none."""
         if self._recorder is None:
             raise ControlError("nothing is being recorded")
-        self._end(asked)
+        self._end(pending)
 
     def configuration_changes(self) -> bool:
         """End what is being recorded, for a recording is of one configuration; whether there was one."""
         if self._recorder is None:
             return False
-        self._end(Reply())
+        self._end()
         return True
 
-    def _end(self, asked: Asked | Reply) -> None:
+    def _end(self, pending: PendingRequest | None = None) -> None:
         recorder, self._recorder, self._bare = self._recorder, None, False
         assert recorder is not None
         self._tell_first()
@@ -186,7 +187,7 @@ class Archive:
             self._say(f"record: {status.ended}")
             return {"folder": str(path), "frames": status.frames, "message": status.ended}
 
-        self._crew.do(RECORDING, lambda: self._answer(asked, finish))
+        self._crew.do(RECORDING, lambda: self._answer(pending, finish))
 
     def status(self) -> dict[str, Any] | None:
         """Of the recording; from any thread."""
@@ -200,37 +201,39 @@ class Archive:
 
     # ---- snapshots ----
 
-    def want_snapshot(self, request: Snapshot, c: Configuration, asked: Asked) -> None:
+    def want_snapshot(self, request: Snapshot, c: Configuration, pending: PendingRequest) -> None:
         """Of the next frame, in colour."""
         places = recordings_folder(c.record)
         path = next_name(places, suffix=".png") if request.file is None else places / request.file
-        self._wanted = path, asked, replace(c.record, everything=c.record.everything or request.everything)
+        self._wanted = path, pending, replace(c.record, everything=c.record.everything or request.everything)
 
     def _take_snapshot(self, picture: Callable[[bool], Callable[[], Image]]) -> None:
         """The one that is wanted; `picture` gives what draws it, with everything in it or not."""
         if self._wanted is None:
             return
-        (path, asked, settings), self._wanted = self._wanted, None
+        (path, pending, settings), self._wanted = self._wanted, None
         draw = picture(settings.everything)
 
         def write() -> dict[str, Any]:
-            if asked.gone:
-                raise _GONE
+            if pending.cancelled:
+                raise _CANCELLED
             made_folder(path.parent, OutputError)
             refuse_full_disk(path, settings)
             snapshot(path, draw)
             self._say(f"snapshot: {path}")
             return {"file": str(path)}
 
-        self._crew.do(SNAPSHOT, lambda: self._answer(asked, write))
+        self._crew.do(SNAPSHOT, lambda: self._answer(pending, write))
 
-    def _answer(self, asked: Asked | Reply, work: Callable[[], dict[str, Any] | None]) -> Callable[[], None] | None:
-        """Do it, and tell who asked what came of it, if that is known; whatever goes wrong, only that is not done."""
+    def _answer(
+        self, pending: PendingRequest | None, work: Callable[[], dict[str, Any] | None]
+    ) -> Callable[[], None] | None:
+        """Do the work, in a thread of the pool, and return the call that answers. An error is answered too."""
         try:
-            answer = work()
+            reply = work()
         except (SpheremouseError, OSError) as e:
-            answer = refused(str(e))
+            reply = refused(str(e))
         except Exception as e:
             self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
-            answer = refused(internal_error(e))
-        return None if answer is None else partial(asked, answer)
+            reply = refused(internal_error(e))
+        return None if reply is None or pending is None else partial(pending.answer, reply)

@@ -760,7 +760,7 @@ def test_a_daemon_that_runs_keeps_its_camera(tmp_path_factory, monkeypatch):
     path = Path(tmp_path_factory.mktemp("s")) / "c"
     monkeypatch.setattr(doctor.nodes, "present", lambda *_: [])
     monkeypatch.setattr(doctor, "film", lambda *_: pytest.fail("the camera was opened"))
-    with ControlServer(path, ControlSettings(), lambda _, reply: reply(dict(STATUS))):
+    with ControlServer(path, ControlSettings(), lambda pending: pending.answer(dict(STATUS))):
         sections = {s.subject: s.findings for s in doctor.examine(Request(source="v4l2:7", output="null"), socket=path)}
     (told,) = [f for f in sections["camera"] if f.name == "film"]
     assert told.verdict is UNCHECKED
@@ -774,7 +774,7 @@ def test_a_daemon_of_another_version_is_to_be_started_anew(tmp_path_factory):
     from spheremouse.session.settings.control import ControlSettings
 
     path = Path(tmp_path_factory.mktemp("s")) / "c"
-    with ControlServer(path, ControlSettings(), lambda _, reply: reply({**STATUS, "version": "0.0.1"})):
+    with ControlServer(path, ControlSettings(), lambda pending: pending.answer({**STATUS, "version": "0.0.1"})):
         status, told = running.ask(path)
     assert status is not None
     assert told.verdict is WARNING

@@ -136,7 +136,7 @@ def test_the_first_line_is_the_state_with_its_reason_and_cannot_be_chosen():
 
 
 def test_no_daemon_says_how_to_start_one():
-    v = tray.no_daemon("no daemon runs (nobody listens at /run/a or /run/b); start one with `spheremouse run`")
+    v = tray.no_daemon("no daemon runs (no daemon listens at /run/a or /run/b); start one with `spheremouse run`")
     assert tray.headline(v) == "no daemon runs; start one with `spheremouse run`"
 
 
@@ -213,7 +213,8 @@ class Daemon:
     def __exit__(self, *error):
         self.server.__exit__(*error)
 
-    def handle(self, request, reply):
+    def handle(self, pending):
+        request, reply = pending.request, pending.answer
         if request.command == "status":
             reply({"state": self.state, "reason": "as told"})
             return

@@ -1,4 +1,4 @@
-"""The doors: what another run has is waited for, or refused; nothing stays open."""
+"""The control socket and the metrics port of a run that another run may hold."""
 
 import contextlib
 import time
@@ -14,51 +14,51 @@ from spheremouse.session.settings.control import ControlSettings, MetricsSetting
 ANYWHERE, NO_METRICS = ControlSettings(), MetricsSettings()
 
 
-def answer(request, reply):
-    reply({"state": "tracking"})
+def answer(pending):
+    pending.answer({"state": "tracking"})
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Where the socket is of who does not say."""
+    """The runtime folder."""
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     return tmp_path
 
 
-def doors(said):
-    return contextlib.closing(Endpoints(answer, said.append))
+def endpoints(log):
+    return contextlib.closing(Endpoints(answer, log.append))
 
 
-def test_the_socket_is_had_when_who_had_it_is_gone(folder):
-    said, now = [], time.monotonic()
-    with doors(said) as second:
-        with doors([]) as first:
+def test_the_socket_is_opened_when_the_other_run_has_ended(folder):
+    log, now = [], time.monotonic()
+    with endpoints(log) as second:
+        with endpoints([]) as first:
             first.open(ANYWHERE, NO_METRICS, dict)
             second.open(ANYWHERE, NO_METRICS, dict)
-            second.tend(ANYWHERE, now + 100.0)
-            assert len(said) == 1
-            assert "another daemon listens there" in said[0]
-            assert "cannot ask this run" in said[0]
-        second.tend(ANYWHERE, now + 101.0)  # not all the time
-        assert len(said) == 1
-        second.tend(ANYWHERE, now + 200.0)
-        assert said[1:] == ["control: `spheremouse ctl` can ask this run now"]
+            second.retry(ANYWHERE, now + 100.0)
+            assert len(log) == 1
+            assert "another daemon listens there" in log[0]
+            assert "cannot ask this run" in log[0]
+        second.retry(ANYWHERE, now + 101.0)  # not all the time
+        assert len(log) == 1
+        second.retry(ANYWHERE, now + 200.0)
+        assert log[1:] == ["control: `spheremouse ctl` can ask this run now"]
         assert Client(folder / SOCKET).ask("pause") == {"state": "tracking"}
     assert not (folder / SOCKET).exists()
 
 
-def test_a_socket_that_was_asked_for_is_had_or_the_run_is_refused(folder):
+def test_a_run_without_its_configured_socket_is_refused(folder):
     asked_for = ControlSettings(socket=str(folder / "s"))
-    with doors([]) as first, doors([]) as second:
+    with endpoints([]) as first, endpoints([]) as second:
         first.open(asked_for, NO_METRICS, dict)
         with pytest.raises(ControlError, match="another daemon listens there"):
             second.open(asked_for, NO_METRICS, dict)
 
 
-def test_metrics_that_cannot_be_served_are_said_and_done_without(folder):
-    said = []
-    with doors(said) as one:
+def test_a_run_goes_on_without_metrics_that_cannot_be_served(folder):
+    log = []
+    with endpoints(log) as one:
         one.open(ANYWHERE, MetricsSettings(port=9999, address="nonsense"), dict)
         assert Client(folder / SOCKET).ask("pause")
-    assert len(said) == 1
-    assert said[0].endswith("going on without")
+    assert len(log) == 1
+    assert log[0].endswith("going on without")

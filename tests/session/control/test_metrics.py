@@ -1,4 +1,4 @@
-"""The figures for Prometheus: against the status they come from, the page that lists them and the dashboard."""
+"""The metrics: against the status, the page that lists them and the dashboard."""
 
 import contextlib
 import http.client
@@ -7,7 +7,8 @@ import re
 import socket
 import threading
 import time
-from itertools import combinations, pairwise
+import urllib.parse
+from itertools import combinations
 from pathlib import Path
 
 import pytest
@@ -34,10 +35,10 @@ def a_status():
 @pytest.fixture
 def scrape(monkeypatch):
     """Serves a status and reads it back: {(name, labels): value}, and the kind of each name."""
-    monkeypatch.setattr(metrics, "_FRESH", 0.0)
+    monkeypatch.setattr(metrics, "_REST", 0.0)
 
     def read(status):
-        with metrics.MetricsServer(MetricsSettings(port=0), lambda: status) as server:
+        with serve(lambda: status) as server:
             code, text = get(server)
         assert code == 200
         found = list(text_string_to_metric_families(text))
@@ -47,14 +48,15 @@ def scrape(monkeypatch):
     return read
 
 
-def address_of(server):
-    return server._server.server_address[:2]
+def serve(status, address=None, log=print):
+    return metrics.MetricsServer(0, address or MetricsSettings().address, status, log)
 
 
-def get(server, path="/metrics", method="GET"):
-    connection = http.client.HTTPConnection(*address_of(server), timeout=GENEROUS)
+def get(server, path="/metrics"):
+    url = urllib.parse.urlsplit(server.url)
+    connection = http.client.HTTPConnection(url.hostname, url.port, timeout=GENEROUS)
     with contextlib.closing(connection):
-        connection.request(method, path)
+        connection.request("GET", path)
         response = connection.getresponse()
         return response.status, response.read().decode()
 
@@ -110,10 +112,10 @@ def test_a_failed_output_and_a_recording_show(scrape):
 
 
 def test_no_path_of_a_file_is_given_out(monkeypatch):
-    monkeypatch.setattr(metrics, "_FRESH", 0.0)
+    monkeypatch.setattr(metrics, "_REST", 0.0)
     status = a_status() | {"reason": "/home/somebody/secret"}
     status["output"]["spec"] = "text:/home/somebody/log"
-    with metrics.MetricsServer(MetricsSettings(port=0), lambda: status) as server:
+    with serve(lambda: status) as server:
         text = get(server)[1]
     assert "/" not in re.sub(r"^# .*", "", text, flags=re.M)
 
@@ -130,7 +132,7 @@ def test_names_and_units_follow_the_conventions(scrape):
 
 
 def test_a_restart_is_seen_and_none_is_imagined(monkeypatch):
-    monkeypatch.setattr(metrics, "_FRESH", 0.0)
+    monkeypatch.setattr(metrics, "_REST", 0.0)
     status = a_status()
 
     def started(server):
@@ -138,11 +140,11 @@ def test_a_restart_is_seen_and_none_is_imagined(monkeypatch):
         assert found
         return found[1]
 
-    with metrics.MetricsServer(MetricsSettings(port=0), lambda: status) as server:
+    with serve(lambda: status) as server:
         first = started(server)
         status["uptime_s"] += 0.01  # measured a little late
         assert started(server) == first
-    with metrics.MetricsServer(MetricsSettings(port=0), lambda: {**status, "uptime_s": 0.0}) as server:
+    with serve(lambda: {**status, "uptime_s": 0.0}) as server:
         assert float(started(server)) > float(first)
 
 
@@ -216,111 +218,56 @@ def test_the_dashboard_is_in_order():
 # ---- the server ----
 
 
-def test_no_port_opens_none():
-    assert metrics.serve(MetricsSettings(), a_status) is None
-
-
-def test_only_this_machine_is_served_unless_told():
-    assert MetricsSettings().address == "127.0.0.1"
-    with metrics.MetricsServer(MetricsSettings(port=0), a_status) as server:
-        assert address_of(server)[0] == "127.0.0.1"
-        assert server.url == f"http://127.0.0.1:{address_of(server)[1]}/metrics"
-
-
-def test_other_pages_and_methods_are_not_there():
-    with metrics.MetricsServer(MetricsSettings(port=0), a_status) as server:
-        assert get(server, "/metrics?x=1")[0] == 200
-        for path in ("/", "/metrics/", "/../etc/passwd", "/metricsx"):
-            assert get(server, path)[0] == 404
-        for method in ("POST", "PUT", "DELETE"):
-            assert get(server, method=method)[0] == 501
-
-
-def test_a_status_that_fails_is_an_error_of_one_answer_without_a_traceback(monkeypatch):
-    monkeypatch.setattr(metrics, "_FRESH", 0.0)
-    broken = [True]
-
-    def status():
-        if broken[0]:
-            raise ValueError("/secret")
-        return a_status()
-
-    with metrics.MetricsServer(MetricsSettings(port=0), status) as server:
-        code, text = get(server)
-        assert code == 500
-        assert "Traceback" not in text
-        assert "secret" not in text
-        broken[0] = False
-        assert get(server)[0] == 200
-
-
-def test_who_asks_all_the_time_does_not_ask_the_daemon():
-    asked = []
-
-    def status():
-        asked.append(time.monotonic())
-        return a_status()
-
-    with metrics.MetricsServer(MetricsSettings(port=0), status) as server:
-        for _ in range(20):
+def test_it_listens_on_this_machine_by_default_and_on_ipv6():
+    with serve(a_status) as server:
+        assert server.url.startswith("http://127.0.0.1:")
+    if socket.has_ipv6:
+        with serve(a_status, "::1") as server:
             assert get(server)[0] == 200
-    assert all(b - a >= metrics._FRESH for a, b in pairwise(asked))
 
 
-def test_connections_that_say_nothing_are_few_and_end(monkeypatch):
-    monkeypatch.setattr(metrics, "_LONGEST", 0.3)
-    with metrics.MetricsServer(MetricsSettings(port=0), a_status) as server:
-        crowd = [socket.create_connection(address_of(server), GENEROUS) for _ in range(12)]
-        for s in crowd:
-            with contextlib.suppress(OSError):
-                s.sendall(b"GET /metr")
-        for s in crowd:
-            with contextlib.suppress(ConnectionResetError):
-                assert b"200" not in s.recv(100)
-            s.close()
-        assert sum("process_request_thread" in t.name for t in threading.enumerate()) <= metrics._AT_ONCE
-        end = time.monotonic() + GENEROUS
-        while True:
-            try:
-                assert get(server)[0] == 200
-                break
-            except (ConnectionError, http.client.HTTPException):
-                assert time.monotonic() < end
+def test_an_error_of_the_status_ends_one_request_and_is_logged(monkeypatch):
+    monkeypatch.setattr(metrics, "_REST", 0.0)
+    statuses, log = [None], []
 
+    def broken():
+        if not statuses:
+            return a_status()
+        statuses.clear()
+        raise ValueError("as if")
 
-@pytest.mark.parametrize("begun", [0, 1])
-def test_without_a_thread_to_be_had_a_request_is_hung_up_on_and_keeps_no_place(monkeypatch, begun, capsys):
-    """Neither the one that would answer nor, where that is begun, the one that would end it."""
-    start = threading._start_new_thread
-    left = []
-
-    def few(*what):
-        if not left:
-            raise RuntimeError("can't start new thread")
-        left.pop()
-        return start(*what)
-
-    with metrics.MetricsServer(MetricsSettings(port=0), a_status) as server:
-        monkeypatch.setattr(threading, "_start_new_thread", few)
-        for _ in range(2 * metrics._AT_ONCE):
-            left[:] = begun * [None]
-            with pytest.raises((ConnectionError, http.client.HTTPException)):
-                get(server)
-        monkeypatch.undo()
+    with serve(broken, log=log.append) as server:
+        with pytest.raises((ConnectionError, http.client.HTTPException)):
+            get(server)
         assert get(server)[0] == 200
-    assert "Traceback" not in capsys.readouterr().err
+    assert log == ["metrics: internal error (ValueError: as if); please report it"]
 
 
-def test_what_cannot_be_is_said_in_a_line():
+def test_a_silent_client_is_dropped(monkeypatch):
+    """It delays other clients by one timeout; it holds no thread."""
+    monkeypatch.setattr(metrics, "_STALLED", 0.2)
+    with serve(a_status) as server:
+        threads = threading.active_count()
+        url = urllib.parse.urlsplit(server.url)
+        crowd = [socket.create_connection((url.hostname, url.port), GENEROUS) for _ in range(5)]
+        for s in crowd:
+            s.sendall(b"GET /metr")
+        assert get(server)[0] == 200
+        assert threading.active_count() == threads
+        for s in crowd:
+            s.close()
+
+
+def test_an_address_that_cannot_be_used_is_an_error_with_its_remedy():
     with contextlib.closing(socket.create_server(("127.0.0.1", 0))) as other:
         port = other.getsockname()[1]
         with pytest.raises(ControlError, match=rf"cannot listen at 127.0.0.1 port {port} \(Address already in use\)"):
-            metrics.serve(MetricsSettings(port=port), a_status)
+            metrics.MetricsServer(port, "127.0.0.1", a_status)
     with pytest.raises(ControlError, match=r"metrics.address: 'localhost' is no IP address"):
-        metrics.serve(MetricsSettings(port=1, address="localhost"), a_status)
+        serve(a_status, "localhost")
 
 
 def test_without_the_library_the_message_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "prometheus_client", None)
     with pytest.raises(ControlError, match=r"pip install 'spheremouse\[metrics\]'"):
-        metrics.serve(MetricsSettings(port=1), a_status)
+        serve(a_status)

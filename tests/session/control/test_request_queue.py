@@ -1,4 +1,4 @@
-"""The desk: of each kind one request under way, the owner's first, little that waits, nothing for who has hung up."""
+"""The queue of requests: one of a kind under way, few that wait, none whose client has disconnected."""
 
 import contextlib
 from functools import partial
@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from spheremouse.errors import ControlError
 from spheremouse.session.control.protocol import Record, Request, Set, Snapshot
-from spheremouse.session.control.reply import Reply
-from spheremouse.session.control.request_queue import CALM, MOST, SHARE, Asked, RequestQueue
+from spheremouse.session.control.request_queue import MAX_WAITING, PendingRequest, RequestQueue
 
 RELOAD, REINIT, PAUSE = (Request(command=c) for c in ("reload", "reinit", "pause"))
 SET = Set(command="set", assignments=("motion.scale_x=2",))
@@ -19,164 +18,83 @@ SNAPSHOT = Snapshot(command="snapshot")
 REQUESTS = (RELOAD, REINIT, PAUSE, SET, RECORD, STOP, SNAPSHOT)
 
 
-class Client:
-    """Asks; what it is answered."""
-
-    def __init__(self, desk, trusted=True):
-        self.desk, self.trusted, self.answers, self.replies = desk, trusted, [], []
-
-    def ask(self, request):
-        self.replies.append(Reply(self.answers.append, trusted=self.trusted))
-        asked = Asked(request, self.replies[-1])
-        self.desk.put(asked)
-        return asked
-
-    def hang_up(self):
-        for reply in self.replies:
-            reply.gone = True
-
-
-class Clock:
-    now = 0.0
-
-    def __call__(self):
-        return self.now
-
-
 @pytest.fixture
-def clock():
-    return Clock()
+def queue():
+    return RequestQueue(lambda: None, lambda line: None)
 
 
-@pytest.fixture
-def desk(clock):
-    return RequestQueue(lambda: None, clock)
+def put(queue, request):
+    """A request and the list of its replies."""
+    replies = []
+    pending = PendingRequest(request, replies.append)
+    queue.put(pending)
+    return pending, replies
 
 
 @pytest.mark.parametrize("request_", [REINIT, RECORD, STOP, SNAPSHOT])
-def test_a_second_of_a_kind_is_refused_before_anything_is_made_for_it(desk, request_):
-    one, other = Client(desk), Client(desk)
-    first = one.ask(request_)
-    other.ask(request_)  # one waits
-    assert desk.take() is first
-    other.ask(request_)  # one is under way
-    assert [a["error"].partition(";")[2] for a in other.answers] == 2 * [" ask again when it is done"]
-    assert desk.take() is None
-    first({"message": "done"})
-    second = other.ask(request_)
-    assert desk.take() is second
+def test_a_second_request_of_a_kind_is_refused_before_its_work_begins(queue, request_):
+    first, _ = put(queue, request_)
+    _, while_it_waits = put(queue, request_)
+    assert queue.take() is first
+    _, while_it_is_under_way = put(queue, request_)
+    errors = [reply["error"].partition(";")[2] for reply in while_it_waits + while_it_is_under_way]
+    assert errors == 2 * [" ask again when it is done"]
+    assert queue.take() is None
+    first.answer({"message": "done"})
+    second, _ = put(queue, request_)
+    assert queue.take() is second
 
 
-def test_set_and_reload_wait_for_each_other_and_reloads_are_served_together(desk):
-    clients = [Client(desk) for _ in range(5)]
-    first = clients[0].ask(RELOAD)
-    assert desk.take() is first
-    waiting = [c.ask(r) for c, r in zip(clients[1:], (RELOAD, SET, RELOAD, RELOAD), strict=True)]
-    assert desk.take() is None
-    first({"message": "one"})
-    assert desk.take() is waiting[0]
-    waiting[0]({"message": "together"})
-    together = [{"message": "together"}]
-    assert [c.answers for c in clients] == [[{"message": "one"}], together, [], together, together]
-    assert desk.take() is waiting[1]
+def test_set_and_reload_wait_for_each_other_and_other_kinds_do_not(queue):
+    pending = [put(queue, request)[0] for request in (RELOAD, SET, SNAPSHOT, RELOAD)]
+    assert [queue.take(), queue.take(), queue.take()] == [pending[0], pending[2], None]
+    pending[0].answer({})
+    assert queue.take() is pending[1]
+    pending[1].answer({})
+    assert queue.take() is pending[3]
 
 
-def test_the_owner_is_served_first_and_waits_for_a_members_only(desk):
-    owner, member = Client(desk), Client(desk, trusted=False)
-    waits = [Client(desk, trusted=False).ask(SET) for _ in range(3)]
-    mine = owner.ask(SET)
-    assert desk.take() is mine
-    mine({})
-    assert desk.take() is waits[0]
-    theirs = member.ask(SNAPSHOT)
-    assert desk.take() is theirs
-    snapshot = owner.ask(SNAPSHOT)
-    assert not owner.answers[1:]
-    Client(desk).ask(SNAPSHOT)
-    assert desk.take() is None
-    theirs({})
-    assert desk.take() is snapshot
+def test_few_requests_wait_and_those_of_clients_that_disconnect_leave_room(queue):
+    crowd = [put(queue, SET) for _ in range(MAX_WAITING + 1)]
+    assert [len(replies) for _, replies in crowd] == MAX_WAITING * [0] + [1]
+    for pending, _ in crowd:
+        pending.cancelled = True
+    mine, _ = put(queue, SET)
+    assert queue.take() is mine
 
 
-def test_what_waits_is_little_and_members_leave_room_for_the_owner(desk):
-    crowd = [Client(desk, trusted=False) for _ in range(3 * MOST)]
-    for client in crowd:
-        client.ask(SET)
-    assert sum(bool(c.answers) for c in crowd) == 2 * MOST
-    assert crowd[-1].answers[0]["error"] == "too much is asked at once; ask again"
-    mine = Client(desk).ask(SET)
-    assert desk.take() is mine
+def test_a_call_runs_once_and_its_error_is_logged():
+    log, calls = [], []
+    queue = RequestQueue(lambda: None, log.append)
+    for error in (None, ControlError("no"), ZeroDivisionError("as if")):
+        queue.call(partial(_fail, error, calls))
+    queue.run(lambda pending: None)
+    queue.run(lambda pending: None)
+    assert calls == [None, None, None]
+    assert log[0] == "no"
+    assert log[1].startswith("internal error, please report it:\nTraceback")
 
 
-def test_what_was_not_begun_is_dropped_with_who_asked_it(desk):
-    client, other = Client(desk), Client(desk)
-    for _ in range(100):
-        client.ask(SET)
-        client.hang_up()
-    mine = other.ask(SET)
-    assert len(desk._waiting) <= 2
-    assert desk.take() is mine
+def test_an_error_becomes_the_reply_and_an_internal_error_is_raised_too(queue):
+    replies = []
+    for error in (ControlError("no"), OSError("no disk"), ZeroDivisionError("as\nif")):
+        internal = isinstance(error, ZeroDivisionError)
+        with pytest.raises(ZeroDivisionError) if internal else contextlib.nullcontext():
+            PendingRequest(RELOAD, replies.append).attempt(partial(_fail, error, []))
+    errors = [reply["error"] for reply in replies]
+    assert errors == ["no", "no disk", "internal error (ZeroDivisionError: as if); please report it"]
 
 
-def test_reloads_served_together_are_wanted_as_long_as_one_waits(desk):
-    clients = [Client(desk), Client(desk)]
-    for client in clients:
-        client.ask(RELOAD)
-    together = desk.take()
-    clients[0].hang_up()
-    assert not together.gone
-    clients[1].hang_up()
-    assert together.gone
-
-
-def test_members_have_their_share_of_the_time_and_the_owner_all_of_it(desk, clock):
-    """What a kind of work has cost it rests for, so that reading files all day does not make the pointer stutter."""
-    member, owner = Client(desk, trusted=False), Client(desk)
-    worked, end = 0.0, 100.0
-    while clock.now < end:
-        asked = member.ask(SET)
-        taken = desk.take()
-        if taken is not None:
-            clock.now += 0.5
-            worked += 0.5
-            taken({})
-        clock.now += 0.1
-        if taken is not asked:
-            member.hang_up()
-    assert worked / end == pytest.approx(SHARE, abs=0.01)
-    assert desk.take() is None
-    mine = owner.ask(SET)
-    assert desk.take() is mine
-
-
-def test_what_the_owner_gives_up_rests_as_well_but_not_for_long(desk, clock):
-    owner, worked, end = Client(desk), 0.0, 100.0
-    while clock.now < end:
-        owner.ask(SNAPSHOT)
-        if (taken := desk.take()) is not None:
-            clock.now += 0.1
-            worked += 0.1
-            owner.hang_up()
-            taken({})
-        clock.now += 0.01
-        owner.hang_up()
-    assert worked / end == pytest.approx(SHARE, abs=0.01)
-    Client(desk).ask(REINIT)
-    taken = desk.take()
-    clock.now += 50.0
-    for reply in taken._replies:
-        reply.gone = True
-    taken({})
-    again = Client(desk).ask(REINIT)
-    assert desk.take() is None
-    clock.now += CALM
-    assert desk.take() is again
+def _fail(error, calls):
+    calls.append(None)
+    if error is not None:
+        raise error
 
 
 steps = st.lists(
     st.one_of(
-        st.tuples(st.just("ask"), st.integers(0, 5), st.sampled_from(REQUESTS)),
-        st.tuples(st.just("hang up"), st.integers(0, 5)),
+        st.tuples(st.just("put"), st.sampled_from(REQUESTS)),
+        st.tuples(st.just("disconnect"), st.integers(0, 20)),
         st.tuples(st.just("take")),
         st.tuples(st.just("end"), st.integers(0, 5)),
     ),
@@ -184,47 +102,25 @@ steps = st.lists(
 )
 
 
-def test_whatever_goes_wrong_on_the_way_to_an_answer_is_one(desk):
-    """An error of ours besides goes on to who says so."""
-    client = Client(desk)
-    for error in (ControlError("no"), OSError("no disk"), ZeroDivisionError("as\nif")):
-        client.ask(RELOAD)
-        ours = isinstance(error, ZeroDivisionError)
-        with pytest.raises(ZeroDivisionError) if ours else contextlib.nullcontext():
-            desk.take().attempt(partial(_fail, error))
-    said = [answer["error"] for answer in client.answers]
-    assert said == ["no", "no disk", "internal error (ZeroDivisionError: as if); please report it"]
-
-
-def _fail(error):
-    raise error
-
-
 @given(steps)
-def test_whatever_is_asked_each_is_answered_once_and_nothing_is_left(steps):
-    desk = RequestQueue(lambda: None, Clock())
-    clients = [Client(desk, trusted=n % 2 == 0) for n in range(6)]
-    under_way = []
+def test_each_request_is_answered_once_unless_its_client_disconnects(steps):
+    queue = RequestQueue(lambda: None, lambda line: None)
+    requests, under_way = [], []
     for what, *more in steps:
         match what:
-            case "ask":
-                clients[more[0]].ask(more[1])
-            case "hang up":
-                clients[more[0]].hang_up()
-            case "take" if (taken := desk.take()) is not None:
-                assert taken.kind not in {a.kind for a in under_way}
-                assert not taken.gone
+            case "put":
+                requests.append(put(queue, more[0]))
+            case "disconnect" if more[0] < len(requests):
+                requests[more[0]][0].cancelled = True
+            case "take" if (taken := queue.take()) is not None:
+                assert taken.kind not in {p.kind for p in under_way}
+                assert not taken.cancelled
                 under_way.append(taken)
             case "end" if more[0] < len(under_way):
-                under_way.pop(more[0])({"ok": True})
-        assert len(desk._waiting) <= 2 * MOST
-    for asked in under_way:
-        asked({"ok": True})
-    while (taken := desk.take()) is not None:
-        taken({"ok": True})
-    assert not desk._waiting
-    assert not desk._under_way
-    for client in clients:
-        assert len(client.answers) <= len(client.replies)
-        if not any(reply.gone for reply in client.replies):
-            assert len(client.answers) == len(client.replies)
+                under_way.pop(more[0]).answer({"ok": True})
+    for pending in under_way:
+        pending.answer({"ok": True})
+    while (taken := queue.take()) is not None:
+        taken.answer({"ok": True})
+    for pending, replies in requests:
+        assert len(replies) == 1 or (pending.cancelled and not replies)

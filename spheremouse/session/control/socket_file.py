@@ -1,0 +1,139 @@
+"""The control socket's file: one daemon holds it, and the kernel admits its users by mode and credentials."""
+
+import contextlib
+import os
+import socket
+import stat
+import struct
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from spheremouse.errors import ControlError
+from spheremouse.files.safe_open import others_may_change
+
+_MAX_PATH_BYTES = 107 if sys.platform == "linux" else 103  # the kernel's limit
+_BACKLOG = 64  # connections that wait to be accepted
+
+
+class Peer(NamedTuple):
+    """The process at the other end of a connection, as the kernel names it."""
+
+    pid: int
+    uid: int
+    gid: int
+
+
+def peer_of(connection: socket.socket) -> Peer | None:
+    """Return the credentials of a connection's other end (SO_PEERCRED); None on systems without them."""
+    if not hasattr(socket, "SO_PEERCRED"):
+        return None
+    size = struct.calcsize("iII")
+    return Peer(*struct.unpack("iII", connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)))
+
+
+@contextlib.contextmanager
+def listening(path: Path, group: str | None) -> Iterator[socket.socket]:
+    """Listen at `path`, for this user and root, and for the members of `group`. The end removes the socket.
+
+    The lock file beside it stays: another daemon may be opening it. The kernel releases the lock with the process.
+    """
+    gid = None if group is None else _group_id(group)
+    with contextlib.closing(socket.socket(socket.AF_UNIX)) as listener, _lock(path):
+        _remove_stale(path)
+        try:
+            listener.bind(str(path))
+            try:  # nobody can connect before `listen`, so the mode is never too wide
+                if gid is not None and path.stat().st_gid != gid:
+                    os.chown(path, -1, gid, follow_symlinks=False)
+                path.chmod(0o600 if gid is None else 0o660)
+                listener.listen(_BACKLOG)
+            except BaseException:
+                path.unlink(missing_ok=True)
+                raise
+        except OSError as e:
+            if isinstance(e, PermissionError) and group is not None:
+                raise ControlError(
+                    f"control.group {group}: the daemon's user may not give the socket to it; make it a member"
+                ) from None
+            raise ControlError(f"{path}: no socket can be made here ({e.strerror or e}); set control.socket") from None
+        identity = path.lstat()
+        try:
+            yield listener
+        finally:
+            listener.close()
+            with contextlib.suppress(OSError):
+                if os.path.samestat(identity, path.lstat()):
+                    path.unlink()
+
+
+@contextlib.contextmanager
+def _lock(path: Path) -> Iterator[None]:
+    """Hold the lock of a socket's path; ControlError if another daemon holds it or the folder is unsafe."""
+    import fcntl  # not on every system that can import this
+
+    if len(os.fsencode(path)) > _MAX_PATH_BYTES:
+        raise ControlError(
+            f"{path}: too long for a socket; set control.socket to a path of {_MAX_PATH_BYTES} bytes or less"
+        )
+    folder, file = path.parent, path.with_name(path.name + ".lock")
+    try:
+        mode = folder.stat().st_mode
+        if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
+            raise ControlError(f"{folder}: anybody may write there; set control.socket to a path in a safer folder")
+        if others_may_change(folder):  # the socket's mode and group are set by its path
+            raise ControlError(f"{folder}: is another user's; set control.socket to a path in a folder of root's")
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+    except OSError as e:
+        raise ControlError(f"{file}: cannot be made ({e.strerror}); set control.socket to a path elsewhere") from None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError:
+        peer = None
+        with contextlib.suppress(OSError):  # it may not listen yet, or not any more
+            peer = _listener_at(path)
+        raise _taken(path, peer) from None
+    finally:
+        os.close(descriptor)
+
+
+def _group_id(name: str) -> int:
+    import grp
+
+    try:
+        return grp.getgrnam(name).gr_gid
+    except KeyError:
+        raise ControlError(f"control.group: no group {name!r} on this machine; make it or name another") from None
+
+
+def _remove_stale(path: Path) -> None:
+    """Remove the socket of a daemon that was killed; ControlError for anything else."""
+    try:
+        if not stat.S_ISSOCK(path.lstat().st_mode):
+            raise ControlError(f"{path}: is no socket; move it away or set control.socket to another path")
+        raise _taken(path, _listener_at(path))
+    except FileNotFoundError:
+        return
+    except ConnectionRefusedError:
+        path.unlink(missing_ok=True)
+    except OSError as e:
+        raise ControlError(
+            f"{path}: cannot be replaced ({e.strerror or 'no answer'}); set control.socket to a path elsewhere"
+        ) from None
+
+
+def _listener_at(path: Path) -> Peer | None:
+    """Return the process that listens at `path`; OSError if there is none."""
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.settimeout(1.0)
+        probe.connect(str(path))
+        return peer_of(probe)
+
+
+def _taken(path: Path, peer: Peer | None) -> ControlError:
+    process = "" if peer is None else f" (process {peer.pid})"
+    return ControlError(
+        f"{path}: another daemon listens there{process}; stop it, or set control.socket to another path"
+    )
