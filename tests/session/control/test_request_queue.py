@@ -1,13 +1,17 @@
 """The queue of requests: one of a kind under way, few that wait, none whose client has disconnected."""
 
 import contextlib
+import time
 from functools import partial
+from itertools import pairwise
+from unittest import mock
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from spheremouse.errors import ControlError
+from spheremouse.session.control import request_queue
 from spheremouse.session.control.protocol import Record, Request, Set, Snapshot
 from spheremouse.session.control.request_queue import MAX_WAITING, PendingRequest, RequestQueue
 
@@ -19,7 +23,8 @@ REQUESTS = (RELOAD, REINIT, PAUSE, SET, RECORD, STOP, SNAPSHOT)
 
 
 @pytest.fixture
-def queue():
+def queue(monkeypatch):
+    monkeypatch.setattr(request_queue, "_LOAD_REST", 0.0)
     return RequestQueue(lambda: None, lambda line: None)
 
 
@@ -52,6 +57,18 @@ def test_set_and_reload_wait_for_each_other_and_other_kinds_do_not(queue):
     assert queue.take() is pending[1]
     pending[1].answer({})
     assert queue.take() is pending[3]
+
+
+def test_readings_of_the_configuration_leave_time_for_frames():
+    queue = RequestQueue(lambda: None, lambda line: None)
+    times = []
+    for _ in range(3):
+        pending, _ = put(queue, RELOAD)
+        while queue.take() is None:
+            time.sleep(0.001)
+        times.append(time.monotonic())
+        pending.answer({})
+    assert min(b - a for a, b in pairwise(times)) > 0.09
 
 
 def test_few_requests_wait_and_those_of_clients_that_disconnect_leave_room(queue):
@@ -104,6 +121,11 @@ steps = st.lists(
 
 @given(steps)
 def test_each_request_is_answered_once_unless_its_client_disconnects(steps):
+    with mock.patch.object(request_queue, "_LOAD_REST", 0.0):
+        _check_answers(steps)
+
+
+def _check_answers(steps):
     queue = RequestQueue(lambda: None, lambda line: None)
     requests, under_way = [], []
     for what, *more in steps:
@@ -120,7 +142,8 @@ def test_each_request_is_answered_once_unless_its_client_disconnects(steps):
                 under_way.pop(more[0]).answer({"ok": True})
     for pending in under_way:
         pending.answer({"ok": True})
-    while (taken := queue.take()) is not None:
-        taken.answer({"ok": True})
+    while not all(replies or pending.cancelled for pending, replies in requests):
+        if (taken := queue.take()) is not None:
+            taken.answer({"ok": True})
     for pending, replies in requests:
         assert len(replies) == 1 or (pending.cancelled and not replies)
