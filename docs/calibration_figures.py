@@ -17,7 +17,7 @@ from experiments.kit.observations import calibrated, normalised_errors, simulate
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from spheremouse.files.atomic import write_atomically
+from spheremouse.files.safe_files import write_atomically
 from spheremouse.geometry.rotation import log
 
 PAGE = Path(__file__).with_name("calibration.md")

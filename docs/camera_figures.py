@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.capture.v4l2.pixels import FORMATS, Layout, bgr, luma
-from spheremouse.files.atomic import write_atomically
+from spheremouse.files.safe_files import write_atomically
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 
 PAGE = Path(__file__).with_name("camera.md")

@@ -10,8 +10,8 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from spheremouse.files.atomic import write_atomically
 from spheremouse.files.config import to_yaml
+from spheremouse.files.safe_files import write_atomically
 from spheremouse.session.settings import Configuration
 
 COMMON_PAGE, EXPERT_PAGE = (Path(__file__).with_name(f"{name}.md") for name in ("configuration", "expert-settings"))

@@ -15,7 +15,7 @@ from experiments.report.plot import Drawing, save
 
 from spheremouse.ball.build import build
 from spheremouse.ball.settings import Settings
-from spheremouse.files.atomic import write_atomically
+from spheremouse.files.safe_files import write_atomically
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import Counter, MotionSettings
 from spheremouse.output.pointer import PointerSettings, Resampler, due, take

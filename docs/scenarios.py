@@ -27,7 +27,7 @@ from spheremouse.ball.track import step
 from spheremouse.ball.truth import VISIBLE
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
-from spheremouse.files.atomic import write_atomically
+from spheremouse.files.safe_files import write_atomically
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output.counts import Counter, MotionSettings
 from spheremouse.session import messages

@@ -21,8 +21,8 @@ from typer.testing import CliRunner
 from spheremouse.commands.service import app
 from spheremouse.commands.service import systemd as service
 from spheremouse.errors import ConfigurationError, ControlError, ServiceError, SpheremouseError
-from spheremouse.files import safe_open
-from spheremouse.files.atomic import write_atomically
+from spheremouse.files import safe_files
+from spheremouse.files.safe_files import write_atomically
 from spheremouse.files.service import service_files
 from spheremouse.output import text
 from spheremouse.output.serial import firmware
@@ -300,7 +300,7 @@ def test_a_socket_is_made_by_root_in_no_folder_of_another_user(state):
 def test_the_path_of_a_stream_is_the_stream_and_never_replaced(root):
     """/dev/stdout and /dev/fd/N, when they are files too: for root, /dev/stdout itself could be replaced."""
     out = root / "out"
-    code = "from pathlib import Path; from spheremouse.files.atomic import write_atomically as w; print('one'); "
+    code = "from pathlib import Path; from spheremouse.files.safe_files import write_atomically as w; print('one'); "
     code += "w(Path('/dev/fd/1'), 'two\\n'); print('three')"
     with out.open("w") as file:
         subprocess.run([sys.executable, "-c", code], stdout=file, check=True, timeout=60)
@@ -313,21 +313,21 @@ def test_the_path_of_a_stream_is_the_stream_and_never_replaced(root):
 def test_a_folder_may_be_changed_by_its_group_and_by_the_owner_of_a_link_to_it(root, own, nobody, no_sudo):
     place = root / "place"
     place.mkdir()
-    assert not safe_open.others_may_change(place)
+    assert not safe_files.others_may_change(place)
     os.chown(place, 0, nobody.pw_gid)
     place.chmod(0o775)
-    assert safe_open.others_may_change(place)
+    assert safe_files.others_may_change(place)
     place.chmod(0o1775)  # with the sticky bit nobody moves what is another's
-    assert not safe_open.others_may_change(place)
+    assert not safe_files.others_may_change(place)
     place.chmod(0o755)
     theirs = root / "theirs"
     theirs.mkdir()
     (theirs / "link").symlink_to(place)
     (root / "first").symlink_to(theirs / "link")
-    assert not safe_open.others_may_change(root / "first")
+    assert not safe_files.others_may_change(root / "first")
     own(theirs)
-    assert safe_open.others_may_change(theirs / "link")
-    assert safe_open.others_may_change(root / "first")  # by a link of root's to a link of another's
+    assert safe_files.others_may_change(theirs / "link")
+    assert safe_files.others_may_change(root / "first")  # by a link of root's to a link of another's
 
 
 def test_a_board_that_is_none_does_not_steer_roots_terminal(tmp_path):

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from spheremouse.errors import CalibrationError, ConfigurationError, printable
-from spheremouse.files.atomic import write_atomically
+from spheremouse.files.safe_files import write_atomically
 from spheremouse.files.yaml import Problem, read_document, refuse_control_characters
 
 NAME = "board.yaml"

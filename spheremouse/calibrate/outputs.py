@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from spheremouse.errors import CalibrationError
-from spheremouse.files.safe_open import open_to_read
+from spheremouse.files.safe_files import open_to_read
 
 
 def check_outputs(outputs: Sequence[Path | None], inputs: Iterable[Path | None], force: bool) -> None:

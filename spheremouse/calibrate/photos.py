@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from spheremouse.calibrate.outputs import note
 from spheremouse.errors import CalibrationError
 from spheremouse.files.pictures import MOST_BYTES, PHOTO_PIXELS, Header, Size, decoded, px, read_header
-from spheremouse.files.safe_open import read_bytes
+from spheremouse.files.safe_files import read_bytes
 from spheremouse.geometry.camera import InteriorOrientation
 
 ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")

@@ -64,7 +64,7 @@ def init(
 ) -> None:
     """Write a configuration file with the settings of daily use, each with meaning, unit, bounds and default."""
     from spheremouse.files import config
-    from spheremouse.files.atomic import write_atomically
+    from spheremouse.files.safe_files import write_atomically
 
     try:
         if file.is_dir():

@@ -50,7 +50,7 @@ def layout(
     """
     from spheremouse.calibrate.layout.choose import DISC_RADIUS, RADIUS, assess, choose_directions
     from spheremouse.calibrate.layout.guide import on_the_tape, write_guide
-    from spheremouse.files.atomic import write_atomically
+    from spheremouse.files.safe_files import write_atomically
 
     angle = math.radians(_within("--view-angle", view_angle, 20.0, 89.0))
     for name, value in (("--radius", radius), ("--disc-radius", disc_radius)):
@@ -115,7 +115,7 @@ def _figures(found: "Assessment", radius: float) -> dict[str, Any]:
 def _refuse_to_replace(folder: Path, text: str, force: bool) -> None:
     """Refuse to replace another guide without `force`: a person may be working by it."""
     from spheremouse.files import plain_json
-    from spheremouse.files.safe_open import read_text
+    from spheremouse.files.safe_files import read_text
     from spheremouse.files.yaml import MAX_BYTES
 
     old = folder / "layout.json"
@@ -142,7 +142,7 @@ def _within(name: str, value: float, low: float, high: float) -> float:
 
 def _check(path: Path, angle: float, radius: float | None, disc_radius: float | None, json_file: Path | None) -> None:
     from spheremouse.calibrate.layout.choose import DISC_RADIUS, RADIUS, assess
-    from spheremouse.files.atomic import write_json
+    from spheremouse.files.safe_files import write_json
 
     directions, file_radius, file_disc = read_layout(path)
     ball, disc = radius or file_radius or RADIUS, disc_radius or file_disc or DISC_RADIUS

@@ -54,7 +54,7 @@ def match(
     Exit codes: 0 the two agree, 1 they do not or the ball did not move enough, 2 unusable input.
     """
     from spheremouse.evaluate.trackball_verdict import judge, settings_of
-    from spheremouse.files.atomic import write_atomically, write_json
+    from spheremouse.files.safe_files import write_atomically, write_json
 
     _check_outputs(out, force, json_file)
     plan = _plan(recording, [*(assignments or ()), *([f"tracker={tracker}"] if tracker else ())], config, rig, camera)

@@ -11,8 +11,8 @@ import numpy as np
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.evaluate.metrics import attitude_error
-from spheremouse.files.atomic import write
 from spheremouse.files.report.style import BLUE, GREEN, INK, MUTED, RED, styled
+from spheremouse.files.safe_files import write
 from spheremouse.geometry.rotation import Array, log
 
 if TYPE_CHECKING:

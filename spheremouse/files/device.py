@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 from spheremouse.ball.device import Axes, Device, Distance
 from spheremouse.ball.rig import CODES
 from spheremouse.files.rig.models import Code
-from spheremouse.files.safe_open import read_bytes
+from spheremouse.files.safe_files import read_bytes
 from spheremouse.files.validate import validated
 from spheremouse.files.yaml import MAX_BYTES, SCHEMAS, Document, Problem, read_document, without_schema
 

@@ -20,7 +20,7 @@ from spheremouse.ball.detect.projection import GREY, NEGATIVE, Projection, norma
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import MOST_DISCS, Rig
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.atomic import write_atomically
+from spheremouse.files.safe_files import write_atomically
 from spheremouse.files.validate import validated
 from spheremouse.files.yaml import SCHEMAS, Document, Problem, read_document, shown, without_schema
 from spheremouse.geometry.rotation import Array

@@ -13,7 +13,7 @@ from ruamel.yaml.nodes import MappingNode, ScalarNode
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
-from spheremouse.files.atomic import replace
+from spheremouse.files.safe_files import replace
 from spheremouse.files.yaml import SCHEMAS, Key, parse_document
 
 

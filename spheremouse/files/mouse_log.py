@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.errors import DatasetError
-from spheremouse.files.atomic import NewFile
+from spheremouse.files.safe_files import NewFile
 from spheremouse.files.tables import read_columns
 from spheremouse.geometry.rotation import Array
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from spheremouse.errors import DatasetError
-from spheremouse.files.safe_open import lines, open_to_read
+from spheremouse.files.safe_files import lines, open_to_read
 from spheremouse.geometry.rotation import Array
 
 MOST_NUMBERS = 50_000_000  # in all columns that are read

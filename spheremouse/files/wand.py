@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from spheremouse.files.atomic import write_atomically
+from spheremouse.files.safe_files import write_atomically
 from spheremouse.files.validate import read_checked
 from spheremouse.files.yaml import SCHEMAS, Document, Problem
 from spheremouse.geometry.rotation import Array, align, log

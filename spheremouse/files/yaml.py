@@ -17,7 +17,7 @@ from ruamel.yaml.nodes import MappingNode, Node, ScalarNode
 
 from spheremouse.errors import ConfigurationError, has_control_characters, one_line
 from spheremouse.files.plain_json import MAX_DEPTH
-from spheremouse.files.safe_open import read_bytes
+from spheremouse.files.safe_files import read_bytes
 
 # The schema of each kind of file that this program reads and writes. No older schema was ever released.
 SCHEMAS = {"map": 1, "rig": 1, "device": 1, "wand": 1, "configuration": 2}

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Self, TextIO
 
 from spheremouse.errors import OutputError
-from spheremouse.files.safe_open import is_stream, open_to_append
+from spheremouse.files.safe_files import is_stream, open_to_append
 from spheremouse.output import OutputClosed, Report
 
 NAMES = "# stamp dx dy dz rx ry rz wx wy wz"

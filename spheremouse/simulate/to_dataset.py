@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from spheremouse.errors import DatasetError
-from spheremouse.files.atomic import NewFolder
 from spheremouse.files.dataset.pictures import PictureWriter
 from spheremouse.files.dataset.wand import WAND_COLUMNS, columns_of, wand_scene
 from spheremouse.files.dataset.write import (
@@ -16,6 +15,7 @@ from spheremouse.files.dataset.write import (
     refuse_to_overwrite,
     write_scene,
 )
+from spheremouse.files.safe_files import NewFolder
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import Change, Simulation, simulate
 from spheremouse.simulate.wand.film import WandFilm, simulate_wand

@@ -19,7 +19,7 @@ from spheremouse.capture import open_source
 from spheremouse.commands.options import parse_size
 from spheremouse.commands.wand.picture import read_picture
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
-from spheremouse.files import pictures, plain_json, safe_open, tables, validate
+from spheremouse.files import pictures, plain_json, safe_files, tables, validate
 from spheremouse.files import yaml as yaml_file
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.wand import is_wand
@@ -254,7 +254,7 @@ def readers(path):
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no fifos here")
 @pytest.mark.parametrize("kind", list(readers(Path())))
 def test_a_fifo_that_nobody_writes_to_is_not_waited_for(tmp_path, monkeypatch, kind):
-    monkeypatch.setattr(safe_open, "PIPE_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(safe_files, "PIPE_TIMEOUT_S", 0.2)
     path = tmp_path / "pipe"
     os.mkfifo(path)
     ended = threading.Event()

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from spheremouse.ball.settings import Settings
 from spheremouse.commands import config as cli_config
 from spheremouse.errors import ConfigurationError
-from spheremouse.files import atomic, config
+from spheremouse.files import config, safe_files
 from spheremouse.files import yaml as yaml_file
 from spheremouse.session.config_check import Found
 from spheremouse.session.settings import Configuration
@@ -378,17 +378,17 @@ def test_no_text_gets_past_as_anything_but_settings_or_a_configuration_error(tex
 
 def test_writing_replaces_the_whole_file_or_nothing(tmp_path):
     path = tmp_path / "a.yaml"
-    atomic.write_atomically(path, "one")
+    safe_files.write_atomically(path, "one")
     path.chmod(0o640)
-    atomic.write_atomically(path, "two")
+    safe_files.write_atomically(path, "two")
     assert path.read_text() == "two"
     assert path.stat().st_mode & 0o777 == 0o640
     with pytest.raises(UnicodeEncodeError):  # stands for anything that goes wrong half-way
-        atomic.write_atomically(path, "three\ud800")
+        safe_files.write_atomically(path, "three\ud800")
     assert path.read_text() == "two"
     assert os.listdir(tmp_path) == ["a.yaml"]
     with pytest.raises(ConfigurationError, match="cannot be written"):
-        atomic.write_atomically(tmp_path / "no" / "a.yaml", "x")
+        safe_files.write_atomically(tmp_path / "no" / "a.yaml", "x")
 
 
 # ---- the program's own settings ----

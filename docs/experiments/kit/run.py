@@ -18,8 +18,7 @@ from typing import Any
 import spheremouse
 from experiments.kit.job import Job, Result
 from spheremouse.files import plain_json
-from spheremouse.files.atomic import write_atomically
-from spheremouse.files.safe_open import read_text
+from spheremouse.files.safe_files import read_text, write_atomically
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _MOST_BYTES = 100_000_000  # of a job's result

@@ -16,7 +16,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from experiments.kit.job import Result, Results
 from experiments.report.plot import Drawing, save
 from spheremouse import __version__
-from spheremouse.files.atomic import write_atomically, write_json
+from spheremouse.files.safe_files import write_atomically, write_json
 
 MISSING = "–"
 _NOT_SHOWN = "**Not borne out by this run:** "

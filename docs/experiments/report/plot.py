@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spheremouse.files.atomic import write_atomically
 from spheremouse.files.report.style import styled
+from spheremouse.files.safe_files import write_atomically
 
 BOUND, THESIS = {"linestyle": ":", "linewidth": 1.2}, {"linestyle": "--", "linewidth": 1.0}  # how these are drawn
 _OVER = {

@@ -13,7 +13,7 @@ from spheremouse.calibrate.board import options_from_provenance
 from spheremouse.calibrate.photos import Photo, check_size, read_photos
 from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.files.rig import load_camera, load_rig
-from spheremouse.files.safe_open import read_bytes
+from spheremouse.files.safe_files import read_bytes
 from spheremouse.files.yaml import read_document, without_schema
 
 BOARD, DEVICE = "board", "device"  # folders of photos

@@ -12,8 +12,8 @@ import numpy as np
 from spheremouse.calibrate.layout.choose import TRIAL_HIDDEN, TRIAL_SIGMA, Assessment, misplaced, recognition
 from spheremouse.calibrate.layout.drawing import drawing, drawn_radius, sketch
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.atomic import write_atomically
 from spheremouse.files.report.page import page, rendered
+from spheremouse.files.safe_files import write_atomically
 from spheremouse.geometry.rotation import Array
 
 _SHOWN_ERROR = np.radians(5.0)  # of discs placed by eye

@@ -27,8 +27,8 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.calibrate.photographing.selector import FrameCheck, Selector
 from spheremouse.calibrate.photos import has_photos, image, read_photos
 from spheremouse.errors import CalibrationError, SpheremouseError
-from spheremouse.files.atomic import replace
 from spheremouse.files.pictures import Size, px
+from spheremouse.files.safe_files import replace
 from spheremouse.tracker import Frame
 
 TAKEN, ENOUGH = (880.0,), (660.0, 880.0, 1100.0)  # Hz

@@ -14,9 +14,9 @@ from spheremouse.calibrate.camera.calibrate import Calibrated, false_views
 from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, listed, missing_leans, missing_regions
 from spheremouse.calibrate.photos import image
 from spheremouse.calibrate.report.scene import View, draw_axes, draw_camera, new_figure, scene_axes
-from spheremouse.files.atomic import write_atomically
 from spheremouse.files.report import page
 from spheremouse.files.report.style import BLUE, GOLD, GRID, INK, MUTED, PAPER, RED, round_number, styled
+from spheremouse.files.safe_files import write_atomically
 from spheremouse.geometry.camera import Pose, interior_vector
 from spheremouse.geometry.rotation import Array
 

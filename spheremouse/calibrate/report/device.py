@@ -30,9 +30,9 @@ from spheremouse.calibrate.report.scene import (
     new_figure,
     scene_axes,
 )
-from spheremouse.files.atomic import write_atomically
 from spheremouse.files.report import page
 from spheremouse.files.report.style import BLUE, GOLD, INK, MUTED, round_number, styled
+from spheremouse.files.safe_files import write_atomically
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import Array
 

@@ -47,7 +47,7 @@ def bench(
     from spheremouse.commands.bench import measure as benchmark
     from spheremouse.commands.bench.figures import report
     from spheremouse.commands.bench.table import notes, table
-    from spheremouse.files.atomic import write_atomically
+    from spheremouse.files.safe_files import write_atomically
 
     if json_file is not None and not json_file.parent.is_dir():
         raise ConfigurationError(f"--json: {json_file.parent}: no such folder")

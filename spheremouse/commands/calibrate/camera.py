@@ -9,7 +9,7 @@ from spheremouse.calibrate.outputs import check_outputs, copyable, note
 from spheremouse.commands.calibrate.options import Force, Json, Report
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
-from spheremouse.files.atomic import write_json
+from spheremouse.files.safe_files import write_json
 
 EXAMPLE = "Example: spheremouse calibrate camera board/ --board 11x8 --square 86mm --out camera.yaml"
 _TERMS = (0, 2, 4, 5)

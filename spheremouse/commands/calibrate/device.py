@@ -12,7 +12,7 @@ from spheremouse.calibrate.outputs import check_outputs, copyable, note, sha256
 from spheremouse.commands.calibrate.options import Force, Json, Report
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
-from spheremouse.files.atomic import write_json
+from spheremouse.files.safe_files import write_json
 
 if TYPE_CHECKING:
     from spheremouse.ball.device import Device

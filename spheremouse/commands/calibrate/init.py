@@ -20,8 +20,8 @@ def init(
 ) -> None:
     """Make a folder with room for photos, and device.yaml to fill in."""
     from spheremouse.calibrate.guide.suggested import default_folder, next_command
-    from spheremouse.files.atomic import write_atomically
     from spheremouse.files.device import device_template
+    from spheremouse.files.safe_files import write_atomically
 
     folder = default_folder() if folder is None else folder
     for place in (folder / "board", folder / "device"):

@@ -35,7 +35,7 @@ def next_(
     """
     from spheremouse.calibrate.guide.checklist import checklist
     from spheremouse.calibrate.guide.suggested import default_folder
-    from spheremouse.files.atomic import write_atomically
+    from spheremouse.files.safe_files import write_atomically
 
     if json_file is not None and json_file != Path("-") and not json_file.parent.is_dir():
         raise ConfigurationError(f"--json: {json_file.parent}: no such folder")

@@ -9,8 +9,7 @@ import typer
 
 from spheremouse.calibrate.board import parse_board, parse_length
 from spheremouse.errors import CalibrationError
-from spheremouse.files.atomic import replace
-from spheremouse.files.safe_open import read_bytes
+from spheremouse.files.safe_files import read_bytes, replace
 
 EXAMPLE = "Example: spheremouse calibrate print --paper letter --only boards --square 20mm"
 

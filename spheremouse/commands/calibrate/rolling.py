@@ -11,7 +11,7 @@ import typer
 from spheremouse.calibrate.outputs import check_outputs
 from spheremouse.commands.calibrate.options import Force, Json
 from spheremouse.errors import CalibrationError, ConfigurationError
-from spheremouse.files.atomic import write_json
+from spheremouse.files.safe_files import write_json
 
 if TYPE_CHECKING:
     from spheremouse.ball.rig import Rig

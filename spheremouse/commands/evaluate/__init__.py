@@ -47,8 +47,8 @@ def evaluate(
     from spheremouse.commands.evaluate.ball import BallEvaluation, evaluate_balls
     from spheremouse.commands.evaluate.wand import WandEvaluation, evaluate_wands
     from spheremouse.evaluate.table import wand_table
-    from spheremouse.files.atomic import write_json
     from spheremouse.files.dataset.wand import is_wand
+    from spheremouse.files.safe_files import write_json
 
     out, err = table_console(stderr=json_file == Path("-")), table_console(stderr=True)
     if tracker == "wand" or (tracker is None and all(is_wand(path) for path in datasets)):

@@ -11,7 +11,7 @@ import typer
 from spheremouse.calibrate.outputs import check_outputs
 from spheremouse.commands.calibrate.options import Force, Json
 from spheremouse.errors import ConfigurationError, OutputError
-from spheremouse.files.atomic import write_json
+from spheremouse.files.safe_files import write_json
 
 app = typer.Typer(no_args_is_help=True, help="The board that is the mouse: install, check, simulate.")
 

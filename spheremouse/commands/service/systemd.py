@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Literal
 
 from spheremouse.errors import ConfigurationError, ServiceError, printable
-from spheremouse.files.atomic import replace
-from spheremouse.files.safe_open import open_to_read, others_may_change
+from spheremouse.files.safe_files import open_to_read, others_may_change, replace
 from spheremouse.files.service import service_files
 
 UNIT = "spheremouse.service"

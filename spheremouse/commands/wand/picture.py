@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.atomic import replace
 from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.files.pictures import FRAME_PIXELS, MOST_BYTES, decoded, read_header
-from spheremouse.files.safe_open import read_bytes
+from spheremouse.files.safe_files import read_bytes, replace
 
 
 def read_picture(path: Path) -> NDArray[np.uint8]:

@@ -14,7 +14,7 @@ from spheremouse.errors import DatasetError, has_control_characters
 from spheremouse.files import plain_json
 from spheremouse.files.pictures import FRAME_PIXELS, decoded, film_images, film_size, open_film, px, read_header
 from spheremouse.files.pictures import MOST_BYTES as PICTURE_BYTES
-from spheremouse.files.safe_open import read_bytes, read_text
+from spheremouse.files.safe_files import read_bytes, read_text
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 

@@ -14,9 +14,9 @@ import numpy as np
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import DiscTruth
 from spheremouse.errors import DatasetError
-from spheremouse.files.atomic import NewFolder
 from spheremouse.files.dataset.format import DISC_COLUMNS, FILES, STAMP_COLUMNS, TRUTH_COLUMNS, camera_description
 from spheremouse.files.dataset.pictures import FAST, PictureWriter
+from spheremouse.files.safe_files import NewFolder
 from spheremouse.geometry.rotation import Array, to_euler
 from spheremouse.tracker import Frame
 

@@ -14,9 +14,9 @@ import numpy as np
 from ruamel.yaml import YAML
 
 from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
-from spheremouse.files.atomic import write_atomically
 from spheremouse.files.rig.checks import camera_problems, rig_problems
 from spheremouse.files.rig.models import CameraFile, CameraPart, RigFile, Vector3, matrix, of_each, targets_covariance
+from spheremouse.files.safe_files import write_atomically
 from spheremouse.files.validate import read_checked
 from spheremouse.files.yaml import SCHEMAS
 from spheremouse.geometry.camera import InteriorOrientation, Pose, pose_from_matrix

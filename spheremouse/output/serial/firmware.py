@@ -13,7 +13,7 @@ from pathlib import Path
 from types import ModuleType
 
 from spheremouse.errors import OutputError, printable
-from spheremouse.files.atomic import replace
+from spheremouse.files.safe_files import replace
 from spheremouse.files.service import service_files
 
 PICO = "firmware/pico"  # in `service/`

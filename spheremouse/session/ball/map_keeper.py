@@ -20,9 +20,8 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import TrackState, disc_map
 from spheremouse.errors import ConfigurationError, SpheremouseError
-from spheremouse.files.atomic import clear_left, replace
 from spheremouse.files.disc_map import SavedMap, age, check_fits, load_map, old_path, save_map, saved_now
-from spheremouse.files.safe_open import open_to_read
+from spheremouse.files.safe_files import clear_left, open_to_read, replace
 from spheremouse.geometry.rotation import Array
 
 EVERY = 60.0  # s between two looks whether the map has changed: what a power cut may cost

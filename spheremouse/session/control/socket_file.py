@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from spheremouse.errors import ControlError
-from spheremouse.files.safe_open import others_may_change
+from spheremouse.files.safe_files import others_may_change
 
 _MAX_PATH_BYTES = 107 if sys.platform == "linux" else 103  # the kernel's limit
 _BACKLOG = 64  # connections that wait to be accepted

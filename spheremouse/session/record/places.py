@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from spheremouse.errors import DatasetError, SpheremouseError
-from spheremouse.files.atomic import clear_left, clear_left_folders
+from spheremouse.files.safe_files import clear_left, clear_left_folders
 from spheremouse.session.settings.record import RecordSettings
 
 try:

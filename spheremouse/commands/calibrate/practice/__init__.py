@@ -14,7 +14,7 @@ import typer
 from spheremouse.commands.options import with_fields
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
-from spheremouse.files.atomic import NewFolder
+from spheremouse.files.safe_files import NewFolder
 from spheremouse.simulate.ball.options import StillsOptions
 
 EXAMPLE = "Example: spheremouse calibrate practice trial --photos 8 --seed 1"

@@ -9,8 +9,8 @@ import time
 import pytest
 
 from spheremouse.ball.warm import _RIG
-from spheremouse.files import atomic
-from spheremouse.files.atomic import NewFolder, clear_left_folders, write_atomically
+from spheremouse.files import safe_files
+from spheremouse.files.safe_files import NewFolder, clear_left_folders, write_atomically
 from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.record.places import tidy
 
@@ -18,13 +18,13 @@ posix = pytest.mark.skipif(os.name != "posix", reason="modes and links are other
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from spheremouse.files.atomic import write_atomically
+from spheremouse.files.safe_files import write_atomically
 os.fsync = lambda _: os.kill(os.getpid(), signal.SIGKILL)
 write_atomically(Path(sys.argv[1]), "half")
 """
 
 
-def aged(path, seconds=2 * atomic.OLD):
+def aged(path, seconds=2 * safe_files.OLD):
     """As if nobody had touched it for so long."""
     then = time.time() - seconds
     os.utime(path, (then, then), follow_symlinks=False)
@@ -37,10 +37,10 @@ def test_a_new_file_has_the_mode_of_the_umask_and_an_old_one_keeps_its_own(tmp_p
     try:
         for mode, expected in ((None, 0o640), (0o604, 0o604)):
             path = tmp_path / str(mode)
-            atomic.replace(path, b"one", mode)
+            safe_files.replace(path, b"one", mode)
             assert path.stat().st_mode & 0o777 == expected
             path.chmod(0o600)
-            atomic.replace(path, b"two")
+            safe_files.replace(path, b"two")
             assert path.stat().st_mode & 0o777 == 0o600
     finally:
         os.umask(before)
@@ -52,7 +52,7 @@ def test_a_link_is_replaced_and_what_it_led_to_stays(tmp_path):
     (tmp_path / "link").symlink_to("aim")
     os.link(tmp_path / "aim", tmp_path / "second")
     for name in ("link", "second"):
-        atomic.replace(tmp_path / name, b"new")
+        safe_files.replace(tmp_path / name, b"new")
         assert not (tmp_path / name).is_symlink()
         assert (tmp_path / name).read_text() == "new"
     assert (tmp_path / "aim").read_text() == "aim"
@@ -60,7 +60,7 @@ def test_a_link_is_replaced_and_what_it_led_to_stays(tmp_path):
 
 def test_a_file_that_is_given_up_leaves_nothing(tmp_path):
     def give_up():
-        with atomic.NewFile(tmp_path / "x") as new:
+        with safe_files.NewFile(tmp_path / "x") as new:
             new.file.write(b"half")
             assert len(list(tmp_path.iterdir())) == 1
             raise ZeroDivisionError
@@ -86,10 +86,10 @@ def left(tmp_path):
 
 @posix
 def test_what_a_killed_writer_left_is_removed_once_it_is_old(left):
-    assert atomic.clear_left(left.parent) == 0
+    assert safe_files.clear_left(left.parent) == 0
     assert left.exists()
     aged(left)
-    assert atomic.clear_left(left.parent) == 1
+    assert safe_files.clear_left(left.parent) == 1
     assert not left.exists()
 
 
@@ -121,12 +121,12 @@ def test_what_is_not_ours_or_is_being_written_stays(tmp_path):
         kept.append(tmp_path / ".x.abcdefg3.new")
         kept[-1].write_text("")
         os.chown(kept[-1], 65534, 65534)
-    with atomic.NewFile(tmp_path / "y") as new:
+    with safe_files.NewFile(tmp_path / "y") as new:
         new.file.write(b"whole")
         new.file.flush()
         for path in tmp_path.iterdir():
             aged(path)
-        assert atomic.clear_left(tmp_path) == 0
+        assert safe_files.clear_left(tmp_path) == 0
     assert (tmp_path / "y").read_text() == "whole"
     assert {*kept, tmp_path / "y", tmp_path / "second"} == set(tmp_path.iterdir())
 
@@ -141,7 +141,7 @@ def test_empty_folders_of_killed_recordings_are_removed_once_they_are_old(tmp_pa
     (full / "video.mkv").write_text("")
     (tmp_path / ".r.abcdefg9").symlink_to(full)
     for path in tmp_path.iterdir():
-        aged(path, 0 if path == young else 2 * atomic.OLD)
+        aged(path, 0 if path == young else 2 * safe_files.OLD)
     assert tidy(tmp_path) == 1
     assert {young, full, *others, tmp_path / ".r.abcdefg9"} == set(tmp_path.iterdir())
     assert clear_left_folders(tmp_path / "nowhere") == 0
