@@ -81,7 +81,7 @@ def filmed(options: SimulationOptions) -> Told:
     rig = simulation.scene.rig()
     start = initialise((made.frame for made in simulate(simulation)), rig, settings)
     tracker = build(rig, start.pose, settings)
-    epochs = [(e.motion, e.state.status is Status.TRACKING) for e in track(start.frames, tracker, None)]
+    epochs = [(e.estimate, e.state.status is Status.TRACKING) for e in track(start.frames, tracker, None)]
     stamp = np.array([m.stamp for m, _ in epochs])
     clock = np.arange(stamp[0], stamp[-1], 1e-3)
     matrix = MotionSettings().matrix(rig.radius_m)

@@ -198,7 +198,7 @@ def measure(tracker: Tracker, truths: list[Truth], said: list[Said]) -> dict[str
     rate = np.linalg.norm([s.rate - t.rate for s, t in zip(said, truths, strict=True)], axis=1)
     true = np.array([np.zeros(3), *(true_counts(tracker, a, b) for a, b in pairwise(truths))])
     counter = Counter(matrix(tracker))
-    sent = np.array([counter.report(s.motion).counts for s in said], dtype=float)
+    sent = np.array([counter.report(s.estimate).counts for s in said], dtype=float)
     resting = at_rest(truths)
     blind, to_the_end = longest_blind(truths, good)
     kept = np.flatnonzero(tracking & np.isfinite(off))
@@ -269,7 +269,7 @@ def largest_jump(true: Array, sent: Array, said: list[Said]) -> float:
     largest, owed = 0.0, np.zeros(3)
     for earned, counts, s in zip(true, sent, said, strict=True):
         owed = owed + earned
-        if np.any(s.motion.rotation):
+        if np.any(s.estimate.increment):
             largest = max(largest, min(float(np.linalg.norm(counts - e)) for e in (earned, owed)))
             owed = np.zeros(3)
     return largest

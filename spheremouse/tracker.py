@@ -1,7 +1,9 @@
-"""The contract of a tracker: pictures with their times in, motion with its covariance and events out."""
+"""The contract of a tracker: `Frame` in, `Step` out: the next state, an estimate with its covariance, and events."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from types import MappingProxyType
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -12,11 +14,12 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 
 S = TypeVar("S")
+NO_STATISTICS: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A picture and when it was taken."""
+    """An image and the time of its exposure."""
 
     image: NDArray[np.uint8]  # (h, w, 3) BGR or (h, w) grey
     stamp: float  # s, mid-exposure of the middle row, on the source's own clock
@@ -24,7 +27,7 @@ class Frame:
 
 
 def check_size(frame: Frame, camera: InteriorOrientation) -> None:
-    """Raise SourceError where a frame has another size than the camera was calibrated for."""
+    """Raise SourceError if a frame has another size than the calibration of the camera."""
     height, width = frame.image.shape[:2]
     if (width, height) != (camera.width, camera.height):
         raise SourceError(
@@ -33,42 +36,50 @@ def check_size(frame: Frame, camera: InteriorOrientation) -> None:
         )
 
 
-class Motion(NamedTuple):
-    """What a frame adds, in the tracker's still axes: `obj` of the ball in its frame, `cam` of one in a hand.
-
-    It counts from the last motion that was confirmed. Where a ball that was lost is found again it counts from there,
-    rotation and shift are zero without an error: what the ball did unseen is in no motion.
-    """
-
-    stamp: float  # s
-    rotation: Array  # (3,) rad, rotation vector since then
-    shift: Array  # (3,) m; zero for the ball in its frame
-    rate: Array  # (6,) rad/s and m/s
-    covariance: Array  # (12, 12) of rotation, shift, rate
-    confirmed: bool  # this picture bears it out: the rate may be carried on
-
-
-def no_motion(stamp: float) -> Motion:
-    """Nothing that a picture bears out."""
-    return Motion(stamp, np.zeros(3), np.zeros(3), np.zeros(6), np.zeros((12, 12)), confirmed=False)
-
-
 class Status(StrEnum):
-    """What a tracker knows of its ball."""
+    """Phase of tracking."""
 
     SEARCHING = "searching"  # not seen yet
     TRACKING = "tracking"
     LOST = "lost"
 
 
+class Estimate(NamedTuple):
+    """State of the tracked body at one frame, in the tracker's still axes: `obj` of the ball in its frame, else `cam`.
+
+    The increment counts from the last confirmed estimate. It is zero, without an error, if this frame is not confirmed,
+    and when a lost ball is found: motion that no frame shows is in no increment.
+    """
+
+    stamp: float  # s, mid-exposure
+    sequence: int  # frames since the tracker began
+    status: Status
+    rotation: Array  # (3, 3) R_obj_ball or R_cam_ball
+    position: Array  # (3,) m; zero for the ball in its frame
+    rate: Array  # (6,) rad/s and m/s
+    covariance: Array  # (12, 12) of the rotation error e, exp(e) @ rotation, of position and of rate
+    increment: Array  # (6,) rotation vector, rad, and shift, m, since the last confirmed estimate
+    increment_covariance: Array  # (6, 6)
+    confirmed: bool  # this frame supports it; otherwise it is a prediction
+    statistics: Mapping[str, float] = NO_STATISTICS  # of the frame; `ball.state.statistics` lists those of the ball
+
+
+def unknown(stamp: float, sequence: int = 0, status: Status = Status.SEARCHING) -> Estimate:
+    """Return an estimate of a body of which no frame has shown anything."""
+    zero, covariance = np.zeros(6), np.zeros((12, 12))
+    return Estimate(
+        stamp, sequence, status, np.eye(3), zero[:3], zero, covariance, zero, covariance[:6, :6], confirmed=False
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Event:
-    """What has changed with a frame, as data; `session.messages` has the words."""
+    """A change with a frame, as data; `session.messages` has the words."""
 
 
 class Step(NamedTuple, Generic[S]):
-    """What a tracker makes of a frame."""
+    """Result of one frame."""
 
     state: S
-    motion: Motion
+    estimate: Estimate
     events: tuple[Event, ...] = ()

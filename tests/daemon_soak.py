@@ -170,14 +170,14 @@ class Cabinet(World):
     def tracked_frame(self, made: Any, _: Any) -> None:
         """In the worker's thread."""
         assert self.daemon is not None
-        motion, counts, state = made.epoch.motion, made.report.counts, self.daemon._monitor.state
+        estimate, counts, state = made.epoch.estimate, made.report.counts, self.daemon._monitor.state
         self.tracked += 1
         self.given += counts
-        self._state_of[motion.stamp] = str(state)
+        self._state_of[estimate.stamp] = str(state)
         while len(self._state_of) > 500:
             self._state_of.popitem(last=False)
         with self._lock:
-            spell, place, judged = self._spell_of[motion.stamp]
+            spell, place, judged = self._spell_of[estimate.stamp]
         if not judged or made.epoch.state.status != "tracking":
             if judged:
                 self.fail(f"{made.epoch.state.status} in an ordinary spell: {made.epoch.events}")
@@ -213,7 +213,7 @@ class Cabinet(World):
         self.total += report.counts
         self.reports += 1
         for _ in range(1000):  # a frame is given before it is shown
-            state = self._state_of.get(report.motion.stamp)
+            state = self._state_of.get(report.estimate.stamp)
             if state is not None:
                 break
             time.sleep(0.001)

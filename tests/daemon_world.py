@@ -227,7 +227,7 @@ class World:
 
         def show(made: Any, _: Any) -> None:
             assert self.daemon is not None
-            self.states[made.report.motion.stamp] = self.daemon.status()["state"]
+            self.states[made.report.estimate.stamp] = self.daemon.status()["state"]
             self.frames.append(made.report.counts)
 
         self.daemon = Daemon(
@@ -313,7 +313,7 @@ class World:
         """Nothing moved in any state but tracking; what frames gave was sent, or was counted as unsent."""
         assert self.daemon is not None
         for sent in self.sent:
-            state = self.states.get(sent.motion.stamp)
+            state = self.states.get(sent.estimate.stamp)
             assert state in (None, "tracking") or not any(sent.counts), f"{sent.counts} while {state}"
             assert state is not None or self.carried or not any(sent.counts), "a report that belongs to no frame"
         report = self.daemon._outputs.pointer.status()

@@ -54,7 +54,7 @@ class Sink:
 
     def send(self, report):
         now = time.monotonic()
-        gave = self.given.pop(report.motion.stamp, None)
+        gave = self.given.pop(report.estimate.stamp, None)
         self.times.append(now)
         self.frames.append(gave is not None)
         if gave is not None:
@@ -131,8 +131,8 @@ def measure(camera: Callable[[Give, float], None], rate: float, seconds: float) 
     reporter = OutputThread(lambda: sink, PointerSettings(rate=rate), lambda text: print(text, file=sys.stderr))
 
     def give(report: Report) -> None:
-        sink.given[report.motion.stamp] = time.monotonic()
-        reporter.submit(report, report.motion.stamp)
+        sink.given[report.estimate.stamp] = time.monotonic()
+        reporter.submit(report, report.estimate.stamp)
 
     thread = threading.Thread(target=camera, args=(give, time.monotonic() + seconds))
     clock = time.pthread_getcpuclockid(reporter._thread.ident)

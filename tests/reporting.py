@@ -6,7 +6,7 @@ import numpy as np
 
 from spheremouse.output import Report
 from spheremouse.output.counts import Counter, MotionSettings
-from spheremouse.tracker import Motion
+from spheremouse.tracker import unknown
 
 PATIENCE = 20.0  # s, for what takes milliseconds
 
@@ -24,8 +24,9 @@ def report(
 ):
     """One of counts x, y, z, which a ball's rotation (3,) rad and rate (3,) rad/s may go with."""
     turning = np.array([*rate, 0.0, 0.0, 0.0], dtype=float)
-    motion = Motion(stamp, np.array(rotation, dtype=float), np.zeros(3), turning, np.zeros((12, 12)), confirmed)
-    return Report((x, y, z), counts_rate, motion)
+    increment = np.array([*rotation, 0.0, 0.0, 0.0], dtype=float)
+    estimate = unknown(stamp)._replace(increment=increment, rate=turning, confirmed=confirmed)
+    return Report((x, y, z), counts_rate, estimate)
 
 
 def counts_of(motions, rig, settings=MotionSettings()):  # noqa: B008  frozen

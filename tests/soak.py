@@ -298,10 +298,18 @@ class Judge:
 
     def look(self, frame: int, fault: str | None, stamp: float, made: Step[TrackState]) -> None:
         """One frame that was tracked, or at least looked at."""
-        state, motion, events = made
-        counts = self.pointer.report(motion).counts
+        state, estimate, events = made
+        counts = self.pointer.report(estimate).counts
         f: Any = state.filter
-        numbers = (f.attitude, f.rate, f.covariance, f.discs, motion.rotation, motion.rate, motion.covariance)
+        numbers = (
+            f.attitude,
+            f.rate,
+            f.covariance,
+            f.discs,
+            estimate.increment[:3],
+            estimate.rate,
+            estimate.covariance,
+        )
         if not all(np.all(np.isfinite(n)) for n in numbers) or (
             isinstance(f, So3State) and not np.all(np.isfinite(f.joint))
         ):
@@ -310,9 +318,9 @@ class Judge:
             self.fail(frame, "the attitude is no rotation")
         if np.diag(f.covariance).min() < 0.0:
             self.fail(frame, "a negative variance")
-        if state.status is not Status.TRACKING and (any(counts) or np.any(motion.rotation)):
+        if state.status is not Status.TRACKING and (any(counts) or np.any(estimate.increment[:3])):
             self.fail(frame, f"motion {counts} while {state.status}")
-        self.exact += self.pointer.matrix @ motion.rotation
+        self.exact += self.pointer.matrix @ estimate.increment[:3]
         self.counts += counts
         sent = self.exact - self.pointer.matrix @ self.pointer.withheld
         if np.abs(sent - self.counts).max() > 1.0 + 1e-6:

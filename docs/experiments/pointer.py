@@ -22,7 +22,7 @@ from spheremouse.output.counts import Counter, MotionSettings, Remainder, to_cou
 from spheremouse.output.pointer import PointerSettings, Resampler, due, take
 from spheremouse.simulate.ball.film import Renderer, RenderOptions
 from spheremouse.simulate.ball.profile import Gestures, Profile, play, stroke
-from spheremouse.tracker import Frame, Motion
+from spheremouse.tracker import Estimate, Frame
 
 NONE, ZERO, ONE, DEFAULT, NEXT = "without", "horizon 0", "one frame", "default", "to the next frame"
 WAYS = (NONE, ZERO, ONE, DEFAULT, NEXT)
@@ -88,7 +88,7 @@ def _filmed(tracker: Tracker, start: TrackState, there: World, motion: Profile, 
     return _as_told(tracker, motions, stamps)
 
 
-def _as_told(tracker: Tracker, motions: list[Motion], stamps: Array) -> Told:
+def _as_told(tracker: Tracker, motions: list[Estimate], stamps: Array) -> Told:
     counter = Counter(_matrix(tracker))
     reports = [counter.report(m) for m in motions]
     counts, rate = np.array([r.counts for r in reports]), np.array([r.rate for r in reports])

@@ -21,7 +21,7 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.tracker import Event, Frame, Motion, Status
+from spheremouse.tracker import Estimate, Event, Frame, Status
 
 _NO_TRACK = np.zeros(0, dtype=np.intp)
 _SURE = 10  # sightings from which a disc is worth keeping
@@ -164,6 +164,7 @@ class TrackState(Generic[F]):
     watch: CameraMonitor | None = None  # on the targets: does the camera stand?
     rebuilt: Tracker[Any] | None = None  # for the pose found after the camera was moved; None: it never was
     readout_known: bool = False  # play has shown what the rolling shutter takes
+    frames: int = 0  # since the tracker began
 
     @property
     def status(self) -> Status:
@@ -181,6 +182,17 @@ class TrackState(Generic[F]):
         """Has the ball been seen to turn: are look-alikes told from discs?"""
         phase = self.phase.last if isinstance(self.phase, Lost) else self.phase
         return isinstance(phase, Tracking)
+
+
+def statistics(state: TrackState) -> dict[str, float]:
+    """Return the statistics of the last frame.
+
+    `discs_used`, `discs_seen` and `discs_known` are numbers of discs. `nis` is the normalised innovation squared of
+    the update, which a published filter does not give.
+    """
+    f = state.filter
+    found: dict[str, float] = {"discs_used": len(f.used), "discs_seen": len(state.points), "discs_known": len(f.discs)}
+    return found | {"nis": f.nis} if isinstance(f, So3State) else found
 
 
 def current(state: TrackState, tracker: Tracker[K]) -> Tracker[K]:
@@ -239,7 +251,7 @@ class Epoch:
 
     frame: Frame
     state: TrackState
-    motion: Motion
+    estimate: Estimate
     events: Events
     seconds: dict[str, float]  # wall time per stage: detect, filter
 

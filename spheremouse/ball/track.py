@@ -53,11 +53,12 @@ from spheremouse.ball.state import (
     current,
     lost,
     no_points,
+    statistics,
 )
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, rotation_between
-from spheremouse.tracker import Frame, Motion, Status, Step, check_size, no_motion
+from spheremouse.tracker import Estimate, Frame, Status, Step, check_size
 
 _MATTERS = 0.1  # s without a confirmation from which a player notices: the pointer's prediction ends there by default
 
@@ -340,23 +341,22 @@ def _lost_in_time(state: TrackState, stamp: float, tracker: Tracker) -> tuple[Tr
 
 
 def _reported(state: TrackState, stamp: float, events: Events) -> Step[TrackState]:
-    """Motion since the last one, where discs confirm the attitude; nothing otherwise: it is made up for then."""
+    """Return the estimate of a frame, with the increment since the last confirmed one if discs confirm the attitude."""
+    sequence, state = state.frames, replace(state, frames=state.frames + 1)
     if state.status is not Status.TRACKING:
-        return Step(state if state.withheld is None else replace(state, withheld=None), no_motion(stamp), events)
+        return Step(replace(state, withheld=None), _estimate(state, stamp, sequence), events)
     if not state.confirmed:
         withheld, more = _withheld(state, stamp)
-        return Step(replace(state, withheld=withheld), no_motion(stamp), (*events, *more))
-    attitude = state.filter.attitude
+        return Step(replace(state, withheld=withheld), _estimate(state, stamp, sequence), (*events, *more))
+    attitude, increment, covariance = state.filter.attitude, np.zeros(6), np.zeros((6, 6))
     rotation = rotation_between(state.reported_attitude, attitude)
-    covariance, rate, since = np.zeros((12, 12)), np.zeros(6), state.filter.increment_covariance(rotation)
-    if since[0, 0] + since[1, 1] + since[2, 2] > PLACED**2:  # a motion unseen is a guess, and none is sent
-        rotation, since[:3], since[:, :3] = np.zeros(3), 0.0, 0.0
-    covariance[:3, :3], covariance[:3, 6:9], covariance[6:9, :3] = since[:3, :3], since[:3, 3:], since[3:, :3]
-    covariance[6:9, 6:9], rate[:3] = since[3:, 3:], state.filter.rate
-    motion = Motion(stamp, rotation, np.zeros(3), rate, covariance, confirmed=True)
+    since = state.filter.increment_covariance(rotation)[:3, :3]
+    if np.trace(since) <= PLACED**2:  # a motion unseen is a guess, and none is sent
+        increment[:3], covariance[:3, :3] = rotation, since
+    estimate = _estimate(state, stamp, sequence)._replace(increment=increment, increment_covariance=covariance)
     before = state.withheld
     if before is not None and before.announced:
-        events = (*events, MotionReleased(stamp - before.since, float(np.linalg.norm(rotation))))
+        events = (*events, MotionReleased(stamp - before.since, float(np.linalg.norm(increment))))
     state = replace(
         state,
         filter=state.filter.clone_attitude(),
@@ -364,7 +364,29 @@ def _reported(state: TrackState, stamp: float, events: Events) -> Step[TrackStat
         confirmed_at=stamp,
         withheld=None,
     )
-    return Step(state, motion, events)
+    return Step(state, estimate, events)
+
+
+def _estimate(state: TrackState, stamp: float, sequence: int) -> Estimate:
+    """Return the estimate without an increment."""
+    f, tracking = state.filter, state.status is Status.TRACKING
+    rate, covariance = np.zeros(6), np.zeros((12, 12))
+    rate[:3], between = f.rate, f.covariance
+    covariance[:3, :3], covariance[6:9, 6:9] = between[:3, :3], between[3:, 3:]
+    covariance[:3, 6:9], covariance[6:9, :3] = between[:3, 3:], between[3:, :3]
+    return Estimate(
+        stamp,
+        sequence,
+        state.status,
+        f.attitude,
+        np.zeros(3),
+        rate,
+        covariance,
+        np.zeros(6),
+        np.zeros((6, 6)),
+        tracking and state.confirmed,
+        statistics(state),
+    )
 
 
 def _withheld(state: TrackState, stamp: float) -> tuple[Withheld, Events]:

@@ -1,13 +1,14 @@
-"""A run's estimates, frame by frame, as arrays for metrics and plots."""
+"""Estimates of a run, frame by frame, as arrays for metrics and plots."""
 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from spheremouse.ball.filters.so3_state import So3State
-from spheremouse.ball.state import Epoch, TrackState
+from spheremouse.ball.state import Epoch
 from spheremouse.evaluate.metrics import Run
 from spheremouse.geometry.rotation import Array
+
+_TURNING = (0, 1, 2, 6, 7, 8)  # of an estimate's covariance: rotation and its rate
 
 
 @dataclass(slots=True)
@@ -28,19 +29,19 @@ class History:
             frame=np.array([e.frame.sequence for e in epochs], dtype=np.intp),
             stamp=np.array([e.frame.stamp for e in epochs], dtype=float),
             status=tuple(s.status for s in states),
-            attitude=np.array([s.filter.attitude for s in states]).reshape(n, 3, 3),
-            rate=np.array([s.filter.rate for s in states]).reshape(n, 3),
-            rotation=np.array([e.motion.rotation for e in epochs]).reshape(n, 3),
-            covariance=np.array([s.filter.covariance for s in states]).reshape(n, 6, 6),
+            attitude=np.array([e.estimate.rotation for e in epochs]).reshape(n, 3, 3),
+            rate=np.array([e.estimate.rate[:3] for e in epochs]).reshape(n, 3),
+            rotation=np.array([e.estimate.increment[:3] for e in epochs]).reshape(n, 3),
+            covariance=np.array([e.estimate.covariance[np.ix_(_TURNING, _TURNING)] for e in epochs]).reshape(n, 6, 6),
             absolute=np.array([s.absolute for s in states], dtype=bool),
             detected=tuple(s.detections.centre for s in states),
             used=tuple(e.used for e in epochs),
             seconds={stage: np.array([e.seconds[stage] for e in epochs]) for stage in (epochs[0].seconds if n else ())},
-            nis=_innovations(states),
+            nis=_innovations(epochs),
         )
 
 
-def _innovations(states: list[TrackState]) -> Array | None:
-    """Normalised innovation squared of every frame's update, (n,); None for a filter that does not give it."""
-    values = [s.filter.nis for s in states if isinstance(s.filter, So3State)]
-    return np.array(values, dtype=float) if len(values) == len(states) else None
+def _innovations(epochs: list[Epoch]) -> Array | None:
+    """Return the normalised innovation squared of each update, (n,); None if the filter does not give it."""
+    values = [e.estimate.statistics.get("nis") for e in epochs]
+    return None if None in values else np.array(values, dtype=float)

@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 from spheremouse.errors import OutputError
 from spheremouse.files.registry import opened
-from spheremouse.tracker import Motion, no_motion
+from spheremouse.tracker import Estimate, unknown
 
 KINDS = ("auto", "desktop", "null", "serial", "text", "uinput")
 
@@ -21,12 +21,12 @@ class Report(NamedTuple):
 
     counts: tuple[int, int, int]  # x, y and third axis
     rate: tuple[float, float, float]  # counts/s at its end
-    motion: Motion
+    estimate: Estimate
 
 
 def no_report(stamp: float) -> Report:
     """Return a report without motion."""
-    return Report((0, 0, 0), (0.0, 0.0, 0.0), no_motion(stamp))
+    return Report((0, 0, 0), (0.0, 0.0, 0.0), unknown(stamp))
 
 
 class OutputClosed(Exception):  # noqa: N818  an end, not an error

@@ -44,7 +44,7 @@ class PoseLog:
 
     def lines(self, report: Report) -> list[str]:
         """Return the lines of the frame of a report, and forget its poses."""
-        stamp = report.motion.stamp
+        stamp = report.estimate.stamp
         points, poses = self._poses.pop(stamp, (0, ()))
         return [line(stamp, pose, report.counts if k == points else (0, 0, 0), k + 1) for k, pose in enumerate(poses)]
 

@@ -12,7 +12,7 @@ import numpy as np
 from spheremouse.geometry.rotation import Array
 from spheremouse.output import Report
 from spheremouse.settings import FACTOR, PER_RADIAN, param
-from spheremouse.tracker import Motion
+from spheremouse.tracker import Estimate
 
 _WHOLE_COUNT = 1.0 - 1e-9  # counts; less than one by rounding errors
 _RELEASE_RATE = 2.0  # rad/s: a hand rolls a ball at 1 to 3 rad/s in ordinary play
@@ -135,24 +135,24 @@ class CatchUp:
     confirmed: float = np.inf  # s, stamp of the last confirmed frame, or of the first one
     pending: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad, withheld and not released yet
 
-    def update(self, motion: Motion) -> tuple[Array, "CatchUp"]:
+    def update(self, estimate: Estimate) -> tuple[Array, "CatchUp"]:
         """Return the rotation vector (3,) rad to report with a frame, and the next state.
 
         A frame's own motion is its share, by time, of the motion since the last confirmed frame. This is all of it,
         unless frames in between were missing or not confirmed. The rest follows at `_RELEASE_RATE`.
         """
-        interval = np.inf if self.stamp is None else motion.stamp - self.stamp
-        confirmed = min(self.confirmed, motion.stamp)  # the clock may start again
-        if not motion.confirmed:
-            return np.zeros(3), CatchUp(motion.stamp, interval, confirmed, self.pending)
-        since = motion.stamp - confirmed
+        interval = np.inf if self.stamp is None else estimate.stamp - self.stamp
+        confirmed = min(self.confirmed, estimate.stamp)  # the clock may start again
+        if not estimate.confirmed:
+            return np.zeros(3), CatchUp(estimate.stamp, interval, confirmed, self.pending)
+        since = estimate.stamp - confirmed
         length = self.interval if interval > _MAX_INTERVAL_RATIO * self.interval > 0.0 else interval
         own = 1.0 if not 0.0 < length < since else length / since
-        left = np.array(self.pending) + (1.0 - own) * motion.rotation
+        left = np.array(self.pending) + (1.0 - own) * estimate.increment[:3]
         size, bound = float(np.sqrt(left @ left)), max(_RELEASE_RATE * length, 0.0)
         released = left if size <= bound else left * (bound / size)
         x, y, z = (left - released).tolist()
-        return own * motion.rotation + released, CatchUp(motion.stamp, interval, motion.stamp, (x, y, z))
+        return own * estimate.increment[:3] + released, CatchUp(estimate.stamp, interval, estimate.stamp, (x, y, z))
 
 
 class Counter:
@@ -167,14 +167,14 @@ class Counter:
         """Confirmed rotation vector (3,) rad that is not reported yet."""
         return np.array(self._catch_up.pending)
 
-    def report(self, motion: Motion) -> Report:
-        """Return the report of a motion. If it is not confirmed, the next confirmed ones report its counts (`CatchUp`).
+    def report(self, estimate: Estimate) -> Report:
+        """Return the report of an estimate. If it is not confirmed, the next ones report its counts (`CatchUp`).
 
         The sum of all counts stays within one of the integral of the motion.
         """
-        rotation, self._catch_up = self._catch_up.update(motion)
-        if not motion.confirmed:
-            return Report((0, 0, 0), (0.0, 0.0, 0.0), motion)
+        rotation, self._catch_up = self._catch_up.update(estimate)
+        if not estimate.confirmed:
+            return Report((0, 0, 0), (0.0, 0.0, 0.0), estimate)
         counts, self._remainder = to_counts(rotation, self.matrix, self._remainder)
-        x, y, z = (self.matrix @ motion.rate[:3]).tolist()
-        return Report(counts, (x, y, z), motion)
+        x, y, z = (self.matrix @ estimate.rate[:3]).tolist()
+        return Report(counts, (x, y, z), estimate)

@@ -25,7 +25,7 @@ from spheremouse.output import Acknowledged, DeliveryStatus, Output, OutputClose
 from spheremouse.output.null import Null
 from spheremouse.output.pointer import Counts, PointerSettings, Resampler, minus, plus
 from spheremouse.output.text import Text
-from spheremouse.tracker import no_motion
+from spheremouse.tracker import unknown
 
 RETRY_DELAYS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0)  # s
 MAX_QUEUE_TIME = 0.25  # s; counts that waited longer in the queue become unsent
@@ -259,7 +259,7 @@ class OutputThread:
     def _take(self, queued: _QueuedReport, now: float) -> None:
         """Send a frame's report at once, even an empty one: some outputs use it as a sign of life."""
         settings, report = self._settings, queued.report
-        tracking = report.motion.confirmed and not self._per_frame
+        tracking = report.estimate.confirmed and not self._per_frame
         self._resampler = pointer.take(
             self._resampler, self._sent, report.counts, report.rate, queued.taken, now, tracking, settings
         )
@@ -397,8 +397,8 @@ class _PendingCall:
 
 def _without_rotation(report: Report, later: float = 0.0) -> Report:
     """Return a report without counts and rotation, `later` s after another one."""
-    motion = no_motion(report.motion.stamp + later)
-    return Report(_NONE, report.rate, motion._replace(rate=report.motion.rate))
+    estimate = unknown(report.estimate.stamp + later)
+    return Report(_NONE, report.rate, estimate._replace(rate=report.estimate.rate))
 
 
 def _delivery(output: Output | None) -> DeliveryStatus:

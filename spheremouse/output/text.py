@@ -14,6 +14,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self, TextIO
 
+import numpy as np
+
 from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import is_stream, open_to_append
 from spheremouse.output import OutputClosed, Report
@@ -102,9 +104,10 @@ def open_log(argument: str, names: str) -> tuple[TextIO, str]:
 
 def line(report: Report) -> str:
     """Return a report as a line. Each number reads back exactly."""
-    motion = report.motion
-    exact = [float(v) for v in (*motion.rotation, *motion.rate[:3])]
-    return " ".join([repr(float(motion.stamp)), *(str(int(n)) for n in report.counts), *map(repr, exact)])
+    estimate = report.estimate
+    rate = estimate.rate[:3] if estimate.confirmed else np.zeros(3)
+    exact = [float(v) for v in (*estimate.increment[:3], *rate)]
+    return " ".join([repr(float(estimate.stamp)), *(str(int(n)) for n in report.counts), *map(repr, exact)])
 
 
 def _refuse_other_files(path: Path, names: str) -> None:

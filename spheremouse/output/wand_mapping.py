@@ -14,11 +14,11 @@ from spheremouse.geometry.rotation import Array, exp, left_jacobian, log
 from spheremouse.output import Report, no_report
 from spheremouse.output.counts import Remainder, to_counts
 from spheremouse.settings import FACTOR, PER_RADIAN, param
-from spheremouse.tracker import Motion, Status
+from spheremouse.tracker import Estimate, Status, unknown
 from spheremouse.wand.pose_velocity import PoseVelocityState, pose_difference
 from spheremouse.wand.state import WandEpoch, WandPose
 
-_ROTATION_FIRST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])  # a pose has it last, a motion first
+_ROTATION_FIRST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])  # a pose has it last, an estimate first
 _MAX_NOISE_SIGMAS = 3.0  # error of a pose beside the fastest motion of a hand
 
 
@@ -132,34 +132,42 @@ def point(
     velocity = np.zeros(6) if velocity_state is None else velocity_state.velocity
     rate = pointing_rate(velocity, settings)
     if state.reference is None or _is_implausible(state.reference, now, settings):
-        return replace(state.reset(), reference=now), Report((0, 0, 0), rate, _motion(now, now, velocity_state))
-    motion = _motion(state.reference, now, velocity_state)
+        return replace(state.reset(), reference=now), Report((0, 0, 0), rate, _estimate(now, now, velocity_state))
+    estimate = _estimate(state.reference, now, velocity_state)
     if settings.by == "turn":
-        displacement, variance = motion.rotation, now.variance[3:]
+        displacement, variance = estimate.increment[:3], now.variance[3:]
     else:
-        displacement, variance = motion.shift, now.variance[:3]
+        displacement, variance = estimate.increment[3:], now.variance[:3]
     slack, passed = apply_backlash(state.slack, displacement, settings.play * np.sqrt(variance))
     counts, remainder = to_counts(passed, settings.matrix(), state.remainder)
-    return PointingState(now, slack, remainder), Report(counts, rate, motion)
+    return PointingState(now, slack, remainder), Report(counts, rate, estimate)
 
 
-def _motion(before: ReferencePose, now: ReferencePose, velocity_state: PoseVelocityState | None) -> Motion:
-    """Return the motion from one pose to another, and the rate at its end.
+def _estimate(before: ReferencePose, now: ReferencePose, velocity_state: PoseVelocityState | None) -> Estimate:
+    """Return the estimate at a pose, with the increment from the pose before and the rate at its end.
 
-    The errors of poses and rate are assumed to be independent. If the images have equal errors, the motion is better
+    The errors of poses and rate are assumed to be independent. If the images have equal errors, the increment is better
     than its covariance.
     """
-    turn, covariance, rate = log(now.rotation @ before.rotation.T), np.zeros((12, 12)), np.zeros(6)
+    turn, increment_covariance = log(now.rotation @ before.rotation.T), np.zeros((6, 6))
+    covariance, rate = np.zeros((12, 12)), np.zeros(6)
+    covariance[:6, :6] = now.covariance[_ROTATION_FIRST]
     if before is not now:
         A, J = np.eye(6), np.eye(6)
         A[3:, 3:], J[:3, :3] = exp(turn), np.linalg.inv(left_jacobian(turn))
-        covariance[:6, :6] = J @ (now.covariance + A @ before.covariance @ A.T)[_ROTATION_FIRST] @ J.T
+        increment_covariance = J @ (now.covariance + A @ before.covariance @ A.T)[_ROTATION_FIRST] @ J.T
     if velocity_state is not None:
-        rate, covariance[6:, 6:] = (
-            np.roll(velocity_state.velocity, 3),
-            velocity_state.covariance[6:, 6:][_ROTATION_FIRST],
-        )
-    return Motion(now.stamp, turn, now.position - before.position, rate, covariance, confirmed=True)
+        rate = np.roll(velocity_state.velocity, 3)
+        covariance[6:, 6:] = velocity_state.covariance[6:, 6:][_ROTATION_FIRST]
+    return unknown(now.stamp, status=Status.TRACKING)._replace(
+        rotation=now.rotation,
+        position=now.position,
+        rate=rate,
+        covariance=covariance,
+        increment=np.concatenate([turn, now.position - before.position]),
+        increment_covariance=increment_covariance,
+        confirmed=True,
+    )
 
 
 def pointing_rate(velocity: Array, settings: PointingSettings) -> tuple[float, float, float]:

@@ -8,7 +8,7 @@ import numpy as np
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import MotionSettings
 from spheremouse.output.wand_mapping import PointingSettings
-from spheremouse.tracker import Motion
+from spheremouse.tracker import Estimate
 
 _SHARE = 0.1  # of the largest part; less is not worth a word
 
@@ -24,9 +24,9 @@ class Directions:
     factor: float  # from rad/s or m/s to it
     least: float  # of that unit, below which the ball is at rest
 
-    def figures(self, motion: Motion) -> dict[str, Any]:
-        """The rate of a motion as a status has it: (3,) numbers, their unit, and in words."""
-        rate = self.factor * self.axes @ motion.rate[self.part]
+    def figures(self, estimate: Estimate) -> dict[str, Any]:
+        """Return the rate of an estimate for the status: (3,) numbers, their unit, and words."""
+        rate = self.factor * self.axes @ estimate.rate[self.part]
         return {"rate": rate.tolist(), "unit": self.unit, "words": self.said(rate)}
 
     def said(self, rate: Array) -> str:

@@ -128,6 +128,6 @@ def track(frames: Iterator[Frame], tracker: Tracker, known: DiscMap | None = Non
         check_size(frame, tracker.rig.camera)
         state = state or begin(tracker, frame.stamp, known=known)
         times[0] = time.perf_counter()
-        state, motion, events = step(state, frame, tracker, detected)
+        state, estimate, events = step(state, frame, tracker, detected)
         times[2] = time.perf_counter()
-        yield Epoch(frame, state, motion, events, {"detect": times[1] - times[0], "filter": times[2] - times[1]})
+        yield Epoch(frame, state, estimate, events, {"detect": times[1] - times[0], "filter": times[2] - times[1]})

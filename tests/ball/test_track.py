@@ -33,7 +33,7 @@ from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.output.counts import MotionSettings
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
-from spheremouse.tracker import Event, Frame, Motion, Status
+from spheremouse.tracker import Estimate, Event, Frame, Status
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
@@ -67,7 +67,7 @@ class Film:
     """What came of it, frame by frame."""
 
     states: list[TrackState]
-    motions: list[Motion]
+    estimates: list[Estimate]
     events: list[Event]
     attitudes: list[np.ndarray]
 
@@ -80,11 +80,11 @@ class Film:
 
     @property
     def counts(self):
-        return counts_of(self.motions, RIG)
+        return counts_of(self.estimates, RIG)
 
     @property
     def rotation(self):
-        return np.array([m.rotation for m in self.motions])
+        return np.array([m.increment[:3] for m in self.estimates])
 
 
 def film(attitude, stamps, *, settings=SO3, extra=None, hidden=(), seed=0, discs=DISCS):
@@ -98,13 +98,13 @@ def film(attitude, stamps, *, settings=SO3, extra=None, hidden=(), seed=0, discs
         seen = photo(R, rng, extra, discs)
         if any(a <= t < b for a, b in hidden):
             seen = no_detections()
-        state, motion, events = advance(state, t, seen, tracker)
-        assert np.all(np.isfinite(motion.rotation))
-        assert np.all(np.isfinite(motion.rate))
-        assert np.all(np.isfinite(motion.covariance))
+        state, estimate, events = advance(state, t, seen, tracker)
+        assert np.all(np.isfinite(estimate.increment[:3]))
+        assert np.all(np.isfinite(estimate.rate))
+        assert np.all(np.isfinite(estimate.covariance))
         assert np.all(np.isfinite(state.filter.covariance))
         out.states.append(state)
-        out.motions.append(motion)
+        out.estimates.append(estimate)
         out.events += events
         out.attitudes.append(R)
     return out
@@ -141,7 +141,7 @@ def test_a_turning_ball_among_bolts(name):
     masks = out.states[-1].lookalikes.masks
     assert len(masks) == len(BOLTS)
     assert np.linalg.norm(masks[:, None] - BOLTS, axis=2).min(axis=0).max() < 0.5
-    assert_allclose(out.motions[-1].rate[:3], ROLL, atol=0.01 if name == "so3" else 0.1)
+    assert_allclose(out.estimates[-1].rate[:3], ROLL, atol=0.01 if name == "so3" else 0.1)
     last = out.states[-1]
     used = last.detections.centre[last.points.index[last.filter.used]]  # indices go all the way back to the image
     assert len(used) >= 4
@@ -154,8 +154,8 @@ def test_the_sum_of_counts_is_the_integral_of_the_motion(name):
     out = film(lambda t: start(t, 0.2), seconds(2.5), settings=settings, extra=BOLTS)
     assert np.abs(out.counts.sum(axis=0) - MATRIX @ out.rotation.sum(axis=0)).max() <= 0.5 + 1e-9
     sent = np.eye(3)
-    for m in out.motions:
-        sent = exp(m.rotation) @ sent
+    for m in out.estimates:
+        sent = exp(m.increment[:3]) @ sent
     assert_allclose(sent, out.states[-1].filter.attitude, atol=1e-9)  # nothing of the attitude is left unsent
     truth = MATRIX @ (ROLL * (2.3 - DT - 0.5))
     assert np.abs(out.counts.sum(axis=0) - truth).max() < (3.0 if name == "so3" else 20.0)
@@ -166,11 +166,13 @@ def test_the_covariance_of_a_motion_is_that_of_its_error():
     turns, rates = [], []
     for seed in range(4):
         out = film(lambda t: start(t, 0.2), seconds(2.5), extra=BOLTS, seed=seed)
-        for k in range(50, len(out.motions)):  # at a steady rate
-            m, true = out.motions[k], log(out.attitudes[k] @ out.attitudes[k - 1].T)
-            for found, e, at in ((turns, m.rotation - true, 0), (rates, m.rate[:3] - ROLL, 6)):
-                found.append(e @ np.linalg.solve(m.covariance[at : at + 3, at : at + 3], e))
-            assert not np.any(m.shift)
+        for k in range(50, len(out.estimates)):  # at a steady rate
+            m, true = out.estimates[k], log(out.attitudes[k] @ out.attitudes[k - 1].T)
+            turn, rate = m.increment[:3] - true, m.rate[:3] - ROLL
+            turns.append(turn @ np.linalg.solve(m.increment_covariance[:3, :3], turn))
+            rates.append(rate @ np.linalg.solve(m.covariance[6:9, 6:9], rate))
+            assert not np.any(m.increment[3:])
+            assert not np.any(m.increment_covariance[3:])
             assert not np.any(np.delete(m.covariance, [0, 1, 2, 6, 7, 8], axis=0))
     assert 2.0 < np.mean(turns) < 4.5
     assert np.mean(rates) < 4.5  # a hand may push at any time: at a steady rate it is better than that
@@ -180,12 +182,14 @@ def test_the_covariance_of_a_motion_is_that_of_its_error():
 def test_a_ball_that_is_found_again_begins_to_count_without_an_error(name):
     """What it did unseen is in no motion, and nothing is claimed of it; the frames after that are as sure as others."""
     out = film(start, seconds(5.0), hidden=[(2.0, 2.7)], settings=Settings(tracker=name))
-    k = next(k for k, m in enumerate(out.motions) if m.confirmed and k > 2.7 / DT - 2)
-    assert np.linalg.norm(out.motions[k].rotation) < 1e-2  # so3: by its map; the others go on from the last attitude
+    k = next(k for k, m in enumerate(out.estimates) if m.confirmed and k > 2.7 / DT - 2)
+    assert (
+        np.linalg.norm(out.estimates[k].increment[:3]) < 1e-2
+    )  # so3: by its map; the others go on from the last attitude
     if name == "so3":
-        assert not np.any(out.motions[k].rotation)
-        assert not np.any(out.motions[k].covariance[:3])
-    assert np.all(np.diag(out.motions[k + 2].covariance)[:3] > 0.0)
+        assert not np.any(out.estimates[k].increment[:3])
+        assert not np.any(out.estimates[k].increment_covariance[:3])
+    assert np.all(np.diag(out.estimates[k + 2].increment_covariance)[:3] > 0.0)
 
 
 def test_the_motion_that_ends_learning_is_as_uncertain_as_what_was_told_before():
@@ -193,7 +197,7 @@ def test_the_motion_that_ends_learning_is_as_uncertain_as_what_was_told_before()
     out = film(lambda t: start(t, 0.2), seconds(1.0), extra=BOLTS)
     k = next(k for k, (a, b) in enumerate(pairwise(s.known_to_turn for s in out.states), 1) if b and not a)
     before = out.states[k - 1].filter.joint[-3:, -3:]
-    assert np.linalg.eigvalsh(out.motions[k].covariance[:3, :3] - before)[0] > -1e-12
+    assert np.linalg.eigvalsh(out.estimates[k].increment_covariance[:3, :3] - before)[0] > -1e-12
     assert np.trace(before) > 0.0
 
 
@@ -205,9 +209,9 @@ def test_a_ball_first_seen_after_an_hour_is_where_it_is_seen(name):
     for t in np.arange(0.0, 3600.0, 0.5):
         state = advance(state, t, no_detections(), tracker).state
     for t in seconds(1.0):
-        state, motion, _ = advance(state, 3600.0 + t, photo(np.eye(3), rng), tracker)
+        state, estimate, _ = advance(state, 3600.0 + t, photo(np.eye(3), rng), tracker)
     assert state.status is Status.TRACKING
-    assert np.sqrt(np.trace(motion.covariance[:3, :3])) < 1e-2
+    assert np.sqrt(np.trace(estimate.increment_covariance[:3, :3])) < 1e-2
     assert np.linalg.norm(log(state.filter.attitude)) < 1e-2
 
 
@@ -253,7 +257,7 @@ def test_motion_that_is_withheld_is_told_once_and_so_is_its_release(hidden, told
         return
     withheld, released = ends
     assert withheld == MotionWithheld(Doubt.NO_DISC)
-    confirmed = np.array([m.confirmed for m in out.motions])
+    confirmed = np.array([m.confirmed for m in out.estimates])
     assert released.seconds == pytest.approx(np.diff(seconds(3.0)[confirmed]).max(), abs=1e-9)
     assert released.angle == pytest.approx(np.linalg.norm(ROLL) * released.seconds, rel=0.05)
     assert not any(isinstance(e, BallLost) for e in out.events)
@@ -262,12 +266,12 @@ def test_motion_that_is_withheld_is_told_once_and_so_is_its_release(hidden, told
 def test_the_state_has_what_is_withheld_since_when_and_why():
     out = film(start, seconds(4.0), hidden=[(1.5, 1.7), (2.5, 3.2)])
     last = 0.0
-    for t, state, motion in zip(seconds(4.0), out.states, out.motions, strict=True):
-        if state.status is not Status.TRACKING or motion.confirmed:
+    for t, state, estimate in zip(seconds(4.0), out.states, out.estimates, strict=True):
+        if state.status is not Status.TRACKING or estimate.confirmed:
             assert state.withheld is None
         elif state.known_to_turn:
             assert state.withheld == Withheld(last, Doubt.NO_DISC, announced=t - last > 0.1)
-        last = t if motion.confirmed else last
+        last = t if estimate.confirmed else last
     assert [type(e) for e in out.events if isinstance(e, MotionWithheld | MotionReleased | BallLost)] == [
         MotionWithheld, MotionReleased, MotionWithheld, BallLost,
     ]  # fmt: skip
@@ -296,7 +300,7 @@ def test_every_tracker_tracks_again_after_the_cap(name):
     out = film(start, seconds(3.0), hidden=[(1.5, 2.0)], extra=BOLTS, settings=Settings(tracker=name))
     assert out.states[-1].status is Status.TRACKING
     assert any(isinstance(e, Recognised | NewMap) for e in out.events)
-    assert_allclose(out.motions[-1].rate[:3], ROLL, atol=0.2)
+    assert_allclose(out.estimates[-1].rate[:3], ROLL, atol=0.2)
     per_frame = MATRIX @ ROLL * DT
     assert np.abs(out.counts).max() < 2.0 * np.abs(per_frame).max()
 
@@ -307,18 +311,18 @@ def test_another_ball_after_the_cap_is_a_stated_reset():
     other = directions(26, 77)
     tracker = build(RIG, POSE, SO3)
     state = begin(tracker, 0.0)
-    events, motions = [], []
+    events, estimates = [], []
     for t in seconds(7.0):
         seen = no_detections() if 2.0 <= t < 3.0 else photo(start(t), rng, discs=DISCS if t < 2.0 else other)
-        state, motion, more = advance(state, t, seen, tracker)
-        motions.append(motion)
+        state, estimate, more = advance(state, t, seen, tracker)
+        estimates.append(estimate)
         events += more
     assert any(isinstance(e, NewMap) for e in events)
     assert not any(isinstance(e, Recognised) for e in events)
     assert state.status is Status.TRACKING
-    assert_allclose(motion.rate[:3], ROLL, atol=0.02)
+    assert_allclose(estimate.rate[:3], ROLL, atol=0.02)
     per_frame = MATRIX @ ROLL * DT
-    assert np.abs(counts_of(motions, RIG)).max() < 1.5 * np.abs(per_frame).max()
+    assert np.abs(counts_of(estimates, RIG)).max() < 1.5 * np.abs(per_frame).max()
 
 
 @pytest.mark.parametrize("hidden", [0.1, 0.25])
@@ -366,9 +370,9 @@ def test_stamps_that_repeat_or_step_back(name):
     for k in range(150 if name != "ekf2" else 60):
         stamp = (k - (k % 17 == 3) - 3 * (k % 29 == 5)) * DT
         R = start(k * DT, 1.0)
-        state, motion, _ = advance(state, stamp, photo(R, rng), tracker)
-        assert np.all(np.isfinite(motion.rotation))
-        assert np.all(np.isfinite(motion.rate))
+        state, estimate, _ = advance(state, stamp, photo(R, rng), tracker)
+        assert np.all(np.isfinite(estimate.increment[:3]))
+        assert np.all(np.isfinite(estimate.rate))
     if name == "so3":
         assert np.linalg.norm(log(state.filter.attitude @ R.T)) < 1e-2  # a wrong stamp is a wrong rate for a while
 
@@ -382,9 +386,9 @@ def test_a_clock_that_starts_again_does_not_make_motion_up(name):
     for t in seconds(2.0):
         state = advance(state, 100.0 + t, photo(start(t), rng), tracker).state
     for t in seconds(1.0):
-        state, motion, _ = advance(state, t, no_detections(), tracker)
-        assert not motion.confirmed
-        assert not np.any(motion.rotation)
+        state, estimate, _ = advance(state, t, no_detections(), tracker)
+        assert not estimate.confirmed
+        assert not np.any(estimate.increment[:3])
     assert state.status is Status.LOST
 
 
@@ -411,12 +415,12 @@ def test_lengths_in_another_unit_change_the_counts_alone(name):
     films = []
     for rig, pose in ((ball, halved), (radii, far)):
         tracker = build(rig, pose, settings)
-        state, motions, attitudes = begin(tracker, 0.0), [], []
+        state, estimates, attitudes = begin(tracker, 0.0), [], []
         for k, d in enumerate(seen):
-            state, motion, _ = advance(state, k * DT, d, tracker)
+            state, estimate, _ = advance(state, k * DT, d, tracker)
             attitudes.append(state.filter.attitude)
-            motions.append(motion)
-        films.append((sum(counts_of(motions, rig)), np.array(attitudes), MotionSettings().matrix(rig.radius_m)))
+            estimates.append(estimate)
+        films.append((sum(counts_of(estimates, rig)), np.array(attitudes), MotionSettings().matrix(rig.radius_m)))
     assert_allclose(films[1][1], films[0][1], atol=1e-6 if name == "so3" else 1e-3)
     assert_allclose(films[1][2], 2.0 * films[0][2])
     assert np.abs(films[1][0] - 2.0 * films[0][0]).max() <= 2.0
@@ -437,8 +441,8 @@ def test_pictures_of_nothing(detector, level):
     tracker = build(RIG, POSE, Settings(detector=detector))
     state = begin(tracker, 0.0)
     for k in range(3):
-        state, motion, _ = step(state, Frame(np.full((480, 640, 3), level, np.uint8), k * DT, k), tracker)
-        assert not motion.confirmed
+        state, estimate, _ = step(state, Frame(np.full((480, 640, 3), level, np.uint8), k * DT, k), tracker)
+        assert not estimate.confirmed
     assert state.status is Status.SEARCHING
     assert len(state.detections) == 0
 
@@ -465,21 +469,21 @@ def test_a_lifted_ball_is_reported_and_sends_next_to_nothing():
     rng = np.random.default_rng(8)
     tracker = build(RIG, POSE, SO3)
     state = begin(tracker, 0.0)
-    motions, events, discs = [], [], directions(40, 0)
+    estimates, events, discs = [], [], directions(40, 0)
     for t in seconds(4.5):
         R = start(min(t, 2.0))
         lift = 0.03 * np.clip(min(t - 2.5, 3.5 - t) / 0.2, 0.0, 1.0)
         p = discs @ R.T
         uv = project(POSE.to_cam([0.0, lift, 0.0] + RIG.ball.radius * p[p[:, 2] > 0.35]), CAMERA)[0]
-        state, motion, more = advance(state, t, detections(uv, rng), tracker)
+        state, estimate, more = advance(state, t, detections(uv, rng), tracker)
         events += more
         if t > 2.1:
-            motions.append(motion)
+            estimates.append(estimate)
         if 2.8 < t < 3.2:
             assert state.status is Status.LOST
     assert [e.why for e in events if isinstance(e, BallLost)] == [Why.OFF_CENTRE]
     assert any(isinstance(e, Recognised) for e in events)
-    assert np.abs(np.cumsum(counts_of(motions, RIG), axis=0)).max() <= 12
+    assert np.abs(np.cumsum(counts_of(estimates, RIG), axis=0)).max() <= 12
     assert np.linalg.norm(log(state.filter.attitude @ R.T)) < 2e-3
 
 
@@ -595,7 +599,7 @@ def test_a_pushed_camera_is_found_again_without_a_jump(push, grey):
     error = [np.linalg.norm(log(s.filter.attitude @ (R @ M).T)) for s, R in zip(states, attitudes, strict=True)]
     assert max(error) < 5e-3
     assert all(s.status is Status.TRACKING for s in states)
-    sent = np.cumsum(counts_of([s.motion for s in steps], tracker.rig), axis=0)
+    sent = np.cumsum(counts_of([s.estimate for s in steps], tracker.rig), axis=0)
     turns = [MATRIX @ log(b @ a.T) for a, b in pairwise(attitudes)]
     assert np.abs(sent[1:] - np.cumsum(turns, axis=0))[-1].max() < 4.0
 
@@ -616,14 +620,14 @@ def test_colour_is_wanted_for_the_first_frame_and_while_the_camera_swings():
 
 def _rolled(frames, tracker, change):
     """A film in which `change` takes state and tracker between two frames and gives them back; the sum of counts."""
-    state, motions = begin(tracker, 0.0), []
+    state, estimates = begin(tracker, 0.0), []
     for k, made in enumerate(frames):
         if k == len(frames) // 2:
-            (state, motion, _), tracker = change(state, made.frame, tracker)
+            (state, estimate, _), tracker = change(state, made.frame, tracker)
         else:
-            state, motion, _ = step(state, made.frame, tracker)
-        motions.append(motion)
-    return state, np.sum(counts_of(motions, tracker.rig), axis=0)
+            state, estimate, _ = step(state, made.frame, tracker)
+        estimates.append(estimate)
+    return state, np.sum(counts_of(estimates, tracker.rig), axis=0)
 
 
 def test_a_pose_estimated_anew_and_other_settings_move_nothing():
@@ -674,8 +678,8 @@ def test_the_published_keep_no_map_and_begin_anew_where_they_lost_the_ball(name)
     assert out.states[back].status is Status.TRACKING
     assert_allclose(out.states[back].filter.attitude, out.states[back - 1].filter.attitude, atol=0.02)
     assert np.abs(out.rotation[round(2.3 / DT) : back + 1]).max() < 1e-15
-    assert not out.motions[back].covariance[:3].any()
-    assert_allclose(out.motions[-1].rate[:3], ROLL, atol=0.1)
+    assert not out.estimates[back].increment_covariance[:3].any()
+    assert_allclose(out.estimates[-1].rate[:3], ROLL, atol=0.1)
 
 
 @pytest.mark.parametrize("name", ["ekf1", "ekf2"])

@@ -12,7 +12,7 @@ from spheremouse.commands.axes.dialogue import Dialogue
 from spheremouse.errors import CalibrationError
 from spheremouse.files import config
 from spheremouse.session.settings import Configuration
-from spheremouse.tracker import no_motion
+from spheremouse.tracker import unknown
 
 FILM = "synthetic:motion=axes,noise=3,seed=2"
 UP = np.array([0.0, 1.0, 0.0])
@@ -97,8 +97,8 @@ class Played:
 
     def _frame(self, turn, shift):
         self._t += 0.05
-        motion = no_motion(self._t)._replace(rotation=turn, shift=shift, confirmed=True)
-        report = SimpleNamespace(counts=(0, 0, 0), motion=motion)
+        estimate = unknown(self._t)._replace(increment=np.concatenate([turn, shift]), confirmed=True)
+        report = SimpleNamespace(counts=(0, 0, 0), estimate=estimate)
         self.dialogue.show(SimpleNamespace(report=report, seconds={}), None)
 
     def rest(self):

@@ -28,7 +28,7 @@ from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.output.wand_mapping import PointingState, point
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
-from spheremouse.tracker import Frame, Motion, Status
+from spheremouse.tracker import Estimate, Frame, Status
 from spheremouse.wand import state as state_module
 from spheremouse.wand import track as wand
 from spheremouse.wand.build import build as build_wand
@@ -115,11 +115,11 @@ def in_time(what: str, action: Callable[[], T], usual: Callable[[], Any], share:
 _USUAL: dict[str, float] = {}
 
 
-def sound(motion: Motion) -> None:
-    """Is a motion one that an output can be told?"""
-    assert np.all(np.isfinite(motion.rotation))
-    assert np.all(np.isfinite(motion.rate))
-    assert np.all(np.isfinite(motion.covariance))
+def sound(estimate: Estimate) -> None:
+    """Check that an output can use an estimate."""
+    assert np.all(np.isfinite(estimate.increment))
+    assert np.all(np.isfinite(estimate.rate))
+    assert np.all(np.isfinite(estimate.covariance))
 
 
 def _targets(c: Configuration) -> None:
@@ -153,8 +153,8 @@ def _in_its_frame(c: Configuration) -> None:
 
 def _step(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
     s = tracker.settings
-    state, motion, _ = in_time(f"{s.tracker}, {s.detector}", lambda: step(state, frame, tracker), lambda: as_usual(s))
-    sound(motion)
+    state, estimate, _ = in_time(f"{s.tracker}, {s.detector}", lambda: step(state, frame, tracker), lambda: as_usual(s))
+    sound(estimate)
     assert np.all(np.isfinite(state.filter.covariance))
     assert np.all(np.isfinite(state.filter.attitude))
     return state
@@ -213,7 +213,7 @@ def follow(tracker: state_module.WandTracker, frames: list[Frame], c: Configurat
             lambda f=frame: wand.step(wand.begin(usual, 1, f.stamp), f, usual),
         )
         pointing, report = point(pointing, poses[0], state.tracks[0].pose_velocity, frame.stamp, c.wand.pointing)
-        sound(report.motion)
+        sound(report.estimate)
         assert all(math.isfinite(rate) for rate in report.rate)
         for pose in poses:
             assert pose.position is None or np.all(np.isfinite(pose.position))

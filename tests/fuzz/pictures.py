@@ -88,7 +88,7 @@ def check_detections(drawn: tuple[str, list[tuple[float, Any]]]) -> None:
     state = begin(tracker, sights[0][0])
     for stamp, uv in sights:
         seen = Detections(uv, np.tile(0.01 * np.eye(2), (len(uv), 1, 1)), np.full(len(uv), 50.0))
-        state, motion, _ = advance(state, stamp, seen, tracker)
-        for values in (motion.rotation, motion.rate, state.filter.attitude, state.filter.covariance):
+        state, estimate, _ = advance(state, stamp, seen, tracker)
+        for values in (estimate.increment[:3], estimate.rate, state.filter.attitude, state.filter.covariance):
             assert np.all(np.isfinite(values)), "a number that is not finite"
         assert np.abs(state.filter.attitude @ state.filter.attitude.T - np.eye(3)).max() < 1e-6, "no rotation"

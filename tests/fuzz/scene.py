@@ -82,5 +82,5 @@ def use(rig: Rig, chosen: Settings, images: list[NDArray[np.uint8]]) -> None:
     tracker = build(rig, start.pose, chosen)
     state = begin(tracker, 0.0)
     for frame in start.frames:
-        state, motion, _ = step(state, frame, tracker)
-        assert np.all(np.isfinite(motion.rotation))
+        state, estimate, _ = step(state, frame, tracker)
+        assert np.all(np.isfinite(estimate.increment[:3]))

@@ -11,7 +11,7 @@ from seats import LOOKS
 
 from spheremouse.geometry.rotation import exp, rotation_between
 from spheremouse.output.counts import Counter, MotionSettings, Remainder, to_counts
-from spheremouse.tracker import Motion, no_motion
+from spheremouse.tracker import unknown
 
 RADIUS = 0.6
 steps = st.lists(st.tuples(*[st.floats(-0.5, 0.5)] * 3).map(np.array), max_size=60)
@@ -65,16 +65,22 @@ DT = 1.0 / 30.0  # s
 HAND = 2.0  # rad/s, a hand in ordinary play
 
 
+def _turning(stamp, turn, rate=(0.0, 0.0, 0.0)):
+    """Return a confirmed estimate with an increment of `turn`, (3,) rad, and a `rate`, (3,) rad/s."""
+    increment, moving = np.array([*turn, 0.0, 0.0, 0.0]), np.array([*rate, 0.0, 0.0, 0.0])
+    return unknown(stamp)._replace(increment=increment, rate=moving, confirmed=True)
+
+
 def filmed(rates, confirmed, stamps):
     """The motions of a ball of `rates`, (n, 3) rad/s; frames that are not `confirmed` are made up for by the next."""
     motions, left, before = [], np.zeros(3), stamps[0]
     for rate, sure, stamp in zip(rates, confirmed, stamps, strict=True):
         left, before = left + (stamp - before) * np.asarray(rate), stamp
         if sure:
-            motions.append(Motion(stamp, left, np.zeros(3), np.r_[rate, np.zeros(3)], np.zeros((12, 12)), True))
+            motions.append(_turning(stamp, left, rate))
             left = np.zeros(3)
         else:
-            motions.append(no_motion(stamp))
+            motions.append(unknown(stamp))
     return motions
 
 
@@ -104,7 +110,7 @@ def test_what_was_withheld_comes_at_a_hands_pace_and_none_of_it_is_lost(drawn):
         [*stamps, *(stamps[-1] + DT * np.arange(1, rest + 1))],
     )
     sent = reported(motions)
-    assert_allclose(sent.sum(axis=0), np.sum([m.rotation for m in motions], axis=0), atol=2e-4)
+    assert_allclose(sent.sum(axis=0), np.sum([m.increment[:3] for m in motions], axis=0), atol=2e-4)
     fastest = max(np.linalg.norm(r) for r in rates)
     interval = DT * max(steps for _, steps, _ in drawn)
     assert np.linalg.norm(sent, axis=1).max() <= (fastest + HAND) * interval + 5e-4
@@ -113,13 +119,13 @@ def test_what_was_withheld_comes_at_a_hands_pace_and_none_of_it_is_lost(drawn):
 @given(st.lists(st.tuples(*[st.floats(-20.0, 20.0)] * 3), min_size=2, max_size=40), st.sampled_from((DT, DT / 2, 0.2)))
 def test_ordinary_motion_passes_at_once_however_fast_it_is(rates, interval):
     motions = filmed(rates, [True] * len(rates), interval * np.arange(1, len(rates) + 1))
-    assert_allclose(reported(motions), [m.rotation for m in motions], atol=1.1e-4 * np.sqrt(3))
+    assert_allclose(reported(motions), [m.increment[:3] for m in motions], atol=1.1e-4 * np.sqrt(3))
 
 
 def test_a_dropped_frame_delays_nothing():
     stamps = DT * np.delete(np.arange(1, 40), [5, 11, 12 + 8])
     motions = filmed([(6.0, 1.0, 0.0)] * len(stamps), [True] * len(stamps), stamps)
-    assert_allclose(reported(motions), [m.rotation for m in motions], atol=1.1e-4 * np.sqrt(3))
+    assert_allclose(reported(motions), [m.increment[:3] for m in motions], atol=1.1e-4 * np.sqrt(3))
 
 
 @pytest.mark.parametrize("missing", [True, False])
@@ -140,8 +146,8 @@ def test_a_fifth_of_a_second_is_made_up_for_within_as_long_and_no_report_is_a_ju
 def test_a_clock_that_starts_again_or_stands_still_loses_nothing():
     stamps = [100.0, 100.0 + DT, 100.0 + 2 * DT, 3.0, 3.0 + DT, 3.0 + DT, 3.0 + 2 * DT, *(4.0 + DT * np.arange(99))]
     turn = np.array([0.05, 0.0, 0.0])
-    motions = [Motion(t, turn, np.zeros(3), np.zeros(6), np.zeros((12, 12)), True) for t in stamps]
-    motions[1] = motions[4] = no_motion(0.0)._replace(stamp=stamps[1])
+    motions = [_turning(t, turn) for t in stamps]
+    motions[1] = motions[4] = unknown(0.0)._replace(stamp=stamps[1])
     sent = reported(motions)
     assert np.all(np.isfinite(sent))
     assert_allclose(sent.sum(axis=0), turn * (len(stamps) - 2), atol=2e-4)

@@ -114,7 +114,7 @@ needs_x = pytest.mark.skipif(
 PROGRAM = """
 import sys
 from spheremouse.errors import OutputError
-from spheremouse.tracker import no_motion
+from spheremouse.tracker import unknown
 from spheremouse.output import Report, open_output
 
 try:
@@ -122,7 +122,7 @@ try:
         print("open", flush=True)
         for line in sys.stdin:
             counts = tuple(map(int, line.split()))
-            output.send(Report(counts, (0.0, 0.0, 0.0), no_motion(0.0)))
+            output.send(Report(counts, (0.0, 0.0, 0.0), unknown(0.0)))
             print("sent", flush=True)
 except OutputError as e:
     print(e, flush=True)

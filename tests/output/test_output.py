@@ -109,12 +109,12 @@ def test_a_full_disk_is_an_error_and_leaving_stays_possible():
 PROGRAM = """
 from spheremouse.errors import OutputError
 from spheremouse.output import Report, open_output
-from spheremouse.tracker import no_motion
+from spheremouse.tracker import unknown
 sent = 0
 try:
     with open_output("text:-") as output:
         for sent in range(100_000):
-            output.send(Report((1, 2, 3), (0.0, 0.0, 0.0), no_motion(sent / 30)))
+            output.send(Report((1, 2, 3), (0.0, 0.0, 0.0), unknown(sent / 30)))
 except OutputError as e:
     print(e, file=__import__("sys").stderr)
 print("ended quietly", sent < 99_999, file=__import__("sys").stderr)

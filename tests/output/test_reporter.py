@@ -125,7 +125,7 @@ def test_every_frame_is_sent_once_even_if_it_is_empty(start):
         given(*counts)
         until(lambda n=given.frames: len(world.reports) == n)
     assert [m.counts for m in world.reports] == [(3, -2, 1), (0, 0, 0), (5, 0, 0)]
-    assert [m.motion.stamp for m in world.reports] == [1.0, 2.0, 3.0]
+    assert [m.estimate.stamp for m in world.reports] == [1.0, 2.0, 3.0]
     until(lambda: reporter.status().reports == 2)
     status = reporter.status()
     assert (status.failed, status.sent, status.unsent, status.ahead) == (None, (8, -2, 1), (0, 0, 0), (0, 0, 0))
@@ -141,10 +141,10 @@ def test_motion_is_carried_on_to_the_horizon_and_no_further(start):
     assert len([m for m in world.reports if any(m.counts)]) >= 2  # the first had its share alone
     until(lambda: reporter.status().ahead == (90, -90, 0))
     assert even(reporter, given)
-    stamps = [m.motion.stamp for m in world.reports]
+    stamps = [m.estimate.stamp for m in world.reports]
     assert stamps == sorted(stamps)
     assert all(
-        np.any(m.motion.rotation) == (m.motion.stamp in (1.0, 2.0)) for m in world.reports
+        np.any(m.estimate.increment[:3]) == (m.estimate.stamp in (1.0, 2.0)) for m in world.reports
     )  # a rotation is told once
     given(80, 0, 0, taken=now + 1 / 30)  # less than what was overshot
     given(13, 1, 0, taken=now + 2 / 30)

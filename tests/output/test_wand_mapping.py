@@ -47,7 +47,7 @@ def follow(poses, settings, before=PointingState()):  # noqa: B008  frozen
     for k, one in enumerate(poses):
         before, report = point(before, one, None, k * DT, settings)
         counts.append(report.counts)
-        assert report.motion.stamp == k * DT
+        assert report.estimate.stamp == k * DT
     return np.array(counts), before
 
 
@@ -149,7 +149,7 @@ def test_a_slow_camera_is_no_leap():
     for dt, moves in ((0.5, True), (0.02, False)):
         _, report = point(first, pose(p, turned(0, 60, 0)), None, dt, PointingSettings())
         assert (report.counts[0] > 0) == moves
-        assert np.linalg.norm(report.motion.rotation) == pytest.approx(np.radians(60) if moves else 0.0)
+        assert np.linalg.norm(report.estimate.increment[:3]) == pytest.approx(np.radians(60) if moves else 0.0)
 
 
 def test_stamps_that_stand_still_move_nothing():
@@ -199,7 +199,7 @@ def test_the_rate_is_that_of_the_counts(by, facing, velocity):
     pose_velocity = replace(initialise(0.0, AHEAD, np.eye(3), np.eye(6)), velocity=v)
     for before in (PointingState(), follow(steps[:1], settings)[1]):
         _, report = point(before, steps[1], pose_velocity, DT, settings)
-        assert report.motion.rate == pytest.approx(np.roll(v, 3))
+        assert report.estimate.rate == pytest.approx(np.roll(v, 3))
         assert report.rate == pointing_rate(v, settings)
 
 
@@ -221,16 +221,16 @@ def test_a_motion_is_as_uncertain_as_sampled_poses_are():
             for (at, to), d, C in zip(((p, R), (q, Q)), e, P, strict=True)
         ]
         first, begins = point(PointingState(), poses[0], pose_velocity, 0.0, fast)
-        assert not np.any(begins.motion.covariance[:6, :6])
-        return point(first, poses[1], pose_velocity, 0.1, fast)[1].motion
+        assert not np.any(begins.estimate.increment_covariance)
+        return point(first, poses[1], pose_velocity, 0.1, fast)[1].estimate
 
     drawn = [motion([L @ rng.normal(size=6) for L in A]) for _ in range(4000)]
-    scatter = np.cov(np.array([np.concatenate([m.rotation, m.shift]) for m in drawn]).T)
-    told = motion(np.zeros((2, 6))).covariance
+    scatter = np.cov(np.array([m.increment for m in drawn]).T)
+    told = motion(np.zeros((2, 6))).increment_covariance
     scale = np.sqrt(np.outer(np.diag(scatter), np.diag(scatter)))
-    assert np.abs(told[:6, :6] - scatter).max() < 0.1 * np.diag(scatter).max()
-    assert np.abs((told[:6, :6] - scatter) / scale).max() < 0.15
-    assert told[6:9, 6:9] == pytest.approx(pose_velocity.covariance[9:, 9:])
+    assert np.abs(told - scatter).max() < 0.1 * np.diag(scatter).max()
+    assert np.abs((told - scatter) / scale).max() < 0.15
+    assert motion(np.zeros((2, 6))).covariance[6:9, 6:9] == pytest.approx(pose_velocity.covariance[9:, 9:])
 
 
 def test_fractions_survive_a_loss():

@@ -7,13 +7,13 @@ from seats import LOOKS
 from spheremouse.output.counts import MotionSettings
 from spheremouse.output.wand_mapping import PointingSettings
 from spheremouse.session.directions import of_ball, of_hand
-from spheremouse.tracker import no_motion
+from spheremouse.tracker import unknown
 
 UP = np.array([0.0, 1.0, 0.0])
 
 
 def at(turn=(0.0, 0.0, 0.0), shift=(0.0, 0.0, 0.0)):
-    return no_motion(1.0)._replace(rate=np.array([*turn, *shift]), confirmed=True)
+    return unknown(1.0)._replace(rate=np.array([*turn, *shift]), confirmed=True)
 
 
 @pytest.mark.parametrize("player", LOOKS)

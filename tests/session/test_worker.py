@@ -82,7 +82,7 @@ def test_targets_first_in_colour_then_the_ball_in_grey(film):
     made = [play(k) for k in range(24)]
     assert all(m is not None for m in made)
     assert play.asked == [False]
-    assert made[-1].report.motion.confirmed
+    assert made[-1].report.estimate.confirmed
     assert made[-1].epoch.state.status is Status.TRACKING
     assert (play.worker.frames, play.worker.seen) == (24, 26)
     assert {k: t.count for k, t in play.worker.times.items()} == dict.fromkeys(

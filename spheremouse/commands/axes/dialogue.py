@@ -93,14 +93,14 @@ class Dialogue:
     def show(self, made: FrameResult, follower: TrackerAdapter) -> None:
         """Look at the motion of a frame."""
         self.tally.add(made.report.counts, sum(made.seconds.values()))
-        motion = made.report.motion
-        if not motion.confirmed or self.found is not None:
+        estimate = made.report.estimate
+        if not estimate.confirmed or self.found is not None:
             return
         if not self._begun:
             self._begun = True
             self._ask()
-        way = np.concatenate([motion.rotation, motion.shift])[self._asked.directions[0].part]
-        self._take(self._detector.add(motion.stamp, way))
+        way = estimate.increment[self._asked.directions[0].part]
+        self._take(self._detector.add(estimate.stamp, way))
 
     def conclusion(self) -> list[tuple[str, Any, Any]]:
         """Settings by name, with their values and those before. Raises CalibrationError where too little was shown."""

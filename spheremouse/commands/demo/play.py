@@ -142,7 +142,7 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
             screen.say(messages.standing(start.resection, tracker.rig))
         video.begin(tracker, marks)
         for epoch in track(start.frames, tracker):
-            report = counter.report(epoch.motion)
+            report = counter.report(epoch.estimate)
             motions.send(report)
             seen.add(epoch, report.counts)
             if epoch.events:

@@ -13,7 +13,7 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.output import Report
 from spheremouse.output.serial import BAUD, Serial, Statistics
 from spheremouse.output.serial.simulator import Simulator
-from spheremouse.tracker import no_motion
+from spheremouse.tracker import unknown
 
 _INTERVAL = 4e-3  # s, of a camera with 250 frames a second
 _MAX_SHARE = 0.05  # of the interval, that sending may add
@@ -71,7 +71,7 @@ def measure(rate: float, motions: int, damage: float = 0.0, baud: int | None = N
         port: str = here.recv()
         output = Serial(lambda: port, BAUD, "none", lambda _: None)
         sent, call = np.empty(motions), np.empty(motions)
-        one = Report((1, 0, 0), (0.0, 0.0, 0.0), no_motion(0.0))
+        one = Report((1, 0, 0), (0.0, 0.0, 0.0), unknown(0.0))
         start = time.monotonic() + 0.1
         for k in range(motions):
             _sleep_until(start + k / rate)

@@ -36,7 +36,7 @@ from spheremouse.session.follower import MAP, POSE, TARGETS, Change, Do, FrameRe
 from spheremouse.session.plan import Plan
 from spheremouse.session.process.threads import Work
 from spheremouse.session.settings import Configuration
-from spheremouse.tracker import Frame, Motion, Status, Step, check_size
+from spheremouse.tracker import Estimate, Frame, Status, Step, check_size
 
 
 class BallFollower:
@@ -68,7 +68,7 @@ class BallFollower:
         self._tracker: Tracker | None = None
         self._subject: BallSubject | None = None
         self._counter = Counter(settings.motion.matrix(rig.radius_m))
-        self._motion: Motion | None = None  # the last one
+        self._estimate: Estimate | None = None  # of the last frame
         self._forget_views()
         self._anew: _Reinitialisation | None = None
         self._detected = 0.0
@@ -189,13 +189,14 @@ class BallFollower:
 
     def figures(self, seeing: bool) -> dict[str, Any]:
         """Discs, and where the camera is."""
-        state, motion = self.state, self._motion
+        estimate = self._estimate
+        found = {} if estimate is None else estimate.statistics
         tracking = seeing and self.status is Status.TRACKING
         return {
-            "discs": len(state.filter.used) if state is not None and tracking else 0,
-            "discs_seen": 0 if state is None else len(state.points),
-            "discs_known": 0 if state is None else len(state.filter.discs),
-            "motion": of_ball(self.settings.motion).figures(motion) if tracking and motion is not None else None,
+            "discs": found.get("discs_used", 0) if tracking else 0,
+            "discs_seen": found.get("discs_seen", 0),
+            "discs_known": found.get("discs_known", 0),
+            "motion": of_ball(self.settings.motion).figures(estimate) if tracking and estimate is not None else None,
             "pose": self._pose_figures(),
             "targets": self._target_figures(),
             "balls": None,
@@ -289,8 +290,8 @@ class BallFollower:
             made = step(before, frame, tracker, self._note_detected, self._seeker)
         seconds = {"detect": self._detected - begun, "filter": time.monotonic() - self._detected}
         self._remember(made, frame, tracker)
-        epoch = Epoch(frame, made.state, made.motion, made.events, seconds)
-        return FrameResult(frame, self._counter.report(made.motion), seconds, epoch)
+        epoch = Epoch(frame, made.state, made.estimate, made.events, seconds)
+        return FrameResult(frame, self._counter.report(made.estimate), seconds, epoch)
 
     def _note_detected(self) -> None:
         self._detected = time.monotonic()
@@ -312,7 +313,7 @@ class BallFollower:
         return made._replace(events=asked)
 
     def _remember(self, made: Step[TrackState], frame: Frame, tracker: Tracker) -> None:
-        self.state, self._motion = made.state, made.motion
+        self.state, self._estimate = made.state, made.estimate
         if self._anew is not None and self._anew.over:
             self._anew = None
         tracker = current(made.state, tracker)

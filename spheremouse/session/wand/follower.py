@@ -20,7 +20,7 @@ from spheremouse.session.plan import Plan
 from spheremouse.session.wand.messages import Told
 from spheremouse.session.wand.offline import check_wand_frame
 from spheremouse.session.wand.subject import WandSubject, picture
-from spheremouse.tracker import Frame, Motion, Status
+from spheremouse.tracker import Estimate, Frame, Status
 from spheremouse.wand.axes import axes_of as six_axes
 from spheremouse.wand.state import WandEpoch, WandPose, WandState, WandTracker
 from spheremouse.wand.track import begin, step
@@ -39,7 +39,7 @@ class WandFollower:
         self._hand = WandMapping(plan.configuration.wand.pointing, plan.configuration.wand.points - 1)
         self._state: WandState | None = None
         self._poses: tuple[WandPose, ...] = ()
-        self._motion: Motion | None = None  # the last one
+        self._estimate: Estimate | None = None  # of the last frame
         self._frames = 0
         self._change, self._more = "", list[str]()
         self.waiting = ""
@@ -83,7 +83,7 @@ class WandFollower:
         self._state, self._poses = step(state, frame, self.tracker)
         epoch = WandEpoch(frame, self._poses, self._state, time.perf_counter() - begun)
         report = self._hand.report(epoch)
-        self._motion = report.motion
+        self._estimate = report.estimate
         for axes in self._axes:
             axes.push(frame.stamp, self._poses, self.points)
         self._frames += 1
@@ -145,9 +145,9 @@ class WandFollower:
     def figures(self, seeing: bool) -> dict[str, Any]:
         """Where each ball is, and how the one that points moves."""
         none, poses = dict.fromkeys(("discs", "discs_seen", "discs_known", "pose", "targets", "motion")), self._poses
-        motion = self._motion
-        if seeing and motion is not None and self.status is Status.TRACKING:
-            none["motion"] = of_hand(self._plan.configuration.wand.pointing).figures(motion)
+        estimate = self._estimate
+        if seeing and estimate is not None and self.status is Status.TRACKING:
+            none["motion"] = of_hand(self._plan.configuration.wand.pointing).figures(estimate)
         if not seeing or not poses:
             poses = tuple(WandPose(b.name, None, None, None, Status.SEARCHING, None) for b in self.tracker.balls)
         return {**none, "balls": [_figures(pose) for pose in poses]}

@@ -23,7 +23,7 @@ from spheremouse.output.serial.firmware import load_protocol
 from spheremouse.output.serial.messages import STOP, encode
 from spheremouse.output.serial.ports import find_board
 from spheremouse.output.third_axis import left_out
-from spheremouse.tracker import no_motion
+from spheremouse.tracker import unknown
 
 pty = pytest.importorskip("pty", reason="no pseudo-terminals here")
 import termios  # noqa: E402
@@ -61,7 +61,9 @@ def test_the_boards_mouse_follows_the_hand_on_the_top_of_the_ball(board, player)
     with open_output(f"serial:{board.port}") as output:
         for hand, moved in ((np.cross(ahead, (0, 1, 0)), [100, 0]), (ahead, [100, -100])):
             turn = 0.1 * np.cross((0, 1, 0), hand)
-            output.send(counter.report(no_motion(1.0)._replace(rotation=turn, confirmed=True)))
+            output.send(
+                counter.report(unknown(1.0)._replace(increment=np.concatenate([turn, np.zeros(3)]), confirmed=True))
+            )
             until(lambda: output.settled)
             assert board.moved[:2] == moved
 

@@ -47,10 +47,10 @@ def watched(options, covered=(0.0, 0.0), level=170, disc=1.0):
         made = follower.follow(replace(filmed.frame, image=image))
         assert made is not None
         seen.reasons.append(follower.reason)
-        seen.confirmed.append(made.report.motion.confirmed)
+        seen.confirmed.append(made.report.estimate.confirmed)
         seen.stamps.append(stamp)
         seen.counts = np.concatenate([seen.counts, [made.report.counts]])
-        seen.integral = seen.integral + matrix @ made.report.motion.rotation
+        seen.integral = seen.integral + matrix @ made.report.estimate.increment[:3]
         seen.fastest = max(seen.fastest, float(np.linalg.norm(filmed.rate)))
         if line := follower.take_news().change:
             seen.news.append((stamp, line))

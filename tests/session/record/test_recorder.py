@@ -40,7 +40,7 @@ from spheremouse.session.settings import Configuration
 from spheremouse.session.settings.record import RecordSettings
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.simulate.ball.scene import default_scene
-from spheremouse.tracker import Frame, Motion, Status
+from spheremouse.tracker import Estimate, Frame, Status
 
 PATIENCE = 60.0  # s, for what takes a moment
 PLENTY = RecordSettings(free_megabytes=0.0)
@@ -102,8 +102,8 @@ def assert_same_epochs(a, b):
     for x, y in zip(a, b, strict=True):
         assert (x.frame.stamp, x.frame.sequence) == (y.frame.stamp, y.frame.sequence)
         assert x.frame.image.shape == y.frame.image.shape
-        for name in Motion._fields:
-            assert np.array_equal(getattr(x.motion, name), getattr(y.motion, name)), name
+        for name in Estimate._fields:
+            assert np.array_equal(getattr(x.estimate, name), getattr(y.estimate, name)), name
         assert (x.state.status, x.events) == (y.state.status, y.events)
         for name in ("attitude", "rate", "covariance", "discs"):
             assert np.array_equal(getattr(x.state.filter, name), getattr(y.state.filter, name)), name
@@ -126,7 +126,7 @@ def test_a_recording_is_tracked_as_it_was_to_the_last_bit(tmp_path, kind):
     rig, pose, frames = film()
     live = as_live(frames, KINDS[kind])
     epochs, folder = record(tmp_path / "made", live, rig, pose)
-    assert np.any(counts_of([e.motion for e in epochs], rig), axis=1).sum() > 15
+    assert np.any(counts_of([e.estimate for e in epochs], rig), axis=1).sum() > 15
     keep = kept(rig, pose, Settings())
     with open_source(f"dataset:{folder}") as source:
         again = list(source)
@@ -233,7 +233,7 @@ def test_the_commands_replay_a_recording_without_further_options(tmp_path):
     rig, pose, frames = film()
     live = as_live(frames, KINDS["grey, targets in colour"])
     epochs, folder = record(tmp_path / "made", live, rig, pose)
-    sent = np.sum(counts_of([e.motion for e in epochs], rig), axis=0)
+    sent = np.sum(counts_of([e.estimate for e in epochs], rig), axis=0)
     done = run("run", "--source", f"dataset:{folder}", "--output", f"text:{tmp_path / 'out.txt'}", "--no-table")
     assert done.exit_code == 0, done.output
     x, y, z = sent

@@ -218,7 +218,7 @@ class World:
         left = np.array(self.daemon._outputs.pointer.queued)
         assert np.array_equal(self.counts + status.unsent + left, given)
         seen = {e.frame.stamp for e, _ in self.frames if e.poses[0].seen}
-        assert all(m.motion.stamp in seen for m in self.sent if any(m.counts))
+        assert all(m.estimate.stamp in seen for m in self.sent if any(m.counts))
         assert self.out == 0
 
 
