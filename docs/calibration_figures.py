@@ -66,16 +66,16 @@ def camera_rows(found: Any, truth: Any) -> list[Row]:
     worst = max(abs(values[k] - true[k]) / sigma[k] for k in true)
     focal = max(abs(values[k] / true[k] - 1.0) for k in ("fx", "fy"))
     middle = max(abs(values[k] - true[k]) for k in ("cx", "cy"))
-    what = "calibrate camera (stills)"
+    what = "camera, `stills`"
     return [
-        ("focal lengths off by", what, f"{100 * focal:.3f} %", "0.05 %"),
-        ("principal point off by", what, f"{middle:.2f} px", "0.5 px"),
+        ("focal lengths", what, f"{100 * focal:.3f} %", "0.05 %"),
+        ("principal point", what, f"{middle:.2f} px", "0.5 px"),
         ("reprojection RMSE", what, f"{found['rms_px']:.3f} px", "0.09 px"),
-        ("largest error of the nine over its sigma", what, f"{worst:.1f}", "3.5"),
+        ("largest error over sigma", what, f"{worst:.1f}", "3.5"),
     ]
 
 
-def device_rows(found: Any, truth: Any, what: str = "calibrate device (stills)") -> list[Row]:
+def device_rows(found: Any, truth: Any, what: str = "device, `stills`") -> list[Row]:
     """Errors of targets, ball and discs in mm, and in standard deviations."""
     targets = {t["id"]: np.array(t["position"]) for t in truth["targets"]}
     radius = truth["ball"]["radius"]
@@ -104,9 +104,9 @@ def device_rows(found: Any, truth: Any, what: str = "calibrate device (stills)")
         over += list(np.abs(e) / np.array(photo["sigma"]))
     correlation = np.array(found["ball"]["correlation"])
     return [
-        ("targets off by, at most", what, f"{1e3 * max(off['targets']):.2f} mm", "1 mm"),
-        ("ball's centre off by", what, f"{1e3 * np.linalg.norm(centre):.2f} mm", "3 mm"),
-        ("radius off by", what, f"{1e3 * ball[3]:+.2f} mm, sigma {1e3 * sigma['R']:.2f} mm", "3 mm"),
+        ("targets, at most", what, f"{1e3 * max(off['targets']):.2f} mm", "1 mm"),
+        ("ball's centre", what, f"{1e3 * np.linalg.norm(centre):.2f} mm", "3 mm"),
+        ("radius", what, f"{1e3 * ball[3]:+.2f} mm, sigma {1e3 * sigma['R']:.2f} mm", "3 mm"),
         (
             "discs, RMS",
             what,
@@ -114,7 +114,7 @@ def device_rows(found: Any, truth: Any, what: str = "calibrate device (stills)")
             "1.5 mm",
         ),
         ("correlation of Z and radius", what, f"{correlation[2, 3]:.3f}", "-0.998 (table 11)"),
-        ("largest of all errors over its sigma", what, f"{max(over):.1f}", "3.5"),
+        ("largest error over sigma", what, f"{max(over):.1f}", "3.5"),
     ]
 
 
@@ -128,8 +128,8 @@ def covariances(runs: int) -> list[Row]:
     rows = []
     for name, freedom in FREEDOM.items():
         low, high = chi2.ppf([0.025, 0.975], freedom * runs) / (freedom * runs)
-        what = f"ANEES of {name}, {runs} simulated calibrations"
-        rows.append((what, "docs/calibration_figures.py", f"{np.mean(errors[name]):.3f}", f"{low:.3f} to {high:.3f}"))
+        figure = f"{np.mean(errors[name]):.3f}"
+        rows.append((f"ANEES of {name}", f"{runs} simulations", figure, f"{low:.3f} to {high:.3f}"))
     return rows
 
 
@@ -143,7 +143,7 @@ def tracked(far26: Path, work: Path) -> list[Row]:
     words = ("calibrate", "device", evening / "device", "--device", evening / "device.yaml", "--camera", camera_file)
     found = figures(*words, "--out", rig_file, file=work / "evening.json")
     truth = json.loads((evening / "truth.json").read_text())
-    rows = device_rows(found, truth, "calibrate device (photos of far26's device)")
+    rows = device_rows(found, truth, "device, `far26`")
     rolled = figures(
         "calibrate", "rolling", "--source", f"dataset:{far26}", "--out", roll_file, file=work / "roll.json"
     )
@@ -153,10 +153,10 @@ def tracked(far26: Path, work: Path) -> list[Row]:
     towards = -true[:3, :3].T @ true[:3, 3]
     towards /= np.linalg.norm(towards)
     angle = np.degrees(np.arccos(np.clip(towards @ np.array(rolled["center_direction"]), -1.0, 1.0)))
-    what = "calibrate rolling (far26)"
+    what = "rolling, `far26`"
     rows += [
-        ("radius over distance off by", what, f"{100 * abs(ratio / rolled['ratio'] - 1.0):.4f} %", "0.1 %"),
-        ("centre direction off by", what, f"{angle:.4f}°", "0.02°"),
+        ("radius over distance", what, f"{100 * abs(ratio / rolled['ratio'] - 1.0):.4f} %", "0.1 %"),
+        ("centre direction", what, f"{angle:.4f}°", "0.02°"),
     ]
     across_rows = len(rows)
     lens = work / "far26-camera.yaml"
@@ -178,13 +178,14 @@ def tracked(far26: Path, work: Path) -> list[Row]:
             seen = -(R @ true[:3, :3]).T @ position
             angle = np.degrees(np.arccos(np.clip(towards @ seen / np.linalg.norm(seen), -1.0, 1.0)))
             photo_ratio = np.linalg.norm(position) / found["ball"]["radius"]
-            what = "evaluate far26, rig of the photos"
+            what = "device, `far26`"
             rows[across_rows:across_rows] = [
-                ("radius over distance off by", what, f"{100 * abs(ratio / photo_ratio - 1.0):.4f} %", "as by rolling"),
-                ("centre direction off by", what, f"{angle:.4f}°", "as by rolling"),
+                ("radius over distance", what, f"{100 * abs(ratio / photo_ratio - 1.0):.4f} %", "as by rolling"),
+                ("centre direction", what, f"{angle:.4f}°", "as by rolling"),
             ]
         figure = f"{ratios[0]:.2f} / {ratios[1]:.2f}"
-        rows.append((f"attitude / rate error over that with the true rig: {name}", "evaluate far26", figure, limit))
+        what = f"{'device' if name == 'photos' else name}, `far26`"
+        rows.append(("attitude, rate over true rig's", what, figure, limit))
     return rows
 
 
@@ -204,7 +205,7 @@ def main() -> None:
             *tracked(args.datasets / "far26", work),
             *covariances(args.runs),
         ]
-    head = [("", "command", "figure", "asked for"), ("---", "---", "---", "---")]
+    head = [("error", "calibration", "figure", "limit"), ("---", "---", "---", "---")]
     text = "\n".join("| " + " | ".join(row) + " |" for row in [*head, *rows])
     print(text)
     if args.write:
