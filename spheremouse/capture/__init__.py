@@ -1,7 +1,7 @@
-"""Sources: where frames come from. `KIND:ARGUMENT` in, a context manager that yields Frames out.
+"""Sources: `KIND:ARGUMENT` opens a context manager that yields frames.
 
-A source is a module here with `open(argument: str, realtime: bool) -> Source`; its name, one of `KINDS`, is its kind.
-Those of other distributions are named by entry points in the group `spheremouse.source`.
+A source is a module of this package with `open(argument: str, realtime: bool) -> Source`. Its name is in `KINDS`. Other
+distributions add sources by entry points in the group `spheremouse.source`.
 """
 
 import os
@@ -21,26 +21,26 @@ KINDS = ("dataset", "opencv", "synthetic", "v4l2", "video")
 
 
 class Source(Protocol):
-    """An iterator of frames that is closed by leaving its `with` block. Ends, or raises SourceError (a live one)."""
+    """An iterator of frames, closed by leaving its `with` block. A recording ends; a live source raises SourceError."""
 
     @property
     def rig(self) -> Rig | None:
-        """The device as the source itself knows it, if it does."""
+        """The device, if the source contains it."""
         ...
 
     @property
     def live(self) -> bool:
-        """Frames come when they are taken, and those not fetched in time are lost."""
+        """True for a camera, whose frames are lost if nobody fetches them in time."""
         ...
 
     @property
     def fps(self) -> float | None:
-        """Nominal frames per second, for display only: time steps come from the stamps."""
+        """Nominal frames per second, for display only. Time steps come from the stamps."""
         ...
 
     @property
     def count(self) -> int | None:
-        """Number of frames to come, as far as the source can promise."""
+        """Number of frames, if the source knows it."""
         ...
 
     def __iter__(self) -> Iterator[Frame]: ...
@@ -53,39 +53,39 @@ class Source(Protocol):
 
 
 class RawFrame(Protocol):
-    """A picture as a live camera gave it, not decoded yet."""
+    """An image of a live camera that is not decoded yet."""
 
     @property
     def stamp(self) -> float:
-        """s on the clock of time.monotonic(), mid-exposure of the middle row."""
+        """Mid-exposure of the middle row, s on the clock of time.monotonic()."""
         ...
 
     @property
     def sequence(self) -> int:
-        """Counts every frame the camera produced: a gap shows what the driver dropped."""
+        """Number of the frame among all that the camera produced. A gap shows frames that the driver dropped."""
         ...
 
     def frame(self, colour: bool) -> Frame:
-        """Decode: (h, w) luma, or (h, w, 3) BGR; perhaps a view of the buffer, good until `release`.
+        """Decode to (h, w) luma or (h, w, 3) BGR. The image may be a view of the buffer, valid until `release`.
 
-        Raises DamagedFrameError where this is no whole picture.
+        Raises DamagedFrameError if the image is incomplete.
         """
         ...
 
     def release(self) -> None:
-        """Give the buffer back, from any thread, once or more often."""
+        """Return the buffer to the driver, from any thread. A second call does nothing."""
         ...
 
 
 class Camera(Protocol):
-    """A live source as the daemon takes it: raw frames one by one; closed by leaving its `with` block."""
+    """A live source that returns raw frames one by one, closed by leaving its `with` block."""
 
     def next(self, timeout: float) -> RawFrame | None:
-        """The next raw frame, None where none came within `timeout` s; SourceError where the camera is gone."""
+        """Return the next raw frame; None if none comes within `timeout` (s). Raises SourceError if it is gone."""
         ...
 
     def describe(self) -> str:
-        """Device, format, size, rate and what was set, in one line."""
+        """Return device, format, size, rate and changed controls in one line."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -97,7 +97,7 @@ class Camera(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """The plain source: an iterator of frames, what is known of it, and how to close it."""
+    """A source made of an iterator of frames and a function that closes it."""
 
     frames: Iterator[Frame]
     rig: Rig | None = None
@@ -134,17 +134,17 @@ def full_spec(spec: str) -> str:
 
 
 def open_source(spec: str, *, realtime: bool = False) -> Source:
-    """The source that `KIND:ARGUMENT` names; `realtime` gives recorded frames no sooner than their stamps say."""
+    """Open the source `KIND:ARGUMENT`. With `realtime`, recorded frames come no earlier than by their stamps."""
     members = ("rig", "live", "fps", "count", "__iter__", "__enter__", "__exit__")
     return opened(sys.modules[__name__], "source", spec, SourceError, members, realtime)
 
 
 def paced(frames: Iterator[Frame]) -> Iterator[Frame]:
-    """The frames, each held back until the time since the first one is what the stamps say; none is dropped."""
-    ahead: float | None = None  # clock less stamp, at the first frame
+    """Yield all frames at the pace of their stamps."""
+    offset: float | None = None  # s, clock minus stamp of the first frame
     for frame in frames:
         now = time.monotonic()
-        if ahead is None:
-            ahead = now - frame.stamp
-        time.sleep(max(0.0, frame.stamp + ahead - now))
+        if offset is None:
+            offset = now - frame.stamp
+        time.sleep(max(0.0, frame.stamp + offset - now))
         yield frame

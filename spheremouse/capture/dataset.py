@@ -1,4 +1,4 @@
-"""`dataset:DIR`: a recording with what is known of it (docs/datasets); the truth, if there is any, is not read here."""
+"""`dataset:DIR`: a recording with its description (docs/datasets.md). The truth is not read here."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from spheremouse.files.dataset.ball import open_dataset, read_frames
 
 
 def open(argument: str, realtime: bool) -> Stream:
-    """The frames of a dataset, and its rig."""
+    """Open the frames of a dataset, and its rig."""
     if not argument:
         raise SourceError("dataset: needs a folder; write dataset:DIR")
     recording = open_dataset(Path(argument))

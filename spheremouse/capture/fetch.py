@@ -16,7 +16,7 @@ from spheremouse.capture.newest import Arrival, LatestFrame
 from spheremouse.errors import SourceError, SpheremouseError
 from spheremouse.tracker import Frame
 
-PATIENCE = 2.0  # s without a frame after which a stream counts as frozen: exposures are shorter, so are focus hunts
+PATIENCE = 2.0  # s without a frame until a stream counts as frozen; exposures and focus searches are shorter
 BACK_OFF = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # s
 _STABLE_STREAM_S = 2.0  # s that a stream must last for the next failure to count as the first one
 _MAX_LAG_S = 0.2  # s that a recording may lag behind its own pace
@@ -50,7 +50,7 @@ class Streamed:
         self._source, self._name = source, name
         self.live = source.live
         self._frames: Iterator[Frame] = iter(())
-        self._ahead: float | None = None  # s, clock less stamp of the first frame
+        self._offset: float | None = None  # s, clock minus stamp of the first frame
 
     def next(self, timeout: float) -> RawFrame | None:
         """Return the next frame. Raises EndOfSource at the end of a recording, SourceError if a camera stops."""
@@ -71,9 +71,9 @@ class Streamed:
     def _is_late(self, frame: Frame) -> bool:
         """Return whether a recording that is played in real time lags behind its stamps."""
         now = time.monotonic()
-        if self._ahead is None:
-            self._ahead = now - frame.stamp
-        return now - frame.stamp - self._ahead > _MAX_LAG_S
+        if self._offset is None:
+            self._offset = now - frame.stamp
+        return now - frame.stamp - self._offset > _MAX_LAG_S
 
     def describe(self) -> str:
         """Return name and rate."""
@@ -103,17 +103,17 @@ class Capture(threading.Thread):
         super().__init__(name="capture", daemon=True)
         self._open, self._latest, self._say, self._patience = open_camera, latest, say, patience
         self._over = False
-        self._wakeup = threading.Event()  # the stream, or the wait for the next attempt, is to be left
-        self._failures = 0  # one after another
-        self._streams = 0  # times it gave a first frame
-        self._recorded = False  # its stamps are of another clock, and its beginning is not to be seen twice
-        self.trouble = "the camera is being opened"  # why no frames come; empty while they do
-        self.opening = True  # for the first time
+        self._wakeup = threading.Event()  # set to end the stream, or the wait for the next attempt
+        self._failures = 0  # in a row
+        self._streams = 0  # with at least one frame
+        self._recorded = False  # a recording has its own clock and is not played twice
+        self.trouble = "the camera is being opened"  # reason for missing frames; empty while they come
+        self.opening = True  # during the first attempt
         self.description = ""
-        self.attempts = 0  # times the camera was opened or tried to be: an honest sign of life without frames
-        self.dropped = 0  # frames that the driver produced and did not hand over
-        self.finished = False  # the recording is at its end
-        self.failure: SpheremouseError | None = None  # what ended it
+        self.attempts = 0  # to open the camera; shows that the thread runs although no frames come
+        self.dropped = 0  # frames, by the driver
+        self.finished = False  # at the end of a recording
+        self.failure: SpheremouseError | None = None  # that ended the recording
 
     def run(self) -> None:
         """Fetch until `close` is called or a recording ends."""
@@ -182,7 +182,7 @@ class Capture(threading.Thread):
 
     @property
     def restarts(self) -> int:
-        """How often frames resumed after they had stopped."""
+        """Number of times that frames resumed after they had stopped."""
         return max(0, self._streams - 1)
 
     def reopen(self, open_camera: Callable[[], Camera]) -> None:

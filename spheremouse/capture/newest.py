@@ -1,18 +1,21 @@
-"""Between the thread that fetches and the one that works: the latest raw frame wins, and what it replaces is counted.
+"""Hand the latest raw frame from the capture thread to the worker, and count the frames that it replaces.
 
-The pictures themselves lie where the driver put them: its buffers are the ring, and a raw frame that is replaced
-gives its own back at once.
+The images stay in the driver's buffers. A replaced raw frame returns its buffer at once.
 """
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from spheremouse.capture import RawFrame
+from spheremouse.tracker import Frame
 
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """A raw frame, and when it was taken."""
+    """A raw frame, and the time at which it was taken."""
 
     raw: RawFrame
     taken: float  # s, time.monotonic(): mid-exposure as far as the source knows it, never ahead of the clock
@@ -25,20 +28,18 @@ class LatestFrame:
         self._changed = threading.Condition()
         self._arrival: Arrival | None = None
         self._woken = False
-        self.skipped = 0  # frames that nobody took: a later one replaced them, or their camera went
+        self.skipped = 0  # frames that were replaced, or cleared with their camera
 
     def put(self, arrival: Arrival) -> None:
-        """From now on this is the latest."""
+        """Replace the latest arrival."""
         with self._changed:
-            old, self._arrival = self._arrival, arrival
-            if old is not None:
-                self.skipped += 1
+            old = self._replace(arrival)
             self._changed.notify()
         if old is not None:
             old.raw.release()
 
     def take(self, timeout: float) -> Arrival | None:
-        """The latest, waited for `timeout` s at most; None then, or when somebody called `wake`."""
+        """Return the latest arrival; None if none comes within `timeout` (s), or after `wake`."""
         with self._changed:
             if self._arrival is None and not self._woken:
                 self._changed.wait(timeout)
@@ -46,16 +47,36 @@ class LatestFrame:
             return taken
 
     def wake(self) -> None:
-        """End a wait: there is something else to do."""
+        """End a wait, because there is other work."""
         with self._changed:
             self._woken = True
             self._changed.notify()
 
     def clear(self) -> None:
-        """Give back what is held."""
+        """Release the latest arrival."""
         with self._changed:
-            old, self._arrival = self._arrival, None
-            if old is not None:
-                self.skipped += 1
+            old = self._replace(None)
         if old is not None:
             old.raw.release()
+
+    def _replace(self, arrival: Arrival | None) -> Arrival | None:
+        old, self._arrival = self._arrival, arrival
+        self.skipped += old is not None
+        return old
+
+
+class ContiguousBuffer:
+    """Makes images contiguous and writeable, as compiled code needs them. One buffer serves all frames."""
+
+    def __init__(self) -> None:
+        self._image: NDArray[np.uint8] = np.zeros(0, np.uint8)
+
+    def __call__(self, frame: Frame) -> Frame:
+        """Return the frame itself if its image is suitable, otherwise a copy in the buffer."""
+        image = frame.image
+        if image.flags.c_contiguous and image.flags.writeable:
+            return frame
+        if self._image.shape != image.shape:
+            self._image = np.empty(image.shape, np.uint8)
+        np.copyto(self._image, image)
+        return replace(frame, image=self._image)

@@ -1,7 +1,7 @@
-"""`opencv:INDEX[,width=W,height=H,fps=F]`: a live camera through OpenCV, which runs everywhere and knows little.
+"""`opencv:INDEX[,width=W,height=H,fps=F]`: a live camera through OpenCV, on any operating system.
 
-Stamps are time.monotonic() when the frame has been fetched, not mid-exposure: late by half the exposure, the readout
-and the transfer, typically 10 to 40 ms, and unsteady by the scheduling of this process.
+A stamp is the time of the fetch by time.monotonic(), not mid-exposure. It is late by half the exposure, the readout and
+the transfer, typically 10 to 40 ms, and varies with the load of the computer.
 """
 
 import contextlib
@@ -21,8 +21,8 @@ from spheremouse.tracker import Frame
 _PROPERTIES = {"width": cv2.CAP_PROP_FRAME_WIDTH, "height": cv2.CAP_PROP_FRAME_HEIGHT, "fps": cv2.CAP_PROP_FPS}
 
 
-def open(argument: str, realtime: bool) -> Stream:  # a live source is real time by itself
-    """The frames of camera number INDEX."""
+def open(argument: str, realtime: bool) -> Stream:  # a camera is always real time
+    """Open camera number INDEX."""
     index, wanted = check(argument)
     capture = open_capture(int(index))
     if capture is None:
@@ -30,7 +30,7 @@ def open(argument: str, realtime: bool) -> Stream:  # a live source is real time
             f"opencv:{index}: no camera there, or another program uses it, or it may not be opened; "
             "see `ls -l /dev/video*` and whether you are in the group video"
         )
-    capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # old frames waiting in a queue would get late stamps
+    capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # frames that wait in a queue would get late stamps
     for name, value in wanted.items():
         capture.set(_PROPERTIES[name], float(value))
     for name in ("width", "height"):
@@ -44,7 +44,7 @@ def open(argument: str, realtime: bool) -> Stream:  # a live source is real time
 
 
 def check(argument: str) -> tuple[str, dict[str, int | float | str]]:
-    """INDEX, and what is asked of the camera; SourceError where the argument is of no use."""
+    """Return INDEX and the requested properties. Raises SourceError if the argument is invalid."""
     index, _, rest = argument.partition(",")
     if not index.strip().isdecimal():
         raise SourceError(f"opencv:{argument}: needs the number of a camera; write opencv:0 for the first")
@@ -52,7 +52,7 @@ def check(argument: str) -> tuple[str, dict[str, int | float | str]]:
 
 
 def read_frames(capture: cv2.VideoCapture, index: str) -> Iterator[Frame]:
-    """Frames until the camera fails."""
+    """Yield frames until the camera fails."""
     sequence = 0
     while True:
         image, stamp = None, 0.0

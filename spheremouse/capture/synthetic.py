@@ -1,6 +1,6 @@
-"""`synthetic[:KEY=VALUE,...]`: a simulated camera films a simulated ball; keys as in `spheremouse simulate`.
+"""`synthetic[:KEY=VALUE,...]`: a simulated film of a ball, with the keys of `spheremouse simulate`.
 
-For example `synthetic:motion=play,seconds=10,noise=5`; lists in brackets, as in `size=[1280,960]`.
+For example `synthetic:motion=play,seconds=10,noise=5`. Lists are in brackets, as in `size=[1280,960]`.
 """
 
 import re
@@ -11,9 +11,9 @@ from spheremouse.simulate.ball.film import Simulation, SimulationOptions, prepar
 
 
 def open(argument: str, realtime: bool) -> Stream:
-    """The frames of a simulation, and the rig that it films."""
+    """Open the frames of a simulation, and the simulated rig."""
     simulation = check(argument)
-    frames = (made.frame for made in simulate(simulation))
+    frames = (rendered.frame for rendered in simulate(simulation))
     return Stream(
         paced(frames) if realtime else frames,
         rig=simulation.scene.rig(),
@@ -23,7 +23,7 @@ def open(argument: str, realtime: bool) -> Stream:
 
 
 def check(argument: str) -> Simulation:
-    """The simulation, nothing rendered yet; ConfigurationError where the argument is of no use."""
+    """Return the simulation without rendering it. Raises ConfigurationError if the argument is invalid."""
     options = SimulationOptions()
     for item in re.split(r",(?![^\[]*\])", argument):
         if item.strip():

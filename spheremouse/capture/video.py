@@ -1,7 +1,7 @@
-"""`video:PATH`: any video file that OpenCV reads, stamped by the times its container carries.
+"""`video:PATH`: any video file that OpenCV reads, with the stamps of its container.
 
-Matroska keeps times in whole milliseconds. Where a time lies within 0.6 ms of a whole multiple of the frame interval,
-that multiple is taken: at 30 Hz the rounding alone would be 1 % of every rate. A missing frame stays a longer step.
+Matroska rounds stamps to milliseconds, which at 30 Hz changes each rate by up to 1 %. A stamp within 0.6 ms of a
+multiple of the frame interval becomes that multiple. A missing frame stays a longer step.
 """
 
 import math
@@ -16,11 +16,11 @@ from spheremouse.errors import SourceError
 from spheremouse.files.pictures import open_film
 from spheremouse.tracker import Frame
 
-_SNAP = 0.6e-3  # s: half a millisecond of rounding and a little more
+_MAX_ROUNDING_ERROR = 0.6e-3  # s: half a millisecond and a margin
 
 
 def open(argument: str, realtime: bool) -> Stream:
-    """The frames of a video file."""
+    """Open a video file."""
     path = Path(argument)
     if not argument:
         raise SourceError("video: needs a file; write video:PATH")
@@ -42,7 +42,7 @@ def open(argument: str, realtime: bool) -> Stream:
 
 
 def read_frames(capture: cv2.VideoCapture, path: Path, fps: float | None, count: int | None) -> Iterator[Frame]:
-    """The frames there are; SourceError afterwards if the file promised more, or has none at all."""
+    """Yield the frames. Raises SourceError at the end if the file has none, or fewer than its header promises."""
     read, last = 0, -math.inf
     while True:
         try:
@@ -61,27 +61,27 @@ def read_frames(capture: cv2.VideoCapture, path: Path, fps: float | None, count:
 
 
 def stamp(container: float, last: float, fps: float | None) -> float:
-    """Stamp in s of a frame whose container says `container` s and whose predecessor has `last` (-inf: none).
+    """Return the stamp (s) of a frame from its container's time and the last stamp (-inf: none).
 
-    Times that do not increase or are no numbers (some containers carry none) are replaced: one interval after the last.
+    A time that does not increase or is no number becomes one interval after the last stamp.
     """
     interval = 1.0 / (fps or 30.0)
     if not (math.isfinite(container) and container > last):
         return last + interval if math.isfinite(last) else 0.0
     on_grid = round(container / interval) * interval
-    return on_grid if abs(on_grid - container) <= _SNAP and on_grid > last else container
+    return on_grid if abs(on_grid - container) <= _MAX_ROUNDING_ERROR and on_grid > last else container
 
 
 def is_cut_short(read: int, last: float, fps: float | None, count: int | None) -> bool:
-    """Whether a video of `count` promised frames stopped early, both in frames and in time.
+    """Return True if a video of `count` promised frames stopped early, both in frames and in time.
 
-    The promise is often duration times rate, which is a guess where the rate varies: frames may be fewer, but the last
-    stamp then still lies at the end. A frame or two at the end are beyond what the promise can say.
+    The promise is often duration times rate. If the rate varies, frames may be fewer, but the last stamp is at the end.
+    A frame or two may always be missing.
     """
     if count is None or fps is None:
         return False
-    slack = max(2.0, 0.01 * count)
-    return count - read > slack and count / fps - (last + 1.0 / fps) > slack / fps
+    tolerance = max(2.0, 0.01 * count)
+    return count - read > tolerance and count / fps - (last + 1.0 / fps) > tolerance / fps
 
 
 def _positive(value: float) -> float | None:

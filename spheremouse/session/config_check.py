@@ -53,7 +53,7 @@ def look(file: Path, c: Configuration) -> Found:
     found = Found()
     calibrated = _files(file, c, found)
     if c.source is not None and _known(("source",), sources, "source", c.source, SourceError, found):
-        size, key = _size_to_come(c, found)
+        size, key = _planned_size(c, found)
         there = None if calibrated is None else (calibrated.width, calibrated.height)
         if size is not None and there is not None and size != there:
             found.wrong.append(Problem(key, _other_size(size, there, c)))
@@ -120,7 +120,7 @@ def _known(key: Key, package: Any, what: str, spec: str, error: type[Spheremouse
     return True
 
 
-def _size_to_come(c: Configuration, found: Found) -> tuple[Size | None, Key]:
+def _planned_size(c: Configuration, found: Found) -> tuple[Size | None, Key]:
     """Size of the pictures, where it is known before there is one, and the key that says so."""
     kind, _, argument = (c.source or "").partition(":")
     if kind in ("dataset", "video") and not os.path.exists(argument):
@@ -143,7 +143,7 @@ def _camera_size(argument: str, c: Configuration, found: Found) -> tuple[Size | 
     if _is_software(argument.partition(",")[0]):
         return asked.size, key
     try:
-        return v4l2.size_to_come(argument, c.camera), key
+        return v4l2.planned_size(argument, c.camera), key
     except SourceError as e:
         plain = replace(c.camera, size=None, format="auto")
         there = _is_there(argument.partition(",")[0], plain)
@@ -163,7 +163,7 @@ def _is_there(name: str, settings: Any) -> bool:
     from spheremouse.capture import v4l2
 
     try:
-        v4l2.size_to_come(name, settings)
+        v4l2.planned_size(name, settings)
     except SourceError:
         return False
     return True

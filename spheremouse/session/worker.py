@@ -8,8 +8,7 @@ import traceback
 from collections import defaultdict, deque
 from collections.abc import Callable
 
-from spheremouse.capture.contiguous import ContiguousBuffer
-from spheremouse.capture.newest import Arrival
+from spheremouse.capture.newest import Arrival, ContiguousBuffer
 from spheremouse.errors import DamagedFrameError, SourceError
 from spheremouse.session.follower import FrameResult, TrackerAdapter
 from spheremouse.session.timing import FrameTimes

@@ -186,7 +186,7 @@ def test_a_writer_that_ends_is_a_camera_that_gives_nothing_until_it_comes_back(l
 def test_nobody_has_written_yet(loopback):
     subprocess.run(["/sbin/rmmod", "v4l2loopback"], check=True)
     insert("v4l2loopback", video_nr=LOOPBACK, max_buffers=8)
-    with pytest.raises(SourceError, match="nobody writes into this loopback device"):
+    with pytest.raises(SourceError, match="this loopback device has no writer"):
         open_camera(loopback, CameraSettings())
 
 
@@ -385,7 +385,7 @@ def test_a_picture_that_is_still_looked_at_does_not_keep_the_camera_from_others(
 
 
 def test_a_node_that_gives_no_pictures(vivid):
-    with pytest.raises(SourceError, match=r"gives no pictures .*; here: /dev/video"):
+    with pytest.raises(SourceError, match=r"gives no images .*; here: /dev/video"):
         open_camera(node("vid-out"), CameraSettings())
 
 

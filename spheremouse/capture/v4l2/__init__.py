@@ -1,8 +1,8 @@
-"""`v4l2:DEVICE[,width=W,height=H,fps=F,format=NAME]`: a camera of Linux, with its own stamps and without copies.
+"""`v4l2:DEVICE[,width=W,height=H,fps=F,format=NAME]`: a camera on Linux, with its own stamps and without copies.
 
-DEVICE is a number, /dev/videoN or a path below /dev/v4l/by-id. The driver's mapped buffers are the ring: `next` takes
-one out of its queue and hands it on as a raw frame, `release` puts it back; while all are out the driver drops, and
-the frames' numbers show that.
+DEVICE is a number, /dev/videoN or a path below /dev/v4l/by-id. A raw frame is one of the driver's mapped buffers.
+`next` takes it from the driver's queue, and `release` returns it. While all buffers are taken the driver drops frames,
+and their numbers have a gap.
 """
 
 import sys
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from spheremouse.capture import Stream
 from spheremouse.capture.settings import CameraSettings, PixelName
 from spheremouse.capture.v4l2.pixels import Layout, bgr, luma
-from spheremouse.capture.v4l2.stamps import Arrival, Count, Moment, Stamps, Timing, counted, stamped
+from spheremouse.capture.v4l2.stamps import Arrival, Count, Moment, Stamps, Timing, correct_stamp, unwrap_count
 from spheremouse.errors import DamagedFrameError, SourceError
 from spheremouse.files.registry import options
 from spheremouse.tracker import Frame
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from spheremouse.capture.v4l2.controls import Controls
     from spheremouse.capture.v4l2.device import Device, Mode
 
-BUFFERS = 6  # two may be held, and the driver fills others meanwhile
+BUFFERS = 6  # the daemon may hold two while the driver fills others
 
-_PATIENCE = 5.0  # s without a frame after which the plain source gives up
-_MOST_DAMAGED = 60  # frames one after another, after which it gives up as well
+FRAME_TIMEOUT = 5.0  # s without a frame, after which the plain source raises an error
+MAX_DAMAGED = 60  # frames in a row, after which it raises an error
 _SIZE = {"width": int, "height": int}
 _ERROR, _SRC_MASK, _SRC_SOE = 0x40, 0x70000, 0x10000  # V4L2_BUF_FLAG_ERROR, _TSTAMP_SRC_MASK, _TSTAMP_SRC_SOE
 _CLOCK_MASK, _CLOCKS = 0xE000, {0x2000: "monotonic", 0x4000: "copied"}  # V4L2_BUF_FLAG_TIMESTAMP_MASK
@@ -42,7 +42,7 @@ _HWTIMESTAMPS = Path("/sys/module/uvcvideo/parameters/hwtimestamps")
 
 
 class V4L2Frame:
-    """A frame in the driver's buffer, not decoded yet; see capture.RawFrame."""
+    """A frame in the driver's buffer, as a `capture.RawFrame`."""
 
     __slots__ = ("_camera", "_index", "_layout", "_lost", "_payload", "sequence", "stamp")
 
@@ -54,7 +54,7 @@ class V4L2Frame:
         self._payload: NDArray[np.uint8] | None = payload
 
     def frame(self, colour: bool) -> Frame:
-        """Luma (a view of the buffer, but for MJPG) or BGR (a copy). DamagedFrameError where it is no whole picture."""
+        """Return luma (a view of the buffer, except for MJPG) or BGR (a copy). Raises DamagedFrameError."""
         if self._payload is None:
             raise ValueError("this frame was released")
         if self._lost:
@@ -63,20 +63,20 @@ class V4L2Frame:
         return Frame(image, self.stamp, self.sequence)
 
     def release(self) -> None:
-        """The buffer goes back to the driver; what `frame` gave of luma must not be looked at any more."""
+        """Return the buffer to the driver. A luma image of `frame` is invalid afterwards."""
         self._payload = None
         self._camera.take_back(self._index, self)
 
 
 class V4L2Camera:
-    """An open camera whose frames come; see capture.Camera. `next` is for one thread, all else for any."""
+    """An open camera that streams, as a `capture.Camera`. One thread calls `next`; any thread calls the others."""
 
     def __init__(
         self, device: "Device", controls: "Controls", mode: "Mode", settings: CameraSettings, words: str
     ) -> None:
         self.layout: Layout = mode.layout
         self.fps = mode.fps
-        self.notes: tuple[str, ...] = ()  # what was wrong with stamps, each told once
+        self.notes: tuple[str, ...] = ()  # problems of the stamps, each once
         self._device: Device | None = device
         self._controls = controls
         self._lock = Lock()
@@ -84,12 +84,12 @@ class V4L2Camera:
         self._ready = poll()
         self._ready.register(device.fd, POLLIN)
         self._stamps, self._count = Stamps(), Count()
-        self._soe = _meaning_of_soe(device.driver)
+        self._soe = start_of_exposure_moment(device.driver)
         self._exposure = controls.exposure()
         interval = 1.0 / mode.fps if mode.fps else 1.0 / 30.0
         begin = Timing(Moment.END_OF_FRAME, interval, self._exposure, settings.readout_s or 0.0, settings.stamp_shift_s)
         self._timings = {moment: replace(begin, moment=moment) for moment in Moment}
-        self._flags: int | None = None  # those of the newest frame
+        self._flags: int | None = None  # of the newest frame
         self._words = words
 
     def __enter__(self) -> Self:
@@ -101,7 +101,7 @@ class V4L2Camera:
         self.close()
 
     def next(self, timeout: float) -> V4L2Frame | None:
-        """The oldest frame not given yet, None if none comes within `timeout` s; SourceError if the camera is gone."""
+        """Return the oldest queued frame; None if none comes within `timeout` (s). Raises SourceError if it is gone."""
         deadline = time.monotonic() + timeout
         device = self._device
         if device is None:
@@ -124,10 +124,10 @@ class V4L2Camera:
     def _raw_frame(self, device: "Device", buffer: Any, arrival: Arrival) -> V4L2Frame:
         raw = buffer.timestamp.secs + 1e-6 * buffer.timestamp.usecs
         self._flags = flags = buffer.flags
-        self._stamps, stamp, said = stamped(self._stamps, raw, arrival, self._timings[self._moment(flags)])
-        if said:
-            self.notes = (*self.notes, said)
-        self._count, sequence = counted(self._count, buffer.sequence)
+        self._stamps, stamp, note = correct_stamp(self._stamps, raw, arrival, self._timings[self._moment(flags)])
+        if note:
+            self.notes = (*self.notes, note)
+        self._count, sequence = unwrap_count(self._count, buffer.sequence)
         payload = device.buffers[buffer.index][: buffer.bytesused]
         frame = V4L2Frame(self, buffer.index, payload, bool(flags & _ERROR), stamp, sequence)
         with self._lock:
@@ -135,17 +135,17 @@ class V4L2Camera:
         return frame
 
     def take_back(self, index: int, raw: V4L2Frame) -> None:
-        """Queue a raw frame's buffer again, unless that was done, or the camera is closed."""
+        """Queue a raw frame's buffer again, unless it is queued or the camera is closed."""
         with self._lock:
             if self._out.get(index) is not raw:
                 return
             del self._out[index]
             if self._device is not None:
-                with suppress(OSError):  # the camera is gone, which `next` will say
+                with suppress(OSError):  # `next` reports that the camera is gone
                     self._device.queue(index)
 
     def describe(self) -> str:
-        """Device, mode, what the stamps are, what was set, and what was wrong with stamps."""
+        """Return device, mode, changed controls, kind of stamps, and problems of the stamps."""
         layout = self.layout
         rate = f"{self.fps:g} frames/s" if self.fps else "unknown rate"
         parts = [f"{self._words}: {layout.width}x{layout.height} {layout.format}, {rate}"]
@@ -158,7 +158,7 @@ class V4L2Camera:
         return "; ".join((*parts, *self.notes))
 
     def close(self) -> None:
-        """Controls as they were, the device closed; raw frames that are out stay readable until they are released."""
+        """Restore the controls and close the device. Raw frames stay readable until they are released."""
         with self._lock:
             device, self._device = self._device, None
         if device is not None:
@@ -169,49 +169,49 @@ class V4L2Camera:
         return self._soe if flags & _SRC_MASK == _SRC_SOE else Moment.END_OF_FRAME
 
 
-def open(argument: str, realtime: bool) -> Stream:  # a live source is real time by itself
-    """Frames in colour, the newest there is each time; for what does not need every one."""
+def open(argument: str, realtime: bool) -> Stream:  # a camera is always real time
+    """Open a camera that yields the newest frame, in colour, and skips older ones."""
     return stream(argument, CameraSettings())
 
 
 def stream(argument: str, settings: CameraSettings) -> Stream:
-    """`open`, with the camera set as `settings` ask."""
+    """Open a camera with the given settings, as `open` does."""
     camera = open_camera(argument, settings)
     return Stream(_newest(camera), live=True, fps=camera.fps, close=camera.close)
 
 
-def full_size(argument: str, most: tuple[int, int]) -> tuple[int, int] | None:
-    """The largest size up to `most` at which a camera gives enough frames to play with; None where it is not told."""
+def largest_size(argument: str, limit: tuple[int, int]) -> tuple[int, int] | None:
+    """Return the largest size within `limit` at which a camera is fast enough; None if the driver lists no size."""
     if not sys.platform.startswith("linux"):
         return None
     from spheremouse.capture.v4l2.device import Device, find
 
     device = Device(find(argument.partition(",")[0]))
     try:
-        return device.largest(most)
+        return device.largest(limit)
     finally:
         device.close()
 
 
 def open_camera(argument: str, settings: CameraSettings) -> V4L2Camera:
-    """The camera that `DEVICE[,KEY=VALUE...]` names, set as `settings` and above them the argument ask; it streams."""
+    """Open the camera `DEVICE[,KEY=VALUE...]`, set its controls and start it. The argument overrides `settings`."""
     if not sys.platform.startswith("linux"):
-        raise SourceError("v4l2: is of Linux; write opencv:0 for the first camera here")
+        raise SourceError("v4l2: works on Linux alone; write opencv:0 for the first camera here")
     from spheremouse.capture.v4l2.controls import read_controls
-    from spheremouse.capture.v4l2.device import Device, find, lasting_name
+    from spheremouse.capture.v4l2.device import Device, find, persistent_name
 
     name, settings = parse(argument, settings)
     device = Device(find(name))
     try:
         controls = read_controls(device.fd, device.path)
         mode = device.negotiate(settings)
-        done = controls.apply(settings)
+        changes = controls.apply(settings)
         try:
             device.start(BUFFERS)
             words = f"{device.path} ({device.card}, {device.driver}, {len(device.buffers)} buffers)"
-            lasting = lasting_name(device.path)
-            words += f", lasting name {lasting}" if lasting else ""
-            words += f", set {', '.join(done)}" if done else ""
+            name = persistent_name(device.path)
+            words += f", persistent name {name}" if name else ""
+            words += f", set {', '.join(changes)}" if changes else ""
             return V4L2Camera(device, controls, mode, settings, words)
         except BaseException:
             controls.restore()
@@ -226,27 +226,27 @@ def open_camera(argument: str, settings: CameraSettings) -> V4L2Camera:
 
 
 def check(argument: str) -> None:
-    """SourceError where the argument is of no use."""
+    """Raise SourceError if the argument is invalid."""
     parse(argument, CameraSettings())
 
 
-def size_to_come(argument: str, settings: CameraSettings) -> tuple[int, int]:
-    """Width and height, px, that `open_camera` would ask for; the camera is asked, and nothing of it is changed.
+def planned_size(argument: str, settings: CameraSettings) -> tuple[int, int]:
+    """Return the width and height (px) that `open_camera` would request, without changing the camera.
 
-    SourceError where it is not there, or has no such size.
+    Raises SourceError if the camera does not exist or does not have the size.
     """
     from spheremouse.capture.v4l2.device import Device, find
 
     name, settings = parse(argument, settings)
     device = Device(find(name))
     try:
-        return device.size_to_come(settings)
+        return device.planned_size(settings)
     finally:
         device.close()
 
 
 def parse(argument: str, settings: CameraSettings) -> tuple[str, CameraSettings]:
-    """DEVICE, and the settings with what else the argument says."""
+    """Return DEVICE, and the settings with the other parts of the argument."""
     name, _, rest = argument.partition(",")
     label = f"v4l2:{argument}"
     given = options(rest, {**_SIZE, "fps": float, "format": str}, label, SourceError)
@@ -272,12 +272,12 @@ def parse(argument: str, settings: CameraSettings) -> tuple[str, CameraSettings]
 
 
 def _newest(camera: V4L2Camera) -> Iterator[Frame]:
-    """Frames in colour, those that were not fetched in time left out."""
+    """Yield the newest frame in colour, and skip the older ones."""
     damaged = 0
     while True:
-        raw = camera.next(_PATIENCE)
+        raw = camera.next(FRAME_TIMEOUT)
         if raw is None:
-            raise SourceError(f"{camera.describe()}: no frame for {_PATIENCE:g} s; see cable, hub and power")
+            raise SourceError(f"{camera.describe()}: no frame for {FRAME_TIMEOUT:g} s; see cable, hub and power")
         while (newer := camera.next(0.0)) is not None:
             raw.release()
             raw = newer
@@ -286,7 +286,7 @@ def _newest(camera: V4L2Camera) -> Iterator[Frame]:
             damaged = 0
         except DamagedFrameError as e:
             damaged += 1
-            if damaged >= _MOST_DAMAGED:
+            if damaged >= MAX_DAMAGED:
                 raise SourceError(f"{camera.describe()}: {damaged} damaged frames in a row, the last: {e}") from None
             continue
         finally:
@@ -294,8 +294,8 @@ def _newest(camera: V4L2Camera) -> Iterator[Frame]:
         yield frame
 
 
-def _meaning_of_soe(driver: str) -> Moment:
-    """The moment that a driver's stamps "at start of exposure" tell."""
+def start_of_exposure_moment(driver: str) -> Moment:
+    """Return the actual moment of stamps that a driver declares as start of exposure."""
     if driver != "uvcvideo":
         return Moment.EXPOSURE_BEGINS
     try:

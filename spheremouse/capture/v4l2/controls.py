@@ -1,6 +1,6 @@
-"""Controls of a V4L2 camera by name: set as the settings ask, read back, and put back as they were.
+"""Set the controls of a V4L2 camera by name, read them back, and restore them at the end.
 
-Names are those of v4l2-ctl: lower case, what is neither letter nor digit as one underscore.
+Names are those of v4l2-ctl: in lower case, with one underscore for other characters than letters and digits.
 """
 
 import contextlib
@@ -25,38 +25,44 @@ from spheremouse.capture.settings import CameraSettings
 from spheremouse.errors import SourceError
 from spheremouse.files.validate import nearest
 
-_MANUAL, _SHUTTER_PRIORITY = 1, 2  # V4L2_CID_EXPOSURE_AUTO with an exposure that is told
+_MANUAL, _SHUTTER_PRIORITY = 1, 2  # values of V4L2_CID_EXPOSURE_AUTO with a known exposure
 _EXPOSURE_UNIT = 1e-4  # s, of V4L2_CID_EXPOSURE_ABSOLUTE
 _MAINS = {0: 0, 50: 1, 60: 2}  # V4L2_CID_POWER_LINE_FREQUENCY
-_ON = {"on": 1, "true": 1, "yes": 1, "off": 0, "false": 0, "no": 0}
-_PLAIN = {ControlType.INTEGER, ControlType.BOOLEAN, ControlType.MENU, ControlType.INTEGER_MENU, ControlType.BITMASK}
-_SHOWN = 24  # names of controls in a message
+_SWITCH = {"on": 1, "true": 1, "yes": 1, "off": 0, "false": 0, "no": 0}
+_INTEGER_TYPES = {
+    ControlType.INTEGER,
+    ControlType.BOOLEAN,
+    ControlType.MENU,
+    ControlType.INTEGER_MENU,
+    ControlType.BITMASK,
+}
+_MAX_NAMES = 24  # in a message
 _FIXED = ControlFlag.READ_ONLY | ControlFlag.DISABLED | ControlFlag.GRABBED
 
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """A control that holds one whole number."""
+    """A control with an integer value."""
 
     id: int
     name: str
     type: int
-    least: int
-    most: int
-    fixed: bool
+    minimum: int
+    maximum: int
+    fixed: bool  # cannot be set
 
 
 @dataclass(slots=True)
 class Controls:
-    """Those of an open device."""
+    """Controls of an open device."""
 
     fd: int
     path: str
     known: dict[int, Control]
-    before: list[tuple[Control, int]] = field(default_factory=list)  # as they were, in the order of setting
+    old_values: list[tuple[Control, int]] = field(default_factory=list)  # in the order of the changes
 
     def apply(self, settings: CameraSettings) -> list[str]:
-        """Set what the settings name; what was set, in words. SourceError, with all put back, where that cannot be."""
+        """Set the controls of the settings; return the changes in words. On SourceError all are restored."""
         try:
             return self._apply(settings)
         except BaseException:
@@ -69,7 +75,7 @@ class Controls:
             self._set(ControlID.POWER_LINE_FREQUENCY, _MAINS[settings.mains_hz], "mains_hz")
             words.append(f"mains {settings.mains_hz} Hz" if settings.mains_hz else "mains filter off")
         if settings.fps is not None or settings.exposure_s is not None:
-            self._switch(ControlID.EXPOSURE_AUTO_PRIORITY, 0)  # or dim light lowers the rate
+            self._switch(ControlID.EXPOSURE_AUTO_PRIORITY, 0)  # otherwise dim light lowers the rate
         if settings.exposure_s is not None:
             self._switch(ControlID.EXPOSURE_AUTO, _MANUAL)
             units = max(1, round(settings.exposure_s / _EXPOSURE_UNIT))
@@ -87,12 +93,12 @@ class Controls:
             words.append(f"white balance {got} K")
         for text in settings.controls:
             name, _, value = (part.strip() for part in text.partition("="))
-            control = self.named(name)
+            control = self.find(name)
             words.append(f"{name} {self._put(control, self._value(control, value), f'controls: {name}')}")
         return words
 
     def exposure(self) -> float | None:
-        """The exposure in s where the camera keeps the one it tells, else None."""
+        """Return the exposure (s); None if it is automatic or unknown."""
         with contextlib.suppress(OSError):
             automatic = self._read(ControlID.EXPOSURE_AUTO)
             units = self._read(ControlID.EXPOSURE_ABSOLUTE)
@@ -101,31 +107,31 @@ class Controls:
         return None
 
     def restore(self) -> None:
-        """Everything as it was, last set first; a camera that is gone needs none of it."""
-        while self.before:
-            control, value = self.before.pop()
+        """Restore the old values in reverse order. Errors of an unplugged camera are ignored."""
+        while self.old_values:
+            control, value = self.old_values.pop()
             with contextlib.suppress(OSError):
                 set_control(self.fd, control.id, value)
 
-    def named(self, name: str) -> Control:
-        """The control of that name; SourceError where there is none."""
+    def find(self, name: str) -> Control:
+        """Return the control with a name. Raises SourceError if there is none."""
         for control in self.known.values():
             if control.name == name:
                 return control
         raise SourceError(
-            f"{self.path}: no control {name}; {nearest(name, [c.name for c in self.known.values()])} ({self._has()})"
+            f"{self.path}: no control {name}; {nearest(name, [c.name for c in self.known.values()])} ({self._names()})"
         )
 
-    def _has(self) -> str:
+    def _names(self) -> str:
         names = sorted(c.name for c in self.known.values() if not c.fixed)
-        more = ", ..." if len(names) > _SHOWN else ""
-        return f"it has {', '.join(names[:_SHOWN])}{more}" if names else "it has none"
+        more = ", ..." if len(names) > _MAX_NAMES else ""
+        return f"it has {', '.join(names[:_MAX_NAMES])}{more}" if names else "it has none"
 
     def _read(self, which: int) -> int | None:
         return get_control(self.fd, which) if which in self.known else None
 
     def _switch(self, which: int, value: int) -> None:
-        """Set a control where there is one, and it is not so already."""
+        """Set a control if it exists and has another value."""
         control = self.known.get(which)
         if control is not None and not control.fixed and self._read(which) != value:
             self._put(control, value, control.name)
@@ -133,22 +139,22 @@ class Controls:
     def _set(self, which: int, value: int, what: str, shown: Callable[[int], str] = str) -> int:
         control = self.known.get(which)
         if control is None:
-            raise SourceError(f"{self.path}: {what}: the camera has no such control; leave it out ({self._has()})")
+            raise SourceError(f"{self.path}: {what}: the camera has no such control; leave it out ({self._names()})")
         return self._put(control, value, what, shown)
 
     def _put(self, control: Control, value: int, what: str, shown: Callable[[int], str] = str) -> int:
-        """Set a control; what the camera then says it is."""
+        """Set a control and return the value that the camera reports."""
         if control.fixed:
             raise SourceError(f"{self.path}: {what}: cannot be set on this camera; leave it out")
-        if not control.least <= value <= control.most:
+        if not control.minimum <= value <= control.maximum:
             raise SourceError(
                 f"{self.path}: {what}: {shown(value)} is not possible; "
-                f"the camera takes {shown(control.least)} to {shown(control.most)}"
+                f"the camera takes {shown(control.minimum)} to {shown(control.maximum)}"
             )
         try:
             old = get_control(self.fd, control.id)
             set_control(self.fd, control.id, value)
-            self.before.append((control, old))
+            self.old_values.append((control, old))
             return get_control(self.fd, control.id)
         except OSError as e:
             if e.errno == errno.ENODEV:
@@ -158,36 +164,37 @@ class Controls:
             ) from None
 
     def _value(self, control: Control, text: str) -> int:
-        """A value as written: a number, on or off, or an item of the control's menu."""
+        """Parse a number, on or off, or an item of the control's menu."""
         with contextlib.suppress(ValueError):
             return int(text, 0)
-        if control.type == ControlType.BOOLEAN and text.lower() in _ON:
-            return _ON[text.lower()]
+        if control.type == ControlType.BOOLEAN and text.lower() in _SWITCH:
+            return _SWITCH[text.lower()]
         items = self._menu(control)
         if text.lower() in items:
             return items[text.lower()]
         takes = (
-            ", ".join(f"{n} ({name})" for name, n in items.items()) or f"a number, {control.least} to {control.most}"
+            ", ".join(f"{n} ({name})" for name, n in items.items())
+            or f"a number, {control.minimum} to {control.maximum}"
         )
         raise SourceError(f"{self.path}: controls: {control.name} must be {takes}, is {text!r}")
 
     def _menu(self, control: Control) -> dict[str, int]:
-        """Items of a menu in lower case, with their numbers."""
+        """Return the items of a menu in lower case, with their numbers."""
         if control.type != ControlType.MENU:
             return {}
         query = raw.v4l2_querymenu()
         query.id = control.id
         items = iter_read(
-            self.fd, IOC.QUERYMENU, query, start=control.least, stop=control.most + 1, step=1, ignore_einval=True
+            self.fd, IOC.QUERYMENU, query, start=control.minimum, stop=control.maximum + 1, step=1, ignore_einval=True
         )
         return {_text(item.name).lower(): item.index for item in items}
 
 
 def read_controls(fd: int, path: str) -> Controls:
-    """The controls of an open device that hold one whole number."""
+    """Return the integer controls of an open device."""
     known = {}
     for info in iter_read_controls(fd):
-        if info.type in _PLAIN and not info.flags & ControlFlag.HAS_PAYLOAD:
+        if info.type in _INTEGER_TYPES and not info.flags & ControlFlag.HAS_PAYLOAD:
             name = re.sub(r"[^a-z0-9]+", "_", _text(info.name).lower()).strip("_")
             fixed = bool(info.flags & _FIXED)
             known[info.id] = Control(info.id, name, info.type, info.minimum, info.maximum, fixed)

@@ -1,6 +1,6 @@
-"""A V4L2 capture device: opened, its mode agreed on, its buffers mapped; every refusal in words with what to do.
+"""Open a V4L2 capture device, negotiate its mode and map its buffers. Errors give a remedy.
 
-Uses linuxpy's functions for the ioctls one by one: the driver's own mapped buffers are handed on, nothing is copied.
+The ioctls are functions of linuxpy. The driver's mapped buffers are used without a copy.
 """
 
 import errno
@@ -45,46 +45,46 @@ from spheremouse.errors import SourceError
 CAPTURE = BufferType.VIDEO_CAPTURE
 
 _FOURCC: dict[str, PixelName] = {"YUYV": "YUYV", "NV12": "NV12", "MJPG": "MJPG", "JPEG": "MJPG", "GREY": "GREY"}
-_ENOUGH = 30.0  # Hz; where no rate is asked for, a format that gives it is as good as a faster one
+_SUFFICIENT_RATE = 30.0  # Hz; without a requested rate, faster formats are no better
 _NODES = Path("/sys/class/video4linux")
 _BY_ID = Path("/dev/v4l/by-id")
 
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """Layout and rate that the driver agreed to."""
+    """Layout and rate that the driver has accepted."""
 
     layout: Layout
-    fps: float | None  # Hz; None: the driver does not say
+    fps: float | None  # Hz; None: unknown
 
 
 @dataclass(frozen=True, slots=True)
 class Sizes:
-    """The sizes of a format, px: some, or all between two."""
+    """Sizes of a format, px: a list, or a range."""
 
-    some: tuple[tuple[int, int], ...] = ()
-    least: tuple[int, int] | None = None
-    most: tuple[int, int] | None = None
+    listed: tuple[tuple[int, int], ...] = ()
+    range: tuple[tuple[int, int], tuple[int, int]] | None = None  # smallest and largest
 
     @property
-    def told(self) -> bool:
-        """Whether the driver says anything of its sizes."""
-        return bool(self.some) or self.most is not None
+    def known(self) -> bool:
+        """True if the driver lists its sizes."""
+        return bool(self.listed) or self.range is not None
 
-    def hold(self, size: tuple[int, int]) -> bool:
-        """Whether there is this size, as far as is known."""
-        if self.least is not None and self.most is not None:
-            return self.least[0] <= size[0] <= self.most[0] and self.least[1] <= size[1] <= self.most[1]
-        return size in self.some or not self.told
+    def allow(self, size: tuple[int, int]) -> bool:
+        """Return True if the format has this size, or its sizes are unknown."""
+        if self.range is not None:
+            low, high = self.range
+            return low[0] <= size[0] <= high[0] and low[1] <= size[1] <= high[1]
+        return size in self.listed or not self.known
 
     def __str__(self) -> str:
-        if self.least is not None and self.most is not None:
-            return f"{_times(self.least)} to {_times(self.most)}"
-        return ", ".join(_times(s) for s in sorted(self.some))
+        if self.range is not None:
+            return " to ".join(map(_format_size, self.range))
+        return ", ".join(map(_format_size, sorted(self.listed)))
 
 
 class Device:
-    """An open capture device. All its methods raise SourceError; `close` may be called at any time, and again."""
+    """An open capture device. Its methods raise SourceError. `close` may be called more than once."""
 
     def __init__(self, path: Path) -> None:
         self.path = str(path)
@@ -93,29 +93,30 @@ class Device:
         except OSError as e:
             raise SourceError(_cannot_open(path, e)) from None
         try:
-            told = read_capabilities(self.fd)
+            found = read_capabilities(self.fd)
         except OSError:
             os.close(self.fd)
             raise SourceError(f"{path}: is no video device; {_cameras_here()}") from None
-        self.driver, self.card, self.bus = (t.decode(errors="replace") for t in (told.driver, told.card, told.bus_info))
-        able = Capability(told.device_caps if told.capabilities & Capability.DEVICE_CAPS else told.capabilities)
-        trouble = _unfit(able)
+        names = (found.driver, found.card, found.bus_info)
+        self.driver, self.card, self.bus = (name.decode(errors="replace") for name in names)
+        able = Capability(found.device_caps if found.capabilities & Capability.DEVICE_CAPS else found.capabilities)
+        trouble = _unsuitable(able)
         if trouble:
             os.close(self.fd)
             raise SourceError(f"{path}: {trouble}; {_cameras_here()}")
         self._maps: list[mmap.mmap] = []
-        self.buffers: list[NDArray[np.uint8]] = []  # each the whole of a mapped buffer
+        self.buffers: list[NDArray[np.uint8]] = []  # mapped, one array each
         self._streaming = False
 
     # ---- mode ----
 
     def negotiate(self, settings: CameraSettings) -> Mode:
-        """Agree on format, size and rate; SourceError that lists what there is where the wish cannot be had."""
+        """Set format, size and rate. Raises SourceError with the possible modes if the device refuses them."""
         try:
-            name, fourcc, size = self._chosen(settings)
+            name, fourcc, size = self._choose_mode(settings)
             set_format(self.fd, CAPTURE, *size, pixel_format=human_pixel_format(fourcc))
             if settings.fps is not None:
-                with suppress(OSError):  # some drivers have but one rate
+                with suppress(OSError):  # some drivers have only one rate
                     set_fps(self.fd, CAPTURE, settings.fps)
             pix = get_raw_format(self.fd, CAPTURE).fmt.pix
             fps = self._rate()
@@ -127,70 +128,74 @@ class Device:
                 f"{self.path}: gives {human_pixel_format(pix.pixelformat)} in place of {name}; {self.modes()}"
             )
         if settings.size is not None and got != tuple(settings.size):
-            raise SourceError(f"{self.path}: gives {_times(got)} in place of {_times(settings.size)}; {self.modes()}")
+            raise SourceError(
+                f"{self.path}: gives {_format_size(got)} in place of {_format_size(settings.size)}; {self.modes()}"
+            )
         if settings.fps is not None and not (fps and abs(fps - settings.fps) <= 0.01 * settings.fps):
             rates = self._rates(fourcc, *got)
             has = f"it has {', '.join(f'{r:g}' for r in rates)}" if rates else "leave fps out"
             given = f"{fps:g}" if fps else "no known number of"
-            asked = f"{settings.fps:g} at {_times(got)} {name}"
+            asked = f"{settings.fps:g} at {_format_size(got)} {name}"
             raise SourceError(f"{self.path}: gives {given} frames per second in place of {asked}; {has}")
         if name == "NV12" and (got[0] % 2 or got[1] % 2):
-            raise SourceError(f"{self.path}: NV12 of {_times(got)}, which is odd, cannot be read; choose another size")
+            raise SourceError(
+                f"{self.path}: NV12 of {_format_size(got)}, which is odd, cannot be read; choose another size"
+            )
         stride = max(pix.bytesperline, got[0] * (2 if name == "YUYV" else 1))
         return Mode(Layout(name, *got, 0 if name == "MJPG" else stride), fps)
 
-    def largest(self, most: tuple[int, int]) -> tuple[int, int] | None:
-        """The largest size up to `most` at which enough frames come; None where the driver does not say."""
+    def largest(self, limit: tuple[int, int]) -> tuple[int, int] | None:
+        """Return the largest size within `limit` at a sufficient rate; None if the driver lists no size."""
         found: set[tuple[int, int]] = set()
         try:
             for code in self._formats().values():
                 sizes = self._sizes(code)
-                some = (*sizes.some, *([most] if sizes.told and sizes.hold(most) else []))
-                fitting = {s for s in some if s[0] <= most[0] and s[1] <= most[1]}
-                found |= {s for s in fitting if self._at_most(code, s, _ENOUGH) > 0.8 * _ENOUGH}
+                candidates = (*sizes.listed, *([limit] if sizes.known and sizes.allow(limit) else []))
+                fitting = {s for s in candidates if s[0] <= limit[0] and s[1] <= limit[1]}
+                found |= {s for s in fitting if self._useful_rate(code, s, _SUFFICIENT_RATE) > 0.8 * _SUFFICIENT_RATE}
         except OSError as e:
             raise self.failure(e) from None
         return max(found, key=lambda s: s[0] * s[1], default=None)
 
-    def size_to_come(self, settings: CameraSettings) -> tuple[int, int]:
-        """Width and height, px, that `negotiate` would ask for; nothing is changed."""
+    def planned_size(self, settings: CameraSettings) -> tuple[int, int]:
+        """Return the width and height (px) that `negotiate` would request, without changing the device."""
         try:
-            return self._chosen(settings)[2]
+            return self._choose_mode(settings)[2]
         except OSError as e:
             raise self.failure(e) from None
 
     def modes(self) -> str:
-        """Formats and sizes of the device that can be read here, in words."""
+        """Return the supported formats and sizes of the device in words."""
         formats = self._formats()
         has = "; ".join(f"{name} {self._sizes(code)}".strip() for name, code in formats.items())
         return f"it has {has}" if has else f"it has no format that can be read here ({', '.join(FORMATS)})"
 
-    def _chosen(self, settings: CameraSettings) -> tuple[PixelName, int, tuple[int, int]]:
-        """Format, its code, and size to ask for."""
+    def _choose_mode(self, settings: CameraSettings) -> tuple[PixelName, int, tuple[int, int]]:
+        """Return the format, its code, and the size to request."""
         formats = self._formats()
         now = get_raw_format(self.fd, CAPTURE).fmt.pix
         size = settings.size or (now.width, now.height)
         if settings.format != "auto" and settings.format not in formats:
             raise SourceError(f"{self.path}: has no {settings.format}; {self.modes()}")
         usable: list[PixelName] = [n for n in FORMATS if n in formats and settings.format in ("auto", n)]
-        fitting: list[PixelName] = [n for n in usable if self._sizes(formats[n]).hold(size)]
+        fitting: list[PixelName] = [n for n in usable if self._sizes(formats[n]).allow(size)]
         if not fitting and settings.size is None:
             fitting = usable
         if not usable:
             raise SourceError(f"{self.path}: {self.modes()}; use another camera")
         if not fitting:
             wish = "" if settings.format == "auto" else f" in {settings.format}"
-            raise SourceError(f"{self.path}: has no {_times(size)}{wish}; {self.modes()}")
-        enough = settings.fps or _ENOUGH
-        name = max(fitting, key=lambda n: (n != "GREY", self._at_most(formats[n], size, enough)))
+            raise SourceError(f"{self.path}: has no {_format_size(size)}{wish}; {self.modes()}")
+        enough = settings.fps or _SUFFICIENT_RATE
+        name = max(fitting, key=lambda n: (n != "GREY", self._useful_rate(formats[n], size, enough)))
         return name, formats[name], size
 
-    def _at_most(self, fourcc: int, size: tuple[int, int], enough: float) -> float:
-        """The highest rate in Hz, as far as it matters; enough where the driver does not say."""
+    def _useful_rate(self, fourcc: int, size: tuple[int, int], enough: float) -> float:
+        """Return the highest rate (Hz), at most `enough`; `enough` if the driver lists none."""
         return min(enough, max(self._rates(fourcc, *size), default=enough))
 
     def _formats(self) -> dict[PixelName, int]:
-        """Those of our formats that the device has, with their codes."""
+        """Return the supported formats of the device, with their codes."""
         query = raw.v4l2_fmtdesc()
         query.type = CAPTURE
         found: dict[PixelName, int] = {}
@@ -207,12 +212,12 @@ class Device:
         for item in iter_read(self.fd, IOC.ENUM_FRAMESIZES, query):
             if item.type != FrameSizeType.DISCRETE:
                 s = item.stepwise
-                return Sizes((), (s.min_width, s.min_height), (s.max_width, s.max_height))
+                return Sizes((), ((s.min_width, s.min_height), (s.max_width, s.max_height)))
             some.append((item.discrete.width, item.discrete.height))
         return Sizes(tuple(dict.fromkeys(some)))
 
     def _rates(self, fourcc: int, width: int, height: int) -> list[float]:
-        """Frames per second that are told, ascending; of a range its ends."""
+        """Return the listed rates (Hz) in ascending order; of a range its ends."""
         query = raw.v4l2_frmivalenum()
         query.pixel_format, query.width, query.height = fourcc, width, height
         rates = set()
@@ -232,7 +237,7 @@ class Device:
     # ---- frames ----
 
     def start(self, count: int) -> None:
-        """Map `count` buffers (the driver may give more or fewer), queue them all and let frames come."""
+        """Map and queue `count` buffers (the driver may give more or fewer), and start the stream."""
         try:
             given = request_buffers(self.fd, CAPTURE, Memory.MMAP, count).count
             for i in range(given):
@@ -245,11 +250,11 @@ class Device:
         self._streaming = True
 
     def queue(self, index: int) -> None:
-        """Give a buffer to the driver; OSError."""
+        """Give a buffer to the driver. Raises OSError."""
         enqueue_buffer(self.fd, CAPTURE, Memory.MMAP, 0, index)
 
     def dequeue(self) -> raw.v4l2_buffer | None:
-        """The oldest filled buffer, as the driver describes it; None where there is none."""
+        """Return the driver's description of the oldest filled buffer; None if there is none."""
         try:
             return dequeue_buffer(self.fd, CAPTURE, Memory.MMAP)
         except BlockingIOError:
@@ -258,9 +263,9 @@ class Device:
             raise self.failure(e) from None
 
     def close(self) -> None:
-        """Stop, and give everything back. Memory that a picture still shows goes when that picture does.
+        """Stop the stream and free all buffers. A buffer that an image still uses is unmapped with that image.
 
-        Such a mapping keeps the device open in the kernel; freeing the buffers makes it usable for others all the same.
+        Its mapping keeps the device open in the kernel, but freed buffers let other programs use the device.
         """
         if self.fd < 0:
             return
@@ -277,7 +282,7 @@ class Device:
         self.fd = -1
 
     def failure(self, error: OSError) -> SourceError:
-        """A failure of the open device, in words."""
+        """Return the error of the open device, with a remedy."""
         if error.errno in (errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN):
             return SourceError(f"{self.path}: the camera is gone; plug it in again")
         if error.errno == errno.EBUSY:
@@ -289,20 +294,20 @@ class Device:
                 f"{self.path}: not enough USB bandwidth; choose format=MJPG, a smaller size or rate, or another port"
             )
         if error.errno == errno.EINVAL and self.driver == "v4l2 loopback":
-            return SourceError(f"{self.path}: nobody writes into this loopback device; start its writer first")
+            return SourceError(f"{self.path}: this loopback device has no writer; start its writer first")
         return SourceError(f"{self.path}: {error.strerror or error}; unplug the camera and plug it in again")
 
 
 def find(text: str) -> Path:
-    """The node that a number, or a path, names."""
+    """Return the node of a number or path."""
     text = text.strip()
     if not text:
         raise SourceError(f"v4l2: needs a device; write v4l2:/dev/video0 ({_cameras_here()})")
     return Path(f"/dev/video{text}") if text.isdecimal() else Path(text)
 
 
-def lasting_name(path: str) -> str | None:
-    """The name by which a camera is found whatever it is plugged in after, if there is one."""
+def persistent_name(path: str) -> str | None:
+    """Return the name of a camera that does not depend on the order of plugging in; None if it has none."""
     with suppress(OSError):
         node = Path(path).resolve()
         for link in sorted(_BY_ID.iterdir()):
@@ -312,7 +317,7 @@ def lasting_name(path: str) -> str | None:
 
 
 def _cameras_here() -> str:
-    """The video nodes of this machine, in words."""
+    """Return the video nodes of this machine in words."""
     found = []
     with suppress(OSError):
         for node in sorted(_NODES.iterdir(), key=lambda p: (len(p.name), p.name)):
@@ -333,12 +338,12 @@ def _cannot_open(path: Path, error: OSError) -> str:
     return f"{path}: cannot be opened: {error.strerror or error}; {_cameras_here()}"
 
 
-def _unfit(able: Capability) -> str | None:
-    """The reason why a device with these capabilities gives no frames here; None: it does."""
+def _unsuitable(able: Capability) -> str | None:
+    """Return the reason why a device with these capabilities is unsuitable; None if it is suitable."""
     if Capability.VIDEO_CAPTURE not in able:
         if Capability.VIDEO_CAPTURE_MPLANE in able:
-            return "has its pictures in several planes, which is not read here"
-        return "gives no pictures (a camera's second node carries other data); name its first"
+            return "has its images in several planes, which is not supported"
+        return "gives no images (a camera's second node carries other data); name its first"
     return None if Capability.STREAMING in able else "does not stream; its driver is too old"
 
 
@@ -346,5 +351,5 @@ def _hertz(interval: raw.v4l2_fract) -> float:
     return interval.denominator / interval.numerator if interval.numerator else 0.0
 
 
-def _times(size: Sequence[int]) -> str:
+def _format_size(size: Sequence[int]) -> str:
     return f"{size[0]}x{size[1]}"

@@ -1,8 +1,8 @@
-"""A frame's bytes as the driver gives them, into luma or BGR: no device here, and nothing trusted that came from one.
+"""Decode a driver's buffer to luma or BGR, without a device. Damaged data raises an error.
 
-YUYV, NV12 and GREY hold the luma as it is wanted: a view, nothing is copied. MJPG is decoded by libjpeg-turbo, of the
-luma only where that is enough. It is asked to say so where data is missing; what it then makes up is no measurement.
-Luma of YUYV and NV12 is as coded, usually from 16 (black) to 235 (white), ITU-R BT.601; of MJPG and GREY from 0 to 255.
+YUYV, NV12 and GREY contain the luma, so it is a view of the buffer. libjpeg-turbo decodes MJPG, only the luma if no
+colour is needed. It reports missing data, which it would fill by invented pixels. Luma of YUYV and NV12 is usually from
+16 (black) to 235 (white), ITU-R BT.601. Luma of MJPG and GREY is from 0 to 255.
 """
 
 import re
@@ -19,16 +19,11 @@ from spheremouse.errors import DamagedFrameError
 
 Image = NDArray[np.uint8]
 
-FORMATS: tuple[PixelName, ...] = ("YUYV", "NV12", "MJPG", "GREY")  # the best first: what costs least, and has colour
+FORMATS: tuple[PixelName, ...] = ("YUYV", "NV12", "MJPG", "GREY")  # best first: cheap to decode, and with colour
 
 _JPEG = b"\xff\xd8\xff"
-_STRAY = 64  # bytes before a marker that nobody needs: many cameras send some; more are what damage leaves over
-_REFUSED = (
-    ValueError,
-    KeyError,
-    RuntimeError,
-    MemoryError,
-)  # what simplejpeg raises; KeyError where a header ends early
+_MAX_STRAY_BYTES = 64  # before a marker; many cameras send some, and damage leaves more
+_DECODER_ERRORS = (ValueError, KeyError, RuntimeError, MemoryError)  # KeyError: the header ends early
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +33,11 @@ class Layout:
     format: PixelName
     width: int  # px
     height: int  # px
-    stride: int  # bytes from one row (of luma) to the next; of no meaning for MJPG
+    stride: int  # bytes from one row (of luma) to the next; unused for MJPG
 
     @property
     def size(self) -> int:
-        """Bytes that a whole frame has at least; 0 where that varies. The last row need not be padded."""
+        """Least number of bytes of a complete frame; 0 for MJPG. The last row may lack its padding."""
         if self.format == "MJPG":
             return 0
         if self.format == "NV12":
@@ -51,7 +46,7 @@ class Layout:
 
 
 def luma(payload: Image, layout: Layout) -> Image:
-    """Luma, (h, w), of the bytes (n,): a view of them, but for MJPG. DamagedFrameError if that is no whole picture."""
+    """Return luma (h, w) of the bytes (n,), a view except for MJPG. Raises DamagedFrameError if it is incomplete."""
     if layout.format == "MJPG":
         return _decoded(payload, layout, "GRAY")[:, :, 0]
     _check_size(payload, layout)
@@ -60,7 +55,7 @@ def luma(payload: Image, layout: Layout) -> Image:
 
 
 def bgr(payload: Image, layout: Layout) -> Image:
-    """Colours, (h, w, 3) BGR, of the bytes (n,): always a copy. GREY has none: three times the same."""
+    """Return a BGR copy (h, w, 3) of the bytes (n,). GREY gives three equal channels."""
     if layout.format == "MJPG":
         return _decoded(payload, layout, "BGR")
     _check_size(payload, layout)
@@ -82,27 +77,27 @@ def _check_size(payload: Image, layout: Layout) -> None:
 
 
 def _decoded(payload: Image, layout: Layout, space: str) -> Image:
-    """A JPEG of the negotiated size, (h, w, 1 or 3); what follows its end in the buffer does not matter."""
+    """Decode a JPEG of the negotiated size to (h, w, 1 or 3). Bytes after its end are ignored."""
     if payload[:3].tobytes() != _JPEG:
         raise DamagedFrameError(f"frame of {len(payload)} bytes that does not begin as a JPEG")
     try:
         height, width, *_ = simplejpeg.decode_jpeg_header(payload, strict=False)
-    except _REFUSED:
+    except _DECODER_ERRORS:
         raise DamagedFrameError(f"no JPEG: the header of a frame of {len(payload)} bytes cannot be read") from None
-    if (width, height) != (layout.width, layout.height):  # before memory is taken for what a broken header says
+    if (width, height) != (layout.width, layout.height):  # before memory is allocated by a damaged header
         raise DamagedFrameError(f"JPEG of {width}x{height}, not {layout.width}x{layout.height}")
     try:
         return simplejpeg.decode_jpeg(payload, colorspace=space, strict=True)
-    except _REFUSED as e:
+    except _DECODER_ERRORS as e:
         stray = re.search(r"(\d+) extraneous bytes before marker", str(e))
-        if stray is None or int(stray[1]) > _STRAY:
-            raise DamagedFrameError(f"damaged JPEG: {_said(e)}") from None
+        if stray is None or int(stray[1]) > _MAX_STRAY_BYTES:
+            raise DamagedFrameError(f"damaged JPEG: {_message(e)}") from None
     try:
         return simplejpeg.decode_jpeg(payload, colorspace=space, strict=False)
-    except _REFUSED as e:
-        raise DamagedFrameError(f"damaged JPEG: {_said(e)}") from None
+    except _DECODER_ERRORS as e:
+        raise DamagedFrameError(f"damaged JPEG: {_message(e)}") from None
 
 
-def _said(error: Exception) -> str:
-    """Message of the decoder, in one line."""
+def _message(error: Exception) -> str:
+    """Return the decoder's message in one line."""
     return " ".join(str(error).split()).removeprefix("Corrupt JPEG data: ") or type(error).__name__

@@ -1,35 +1,36 @@
-"""When a frame was taken: the driver's stamp, checked, becomes mid-exposure of the middle row on time.monotonic().
+"""Convert a driver's stamp to mid-exposure of the middle row on the clock of time.monotonic().
 
-A rolling shutter begins to expose row v of h at b + readout v/h and reads it `exposure` later. Mid-exposure of the
-middle row is therefore b + (exposure + readout)/2, and the last row has been read at b + exposure + readout. What
-moment a stamp tells is said by the driver (V4L2, "Buffer Flags", V4L2_BUF_FLAG_TSTAMP_SRC_MASK):
+A rolling shutter begins to expose row v of h at b + readout v/h and reads it `exposure` later. So mid-exposure of the
+middle row is b + (exposure + readout)/2, and the last row is read at b + exposure + readout. The driver declares the
+moment of its stamps (V4L2, "Buffer Flags", V4L2_BUF_FLAG_TSTAMP_SRC_MASK):
 
     exposure begins (SRC_SOE)           stamp + (exposure + readout)/2
     first packet (uvcvideo, see below)  stamp + (readout - exposure)/2
     end of frame (SRC_EOF)              stamp - (exposure + readout)/2
 
-uvcvideo says SRC_SOE. With its module parameter hwtimestamps the camera's own clock tells that moment; without, which
-is the default, the stamp is the kernel's clock at the frame's first packet, and that cannot come before the first row
-was read. An exposure that is not known lies between nothing and the frame interval; half the interval is taken, and the
-stamp is wrong by a quarter of it at most, always by the same: rates do not suffer, latency is off by that.
+uvcvideo declares SRC_SOE. With its module parameter hwtimestamps the stamp is that moment on the camera's clock. By
+default it is the kernel's time at the frame's first packet, which comes after the first row was read. An unknown
+exposure counts as half the frame interval. Then the stamp has a constant error of a quarter of the interval at most,
+which changes latencies but no rates.
 
-Stamps are not trusted: some drivers give none, or those of another clock, or lie ahead of it. No clock is read here.
+Some drivers give no stamps, or stamps of another clock, or stamps in the future. This module corrects them. It reads no
+clock itself.
 """
 
 import enum
 import math
 from dataclasses import dataclass, replace
 
-_LATE = 1.0  # s that a frame may be older than its arrival, where it was waited for
-_QUEUED = 60.0  # s, where it was not: it may have lain in the queue
-_AHEAD = 0.25  # s ahead of the clock from which on it is another clock
-_WINDOW = 5.0  # s; how far ahead the driver is, is remembered for one to two of these
-_LEARN = 1.0 / 16.0  # weight of a new frame in the learnt delay
-_LEAST = 0.1  # of the frame interval, between two stamps
+_MAX_AGE = 1.0  # s of a frame at its arrival, if the program waited for it
+_MAX_QUEUED_AGE = 60.0  # s, if it may have waited in the queue
+_MAX_LEAD = 0.25  # s ahead of the clock; a stamp beyond it belongs to another clock
+_LEAD_WINDOW = 5.0  # s; the driver's lead is kept for one or two windows
+_DELAY_GAIN = 1.0 / 16.0  # weight of a new frame in the mean delay
+_MIN_STEP = 0.1  # of the frame interval, between two stamps
 
 
 class Moment(enum.Enum):
-    """Moments of a frame that a driver's stamp may tell."""
+    """Moments of a frame that a driver's stamp may mean."""
 
     EXPOSURE_BEGINS = "start of exposure"
     FIRST_PACKET = "first packet"
@@ -38,7 +39,7 @@ class Moment(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Times of a frame's course, as far as they are known."""
+    """Known times of a frame's exposure and readout."""
 
     moment: Moment
     interval: float  # s between frames
@@ -48,17 +49,17 @@ class Timing:
 
     @property
     def likely_exposure(self) -> float:
-        """s; half the interval where nothing is known."""
+        """Exposure in s; half the interval if it is unknown."""
         return 0.5 * self.interval if self.exposure is None else self.exposure
 
     @property
-    def bound(self) -> float:
-        """s by which mid-exposure may be wrong because the exposure is not known."""
+    def max_error(self) -> float:
+        """Largest error (s) of mid-exposure due to an unknown exposure."""
         return 0.25 * self.interval if self.exposure is None else 0.0
 
     @property
     def to_middle(self) -> float:
-        """s from the driver's stamp to mid-exposure of the middle row, and the shift asked for."""
+        """Time (s) from the driver's stamp to mid-exposure of the middle row, with the requested shift."""
         e, r = self.likely_exposure, self.readout
         match self.moment:
             case Moment.EXPOSURE_BEGINS:
@@ -69,47 +70,44 @@ class Timing:
                 return -0.5 * (e + r) + self.shift
 
     @property
-    def least_delay(self) -> float:
-        """s from mid-exposure of the middle row until the whole frame can be there."""
+    def min_delay(self) -> float:
+        """Least time (s) from mid-exposure of the middle row to the arrival of the whole frame."""
         return 0.5 * ((self.exposure or 0.0) + self.readout)
 
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """Times at which a frame came to us."""
+    """Times of a frame's arrival."""
 
     clock: float  # s, time.monotonic()
     realtime: float  # s, time.time() at the same moment
-    waited: bool  # for this frame: it has not lain in the queue
+    waited: bool  # the program waited for this frame, so it was not queued before
 
 
 @dataclass(frozen=True, slots=True)
 class Stamps:
-    """State learnt from the frames so far; `stamped` makes the next."""
+    """State of the correction between two frames."""
 
-    last: float = -math.inf  # s, the stamp given last
-    raw: float = math.nan  # s, the driver's
-    window: float = -math.inf  # s, when the present window began
-    leads: tuple[float, float] = (
-        0.0,
-        0.0,
-    )  # s, how far the driver was ahead at most: in the window before, in this one
-    delay: float | None = None  # s, arrival less mid-exposure, where stamps were good
-    said: frozenset[str] = frozenset()  # kinds of trouble that have been told
+    last: float = -math.inf  # s, the last corrected stamp
+    raw: float = math.nan  # s, the driver's last stamp
+    window: float = -math.inf  # s, start of the current window
+    leads: tuple[float, float] = (0.0, 0.0)  # s, largest lead of the driver in the last and the current window
+    delay: float | None = None  # s, mean time from mid-exposure to arrival; None: no valid stamp yet
+    noted: frozenset[str] = frozenset()  # kinds of problems that have a note
 
 
-def stamped(state: Stamps, raw: float, arrival: Arrival, timing: Timing) -> tuple[Stamps, float, str | None]:
-    """The state after a frame, its stamp in s, and what was wrong with the driver's, said once a kind.
+def correct_stamp(state: Stamps, raw: float, arrival: Arrival, timing: Timing) -> tuple[Stamps, float, str | None]:
+    """Return the next state, a frame's stamp (s), and a note on a new kind of problem.
 
-    `raw` is the driver's stamp in s. The stamp given is later than the one before, and not later than the arrival.
-    Stamps ahead of the clock are all taken back by the same, so that they keep their regular steps.
+    `raw` is the driver's stamp (s). The returned stamp is later than the last one and not later than the arrival.
+    Stamps in the future are all shifted by the same time, so they keep their regular steps.
     """
-    good, trouble = _of_our_clock(raw, arrival, max(_AHEAD, timing.interval))
+    good, trouble = _on_monotonic_clock(raw, arrival, max(_MAX_LEAD, timing.interval))
     middle = None
     if good is not None:
-        lead = good + timing.to_middle - (arrival.clock - timing.least_delay)
-        state = _leading(state, lead, arrival.clock)
-        if lead > timing.bound and trouble is None:
+        lead = good + timing.to_middle - (arrival.clock - timing.min_delay)
+        state = _with_lead(state, lead, arrival.clock)
+        if lead > timing.max_error and trouble is None:
             trouble = "ahead"
         middle = good + timing.to_middle - max(state.leads)
         if middle <= state.last:
@@ -119,29 +117,29 @@ def stamped(state: Stamps, raw: float, arrival: Arrival, timing: Timing) -> tupl
     elif arrival.waited:
         new = arrival.clock - middle
         old = new if state.delay is None else state.delay
-        state = replace(state, delay=old + _LEARN * (new - old))
-    stamp = min(max(middle, state.last + _LEAST * timing.interval), arrival.clock)
+        state = replace(state, delay=old + _DELAY_GAIN * (new - old))
+    stamp = min(max(middle, state.last + _MIN_STEP * timing.interval), arrival.clock)
     stamp = max(stamp, math.nextafter(state.last, math.inf))
-    said = None
-    if trouble is not None and trouble not in state.said:
-        said = _words(trouble, state, timing)
-        state = replace(state, said=state.said | {trouble})
-    return replace(state, last=stamp, raw=raw), stamp, said
+    note = None
+    if trouble is not None and trouble not in state.noted:
+        note = _note(trouble, state, timing)
+        state = replace(state, noted=state.noted | {trouble})
+    return replace(state, last=stamp, raw=raw), stamp, note
 
 
-def _leading(state: Stamps, lead: float, now: float) -> Stamps:
-    """The state with one more frame that came `lead` s sooner than it can have."""
-    before, here = state.leads
-    if now - state.window > _WINDOW:
-        return replace(state, window=now, leads=(here, max(0.0, lead)))
-    return replace(state, leads=(before, max(here, lead)))
+def _with_lead(state: Stamps, lead: float, now: float) -> Stamps:
+    """Return the state after a frame whose stamp is `lead` (s) too late to be possible."""
+    last, current = state.leads
+    if now - state.window > _LEAD_WINDOW:
+        return replace(state, window=now, leads=(current, max(0.0, lead)))
+    return replace(state, leads=(last, max(current, lead)))
 
 
-def _of_our_clock(raw: float, arrival: Arrival, ahead: float) -> tuple[float | None, str | None]:
-    """The driver's stamp on the monotonic clock, in s, or None; and the kind of trouble, if any."""
+def _on_monotonic_clock(raw: float, arrival: Arrival, ahead: float) -> tuple[float | None, str | None]:
+    """Return the driver's stamp (s) on the monotonic clock, or None; and the kind of problem, if any."""
     if not raw > 0.0 or not math.isfinite(raw):
         return None, "none"
-    late = _LATE if arrival.waited else _QUEUED
+    late = _MAX_AGE if arrival.waited else _MAX_QUEUED_AGE
     if -late <= raw - arrival.clock <= ahead:
         return raw, None
     if -late <= raw - arrival.realtime <= ahead:
@@ -150,11 +148,11 @@ def _of_our_clock(raw: float, arrival: Arrival, ahead: float) -> tuple[float | N
 
 
 def _delay(state: Stamps, timing: Timing) -> float:
-    """s from mid-exposure to arrival, as learnt, or the least that can be."""
+    """Return the mean time (s) from mid-exposure to arrival, or the least possible one."""
     return 0.5 * (timing.likely_exposure + timing.readout) - timing.shift if state.delay is None else state.delay
 
 
-def _words(trouble: str, state: Stamps, timing: Timing) -> str:
+def _note(trouble: str, state: Stamps, timing: Timing) -> str:
     instead = f"the time of arrival less {1e3 * _delay(state, timing):.1f} ms is taken"
     if state.delay is None:
         instead += ", which leaves out the transfer"
@@ -171,18 +169,18 @@ def _words(trouble: str, state: Stamps, timing: Timing) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Count:
-    """Frames that the camera produced, from a 32-bit counter that may wrap, stick or begin anew."""
+    """Number of frames that the camera produced, from a 32-bit counter that may wrap, stop or restart."""
 
-    given: int = -1  # the number given last
-    raw: int | None = None  # the driver's
+    number: int = -1  # of the last frame
+    raw: int | None = None  # by the driver
 
 
-def counted(state: Count, raw: int) -> tuple[Count, int]:
-    """The state after a frame and its number: 0, 1, ...; a gap is as wide as the driver's.
+def unwrap_count(state: Count, raw: int) -> tuple[Count, int]:
+    """Return the next state and a frame's number from 0, with the driver's gaps.
 
-    A counter that stands still (some drivers never count) or goes back (the stream began anew) goes on by one.
+    If the counter stops (some drivers never count) or goes back (the stream restarted), the number increases by one.
     """
     step = 1 if state.raw is None else (raw - state.raw) % 2**32
     if not 0 < step < 2**31:
         step = 1
-    return Count(state.given + step, raw), state.given + step
+    return Count(state.number + step, raw), state.number + step

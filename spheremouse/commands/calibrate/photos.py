@@ -158,7 +158,7 @@ def _opened(
     if kind == "v4l2" and size is None and "width=" not in spec:
         from spheremouse.capture import v4l2
 
-        size = v4l2.full_size(argument, _MAX_SIZE)
+        size = v4l2.largest_size(argument, _MAX_SIZE)
     spec = in_size(spec, size)
     with looked_through(spec, configured.camera) as stream:
         if kind == "v4l2":

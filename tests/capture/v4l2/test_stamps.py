@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spheremouse.capture.v4l2.stamps import Arrival, Count, Moment, Stamps, Timing, counted, stamped
+from spheremouse.capture.v4l2.stamps import Arrival, Count, Moment, Stamps, Timing, correct_stamp, unwrap_count
 
 FPS = 30.0
 REAL = 1.7e9  # s, realtime less monotonic
@@ -23,7 +23,7 @@ def run(frames, timing):
     """Stamps and words for (raw, Arrival) one after another."""
     state, stamps, words = Stamps(), [], []
     for raw, came in frames:
-        state, stamp, said = stamped(state, raw, came, timing)
+        state, stamp, said = correct_stamp(state, raw, came, timing)
         stamps.append(stamp)
         words += [said] if said else []
     return np.array(stamps), words
@@ -62,8 +62,8 @@ def test_an_unknown_exposure_costs_a_quarter_of_the_interval_at_most_and_always_
     stamps, words = run([(r, arrival(e + TRANSFER)) for r, e in zip(raw, end, strict=True)], timing)
     error = stamps - middle
     assert np.ptp(error) < 1e-9
-    assert abs(error[0]) <= timing.bound + 1e-9
-    assert timing.bound == pytest.approx(0.25 / FPS)
+    assert abs(error[0]) <= timing.max_error + 1e-9
+    assert timing.max_error == pytest.approx(0.25 / FPS)
     assert words == []
 
 
@@ -107,7 +107,7 @@ def test_one_wild_stamp_ahead_is_forgotten():
     ("raw", "said"),
     [(0.0, "no stamps"), (-1.0, "no stamps"), (math.nan, "no stamps"), (7.5, "not known"), (4e9, "not known")],
 )
-def test_without_usable_stamps_the_arrival_less_the_least_delay_is_taken(raw, said):
+def test_without_usable_stamps_the_arrival_less_the_min_delay_is_taken(raw, said):
     came = 5000.0 + np.arange(100) / FPS
     stamps, words = run([(raw, arrival(c)) for c in came], Timing(Moment.END_OF_FRAME, 1 / FPS, 0.01, 0.02))
     np.testing.assert_allclose(stamps, came - 0.015, rtol=0, atol=1e-9)
@@ -231,7 +231,7 @@ def test_whatever_a_driver_says_stamps_increase_and_are_never_ahead_of_the_clock
 def numbers(raw):
     state, out = Count(), []
     for r in raw:
-        state, n = counted(state, r)
+        state, n = unwrap_count(state, r)
         out.append(n)
     return out
 

@@ -230,8 +230,8 @@ def test_stamps_are_mid_exposure_and_what_is_wrong_with_them_is_noted_once():
 
 def test_what_a_driver_means_by_start_of_exposure(monkeypatch, tmp_path):
     monkeypatch.setattr(v4l2, "_HWTIMESTAMPS", tmp_path / "none")
-    assert v4l2._meaning_of_soe("vivid") is Moment.EXPOSURE_BEGINS
-    assert v4l2._meaning_of_soe("uvcvideo") is Moment.FIRST_PACKET
+    assert v4l2.start_of_exposure_moment("vivid") is Moment.EXPOSURE_BEGINS
+    assert v4l2.start_of_exposure_moment("uvcvideo") is Moment.FIRST_PACKET
     monkeypatch.setattr(v4l2, "_HWTIMESTAMPS", tmp_path / "hwtimestamps")
     for text, moment in (
         ("Y\n", Moment.EXPOSURE_BEGINS),
@@ -239,7 +239,7 @@ def test_what_a_driver_means_by_start_of_exposure(monkeypatch, tmp_path):
         ("N\n", Moment.FIRST_PACKET),
     ):
         (tmp_path / "hwtimestamps").write_text(text)
-        assert v4l2._meaning_of_soe("uvcvideo") is moment
+        assert v4l2.start_of_exposure_moment("uvcvideo") is moment
 
 
 def test_the_plain_source_gives_the_newest_frame_in_colour_and_keeps_no_buffer():
@@ -259,8 +259,8 @@ def test_the_plain_source_gives_the_newest_frame_in_colour_and_keeps_no_buffer()
 
 
 def test_the_plain_source_gives_up_on_a_still_or_broken_camera(monkeypatch):
-    monkeypatch.setattr(v4l2, "_PATIENCE", 0.02)
-    monkeypatch.setattr(v4l2, "_MOST_DAMAGED", 3)
+    monkeypatch.setattr(v4l2, "FRAME_TIMEOUT", 0.02)
+    monkeypatch.setattr(v4l2, "MAX_DAMAGED", 3)
     with pytest.raises(SourceError, match=r"no frame for 0\.02 s"):
         next(v4l2._newest(camera(Device())))
     device = Device()
