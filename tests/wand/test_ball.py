@@ -1,4 +1,4 @@
-"""Balls: what the thesis prints of them, no rotation onto themselves, and the left-handed frame turned over once."""
+"""Balls: the measures of the thesis, no symmetry, and the conversion of the left-handed frame."""
 
 import itertools
 
@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from spheremouse.wand.ball import contrast_ball, from_left_handed, grzonka_ball, led_ball
 
 
-def test_the_thesis_ball_has_the_printed_measures():
+def test_thesis_ball_has_the_printed_measures():
     ball = grzonka_ball()
     rims = sorted({round(2 * ball.radius * np.sin(d.angle), 6) for d in ball.discs})
     assert rims == [0.021, 0.035]
@@ -28,7 +28,7 @@ def test_neighbours_in_the_gray_code_differ_in_one_colour():
 
 @pytest.mark.parametrize("ball", [grzonka_ball(), contrast_ball(), led_ball()], ids=lambda b: b.name)
 def test_no_rotation_maps_the_pattern_to_itself(ball):
-    """Every rotation that takes two discs onto two others of their kind puts some disc where there is none."""
+    """Every rotation that maps two discs to two others of their kind maps some disc to a place without one."""
     n = np.array([d.direction for d in ball.discs])
     kind = [(d.colour, round(d.angle, 6)) for d in ball.discs]
     pairs = list(itertools.permutations(range(len(n)), 2))
@@ -50,8 +50,8 @@ def test_discs_do_not_touch(ball):
         assert np.arccos(a.direction @ b.direction) > a.angle + b.angle + np.deg2rad(5)
 
 
-def test_a_left_handed_turn_is_the_right_handed_one_seen_in_a_mirror():
-    """Yaw in the thesis is counter-clockwise for who looks along its y axis, which points up: cam's y points down."""
+def test_conversion_of_a_left_handed_rotation_mirrors_it():
+    """Yaw in the thesis is counter-clockwise seen along its y axis, which points up; that of `cam` points down."""
     yaw = 0.3
     left = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
     p, R = from_left_handed(np.array([1.0, 2.0, 3.0]), left)

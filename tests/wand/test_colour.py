@@ -1,4 +1,4 @@
-"""Colours: hues around zero, brightness taken out, regions and reductions that show what the whole shows."""
+"""Colour fields: bounds, normalised brightness, regions, reduced pictures, offsets of rims, glare."""
 
 import cv2
 import numpy as np
@@ -19,7 +19,7 @@ def picture(gain=1.0):
     return np.clip(image * gain, 0, 255).astype(np.uint8)
 
 
-def test_red_and_blue_are_told_from_grey_and_skin():
+def test_default_bounds_separate_red_and_blue_from_grey_and_skin():
     found = colour_fields(picture(), DEFAULT_COLOURS, NAMES)
     blue, red = found.binary
     assert red[30, 30] == 255
@@ -28,8 +28,8 @@ def test_red_and_blue_are_told_from_grey_and_skin():
     assert blue.sum() == 400 * 255
 
 
-def test_hsv_is_that_of_opencv():
-    """Of random pixels: a hue range that passes through zero, with bounds on saturation and value."""
+def test_hsv_equals_that_of_opencv():
+    """Random pixels, a hue range through zero, bounds on saturation and value."""
     rng = np.random.default_rng(1)
     image = rng.integers(0, 256, (64, 64, 3), dtype=np.uint8)
     bounds = ColourSettings(340.0, 20.0, 100.0, 230.0, 40.0, 1e4)
@@ -37,19 +37,19 @@ def test_hsv_is_that_of_opencv():
     found = colour_fields(image, {"x": bounds}, ("x",)).binary[0] > 0
     hsv = cv2.cvtColor(image.astype(np.float32) / 255.0, cv2.COLOR_BGR2HSV)
     h, s, v = hsv[..., 0], 255.0 * hsv[..., 1], 255.0 * hsv[..., 2]
-    asked = ((h >= 340) | (h <= 20)) & (s >= 100) & (s <= 230) & (v * 127.0 / mean >= 40)
-    assert np.mean(found != asked) < 2e-3  # pixels on a bound
+    expected = ((h >= 340) | (h <= 20)) & (s >= 100) & (s <= 230) & (v * 127.0 / mean >= 40)
+    assert np.mean(found != expected) < 2e-3  # pixels on a bound
 
 
 @pytest.mark.parametrize("gain", [0.4, 1.2])
-def test_brightness_does_not_matter(gain):
+def test_selection_is_independent_of_brightness(gain):
     assert (
         colour_fields(picture(gain), DEFAULT_COLOURS, NAMES).binary.sum()
         == colour_fields(picture(), DEFAULT_COLOURS, NAMES).binary.sum()
     )
 
 
-def test_a_region_shows_what_the_whole_shows():
+def test_fields_of_a_region_equal_those_of_the_whole_picture():
     image = picture()
     whole = colour_fields(image, DEFAULT_COLOURS, NAMES)
     part = colour_fields(image, DEFAULT_COLOURS, NAMES, (10, 10, 90, 50))
@@ -58,7 +58,7 @@ def test_a_region_shows_what_the_whole_shows():
     np.testing.assert_array_equal(part.weight[inner], whole.weight[:, 10:50, 10:90][inner])
 
 
-def test_the_field_falls_with_the_distance_from_the_colour():
+def test_field_falls_with_the_distance_from_the_colour():
     weight = colour_fields(picture(), DEFAULT_COLOURS, NAMES).weight[1].astype(int)
     across = weight[30, 36:46]
     assert across[0] == 255
@@ -67,7 +67,7 @@ def test_the_field_falls_with_the_distance_from_the_colour():
     assert across[3] + across[4] == pytest.approx(255, abs=2)  # the edge lies between columns 39 and 40
 
 
-def test_large_balls_are_looked_at_reduced():
+def test_pictures_of_large_balls_are_reduced():
     assert reduction_factor(50) == 1
     assert reduction_factor(130) == 2
     half = colour_fields(picture(), DEFAULT_COLOURS, NAMES, None, 2)
@@ -76,7 +76,7 @@ def test_large_balls_are_looked_at_reduced():
 
 
 def covered(radius, side, u=0.0, v=0.0):
-    """Part of each pixel, (side, side), that a disc covers: drawn fine, its light blurred as by a lens and averaged."""
+    """Return the fraction of each pixel, (side, side), that a disc covers, blurred as by a lens."""
     fine = 12
     at = (np.arange(side * fine) + 0.5) / fine - side / 2
     cover = ((at[:, None] - v) ** 2 + (at[None] - u) ** 2 < radius**2).astype(np.float32)
@@ -84,8 +84,8 @@ def covered(radius, side, u=0.0, v=0.0):
 
 
 @pytest.mark.parametrize("saturation", [60.0, 95.0, 150.0])
-def test_a_bound_on_saturation_moves_a_rim_by_what_mixed_light_says(saturation):
-    """A disc drawn fine, its light averaged and blurred as a lens does, then made grey values: its area tells."""
+def test_rim_shift_of_a_bound_on_saturation_is_that_of_mixed_light(saturation):
+    """The selected area of a disc whose light is mixed before the gamma."""
     radius = 14.0
     cover = covered(radius, 48)[..., None]
     white, red = np.array([0.75, 0.77, 0.78]), np.array([0.014, 0.012, 0.51])
@@ -106,8 +106,8 @@ def test_a_bound_on_saturation_moves_a_rim_by_what_mixed_light_says(saturation):
         (0.9, 0.01, {"value_min": 215.0}, 0.2),  # at the end of the blur
     ],
 )
-def test_a_bound_on_brightness_moves_a_rim_by_what_the_picture_shows_beside_it(print_, paper, bound, within):
-    """As above, a disc of one brightness on another: how bright both are is not told."""
+def test_rim_shift_of_a_bound_on_brightness_is_that_of_mixed_light(print_, paper, bound, within):
+    """The tracker measures the brightness of disc and ground in the picture."""
     radius = 14.0
     cover = covered(radius, 64)[..., None]
     grey = np.rint(255.0 * (cover * print_ + (1.0 - cover) * paper) ** (1 / 2.2)).astype(np.uint8)
@@ -122,7 +122,7 @@ def test_a_bound_on_brightness_moves_a_rim_by_what_the_picture_shows_beside_it(p
 
 
 def discs_on(radius, light, ground, n=3, beside=None, side=48):
-    """A picture of n discs on a ground, of so much light each, side by side; `beside` gives grey values for below."""
+    """Return a picture of n discs on a ground with linear light; `beside` gives grey values for the part below."""
     rng = np.random.default_rng(4)
     cover = np.hstack([covered(radius, side, *rng.uniform(-0.5, 0.5, 2)) for _ in range(n)])
     grey = 255.0 * np.clip(cover * light + (1.0 - cover) * ground, 0.0, 1.0) ** (1 / 2.2)
@@ -137,15 +137,15 @@ def shift_of(found, radius, n=3, rows=48):
 
 
 @pytest.mark.parametrize("radius", [2.0, 3.0, 5.0])
-def test_small_dark_discs_have_their_rims_told(radius):
+def test_rim_shift_of_small_dark_discs(radius):
     dark = {"dark": ColourSettings(value_max=75.0)}
     found = colour_fields(discs_on(radius, 0.01, 0.7), dark, ("dark",), known=PictureColours(127.0, np.zeros(1)))
     assert shift_of(found, radius) < -0.2
     assert found.rim[0] == pytest.approx(shift_of(found, radius), abs=0.15)
 
 
-def test_a_large_dark_thing_does_not_tell_where_the_rims_of_discs_are():
-    """A dark piece of furniture on a grey wall: rims on grey lie elsewhere than rims on white."""
+def test_rims_of_large_dark_areas_have_no_effect_on_the_rim_shift():
+    """Dark furniture on a grey wall: its rims lie elsewhere than those on white."""
     dark, known = {"dark": ColourSettings(value_max=75.0)}, PictureColours(127.0, np.zeros(1))
 
     def furniture(width):
@@ -163,8 +163,8 @@ def test_a_large_dark_thing_does_not_tell_where_the_rims_of_discs_are():
 
 @pytest.mark.parametrize("radius", [2.0, 4.0, 12.0])
 @pytest.mark.parametrize("light", [1.0, 1.5, 3.0, 8.0])
-def test_overexposed_discs_have_their_rims_told_by_how_wide_these_seem(radius, light):
-    """Light that grey values do not show puts the rim outward: from 0.6 px within to as much beyond."""
+def test_rim_shift_of_overexposed_discs_follows_from_the_width_of_their_rims(radius, light):
+    """Light above full scale moves the rim from 0.6 px inside to 0.6 px outside."""
     found = colour_fields(
         discs_on(radius, light, 0.02), {"light": ColourSettings(value_min=215.0)}, ("light",),
         known=PictureColours(140.0, np.zeros(1)),
@@ -176,7 +176,7 @@ def test_overexposed_discs_have_their_rims_told_by_how_wide_these_seem(radius, l
 
 @pytest.mark.parametrize("factor", [1, 2, 3])
 @pytest.mark.parametrize(("light", "ground"), [(0.01, 0.7), (1.0, 0.02), (1.5, 0.02)])
-def test_in_reduced_pictures_rims_are_told_in_their_own_pixels(factor, light, ground):
+def test_rim_shift_in_a_reduced_picture_is_in_its_own_pixels(factor, light, ground):
     radius, side = 6.0 * factor, 48 * factor
     lit = light > ground
     bounds = {"some": ColourSettings(value_min=215.0) if lit else ColourSettings(value_max=75.0)}
@@ -185,8 +185,8 @@ def test_in_reduced_pictures_rims_are_told_in_their_own_pixels(factor, light, gr
     assert found.rim[0] == pytest.approx(shift_of(found, radius / factor), abs=0.12)
 
 
-def test_where_brightness_does_not_tell_a_colour_from_the_rest_no_rim_is_moved():
-    """A hue with a bound on brightness that all of the picture meets; and a ground that is overexposed as well."""
+def test_no_rim_shift_if_brightness_does_not_separate_a_colour():
+    """A bound on brightness that the whole picture meets, and an overexposed ground."""
     image = np.full((60, 60, 3), (200, 190, 185), np.uint8)
     cv2.circle(image, (30, 30), 10, (20, 20, 190), -1)
     red = {"red": ColourSettings(hue_min=340.0, hue_max=14.0, value_min=40.0)}
@@ -198,7 +198,7 @@ def test_where_brightness_does_not_tell_a_colour_from_the_rest_no_rim_is_moved()
 
 
 def glaring(strength, across=20):
-    """A white ball's patch with a red disc, 24 px across, and the sun's image at its rim: linear light, developed."""
+    """Return a white patch with a red disc, 24 px across, and the sun's image at its rim; and the disc's pixels."""
     v, u = np.mgrid[0:96, 0:128]
     disc = (u - 64.0) ** 2 + (v - 48.0) ** 2 < 12.0**2
     light = np.where(disc[..., None], np.array([0.02, 0.02, 0.5]), 0.62)
@@ -207,27 +207,23 @@ def glaring(strength, across=20):
 
 
 @pytest.mark.parametrize("strength", [1.5, 3.0, 6.0])
-def test_print_that_glare_makes_pale_is_said_to_be_unknown(strength):
-    """Of the disc's pixels that have lost their colour, all but a few are; of the white far from it, none."""
+def test_glare_covers_the_print_that_it_makes_pale(strength):
+    """Nearly all pale pixels of the disc are glare, and no distant pixel is."""
     image, disc = glaring(strength)
     found = colour_fields(image, DEFAULT_COLOURS, NAMES)
     pale = disc & (found.binary[1] == 0)
-    inner = pale & (cv2.erode(disc.astype(np.uint8), np.ones((5, 5))) > 0)  # its rim is mixed light anyway
+    inner = pale & (cv2.erode(disc.astype(np.uint8), np.ones((5, 5))) > 0)  # without the mixed light of its rim
     assert inner.sum() > 40
     assert np.mean(found.glare[0][inner] > 127) > 0.9
     assert not found.glare[0][:, :30].any()
     assert not found.glare[0][80:].any()
-    sure = disc & (found.weight[1] == 255)
-    assert not found.glare[0][sure].any()  # what shows its colour speaks for itself
+    coloured = disc & (found.weight[1] == 255)
+    assert not found.glare[0][coloured].any()
 
 
-def test_without_overexposed_pixels_nothing_is_unknown():
+def test_a_white_wall_a_lit_disc_and_a_matt_ball_are_no_glare():
     image, _ = glaring(0.0)
     assert len(colour_fields(image, DEFAULT_COLOURS, NAMES).glare) == 0
-
-
-def test_a_white_wall_or_a_lit_disc_is_no_glare():
-    """Larger than the sun's image on a ball can be; or a colour that is looked for."""
     image = np.full((96, 128, 3), 90, dtype=np.uint8)
     image[20:80, 30:110] = 255
     assert len(colour_fields(image, DEFAULT_COLOURS, NAMES).glare) == 0

@@ -1,4 +1,4 @@
-"""The likelihood: greatest at the truth, hiding does not pay, curvature that the refinement tells; the outline."""
+"""Likelihood: greatest at the truth, no gain by hidden points, curvature of the refinement, outline, glare."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ NONE = np.zeros((limb.DIRECTIONS, 5))
 
 @pytest.fixture(scope="module")
 def view():
-    """A frame of the independent renderer: fields, model, position, rotation, picture."""
+    """Return fields, model, position, rotation and picture of a frame from the independent renderer."""
     film = prepare_wand(WandOptions(motion="hand", seed=2, seconds=0.1, size=(640, 480), focal=1000.0, distance=1.6))
     shot = next(iter(simulate_wand(film)))
     m = ball_model(BALL, film.scene.camera)
@@ -42,7 +42,7 @@ def values(view, position, rotation, weigh=log_likelihood):
     return weigh(np.atleast_2d(position), np.reshape(rotation, (-1, 3, 3)), m, seen)
 
 
-def test_the_truth_matches_and_beats_any_other_attitude(view):
+def test_true_attitude_has_the_greatest_likelihood(view):
     _, _, p, R, _ = view
     value, match = values(view, p, R)
     rng = np.random.default_rng(0)
@@ -53,15 +53,15 @@ def test_the_truth_matches_and_beats_any_other_attitude(view):
     assert value[0] > others.max() + 20
 
 
-def test_it_falls_to_both_sides_along_each_axis(view):
+def test_likelihood_falls_along_each_axis(view):
     _, _, p, R, _ = view
     at, _ = values(view, p, R)
     for step in np.eye(3) * [0.008, 0.008, 0.1]:
         assert max(values(view, p + s * step, R)[0][0] for s in (-1, 1)) < at[0] - 10
 
 
-def test_hiding_points_does_not_pay(view):
-    """With the bare side towards the camera nothing is asked; the thesis' product would be one."""
+def test_a_pose_with_hidden_points_does_not_win(view):
+    """The bare side faces the camera, where the thesis' product over no points would be one."""
     _, _, p, R, _ = view
     away = exp(np.array([np.pi, 0.0, 0.0])) @ R
     value, match = values(view, p, away)
@@ -71,8 +71,7 @@ def test_hiding_points_does_not_pay(view):
     assert values(view, p, away, log_product)[0][0] < values(view, p, R, log_product)[0][0]
 
 
-def test_a_pose_may_be_counted_as_another_one(view):
-    """By its own counts it is what it was; by those of a pose nearby a small ball does not gain by being nearer."""
+def test_disc_weights_of_another_pose_remove_the_gain_of_a_closer_one(view):
     seen, m, p, R, _ = view
     far = replace(m, lens=np.array([0.3 * m.lens[0], 0.3 * m.lens[1], *m.lens[2:]]))  # 19 px across
     position, rotation = np.array([p, 0.97 * p]), np.array([R, R])
@@ -90,13 +89,13 @@ def test_a_pose_may_be_counted_as_another_one(view):
     np.testing.assert_array_equal(none, plain)
 
 
-def test_beside_the_ball_there_is_no_evidence(view):
+def test_no_evidence_beside_the_ball(view):
     _, _, p, R, _ = view
     assert values(view, p + np.array([0.25, 0.0, 0.0]), R)[0][0] < 10
 
 
-def test_the_refinement_climbs_and_tells_the_curvature(view):
-    """The Gaussian of the peak explains how the likelihood falls: mean drop of its samples is 6 / 2."""
+def test_refinement_finds_the_peak_and_its_curvature(view):
+    """The mean loss of log-likelihood over samples of the peak's Gaussian is 6 / 2."""
     seen, m, p, R, _ = view
     rng = np.random.default_rng(1)
     start = p + np.array([0.002, -0.002, 0.03])
@@ -112,7 +111,7 @@ def test_the_refinement_climbs_and_tells_the_curvature(view):
     assert 1.5 < drop.mean() < 6.0
 
 
-def test_the_outline_is_that_of_a_sphere():
+def test_outline_equals_that_of_the_projected_sphere():
     camera = InteriorOrientation(1280, 960, 900.0, 900.0, 640.0, 480.0)
     lens = np.concatenate([camera.intrinsic, camera.distortion])
     c = np.array([0.3, -0.2, 0.8])
@@ -125,8 +124,8 @@ def test_the_outline_is_that_of_a_sphere():
         assert np.hypot(np.hypot(x, y), z) == pytest.approx(0.05)
 
 
-def test_the_outline_is_found_where_it_is(view):
-    """Of a ball taken for 3 % nearer than it is, the edges lie inward by that."""
+def test_measured_edges_lie_on_the_true_outline(view):
+    """The predicted ball is 3 % too close."""
     _, m, p, R, image = view
     discs = np.array([[*d.direction, d.angle] for d in BALL.discs])
     found = limb.measure_edges(image, 0.97 * p, R, discs, BALL.radius, m.lens, 1)
@@ -137,17 +136,17 @@ def test_the_outline_is_found_where_it_is(view):
         u, v, *_ = limb.outline_point(p, BALL.radius, m.lens, k)
         r.append((found[k, :2] - (u, v)) @ found[k, 2:4])
     r = np.array(r)
-    edge = np.abs(r) < 1.0  # the others are of the room behind it
+    edge = np.abs(r) < 1.0  # the others belong to the room
     assert edge.mean() > 0.5
     assert np.median(r[edge]) == pytest.approx(0.0, abs=0.15)
     middle = project(p[None], InteriorOrientation(640, 480, *m.lens[:4], m.lens[4:]))[0][0]
     out = (found[good, :2] - middle) / np.linalg.norm(found[good, :2] - middle, axis=1, keepdims=True)
-    assert np.all(np.sum(out * found[good, 2:4], axis=1) > 0.98)  # all normals point outward, on every side
+    assert np.all(np.sum(out * found[good, 2:4], axis=1) > 0.98)  # outward normals
 
 
 @pytest.mark.parametrize("turned", [0.0, 60.0, 90.0, 120.0, 180.0])
-def test_the_expected_field_ends_at_the_limb(turned):
-    """Against a sum over the picture: a disc's rim and the ball's limb as two straight edges, at an angle."""
+def test_expected_field_equals_the_convolution_at_the_limb(turned):
+    """Numerical convolution of a disc's rim and the ball's limb as two straight edges at an angle."""
     facing, scale, sigma = 0.35, 26.0, 1.2
     aside = np.sqrt(1.0 - facing**2)
     # a rim whose outward normal in the picture makes the angle with that of the limb
@@ -165,8 +164,7 @@ def test_the_expected_field_ends_at_the_limb(turned):
     assert g == pytest.approx((np.sum(weight * (ball & moved)) / np.sum(weight) - e) / 0.3, abs=0.06)
 
 
-def test_the_truth_s_residuals_are_as_wide_as_said(view):
-    """Twice as wide and the covariance were four times too large; half, and it were too small."""
+def test_residuals_at_the_truth_have_the_stated_standard_deviation(view):
     seen, m, p, R, _ = view
     n = len(m.points.table)
     counts, r, g, e, field = (np.zeros(n) for _ in range(5))
@@ -179,8 +177,8 @@ def test_the_truth_s_residuals_are_as_wide_as_said(view):
     assert 0.5 * SIGMA < np.sqrt(np.mean(r[rim] ** 2)) < 1.4 * SIGMA
 
 
-def test_glare_counts_neither_for_nor_against(view):
-    """All in glare: every pose is worth nothing. A disc in glare: worth what the others are, its colour gone or not."""
+def test_glare_is_no_evidence(view):
+    """A picture in glare has no evidence. With one disc in glare, the others have theirs."""
     seen, m, p, R, _ = view
     everywhere = np.full((1, *seen.weight.shape[1:]), 255, dtype=np.uint8)
     turned = exp(np.array([0.4, 1.1, -0.3])) @ R
@@ -202,13 +200,13 @@ def test_glare_counts_neither_for_nor_against(view):
     assert without[0] + 20.0 < with_glare[0] < whole[0] - 5.0
     assert match[0] > 0.9
     as_before, _ = log_likelihood(*poses, m, replace(seen, glare=veiled.glare))
-    assert with_glare[0] - 1e-6 < as_before[0] < whole[0]  # colour that shows all the same speaks for the pose
+    assert with_glare[0] - 1e-6 < as_before[0] < whole[0]  # a visible colour is evidence
     assert with_glare[0] > with_glare[1] + 20.0
 
 
 @pytest.mark.parametrize("part", [0.4, 0.8, 1.0])
-def test_glare_alone_is_no_evidence(view, part):
-    """Pale spots where a ball's discs would be, and nothing of their colours: there may be no ball."""
+def test_glare_in_place_of_discs_is_no_evidence(view, part):
+    """Pale spots at the places of the discs, without their colours."""
     seen, m, p, R, _ = view
     rows, columns = np.mgrid[: seen.weight.shape[1], : seen.weight.shape[2]]
     pale = np.zeros(rows.shape, dtype=np.uint8)
@@ -224,8 +222,7 @@ def test_glare_alone_is_no_evidence(view, part):
     assert match[0] < 0.5
 
 
-def test_the_refinement_climbs_to_the_same_place_through_glare(view):
-    """A disc half washed out: taken for its colour's end, the peak would lie elsewhere."""
+def test_refinement_finds_the_same_peak_with_glare(view):
     seen, m, p, R, _ = view
     u, v = np.array(m.lens[:2]) * p[:2] / p[2] + m.lens[2:4]
     rows, columns = np.mgrid[: seen.weight.shape[1], : seen.weight.shape[2]]

@@ -1,4 +1,4 @@
-"""Particles: resampling, means, and that proposals leave the posterior what it is."""
+"""Particle filter: resampling, means, and an unchanged posterior for any proposal."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def motions(shift, probability=(0.6, 0.399), birth=1e-9):
     return MotionMixture(np.array([np.zeros(6), shift]), np.stack([ONE, 0.25 * ONE]), np.array(probability), birth)
 
 
-def test_low_variance_takes_each_particle_as_often_as_its_weight_says_to_one():
+def test_low_variance_resampling_draws_each_particle_by_its_weight_to_within_one():
     w = np.array([0.5, 0.0, 0.26, 0.24])
     for start in np.linspace(0.0, 0.999, 7):
         count = np.bincount(low_variance_indices(w, 100, start), minlength=4)
@@ -39,13 +39,13 @@ def test_effective_number():
     assert effective_number(np.array([1.0, 0.0, 0.0])) == pytest.approx(1)
 
 
-def test_weights_are_normalised_whatever_their_size():
+def test_normalisation_of_very_small_weights():
     w, total = normalise(np.array([-2000.0, -2000.0 + np.log(3.0)]))
     np.testing.assert_allclose(w, [0.25, 0.75])
     assert total == pytest.approx(-2000.0 + np.log(4.0))
 
 
-def test_the_mean_and_covariance_are_those_of_the_sample():
+def test_mean_and_covariance_equal_those_of_the_sample():
     rng = np.random.default_rng(4)
     R = exp(np.array([2.0, -1.0, 0.5]))
     cloud = scatter(np.array([0.1, 0.2, 1.0]), R, ONE, 60_000, rng)
@@ -53,11 +53,11 @@ def test_the_mean_and_covariance_are_those_of_the_sample():
     np.testing.assert_allclose(p, [0.1, 0.2, 1.0], atol=1e-3)
     assert np.linalg.norm(log(mean @ R.T)) < 3e-3
     np.testing.assert_allclose(covariance, ONE, atol=8e-4)
-    # SciPy's mean is another: of the chordal distance; near for a sample this narrow
+    # SciPy's chordal mean is close for a narrow sample
     assert np.linalg.norm(log(mean @ Rotation.from_matrix(cloud.rotation).mean().as_matrix().T)) < 1e-3
 
 
-def test_the_mean_rotation_turns_with_the_particles():
+def test_mean_rotation_is_equivariant():
     rng = np.random.default_rng(5)
     w = rng.random(30)
     cloud = Particles(np.zeros((30, 3)), exp(rng.normal(size=(30, 3)) * 0.5), w / w.sum())
@@ -67,17 +67,14 @@ def test_the_mean_rotation_turns_with_the_particles():
     np.testing.assert_allclose(turned, turn @ mean, atol=1e-9)
 
 
-def test_a_sample_of_few_says_little_of_its_spread():
+def test_covariance_of_few_particles_is_the_expected_one():
     np.testing.assert_allclose(regularised_covariance(np.zeros((6, 6)), 0.0, ONE), ONE)
     np.testing.assert_allclose(regularised_covariance(2 * ONE, 1e9, ONE), 2 * ONE)
 
 
 @pytest.mark.parametrize("n", [20_000])
-def test_proposals_leave_the_posterior_what_it_is(n):
-    """Drawn by motion and weighted, or drawn towards a peak that is a bad fit and weighted: one posterior.
-
-    The likelihood is a Gaussian; the proposal is told of one beside it and three times as wide.
-    """
+def test_proposals_do_not_change_the_posterior(n):
+    """The likelihood is a Gaussian. The proposal uses a displaced one, three times as wide, or the motion alone."""
     rng = np.random.default_rng(6)
     parents = scatter(np.array([0.0, 0.0, 1.0]), np.eye(3), 0.1 * ONE, n, rng)
     m = motions(np.array([0.03, 0.0, 0.02, 0.1, -0.1, 0.0]))
@@ -105,12 +102,12 @@ def test_proposals_leave_the_posterior_what_it_is(n):
     np.testing.assert_allclose(np.diag(spread) / np.diag(covariance), 1.0, atol=0.12)
 
 
-def test_births_follow_a_peak_that_no_motion_reaches():
+def test_births_reach_a_peak_beyond_all_motions():
     rng = np.random.default_rng(7)
     parents = scatter(np.array([0.0, 0.0, 1.0]), np.eye(3), 0.01 * ONE, 500, rng)
     far = np.array([0.8, 0.3, 2.0])
     peaks = PeakMixture(far[None], exp(np.array([[2.0, 0, 0]])), 0.01 * ONE[None], np.array([0.0]))
     drawn, ratio, _ = propose(parents, motions(np.zeros(6)), peaks, 0.1, 500, rng)
     near = np.linalg.norm(drawn.position - far, axis=1) < 0.1
-    assert 0.8 < near.mean() < 0.97  # all but the blind ones
+    assert 0.8 < near.mean() < 0.97  # except the blind ones
     assert np.ptp(ratio[near]) < 25.0

@@ -1,4 +1,4 @@
-"""Pose and velocity of a ball together, against what is known without the filter."""
+"""Kalman filter of pose and velocity, compared with known motions, least squares and numerical derivatives."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def start(position=(0.1, -0.05, 1.0), rotation=None):
 
 
 def moved(position, rotation, rng, frames, dt=DT):
-    """Poses, (position, rotation), and velocities of a ball whose acceleration is another in every frame."""
+    """Return position, rotation and velocity of a ball with another acceleration in every frame."""
     velocity, poses = np.zeros(6), []
     for _ in range(frames):
         a = 0.5 * ACCELERATION * rng.standard_normal(6)
@@ -33,8 +33,8 @@ def seen(pose, rng):
     return pose[0] + d[:3], exp(d[3:]) @ pose[1]
 
 
-def test_what_moves_evenly_is_told_exactly():
-    """Whatever the attitude, and however far it turns between two frames."""
+def test_constant_velocity_is_estimated_exactly():
+    """Rotations of 0.37 rad between two frames."""
     velocity = np.array([0.1, -0.2, 0.3, 2.0, -1.0, 3.0])
     state = start()
     for k in range(1, 200):
@@ -47,8 +47,8 @@ def test_what_moves_evenly_is_told_exactly():
     np.testing.assert_allclose(log(ahead.rotation @ state.rotation.T), 0.05 * velocity[3:], atol=1e-6)
 
 
-def test_it_is_the_best_linear_estimate_of_all_that_was_seen():
-    """Along one axis: weighted least squares of all frames at once, with accelerations as unknowns."""
+def test_estimate_equals_least_squares_over_all_frames():
+    """One axis, with the accelerations as unknowns."""
     rng = np.random.default_rng(1)
     state, z, frames = start(), [1.0], 25
     for k in range(1, frames):
@@ -72,7 +72,7 @@ def test_it_is_the_best_linear_estimate_of_all_that_was_seen():
     np.testing.assert_allclose(P, last @ C @ last.T, rtol=1e-8)
 
 
-def test_errors_are_as_large_as_said():
+def test_nees_is_consistent():
     rng, nees = np.random.default_rng(2), []
     for _ in range(60):
         first = np.array([0.1, -0.05, 1.0]), exp(rng.standard_normal(3))
@@ -87,7 +87,7 @@ def test_errors_are_as_large_as_said():
     assert low < np.mean(nees) < high
 
 
-def test_the_covariance_stays_symmetric_and_positive():
+def test_covariance_stays_symmetric_and_positive():
     state = start()
     for k in range(1, 400):
         state = update(state, 0.004 * k, state.position, state.rotation, 100.0 * NOISE, ACCELERATION)
@@ -96,8 +96,7 @@ def test_the_covariance_stays_symmetric_and_positive():
 
 
 @pytest.mark.parametrize("speed", [3.0, 9.0, 18.0])
-def test_a_ball_that_is_fast_from_the_first_frame_has_its_velocity_in_a_few(speed):
-    """However much faster than a hand is thought to begin."""
+def test_velocity_of_a_fast_ball_converges_in_seven_frames(speed):
     rng, velocity = np.random.default_rng(5), np.array([0.9, 0.0, 0.0, 0.0, speed, 0.0])
     state = start()
     for k in range(1, 8):
@@ -108,7 +107,7 @@ def test_a_ball_that_is_fast_from_the_first_frame_has_its_velocity_in_a_few(spee
     assert abs(off[4]) < 0.15 * speed
 
 
-def test_from_a_pose_that_no_hand_reaches_it_begins_at_rest():
+def test_a_pose_beyond_a_hand_s_speed_restarts_the_filter_at_rest():
     rng = np.random.default_rng(3)
     state = start()
     for k, pose in enumerate(moved(state.position, state.rotation, rng, 30)):
@@ -125,7 +124,7 @@ def test_from_a_pose_that_no_hand_reaches_it_begins_at_rest():
 
 
 @pytest.mark.parametrize(("off", "anew"), [(5.9, False), (6.1, True)])
-def test_six_standard_deviations_are_too_far_off(off, anew):
+def test_gate_is_six_standard_deviations(off, anew):
     state = predict(start(), DT, ACCELERATION)
     S = state.covariance[0, 0] + NOISE[0, 0]
     at = state.position + np.array([off * np.sqrt(S), 0.0, 0.0])
@@ -133,8 +132,8 @@ def test_six_standard_deviations_are_too_far_off(off, anew):
     assert bool(found.position[0] == at[0]) == anew
 
 
-def test_the_covariance_ahead_is_that_of_numerical_derivatives():
-    """Of a ball that turns by a radian until then: attitude and velocity, without noise."""
+def test_predicted_covariance_equals_that_of_numerical_derivatives():
+    """A ball that rotates by a radian, without process noise."""
     velocity = np.array([0.3, -0.2, 0.1, 3.0, -4.0, 2.0])
     state = with_velocity(start(rotation=exp(np.array([0.3, 1.0, -0.5]))), velocity, np.diag([1e-4] * 3 + [1e-3] * 3))
     dt, step = 0.19, 1e-6
@@ -155,8 +154,8 @@ def test_the_covariance_ahead_is_that_of_numerical_derivatives():
 
 
 @pytest.mark.parametrize("gap", [0.4, 1.25])
-def test_after_a_gap_errors_are_as_large_as_said(gap):
-    """A hand changes its acceleration five times a second, whether a picture comes or not."""
+def test_nees_is_consistent_after_a_gap(gap):
+    """The acceleration changes five times a second, also without frames."""
     rng, nees = np.random.default_rng(6), []
     for _ in range(80):
         state = start()
@@ -171,13 +170,13 @@ def test_after_a_gap_errors_are_as_large_as_said(gap):
             way = v * dt + 0.5 * a * dt**2
             p, R, v = p + way[:3], exp(way[3:]) @ R, v + a * dt
         state = update(state, state.stamp + gap, *seen((p, R), rng), NOISE, ACCELERATION)
-        e = (state.velocity - v)[:3]  # turns of a radian and more are not linear
+        e = (state.velocity - v)[:3]  # large rotations are not linear
         nees.append(e @ np.linalg.solve(state.covariance[6:9, 6:9], e))
     low, high = chi2.ppf([0.005, 0.995], 3 * len(nees)) / len(nees)
     assert low < np.mean(nees) < high
 
 
-def test_a_ball_that_stops_in_a_gap_is_not_thought_to_go_back():
+def test_a_ball_that_stops_in_a_gap_has_no_reverse_velocity():
     state = start()
     for k in range(1, 20):
         at = np.array([0.1 + 0.3 * k * DT, -0.05, 1.0])
@@ -191,7 +190,7 @@ def test_a_ball_that_stops_in_a_gap_is_not_thought_to_go_back():
     assert np.linalg.eigvalsh(never.covariance)[0] > 0.0
 
 
-def test_a_velocity_that_is_told_is_believed():
+def test_a_known_velocity_replaces_the_estimate():
     velocity = np.array([0.1, 0.0, 0.0, 0.0, 2.0, 0.0])
     state = with_velocity(start(), velocity, 1e-6 * np.eye(6))
     np.testing.assert_array_equal(state.covariance[:6, :6], NOISE)
@@ -200,7 +199,7 @@ def test_a_velocity_that_is_told_is_believed():
     np.testing.assert_allclose(log(ahead.rotation), [0.0, 0.8, 0.0], atol=1e-12)
 
 
-def test_the_velocity_is_as_uncertain_ahead_as_when_one_is_there():
+def test_predicted_velocity_covariance_equals_that_of_the_predicted_state():
     state = predict(start(), 0.1, ACCELERATION)
     for later in (0.15, 0.25, 0.9):
         there = predict(state, later, ACCELERATION).covariance[6:, 6:]

@@ -1,4 +1,4 @@
-"""The start: what is no ball is not taken for one, what glare leaves of one is; a search in turns misses nothing."""
+"""Start without a pose: no ball in noise and rooms, a ball in glare, a search over several pictures."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ PICTURES = 50
 
 
 def squares(seed, coloured):
-    """Noise about grey, a red and a blue square of 40 px anywhere."""
+    """Return noise about grey with a red and a blue square of 40 px at random places."""
     rng = np.random.default_rng([seed, 7])
     noise = (
         rng.normal(128.0, 2.0, (480, 640, 3)) if coloured else np.repeat(rng.normal(128.0, 40.0, (480, 640, 1)), 3, 2)
@@ -36,8 +36,8 @@ def squares(seed, coloured):
 
 
 @pytest.mark.parametrize("coloured", [True, False])
-def test_squares_in_noise_are_no_ball(coloured):
-    """None of 50: a rate below 6 %, with 95 % confidence. Two spots are explained by some pose, whatever they are."""
+def test_no_ball_in_noise_with_squares(coloured):
+    """None in 50: a rate below 6 % with 95 % confidence."""
     tracker = build(CAMERA, (grzonka_ball(),))
     found = []
     for k in range(PICTURES):
@@ -47,8 +47,7 @@ def test_squares_in_noise_are_no_ball(coloured):
 
 
 @pytest.mark.parametrize("seed", [3, 4, 10])
-def test_books_and_a_mug_are_no_ball(seed):
-    """Rooms in which red and blue things stand as discs on a ball do; between them it is not white."""
+def test_no_ball_in_a_room_of_red_and_blue_things(seed):
     film = prepare_wand(WandOptions(motion="hand", size=(640, 480), seed=seed, seconds=0.1))
     rng = np.random.default_rng(seed)
     tracker = build(film.scene.camera, (grzonka_ball(),))
@@ -59,8 +58,8 @@ def test_books_and_a_mug_are_no_ball(seed):
 
 
 @pytest.mark.parametrize(("seed", "begins"), [(6, 0.0), (8, 90.0)])
-def test_a_ball_in_glare_is_found_at_once(seed, begins):
-    """The sun's image lies on its largest disc, of which a crescent is left."""
+def test_ball_in_glare_is_found_in_the_first_frame(seed, begins):
+    """The sun's image leaves a crescent of the largest disc."""
     film = prepare_wand(WandOptions(light="outdoor", seed=seed, begin=begins, seconds=1.3))
     (shot,) = simulate_wand(film)
     tracker = build(film.scene.camera, (grzonka_ball(),))
@@ -70,7 +69,7 @@ def test_a_ball_in_glare_is_found_at_once(seed, begins):
     assert np.linalg.norm((pose.position - shot.position[0])[:2]) < 0.01
 
 
-def test_a_true_pose_convinces_and_another_place_does_not():
+def test_evidence_without_prior_needs_discs_and_a_bare_ball():
     film = prepare_wand(WandOptions(motion="hand", seed=2, seconds=0.1, size=(640, 480)))
     (shot,) = simulate_wand(film)
     ball, camera, image = grzonka_ball(), film.scene.camera, shot.frame.image
@@ -83,7 +82,7 @@ def test_a_true_pose_convinces_and_another_place_does_not():
         image, p + np.array([0.2, 0.0, 0.0]), R, ball, ball_model(ball, camera), camera, seen
     )
     assert discs < 3
-    # a red pixel everywhere: all discs of that colour show, but the ball is nowhere bare
+    # a red picture shows all red discs, but no bare ball
     red = np.full_like(image, (30, 30, 200))
     _, bare = evidence_without_prior(
         red, p, R, ball, ball_model(ball, camera), camera, colour_fields(red, DEFAULT_COLOURS, ball.colours)
@@ -91,7 +90,7 @@ def test_a_true_pose_convinces_and_another_place_does_not():
     assert bare == 0.0
 
 
-def test_a_search_in_turns_finds_what_a_whole_one_finds():
+def test_a_search_over_several_pictures_equals_a_complete_one():
     film = prepare_wand(WandOptions(motion="hand", seed=3, seconds=0.1, size=(640, 480), focal=700.0), contrast_ball())
     (shot,) = simulate_wand(film)
     ball, camera = contrast_ball(), film.scene.camera

@@ -1,4 +1,4 @@
-"""Nothing is compiled while a wand is tracked: in a process of its own, for here other tests have compiled it all."""
+"""No compilation during tracking, in a separate process, because other tests compile the functions in this one."""
 
 import subprocess
 import sys
@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
-from spheremouse.wand.settings import WandSettings; from spheremouse.wand.build import build
+from spheremouse.wand.build import build
+from spheremouse.wand.settings import WandSettings
 from spheremouse.output.wand_mapping import PointingSettings
 from spheremouse.wand.warm import warm_up
 from spheremouse.output.wand_mapping import WandMapping
@@ -35,7 +36,7 @@ before = compiled()
 
 def frames():
     for k, frame in enumerate(images):
-        if 10 <= k < 22:  # the light goes out
+        if 10 <= k < 22:  # dark
             frame = replace(frame, image=np.full_like(frame.image, 90))
         yield frame
 
@@ -53,6 +54,6 @@ assert before and not late, late
 """
 
 
-def test_nothing_is_compiled_in_play():
+def test_tracking_compiles_nothing_after_warm_up():
     made = subprocess.run([sys.executable, "-c", FILM], capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stderr

@@ -254,7 +254,7 @@ def film():
 def world(film, tmp_path, monkeypatch):
     monkeypatch.setattr("spheremouse.session.service._TICK", 0.02)
     monkeypatch.setattr(capture_module, "BACK_OFF", (0.01, 0.02))
-    monkeypatch.setattr(reporter_module, "BACK_OFF", (0.01, 0.02))
+    monkeypatch.setattr(reporter_module, "RETRY_DELAYS", (0.01, 0.02))
     monkeypatch.setattr(reporter_module, "LATE", PATIENCE)
     monkeypatch.setattr(realtime, "_give_back", lambda: None)
     monkeypatch.setattr(realtime, "_fold_up_code", lambda: 0)
