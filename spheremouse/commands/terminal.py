@@ -1,10 +1,10 @@
-"""What all commands say on standard error in one way: that something is wrong, and how far they are."""
+"""Print errors, tables and progress in the same way for all commands."""
 
 import sys
 from typing import TYPE_CHECKING
 
 from spheremouse.errors import printable
-from spheremouse.session.process.standard_error import unhurried
+from spheremouse.session.process.standard_error import nonblocking_stderr
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -12,14 +12,14 @@ if TYPE_CHECKING:
 
 
 def error(message: str) -> None:
-    """Every line of a message, with the program's name before it; who does not listen keeps nobody."""
-    with unhurried():
+    """Print each line of a message on standard error after the program's name, without waiting for a reader."""
+    with nonblocking_stderr():
         for line in message.splitlines():
             print(f"spheremouse: {printable(line)}", file=sys.stderr)
 
 
 def table_console(*, stderr: bool = False, markup: bool = True) -> "Console":
-    """As wide as the terminal; into a file or a pipe, as wide as it takes."""
+    """Return a console as wide as the terminal. In a file or pipe, tables have their full width."""
     from rich.console import Console
 
     console = Console(stderr=stderr, soft_wrap=True, highlight=False, markup=markup)
@@ -29,8 +29,8 @@ def table_console(*, stderr: bool = False, markup: bool = True) -> "Console":
 
 
 def progress_bar(auto_refresh: bool = True) -> "Progress":
-    """One bar, on a terminal alone, gone when it is done; without `auto_refresh` it is drawn only when asked to."""
-    # every command imports this file, few show a bar
+    """Return a progress bar that is shown on terminals alone, and disappears at the end."""
+    # imported here, since every command imports this file and few show a bar
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 

@@ -52,7 +52,7 @@ def axes(
     from spheremouse.session import trackers
     from spheremouse.session.cameras import is_camera, opener
     from spheremouse.session.plan import Request, read_plan
-    from spheremouse.session.process.standard_error import unhurried
+    from spheremouse.session.process.standard_error import nonblocking_stderr
 
     said = () if tracker is None else (f"tracker={tracker}",)
     there = config is not None and config.exists()
@@ -64,7 +64,7 @@ def axes(
     request = Request(file, told, source, "null", rig, camera, None, no_map=True, balls=tuple(balls or ()))
     plan = read_plan(request)
     live = is_camera(plan.source)
-    with unhurried() if live else nullcontext(), SignalHandler() as stopping:
+    with nonblocking_stderr() if live else nullcontext(), SignalHandler() as stopping:
         setup = trackers.setup(plan)
         plan = setup.planned(request, plan)
         if plan.source.startswith("v4l2:"):  # a service waits for its camera, a person is told that there is none

@@ -160,12 +160,12 @@ def _run(
     from spheremouse.commands.run.view import view
     from spheremouse.session import trackers
     from spheremouse.session.cameras import is_camera
-    from spheremouse.session.process.standard_error import unhurried
+    from spheremouse.session.process.standard_error import nonblocking_stderr
 
     live = is_camera(plan.source) or realtime
     failure: SpheremouseError | None = None
     words: tuple[str, ...] = ()
-    with unhurried() if live else nullcontext():
+    with nonblocking_stderr() if live else nullcontext():
         with ExitStack() as stack:
             stopping = stack.enter_context(SignalHandler())
             setup = trackers.setup(plan, realtime)

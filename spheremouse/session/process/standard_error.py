@@ -1,7 +1,7 @@
-"""Standard error for a run that must not wait: what is written waits in a short queue, and a thread writes it on.
+"""Write to standard error without waiting: texts enter a short queue, and a thread writes them.
 
-A reader that has gone, a full disk or a pipe that nobody reads delay or end nothing: the oldest text is left out, and
-when there is room again its lines are counted.
+A closed pipe, a full disk or a pipe that nobody reads must not stop or end tracking. If the queue is full, the oldest
+texts are dropped. The next text that can be written is preceded by the number of dropped lines.
 """
 
 import contextlib
@@ -17,8 +17,8 @@ from typing import TextIO
 from spheremouse.errors import ControlError
 from spheremouse.session.process.threads import begin
 
-_MOST = 256_000  # characters that wait: some minutes of a busy log, a second of pictures of the table
-_LAST = 0.5  # s that the end waits for what is not written yet
+MAX_QUEUED_CHARACTERS = 256_000  # some minutes of a busy log, or one second of the status table
+_MAX_FLUSH_S = 0.5  # at the end
 
 
 class NonBlockingStderr(io.TextIOBase):
@@ -26,98 +26,98 @@ class NonBlockingStderr(io.TextIOBase):
 
     def __init__(self, stream: TextIO) -> None:
         self._stream, self._descriptor = stream, stream.fileno()
-        self._texts: deque[str] = deque()
-        self._waiting = 0  # characters
-        self._left_out = 0  # lines
-        self._changed = threading.Condition(threading.RLock())  # a signal's handler may write in the midst of a write
-        self._writing = self._over = False
+        self._queue: deque[str] = deque()
+        self._queued = 0  # characters
+        self._dropped = 0  # lines
+        self._changed = threading.Condition(threading.RLock())  # a signal handler may write during a write
+        self._writing = self._closing = False
         self.failed = False  # the last text could not be written
         begin(threading.Thread(target=self._run, name="log", daemon=True))
 
     @property
     def encoding(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """As that of the stream."""
+        """Encoding of the stream."""
         return self._stream.encoding
 
     def writable(self) -> bool:
-        """Always."""
+        """Return True."""
         return True
 
     def isatty(self) -> bool:
-        """As the stream."""
+        """Return whether the stream is a terminal."""
         return self._stream.isatty()
 
     def fileno(self) -> int:
-        """As the stream."""
+        """Return the descriptor of the stream."""
         return self._descriptor
 
     def write(self, text: str, /) -> int:
-        """Hand it over; where too much waits the oldest is left out."""
+        """Queue a text. If the queue is full, drop the oldest ones."""
         with self._changed:
-            self._texts.append(text)
-            self._waiting += len(text)
-            while self._waiting > _MOST and len(self._texts) > 1:
-                self._leave_out(self._texts.popleft())
+            self._queue.append(text)
+            self._queued += len(text)
+            while self._queued > MAX_QUEUED_CHARACTERS and len(self._queue) > 1:
+                oldest = self._queue.popleft()
+                self._queued -= len(oldest)
+                self._dropped += oldest.count("\n")
             self._changed.notify()
         return len(text)
 
-    def _leave_out(self, text: str) -> None:
-        self._waiting -= len(text)
-        self._left_out += text.count("\n")
-
-    def finish(self, seconds: float) -> bool:
-        """Wait so long at most until all is written, and end; was it?"""
-        end = time.monotonic() + seconds
+    def finish(self, timeout: float) -> bool:
+        """Wait up to `timeout` s for the queue, and end the thread. Return whether all texts were written."""
+        end = time.monotonic() + timeout
         with self._changed:
-            self._over = True
+            self._closing = True
             self._changed.notify_all()
-            while (self._texts or self._writing) and (left := end - time.monotonic()) > 0.0:
+            while (self._queue or self._writing) and (left := end - time.monotonic()) > 0.0:
                 self._changed.wait(left)
-            return not (self._texts or self._writing or self.failed)
+            return not (self._queue or self._writing or self.failed)
 
     def _run(self) -> None:
         while True:
             with self._changed:
                 self._writing = False
                 self._changed.notify_all()
-                while not (self._texts or self._over):
+                while not (self._queue or self._closing):
                     self._changed.wait()
-                if not self._texts:
+                if not self._queue:
                     return
-                text = self._texts.popleft()
-                self._waiting -= len(text)
-                left_out, self._left_out = self._left_out, 0
+                text = self._queue.popleft()
+                self._queued -= len(text)
+                dropped, self._dropped = self._dropped, 0
                 self._writing = True
-            if left_out:
-                text = f"spheremouse: {left_out} lines of the log left out: nobody took them\n{text}"
+            note = f"spheremouse: {dropped} lines of the log dropped: standard error was blocked\n" if dropped else ""
             try:
-                self._write_on(text.encode(self.encoding, "backslashreplace"))
+                self._write_all((note + text).encode(self.encoding, "backslashreplace"))
                 self.failed = False
             except OSError:
                 self.failed = True
                 with self._changed:
-                    self._left_out += left_out + text.count("\n") - bool(left_out)
+                    self._dropped += dropped + text.count("\n")
 
-    def _write_on(self, data: bytes) -> None:
+    def _write_all(self, data: bytes) -> None:
         while data:
             try:
                 data = data[os.write(self._descriptor, data) :]
-            except BlockingIOError:  # somebody else has made it so
+            except BlockingIOError:  # another program has set the descriptor to non-blocking
                 time.sleep(0.05)
 
 
 @contextlib.contextmanager
-def unhurried() -> Iterator[None]:
-    """`sys.stderr` is such a stream; afterwards what it was or, where it takes nothing, one that says nothing."""
+def nonblocking_stderr() -> Iterator[None]:
+    """Replace `sys.stderr` by a `NonBlockingStderr` in this block.
+
+    If that cannot write all texts at the end, later texts are discarded.
+    """
     before = sys.stderr
     try:
-        made = NonBlockingStderr(before)
-    except (OSError, ValueError, AttributeError, ControlError):  # no file (a test's, or none at all), or no thread
+        stream = NonBlockingStderr(before)
+    except (OSError, ValueError, AttributeError, ControlError):  # not a file, as in tests, or no thread
         yield
         return
-    sys.stderr = made
+    sys.stderr = stream
     try:
         yield
     finally:
-        taken = made.finish(_LAST)
-        sys.stderr = before if taken else open(os.devnull, "w")  # noqa: SIM115  until the end
+        complete = stream.finish(_MAX_FLUSH_S)
+        sys.stderr = before if complete else open(os.devnull, "w")  # noqa: SIM115  until the process ends
