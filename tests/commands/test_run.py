@@ -504,11 +504,11 @@ def test_a_second_signal_is_a_second_wish_only_after_a_while(monkeypatch):
 # ---- the demo, and what is shown ----
 
 
-def test_the_demo_writes_what_it_names_and_its_counts_are_the_true_ones(spheremouse, tmp_path):
+def test_the_demo_writes_its_files_and_its_counts_are_the_true_ones(spheremouse, tmp_path):
     code, out, err = spheremouse("demo", "--out", tmp_path / "demo", "--seconds", "2", "--seed", "1")
     assert code == 0, err
-    for name in demo.FILES:
-        assert str(tmp_path / "demo" / name) in out
+    for name, meaning in demo.FILES.items():
+        assert re.search(f"{re.escape(str(tmp_path / 'demo' / name))} +{re.escape(meaning)}", out)
         assert (tmp_path / "demo" / name).stat().st_size > 1000
     assert sorted(p.name for p in (tmp_path / "demo").iterdir()) == sorted(demo.FILES)
     sent, exact = re.search(r"counts sent +(\S+ \S+ \S+) +exact would be (\S+ \S+ \S+)", out).groups()
@@ -517,6 +517,7 @@ def test_the_demo_writes_what_it_names_and_its_counts_are_the_true_ones(spheremo
     ]
     assert max(abs(int(a) - int(b)) for a, b in zip(sent.split(), exact.split(), strict=True)) <= 2
     assert "60 of 60" in out
+    assert re.search(r"next:\n  \S*spheremouse demo --seed 2 +another ball", out)
     assert "\x1b" not in out + err
 
 

@@ -1,5 +1,10 @@
-"""The demonstration: filmed, tracked, watched, and compared with the truth."""
+"""Run the demonstration: simulate, track, show, and compare with the truth.
 
+The tracker gets the pictures and the rig. The truth is used at the end alone.
+"""
+
+import os
+import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import nullcontext
@@ -36,12 +41,23 @@ from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, Simulatio
 from spheremouse.tracker import Frame, Status
 
 _SETTINGS = Configuration()
-FILES = ("overlay.png", "overlay.mp4", "plot.png", "motion.txt")
+FILES = {
+    "overlay.png": "one picture with the targets, discs and axes that the tracker found",
+    "overlay.mp4": "the same as a video",
+    "plot.png": "attitude and angular velocity against the truth, with three standard deviations",
+    "motion.txt": "the mouse motion, one line for each frame: time, counts, rotation, angular velocity",
+}
+_NEXT = (
+    ("demo --seed 2", "another ball, another play"),
+    ("run --source synthetic --output text:-", "a simulated camera as the source, motion as text"),
+    ("preview", "the picture of your own camera"),
+    ("calibrate next", "the steps to your own ball, one after the other"),
+)
 _NOISE = 4.0  # grey values: a webcam in a lit room
 
 
 def play(out: Path, seconds: float, seed: int) -> None:
-    """Simulate, track and compare, and write what there is to see into a folder."""
+    """Simulate, track and compare, and write FILES into a folder."""
     simulation = prepare(SimulationOptions(motion="play", seconds=seconds, noise=_NOISE, seed=seed))
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -54,51 +70,66 @@ def play(out: Path, seconds: float, seed: int) -> None:
         "The tracker gets the pictures and the rig, nothing else."
     )
     make_ready(_SETTINGS)
-    with SignalHandler() as stopping:
+    with SignalHandler() as signals:
         film = _Film(simulation)
-        frames = stopping.frames(iter(film))
-        with console.status("lighting the scene, looking for the targets") if console.is_terminal else nullcontext():
+        frames = signals.frames(iter(film))
+        with console.status("rendering the scene, searching for the targets") if console.is_terminal else nullcontext():
             rig = simulation.scene.rig()
-            start = _started(frames, rig, stopping)
+            start = _start(frames, rig, signals)
         tracker = build(rig, start.pose, _SETTINGS)
-        seen = _watch(replace(start, frames=stopping.frames(start.frames)), tracker, out, simulation.fps, console)
-    if not seen.history.epochs:
+        tracked = _watch(replace(start, frames=signals.frames(start.frames)), tracker, out, simulation.fps, console)
+    if not tracked.history.epochs:
         raise typer.Exit(130)
-    run, truth = seen.history.run(), film.truth()
+    run, truth = tracked.history.run(), film.truth()
     result = report(
         run, film.reference(), rig, dataset="demo", tracker="so3", frames=len(film.filmed), found=start.pose
     )
     _draw_plot(run, truth, out / "plot.png")
     print()
-    Console(file=sys.stdout, highlight=False).print(_summary(result, seen, truth, tracker))
-    for name in FILES:
-        if (out / name).exists():
-            print(f"  {out / name}")
+    Console(file=sys.stdout, highlight=False).print(_summary(result, tracked, truth, tracker))
+    files = [(str(out / name), meaning) for name, meaning in FILES.items() if (out / name).exists()]
+    _print_pairs("files:", files)
+    _print_pairs("next:", [(f"{_program()} {words}", meaning) for words, meaning in _NEXT])
 
 
-def _started(frames: Iterator[Frame], rig: Rig, stopping: SignalHandler) -> Start:
+def _print_pairs(title: str, pairs: list[tuple[str, str]]) -> None:
+    width = max(len(first) for first, _ in pairs)
+    print(title)
+    for first, second in pairs:
+        print(f"  {first:{width}}  {second}")
+
+
+def _program() -> str:
+    """Return how to call this program from here: by its name, by its path, or as a module."""
+    path = Path(sys.argv[0])
+    if path.name == "__main__.py":
+        return f"{Path(sys.executable).name} -m spheremouse"
+    return path.name if shutil.which(path.name) else os.path.relpath(path)
+
+
+def _start(frames: Iterator[Frame], rig: Rig, signals: SignalHandler) -> Start:
     try:
         return initialise(frames, rig, _SETTINGS)
     except PoseError:
-        if stopping.asked:  # no frame came any more
+        if signals.asked:  # the frames ended with the signal
             raise typer.Exit(130) from None
         raise
 
 
 class _Film:
-    """Frames for the tracker; what really happened is kept for later."""
+    """Yields frames for the tracker, and keeps the truth."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
         self.filmed: list[SimulatedFrame] = []  # without their images
 
     def __iter__(self) -> Iterator[Frame]:
-        for made in simulate(self._simulation):
-            self.filmed.append(replace(made, frame=_without_image(made.frame)))
-            yield made.frame
+        for simulated in simulate(self._simulation):
+            self.filmed.append(replace(simulated, frame=_without_image(simulated.frame)))
+            yield simulated.frame
 
     def truth(self) -> Truth:
-        """The ball's motion."""
+        """Return the motion of the ball."""
         return Truth(
             np.array([f.frame.stamp for f in self.filmed]),
             np.array([f.attitude for f in self.filmed]),
@@ -106,7 +137,7 @@ class _Film:
         )
 
     def reference(self) -> Reference:
-        """All there is to compare with."""
+        """Return the truth of motion, discs and camera pose."""
         rows = [replace(f.discs, frame=np.full(len(f.discs), i)) for i, f in enumerate(self.filmed)]
         discs = DiscTruth(*(np.concatenate([getattr(r, n) for r in rows]) for n in DiscTruth.__slots__))
         scene = self._simulation.scene
@@ -114,21 +145,21 @@ class _Film:
 
 
 @dataclass
-class _Seen:
-    """Results of the tracker, frame by frame."""
+class _Result:
+    """Estimates of the tracker, frame by frame."""
 
     tally: Tally = field(default_factory=Tally)
     history: History = field(default_factory=History)
 
     def add(self, epoch: Epoch, counts: tuple[int, int, int]) -> None:
-        """One more."""
+        """Add a frame."""
         self.tally.add(counts, sum(epoch.seconds.values()))
         self.history.add(epoch)
 
 
-def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Console) -> _Seen:
-    """Track all frames: table, motion, overlay video, and a picture of the finest moment."""
-    seen = _Seen()
+def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Console) -> _Result:
+    """Track all frames. Show the table, write motion and video, and a picture of the frame with most to see."""
+    tracked = _Result()
     marks = target_marks(tracker.rig, start.pose, start.resection)
     best: tuple[float, Image | None] = (-1.0, None)
     large = Overlay(tracker, marks, scale=2)
@@ -136,7 +167,7 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
     with (
         open_output(f"text:{out / 'motion.txt'}") as motions,
         OverlayFile(out / "overlay.mp4", fps) as video,
-        StatusTable("spheremouse demo", True, seen.tally, console) as screen,
+        StatusTable("spheremouse demo", True, tracked.tally, console) as screen,
     ):
         if start.resection is not None:
             screen.say(messages.standing(start.resection, tracker.rig))
@@ -144,22 +175,22 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
         for epoch in track(start.frames, tracker):
             report = counter.report(epoch.estimate)
             motions.send(report)
-            seen.add(epoch, report.counts)
+            tracked.add(epoch, report.counts)
             if epoch.events:
                 screen.say(f"{epoch.frame.stamp:9.3f} s  {messages.line(epoch.events)}")
             screen.show(epoch)
-            video.add(epoch, lambda: seen.tally.counts)
+            video.add(epoch, lambda: tracked.tally.counts)
             large.remember(epoch.state)
-            fine = _fineness(epoch)
-            if fine > best[0]:
-                best = fine, large.draw(epoch, seen.tally.counts)
+            interest = _interest(epoch)
+            if interest > best[0]:
+                best = interest, large.draw(epoch, tracked.tally.counts)
     if best[1] is not None:
         write_picture(out / "overlay.png", best[1])
-    return seen
+    return tracked
 
 
-def _fineness(epoch: Epoch) -> float:
-    """Amount that there is to see: discs in use, and long traces."""
+def _interest(epoch: Epoch) -> float:
+    """Return how much the picture shows: discs in use, and long traces."""
     speed = float(np.linalg.norm(epoch.state.filter.rate))  # rad/s
     return 0.0 if epoch.state.status is not Status.TRACKING else len(epoch.used) * (0.3 + min(speed, 1.2))
 
@@ -180,21 +211,21 @@ def _draw_plot(run: Run, truth: Truth, path: Path) -> None:
     )
 
 
-def _summary(result: dict[str, Any], seen: _Seen, truth: Truth, tracker: Tracker) -> Table:
-    """The figures a visitor asks for."""
-    times, pose = seen.tally.times, result["pose_error"]
-    exact = _exact_counts(seen, truth, tracker)
+def _summary(result: dict[str, Any], tracked: _Result, truth: Truth, tracker: Tracker) -> Table:
+    """Return the comparison with the truth as a table."""
+    times, pose = tracked.tally.times, result["pose_error"]
+    exact = _exact_counts(tracked, truth, tracker)
     median = 1e3 * times.quantile(0.5)
     position = float(np.linalg.norm(pose["position_mm"]))
     angle = float(np.linalg.norm(pose["angle_deg"]))
     rows = [
         ("frames tracked", f"{result['tracked']} of {result['frames']}", _lost(result["lost_episodes"])),
-        ("camera pose", f"{position:.1f} mm, {angle:.3f}°", "off the true one"),
+        ("camera pose", f"{position:.1f} mm, {angle:.3f}°", "from the true one"),
         ("attitude", _number(result["attitude_rmse_deg"]["combined"], "°"), "RMS error, three axes together"),
-        ("angular velocity", _number(result["rate_rmse_deg_s"]["combined"], " °/s"), "the same"),
+        ("angular velocity", _number(result["rate_rmse_deg_s"]["combined"], " °/s"), "RMS error of the vector"),
         ("surface speed", _number(result["surface_speed_r"]["combined"], "", 5), "correlation with the true one"),
-        ("counts sent", _triple(seen.tally.counts), f"exact would be {_triple(exact)}"),
-        ("discs", _number(result["mean_discs"], " per frame", 1), _met(seen)),
+        ("counts sent", _triple(tracked.tally.counts), f"exact would be {_triple(exact)}"),
+        ("discs", _number(result["mean_discs"], " per frame", 1), _known_discs(tracked)),
         ("time per frame", f"{median:.1f} ms", f"{1e3 / median:.0f} frames per second on one core"),
     ]
     table = Table(
@@ -209,9 +240,9 @@ def _summary(result: dict[str, Any], seen: _Seen, truth: Truth, tracker: Tracker
     return table
 
 
-def _exact_counts(seen: _Seen, truth: Truth, tracker: Tracker) -> tuple[int, int, int]:
-    """The integral of the true motion over the frames tracked, in counts."""
-    at = [e.frame.sequence for e in seen.history.epochs]
+def _exact_counts(tracked: _Result, truth: Truth, tracker: Tracker) -> tuple[int, int, int]:
+    """Return the integral of the true motion over the tracked frames, in counts."""
+    at = [e.frame.sequence for e in tracked.history.epochs]
     matrix = _SETTINGS.motion.matrix(tracker.rig.radius_m)
     total = np.zeros(3)
     for a, b in pairwise(at):
@@ -228,11 +259,11 @@ def _lost(episodes: int) -> str:
     return "never lost" if episodes == 0 else f"lost {episodes} time{'s' if episodes > 1 else ''}"
 
 
-def _met(seen: _Seen) -> str:
-    state = seen.history.epochs[-1].state
+def _known_discs(tracked: _Result) -> str:
+    state = tracked.history.epochs[-1].state
     masked = len(state.lookalikes.masks)
-    met = f"{len(state.filter.discs)} met so far"
-    return f"{met}, {masked} look-alike{'s' if masked > 1 else ''} masked" if masked else met
+    known = f"{len(state.filter.discs)} in the map"
+    return f"{known}, {masked} object{'s' if masked > 1 else ''} like discs ignored" if masked else known
 
 
 def _number(value: float | None, unit: str, digits: int = 3) -> str:
