@@ -100,7 +100,7 @@ def _print_pairs(title: str, pairs: list[tuple[str, str]]) -> None:
 
 
 def _program() -> str:
-    """Return how to call this program from here: by its name, by its path, or as a module."""
+    """Return the words that start this program: its name, its path, or the module."""
     path = Path(sys.argv[0])
     if path.name == "__main__.py":
         return f"{Path(sys.executable).name} -m spheremouse"

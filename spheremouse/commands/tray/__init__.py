@@ -1,4 +1,4 @@
-"""`spheremouse tray`: the daemon's state as an icon beside the desktop's clock."""
+"""`spheremouse tray`: show the daemon's state as an icon in the desktop's tray."""
 
 import sys
 from pathlib import Path
@@ -11,30 +11,30 @@ def tray(
     socket: Annotated[
         Path | None,
         typer.Option(
-            metavar="PATH", help="The daemon's socket.  [default: $SPHEREMOUSE_SOCKET, else where one answers]"
+            metavar="PATH", help="The daemon's socket.  [default: $SPHEREMOUSE_SOCKET, else the socket that answers]"
         ),
     ] = None,
     at_login: Annotated[
         bool,
         typer.Option(
-            "--at-login", help="As a desktop starts it: where no tray can be had, say so and end, exit code 0."
+            "--at-login", help="For the start by a desktop: if there is no tray, print why and end with exit code 0."
         ),
     ] = False,
 ) -> None:
     """Show the daemon's state in the desktop's tray, with a menu.
 
-    Colour and sign of the icon are the state; the menu re-initialises the camera pose, pauses, and records a minute for
-    a bug report. It goes on when the daemon ends and waits for the next.
+    Colour and sign of the icon are the state. The menu estimates the camera pose again, pauses, and records a minute
+    for a bug report. If the daemon ends, the tray waits for the next one.
     """
     from spheremouse.commands.tray.icon import Tray, TrayError
 
     try:
-        Tray(socket, _say).run()
+        Tray(socket, _log).run()
     except TrayError as e:
         if not at_login:
             raise
-        _say(str(e))
+        _log(str(e))
 
 
-def _say(text: str) -> None:
+def _log(text: str) -> None:
     print(f"spheremouse tray: {text}", file=sys.stderr, flush=True)

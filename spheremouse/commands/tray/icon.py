@@ -1,10 +1,10 @@
-"""The tray's process: asks the daemon every second, shows it with pystray, passes on what is clicked.
+"""Show the daemon's state in the desktop's tray with pystray, and send the actions of the menu.
 
-It knows the daemon by its control socket only, and outlives it. The desktop's thread waits for nobody: a thread asks
-and shows, each thing that is clicked has one of its own. What is shown is in `tray`.
+The process knows the daemon by its control socket alone, and outlives it. The desktop's thread never waits: `link`
+polls the daemon in one thread and runs each action in another. `view` decides what is shown.
 
-pystray shows an icon in three ways on Linux: `appindicator` and `gtk` (with a menu; both need PyGObject) and `xorg`
-(no menu: a click is the menu's default entry).
+pystray has three backends on Linux: `appindicator` and `gtk` have a menu and need PyGObject. `xorg` has no menu, and a
+click is the menu's default action.
 """
 
 import contextlib
@@ -29,103 +29,103 @@ from spheremouse.commands.tray.link import Link
 from spheremouse.commands.tray.view import View
 from spheremouse.errors import SpheremouseError
 
-_OLD = 10.0  # s after which a line in the menu is renewed where only its numbers have changed; that closes an open menu
-_FOR_A_HOST = 60.0  # s to wait for a desktop that is only just coming up
-_SYSTEMS_GI = Path("/usr/lib/python3/dist-packages/gi/__init__.py")  # Debian's PyGObject
-_EDGE = (24, 26, 28)  # what an icon's soft edge goes over into where nothing shines through: the outline's own colour
+_MENU_REFRESH_S = 10.0  # if only numbers have changed: each update closes an open menu
+_HOST_TIMEOUT_S = 60.0  # for a desktop that is still starting
+_SYSTEM_GI = Path("/usr/lib/python3/dist-packages/gi/__init__.py")  # Debian's PyGObject
+_EDGE = (24, 26, 28)  # behind the icon's soft edge if a window cannot be transparent: the outline's colour
 
 MENU_NEEDS = "apt-get install python3-gi gir1.2-ayatanaappindicator3-0.1"
 
 
 class TrayError(SpheremouseError):
-    """There is no tray to put an icon into."""
+    """There is no tray for the icon."""
 
 
-# ---- the desktop's side ----
+# ---- the icon ----
 
 
 class Tray:
-    """The icon of one run. `run` belongs to the main thread."""
+    """The icon for the life of the process. Call `run` from the main thread."""
 
-    def __init__(self, socket: Path | None, say: Callable[[str], None]) -> None:
-        self._socket, self._say = socket, say
+    def __init__(self, socket: Path | None, log: Callable[[str], None]) -> None:
+        self._socket, self._log = socket, log
         self._notices = tray.Notices()
         self._icon: Any = None
         self._recording: str | None = None
-        self._over = threading.Event()
+        self._closing = threading.Event()
 
     def run(self) -> None:
-        """Until Quit is clicked or a signal comes. TrayError where there is no tray."""
+        """Show the icon until Quit or a signal. Raises TrayError if there is no tray."""
         pystray, backend = _library()
         for name in ("SIGTERM", "SIGINT", "SIGHUP"):
-            if hasattr(signal, name):  # in a thread: the signal may have hit the one that is to stop, holding X's locks
+            if hasattr(signal, name):  # in a thread, since the interrupted thread may hold X's locks
                 signal.signal(getattr(signal, name), lambda *_: threading.Thread(target=self.stop, daemon=True).start())
-        _wait_for_host(backend, self._over)
-        if not self._over.is_set():
-            self._say(f"icon by {backend}: {_what_it_can(pystray)}")
-        while not self._over.is_set():
-            self._once(pystray, backend)
-            if not self._over.wait(1.0):  # the panel has ended, and taken our window with it
-                _wait_for_host(backend, self._over)
+        _wait_for_host(backend, self._closing)
+        if not self._closing.is_set():
+            self._log(f"icon by {backend}: {_capabilities(pystray)}")
+        while not self._closing.is_set():
+            self._show_icon(pystray, backend)
+            if not self._closing.wait(1.0):  # the panel has ended and closed our window
+                _wait_for_host(backend, self._closing)
 
     def stop(self) -> None:
         """End `run`, from any thread."""
-        self._over.set()
+        self._closing.set()
         if self._icon is not None:
-            with contextlib.suppress(Exception):  # it may have ended by itself
+            with contextlib.suppress(Exception):  # its window may be closed
                 self._icon.stop()
 
-    def _once(self, pystray: Any, backend: str) -> None:
-        """As long as the icon's window lives."""
-        shown = _Shown(self, pystray, backend, self._socket)
-        self._icon = shown.icon
+    def _show_icon(self, pystray: Any, backend: str) -> None:
+        """Show an icon until its window is closed."""
+        icon = _DockedIcon(self, pystray, backend, self._socket)
+        self._icon = icon.icon
         try:
-            shown.run()
-        except Exception as e:  # pystray takes back notices at the end, which fails where nobody shows any
-            if not self._over.is_set():
+            icon.run()
+        except Exception as e:  # pystray withdraws notices at the end, which fails without a notification service
+            if not self._closing.is_set():
                 raise TrayError(f"{backend}: {' '.join(str(e).split())}") from None
         finally:
             self._icon = None
-            shown.close()
+            icon.close()
 
-    def tell(self, icon: Any, v: View) -> None:
-        """Show a notice of what is worth one."""
-        text = self._notices.see(v, time.monotonic())
-        if v.there:
+    def notify(self, icon: Any, v: View) -> None:
+        """Show a notice if one is due."""
+        text = self._notices.update(v, time.monotonic())
+        if v.connected:
             if self._recording is not None and v.recording is None:
                 text = f"recorded into {self._recording}"
             self._recording = v.recording
         if text is None:
             return
-        self._say(text)
+        self._log(text)
         if icon.HAS_NOTIFICATION:
             icon.notify(text, "spheremouse")
 
 
-class _Shown:
-    """An icon in a tray, and the link whose thread alone changes it."""
+class _DockedIcon:
+    """An icon in a tray. The link's thread alone changes it."""
 
     def __init__(self, owner: Tray, pystray: Any, backend: str, socket: Path | None) -> None:
         self._owner, self._pystray, self._backend = owner, pystray, backend
-        self._state, self._tip, self._items, self._renewed = "", "", (), 0.0
+        self._state, self._tip, self._items, self._refreshed = "", "", (), 0.0
         first = tray.no_daemon("looking for the daemon")
         picture, tip, menu = tray.icon(first.state), tray.tooltip(first), self._menu(tray.menu(first))
         self.icon = pystray.Icon("spheremouse", picture, tip, menu)
         if backend == "xorg":
-            _mend_xorg(self.icon)
+            _patch_xorg(self.icon)
         self.link = Link(socket, self._show)
 
     def run(self) -> None:
-        """Until the icon is stopped, or its window is gone."""
+        """Run until the icon is stopped or its window is closed."""
         self.icon.run(self._ready)
 
     def close(self) -> None:
-        """Whatever ended it: no window of it stays."""
+        """Close the link and the window."""
         self.link.close()
         if self._backend == "xorg":
             with contextlib.suppress(Exception):  # X may be gone
                 self.icon._display.close()
-            self.icon._running, self.icon._display = False, contextlib.ExitStack()  # which pystray closes again
+            self.icon._running, self.icon._display = False, contextlib.ExitStack()  # pystray closes it again
 
     def _ready(self, icon: Any) -> None:
         icon.visible = True
@@ -134,21 +134,21 @@ class _Shown:
     def _show(self, v: View, note: str) -> None:
         try:
             self._draw(v, note)
-            self._owner.tell(self.icon, v)
-        except Exception as e:  # a desktop that is just going down; what is wrong for good is seen at the next start
-            logging.getLogger(__name__).debug("not shown: %s", e)
+            self._owner.notify(self.icon, v)
+        except Exception as e:  # the desktop may be ending; a lasting error appears at the next start
+            logging.getLogger(__name__).debug("icon not updated: %s", e)
 
     def _draw(self, v: View, note: str) -> None:
         icon, now = self.icon, time.monotonic()
         undocked = self._backend == "xorg" and icon._systray_manager is None
-        if v.state != self._state or (undocked and host_there(self._backend)):
+        if v.state != self._state or (undocked and has_host(self._backend)):
             icon.icon, self._state = tray.icon(v.state), v.state
         tip, items = tray.tooltip(v), tray.menu(v, note)
         if tip != self._tip:
             icon.title = self._tip = tip
-        update = _letters(items) != _letters(self._items)
-        if update or (items != self._items and now - self._renewed > _OLD):
-            icon.menu, self._items, self._renewed = self._menu(items), items, now
+        changed = _without_digits(items) != _without_digits(self._items)
+        if changed or (items != self._items and now - self._refreshed > _MENU_REFRESH_S):
+            icon.menu, self._items, self._refreshed = self._menu(items), items, now
 
     def _menu(self, items: tuple[tray.Item, ...]) -> Any:
         return self._pystray.Menu(*(self._item(i) for i in items))
@@ -167,16 +167,16 @@ class _Shown:
         return self._pystray.MenuItem(item.text, clicked, default=item.default, enabled=action is not None)
 
 
-def _letters(items: tuple[tray.Item, ...]) -> list[Any]:
-    """A menu without its numbers: whether it is the same one."""
+def _without_digits(items: tuple[tray.Item, ...]) -> list[Any]:
+    """Return texts without digits and actions, to compare menus."""
     return [("".join(c for c in i.text if not c.isdigit()), i.action) for i in items]
 
 
-def _mend_xorg(icon: Any) -> None:
-    """Do what pystray 0.19.5 does not do on bare X11.
+def _patch_xorg(icon: Any) -> None:
+    """Correct pystray 0.19.5 on X11 without a menu.
 
-    It asks for no clicks, docks again with every picture, which trays take for another icon, stretches pictures, puts
-    them on a square of one colour, whatever the panel's, and ends where a title is not Latin-1.
+    It does not select clicks. It docks again with every picture, which trays take for another icon. It stretches
+    pictures and puts them on a square of one colour. It fails on titles that are not Latin-1.
     """
     from Xlib import X
     from Xlib.ext import shape
@@ -190,7 +190,7 @@ def _mend_xorg(icon: Any) -> None:
 
     def fit(self: Any, width: int, height: int) -> None:
         if self._icon_data is None or self._icon_data.size != (width, height):
-            self._icon_data, outline = _fitted(self.icon, width, height)
+            self._icon_data, outline = fit_icon(self.icon, width, height)
             if self._display.has_extension("SHAPE"):
                 self._window.shape_rectangles(shape.SO.Set, shape.SK.Bounding, X.YXSorted, 0, 0, outline)
 
@@ -202,14 +202,14 @@ def _mend_xorg(icon: Any) -> None:
     icon._dock_window = types.MethodType(dock_once, icon)
     icon._assert_icon_data = types.MethodType(fit, icon)
     changes = {name: getattr(type(icon), name) for name in ("_show", "_hide", "_update_icon", "_stop")}
-    _leave_to_main_thread(icon, changes | {"_update_title": title})
+    _run_in_main_thread(icon, changes | {"_update_title": title})
 
 
-def _leave_to_main_thread(icon: Any, changes: dict[str, Callable[[Any], None]]) -> None:
-    """Methods of an icon on bare X11, by name, as the main thread alone may do them.
+def _run_in_main_thread(icon: Any, changes: dict[str, Callable[[Any], None]]) -> None:
+    """Replace methods of an icon on X11 by ones that run in the main thread.
 
-    pystray's threads share one connection, on which python-xlib now and then loses an event, and the icon then hangs:
-    here the main thread alone has it, and others wake it from connections of their own.
+    pystray's threads share one connection, on which python-xlib sometimes loses an event, and the icon hangs. Here the
+    main thread alone uses it. Other threads wake it from connections of their own.
     """
     from Xlib import X
     from Xlib.display import Display
@@ -220,7 +220,7 @@ def _leave_to_main_thread(icon: Any, changes: dict[str, Callable[[Any], None]]) 
 
     def wake() -> None:
         display = Display()
-        display.set_error_handler(lambda *_: None)  # the window may just have gone
+        display.set_error_handler(lambda *_: None)  # the window may be closed
         window = display.create_resource_object("window", window_id)
         kind = display.intern_atom("_SPHEREMOUSE_WAKE")
         window.send_event(ClientMessage(window=window, client_type=kind, data=(32, [0] * 5)))
@@ -237,20 +237,20 @@ def _leave_to_main_thread(icon: Any, changes: dict[str, Callable[[Any], None]]) 
 
         return call
 
-    def awake(_: Any) -> None:
+    def run_waiting(_: Any) -> None:
         while not waiting.empty():
             try:
                 waiting.get()(icon)
-            except Exception as e:  # the loop would end
-                logging.getLogger(__name__).debug("not shown: %s", e)
+            except Exception as e:  # otherwise the loop ends
+                logging.getLogger(__name__).debug("icon not updated: %s", e)
 
     for name, work in changes.items():
         setattr(icon, name, types.MethodType(in_main_thread(work), icon))
-    icon._message_handlers[X.ClientMessage] = awake
+    icon._message_handlers[X.ClientMessage] = run_waiting
 
 
-def _fitted(picture: Image.Image, width: int, height: int) -> tuple[Any, list[tuple[int, int, int, int]]]:
-    """A square picture in the middle of a rectangle, and what of it is seen: rows as x, y, width, height."""
+def fit_icon(picture: Image.Image, width: int, height: int) -> tuple[Any, list[tuple[int, int, int, int]]]:
+    """Centre a square picture in a rectangle. Also return its opaque rows as (x, y, width, height)."""
     side = min(width, height)
     small = picture.resize((side, side), Image.Resampling.LANCZOS)
     clear, ground = Image.new("RGBA", (width, height)), Image.new("RGBA", (width, height), _EDGE)
@@ -262,43 +262,45 @@ def _fitted(picture: Image.Image, width: int, height: int) -> tuple[Any, list[tu
     return whole, [(box[0], y, box[2] - box[0], 1) for y, box in boxes if box is not None]
 
 
-# ---- where it works ----
+# ---- backends ----
 
 
 def _library() -> tuple[Any, str]:
-    """pystray, and which of its backends shows the icon; TrayError in words where none can."""
-    if _on_x() and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise TrayError("no display here; start it within the desktop's session, where it starts by itself at login")
-    _find_gi()
-    if _on_x() and "PYSTRAY_BACKEND" not in os.environ and not _session_bus():
-        os.environ["PYSTRAY_BACKEND"] = "xorg"  # the others cannot begin without one
-    logger = logging.getLogger("pystray")  # it logs tracebacks where a tray is not there yet
+    """Return pystray and the name of its backend; TrayError if none works."""
+    if _on_linux() and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise TrayError(
+            "there is no display; start it in the desktop's session, where the service's entry starts it at login"
+        )
+    import_system_gi()
+    if _on_linux() and "PYSTRAY_BACKEND" not in os.environ and not _session_bus():
+        os.environ["PYSTRAY_BACKEND"] = "xorg"  # the others need a session bus
+    logger = logging.getLogger("pystray")  # it logs tracebacks while there is no tray yet
     logger.addHandler(logging.NullHandler())
     logger.propagate = False
     try:
         pystray = importlib.import_module("pystray")
-    except Exception as e:  # of several libraries, each with its own
+    except Exception as e:  # each of its libraries raises its own
         why = " ".join(str(e).split())[:200] or type(e).__name__
-        raise TrayError(f"no tray can be reached from here ({why}); on Wayland it takes {MENU_NEEDS}") from None
+        raise TrayError(f"no tray can be reached ({why}); on Wayland, run {MENU_NEEDS}") from None
     return pystray, pystray.Icon.__module__.rpartition("._")[2]
 
 
-def _find_gi() -> None:
-    """The system's PyGObject, alone of its packages, for a virtual environment: pip would have to compile it."""
-    if importlib.util.find_spec("gi") is not None or not _SYSTEMS_GI.is_file():
+def import_system_gi() -> None:
+    """Import the system's PyGObject in a virtual environment, since pip would have to compile it."""
+    if importlib.util.find_spec("gi") is not None or not _SYSTEM_GI.is_file():
         return
-    spec = importlib.util.spec_from_file_location("gi", _SYSTEMS_GI)
+    spec = importlib.util.spec_from_file_location("gi", _SYSTEM_GI)
     assert spec is not None
     assert spec.loader is not None
     sys.modules["gi"] = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(sys.modules["gi"])
-    except Exception:  # compiled for another Python than this
+    except Exception:  # compiled for another Python
         for name in [name for name in sys.modules if name.partition(".")[0] == "gi"]:
             del sys.modules[name]
 
 
-def _on_x() -> bool:
+def _on_linux() -> bool:
     return sys.platform not in ("win32", "darwin")
 
 
@@ -311,23 +313,23 @@ def _session_bus() -> bool:
     return True
 
 
-def _what_it_can(pystray: Any) -> str:
+def _capabilities(pystray: Any) -> str:
     if pystray.Icon.HAS_MENU:
         if pystray.Icon.HAS_DEFAULT_ACTION:
-            return "a right click opens the menu, a click re-initialises the camera pose"
+            return "a right click opens the menu, a click estimates the camera pose again"
         return "a click opens the menu"
-    return f"no menu and no notices here, a click re-initialises the camera pose; for a menu: {MENU_NEEDS}"
+    return f"no menu and no notices, a click estimates the camera pose again; for a menu: {MENU_NEEDS}"
 
 
-def host_there(backend: str) -> bool:
-    """Whether there is a tray that takes the icon of this backend."""
+def has_host(backend: str) -> bool:
+    """Return whether there is a tray for the icon of this backend."""
     if backend == "appindicator" and _status_notifier():
         return True
     return backend not in ("appindicator", "gtk", "xorg") or _xembed()
 
 
 def _xembed() -> bool:
-    """A tray of X11: somebody owns its selection."""
+    """Return whether there is a tray of X11, which owns a selection."""
     from Xlib import X
     from Xlib.display import Display
     from Xlib.error import ConnectionClosedError, DisplayError
@@ -337,13 +339,13 @@ def _xembed() -> bool:
         atom = display.intern_atom(f"_NET_SYSTEM_TRAY_S{display.get_default_screen()}")
         owner = display.get_selection_owner(atom)
         display.close()
-    except (DisplayError, ConnectionClosedError, OSError):  # no X, or it is going down
+    except (DisplayError, ConnectionClosedError, OSError):  # no X server, or it is ending
         return False
     return owner != X.NONE
 
 
 def _status_notifier() -> bool:
-    """A tray of newer desktops: somebody watches for status notifiers on the session's bus."""
+    """Return whether there is a tray of newer desktops, which watches the session bus for status notifiers."""
     try:
         gio, glib = (importlib.import_module(f"gi.repository.{name}") for name in ("Gio", "GLib"))
         bus = gio.bus_get_sync(gio.BusType.SESSION, None)
@@ -355,22 +357,22 @@ def _status_notifier() -> bool:
         return False
 
 
-def _wait_for_host(backend: str, over: threading.Event, seconds: float = _FOR_A_HOST) -> None:
+def _wait_for_host(backend: str, closing: threading.Event, seconds: float = _HOST_TIMEOUT_S) -> None:
     end = time.monotonic() + seconds
-    while not host_there(backend):
+    while not has_host(backend):
         if time.monotonic() > end:
             wayland = bool(os.environ.get("WAYLAND_DISPLAY"))
             raise TrayError(advice(backend, os.environ.get("XDG_CURRENT_DESKTOP", ""), wayland=wayland))
-        if over.wait(1.0):
+        if closing.wait(1.0):
             return
 
 
 def advice(backend: str, desktop: str, *, wayland: bool) -> str:
-    """Advice where no tray takes the icon."""
+    """Return the advice if there is no tray for the icon."""
     first = "this desktop has no tray for the icon: "
     gnome = "gnome" in desktop.lower()
     if gnome:
-        first += "GNOME has one with apt-get install gnome-shell-extension-appindicator, then log in anew"
+        first += "GNOME has one with apt-get install gnome-shell-extension-appindicator, then log in again"
         return first if backend == "appindicator" else f"{first}; the icon also needs {MENU_NEEDS}"
     if wayland and backend != "appindicator":
         return f"{first}on Wayland it needs {MENU_NEEDS}"

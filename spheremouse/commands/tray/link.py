@@ -1,8 +1,7 @@
-"""The tray's line to the daemon: what is asked, and what was last heard."""
+"""Connect the tray with the daemon: poll its status, and send the actions of the menu."""
 
 import threading
 import time
-import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,59 +11,59 @@ from spheremouse.commands.tray.view import View
 from spheremouse.errors import SpheremouseError
 from spheremouse.session.control.client import Client
 
-_EVERY = 1.0  # s between two questions
-_REMEMBERED = 20.0  # s for which the menu says what became of a click
-_RECORD = 60.0  # s
+_POLL_S = 1.0
+_NOTE_S = 20.0  # how long the menu shows the result of an action
+_RECORD_S = 60.0
 
 
 class Link:
-    """Asks the daemon in a thread of its own, `on_view(view, note)` each time; does what is clicked in others."""
+    """Polls the daemon in a thread and calls `on_view(view, note)` each time. Each action runs in another thread."""
 
-    def __init__(self, socket: Path | None, on_view: Callable[[View, str], None], every: float = _EVERY) -> None:
+    def __init__(self, socket: Path | None, on_view: Callable[[View, str], None], every: float = _POLL_S) -> None:
         self._path, self._on_view, self._every = socket, on_view, every
-        self._wake, self._over = threading.Event(), threading.Event()
+        self._wake, self._closing = threading.Event(), threading.Event()
         self._note, self._noted = "", 0.0
         self._lock = threading.Lock()
-        self._doing: set[str] = set()
+        self._running: set[str] = set()
         self._view = tray.no_daemon("looking for the daemon")
         self._thread = threading.Thread(target=self._run, name="link", daemon=True)
 
     def start(self) -> None:
-        """Begin to ask."""
+        """Start to poll."""
         self._thread.start()
 
     def close(self) -> None:
-        """Ask no more; does not wait for an answer that is still to come."""
-        self._over.set()
+        """Stop to poll. Does not wait for a pending reply."""
+        self._closing.set()
         self._wake.set()
 
     def do(self, action: str) -> None:
-        """Do what an item of the menu stands for; returns at once. The same thing twice at a time is once."""
+        """Start an action of the menu. If the same action is running, do nothing."""
         with self._lock:
-            if action in self._doing:
+            if action in self._running:
                 return
-            self._doing.add(action)
+            self._running.add(action)
         threading.Thread(target=self._do, args=(action,), name=action, daemon=True).start()
 
-    def say(self, note: str) -> None:
-        """A line that the menu shows for a while."""
+    def show(self, note: str) -> None:
+        """Show a line in the menu for 20 s."""
         with self._lock:
             self._note, self._noted = note, time.monotonic()
         self._wake.set()
 
     def _run(self) -> None:
         client: Client | None = None
-        while not self._over.is_set():
+        while not self._closing.is_set():
             try:
                 client = client or Client(self._path)
                 self._view = tray.view(client.ask("status"))
             except SpheremouseError as e:
-                client = None  # the next one may be found elsewhere
+                client = None  # the next daemon may have another socket
                 self._view = tray.no_daemon(str(e))
             with self._lock:
-                fresh = time.monotonic() - self._noted < _REMEMBERED
+                fresh = time.monotonic() - self._noted < _NOTE_S
                 note = self._note if fresh else ""
-            if not self._over.is_set():
+            if not self._closing.is_set():
                 self._on_view(self._view, note)
             self._wake.wait(self._every)
             self._wake.clear()
@@ -72,26 +71,22 @@ class Link:
     def _do(self, action: str) -> None:
         command, arguments, done = _ACTIONS.get(action, ("", {}, ""))
         try:
-            if action == "page":
-                if self._view.page is not None:
-                    webbrowser.open(self._view.page)
-                return
             if action == "reinit":
-                self.say("estimating the camera pose ...")
+                self.show("estimating the camera pose ...")
             with Client(self._path) as client:
                 reply = client.ask(command, **arguments)
-            self.say(done.format(folder=reply.get("folder", "its folder")))
+            self.show(done.format(folder=reply.get("folder", "its folder")))
         except SpheremouseError as e:
-            self.say(str(e))
+            self.show(str(e))
         finally:
             with self._lock:
-                self._doing.discard(action)
+                self._running.discard(action)
 
 
 _ACTIONS: dict[str, tuple[str, dict[str, Any], str]] = {
-    "reinit": ("reinit", {}, "camera pose estimated anew"),
+    "reinit": ("reinit", {}, "camera pose estimated again"),
     "pause": ("pause", {}, "paused"),
     "resume": ("resume", {}, "resumed"),
-    "record": ("record", {"seconds": _RECORD}, "recording the ball and the targets into {folder}"),
+    "record": ("record", {"seconds": _RECORD_S}, "recording the ball and the targets into {folder}"),
     "end-record": ("record", {"stop": True}, "recorded into {folder}"),
 }

@@ -1,6 +1,6 @@
-"""What the tray shows: a status in; icon, tooltip, menu and notices out. Pure: desktop and threads are in tray_live.
+"""Turn the daemon's status into icon, tooltip, menu and notices of the tray. No desktop and no thread is needed.
 
-Each state has a colour, and an outline and a sign as well: whoever sees no colours tells them apart all the same.
+Each state has a colour, an outline and a sign, so people who cannot tell the colours apart see the state too.
 """
 
 import math
@@ -16,14 +16,14 @@ from spheremouse.session.control.status import STATES as DAEMON_STATES
 NO_DAEMON = "no-daemon"
 STATES = (*DAEMON_STATES, NO_DAEMON)
 
-_LONGEST_TOOLTIP = 127  # characters; Windows takes no more
-_LONGEST_LINE = 90  # characters of a line in the menu
-_FINE = 4  # drawn so many times larger, then reduced: smooth edges
+_MAX_TOOLTIP = 127  # characters, limit of Windows
+_MAX_MENU_LINE = 90  # characters
+_OVERSAMPLING = 4  # for smooth edges
 _INK = (24, 26, 28, 255)
 _PAPER = (255, 255, 255, 255)
 
 
-# ---- what is known of the daemon ----
+# ---- status ----
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,36 +35,34 @@ class View:
     fps: float | None = None
     paused: bool = False
     recording: str | None = None  # folder of the recording that runs
-    page: str | None = None  # URL of the live page
 
     @property
-    def there(self) -> bool:
-        """Whether a daemon answers."""
+    def connected(self) -> bool:
+        """True if a daemon answers."""
         return self.state != NO_DAEMON
 
 
 def view(status: dict[str, Any]) -> View:
-    """Of a status as docs/control.md has it. What is missing or of another kind is left out."""
+    """Read a status as docs/control.md has it. Missing and invalid values are ignored."""
     state = _text(status.get("state")) or "unknown"
     fps, paused = status.get("fps"), status.get("paused")
-    recording, page = status.get("recording"), _text(status.get("page"))
+    recording = status.get("recording")
     return View(
         state="unknown" if state == NO_DAEMON else state,
         reason=_text(status.get("reason")),
         fps=float(fps) if isinstance(fps, int | float) and not isinstance(fps, bool) and 0 <= fps < 1e6 else None,
         paused=paused if isinstance(paused, bool) else state == "paused",
         recording=_text(recording.get("folder")) or "?" if isinstance(recording, dict) else None,
-        page=page if re.match(r"https?://[\w\[]", page) else None,  # nothing else is opened on a status' word
     )
 
 
 def no_daemon(reason: str) -> View:
-    """Nobody answers; without the details in brackets, which fill the menu."""
+    """Return the view without a daemon. Details in brackets are removed, since they fill the menu."""
     return View(NO_DAEMON, re.sub(r"\s*\([^()]*\)", "", _text(reason)))
 
 
 def _text(value: Any) -> str:
-    """One line that steers nothing; empty where it is no text."""
+    """Return printable text in one line; empty for anything else."""
     if not isinstance(value, str):
         return ""
     return "".join(c if c.isprintable() else " " for c in value).strip()
@@ -74,20 +72,20 @@ def _text(value: Any) -> str:
 
 
 def headline(v: View) -> str:
-    """State and reason, the first line of the menu."""
+    """Return state and reason, the first line of the menu."""
     words = v.state.replace("-", " ")
-    if not v.there:
-        return _cut(v.reason or words, _LONGEST_LINE)
-    return _cut(f"{words}: {v.reason}" if v.reason else words, _LONGEST_LINE)
+    if not v.connected:
+        return _cut(v.reason or words, _MAX_MENU_LINE)
+    return _cut(f"{words}: {v.reason}" if v.reason else words, _MAX_MENU_LINE)
 
 
 def tooltip(v: View) -> str:
-    """Text shown where the mouse rests on the icon; short enough for Windows."""
+    """Return the text that is shown while the mouse is over the icon."""
     figures = [] if v.fps is None else [f"{v.fps:.0f} frames/s"]
     if v.recording is not None:
         figures.append("recording")
-    tail = "\n" + ", ".join(figures) if v.there and figures else ""
-    return _cut(f"spheremouse: {headline(v)}", _LONGEST_TOOLTIP - len(tail)) + tail
+    tail = "\n" + ", ".join(figures) if v.connected and figures else ""
+    return _cut(f"spheremouse: {headline(v)}", _MAX_TOOLTIP - len(tail)) + tail
 
 
 def _cut(text: str, most: int) -> str:
@@ -99,33 +97,31 @@ def _cut(text: str, most: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A line of the menu; one without action is grey."""
+    """A line of the menu. Without an action it is grey."""
 
     text: str
     action: str | None = None
-    default: bool = False  # what a click on the icon does where a click opens no menu
+    default: bool = False  # action of a click on the icon if it does not open the menu
 
 
 SEPARATOR = Item("-")
 
 
 def menu(v: View, note: str = "") -> tuple[Item, ...]:
-    """The menu; `note` is what became of what was asked for last."""
+    """Return the menu; `note` is the result of the last action."""
 
-    def asks(action: str) -> str | None:
-        return action if v.there else None
+    def if_connected(action: str) -> str | None:
+        return action if v.connected else None
 
     items = [Item(headline(v))]
     if _text(note):
-        items.append(Item(_cut(_text(note), _LONGEST_LINE)))
-    items += [SEPARATOR, Item("Re-initialise camera pose", asks("reinit"), default=True)]
-    items.append(Item("Resume", asks("resume")) if v.paused else Item("Pause", asks("pause")))
+        items.append(Item(_cut(_text(note), _MAX_MENU_LINE)))
+    items += [SEPARATOR, Item("Re-initialise camera pose", if_connected("reinit"), default=True)]
+    items.append(Item("Resume", if_connected("resume")) if v.paused else Item("Pause", if_connected("pause")))
     if v.recording is None:
-        items.append(Item("Record a minute for a bug report", asks("record")))
+        items.append(Item("Record a minute for a bug report", if_connected("record")))
     else:
-        items.append(Item("End the recording", asks("end-record")))
-    if v.page is not None:
-        items.append(Item("Open live page", "page"))
+        items.append(Item("End the recording", if_connected("end-record")))
     return (*items, SEPARATOR, Item("Quit tray", "quit"))
 
 
@@ -134,32 +130,32 @@ def menu(v: View, note: str = "") -> tuple[Item, ...]:
 
 @dataclass(slots=True)
 class Notices:
-    """Troubles worth a notice: those that last, and each not again for some minutes. Times in s."""
+    """Decides when to show a notice: for problems that last, and for each at most every five minutes. Times in s."""
 
     after: dict[str, float] = field(
         default_factory=lambda: {"no-camera": 5.0, "lost": 15.0, "failed-output": 5.0, NO_DAEMON: 15.0}
-    )  # hands and bystanders lose the ball for moments, an upgrade restarts the daemon
-    quiet: float = 300.0
+    )  # hands and bystanders hide the ball for moments, and an upgrade restarts the daemon
+    min_interval: float = 300.0
     _state: str = ""
     _since: float = 0.0
-    _told: dict[str, float] = field(default_factory=dict)
-    _open: bool = False  # a trouble was told and its end was not
+    _shown: dict[str, float] = field(default_factory=dict)  # time of the last notice of each state
+    _unresolved: bool = False  # a problem was shown, and its end was not
 
-    def see(self, v: View, now: float) -> str | None:
-        """A text where the user is to be told something now."""
+    def update(self, v: View, now: float) -> str | None:
+        """Return the text of a notice that is due now."""
         if v.state != self._state:
             self._state, self._since = v.state, now
         if v.state == "tracking":
-            if not self._open or now - self._since < 2.0:
+            if not self._unresolved or now - self._since < 2.0:
                 return None
-            self._open = False
+            self._unresolved = False
             return "tracking again"
         if v.state not in self.after or now - self._since < self.after[v.state]:
             return None
-        told = self._told.get(v.state)
-        if told is not None and (told >= self._since or now - told < self.quiet):
+        last = self._shown.get(v.state)
+        if last is not None and (last >= self._since or now - last < self.min_interval):
             return None
-        self._told[v.state], self._open = now, True
+        self._shown[v.state], self._unresolved = now, True
         return headline(v)
 
 
@@ -168,7 +164,7 @@ class Notices:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Looks of a state: colour (RGB), outline and sign."""
+    """Appearance of a state: colour (RGB), outline and sign."""
 
     colour: tuple[int, int, int]
     outline: str
@@ -189,7 +185,7 @@ _UNKNOWN = Look((140, 140, 140), "square", "dots")  # a state of a later version
 
 
 def icon(state: str, size: int = 64) -> Image.Image:
-    """The icon of a state, RGBA, `size` px square."""
+    """Draw the icon of a state, RGBA, `size` px square."""
     look = LOOKS.get(state, _UNKNOWN)
     pen = _Pen(size)
     pen.outline(look.outline, (*look.colour, 255))
@@ -198,11 +194,11 @@ def icon(state: str, size: int = 64) -> Image.Image:
 
 
 class _Pen:
-    """Draws in units of the icon: x right, y down, the icon from -1 to 1."""
+    """Draws in units of the icon, which is from -1 to 1; x right, y down."""
 
     def __init__(self, size: int) -> None:
-        self.half = size * _FINE / 2.0
-        self.picture = Image.new("RGBA", (size * _FINE, size * _FINE), (0, 0, 0, 0))
+        self.half = size * _OVERSAMPLING / 2.0
+        self.picture = Image.new("RGBA", (size * _OVERSAMPLING, size * _OVERSAMPLING), (0, 0, 0, 0))
         self._draw = ImageDraw.Draw(self.picture)
 
     def outline(self, name: str, colour: tuple[int, int, int, int]) -> None:
@@ -232,13 +228,13 @@ class _Pen:
         return (1.0 + x) * self.half, (1.0 + y) * self.half
 
 
-def _ring_of(n: int, radius: float, first: float) -> list[tuple[float, float]]:
+def _regular_polygon(n: int, radius: float, first: float) -> list[tuple[float, float]]:
     turns = [first + 2.0 * math.pi * k / n for k in range(n)]
     return [(radius * math.cos(a), radius * math.sin(a)) for a in turns]
 
 
 def _inner(corners: list[tuple[float, float]], border: float) -> list[tuple[float, float]]:
-    """A convex polygon drawn in: towards its middle by `border` at its nearest side."""
+    """Shrink a convex polygon towards its middle, so that its nearest side moves by `border`."""
     n = len(corners)
     cx, cy = sum(x for x, _ in corners) / n, sum(y for _, y in corners) / n
     (ax, ay), (bx, by) = corners[-1], corners[0]
@@ -249,8 +245,8 @@ def _inner(corners: list[tuple[float, float]], border: float) -> list[tuple[floa
 
 _CORNERS = {
     "square": [(-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)],
-    "diamond": _ring_of(4, 1.0, 0.0),
-    "octagon": _ring_of(8, 1.0, math.pi / 8.0),
+    "diamond": _regular_polygon(4, 1.0, 0.0),
+    "octagon": _regular_polygon(8, 1.0, math.pi / 8.0),
     "triangle": [(0.0, -0.97), (1.0, 0.9), (-1.0, 0.9)],
 }
 

@@ -1,9 +1,8 @@
-"""The tray without a desktop: icons that differ without colour, the menu's laws, notices, the link to the daemon."""
+"""The tray without a desktop: icons differ without colour, laws of the menu, notices, the link to the daemon."""
 
 import subprocess
 import sys
 import time
-import webbrowser
 from itertools import combinations
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from spheremouse.session.control.server import ControlServer
 from spheremouse.session.settings.control import ControlSettings
 
 GROUNDS = {"dark": 40, "light": 240}
-ACTIONS = {"reinit", "pause", "resume", "record", "end-record", "page", "quit", None}
+ACTIONS = {"reinit", "pause", "resume", "record", "end-record", "quit", None}
 
 
 # ---- icons ----
@@ -54,8 +53,8 @@ def test_icons_are_seen_on_every_panel(ground):
         assert np.mean(np.abs(grey(state, 22, ground) - ground) > 60) > 0.25, state
 
 
-def test_colour_is_the_state_but_for_the_two_that_need_a_hand():
-    """No camera and no output are both red, and differ in outline and sign."""
+def test_each_state_has_its_colour_except_the_two_errors():
+    """A missing camera and a failed output are red, and differ in outline and sign."""
     colours = [tray.LOOKS[s].colour for s in STATES if s != "failed-output"]
     assert len(set(colours)) == len(STATES) - 1
     red, red_too = tray.LOOKS["no-camera"], tray.LOOKS["failed-output"]
@@ -67,7 +66,7 @@ def test_every_state_of_the_protocol_has_a_look():
     assert set(tray.LOOKS) == set(STATES)
 
 
-def test_outside_the_outline_the_panel_shines_through():
+def test_outside_the_outline_the_icon_is_transparent():
     for state in STATES:
         alpha = np.asarray(tray.icon(state))[..., 3]
         assert alpha[32, 32] == 255
@@ -89,7 +88,6 @@ statuses = st.fixed_dictionaries(
         "fps": anything,
         "paused": anything,
         "recording": anything | st.fixed_dictionaries({"folder": anything}),
-        "page": anything | st.just("http://127.0.0.1:8080/"),
     },
 )
 
@@ -99,9 +97,9 @@ statuses = st.fixed_dictionaries(
 @example({"state": "tracking", "fps": 1e300}, "\n")
 @example({"state": "tracking", "fps": 10**400}, "")
 @example({"state": "tracking", "fps": float("nan")}, "")
-def test_whatever_the_daemon_says_tooltip_and_menu_are_short_plain_lines(status, note):
+def test_tooltip_and_menu_are_short_printable_lines_for_any_status(status, note):
     v = tray.view(status)
-    assert v.there
+    assert v.connected
     tip, items = tray.tooltip(v), tray.menu(v, note)
     assert len(tip) <= 127
     assert all(c.isprintable() or c == "\n" for c in tip)
@@ -118,12 +116,11 @@ def actions(v):
     return [i.action for i in tray.menu(v) if i.action is not None]
 
 
-def test_the_menu_offers_what_can_be_done_now():
+def test_the_menu_offers_the_possible_actions():
     assert actions(View("tracking")) == ["reinit", "pause", "record", "quit"]
     assert actions(View("paused", paused=True)) == ["reinit", "resume", "record", "quit"]
     assert actions(View("no-camera", paused=True)) == ["reinit", "resume", "record", "quit"]
     assert actions(View("tracking", recording="/var/r/1")) == ["reinit", "pause", "end-record", "quit"]
-    assert actions(View("tracking", page="http://127.0.0.1:80/")) == ["reinit", "pause", "record", "page", "quit"]
     assert actions(tray.no_daemon("none")) == ["quit"]
 
 
@@ -135,14 +132,9 @@ def test_the_first_line_is_the_state_with_its_reason_and_cannot_be_chosen():
     assert [i.text for i in items if i.default] == ["Re-initialise camera pose"]
 
 
-def test_no_daemon_says_how_to_start_one():
+def test_without_a_daemon_the_first_line_names_the_command():
     v = tray.no_daemon("no daemon runs (no daemon listens at /run/a or /run/b); start one with `spheremouse run`")
     assert tray.headline(v) == "no daemon runs; start one with `spheremouse run`"
-
-
-@pytest.mark.parametrize("url", ["file:///etc/passwd", "javascript:alert(1)", "--help", "http:///", "", 5, None])
-def test_only_web_pages_are_opened(url):
-    assert tray.view({"state": "tracking", "page": url}).page is None
 
 
 def test_a_status_without_paused_is_paused_in_its_state():
@@ -155,51 +147,52 @@ def test_a_status_without_paused_is_paused_in_its_state():
 # ---- notices ----
 
 
-def told(transcript):
-    """Times and texts of the notices about (time, state) pairs; each state holds until the next, looked at every s."""
+def notices_of(transcript):
+    """Return times and texts of notices for (time, state) pairs, updated every second."""
     notices, found = Notices(), []
     end = transcript[-1][0]
     for now in range(end + 1):
         state = [s for t, s in transcript if t <= now][-1]
-        text = notices.see(View(state), float(now))
+        text = notices.update(View(state), float(now))
         if text is not None:
             found.append((now, text))
     return found
 
 
-def test_what_lasts_is_told_once_and_its_end_too():
-    assert told([(0, "tracking"), (10, "no-camera"), (200, "tracking"), (300, "tracking")]) == [
+def test_a_lasting_problem_and_its_end_are_shown_once():
+    assert notices_of([(0, "tracking"), (10, "no-camera"), (200, "tracking"), (300, "tracking")]) == [
         (15, "no camera"),
         (202, "tracking again"),
     ]
 
 
-def test_what_passes_is_not_told():
+def test_a_short_problem_is_not_shown():
     assert (
-        told([(0, "tracking"), (10, "lost"), (20, "tracking"), (30, "lost"), (40, "tracking"), (60, "tracking")]) == []
+        notices_of([(0, "tracking"), (10, "lost"), (20, "tracking"), (30, "lost"), (40, "tracking"), (60, "tracking")])
+        == []
     )
 
 
-def test_states_that_somebody_chose_or_that_end_by_themselves_are_not_told():
-    assert told([(0, "starting"), (300, "searching-targets"), (600, "paused"), (900, "paused")]) == []
+def test_normal_states_are_not_shown():
+    assert notices_of([(0, "starting"), (300, "searching-targets"), (600, "paused"), (900, "paused")]) == []
 
 
-def test_a_trouble_that_comes_and_goes_is_told_every_five_minutes():
+def test_a_problem_that_returns_is_shown_every_five_minutes():
     flapping = [(t, "no-camera" if (t // 20) % 2 else "tracking") for t in range(0, 1000, 20)]
-    times = [t for t, text in told(flapping) if text == "no camera"]
+    times = [t for t, text in notices_of(flapping) if text == "no camera"]
     assert len(times) >= 3
     assert min(np.diff(times)) >= 300
 
 
-def test_a_daemon_that_restarts_is_not_told():
-    assert told([(0, "tracking"), (5, NO_DAEMON), (12, "starting"), (15, "tracking"), (40, "tracking")]) == []
+def test_a_daemon_that_restarts_is_not_shown():
+    assert notices_of([(0, "tracking"), (5, NO_DAEMON), (12, "starting"), (15, "tracking"), (40, "tracking")]) == []
 
 
 # ---- the link ----
 
 
 class Daemon:
-    """A control server that notes what it is asked; the state is as told."""
+    """A control server that keeps its requests and reports `state`."""
 
     def __init__(self, path):
         self.path, self.state, self.asked, self.held = path, "tracking", [], []
@@ -216,7 +209,7 @@ class Daemon:
     def handle(self, pending):
         request, reply = pending.request, pending.answer
         if request.command == "status":
-            reply({"state": self.state, "reason": "as told"})
+            reply({"state": self.state, "reason": "as set"})
             return
         self.asked.append(request.model_dump(exclude_defaults=True))
         if request.command == "reinit":
@@ -237,7 +230,7 @@ def until(what):
 
 @pytest.fixture
 def world(tmp_path):
-    """A link to a daemon that is not there yet, and what it showed."""
+    """A link without a daemon, and the views that it showed."""
     shown = []
     link = Link(tmp_path / "s", lambda v, note: shown.append((v, note)), every=0.05)
     link.start()
@@ -252,13 +245,13 @@ def test_the_link_outlives_daemons(world):
     assert "spheremouse run" in shown[-1][0].reason
     for _ in range(2):
         with Daemon(path) as daemon:
-            until(lambda: shown[-1][0] == View("tracking", "as told"))
+            until(lambda: shown[-1][0] == View("tracking", "as set"))
             daemon.state = "lost"
             until(lambda: shown[-1][0].state == "lost")
         until(lambda: shown[-1][0].state == NO_DAEMON)
 
 
-def test_what_is_clicked_is_asked_and_its_answer_shown(world):
+def test_an_action_is_sent_and_its_result_shown(world):
     path, link, shown = world
     with Daemon(path) as daemon:
         link.do("pause")
@@ -278,7 +271,7 @@ def test_what_is_clicked_is_asked_and_its_answer_shown(world):
         ]
 
 
-def test_an_answer_that_is_long_in_coming_holds_up_nothing(world):
+def test_a_pending_reply_delays_no_other_action(world):
     path, link, shown = world
     with Daemon(path) as daemon:
         for _ in range(5):  # five clicks while one is under way are one
@@ -289,29 +282,13 @@ def test_an_answer_that_is_long_in_coming_holds_up_nothing(world):
         until(lambda: shown[-1][0].state == "paused")
         assert daemon.asked == [{"command": "reinit"}, {"command": "pause"}]
         daemon.held[0]({"text": "there"})
-        until(lambda: shown[-1][1] == "camera pose estimated anew")
+        until(lambda: shown[-1][1] == "camera pose estimated again")
 
 
-def test_without_a_daemon_a_click_says_so(world):
+def test_without_a_daemon_an_action_shows_the_reason(world):
     _, link, shown = world
     link.do("pause")
     until(lambda: shown and shown[-1][1].startswith("no daemon runs"))
-
-
-def test_a_page_that_is_none_is_not_opened(world, monkeypatch):
-    path, link, shown = world
-    opened = []
-    monkeypatch.setattr(webbrowser, "open", opened.append)
-    with Daemon(path):
-        until(lambda: shown[-1][0].state == "tracking")
-        link.do("page")
-        link.do("pause")
-        until(lambda: shown[-1][0].state == "paused")
-    assert opened == []
-    link._view = View("tracking", page="http://127.0.0.1:8080/")
-    link._over.set()
-    link.do("page")
-    until(lambda: opened == ["http://127.0.0.1:8080/"])
 
 
 # ---- bare X11 ----
@@ -319,9 +296,9 @@ def test_a_page_that_is_none_is_not_opened(world, monkeypatch):
 
 @pytest.mark.parametrize(("width", "height"), [(24, 30), (30, 24), (16, 16)])
 @pytest.mark.parametrize("state", STATES)
-def test_in_a_window_the_icon_keeps_its_shape_and_nothing_around_it_is_seen(state, width, height):
+def test_in_a_window_the_icon_keeps_its_shape_and_the_rest_is_transparent(state, width, height):
     side = min(width, height)
-    picture, outline = tray_live._fitted(tray.icon(state), width, height)
+    picture, outline = tray_live.fit_icon(tray.icon(state), width, height)
     seen = np.zeros((height, width), dtype=bool)
     for x, y, w, h in outline:
         seen[y : y + h, x : x + w] = True
@@ -333,11 +310,11 @@ def test_in_a_window_the_icon_keeps_its_shape_and_nothing_around_it_is_seen(stat
     assert np.abs(np.asarray(picture, dtype=int) - whole[..., :3])[solid].max() <= 1
 
 
-# ---- where it works ----
+# ---- backends ----
 
 
 @pytest.mark.parametrize(("options", "code"), [((), 2), (("--at-login",), 0)])
-def test_without_a_display_it_says_so_in_one_line_and_at_login_that_is_no_error(options, code):
+def test_without_a_display_there_is_one_line_and_at_login_no_error(options, code):
     env = {"PATH": "/usr/bin", "SPHEREMOUSE_SOCKET": "/nowhere"}
     done = subprocess.run(
         [sys.executable, "-m", "spheremouse", "tray", *options], env=env, capture_output=True, text=True, check=False
@@ -348,19 +325,19 @@ def test_without_a_display_it_says_so_in_one_line_and_at_login_that_is_no_error(
     assert "no display" in done.stderr
 
 
-def test_a_systems_pygobject_that_was_compiled_for_another_python_is_as_if_it_were_not_there(monkeypatch, tmp_path):
+def test_a_pygobject_of_another_python_is_ignored(monkeypatch, tmp_path):
     package = tmp_path / "gi"
     package.mkdir()
     (package / "__init__.py").write_text("from . import own\n")
     (package / "own.py").write_text("from . import _gi\n")  # there is none for this Python
     monkeypatch.setattr(tray_live.importlib.util, "find_spec", lambda _: None)
-    monkeypatch.setattr(tray_live, "_SYSTEMS_GI", package / "__init__.py")
+    monkeypatch.setattr(tray_live, "_SYSTEM_GI", package / "__init__.py")
     for name in [name for name in sys.modules if name.partition(".")[0] == "gi"]:
         monkeypatch.delitem(sys.modules, name)
-    tray_live._find_gi()
+    tray_live.import_system_gi()
     assert not [name for name in sys.modules if name.partition(".")[0] == "gi"]
     (package / "_gi.py").touch()
-    tray_live._find_gi()
+    tray_live.import_system_gi()
     assert sys.modules["gi"].__path__ == [str(package)]
     for name in ("gi", "gi.own", "gi._gi"):
         monkeypatch.delitem(sys.modules, name)
@@ -376,7 +353,7 @@ def test_a_systems_pygobject_that_was_compiled_for_another_python_is_as_if_it_we
         ("xorg", "", False, "trayer", "gnome-shell"),
     ],
 )
-def test_without_a_tray_it_says_what_to_install(backend, desktop, wayland, words, not_words):
+def test_without_a_tray_the_advice_says_what_to_install(backend, desktop, wayland, words, not_words):
     text = tray_live.advice(backend, desktop, wayland=wayland)
     assert words in text
     assert not_words not in text
