@@ -1,4 +1,4 @@
-"""`spheremouse map`: what a saved map holds, and what became of its discs in another one."""
+"""`spheremouse map`: print a saved map of discs, or compare two maps."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,16 +10,16 @@ from spheremouse.commands.terminal import table_console
 if TYPE_CHECKING:
     from spheremouse.geometry.rotation import Array
 
-app = typer.Typer(no_args_is_help=True, help="Look at a saved map of discs, or compare two.")
+app = typer.Typer(no_args_is_help=True, help="Print a saved map of discs, or compare two.")
 _ANOTHER_BALL = 1  # exit code
 
 
 @app.command(epilog="Example: spheremouse map show rig.map.yaml")
 def show(file: Annotated[Path, typer.Argument(metavar="FILE", show_default=False)]) -> None:
-    """Print the discs of a saved map: where they are on the ball, how well each is known, how often it was seen.
+    """Print the discs of a saved map: place on the ball, standard deviation and number of sightings.
 
-    Latitude and longitude are in degrees in `ball`: the pole is Y, longitude 0 is Z, 90 is X. Sigma is the standard
-    deviation of the direction per axis.
+    Latitude and longitude are in degrees in `ball`. The pole is Y, longitude 0 is Z, 90 is X. Sigma is the standard
+    deviation of the direction for each axis.
     """
     import numpy as np
     from rich.table import Table
@@ -50,9 +50,9 @@ def compare_(
     a: Annotated[Path, typer.Argument(metavar="A", show_default=False)],
     b: Annotated[Path, typer.Argument(metavar="B", show_default=False)],
 ) -> None:
-    """Say whether two maps are of the same ball, and which discs of A are moved or gone in B, or new.
+    """Compare two maps of a ball: which discs have moved in B, are gone, or are new.
 
-    The exit code is 0 for the same ball and 1 where they have too few discs in common to be one.
+    The exit code is 0 for the same ball, and 1 if the maps have too few discs in common.
     """
     import numpy as np
     from rich.table import Table
@@ -81,20 +81,20 @@ def compare_(
     table = Table(box=None)
     for name in ("", "disc of A", "disc of B", "latitude, °", "longitude, °", "by, °"):
         table.add_column(name, justify="right")
-    for i, j, what in rows:
+    for i, j, change in rows:
         place = _places(in_b[i] if j is None else after.directions[j])[0]
         by = (
             ""
             if i is None or j is None
             else f"{np.rad2deg(np.arccos(np.clip(in_b[i] @ after.directions[j], -1, 1))):.2f}"
         )
-        table.add_row(what, "" if i is None else str(i), "" if j is None else str(j), *place, by)
+        table.add_row(change, "" if i is None else str(i), "" if j is None else str(j), *place, by)
     console.print(table)
     console.print("latitude and longitude in the frame of B")
 
 
 def _places(directions: "Array") -> list[tuple[str, str]]:
-    """Latitude about Y and longitude from Z towards X, in degrees, of directions (m, 3) or one (3,)."""
+    """Return latitude about Y and longitude from Z towards X, in degrees, of directions (m, 3) or one (3,)."""
     import numpy as np
 
     x, y, z = np.atleast_2d(directions).T

@@ -1,4 +1,4 @@
-"""`spheremouse preview` as its user meets it, on a film whose faults are known."""
+"""`spheremouse preview` on films with known faults."""
 
 import json
 
@@ -25,7 +25,7 @@ def film_of(path, image, n=30):
     return f"video:{path}"
 
 
-def test_a_picture_with_the_codes_that_are_there(spheremouse, shot, tmp_path):
+def test_the_picture_marks_the_targets_and_the_json_lists_them(spheremouse, shot, tmp_path):
     image, rig = shot
     source = film_of(tmp_path / "f.avi", image)
     code, out, err = spheremouse("preview", source, "--out", tmp_path / "p.png", "--json")
@@ -52,7 +52,7 @@ def test_a_picture_with_the_codes_that_are_there(spheremouse, shot, tmp_path):
         (lambda i: i, ("4 targets: ", "sharpness   sharp", "refused     M in C, no third colour")),
     ],
 )
-def test_what_is_wrong_is_said_with_what_to_do(spheremouse, shot, tmp_path, change, words):
+def test_each_fault_is_reported_with_its_remedy(spheremouse, shot, tmp_path, change, words):
     source = film_of(tmp_path / "f.avi", change(shot[0]))
     code, out, err = spheremouse("preview", source, "--out", tmp_path / "p.png")
     assert (code, err) == (0, "")
@@ -60,7 +60,7 @@ def test_what_is_wrong_is_said_with_what_to_do(spheremouse, shot, tmp_path, chan
         assert each in out
 
 
-def test_a_rig_of_another_device_is_noticed(spheremouse, shot, tmp_path):
+def test_a_rig_of_another_device_is_reported(spheremouse, shot, tmp_path):
     image, rig = shot
     (tmp_path / "rig.yaml").write_text(rig_text(rig).replace(rig.targets.codes[0], "YCM"))
     source = film_of(tmp_path / "f.avi", image)
@@ -68,7 +68,7 @@ def test_a_rig_of_another_device_is_noticed(spheremouse, shot, tmp_path):
     assert f"3 of the rig's 4 targets: {' '.join(rig.targets.codes[1:])}; not in the rig: {rig.targets.codes[0]}" in out
 
 
-def test_a_film_is_as_long_as_asked_for(spheremouse, shot, tmp_path):
+def test_a_film_has_the_length_of_the_option(spheremouse, shot, tmp_path):
     source = film_of(tmp_path / "f.avi", shot[0], n=60)
     code, _, err = spheremouse("preview", source, "--out", tmp_path / "p.avi", "--seconds", "1")
     assert (code, err) == (0, "")
@@ -76,13 +76,13 @@ def test_a_film_is_as_long_as_asked_for(spheremouse, shot, tmp_path):
     assert written.get(cv2.CAP_PROP_FRAME_COUNT) / written.get(cv2.CAP_PROP_FPS) == pytest.approx(1.0, abs=0.25)
 
 
-def test_what_cannot_be_shown_is_one_line_and_leaves_nothing(spheremouse, shot, tmp_path):
+def test_an_error_is_one_line_and_leaves_no_file(spheremouse, shot, tmp_path):
     source = film_of(tmp_path / "f.avi", shot[0], n=2)
     before = sorted(tmp_path.iterdir())
     for words, said in (
         ((source, "--at", "9"), "gave no frame from 9 s on: give a smaller --at"),
-        ((source, "--out", tmp_path / "f.avi"), "is what is looked at; name another file"),
-        ((source, "--out", tmp_path / "p.avi", "--every", "1"), "--every: goes with a picture"),
+        ((source, "--out", tmp_path / "f.avi"), "is the source; name another file"),
+        ((source, "--out", tmp_path / "p.avi", "--every", "1"), "is not a picture; end its name in .png"),
         ((source, "--out", tmp_path / "none" / "p.png"), "cannot be written"),
         (("video:/nowhere",), "no such file"),
         ((source, "--set", "rings.nix=1"), "unknown key"),

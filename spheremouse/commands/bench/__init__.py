@@ -1,7 +1,7 @@
-"""`spheremouse bench`: what a frame costs on this machine; measured in measure.py.
+"""`spheremouse bench`: measure the time per frame on this machine.
 
-One thread: OpenCV is told so, and BLAS and Numba read their number of threads when they are imported, so that the
-measurement runs in a process of its own that has it from the start.
+The measurement runs on one thread. BLAS and Numba read their number of threads when they are imported, so it runs in a
+process of its own that has the number from the start.
 """
 
 import json
@@ -15,12 +15,19 @@ from typing import Annotated, Self
 
 import typer
 
-from spheremouse.commands.bench.series import STEPS, WARM_UP
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError
 
+WARM_UP = 10  # frames that do not count: caches, allocator and processor clock settle
+BLOCK = 30  # frames that one of the compared processes before the next: a second of video
+STEP, DETECT, FILTER, BLOBS, SIMPLE = "step", "detect", "filter", "blobs", "SimpleBlobDetector"
+COMPARED = (STEP, DETECT, FILTER, BLOBS, SIMPLE)
+SIZES = ((640, 480), (1280, 720), (1920, 1080))  # px; the others are compared with the first
+MEMORY_FROM = 1000  # steps, until the allocator has what it needs
+MIN_TRACKED = 0.95  # of the steps; with fewer the times are not those of tracking
+_STEPS = 10_000  # in a row: a hundred of them are above the 99th percentile
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
-_WIDTH = 100  # characters that the table takes at most
+_TABLE_WIDTH = 100  # characters
 
 
 def bench(
@@ -31,28 +38,27 @@ def bench(
     frames: Annotated[int, typer.Option(metavar="N", min=WARM_UP + 1, help="Use the first N frames.")] = 300,
     repeat: Annotated[int, typer.Option(metavar="R", min=1, help="Compare on the frames R times.")] = 1,
     steps: Annotated[
-        int, typer.Option(metavar="N", min=0, help="Then N steps in a row of the tracker alone; 0: none.")
-    ] = STEPS,
-    no_sizes: Annotated[bool, typer.Option("--no-sizes", help="Leave the larger pictures out.")] = False,
+        int, typer.Option(metavar="N", min=0, help="Then run the tracker alone for N steps in a row. 0: none.")
+    ] = _STEPS,
+    no_sizes: Annotated[bool, typer.Option("--no-sizes", help="Do not measure larger pictures.")] = False,
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints.")
     ] = None,
 ) -> None:
-    """Measure the time per frame on one thread: two blob detectors beside it, step after step, in larger pictures.
+    """Measure the time per frame on one thread: beside two blob detectors, for many steps, and in larger pictures.
 
-    The camera's pose is found first and not counted, nor are the first 10 frames; every other frame is.
+    The command finds the camera's pose before. Pose and the first 10 frames do not count; every other frame does.
     """
     from rich.console import Console
 
     from spheremouse.commands.bench import measure as benchmark
-    from spheremouse.commands.bench.figures import report
-    from spheremouse.commands.bench.table import notes, table
+    from spheremouse.commands.bench.report import notes, report, table
     from spheremouse.files.safe_files import write_atomically
 
     if json_file is not None and not json_file.parent.is_dir():
         raise ConfigurationError(f"--json: {json_file.parent}: no such folder")
     if 0 < steps <= WARM_UP:
-        raise ConfigurationError(f"--steps: {steps}: the first {WARM_UP} do not count; more than that, or 0")
+        raise ConfigurationError(f"--steps: {steps}: the first {WARM_UP} do not count; give more, or 0")
     if any(name not in os.environ for name in _ONE_THREAD):
         command = [sys.executable, "-m", "spheremouse", *sys.argv[1:]]
         child = subprocess.run(command, env={**_ONE_THREAD, **os.environ}, check=False)
@@ -61,15 +67,15 @@ def bench(
     with benchmark.one_thread(), Bar() as bar:
         start = benchmark.start()
         times = benchmark.compare(film, repeat, bar.progress)
-        row = benchmark.in_a_row(film, steps, bar.progress) if steps else None
+        steady = benchmark.in_a_row(film, steps, bar.progress) if steps else None
         sizes = {} if no_sizes else benchmark.by_size(progress=bar.progress)
-    figures = report(film, times, repeat, start, row, sizes)
+    figures = report(film, times, repeat, start, steady, sizes)
     text = json.dumps(figures, indent=1, allow_nan=False) + "\n"
     if json_file == Path("-"):
         typer.echo(text, nl=False)
         return
     console = Console(soft_wrap=True)
-    console.width = max(console.width, _WIDTH)
+    console.width = max(console.width, _TABLE_WIDTH)
     console.print(table(figures))
     for line in notes(figures):
         console.print(line, highlight=False)
@@ -78,7 +84,7 @@ def bench(
 
 
 class Bar:
-    """Progress on a terminal; a context manager. Drawn between two measurements, not beside them."""
+    """Shows progress on a terminal, between two measurements and never during one."""
 
     def __init__(self) -> None:
         self._bars = progress_bar(auto_refresh=False)
@@ -96,7 +102,7 @@ class Bar:
         self._bars.stop()
 
     def progress(self, what: str, done: int, total: int) -> None:
-        """So much is done; drawn when it is time."""
+        """Update the bar, at most twice a second."""
         now = time.perf_counter()
         if self._bars.disable or (now < self._due and 0 < done < total):
             return

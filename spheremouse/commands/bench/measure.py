@@ -1,7 +1,7 @@
-"""What a step of the tracker costs: beside two blob detectors, for hours on end, and in larger pictures.
+"""Measure the time of a tracker's step: beside two blob detectors, for many steps, and in larger pictures.
 
-The measuring behind `spheremouse bench`. Films go in, wall times come out, and whether the ball was tracked all along:
-a tracker that has lost it is quick, and worth nothing.
+Each measurement also counts the frames in which the ball was tracked. A tracker that has lost the ball is fast, and its
+times are not valid.
 """
 
 import gc
@@ -26,7 +26,7 @@ from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.track import step
 from spheremouse.ball.warm import warm_up
-from spheremouse.commands.bench.series import (
+from spheremouse.commands.bench import (
     BLOBS,
     BLOCK,
     COMPARED,
@@ -46,33 +46,33 @@ from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame, Status
 
-_KEPT = 1 << 29  # bytes of frames that are played again and again; the others are left out
+_MAX_FRAME_BYTES = 1 << 29  # of the frames that are played repeatedly
 _SIZE_FRAMES, _SIZE_STEPS = 80, 600
-_THESIS = 10.0  # s, the simulated motion: at rest at either end, so that it can be played back and forth
+_MOTION_S = 10.0  # of the simulated motion, which is at rest at both ends and can be played back and forth
 
-Progressed = Callable[[str, int, int], None]  # what is being done, how many are done, of how many
+Progress = Callable[[str, int, int], None]  # name of the measurement, steps done, all steps
 
 
 def silent(what: str, done: int, total: int) -> None:
-    """Progress that nobody looks at."""
+    """Ignore progress."""
 
 
 @dataclass(frozen=True, slots=True)
 class Film:
-    """A film to measure on: frames that can be had again, and the device they show."""
+    """A film that can be read repeatedly, and the device in it."""
 
     name: str
     rig: Rig
     interval: float  # s from frame to frame
     frames: Callable[[], Iterator[Frame]]
-    count: int  # of the frames, or fewer
+    count: int  # largest number of frames
 
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """Wall times of every frame after the warm-up, of all that was compared."""
+    """Wall times of all compared stages, for every frame after the warm-up."""
 
-    seconds: dict[str, Array]  # (n,) s of each thing measured
+    seconds: dict[str, Array]  # (n,) s of each stage
     tracked: int  # of the n frames
 
     def __len__(self) -> int:
@@ -84,30 +84,30 @@ class Steps:
     """Steps in a row by one tracker, after the warm-up."""
 
     seconds: Array  # (n,) s, wall time
-    processor: Array  # (n,) s, of this thread: what others on the machine took is not in it
+    processor: Array  # (n,) s, processor time of this thread, without that of other programs
     tracked: int  # of the n steps
     lost: int  # how often the ball was lost
-    slowest: str  # what changed in the slowest step, in the tracker's words
-    memory: tuple[int, int] | None = None  # bytes resident after MEMORY_FROM steps and at the end; None: not known
+    slowest: str  # events of the slowest step
+    memory: tuple[int, int] | None = None  # resident bytes after MEMORY_FROM steps and at the end
 
     def __len__(self) -> int:
         return len(self.seconds)
 
 
 def simulated(frames: int) -> Film:
-    """The simulated far scene; with 300 frames the ball is at rest at either end."""
+    """Return the simulated far scene. With 300 frames the ball is at rest at both ends."""
     simulation = prepare(SimulationOptions(seconds=frames / SimulationOptions().fps))
     return Film(
         "simulated far scene",
         simulation.scene.rig(),
         1.0 / simulation.fps,
-        lambda: (made.frame for made in simulate(simulation)),
+        lambda: (simulated.frame for simulated in simulate(simulation)),
         simulation.frames,
     )
 
 
 def recorded(path: Path, frames: int) -> Film:
-    """The first `frames` of a dataset; DatasetError where it is none."""
+    """Return the first `frames` of a dataset; DatasetError if it is none."""
     recording = open_dataset(path)
     count = min(frames, recording.frames)
     return Film(
@@ -120,21 +120,21 @@ def recorded(path: Path, frames: int) -> Film:
 
 
 def start() -> float:
-    """s that the compiled functions take until they are ready: compiled at the first start, read from disk later."""
+    """Compile the functions or read them from disk, and return the time in s."""
     began = time.perf_counter()
     warm_up(Settings())
     return time.perf_counter() - began
 
 
-# ---- compared: all see the same frames, a second of them in turn ----
+# ---- comparison on the same frames, one second in turn ----
 
 
-def compare(film: Film, repeat: int = 1, progress: Progressed = silent) -> Times:
-    """Times of the tracker and, on the same frames, of the two blob detectors; DatasetError on too few frames."""
+def compare(film: Film, repeat: int = 1, progress: Progress = silent) -> Times:
+    """Measure the tracker and two blob detectors on the same frames; DatasetError if there are too few."""
     rounds = []
     for r in range(repeat):
         done = r * film.count
-        rounds.append(_round(film, lambda k, done=done: progress("beside others", done + k, repeat * film.count)))
+        rounds.append(_round(film, lambda k, done=done: progress("comparison", done + k, repeat * film.count)))
     seconds = {name: np.concatenate([r.seconds[name] for r in rounds]) for name in COMPARED}
     return Times(seconds, sum(r.tracked for r in rounds))
 
@@ -155,7 +155,7 @@ def _round(film: Film, progress: Callable[[int], None]) -> Times:
     def ours(frame: Frame) -> None:
         nonlocal state, detected, tracked
         state = state or begin(tracker, frame.stamp)
-        began = detected = time.perf_counter()  # a frame that is not looked at in stages counts as filtered
+        began = detected = time.perf_counter()  # without a call of `mark`, all time counts as the filter's
         state = step(state, frame, tracker, mark).state
         ended = time.perf_counter()
         tracked += len(spent[STEP]) >= WARM_UP and state.status is Status.TRACKING
@@ -175,27 +175,29 @@ def _round(film: Film, progress: Callable[[int], None]) -> Times:
         for turn in turns:
             for frame in block:
                 turn(frame)
-        turns.append(turns.pop(0))  # who comes first finds the pictures in another cache than who comes last
+        turns.append(turns.pop(0))  # the first one has the pictures in another cache than the last
         progress(len(spent[STEP]))
-    _enough(film, len(spent[STEP]))
+    _check_length(film, len(spent[STEP]))
     return Times({name: np.array(s[WARM_UP:]) for name, s in spent.items()}, tracked)
 
 
-# ---- steps in a row: the film forwards and backwards, again and again ----
+# ---- steps in a row ----
 
 
 class Player:
-    """A film that never ends, tracked step by step: played forwards and backwards, while its stamps go on."""
+    """Tracks a film that is played forwards and backwards without end, with increasing stamps."""
 
     def __init__(self, film: Film, steps: int) -> None:
-        """Room for the times of `steps`; DatasetError on a film that is too short."""
+        """Prepare for `steps`; DatasetError if the film is too short."""
         self._tracker, frames = _initialised(film)
         size = film.rig.camera.width * film.rig.camera.height * 3
-        self._frames = list(islice(frames, max(_KEPT // size, WARM_UP + 1)))
-        _enough(film, len(self._frames))
+        self._frames = list(islice(frames, max(_MAX_FRAME_BYTES // size, WARM_UP + 1)))
+        _check_length(film, len(self._frames))
         self._interval = film.interval
         self._state = begin(self._tracker, self._frames[0].stamp)
-        self._seconds = np.full(steps, np.nan)  # written now: memory that is first used later would seem to leak
+        self._seconds = np.full(
+            steps, np.nan
+        )  # written now, since memory that is first used later would look like a leak
         self._processor = np.full(steps, np.nan)
         self._tracked = np.zeros(steps, dtype=bool)
         self._lost = np.zeros(steps, dtype=bool)
@@ -204,26 +206,26 @@ class Player:
         self._done = 0
 
     def step(self) -> None:
-        """The next frame."""
+        """Track the next frame."""
         k = self._done
         image = self._frames[back_and_forth(k, len(self._frames))].image
         frame = Frame(image, self._frames[0].stamp + k * self._interval, k)
         before = self._state.status
         used, began = time.thread_time(), time.perf_counter()
-        made = step(self._state, frame, self._tracker)
+        tracked = step(self._state, frame, self._tracker)
         ended, used = time.perf_counter(), time.thread_time() - used
-        self._state, status = made.state, made.state.status
+        self._state, status = tracked.state, tracked.state.status
         self._tracked[k] = status is Status.TRACKING
         self._lost[k] = status is Status.LOST and before is not Status.LOST
         if k >= WARM_UP and ended - began > self._slowest[0]:
-            self._slowest = ended - began, messages.line(made.events)
+            self._slowest = ended - began, messages.line(tracked.events)
         self._seconds[k], self._processor[k] = ended - began, used
         self._done += 1
         if self._done == MEMORY_FROM:
             self._memory = resident_bytes()
 
     def steps(self) -> Steps:
-        """Measurements so far."""
+        """Return the measurements."""
         counted = slice(WARM_UP, self._done)
         memory = resident_bytes() if self._done > MEMORY_FROM else None
         return Steps(
@@ -236,8 +238,8 @@ class Player:
         )
 
 
-def in_a_row(film: Film, steps: int, progress: Progressed = silent) -> Steps:
-    """Times of `steps` of the tracker alone, from the first frame on; DatasetError on too few frames."""
+def in_a_row(film: Film, steps: int, progress: Progress = silent) -> Steps:
+    """Measure `steps` of the tracker alone; DatasetError if there are too few frames."""
     player = Player(film, steps)
     with collected():
         for k in range(steps):
@@ -250,16 +252,15 @@ def by_size(
     sizes: Sequence[tuple[int, int]] = SIZES,
     frames: int = _SIZE_FRAMES,
     steps: int = _SIZE_STEPS,
-    progress: Progressed = silent,
+    progress: Progress = silent,
 ) -> dict[tuple[int, int], Steps]:
-    """Times of the tracker in the simulated far scene, by the size of the picture: step by step in turn.
+    """Measure the tracker in the simulated far scene for each picture size, step by step in turn.
 
-    The view is the same in all, the focal length in pixels goes with the size. The camera's pose is known here: how it
-    is found has nothing to do with what a step costs.
+    All sizes have the same view. The camera's pose is known, since its search does not change the time of a step.
     """
     players: dict[tuple[int, int], Player] = {}
     for k, size in enumerate(sizes):
-        progress("larger pictures: filming", k, len(sizes))
+        progress("larger pictures: rendering", k, len(sizes))
         players[size] = Player(_whole_motion(frames, size), steps)
     turns = list(players.values())
     with collected():
@@ -272,15 +273,17 @@ def by_size(
 
 
 def _whole_motion(frames: int, size: tuple[int, int]) -> Film:
-    """The simulated motion from rest to rest in a few frames, shown at the usual rate: the ball rolls faster."""
-    simulation = prepare(SimulationOptions(seconds=_THESIS, fps=frames / _THESIS, size=size))
+    """Return the simulated motion in few frames at the usual rate, so the ball rolls faster."""
+    simulation = prepare(SimulationOptions(seconds=_MOTION_S, fps=frames / _MOTION_S, size=size))
     rig = replace(simulation.scene.rig(), pose=simulation.scene.pose)
     shown = 1.0 / SimulationOptions().fps
-    return Film("far scene", rig, shown, lambda: (made.frame for made in simulate(simulation)), simulation.frames)
+    return Film(
+        "far scene", rig, shown, lambda: (simulated.frame for simulated in simulate(simulation)), simulation.frames
+    )
 
 
 def back_and_forth(k: int, n: int) -> int:
-    """Index of the k-th frame when `n` are played forwards and backwards: 0, 1, 2, 1, 0, 1 for three."""
+    """Return the index of the k-th frame if `n` are played forwards and backwards: 0, 1, 2, 1, 0, 1 for three."""
     if n == 1:
         return 0
     k %= 2 * (n - 1)
@@ -289,10 +292,7 @@ def back_and_forth(k: int, n: int) -> int:
 
 @contextmanager
 def collected() -> Iterator[None]:
-    """Garbage thrown away, and what is left taken out of the collector's sight: libraries' objects by the 100,000.
-
-    The collector goes on, but finds only what the steps themselves leave behind. The daemon does the same.
-    """
+    """Collect garbage, and exclude the 100,000 objects of the libraries from later collections, as the daemon does."""
     gc.collect()
     gc.freeze()
     try:
@@ -302,7 +302,7 @@ def collected() -> Iterator[None]:
 
 
 def resident_bytes() -> int | None:
-    """Memory of this process that is in RAM; None where the system has no /proc (Linux alone does)."""
+    """Return the resident memory of this process; None if the system is not Linux."""
     if not sys.platform.startswith("linux"):
         return None
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
@@ -310,7 +310,7 @@ def resident_bytes() -> int | None:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """OpenCV on one thread for a while."""
+    """Run OpenCV on one thread in this block."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -326,6 +326,6 @@ def _initialised(film: Film) -> tuple[Tracker, Iterator[Frame]]:
     return build(film.rig, begun.pose, settings), begun.frames
 
 
-def _enough(film: Film, frames: int) -> None:
+def _check_length(film: Film, frames: int) -> None:
     if frames <= WARM_UP:
-        raise DatasetError(f"{film.name}: {frames} frames to track, and the first {WARM_UP} do not count")
+        raise DatasetError(f"{film.name}: {frames} frames to track, but the first {WARM_UP} do not count")

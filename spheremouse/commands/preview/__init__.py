@@ -1,4 +1,4 @@
-"""`spheremouse preview`: what a camera or a recording shows, before there is a rig: a picture, a film, and words."""
+"""`spheremouse preview`: show the picture of a camera or a recording, with targets and advice. No rig is needed."""
 
 from pathlib import Path
 from typing import Annotated
@@ -15,8 +15,8 @@ def preview(
         str | None,
         typer.Argument(
             metavar="[KIND:ARG]",
-            help="As `run --source` has it: v4l2:DEVICE, opencv:INDEX, video:PATH, dataset:DIR.  [default: the first "
-            "camera]",
+            help="A source as of `run --source`: v4l2:DEVICE, opencv:INDEX, video:PATH, dataset:DIR.  [default: the "
+            "first camera]",
         ),
     ] = None,
     out: Annotated[
@@ -30,41 +30,43 @@ def preview(
         typer.Option(
             metavar="S",
             min=0.0,
-            help="So long after the first frame.  [default: 1 with a camera, which sets its exposure]",
+            help="Time of the picture after the first frame.  [default: 1 for a camera, which sets its exposure]",
         ),
     ] = None,
     every: Annotated[
-        float | None, typer.Option(metavar="S", min=0.2, help="The picture anew every S seconds, until Ctrl-C.")
+        float | None, typer.Option(metavar="S", min=0.2, help="Replace the picture every S seconds, until Ctrl-C.")
     ] = None,
     seconds: Annotated[float, typer.Option(metavar="S", min=0.2, max=600.0, help="Length of a film.")] = 5.0,
     rig: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Say which targets this rig has.  [default: the recording's own]"),
+        typer.Option(metavar="FILE", help="Report the targets that this rig has.  [default: the recording's rig]"),
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Configuration: the camera's settings, colours of targets (rings)."),
+        typer.Option(
+            metavar="FILE", help="Configuration file with the camera's settings and the colours of targets (rings)."
+        ),
     ] = None,
     assignments: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter, as rings.* or camera.*.")
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter of rings.* or camera.*.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was seen as JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
 ) -> None:
-    """Show what is seen: ring targets with their codes, what is nearly one and why it is none, round dark spots.
+    """Show the camera's picture with ring targets, rejected targets and dark spots. Print sharpness and brightness.
 
-    No rig and no calibration are needed: use it to place the camera, to focus it and to light the ball. Says how sharp
-    and how bright the picture is. The whole picture is kept, with whoever is in it.
+    Use it to place and focus the camera and to light the ball. You need no rig and no calibration. For each rejected
+    target it prints the reason and the remedy. The file contains the whole picture, with all people in it.
     """
     from spheremouse.capture import full_spec
     from spheremouse.capture.default_camera import default_camera
-    from spheremouse.commands.preview.show import Wanted, film, pictures
+    from spheremouse.commands.preview.show import PreviewOptions, film, pictures
 
     if every is not None and out.suffix.lower() not in _PICTURES:
-        raise ConfigurationError(
-            f"--every: goes with a picture, {out} is none; end its name in .png, or leave --every out"
-        )
-    wanted = Wanted(full_spec(source or default_camera()), out, at, rig, config, tuple(assignments or ()), as_json)
+        raise ConfigurationError(f"--every: {out} is not a picture; end its name in .png, or omit --every")
+    options = PreviewOptions(
+        full_spec(source or default_camera()), out, at, rig, config, tuple(assignments or ()), as_json
+    )
     if out.suffix.lower() in _PICTURES:
-        pictures(wanted, every)
+        pictures(options, every)
     else:
-        film(wanted, seconds)
+        film(options, seconds)

@@ -1,4 +1,4 @@
-"""Frames in, pictures and words out: what is made out in a frame while nothing is known of the device."""
+"""Analyse frames without a rig: targets, dark spots, sharpness and brightness, as pictures and text."""
 
 import json
 from collections import Counter
@@ -30,15 +30,15 @@ from spheremouse.session.overlay.sight import Sight, draw_sight, sight_of
 from spheremouse.session.settings import Configuration
 from spheremouse.tracker import Frame
 
-_SETTLING = 1.0  # s that a camera takes for its exposure
-_FILM = 5.0  # pictures a second: each takes tenths of one
-_USUAL = np.array([1.0, 2.0, 3.0])  # proportions of the targets that `calibrate print` makes
-_SHARP, _SOFT = 1.0, 1.5  # px of blur: a lens in focus has 0.3 to 0.7; rings of 4 px begin to go from 1.5 on
+_EXPOSURE_S = 1.0  # until a camera has set its exposure
+_FILM_FPS = 5.0  # each picture takes some tenths of a second
+_TARGET_PROPORTIONS = np.array([1.0, 2.0, 3.0])  # of the targets of `calibrate print`
+_MAX_SHARP_PX, _MAX_SOFT_PX = 1.0, 1.5  # blur: a focused lens has 0.3 to 0.7; rings of 4 px are lost from 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
-    """What the command line says."""
+class PreviewOptions:
+    """Options of the command."""
 
     source: str
     out: Path
@@ -50,8 +50,8 @@ class Wanted:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
-    """What one frame shows."""
+class Analysis:
+    """Results for one frame."""
 
     frame: Frame
     sight: Sight
@@ -61,14 +61,14 @@ class Seen:
 
     @property
     def sharpness(self) -> str:
-        """In a word."""
+        """Return the sharpness in one word."""
         if not np.isfinite(self.blur):
-            return "no edge seen"
-        return "sharp" if self.blur < _SHARP else "soft" if self.blur < _SOFT else "blurred"
+            return "no edge analysis"
+        return "sharp" if self.blur < _MAX_SHARP_PX else "soft" if self.blur < _MAX_SOFT_PX else "blurred"
 
     @property
     def picture(self) -> Image:
-        """The frame with all of it."""
+        """Draw the results into the frame."""
         words = messages.found(self.sight.targets.codes, self.sight.codes)
         brief = f"{self.sharpness}; brightest {self.light.values['grey']:.0f} of 255"
         return draw_sight(
@@ -76,7 +76,7 @@ class Seen:
         )
 
     def data(self) -> dict[str, Any]:
-        """The same for programs."""
+        """Return the results as JSON data."""
         targets, height, width = self.sight.targets, *self.frame.image.shape[:2]
         return {
             "size": [width, height],
@@ -101,88 +101,91 @@ class Seen:
         }
 
     def lines(self) -> Iterator[str]:
-        """The same for people."""
+        """Yield the results as lines of text."""
         height, width = self.frame.image.shape[:2]
         colour = self.frame.image.ndim == 3
         yield f"picture     {width}x{height}" + ("" if colour else ", grey: ring targets need colour")
         if colour:
             yield f"targets     {messages.found(self.sight.targets.codes, self.sight.codes)}"
-        for (said, bound), n in Counter((messages.refusal(r), r.bound) for r in self.sight.refused).items():
-            yield f"refused     {said}{f' ({n} times)' if n > 1 else ''}; {messages.remedy(bound)}"
+        for (reason, bound), n in Counter((messages.refusal(r), r.bound) for r in self.sight.refused).items():
+            yield f"refused     {reason}{f' ({n} times)' if n > 1 else ''}; {messages.remedy(bound)}"
         across = 2.0 * float(np.sqrt(np.median(self.spots.area) / np.pi)) if len(self.spots.area) else 0.0
         yield f"dark spots  {len(self.spots.area)}" + (f", usually {across:.0f} px across" if across else "")
-        focus = "" if self.blur < _SHARP else "; focus the lens; more light lets a camera expose shorter"
+        focus = "" if self.blur < _MAX_SHARP_PX else "; focus the lens; more light lets a camera expose shorter"
         yield f"sharpness   {self.sharpness}" + (
             "" if np.isnan(self.blur) else f", edges {self.blur:.1f} px wide{focus}"
         )
         yield f"brightness  {self.light.text}" + (f"; {self.light.advice}" if self.light.advice else "")
 
 
-def pictures(wanted: Wanted, every: float | None) -> None:
-    """One, or one after the other until the source ends or somebody stops it."""
+def pictures(options: PreviewOptions, every: float | None) -> None:
+    """Write one picture. With `every`, replace it until the source ends or a signal arrives."""
     due = -np.inf
-    with _looked_at(wanted, every is not None) as (frames, look):
+    with _open(options, every is not None) as (frames, analyse):
         for frame in frames:
             if frame.stamp < due:
                 continue
             due = frame.stamp + (every or 0.0)
-            seen = look(frame)
-            write_picture(wanted.out, seen.picture)
-            _tell(wanted, seen)
+            analysis = analyse(frame)
+            write_picture(options.out, analysis.picture)
+            _print(options, analysis)
             if every is None:
                 break
     if due == -np.inf:
-        raise _nothing(wanted)
+        raise _no_frame(options)
 
 
-def film(wanted: Wanted, seconds: float) -> None:
-    """So long, at a steady rate: where looking takes longer than that, a picture stands."""
-    seen: Seen | None = None
-    with OverlayFile(wanted.out, _FILM) as file, _looked_at(wanted, False) as (frames, look):
-        begun, shown = 0.0, 0
+def film(options: PreviewOptions, seconds: float) -> None:
+    """Write a film at a steady rate. If the analysis of a frame takes longer, its picture is repeated."""
+    analysis: Analysis | None = None
+    with OverlayFile(options.out, _FILM_FPS) as file, _open(options, False) as (frames, analyse):
+        first_stamp, written = 0.0, 0
         for frame in frames:
-            begun = begun if shown else frame.stamp
-            due = int((frame.stamp - begun) * _FILM) + 1
-            if due <= shown:
+            first_stamp = first_stamp if written else frame.stamp
+            due = int((frame.stamp - first_stamp) * _FILM_FPS) + 1
+            if due <= written:
                 continue
-            if frame.stamp - begun > seconds:
+            if frame.stamp - first_stamp > seconds:
                 break
-            seen = look(frame)
-            picture = seen.picture
-            for _ in range(due - shown):
+            analysis = analyse(frame)
+            picture = analysis.picture
+            for _ in range(due - written):
                 file.show(lambda picture=picture: picture)
-            shown = due
-    if seen is None:
-        raise _nothing(wanted)
-    _tell(wanted, seen)
+            written = due
+    if analysis is None:
+        raise _no_frame(options)
+    _print(options, analysis)
 
 
-def _nothing(wanted: Wanted) -> SourceError:
-    late = "" if wanted.at is None else f" from {wanted.at:g} s on: give a smaller --at"
-    return SourceError(f"{wanted.source}: gave no frame{late}")
+def _no_frame(options: PreviewOptions) -> SourceError:
+    late = "" if options.at is None else f" from {options.at:g} s on: give a smaller --at"
+    return SourceError(f"{options.source}: gave no frame{late}")
 
 
-def _tell(wanted: Wanted, seen: Seen) -> None:
-    if wanted.as_json:
-        print(json.dumps({"file": str(wanted.out), **seen.data()}), flush=True)
+def _print(options: PreviewOptions, analysis: Analysis) -> None:
+    if options.as_json:
+        print(json.dumps({"file": str(options.out), **analysis.data()}), flush=True)
     else:
-        print("\n".join((f"{wanted.out}: {wanted.source} at {seen.frame.stamp:.2f} s", *seen.lines())), flush=True)
+        print(
+            "\n".join((f"{options.out}: {options.source} at {analysis.frame.stamp:.2f} s", *analysis.lines())),
+            flush=True,
+        )
 
 
 @contextmanager
-def _looked_at(wanted: Wanted, realtime: bool) -> Iterator[tuple[Iterator[Frame], Callable[[Frame], Seen]]]:
-    """The frames that are wanted, until somebody stops it, and what looks at one."""
-    settings = config.in_force(wanted.config, wanted.assignments, Configuration)
-    rig = None if wanted.rig is None else load_rig(wanted.rig)
-    argument = wanted.source.partition(":")[2]
-    if argument and wanted.out.resolve() == Path(argument).resolve():
-        raise ConfigurationError(f"--out: {wanted.out} is what is looked at; name another file")
-    with looked_through(wanted.source, settings.camera, realtime) as source, SignalHandler() as stopping:
+def _open(options: PreviewOptions, realtime: bool) -> Iterator[tuple[Iterator[Frame], Callable[[Frame], Analysis]]]:
+    """Yield the frames until a signal arrives, and the function that analyses one."""
+    settings = config.in_force(options.config, options.assignments, Configuration)
+    rig = None if options.rig is None else load_rig(options.rig)
+    argument = options.source.partition(":")[2]
+    if argument and options.out.resolve() == Path(argument).resolve():
+        raise ConfigurationError(f"--out: {options.out} is the source; name another file")
+    with looked_through(options.source, settings.camera, realtime) as source, SignalHandler() as signals:
         rig = rig or source.rig
-        radii, codes = (_USUAL, None) if rig is None else (rig.targets.radii, rig.targets.codes)
-        at = wanted.at if wanted.at is not None else _SETTLING if source.live else 0.0
-        frames = _from(stopping.frames(iter(source)), at)
-        yield frames, lambda frame: _look(frame, radii, codes, settings)
+        radii, codes = (_TARGET_PROPORTIONS, None) if rig is None else (rig.targets.radii, rig.targets.codes)
+        at = options.at if options.at is not None else _EXPOSURE_S if source.live else 0.0
+        frames = _from(signals.frames(iter(source)), at)
+        yield frames, lambda frame: _analyse(frame, radii, codes, settings)
 
 
 def _from(frames: Iterator[Frame], at: float) -> Iterator[Frame]:
@@ -193,10 +196,10 @@ def _from(frames: Iterator[Frame], at: float) -> Iterator[Frame]:
             yield frame
 
 
-def _look(frame: Frame, radii: Array, codes: tuple[str, ...] | None, settings: Configuration) -> Seen:
+def _analyse(frame: Frame, radii: Array, codes: tuple[str, ...] | None, settings: Configuration) -> Analysis:
     image = frame.image
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     noise = float(mad_sigma(np.diff(grey[::4].astype(np.float32), axis=1).ravel())) / np.sqrt(2.0)
     dark = projected(image, settings.discs.projection or GREY)
     light = brightness([grey], None, settings.discs, noise)
-    return Seen(frame, sight_of(image, radii, codes, settings.rings), dark_spots(dark), blur_of(grey), light)
+    return Analysis(frame, sight_of(image, radii, codes, settings.rings), dark_spots(dark), blur_of(grey), light)

@@ -1,4 +1,4 @@
-"""The figures of `spheremouse bench`: what counts, and how it hangs together. How long a frame takes is not tested."""
+"""`spheremouse bench`: which frames count, and how the figures are related. Times themselves are not tested."""
 
 import json
 import os
@@ -12,15 +12,9 @@ import cv2
 import numpy as np
 import pytest
 
+from spheremouse.commands.bench import BLOBS, DETECT, FILTER, SIMPLE, STEP, WARM_UP
 from spheremouse.commands.bench import measure as benchmark
-from spheremouse.commands.bench.figures import report
 from spheremouse.commands.bench.measure import (
-    BLOBS,
-    DETECT,
-    FILTER,
-    SIMPLE,
-    STEP,
-    WARM_UP,
     Film,
     Steps,
     Times,
@@ -29,7 +23,7 @@ from spheremouse.commands.bench.measure import (
     compare,
     in_a_row,
 )
-from spheremouse.commands.bench.table import notes
+from spheremouse.commands.bench.report import notes, report
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 
@@ -62,8 +56,8 @@ def test_every_frame_after_the_warm_up_counts_in_every_round():
 
 
 @pytest.mark.parametrize("measure", [compare, lambda film: in_a_row(film, 20)])
-def test_a_film_as_short_as_the_warm_up_is_refused(measure):
-    with pytest.raises(DatasetError, match="10 frames to track, and the first 10 do not count"):
+def test_a_film_as_short_as_the_warm_up_is_rejected(measure):
+    with pytest.raises(DatasetError, match="10 frames to track, but the first 10 do not count"):
         measure(clip(WARM_UP))
 
 
@@ -99,22 +93,22 @@ def test_a_ball_that_is_lost_is_counted():
 
 
 def test_memory_is_that_of_the_process():
-    """In a process of its own: here, what other tests leave behind goes back to the system at any moment."""
-    asked = """
+    """A process of its own, since memory of other tests may be freed here at any moment."""
+    code = """
 import numpy as np
 from spheremouse.commands.bench.measure import resident_bytes
 before = resident_bytes()
 held = np.ones(1 << 25)
 print(0 if before is None else (resident_bytes() - before) / held.nbytes)
 """
-    grown = float(subprocess.run([sys.executable, "-c", asked], check=True, capture_output=True, text=True).stdout)
+    grown = float(subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout)
     if not sys.platform.startswith("linux"):
         assert grown == 0
         pytest.skip("no /proc")
     assert 0.95 < grown < 1.05  # of 256 MB
 
 
-def test_opencv_gets_its_threads_back():
+def test_the_number_of_opencv_threads_is_restored():
     threads = cv2.getNumThreads()
     with benchmark.one_thread():
         assert cv2.getNumThreads() == 1
@@ -129,7 +123,7 @@ def test_every_size_is_tracked_for_as_many_steps():
 
 
 def made(n, median, p99=None, worst=None, tracked=None, memory=None):
-    """Steps that take the median, but 2 % that take `p99` and one that takes `worst`."""
+    """Return steps with a median, 2 % of them with `p99` and one with `worst`."""
     seconds = np.full(n, median)
     if p99 is not None:
         seconds[: n // 50] = p99
@@ -139,7 +133,7 @@ def made(n, median, p99=None, worst=None, tracked=None, memory=None):
 
 
 def figures_of(step, blobs, simple, row=None, sizes=None, tracked=300):
-    """A report of given times, as on pictures of 640x480."""
+    """Return the report of given times."""
     seconds = {STEP: step, DETECT: step / 2, FILTER: step / 2, BLOBS: blobs, SIMPLE: simple}
     times = Times({name: np.full(300, s) for name, s in seconds.items()}, tracked)
     return report(clip(0), times, row=row, sizes=sizes)
@@ -155,10 +149,10 @@ def test_ratios_are_those_of_medians():
     assert figures_of(1e-3, 5e-3, 4e-3)["ratios"] == pytest.approx({BLOBS: 5.0, SIMPLE: 4.0})
 
 
-def test_a_ball_that_is_hardly_tracked_is_told_and_nothing_else_is_judged():
+def test_a_ball_that_is_mostly_lost_gives_a_warning():
     tracked, lost = (figures_of(1, 2, 3, tracked=n) for n in (290, 200))
-    told = "tracked in less than 95 %"
-    assert [any(told in line for line in notes(f)) for f in (tracked, lost)] == [False, True]
+    warning = "tracked in less than 95 %"
+    assert [any(warning in line for line in notes(f)) for f in (tracked, lost)] == [False, True]
 
 
 def bench(*words, **variables):
@@ -183,18 +177,18 @@ def test_the_command_runs_on_one_thread_and_writes_its_figures(tmp_path):
     assert figures["threads"] == {"OpenCV": "1", "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 
 
-def test_whoever_sets_the_threads_keeps_them():
+def test_a_given_number_of_threads_is_kept():
     only = ("--frames", 11, "--steps", 0, "--no-sizes", "--json", "-")
     figures = json.loads(bench(CLIP, *only, OMP_NUM_THREADS="2").stdout)
     assert figures["threads"] == {"OpenCV": "1", "OMP_NUM_THREADS": "2", "NUMBA_NUM_THREADS": "1"}
     assert figures["steady"] is None
 
 
-def test_errors_come_through_in_one_line(tmp_path):
+def test_errors_are_one_line(tmp_path):
     done = bench(tmp_path / "nothing")
     assert done.returncode == 2
     assert done.stderr.startswith(f"spheremouse: {tmp_path / 'nothing'}: no such folder")
     assert done.stderr.count("\n") == 1
     done = bench("--steps", 10)
     assert done.returncode == 2
-    assert done.stderr == "spheremouse: --steps: 10: the first 10 do not count; more than that, or 0\n"
+    assert done.stderr == "spheremouse: --steps: 10: the first 10 do not count; give more, or 0\n"
