@@ -103,16 +103,16 @@ def test_the_filters_are_compared_in_numbers():
     text = said("filters", page, {"r1": on_r1(), "s1": on_s1()}).text
     assert "on our S1 it has 0.75 times that error with our detector" in text
     assert "`so3` has 0.50 times the rate error of `ekf2`" in text
-    assert "What the state of the discs brings is the attitude: `ekf2` 0.006°, `ekf1` 0.008°" in text
+    assert "The state of the discs improves the attitude: `ekf2` 0.006°, `ekf1` 0.008°" in text
     assert "lose the ball there (3 and 2 times, with errors of the speed of up to 12 and 12 mm/s)" in text
-    assert "in 40 % of the frames it uses fewer than 2 (40 %)" in text
+    assert "In 40 % of the frames it uses fewer than 2 (40 %)" in text
     assert "91.2 ± 0.4 ms and 239.7 ± 1.5 counts/rad (simulated: 83 ms" in text
     assert "Mouse speeds from 12 to 22 s" in text
 
 
 def test_claims_that_the_numbers_contradict_are_marked():
     text = said("filters", page, {"r1": on_r1(), "s1": on_s1()}).text
-    assert "run:** centres that are good from the first sight" in text  # 0.75 is below 0.9
+    assert "run:** Centres that are good from the start" in text  # 0.75 is below 0.9
     assert "run:** With the published detector the two cannot" in text  # 0.01° is not far off
     assert "run:** That `ekf2` has the worse attitude" in text
     given = {"r1": on_r1(), "s1": on_s1()}
@@ -121,7 +121,7 @@ def test_claims_that_the_numbers_contradict_are_marked():
     given["s1"]["rows"]["ekf2"] = row(0.79)
     given["r1"]["rows"]["ekf2"]["attitude_rmse_deg"] = {"combined": 9.5}
     marked = said("filters", page, given).text
-    assert "run:** centres" not in marked
+    assert "run:** Centres" not in marked
     assert "run:** With the published detector" not in marked
     assert "wrong, by 5.7° (`ekf1`) and 5.7° (`ekf2`)" in marked
     assert "run:** That `ekf2` has the worse attitude" not in marked
@@ -147,7 +147,7 @@ def test_livelier_players_stand_in_a_table_with_what_was_not_run():
     assert [line[0] for line in paces] == ["0.5", "", "", "0.75", "", "", "1", "", ""]
     assert paces[3] == ["0.75", "–", "`ekf1`", "–", "–", "–"]
     assert paces[6] == ["1", "0.986", "`ekf1`", "0.955", "0.80", "3"]
-    assert "run:** they lose the ball at every pace" in found.text
+    assert "run:** They lose the ball at every pace" in found.text
 
 
 def test_figures_draw_where_a_filter_tracked_nothing(tmp_path):

@@ -82,11 +82,11 @@ def test_the_errors_of_the_worst_film_are_told_by_axis_and_by_thirds():
     found = said("light", page, results())
     table = rows(found.text, "Attitude errors")
     assert table[0] == ["`ekf2`", "0.030", "0.010", "0.040", "0.000", "0.050", "0.010"]
-    assert "Ours is smaller; **Not borne out by this run:** it has no such course" in found.text
+    assert "Ours is smaller. **Not borne out by this run:** It has no such course" in found.text
     given = results()
     for name in ("ekf2", "so3"):
         given["s1+50"]["cells"]["15"]["shown"]["series"][name] = {"t": [0.0, 0.1, 0.2], "error": [[0.01, 0, 0]] * 3}
-    assert "Ours is smaller; it has no such course" in said("light", page, given).text
+    assert "Ours is smaller. It has no such course" in said("light", page, given).text
 
 
 def test_a_pose_that_was_not_found_contradicts_the_page():

@@ -98,7 +98,7 @@ def test_what_is_said_of_the_grid_is_computed_from_its_cells():
     ]
     assert "run:** Our rates" not in text
     assert "run:** The better the centres" not in text
-    assert "run:** a tracker can hardly agree better" in text  # than 0.987: `so3` does here
+    assert "run:** A tracker can hardly agree better" in text  # than 0.987: `so3` does here
 
 
 def test_claims_that_the_cells_contradict_are_marked():
@@ -107,7 +107,7 @@ def test_claims_that_the_cells_contradict_are_marked():
         w, b = map(float, key.split("/"))
         cell["rate_rmse_deg_s"] = {"combined": 1.0 + w + 0.001 * b}
     text = said("parameters", page, {"s1": other}).text
-    assert "**Not borne out by this run:** Our rates on S1 go by σ_w/σ_b" in text
+    assert "**Not borne out by this run:** Our rates on S1 depend on σ_w/σ_b" in text
     assert "**Not borne out by this run:** The better the centres" in text  # 0.001 is below 0.1
 
 

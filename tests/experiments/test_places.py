@@ -110,7 +110,7 @@ def test_best_places_films_and_noise_are_tables(tmp_path):
     ):
         assert line + "\n" in found.text
     for words in (
-        "seen from 3 directions only, all within -30° to 30° of azimuth and within 0° to 0° of elevation",
+        "visible from 3 directions only, all within -30° to 30° of azimuth and within 0° to 0° of elevation",
         "attitude 2.00 (2.00 to 2.00); rate 0.20 (0.20 to 0.20)",
         "none from 1 of 2 places. With the true pose the ball is tracked to the end from 1 of these",
         "the first 10 frames",
@@ -123,8 +123,8 @@ def test_best_places_films_and_noise_are_tables(tmp_path):
 @pytest.mark.parametrize(
     ("given", "claim"),
     [
-        (results(targets=4), "What limits the choice is the targets"),
-        ({**results(), FRONT.key: film(FRONT, 0.02, {"error": "no target"})}, "The targets gave a pose where"),
+        (results(targets=4), "The targets limit the choice"),
+        ({**results(), FRONT.key: film(FRONT, 0.02, {"error": "no target"})}, "The targets gave a pose if"),
         ({**results(), FRONT.key: film(FRONT, 0.02, tracked=6)}, "No frame is lost for a pose"),
     ],
 )

@@ -173,9 +173,9 @@ def test_medians_films_and_stops_are_on_the_page(tmp_path):
         assert line + "\n" in found.text
     for words in (
         "takes the delay from 74 to 2 ms and the roughness to 1/10",
-        "leaves the default pointer 400 counts too far at 30 Hz: 40 cm of the ball",
+        "the default pointer goes 400 counts too far at 30 Hz. These are 40 cm of the ball",
         "by up to 60 counts at 15 Hz. There",
-        "goes farther beyond a stop: 400 in place of 200 counts at 15 Hz",
+        "goes farther beyond a stop: 400 instead of 200 counts at 15 Hz",
         "- play-240-1: too little memory",
     ):
         assert words in found.text
@@ -190,7 +190,7 @@ def test_medians_films_and_stops_are_on_the_page(tmp_path):
         ("play-15-0", {**play_of(20.0), "tracked": 0.9}, "In every motion discs held"),
         ("play-60-0", play_of(6.0), "With the default the pointer stays"),
         ("stop-60", stop_of(20.0, bare=40.0), "Without resampling the pointer goes too far"),
-        ("stop-240", stop_of(200.0), "Who aims takes a faster camera"),
+        ("stop-240", stop_of(200.0), "To aim well, use a faster camera"),
         ("stop-15", stop_of(0.0, bare=60.0), "Its price"),
     ],
 )

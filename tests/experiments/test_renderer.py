@@ -117,7 +117,7 @@ def test_centres_are_compared_by_the_areas_of_discs_and_edges_by_their_blur(tmp_
     assert f"| all | 14 | {between:.3f} | {ours:.3f} | {theirs:.3f} | 0.010 | 0.040 |" in found.text
     assert "15 discs whole, and the default detector finds 14 of them in both" in found.text
     assert f"differ by {between:.3f} px" in found.text
-    worst = f"at 0.85 of the way from its middle and beyond (median 0.90). The 3 worst of them make {300 / 3.1:.0f} %"
+    worst = f"at 0.85 of its radius and beyond (median 0.90). The 3 worst of them make {300 / 3.1:.0f} %"
     assert worst in found.text
     assert "by at most 0.0001 px, centroids of projected discs by 0.0002 px, their areas by 0.3 %" in found.text
     assert re.search(
@@ -134,7 +134,7 @@ def test_claims_are_marked_where_numbers_contradict_them():
     for result in given.values():
         result["geometry"] = [0.02, 0.0, 0.0]
         result["edges"].update({n: [[0.0] * k + [2.0] * (50 - k), [2.0] * 50] for n, k in sharp.items()})
-    begun = ["This is reach", "The 2 discs o", "Blender's cen", "The geometry ", "Edges are sha", "With the curv"]
+    begun = ["Discs above 6", "The 2 discs o", "Blender's cen", "The geometry ", "Edges are sha", "Without the c"]
     assert DOUBTED.findall(said("renderer", page, given).text) == begun
 
 

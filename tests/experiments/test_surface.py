@@ -141,9 +141,9 @@ def test_what_the_image_makes_of_the_variance_is_counted(results):
     given = {**results, "cap-near": {**results["cap-far"], "bins": bins, "chi_square_image": 0.3}}
     table = rows(said("surface", page, given).text, "the image alone in it**")
     assert table[2:] == [["near", "9", "2.00", "1.00", "25"], ["", "69", "10.00", "9.00", "81"]]
-    assert not doubted(given, "The image's share is claimed larger")
+    assert not doubted(given, "The image's claimed share is larger")
     given["cap-near"]["chi_square_image"] = 1.4
-    assert doubted(given, "The image's share is claimed larger")
+    assert doubted(given, "The image's claimed share is larger")
 
 
 def test_shares_that_frame_and_hands_hide_are_of_what_was_left(results):

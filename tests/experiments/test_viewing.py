@@ -223,9 +223,9 @@ def test_claims_are_marked_where_the_films_contradict_them():
     assert not doubted(small, "At 320×240 no target was found")
     assert doubted({**small, "size-320x240-2": point(0.03, pose=None)}, "At 320×240 no target was found")
     slow = {"plain-1": point(0.01), "readout-30-1": point(0.015, KINDS["readout"].shown)}
-    assert not doubted(slow, "A readout that is told or estimated")
+    assert not doubted(slow, "A known or estimated readout")
     assert doubted(slow, "One that is ignored")
-    assert doubted({"plain-1": point(0.01)}, "A readout that is told or estimated")
+    assert doubted({"plain-1": point(0.01)}, "A known or estimated readout")
 
 
 def test_any_part_of_a_run_is_a_page(tmp_path):
