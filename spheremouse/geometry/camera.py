@@ -1,7 +1,7 @@
-"""The camera: interior orientation (pinhole with OpenCV's five distortion terms), exterior orientation, projection.
+"""Camera model: interior orientation (pinhole with OpenCV's five distortion terms), exterior orientation, projection.
 
-Takes points in `cam` or pixels, gives pixels or rays, each with its Jacobian. Pixel (0, 0) is the centre of the
-top-left pixel. Model: Wittich 2017, eq. 69-76 (with the errata of docs/conventions); OpenCV's order k1 k2 p1 p2 k3.
+The functions convert points in `cam` to pixels and pixels to rays, and return the Jacobian. Pixel (0, 0) is the centre
+of the top-left pixel. Model: Wittich 2017, eq. 69-76 (errata in docs/conventions.md), in OpenCV's order k1 k2 p1 p2 k3.
 """
 
 from dataclasses import dataclass, field, replace
@@ -12,14 +12,14 @@ from numba import njit
 
 from spheremouse.geometry.rotation import Array
 
-# The largest pictures: 8K has 7680x4320, the largest webcams less, a telephone's photo 50 million pixels. One of so
-# many takes 200 MB in colour, and everything that is made of it is a few times that.
+# 8K has 7680x4320 pixels, webcams have fewer, and a telephone's photo has 50 million. An image of the largest size
+# takes 200 MB in colour, and its processing a few times as much.
 MAX_SIDE = 16_384  # px
 MAX_PIXELS = 1 << 26  # 67 million
 
 
 def too_large(width: int, height: int) -> str:
-    """The fault of a picture's size, in words; empty where it can be worked on."""
+    """Return the problem of an image's size in words; empty if the size is allowed."""
     if max(width, height) <= MAX_SIDE and width * height <= MAX_PIXELS:
         return ""
     return f"{width}x{height} is more than can be worked on: at most {MAX_SIDE} a side, {MAX_PIXELS} pixels in all"
@@ -50,9 +50,9 @@ class InteriorOrientation:
 
     @property
     def fold_r2(self) -> float:
-        """Squared reduced radius at which the radial distortion stops growing, inf if it never does.
+        """Squared reduced radius at which the distorted radius stops growing; inf if it always grows.
 
-        Beyond it pixels are met a second time, and some lens models grow once more: a solution there is not the ray.
+        Beyond this radius a pixel has a second solution, which is not its ray.
         """
         k1, k2, _, _, k3 = self.distortion
         return _fold_r2(float(k1), float(k2), float(k3))
@@ -78,11 +78,11 @@ class Pose:
     ball_covariance: Array = field(default_factory=lambda: np.zeros((6, 4)))  # (6, 4) with the ball's centre, radius
 
     def to_cam(self, points: Array) -> Array:
-        """Points in `obj`, (..., 3) m, to `cam`."""
+        """Transform points (..., 3) m from `obj` to `cam`."""
         return (points - self.position) @ self.rotation
 
     def matrix(self) -> Array:
-        """T_obj_cam, (4, 4)."""
+        """Return T_obj_cam, (4, 4)."""
         T = np.eye(4)
         T[:3, :3] = self.rotation
         T[:3, 3] = self.position
@@ -90,14 +90,14 @@ class Pose:
 
 
 def pose_from_matrix(T: Array, covariance: Array | None = None) -> Pose:
-    """Pose of a homogeneous T_obj_cam, (4, 4); the rotation is made orthonormal."""
+    """Return the pose of a homogeneous T_obj_cam, (4, 4), with the nearest orthonormal rotation."""
     u, _, vt = np.linalg.svd(np.asarray(T, dtype=float)[:3, :3])
     return Pose(u @ vt, np.array(T, dtype=float)[:3, 3].copy(), np.zeros((6, 6)) if covariance is None else covariance)
 
 
 @njit(cache=True, error_model="numpy")
 def distorted(x, y, k):
-    """Of ideal reduced coordinates x, y: the distorted ones, and the Jacobian xx, xy, yy (it is symmetric).
+    """Distort ideal reduced coordinates x, y; also return the symmetric Jacobian xx, xy, yy.
 
     `k` (5,) is k1, k2, p1, p2, k3.
     """
@@ -116,10 +116,10 @@ def distorted(x, y, k):
 
 @njit(cache=True, error_model="numpy")
 def undistorted(u, v, k, fold):
-    """Of distorted reduced coordinates u, v: the ideal ones, and the Jacobian xx, xy, yy of `distorted` there.
+    """Undistort reduced coordinates u, v; also return the Jacobian xx, xy, yy of `distorted` there.
 
-    Newton's method, in place of the fixed point of Wittich 2017, eq. 81-83. nan where no ray maps to that place: where
-    it does not converge, or beyond the squared radius `fold`.
+    Newton's method in place of the fixed-point iteration of Wittich 2017, eq. 81-83. If no ray maps to u, v, the result
+    is nan: Newton's method does not converge, or the squared radius exceeds `fold`.
     """
     x, y = u, v
     step = np.inf
@@ -130,8 +130,8 @@ def undistorted(u, v, k, fold):
             break
         dx, dy = (yy * (u - a) - xy * (v - b)) / det, (xx * (v - b) - xy * (u - a)) / det
         step = np.hypot(dx, dy)
-        short = min(1.0, 0.3 / max(step, 1e-300))  # a step limit keeps Newton on the near branch
-        x, y = x + short * dx, y + short * dy
+        damping = min(1.0, 0.3 / max(step, 1e-300))  # a limited step stays on the near branch
+        x, y = x + damping * dx, y + damping * dy
         if not step > 1e-13:
             break
     _, _, xx, xy, yy = distorted(x, y, k)
@@ -148,32 +148,32 @@ def _distort(xy, k, out, J):
 
 
 def distort(xy: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
-    """Ideal reduced coordinates x/z, y/z, (n, 2), to distorted ones, (n, 2), and their Jacobian, (n, 2, 2)."""
+    """Distort ideal reduced coordinates x/z, y/z, (n, 2); also return the Jacobian, (n, 2, 2)."""
     out, J = np.empty((len(xy), 2)), np.empty((len(xy), 2, 2))
     _distort(np.asarray(xy, dtype=np.float64), camera.distortion, out, J)
     return out, J
 
 
 def reduced_to_pixel(xy: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
-    """Ideal reduced coordinates, (n, 2), to pixels, (n, 2), and duv_dxy, (n, 2, 2)."""
+    """Convert ideal reduced coordinates (n, 2) to pixels (n, 2); also return duv_dxy, (n, 2, 2)."""
     d, J = distort(xy, camera)
     f = np.array([camera.fx, camera.fy])
     return d * f + (camera.cx, camera.cy), J * f[:, None]
 
 
 def interior_vector(camera: InteriorOrientation) -> Array:
-    """fx, fy, cx, cy, k1, k2, p1, p2, k3, (9,)."""
+    """Return fx, fy, cx, cy, k1, k2, p1, p2, k3, (9,)."""
     return np.array([*camera.intrinsic, *camera.distortion])
 
 
 def with_interior(camera: InteriorOrientation, vector: Array) -> InteriorOrientation:
-    """The camera with other values, (9,) in the order of `interior_vector`; its covariance stays."""
+    """Return the camera with new values (9,) in the order of `interior_vector`, and its old covariance."""
     fx, fy, cx, cy = (float(v) for v in vector[:4])
     return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=vector[4:].copy())
 
 
 def interior_jacobian(xy: Array, camera: InteriorOrientation) -> Array:
-    """duv_dinterior, (n, 2, 9): pixels by fx, fy, cx, cy, k1, k2, p1, p2, k3, at ideal reduced coordinates (n, 2)."""
+    """Return duv_dinterior, (n, 2, 9), by fx, fy, cx, cy, k1, k2, p1, p2, k3, at ideal reduced coordinates (n, 2)."""
     d, _ = distort(xy, camera)
     x, y = xy[:, 0], xy[:, 1]
     r2 = x * x + y * y
@@ -189,7 +189,7 @@ def interior_jacobian(xy: Array, camera: InteriorOrientation) -> Array:
 
 
 def project(points: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
-    """Points in `cam`, (n, 3) m, to pixels, (n, 2), and duv_dpoint, (n, 2, 3).
+    """Project points (n, 3) m in `cam` to pixels (n, 2); also return duv_dpoint, (n, 2, 3).
 
     Points at or behind the projection centre (z <= 0) give nan.
     """
@@ -204,7 +204,7 @@ def project(points: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
 
 @njit(cache=True, error_model="numpy")
 def unprojected(uv, intrinsic, k, fold, xy, J):
-    """`unproject` into xy, (n, 2), and J, (n, 2, 2); `intrinsic` is fx, fy, cx, cy."""
+    """Write the result of `unproject` to xy, (n, 2), and J, (n, 2, 2); `intrinsic` is fx, fy, cx, cy."""
     fx, fy, cx, cy = intrinsic
     for i in range(len(uv)):
         x, y, xx, yx, yy = undistorted((uv[i, 0] - cx) / fx, (uv[i, 1] - cy) / fy, k, fold)
@@ -214,9 +214,9 @@ def unprojected(uv, intrinsic, k, fold, xy, J):
 
 
 def unproject(uv: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
-    """Pixels, (n, 2), to ideal reduced coordinates x/z, y/z, (n, 2), and dxy_duv, (n, 2, 2).
+    """Convert pixels (n, 2) to ideal reduced coordinates x/z, y/z, (n, 2); also return dxy_duv, (n, 2, 2).
 
-    Where the lens model folds back (no ray maps to that pixel) the result is nan: a miss, not a guess.
+    A pixel to which the lens model maps no ray gives nan.
     """
     uv = np.asarray(uv, dtype=float).reshape(-1, 2)
     xy, J = np.empty((len(uv), 2)), np.empty((len(uv), 2, 2))
@@ -226,5 +226,5 @@ def unproject(uv: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
 
 @njit(cache=True, error_model="numpy")
 def row_of(v, height):
-    """Place of an image's row v, from -1/2 at its top to 1/2 at its bottom: the time a rolling shutter reads it."""
+    """Return the readout time of row v as a fraction of all rows, from -1/2 at the top to 1/2 at the bottom."""
     return (v + 0.5) / height - 0.5

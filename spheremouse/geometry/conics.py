@@ -1,4 +1,4 @@
-"""Ellipses that circles and spheres project to."""
+"""Project circles and spheres to ellipses."""
 
 import numpy as np
 
@@ -7,12 +7,12 @@ from spheremouse.geometry.rotation import Array
 
 
 def project_circle(centre: Array, normal: Array, radius: Array | float) -> tuple[Array, Array]:
-    """Ellipses that circles in space project to, in ideal reduced coordinates.
+    """Return the ellipses of projected circles in ideal reduced coordinates.
 
-    `centre` (n, 3) m and `normal` (n, 3) unit in `cam`, `radius` m. Gives the ellipse's centre, (n, 2), and its shape
-    S, (n, 2, 2), with (x - c)^T S^-1 (x - c) = 1 on the outline; the area is pi sqrt(det S). The centre of the
-    ellipse is not the projection of the circle's centre: the difference is the eccentricity.
-    From the dual conic C C^T - r^2 (I - n n^T) of the projected circle (Hartley, Zisserman 2004, section 8.3).
+    `centre` (n, 3) m and `normal` (n, 3) unit in `cam`, `radius` m. The result is the ellipse's centre, (n, 2), and its
+    shape S, (n, 2, 2), with (x - c)^T S^-1 (x - c) = 1 on the outline and the area pi sqrt(det S). The ellipse's centre
+    differs from the projection of the circle's centre by the eccentricity.
+    The dual conic of the projected circle is C C^T - r^2 (I - n n^T) (Hartley, Zisserman 2004, section 8.3).
     """
     r2 = np.broadcast_to(np.asarray(radius, dtype=float) ** 2, (len(centre),))[:, None, None]
     D = centre[:, :, None] * centre[:, None, :] - r2 * (np.eye(3) - normal[:, :, None] * normal[:, None, :])
@@ -20,23 +20,24 @@ def project_circle(centre: Array, normal: Array, radius: Array | float) -> tuple
 
 
 def project_sphere(centre: Array, radius: float) -> tuple[Array, Array]:
-    """Outline of a sphere at `centre`, (3,) m in `cam`: ellipse centre, (2,), and shape, (2, 2), as project_circle."""
+    """Return centre (2,) and shape (2, 2) of a sphere's outline, as `project_circle`; `centre` (3,) m in `cam`."""
     c, S = _dual_conic_centre_shape((np.outer(centre, centre) - radius**2 * np.eye(3))[None])
     return c[0], S[0]
 
 
 def sphere_outline(centre: Array, radius: float, camera: InteriorOrientation, points: int = 180) -> Array:
-    """Outline in the image, (points, 2) px, of a sphere as of `project_sphere`, all of it before the camera."""
-    middle, shape = project_sphere(centre, radius)
+    """Return the outline of a sphere in the image, (points, 2) px. The whole sphere must be in front of the camera."""
+    ellipse_centre, shape = project_sphere(centre, radius)
     angle = np.linspace(0.0, 2.0 * np.pi, points, endpoint=False)
-    rim = middle + np.stack([np.cos(angle), np.sin(angle)], axis=1) @ np.linalg.cholesky(shape).T
+    rim = ellipse_centre + np.stack([np.cos(angle), np.sin(angle)], axis=1) @ np.linalg.cholesky(shape).T
     return reduced_to_pixel(rim, camera)[0]
 
 
 def ellipse_to_pixel(centre: Array, shape: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
-    """Centroid, (n, 2) px, and shape, (n, 2, 2) px², of ellipses given in reduced coordinates, (n, 2), (n, 2, 2).
+    """Convert ellipses from reduced coordinates, (n, 2) and (n, 2, 2), to centroids (n, 2) px and shapes (n, 2, 2) px².
 
-    The lens bends an ellipse; its centroid is taken of the bent outline, its shape from the Jacobian at the centre.
+    The lens distorts an ellipse. The centroid is that of the distorted outline, and the shape follows from the Jacobian
+    at the centre.
     """
     uv, J = reduced_to_pixel(centre, camera)
     S = J @ shape @ J.transpose(0, 2, 1)

@@ -1,4 +1,4 @@
-"""Assignment of one to one."""
+"""One-to-one assignment."""
 
 import numpy as np
 from numba import njit
@@ -8,9 +8,9 @@ from spheremouse.geometry.rotation import Array
 
 
 def assign(cost: Array, gate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Pairs (rows, columns) of a cost matrix, (n, m), one-to-one, all below `gate`.
+    """Return one-to-one pairs (rows, columns) of a cost matrix, (n, m), all below `gate`.
 
-    Minimises the sum of costs where leaving a row alone costs `gate`: as many pairs as are worth it.
+    They minimise the sum of costs, where an unpaired row costs `gate`.
     """
     if cost.size == 0:
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
@@ -22,9 +22,9 @@ def assign(cost: Array, gate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]
 
 @njit(cache=True)
 def match(worth: Array) -> NDArray[np.intp]:
-    """One-to-one pairs of greatest total worth: for each row of `worth`, (n, m), its column, or -1.
+    """Return for each row of `worth`, (n, m), its column in the one-to-one pairs of greatest total worth, or -1.
 
-    A row may stay alone for 0. Where the best columns of all rows differ, that is it.
+    An unpaired row is worth 0. If the best columns of all rows differ, they are the solution.
     """
     n, m = worth.shape
     column = np.full(n, -1)
@@ -43,9 +43,10 @@ def match(worth: Array) -> NDArray[np.intp]:
 
 @njit(cache=True)
 def _augment(worth: Array, wanted: NDArray[np.intp]) -> NDArray[np.intp]:
-    """`match` by shortest augmenting paths (Kuhn 1955, Munkres 1957), among the columns `wanted` and one spare a row.
+    """Return the result of `match` by shortest augmenting paths (Kuhn 1955, Munkres 1957).
 
-    Rows and columns count from 1 here; column 0 holds the row that is being placed.
+    Candidates are the columns `wanted`, and one spare column for each row. Rows and columns count from 1; column 0
+    holds the row that is being assigned.
     """
     n, k = len(worth), len(wanted)
     width = k + n + 1

@@ -1,7 +1,7 @@
-"""Rotations in three dimensions: vectors and angles in, matrices out, and back.
+"""Rotations in three dimensions: conversions between rotation vectors, Euler angles and matrices.
 
-Arrays carry leading batch axes: (..., 3) vectors, (..., 3, 3) matrices. Angles in radians.
-Closed forms: Sola, Deray, Atchuthan 2018, "A micro Lie theory", section VII; Euler angles: Wittich 2017, eq. 9.
+Arrays have leading batch axes: (..., 3) vectors, (..., 3, 3) matrices. Angles are in radians. Closed forms: Sola,
+Deray, Atchuthan 2018, "A micro Lie theory", section VII. Euler angles: Wittich 2017, eq. 9.
 """
 
 import numpy as np
@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_SMALL = 1e-6  # rad: below, series truncated after the second term are exact to double precision
+_SMALL_ANGLE = 1e-6  # rad; below it series of two terms are exact to double precision
 
-# Functions whose name ends in _into are compiled and write into what the caller gives: for other compiled code.
+# Functions with names in _into are compiled, for other compiled code. They write to an array of the caller.
 
 
 def hat(v: Array) -> Array:
-    """Skew-symmetric matrix, (..., 3) -> (..., 3, 3), so that hat(a) @ b = a x b."""
+    """Return the skew-symmetric matrix with hat(a) @ b = a x b, (..., 3) -> (..., 3, 3)."""
     v = np.asarray(v, dtype=float)
     m = np.zeros((*v.shape, 3))
     m[..., 0, 1] = -v[..., 2]
@@ -30,20 +30,20 @@ def hat(v: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def exp_into(v, R):
-    """`exp` of one vector, (3,), into R, (3, 3)."""
+    """Write `exp` of one vector, (3,), to R, (3, 3)."""
     square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
     angle = np.sqrt(square)
-    a = np.sin(angle) / angle if angle > _SMALL else 1.0 - square / 6.0
-    b = 2.0 * (np.sin(0.5 * angle) / angle) ** 2 if angle > _SMALL else 0.5 - square / 24.0
+    a = np.sin(angle) / angle if angle > _SMALL_ANGLE else 1.0 - square / 6.0
+    b = 2.0 * (np.sin(0.5 * angle) / angle) ** 2 if angle > _SMALL_ANGLE else 0.5 - square / 24.0
     _into(v, 1.0 - b * square, a, b, R)
 
 
 @njit(cache=True, error_model="numpy")
 def left_jacobian_into(v, J):
-    """`left_jacobian` of one vector, (3,), into J, (3, 3)."""
+    """Write `left_jacobian` of one vector, (3,), to J, (3, 3)."""
     square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
     angle = np.sqrt(square)
-    small = angle < 1e-4  # the cubic coefficient cancels badly below; its series is exact there
+    small = angle < 1e-4  # below it the cubic coefficient loses precision, and its series is exact
     a = 0.5 - square / 24.0 if small else 2.0 * (np.sin(0.5 * angle) / angle) ** 2
     b = 1.0 / 6.0 - square / 120.0 if small else (angle - np.sin(angle)) / (angle * square)
     _into(v, 1.0 - b * square, a, b, J)
@@ -51,7 +51,7 @@ def left_jacobian_into(v, J):
 
 @njit(cache=True, error_model="numpy")
 def _into(v, one, a, b, M):
-    """one I + a hat(v) + b v v' into M."""
+    """Write one I + a hat(v) + b v v' to M."""
     for i in range(3):
         for j in range(3):
             M[i, j] = b * v[i] * v[j]
@@ -66,14 +66,14 @@ def _into(v, one, a, b, M):
 
 @njit(cache=True, error_model="numpy")
 def log_into(R, v):
-    """`log` of one matrix, (3, 3), into v, (3,)."""
+    """Write `log` of one matrix, (3, 3), to v, (3,)."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
-    most, case = trace, 3
+    largest, case = trace, 3
     for i in range(3):
-        if R[i, i] > most:
-            most, case = R[i, i], i
+        if R[i, i] > largest:
+            largest, case = R[i, i], i
     if case == 3:
-        w = 1.0 + trace  # the quaternion, not yet of unit length
+        w = 1.0 + trace  # of the quaternion, before normalisation
         v[0], v[1], v[2] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
     else:
         i, j, k = case, (case + 1) % 3, (case + 2) % 3
@@ -87,7 +87,7 @@ def log_into(R, v):
     for i in range(3):
         v[i] *= sign / length
     s = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    scale = 2.0 if s < _SMALL else 2.0 * np.arctan2(s, w) / s
+    scale = 2.0 if s < _SMALL_ANGLE else 2.0 * np.arctan2(s, w) / s
     for i in range(3):
         v[i] *= scale
 
@@ -111,7 +111,7 @@ def _left_jacobian_all(v, J):
 
 
 def exp(v: Array) -> Array:
-    """Rotation matrix of a rotation vector, (..., 3) rad -> (..., 3, 3) (Rodrigues)."""
+    """Return the rotation matrix of a rotation vector, (..., 3) rad -> (..., 3, 3) (Rodrigues)."""
     v = np.asarray(v, dtype=np.float64)
     R = np.empty((*v.shape, 3))
     _exp_all(v.reshape(-1, 3), R.reshape(-1, 3, 3))
@@ -119,9 +119,9 @@ def exp(v: Array) -> Array:
 
 
 def log(R: Array) -> Array:
-    """Rotation vector of a rotation matrix, (..., 3, 3) -> (..., 3) rad, length in [0, pi].
+    """Return the rotation vector of a rotation matrix, (..., 3, 3) -> (..., 3) rad, length in [0, pi].
 
-    Goes through the unit quaternion (Shepperd 1978), which keeps full precision near pi.
+    The way by the unit quaternion (Shepperd 1978) has full precision near pi.
     """
     R = np.asarray(R, dtype=np.float64)
     v = np.empty(R.shape[:-1])
@@ -130,7 +130,7 @@ def log(R: Array) -> Array:
 
 
 def left_jacobian(v: Array) -> Array:
-    """Jl with exp(v + dv) = exp(Jl(v) dv) exp(v) to first order, (..., 3) -> (..., 3, 3)."""
+    """Return Jl with exp(v + dv) = exp(Jl(v) dv) exp(v) to first order, (..., 3) -> (..., 3, 3)."""
     v = np.asarray(v, dtype=np.float64)
     J = np.empty((*v.shape, 3))
     _left_jacobian_all(v.reshape(-1, 3), J.reshape(-1, 3, 3))
@@ -138,7 +138,7 @@ def left_jacobian(v: Array) -> Array:
 
 
 def from_euler(angles: Array) -> Array:
-    """R = Rx(omega) Ry(phi) Rz(kappa), active and right-handed, (..., 3) rad -> (..., 3, 3).
+    """Return R = Rx(omega) Ry(phi) Rz(kappa), active and right-handed, (..., 3) rad -> (..., 3, 3).
 
     Wittich 2017, eq. 9 expanded; equals SciPy's Rotation.from_euler("XYZ", angles).
     """
@@ -159,9 +159,9 @@ def from_euler(angles: Array) -> Array:
 
 
 def to_euler(R: Array) -> Array:
-    """omega, phi, kappa of from_euler, (..., 3, 3) -> (..., 3) rad, phi in [-pi/2, pi/2].
+    """Return omega, phi, kappa of `from_euler`, (..., 3, 3) -> (..., 3) rad, phi in [-pi/2, pi/2].
 
-    Within 1e-9 of phi = +-90 deg only omega +- kappa is determined: kappa is set to 0.
+    Within 1e-9 of phi = +-90 deg only omega +- kappa is determined, and kappa is 0.
     """
     R = np.asarray(R, dtype=float)
     phi = np.arctan2(R[..., 0, 2], np.hypot(R[..., 0, 0], R[..., 0, 1]))
@@ -172,9 +172,9 @@ def to_euler(R: Array) -> Array:
 
 
 def euler_rate_matrix(angles: Array) -> Array:
-    """E with w_obj = E @ d(omega, phi, kappa)/dt, (..., 3) -> (..., 3, 3).
+    """Return E with w_obj = E @ d(omega, phi, kappa)/dt, (..., 3) -> (..., 3, 3).
 
-    Its determinant is cos(phi): it loses rank at phi = +-90 deg, where Euler rates say nothing of one axis.
+    Its determinant is cos(phi), so it is singular at phi = +-90 deg.
     """
     angles = np.asarray(angles, dtype=float)
     so, sp, _ = np.moveaxis(np.sin(angles), -1, 0)
@@ -189,9 +189,9 @@ def euler_rate_matrix(angles: Array) -> Array:
 
 
 def tangent_basis(u: Array) -> Array:
-    """Two orthonormal columns perpendicular to each unit vector, (..., 3) -> (..., 3, 2).
+    """Return two orthonormal columns perpendicular to each unit vector, (..., 3) -> (..., 3, 2).
 
-    Smooth on either side of z = 0, where it jumps; no such basis is smooth on the whole sphere.
+    The basis jumps at z = 0; no such basis is smooth on the whole sphere.
     Duff et al. 2017, "Building an orthonormal basis, revisited".
     """
     u = np.asarray(u, dtype=float)
@@ -214,10 +214,9 @@ def fibonacci_sphere(n: int) -> Array:
 
 
 def align(a: Array, b: Array, weights: Array | None = None) -> Array:
-    """Rotation R, (3, 3), that minimises sum w |b - R a|^2 over pairs of vectors, both (n, 3).
+    """Return the rotation R, (3, 3), that minimises sum w |b - R a|^2 over pairs of vectors, both (n, 3).
 
-    Wahba's problem by singular value decomposition (Markley 1988). At least two directions must differ;
-    with fewer the result is one of many.
+    Wahba's problem by singular value decomposition (Markley 1988). The result is unique if two directions differ.
     """
     w = np.ones(len(a)) if weights is None else weights
     u, _, vt = np.linalg.svd((b * w[:, None]).T @ a)
@@ -226,7 +225,7 @@ def align(a: Array, b: Array, weights: Array | None = None) -> Array:
 
 
 def rotation_between(before: Array, after: Array) -> Array:
-    """Rotation vector in `obj`, (3,) rad, that turns attitude `before` into `after` (both R_obj_ball, (3, 3))."""
+    """Return the rotation vector in `obj`, (3,) rad, from attitude `before` to `after`, both R_obj_ball, (3, 3)."""
     v = np.empty(3)
     _between(before, after, v)
     return v

@@ -20,8 +20,13 @@ from spheremouse.calibrate.camera.bundle import (
     unknowns_of,
 )
 from spheremouse.errors import CalibrationError
-from spheremouse.geometry.least_squares.adjust import Jacobian, cofactors
-from spheremouse.geometry.least_squares.reliability import outlier_statistic, redundancy, variance_factors
+from spheremouse.geometry.least_squares.adjust import (
+    Jacobian,
+    cofactors,
+    outlier_statistic,
+    redundancy,
+    variance_factors,
+)
 from spheremouse.geometry.rotation import Array, exp, left_jacobian
 from spheremouse.geometry.statistics import FALSE_ALARM
 

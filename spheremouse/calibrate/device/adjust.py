@@ -27,7 +27,7 @@ from spheremouse.calibrate.device.bundle import (
 from spheremouse.calibrate.device.start import TargetViews
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, interior_vector, with_interior
-from spheremouse.geometry.least_squares.reliability import outlier_statistic, redundancy, variance_factors
+from spheremouse.geometry.least_squares.adjust import outlier_statistic, redundancy, variance_factors
 from spheremouse.geometry.least_squares.sphere import Sphere, fit_sphere, off_sphere
 from spheremouse.geometry.rotation import Array, exp, tangent_basis
 from spheremouse.geometry.statistics import gate

@@ -11,7 +11,7 @@ from scipy import sparse
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration, image_residuals
 from spheremouse.calibrate.device.plans import ENOUGH, NAMES, Advice, length, work_of
-from spheremouse.geometry.least_squares.reliability import redundancy
+from spheremouse.geometry.least_squares.adjust import redundancy
 from spheremouse.geometry.rotation import Array, fibonacci_sphere
 from spheremouse.geometry.statistics import FALSE_ALARM, gate, ratio_gate
 

@@ -30,7 +30,7 @@ from spheremouse.calibrate.device.correspond import Spots, ball_rig, from_severa
 from spheremouse.calibrate.device.start import TargetViews, first_block, target_views
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.geometry.least_squares.sphere import FEWEST
+from spheremouse.geometry.least_squares.sphere import MIN_POINTS
 from spheremouse.geometry.rotation import Array, hat
 
 TARGET_SIGMA = 0.05  # px, of a ring's centre (TARGET_SIGMA_PX in ball/pose.py)
@@ -163,10 +163,10 @@ def _numbered_points(
     """Spots on the ball that are seen in two photos at least, `tolerance` m apart at most."""
     directions, index = on_ball(Spots(photo, centre, np.ones(len(photo))), block.poses, block.camera, K, R)
     number = numbered(photo[index], directions, tolerance / R)
-    if number.max(initial=-1) + 1 < FEWEST:
+    if number.max(initial=-1) + 1 < MIN_POINTS:
         raise CalibrationError(
-            f"{number.max(initial=-1) + 1} discs are seen in two photos or more, at least {FEWEST} are needed: take "
-            "photos that overlap, and keep the ball still between them"
+            f"{number.max(initial=-1) + 1} discs are seen in two photos or more, at least {MIN_POINTS} are needed: "
+            "take photos that overlap, and keep the ball still between them"
         )
     index, directions, number = index[number >= 0], directions[number >= 0], number[number >= 0]
     middle = np.stack([np.bincount(number, directions[:, j]) for j in range(3)], axis=1)
@@ -209,7 +209,7 @@ def _doubtful(result: Bundled, spots: Spots, views: TargetViews, device: Device)
     for i, k in enumerate(views.photos):
         mine = (photo == i) & seen_elsewhere
         n, m = int(np.count_nonzero(mine)), int(np.count_nonzero(mine & known))
-        if n >= FEWEST and m < n / 3:
+        if n >= MIN_POINTS and m < n / 3:
             told.append(
                 (k, f"only {m} of its {n} discs are where other photos show them: did the ball turn before it?")
             )

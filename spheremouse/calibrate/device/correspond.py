@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from spheremouse.ball.rig import Ball, Rig, Targets, directions_at
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
-from spheremouse.geometry.least_squares.sphere import through_four
+from spheremouse.geometry.least_squares.sphere import algebraic_sphere
 from spheremouse.geometry.rotation import Array
 
 _TRIES = 3000  # samples of two points: with six false points of seven, 60 of them are clean
@@ -90,7 +90,7 @@ def near_sphere(
     for _, K, R in rough[:_PROMISING]:
         near = np.flatnonzero(_inside(points, K, R, _LOOSE * R))
         for _ in range(_FOURS if len(near) >= 5 else 0):
-            four, its_radius = through_four(points.position[rng.choice(near, 4, replace=False)])
+            four, its_radius = algebraic_sphere(points.position[rng.choice(near, 4, replace=False)])
             score = _score(points, four, its_radius, tolerance) if its_radius < largest else 0.0
             if score > best:
                 best, centre, radius = score, four, its_radius
@@ -101,7 +101,7 @@ def near_sphere(
                 "fewer than 5 dark spots lie on a sphere: light the ball so that its discs stand out, and photograph "
                 "it from places further apart"
             )
-        centre, radius = through_four(points.position[inside])
+        centre, radius = algebraic_sphere(points.position[inside])
     return centre, radius
 
 

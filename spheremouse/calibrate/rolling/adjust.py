@@ -26,7 +26,7 @@ from spheremouse.calibrate.rolling.problem import (
 )
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.geometry.least_squares.reliability import outlier_statistic, variance_factors
+from spheremouse.geometry.least_squares.adjust import outlier_statistic, variance_factors
 from spheremouse.geometry.rotation import Array, tangent_basis
 
 _OUTLIER = 18.4  # squared normalised residual: of points with normal errors one in ten thousand goes beyond

@@ -1,10 +1,9 @@
-"""Least squares: weighted residuals with their Jacobian in, adjusted unknowns with covariance and residual checks out.
+"""Least squares in the Gauss-Markov model: adjusted unknowns, their cofactors, redundancy, outliers, variance factors.
 
-Gauss-Markov model (Wittich 2017, section 2.3; Förstner, Wrobel 2016, chapter 4): minimum, cofactors, redundancy
-numbers, variance components, and the test that finds a false observation.
+Sources: Wittich 2017, section 2.3; Förstner, Wrobel 2016, chapter 4.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
@@ -21,23 +20,23 @@ Jacobian = sparse.csr_array
 Evaluate = Callable[[Array], tuple[Array, Jacobian]]
 T = TypeVar("T")
 
-_LEVEL = 1e-10  # part by which the cost may still fall: digits beyond any measurement
-_SHORT = 1e-5  # standard deviations of the residuals by which the last step moves them
-_DAMPING = 1e-10  # least, of the scaled normal matrix: what photos hardly fix has pivots of 1e-6
-_STUCK = 1e12  # damping at which no step is left
-_FIRM = 1e-12  # least pivot of the scaled normal matrix: below, an unknown hangs in the air
-_RENEWED = 21  # times, at most
-_FALSE = "some observation belongs to something else"
-PRIOR = 10.0  # redundancy that the assumed variance is worth beside the one found
+_COST_TOLERANCE = 1e-10  # relative decrease of the cost at convergence, below any measurement's precision
+_STEP_TOLERANCE = 1e-5  # standard deviations of the residuals by which the last step changes them
+_MIN_DAMPING = 1e-10  # of the scaled normal matrix; weakly determined unknowns of photos have pivots of 1e-6
+_MAX_DAMPING = 1e12  # at which the step is 0
+_MIN_PIVOT = 1e-12  # of the scaled normal matrix; below it an unknown is undetermined
+_MAX_REWEIGHTINGS = 21
+_FALSE_OBSERVATION = "some observation belongs to something else"
+_PRIOR_REDUNDANCY = 10.0  # weight of the assumed variance beside the estimated one
 
 
 @dataclass(frozen=True, slots=True)
 class Adjusted:
-    """Unknowns at the minimum. Residuals are divided by their standard deviations: weight 1."""
+    """Unknowns at the minimum. Residuals are divided by their standard deviations."""
 
     x: Array  # (u,)
     residual: Array  # (n,) of unit variance
-    jacobian: Jacobian  # (n, u) of them
+    jacobian: Jacobian  # (n, u) of the residuals
 
     @property
     def cost(self) -> float:
@@ -50,26 +49,26 @@ class Move(NamedTuple):
 
     shared: Array  # (s,)
     own: Array  # (v, k)
-    promised: float  # by how much the sum of squares falls, were the residuals linear
-    length: float  # standard deviations of the residuals by which it moves them, at most
+    promised: float  # decrease of the sum of squares in the linear model
+    length: float  # largest change of the residuals, standard deviations
 
 
 @dataclass(frozen=True, slots=True)
 class Normal:
-    """Normal equations of `s` unknowns that all residuals share, and of `k` local ones in each of `v` groups of them.
+    """Normal equations of `s` shared unknowns and of `k` local ones in each of `v` groups of residuals.
 
-    The local ones, of a view or a frame, are eliminated (Schur complement; Förstner, Wrobel 2016, section 15.2): a
-    hundred groups cost little more than ten.
+    The local unknowns, of a view or a frame, are eliminated by the Schur complement (Förstner, Wrobel 2016, section
+    15.2). So a hundred groups cost little more than ten.
     """
 
     shared: Array  # (s, s) J'J
-    right: Array  # (s,) -J'r, of residuals r computed minus seen
+    right: Array  # (s,) -J'r, of residuals r computed minus measured
     own: Array  # (v, k, k)
     cross: Array  # (v, k, s)
     own_right: Array  # (v, k)
 
     def step(self, damping: float) -> Move | None:
-        """The step to the least sum of squares, with the diagonal enlarged by the part `damping`; None: no minimum."""
+        """Return the step to the minimum with a diagonal increased by the fraction `damping`, or None."""
         scale, own_scale = _unit(np.diag(self.shared)), _unit(np.einsum("vii->vi", self.own))
         N = self.shared * np.outer(scale, scale) + damping * np.eye(len(scale))
         own = self.own * own_scale[:, :, None] * own_scale[:, None, :] + damping * np.eye(self.own.shape[1])
@@ -87,67 +86,68 @@ class Normal:
         return Move(scale * x, own_scale * y, promised, float(np.sqrt(squares)))
 
 
-def _no_groups(shared: int) -> tuple[Array, Array, Array]:
-    """The part of local unknowns where there are none."""
+def no_groups(shared: int) -> tuple[Array, Array, Array]:
+    """Return the parts of a `Normal` without local unknowns."""
     return np.zeros((0, 0, 0)), np.zeros((0, 0, shared)), np.zeros((0, 0))
 
 
 def _unit(diagonal: Array) -> Array:
-    """Factors that make a diagonal 1; what nothing depends on stays."""
+    """Return the factors that scale a diagonal to 1; 1 for an unknown without effect."""
     return 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
 
 
 def levenberg_marquardt(
     at: T,
-    linear: Callable[[T], tuple[float, Callable[[], Normal]]],
-    moved: Callable[[T, Move], T],
-    restless: str,
-    most: int = 100,
+    linearise: Callable[[T], tuple[float, Callable[[], Normal]]],
+    retract: Callable[[T, Move], T],
+    failure_hint: str,
+    max_iterations: int = 100,
 ) -> T:
-    """The place of the least cost, from `at` on: Levenberg-Marquardt, damped by the gain (Nielsen 1999).
+    """Return the point of least cost, starting at `at`, by Levenberg-Marquardt with damping by gain (Nielsen 1999).
 
-    `linear` gives the cost at a place, and its normal equations when they are asked for; a cost that is not finite is
-    worse than any. CalibrationError, which ends with `restless`, where there is no beginning or no rest.
+    `linearise` returns the cost at a point, and a function for its normal equations. A cost that is not finite counts
+    as the worst. `retract` applies a step. If the start is invalid or the iteration does not converge, CalibrationError
+    is raised, with `failure_hint`.
     """
-    cost, normal = linear(at)
+    cost, normal = linearise(at)
     if not np.isfinite(cost):
-        raise CalibrationError(f"the adjustment has no beginning: {restless}")
-    damping = _DAMPING
-    for _ in range(most):
+        raise CalibrationError(f"the adjustment has no beginning: {failure_hint}")
+    damping = _MIN_DAMPING
+    for _ in range(max_iterations):
         equations, growth = normal(), 2.0
         while True:
             move = equations.step(damping)
             if move is not None:
-                if move.promised <= _LEVEL**2 * cost:
+                if move.promised <= _COST_TOLERANCE**2 * cost:
                     return at
-                there = moved(at, move)
-                lower, normal = linear(there)
+                there = retract(at, move)
+                lower, normal = linearise(there)
                 gain = (cost - lower) / move.promised
                 if gain > 0.0:  # nan is not
                     break
             damping, growth = damping * growth, 2.0 * growth
-            if damping > _STUCK:
+            if damping > _MAX_DAMPING:
                 return at
-        damping = max(damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), _DAMPING)
+        damping = max(damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), _MIN_DAMPING)
         at, cost, fallen = there, lower, cost - lower
-        if fallen <= _LEVEL * cost or move.length <= _SHORT:
+        if fallen <= _COST_TOLERANCE * cost or move.length <= _STEP_TOLERANCE:
             return at
-    raise CalibrationError(f"the adjustment does not come to rest: {restless}")
+    raise CalibrationError(f"the adjustment does not come to rest: {failure_hint}")
 
 
 def adjust(evaluate: Evaluate, x0: Array, robust: float | None = None) -> Adjusted:
-    """Minimise the sum of squares of `evaluate(x)`, or Huber's function of them with its knee at `robust`.
+    """Minimise the sum of squares of the residuals, or Huber's function of them with its knee at `robust`.
 
-    `evaluate` gives residuals (n,) over their standard deviations, and their Jacobian (n, u). Huber's by weights that
-    are renewed until they settle. CalibrationError where it does not come to rest. SciPy's decomposes the Jacobian
-    itself, exactly: thirty times as long for thirty photos, for digits that a network with a datum does not need.
+    `evaluate` returns residuals (n,) over their standard deviations, and their Jacobian (n, u). Huber's function is
+    minimised by iterative reweighting. Raises CalibrationError if the iteration does not converge. SciPy's solver
+    decomposes the Jacobian and takes thirty times as long for thirty photos; a network with a datum does not need it.
     """
     x = np.array(x0, dtype=float)
     if robust is None:
         x = _weighted(evaluate, x, None)
         return Adjusted(x, *evaluate(x))
     found, weight = Adjusted(x, *evaluate(x)), np.zeros(0)
-    for _ in range(_RENEWED):
+    for _ in range(_MAX_REWEIGHTINGS):
         before, weight = weight, huber(found.residual, robust)
         if len(before) and np.max(np.abs(weight - before)) < 1e-3:
             break
@@ -157,37 +157,37 @@ def adjust(evaluate: Evaluate, x0: Array, robust: float | None = None) -> Adjust
 
 
 def _weighted(evaluate: Evaluate, x: Array, weight: Array | None) -> Array:
-    """The minimum of squares of residuals times `weight`, (n,)."""
+    """Return the minimum of the squared residuals times `weight`, (n,)."""
 
-    def linear(x: Array) -> tuple[float, Callable[[], Normal]]:
+    def linearise(x: Array) -> tuple[float, Callable[[], Normal]]:
         r, J = evaluate(x)
         if weight is not None:
             r, J = weight * r, J.multiply(weight[:, None]).tocsr()
 
         def normal() -> Normal:
-            return Normal(sparse.csr_array(J.T @ J).toarray(), -np.asarray(J.T @ r), *_no_groups(len(x)))
+            return Normal(sparse.csr_array(J.T @ J).toarray(), -np.asarray(J.T @ r), *no_groups(len(x)))
 
         return float(r @ r), normal
 
-    return levenberg_marquardt(x, linear, lambda x, move: x + move.shared, _FALSE)
+    return levenberg_marquardt(x, linearise, lambda x, move: x + move.shared, _FALSE_OBSERVATION)
 
 
 def huber(residual: Array, knee: float | None) -> Array:
-    """Factors on residuals and Jacobian that make squares Huber's function; 1 without a knee."""
+    """Return the factors on residuals and Jacobian that turn squares into Huber's function; 1 without a knee."""
     size = np.maximum(np.abs(residual), 1e-12)
     return np.ones_like(residual) if knee is None else np.sqrt(np.minimum(1.0, knee / size))
 
 
 def huber_cost(residual: Array, knee: float | None) -> float:
-    """Twice Huber's function of residuals, their squares up to the knee; the sum of all squares without one."""
+    """Return twice Huber's function of the residuals; without a knee the sum of squares."""
     size = np.abs(residual)
     return float(np.sum(size**2 if knee is None else np.where(size < knee, size**2, knee * (2.0 * size - knee))))
 
 
 def cofactors(jacobian: Jacobian, columns: NDArray[np.intp] | None = None) -> Array:
-    """Inverse of the normal matrix, (u, u), or of its block of some columns, (k, k): covariance at unit variance.
+    """Return the covariance at unit variance: the inverse of the normal matrix, (u, u), or its block of some columns.
 
-    LinAlgError where the observations leave an unknown open; its argument is the column.
+    Raises LinAlgError with the column of an undetermined unknown.
     """
     u = int(jacobian.shape[1])  # pyright: ignore[reportOptionalSubscript]
     columns = np.arange(u) if columns is None else columns
@@ -196,10 +196,10 @@ def cofactors(jacobian: Jacobian, columns: NDArray[np.intp] | None = None) -> Ar
         raise np.linalg.LinAlgError(int(np.argmin(scale)))
     scaled = jacobian @ sparse.diags_array(1.0 / scale)
     normal = sparse.csc_array(scaled.T @ scaled)
-    # the matrix is definite: no pivoting for size, so that a small pivot means what it says
+    # The matrix is definite, so it needs no pivoting for size, and a small pivot shows an undetermined unknown.
     factor = _factored(normal)
     pivot = np.abs(factor.U.diagonal())
-    if pivot.min() < _FIRM:
+    if pivot.min() < _MIN_PIVOT:
         raise np.linalg.LinAlgError(int(np.argsort(factor.perm_c)[int(np.argmin(pivot))]))
     unit = np.zeros((u, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
@@ -208,9 +208,50 @@ def cofactors(jacobian: Jacobian, columns: NDArray[np.intp] | None = None) -> Ar
 
 
 def _factored(normal: Any) -> Any:
-    """Its decomposition; of one that is singular to the last digit that of a neighbour, whose pivots tell it too."""
+    """Return the LU decomposition; of an exactly singular matrix that of a slightly regularised one."""
     options = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
     try:
         return splu(normal, **options)
     except RuntimeError:
-        return splu(sparse.csc_array(normal + 1e-2 * _FIRM * sparse.eye_array(normal.shape[0])), **options)
+        return splu(sparse.csc_array(normal + 1e-2 * _MIN_PIVOT * sparse.eye_array(normal.shape[0])), **options)
+
+
+# ---- reliability ----
+
+
+def redundancy(jacobian: Jacobian, Q: Array, size: int = 1) -> Array:
+    """Return the cofactors of the residuals, (n / size, size, size): diagonal blocks of I - J Q J'.
+
+    For a single observation (size 1) it is the redundancy number: 0 for an unchecked one, 1 for a fully checked one.
+    """
+    blocks = (jacobian @ Q).reshape(-1, size, Q.shape[0])
+    J = jacobian.toarray().reshape(-1, size, Q.shape[0])
+    return np.eye(size) - blocks @ J.transpose(0, 2, 1)
+
+
+def outlier_statistic(residual: Array, cofactor: Array) -> Array:
+    """Return the squared normalised residual of n groups, (n,): chi-square with `size` degrees of freedom.
+
+    Data snooping (Baarda 1968) for points: `residual` (n, size), `cofactor` (n, size, size) of `redundancy`. An
+    unchecked group gives 0.
+    """
+    value, vector = np.linalg.eigh(cofactor)
+    along = np.einsum("nji,nj->ni", vector, residual)
+    checked = value > 1e-6
+    return np.sum(np.where(checked, along**2 / np.where(checked, value, 1.0), 0.0), axis=1)
+
+
+def variance_factors(
+    residual: Array, number: Array, groups: Sequence[NDArray[np.bool_]], factors: Array | None = None
+) -> Array:
+    """Return the estimated variance of each group of observations over its first assumption, (k,).
+
+    `residual` and redundancy `number` are of an adjustment with these `factors` on the variances (None: 1). The
+    estimate is the sum of squares over the sum of redundancy numbers (Förstner 1979), shrunk to 1 by a prior. It is the
+    mean of the inverse gamma distribution after `_PRIOR_REDUNDANCY` observations of variance 1 and these ones. So
+    errors over the resulting covariances are 1 in the mean.
+    """
+    before = np.ones(len(groups)) if factors is None else factors
+    squares = np.array([np.sum(residual[g] ** 2) for g in groups])
+    freedom = np.array([np.sum(number[g]) for g in groups])
+    return (before * squares + _PRIOR_REDUNDANCY) / (freedom + _PRIOR_REDUNDANCY - 2.0)

@@ -10,14 +10,16 @@ from scipy.stats import chi2
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.least_squares.adjust import (
     Normal,
-    _no_groups,
     adjust,
     cofactors,
     huber,
     huber_cost,
     levenberg_marquardt,
+    no_groups,
+    outlier_statistic,
+    redundancy,
+    variance_factors,
 )
-from spheremouse.geometry.least_squares.reliability import outlier_statistic, redundancy, variance_factors
 
 
 def linear(rng, n=40, u=5, sigma=0.1):
@@ -168,11 +170,11 @@ def test_what_has_no_rest_and_no_beginning_is_said_with_what_to_do():
 
     def linear(x):
         r, J = valley(x)
-        return float(r @ r), lambda: Normal((J.T @ J).toarray(), -J.T @ r, *_no_groups(2))
+        return float(r @ r), lambda: Normal((J.T @ J).toarray(), -J.T @ r, *no_groups(2))
 
     with pytest.raises(CalibrationError, match="does not come to rest: try another valley"):
         levenberg_marquardt(
-            np.array([-1.2, 1.0]), linear, lambda x, move: x + move.shared, "try another valley", most=3
+            np.array([-1.2, 1.0]), linear, lambda x, move: x + move.shared, "try another valley", max_iterations=3
         )
     with pytest.raises(CalibrationError, match="has no beginning: some observation"):
         adjust(lambda x: (np.array([np.nan]), sparse.csr_array(np.ones((1, 1)))), np.zeros(1))

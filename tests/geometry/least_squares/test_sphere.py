@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from spheremouse.errors import CalibrationError
-from spheremouse.geometry.least_squares.sphere import fit_sphere, off_sphere, through_four
+from spheremouse.geometry.least_squares.sphere import algebraic_sphere, fit_sphere, off_sphere
 
 CENTRE, RADIUS = np.array([0.3, 0.6, -0.56]), 0.6
 
@@ -124,13 +124,13 @@ def test_four_points_fix_a_sphere(seed):
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     if np.linalg.svd(u[1:] - u[0], compute_uv=False)[2] < 0.05:
         return
-    centre, radius = through_four(CENTRE + RADIUS * u)
+    centre, radius = algebraic_sphere(CENTRE + RADIUS * u)
     np.testing.assert_allclose([*centre, radius], [*CENTRE, RADIUS], atol=1e-9)
 
 
 def test_points_in_a_plane_fix_none():
     flat = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
-    assert np.isnan(through_four(flat)[1])
+    assert np.isnan(algebraic_sphere(flat)[1])
 
 
 @pytest.mark.parametrize("n", [0, 4])
