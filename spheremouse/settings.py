@@ -23,8 +23,6 @@ class Bounds(TypedDict, total=False):
 
 # Standard deviation of a position in an image: the best targets reach 0.01 px, and 10 px is the size of a disc.
 SIGMA_PX: Bounds = {"ge": 1e-3, "le": 10.0}
-# A distance in an image: 0.01 px is noise, 100 px another object.
-PIXELS: Bounds = {"ge": 0.01, "le": 100.0}
 # An area in an image; no disc has 1000 x 1000 px.
 AREA: Bounds = {"ge": 0.1, "le": 1e6}
 # A waiting time: from a frame of the fastest camera to an hour.
@@ -43,8 +41,6 @@ PER_RADIAN: Bounds = {"ge": 1.0, "le": 1e6}
 HAND: Bounds = {"ge": 0.01, "le": 100.0}
 # Rotation of a hand, rad/s and rad/s²: 0.01 is rest, 1000 five turns between two frames at 30 Hz.
 HAND_TURN: Bounds = {"ge": 0.01, "le": 1000.0}
-# An angle, rad: from a hundredth of a pixel to an unknown rotation.
-ANGLE: Bounds = {"ge": 1e-4, "le": 1.0}
 # Steps of a camera's controls, in the kernel 32-bit integers.
 STEPS: Bounds = {"ge": 0, "le": 2**31 - 1}
 

@@ -4,18 +4,17 @@ The settings dataclasses are the schema; their fields (`settings.param`) have un
 only what differs from the defaults. `override` applies one `--set KEY=VALUE`.
 """
 
-import contextlib
 import dataclasses
 import functools
 import re
 import textwrap
 import types
 import typing
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, create_model
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, create_model
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.validate import GONE, gone, nearest, validated
@@ -115,49 +114,42 @@ def dump_commented(settings: Any, keys: Collection[str] | None = None) -> str:
 
 def dump(settings: S, default: S) -> str:
     """Return settings as YAML without comments, but for the default of each setting that differs from `default`."""
-    before, nulls = dict(parameters(default)), set(_with_null(settings))
+    before = dict(parameters(default))
     lines = [f"schema: {SCHEMAS[KIND]}"]
     section: Key = ()
-    for key, value in parameters(settings):
+    for key, field, value in _fields(settings):
         for depth in range(len(key) - 1):
             if section[: depth + 1] != key[: depth + 1]:
                 lines.append(f"{'  ' * depth}{key[depth]}:")
         section = key[:-1]
         mark = "" if value == before.get(key) else f"  # default: {to_yaml(before.get(key))}"
-        unset = "# " if value is None and key in nulls else ""  # a written null would mean a value
-        lines.append(f"{'  ' * len(section)}{unset}{key[-1]}: {to_yaml(value)}{mark}")
+        lines.append(f"{'  ' * len(section)}{_assignment(field, value)}{mark}")
     return "\n".join(lines) + "\n"
 
 
-def parameters(settings: Any, prefix: Key = ()) -> Iterator[tuple[Key, Any]]:
+def parameters(settings: Any) -> Iterator[tuple[Key, Any]]:
     """Yield every setting with its key and value, those outside of sections first."""
+    return ((key, value) for key, _, value in _fields(settings))
+
+
+def _fields(settings: Any, prefix: Key = ()) -> "Iterator[tuple[Key, dataclasses.Field[Any], Any]]":
     for field in _ordered(type(settings)):
-        value = getattr(settings, field.name)
+        key, value = (*prefix, field.name), getattr(settings, field.name)
         if _is_section(type(settings), field):
-            yield from parameters(value, (*prefix, field.name))
+            yield from _fields(value, key)
         else:
-            yield (*prefix, field.name), value
-
-
-def _with_null(settings: Any, prefix: Key = ()) -> Iterator[Key]:
-    """Yield the keys for which a written null means a value."""
-    for field in _ordered(type(settings)):
-        if _is_section(type(settings), field):
-            yield from _with_null(getattr(settings, field.name), (*prefix, field.name))
-        elif field.metadata.get("null") is not None:
-            yield (*prefix, field.name)
+            yield key, field, value
 
 
 @functools.cache
 def model_of(cls: type) -> type[BaseModel]:
     """Return the pydantic model of a settings dataclass. It converts only int to float and rejects unknown keys."""
-    hints = _hints(cls)
     fields: dict[str, Any] = {}
     for field in _ordered(cls):
-        annotation = _annotation(hints[field.name], field.metadata.get("bounds", {}), field.metadata.get("most"))
-        required = _is_required(field)
-        description = None if _is_section(cls, field) else _advice(field)
-        fields[field.name] = (annotation, Field(... if required else None, description=description))
+        section, about = _is_section(cls, field), field.metadata
+        annotation = _annotation(_hints(cls)[field.name], about.get("bounds", {}), about.get("most"))
+        read = BeforeValidator(functools.partial(_without_short_form, about, section))
+        fields[field.name] = (Annotated[annotation, read], Field(None, description=None if section else _advice(field)))
     config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
     made = create_model(cls.__name__, __config__=config, **fields)
     setattr(made, GONE, getattr(cls, GONE, {}))
@@ -178,8 +170,6 @@ def to_yaml(value: Any) -> str:
         return "true" if value else "false"
     if isinstance(value, str):
         return value if _is_plain_word(value) else _quoted(value)
-    if dataclasses.is_dataclass(value):
-        return "{" + ", ".join(f"{f.name}: {to_yaml(getattr(value, f.name))}" for f in _ordered(type(value))) + "}"
     if isinstance(value, tuple):
         return "[" + ", ".join(to_yaml(v) for v in value) + "]"
     return repr(value)
@@ -218,89 +208,34 @@ def _annotation(hint: Any, bounds: dict[str, float], most: int | None = None) ->
     if origin is tuple:
         inner = tuple[tuple(a if a is ... else _annotation(a, bounds) for a in args)]  # type: ignore[misc]
         return Annotated[inner, Field(max_length=most)] if most is not None and args[-1] is ... else inner
-    raise TypeError(f"settings cannot hold {hint}: use bool, int, float, str, Literal, None, tuples and dataclasses")
+    raise TypeError(f"settings cannot hold {hint}: use bool, int, float, str, Literal, None and tuples")
 
 
 def _applied(document: Document, settings: S) -> S:
-    document = Document(document.name, _with_meant_values(document.data, settings), document.lines)
-    checked = validated(document, model_of(type(settings)))
-    return _updated(settings, checked, document, ())
+    return _updated(settings, validated(document, model_of(type(settings))), document, ())
 
 
-def _with_meant_values(data: Any, settings: Any) -> Any:
-    """Return data with an empty section for null, and the values that `null` and 640x480 mean by `settings.param`."""
-    if not isinstance(data, dict):
-        return data
-    fields = {field.name: field for field in dataclasses.fields(settings)}
-    meant = {}
-    for name, value in data.items():
-        field = fields.get(name)
-        if field is None:
-            meant[name] = value
-        elif _is_section(type(settings), field):
-            meant[name] = {} if value is None else _with_meant_values(value, getattr(settings, name))
-        else:
-            meant[name] = _meant(value, field)
-    return meant
-
-
-def _meant(value: Any, field: "dataclasses.Field[Any]") -> Any:
-    sign = field.metadata.get("pair")
+def _without_short_form(about: Mapping[str, Any], section: bool, value: Any) -> Any:
+    """Return the value that 640x480, a written null or an empty section means."""
     if value is None:
-        return field.metadata.get("null")
+        return {} if section else about["null"]
+    sign = about.get("pair")
     if sign and isinstance(value, str) and (found := re.fullmatch(rf"(\d{{1,9}}) ?{sign} ?(\d{{1,9}})", value)):
         return int(found[1]), int(found[2])
     return value
 
 
 def _updated(settings: S, checked: BaseModel, document: Document, key: Key) -> S:
-    """Return `settings` with the values of the document."""
+    """Return `settings` with the values of the document; an error of `__post_init__` gets file and line."""
     changes: dict[str, Any] = {}
     for name in checked.model_fields_set:
-        old, new = getattr(settings, name), getattr(checked, name)
-        nested = isinstance(new, BaseModel) and dataclasses.is_dataclass(old)
-        field = next(f for f in dataclasses.fields(typing.cast(Any, settings)) if f.name == name)
-        hint = _hints(type(settings))[name]
-        if nested and _is_section(type(settings), field):
-            changes[name] = _updated(old, new, document, (*key, name))
-        else:
-            changes[name] = _built(hint, new, document, (*key, name))
-    with _refusal(document, key):
-        return dataclasses.replace(typing.cast(Any, settings), **changes)
-
-
-def _built(hint: Any, checked: Any, document: Document, key: Key) -> Any:
-    """Return validated data as the dataclasses of the type hint."""
-    if isinstance(checked, BaseModel):
-        cls = next(_dataclasses_in(hint))
-        hints = _hints(cls)
-        given = {n: _built(hints[n], getattr(checked, n), document, (*key, n)) for n in checked.model_fields_set}
-        with _refusal(document, key):
-            return cls(**given)
-    if isinstance(checked, tuple):
-        inner = next((h for h in (hint, *get_args(hint)) if get_origin(h) is tuple), hint)
-        args = get_args(inner)
-        return tuple(
-            _built(args[i] if i < len(args) and args[i] is not ... else args[0], v, document, (*key, i))
-            for i, v in enumerate(checked)
-        )
-    return checked
-
-
-@contextlib.contextmanager
-def _refusal(document: Document, key: Key) -> Iterator[None]:
-    """Turn the ValueError of a dataclass's `__post_init__` into an error with file and line."""
+        value = getattr(checked, name)
+        section = isinstance(value, BaseModel)
+        changes[name] = _updated(getattr(settings, name), value, document, (*key, name)) if section else value
     try:
-        yield
+        return dataclasses.replace(typing.cast(Any, settings), **changes)
     except ValueError as e:
         raise document.error([Problem(key, str(e))]) from None
-
-
-def _dataclasses_in(hint: Any) -> Iterator[type]:
-    if dataclasses.is_dataclass(hint):
-        yield typing.cast(type, hint)
-    for a in get_args(hint):
-        yield from _dataclasses_in(a)
 
 
 def _is_section(cls: type, field: "dataclasses.Field[Any]") -> bool:
@@ -310,33 +245,27 @@ def _is_section(cls: type, field: "dataclasses.Field[Any]") -> bool:
 def _ordered(cls: type) -> list["dataclasses.Field[Any]"]:
     """Return the settings of a class, sections last, so that YAML reads top-down.
 
-    A field with a default, but without `settings.param`, is a constant of the code.
+    A field that is neither a section nor made by `settings.param` is a constant of the code.
     """
-    found = [f for f in dataclasses.fields(cls) if f.metadata or _is_required(f) or _is_section(cls, f)]
+    found = [f for f in dataclasses.fields(cls) if f.metadata or _is_section(cls, f)]
     return sorted(found, key=lambda f: _is_section(cls, f))
 
 
-def _is_required(field: "dataclasses.Field[Any]") -> bool:
-    return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-
-
-def _default(field: "dataclasses.Field[Any]") -> Any:
-    if field.default is not dataclasses.MISSING:
-        return field.default
-    return None if field.default_factory is dataclasses.MISSING else field.default_factory()
-
-
 def _unit(field: "dataclasses.Field[Any]") -> str:
-    unit = field.metadata.get("unit", "-")
+    unit = field.metadata["unit"]
     return "" if unit == "-" else f" {unit}"
 
 
-def _advice(field: "dataclasses.Field[Any]") -> str | None:
-    if _is_required(field):
-        return None
-    value, refused = _default(field), field.metadata.get("refused")
+def _advice(field: "dataclasses.Field[Any]") -> str:
+    value, refused = field.default, field.metadata["refused"]
     default = f"the default is {to_yaml(value)}{'' if value is None or isinstance(value, str) else _unit(field)}"
     return f"{default}; {refused}" if refused else default
+
+
+def _assignment(field: "dataclasses.Field[Any]", value: Any) -> str:
+    """Return `key: value`, or a comment if no value is set and a written null would mean one."""
+    unset = "# " if value is None and field.metadata["null"] is not None else ""
+    return f"{unset}{field.name}: {to_yaml(value)}"
 
 
 def _commented(settings: Any, prefix: Key, keys: Collection[str] | None) -> Iterator[str]:
@@ -356,39 +285,24 @@ def _commented(settings: Any, prefix: Key, keys: Collection[str] | None) -> Iter
             yield from _commented(value, (*prefix, field.name), keys)
             continue
         yield from _comment(_about(field, hints[field.name]), indent)
-        for inner in _dataclasses_in(hints[field.name]):
-            inner_hints = _hints(inner)
-            for f in _ordered(inner):
-                yield from _comment(f"{f.name}: {_about(f, inner_hints[f.name])}", indent, hang="  ")
-        if isinstance(value, tuple) and any(dataclasses.is_dataclass(v) for v in value):
-            yield f"{indent}{field.name}:"
-            yield from (f"{indent}  - {to_yaml(v)}" for v in value)
-        else:
-            unset = "# " if value is None and field.metadata.get("null") is not None else ""
-            yield f"{indent}{unset}{field.name}: {to_yaml(value)}"
+        yield f"{indent}{_assignment(field, value)}"
 
 
 def _about(field: "dataclasses.Field[Any]", hint: Any) -> str:
     """Return the meaning of a setting, then choices, unit, bounds and default in brackets."""
     words = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
-    meaning = field.metadata.get("meaning", "").rstrip(".")
-    limits = [f"{words[k]} {v:g}" for k, v in field.metadata.get("bounds", {}).items()]
-    choices = [to_yaml(a) for a in _choices(hint)]
+    meaning, about = field.metadata["meaning"].rstrip("."), field.metadata
+    choices, unit = [to_yaml(a) for a in _choices(hint)], _unit(field).strip()
     facts = [f"one of {', '.join(choices)}"] if choices else []
-    facts += [unit] if (unit := _unit(field).strip()) else []
-    facts += limits
-    if (most := field.metadata.get("most")) is not None:
-        facts.append(f"at most {most} of them")
-    if not _is_required(field):
-        unset = _default(field) is None and field.metadata.get("null") is not None
-        facts.append("not set by default" if unset else f"default {to_yaml(_default(field))}")
-    first = meaning.partition(" ")[0]
-    if first.isalpha():  # a symbol keeps its case
+    facts += [unit] if unit else []
+    facts += [f"{words[k]} {v:g}" for k, v in about["bounds"].items()]
+    facts += [] if about["most"] is None else [f"at most {about['most']} of them"]
+    unset = field.default is None and about["null"] is not None
+    facts.append("not set by default" if unset else f"default {to_yaml(field.default)}")
+    if meaning.partition(" ")[0].isalpha():  # a symbol keeps its case
         meaning = meaning[:1].upper() + meaning[1:]
     bracket = f"[{'; '.join(facts)}]"
-    if len(bracket) <= 60:
-        bracket = bracket.replace(" ", _JOINED)
-    return f"{meaning}. {bracket}" if facts else f"{meaning}."
+    return f"{meaning}. {bracket.replace(' ', _JOINED) if len(bracket) <= 60 else bracket}"
 
 
 def _choices(hint: Any) -> Iterator[Any]:
@@ -405,13 +319,9 @@ def _summary(cls: type) -> str:
     return " ".join(text.split())
 
 
-def _comment(text: str, indent: str, hang: str = "") -> list[str]:
-    lines = textwrap.wrap(
-        text,
-        _WIDTH,
-        initial_indent=f"{indent}# {hang}",
-        subsequent_indent=f"{indent}# {hang}",
-        break_long_words=False,
-        break_on_hyphens=False,
+def _comment(text: str, indent: str) -> list[str]:
+    mark = f"{indent}# "
+    wrap = textwrap.TextWrapper(
+        _WIDTH, initial_indent=mark, subsequent_indent=mark, break_long_words=False, break_on_hyphens=False
     )
-    return [line.replace(_JOINED, " ") for line in lines]
+    return [line.replace(_JOINED, " ") for line in wrap.wrap(text)]

@@ -32,14 +32,6 @@ class Mask:
 
 
 @dataclass(frozen=True, slots=True)
-class Named:
-    """A thing without a default."""
-
-    name: str
-    size: float = param(1.0, "m", "size")
-
-
-@dataclass(frozen=True, slots=True)
 class Filter:
     """The filter: attitude and rate.
 
@@ -53,8 +45,8 @@ class Filter:
     gate: float | None = param(None, "-", "none for no gate", gt=0, le=1)
     level: Literal["auto"] | float = param("auto", "grey", "a number, or found in the picture")
     enabled: bool = param(True, "-", "whether at all")
-    masks: tuple[Mask, ...] = param((Mask(1, 2), Mask()), "-", "bands; " + "many words " * 30)
-    things: tuple[Named, ...] = param((), "-", "things")
+    names: tuple[str, ...] = param(("a",), "-", "names; " + "many words " * 30)
+    mask: Mask = field(default_factory=Mask)
     constant: float = 7.0
 
 
@@ -113,12 +105,12 @@ def test_a_file_that_says_nothing_gives_the_defaults(check):
 
 def test_what_a_file_says_replaces_only_that(check):
     settings = check(
-        "schema: 2\nso3: {acceleration_sigma: 2, gains: [1, 2.5], gate: null, masks: [{lower: 9}]}\n"
+        "schema: 2\nso3: {acceleration_sigma: 2, gains: [1, 2.5], gate: null, mask: {lower: 9}}\n"
         "outer:\n  inner: {}\n  text: 'no'\n"
     )
     expected = replace(
         Root(),
-        so3=replace(Filter(), acceleration_sigma=2.0, gains=(1.0, 2.5), masks=(Mask(lower=9),)),
+        so3=replace(Filter(), acceleration_sigma=2.0, gains=(1.0, 2.5), mask=Mask(lower=9)),
         outer=Outer(text="no"),
     )
     assert settings == expected
@@ -140,8 +132,8 @@ filters = st.builds(
     gate=st.none() | st.floats(0, 1, exclude_min=True),
     level=st.just("auto") | numbers,
     enabled=st.booleans(),
-    masks=st.lists(masks, max_size=3).map(tuple),
-    things=st.lists(st.builds(Named, name=words, size=numbers), max_size=3).map(tuple),
+    names=st.lists(words, max_size=3).map(tuple),
+    mask=masks,
 )
 roots = st.builds(Root, so3=filters, outer=st.builds(Outer, text=words), tracker=st.sampled_from(["so3", "ekf1"]))
 
@@ -185,7 +177,7 @@ def test_what_differs_from_the_default_is_marked():
         ("so3.gate=null", Root()),
         ("so3.gate=# none", Root()),
         ("so3.gate= 1", replace(Root(), so3=Filter(gate=1.0))),
-        ("so3.masks=[{upper: 3}]", replace(Root(), so3=Filter(masks=(Mask(0, 3),)))),
+        ("so3.mask.upper=3", replace(Root(), so3=Filter(mask=Mask(0, 3)))),
         ("outer.inner.count=0", replace(Root(), outer=Outer(inner=Inner(0)))),
         ("outer.text=a=b", replace(Root(), outer=Outer(text="a=b"))),
         ("tracker=ekf1", replace(Root(), tracker="ekf1")),
@@ -216,7 +208,7 @@ def test_overrides_add_up():
             "--set so3.acceleration_sigma: must be a number, is empty; the default is 0.1 rad/s²",
         ),
         ("so3.mode=slow", "--set so3.mode: must be 'fast', 'on' or 'null', is 'slow'; the default is fast"),
-        ("so3.masks=[{lower: 9, upper: 3}]", "--set so3.masks[0]: lower 9 is above upper 3; exchange them"),
+        ("so3.mask.lower=300", "--set so3.mask.lower: must be at most 255, is 300; the default is 0 grey"),
         (
             "so3.gains=[a, b]",
             "--set so3.gains[0]: must be a number, is 'a'; the default is [1.0, 2.0]\n"
@@ -247,11 +239,11 @@ so3:
   window: [1]
   gains: [1, x, .nan]
   gate: 2
-  masks: [{lower: 300}, {lowr: 3}, 5,
-          {lower: 5, upper: 3}]
+  mask: {lower: 300,
+         lowr: 3}
+  names: a
   enabled: 1
   level: none
-  things: [{size: 1.0}]
 outer: 3
 counts: 3
 tracker: yes
@@ -264,13 +256,11 @@ foo: {a: 1}
         "6: so3.gains[1]: must be a number, is 'x'; the default is [1.0, 2.0]",
         "6: so3.gains[2]: must be a finite number, is nan; the default is [1.0, 2.0]",
         "7: so3.gate: must be at most 1, is 2; the default is null",
-        "8: so3.masks[0].lower: must be at most 255, is 300; the default is 0 grey",
-        "8: so3.masks[1].lowr: unknown key; did you mean lower?",
-        "8: so3.masks[2]: must be a section of `key: value` lines, is 5; "
-        "the default is [{lower: 1, upper: 2}, {lower: 0, upper: 255}]",
-        "10: so3.enabled: must be true or false, is 1; the default is true",
-        "11: so3.level: must be 'auto', or must be a number, is 'none'; the default is auto",
-        "12: so3.things[0].name: missing",
+        "8: so3.mask.lower: must be at most 255, is 300; the default is 0 grey",
+        "9: so3.mask.lowr: unknown key; did you mean lower?",
+        "10: so3.names: must be a list [a, b, ...], is 'a'; the default is [a]",
+        "11: so3.enabled: must be true or false, is 1; the default is true",
+        "12: so3.level: must be 'auto', or must be a number, is 'none'; the default is auto",
         "13: outer: must be a section of `key: value` lines, is 3",
         "14: counts: unknown key; did you mean outer.inner.count?",
         "15: tracker: must be 'so3' or 'ekf1', is 'yes'; the default is so3",
@@ -279,9 +269,8 @@ foo: {a: 1}
 
 
 def test_a_dataclass_that_checks_itself_is_heard(problems):
-    assert problems("schema: 2\nso3:\n  masks:\n    - {lower: 1}\n    - {lower: 5,\n       upper: 3}\n") == [
-        "5: so3.masks[1]: lower 5 is above upper 3; exchange them"
-    ]
+    text = "schema: 2\nso3:\n  mask:\n    lower: 5\n    upper: 3\n"
+    assert problems(text) == ["3: so3.mask: lower 5 is above upper 3; exchange them"]
 
 
 @pytest.mark.parametrize("value", ["true", "'1'", "1.5", "1e400", "[]", "{}", "2020-01-01", "0x1g", "-1", "~"])
