@@ -83,6 +83,13 @@ def _kernels() -> Iterator[Dispatcher]:
                 yield one
 
 
+def kernels_on_disk() -> tuple[int, int, str]:
+    """Return how many kernels Numba has kept, how many there are, and the folder; empty if it has none."""
+    kernels = list(_kernels())
+    folders = {str(k.stats.cache_path) for k in kernels if k.stats.cache_path}
+    return sum(map(_on_disk, kernels)), len(kernels), os.path.commonpath(folders) if folders else ""
+
+
 def _on_disk(kernel: Dispatcher) -> bool:
     """Whether Numba has kept it, for whichever types."""
     file = getattr(getattr(kernel, "_cache", None), "_cache_file", None)  # None where it has no place to keep anything

@@ -14,7 +14,8 @@ from typing import Protocol, Self
 
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import SourceError
-from spheremouse.files.registry import opened
+from spheremouse.files import registry
+from spheremouse.finding import Finding
 from spheremouse.tracker import Frame
 
 KINDS = ("dataset", "opencv", "synthetic", "v4l2", "video")
@@ -136,7 +137,12 @@ def full_spec(spec: str) -> str:
 def open_source(spec: str, *, realtime: bool = False) -> Source:
     """Open the source `KIND:ARGUMENT`. With `realtime`, recorded frames come no earlier than by their stamps."""
     members = ("rig", "live", "fps", "count", "__iter__", "__enter__", "__exit__")
-    return opened(sys.modules[__name__], "source", spec, SourceError, members, realtime)
+    return registry.opened(sys.modules[__name__], "source", spec, SourceError, members, realtime)
+
+
+def probe(spec: str) -> list[Finding]:
+    """Return findings about the camera or the file of a source `KIND:ARGUMENT`. It is not opened."""
+    return registry.probe(sys.modules[__name__], "source", spec, SourceError)
 
 
 def paced(frames: Iterator[Frame]) -> Iterator[Frame]:

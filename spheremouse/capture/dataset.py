@@ -3,8 +3,10 @@
 from pathlib import Path
 
 from spheremouse.capture import Stream, paced
+from spheremouse.capture.nodes import probe_path
 from spheremouse.errors import SourceError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.finding import Finding
 
 
 def open(argument: str, realtime: bool) -> Stream:
@@ -14,3 +16,8 @@ def open(argument: str, realtime: bool) -> Stream:
     recording = open_dataset(Path(argument))
     frames = read_frames(recording)
     return Stream(paced(frames) if realtime else frames, rig=recording.rig, fps=recording.fps, count=recording.frames)
+
+
+def probe(argument: str) -> list[Finding]:
+    """Return whether the folder exists."""
+    return [probe_path(Path(argument))]

@@ -6,16 +6,20 @@ the transfer, typically 10 to 40 ms, and varies with the load of the computer.
 
 import contextlib
 import math
+import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import cv2
 import numpy as np
 
 from spheremouse.capture import Stream
+from spheremouse.capture.nodes import nodes, probe_node
 from spheremouse.errors import SourceError
 from spheremouse.files.pictures import open_capture
 from spheremouse.files.registry import options
+from spheremouse.finding import Finding
 from spheremouse.tracker import Frame
 
 _PROPERTIES = {"width": cv2.CAP_PROP_FRAME_WIDTH, "height": cv2.CAP_PROP_FRAME_HEIGHT, "fps": cv2.CAP_PROP_FPS}
@@ -49,6 +53,12 @@ def check(argument: str) -> tuple[str, dict[str, int | float | str]]:
     if not index.strip().isdecimal():
         raise SourceError(f"opencv:{argument}: needs the number of a camera; write opencv:0 for the first")
     return index, options(rest, {"width": int, "height": int, "fps": float}, f"opencv:{argument}", SourceError)
+
+
+def probe(argument: str) -> list[Finding]:
+    """Return findings about the camera's node, on Linux."""
+    index, _ = check(argument)
+    return probe_node(Path(f"/dev/video{int(index)}"), nodes()) if sys.platform.startswith("linux") else []
 
 
 def read_frames(capture: cv2.VideoCapture, index: str) -> Iterator[Frame]:

@@ -12,8 +12,10 @@ import cv2
 import numpy as np
 
 from spheremouse.capture import Stream, paced
+from spheremouse.capture.nodes import probe_path
 from spheremouse.errors import SourceError
 from spheremouse.files.pictures import open_film
+from spheremouse.finding import Finding
 from spheremouse.tracker import Frame
 
 _MAX_ROUNDING_ERROR = 0.6e-3  # s: half a millisecond and a margin
@@ -86,3 +88,8 @@ def is_cut_short(read: int, last: float, fps: float | None, count: int | None) -
 
 def _positive(value: float) -> float | None:
     return value if math.isfinite(value) and value > 0 else None
+
+
+def probe(argument: str) -> list[Finding]:
+    """Return whether the file exists."""
+    return [probe_path(Path(argument))]

@@ -41,11 +41,11 @@ def check(file: Annotated[Path, typer.Argument(metavar="FILE", show_default=Fals
     """
     from spheremouse.files import config
     from spheremouse.files.yaml import Problem, read_document
-    from spheremouse.session.config_check import look
+    from spheremouse.session.config_check import validate
 
     try:
         document = read_document(file)
-        found = look(file, config.loads(document, root()))
+        found = validate(file, config.loads(document, root()))
     except SpheremouseError as e:
         _fail(e)
     problems = [*found.wrong, *(Problem(p.key, f"warning: {p.text}") for p in found.now)]

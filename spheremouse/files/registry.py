@@ -1,8 +1,9 @@
 """Open a source or an output that is named as `KIND:ARGUMENT`; a kind is a module of a package, or a plug-in.
 
 To add one, write a module with a function `open` and put its name into the package's `KINDS`. A function `check` may
-report mistakes in the argument without opening anything. Another distribution adds a module by an entry point in the
-group `spheremouse.source` or `spheremouse.output`. Only the module that is needed is imported.
+report mistakes in the argument without opening anything. A function `probe` may return findings about the device.
+Another distribution adds a module by an entry point in the group `spheremouse.source` or `spheremouse.output`. Only the
+module that is needed is imported.
 """
 
 import importlib
@@ -14,6 +15,7 @@ from typing import Any, NamedTuple
 
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.validate import nearest
+from spheremouse.finding import Finding
 
 _REMEDY = "update it, or uninstall it"
 
@@ -40,6 +42,17 @@ def check(package: ModuleType, what: str, spec: str, error: type[SpheremouseErro
     module, argument = resolve(package, what, spec, error)
     if callable(look := getattr(module, "check", None)):
         look(argument)
+
+
+def probe(package: ModuleType, what: str, spec: str, error: type[SpheremouseError]) -> list[Finding]:
+    """Return the findings of the module's function `probe`, if it has one, about the device or file of the argument.
+
+    A probe does not disturb a run that uses them. Raises as `check` does.
+    """
+    module, argument = resolve(package, what, spec, error)
+    check(package, what, spec, error)
+    examine: Callable[[str], list[Finding]] | None = getattr(module, "probe", None)
+    return [] if examine is None else examine(argument)
 
 
 def opened(

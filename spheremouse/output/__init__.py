@@ -10,7 +10,9 @@ from types import TracebackType
 from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 from spheremouse.errors import OutputError
-from spheremouse.files.registry import opened
+from spheremouse.files import registry
+from spheremouse.finding import Finding, ok
+from spheremouse.output.third_axis import left_out, sent_as
 from spheremouse.tracker import Estimate, unknown
 
 KINDS = ("auto", "desktop", "null", "serial", "text", "uinput")
@@ -76,4 +78,17 @@ class Acknowledged(Protocol):
 def open_output(spec: str) -> Output:
     """Open the output `KIND:ARGUMENT`. Raise OutputError if it does not exist or lacks a method of `Output`."""
     members = ("send", "describe", "__enter__", "__exit__")
-    return opened(sys.modules[__name__], "output", spec, OutputError, members)
+    return registry.opened(sys.modules[__name__], "output", spec, OutputError, members)
+
+
+def probe(spec: str) -> list[Finding]:
+    """Return findings about the output `KIND:ARGUMENT` and its third axis. Raise OutputError if it is invalid.
+
+    The output is not opened: programs would notice a mouse that appears, and a board would restart.
+    """
+    findings = registry.probe(sys.modules[__name__], "output", spec, OutputError)
+    if missing := left_out(spec):
+        findings.append(ok("third axis", *missing.split("; ")))
+    elif sent := sent_as(spec):
+        findings.append(ok("third axis", f"the ball's spin is sent as {sent}"))
+    return findings

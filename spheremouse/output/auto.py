@@ -7,6 +7,7 @@ by its USB identity. A plain adapter is never taken, because any device may be b
 import sys
 
 from spheremouse.errors import OutputError
+from spheremouse.finding import Finding, Verdict, absent, ok, unchecked, warning
 from spheremouse.output import Output, desktop, serial, uinput
 from spheremouse.output.serial.ports import connected_ports, find_board
 from spheremouse.output.third_axis import NONE, parse_third
@@ -42,3 +43,24 @@ def _board(option: str) -> str:
     port = find_board(ports=ports, adapters=False)
     number = next((p.serial_number for p in ports if p.device == port), None)
     return ",".join(filter(None, (f"auto,id={number}" if number else port, option)))
+
+
+def probe(argument: str) -> list[Finding]:
+    """Return the output that `open` would take, and the state of each."""
+    third = check(argument)
+    option = f"third={third}" if third != NONE else ""
+    tried = [*uinput.probe(option), *_probe_board(option), *desktop.probe(option)]
+    taken = next((f for f in tried if f.verdict is Verdict.OK), None)
+    if taken is None:
+        none = absent("output", "auto finds none", "mend one of these; uinput is the usual one")
+        return [none, *(warning(f.name, f.text, f.advice) for f in tried)]
+    others = [f if f is taken else unchecked(f.name, f"not needed: {f.text}") for f in tried]
+    return [ok("output", f"auto takes {taken.name}"), *others]
+
+
+def _probe_board(option: str) -> list[Finding]:
+    try:
+        return serial.probe(_board(option))
+    except OutputError:
+        remedy = "for a game on another computer: docs/microcontroller.md"
+        return [absent("serial board", "none of ours is plugged in", remedy)]

@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from spheremouse.errors import OutputError
+from spheremouse.finding import Finding, absent, ok
 from spheremouse.output import Report
 from spheremouse.output.third_axis import parse_third, whole_notches
 
@@ -67,6 +68,16 @@ def open(argument: str) -> Desktop:
 def check(argument: str) -> str:
     """Return the value of `third=`. Raise OutputError if the argument is invalid."""
     return parse_third("desktop", argument)
+
+
+def probe(argument: str) -> list[Finding]:
+    """Return whether the desktop's pointer can be moved; it stays where it is."""
+    try:
+        with open(argument):
+            return [ok("desktop", "its pointer can be moved; games that read the mouse itself see nothing of it")]
+    except OutputError as e:
+        text, _, advice = str(e).removeprefix("desktop: ").partition("; ")
+        return [absent("desktop", text, advice)]
 
 
 def _connect() -> Any:

@@ -4,6 +4,7 @@ from types import TracebackType
 from typing import Self
 
 from spheremouse.errors import OutputError
+from spheremouse.finding import Finding, warning
 from spheremouse.output import Report
 
 
@@ -36,3 +37,8 @@ def check(argument: str) -> None:
     """Raise OutputError if there is an argument."""
     if argument:
         raise OutputError(f"null:{argument}: takes no argument; write null")
+
+
+def probe(argument: str) -> list[Finding]:
+    """Return a warning that motion is discarded."""
+    return [warning("output", "null: motion goes nowhere", "name one: uinput, serial:auto, desktop")]

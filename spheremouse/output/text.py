@@ -17,7 +17,9 @@ from typing import Self, TextIO
 import numpy as np
 
 from spheremouse.errors import OutputError
+from spheremouse.files.access import STATE_FOLDER
 from spheremouse.files.safe_files import is_stream, open_to_append
+from spheremouse.finding import Finding, absent, ok, wrong
 from spheremouse.output import OutputClosed, Report
 
 NAMES = "# stamp dx dy dz rx ry rz wx wy wz"
@@ -85,6 +87,19 @@ def check(argument: str) -> None:
         return
     with contextlib.suppress(OSError, ValueError):  # `open` reports these
         _refuse_other_files(Path(argument), NAMES)
+
+
+def probe(argument: str) -> list[Finding]:
+    """Return whether this account may write the file."""
+    if argument in ("", "-"):
+        return [ok("output", "text to standard output")]
+    path = Path(argument)
+    if not path.parent.is_dir():
+        missing = wrong if path.parent != STATE_FOLDER else absent
+        return [missing("output", f"{path.parent}: no such folder", "make it, or name another")]
+    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+        return [wrong("output", f"{path} may not be written", "name a file elsewhere")]
+    return [ok("output", f"text to {path}")]
 
 
 def open_log(argument: str, names: str) -> tuple[TextIO, str]:

@@ -7,16 +7,21 @@ REL_WHEEL_HI_RES (one unit a count, 120 a notch), and REL_WHEEL for each whole n
 `rz` sends REL_RZ, one unit a count, for programs that read space mice.
 """
 
+import importlib.util
 import os
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from spheremouse.errors import OutputError
+from spheremouse.files.access import access_problem
+from spheremouse.finding import Finding, absent, ok, wrong
 from spheremouse.output import Report
 from spheremouse.output.third_axis import parse_third, whole_notches
 
 NAME = "spheremouse"
+NODE = Path("/dev/uinput")
 BUS, VENDOR, PRODUCT, VERSION = 0x06, 0x5350, 0x4D31, 1
 
 # Linux, input-event-codes.h
@@ -91,6 +96,17 @@ def open(argument: str) -> UInput:
 def check(argument: str) -> str:
     """Return the value of `third=`. Raise OutputError if the argument is invalid."""
     return parse_third("uinput", argument)
+
+
+def probe(argument: str, node: Path | None = None) -> list[Finding]:
+    """Return whether this account may create a mouse."""
+    node = NODE if node is None else node
+    if importlib.util.find_spec("evdev") is None:
+        return [wrong("uinput", "needs Linux and the Python package evdev", "use another output: desktop, serial:auto")]
+    if not node.exists():
+        return [absent("uinput", f"{node} is not there", "as root: modprobe uinput")]
+    problem = access_problem(node)
+    return [ok("uinput", f"{node} may be written") if problem is None else absent("uinput", *problem)]
 
 
 def _create(third: str) -> Any:

@@ -1,25 +1,26 @@
-"""What a configuration names, looked at as far as that disturbs nobody: kinds, files, devices, the camera's sizes.
+"""Check the files, devices and sizes that a configuration names, without disturbing a run.
 
-A run reads the same when it starts; here nothing is opened but files and the camera's node, and nothing is changed.
+Only files and the camera's node are opened, and nothing is changed.
 """
 
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
-from spheremouse import capture as sources
-from spheremouse import output as outputs
+from spheremouse import capture, output
 from spheremouse.ball.rig import Rig
-from spheremouse.errors import ConfigurationError, OutputError, SourceError, SpheremouseError
+from spheremouse.capture.settings import CameraSettings
+from spheremouse.errors import ConfigurationError, SourceError, SpheremouseError
+from spheremouse.files.access import STATE_FOLDER
 from spheremouse.files.disc_map import check_fits, load_map
 from spheremouse.files.registry import check
 from spheremouse.files.rig import load_camera, load_rig
 from spheremouse.files.wand import load_wand
 from spheremouse.files.yaml import Key, Problem
+from spheremouse.finding import Finding, Verdict
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.session.cameras import node_of_source
 from spheremouse.session.plan import beside
 from spheremouse.session.settings import Configuration
 
@@ -27,38 +28,36 @@ T = TypeVar("T")
 Size = tuple[int, int]  # width and height, px
 
 _NODES = Path("/sys/class/video4linux")
-_UINPUT = Path("/dev/uinput")
-_STATE = Path("/var/lib/spheremouse")  # systemd makes it at the service's first start
 
 
 @dataclass(slots=True)
 class Found:
-    """What is not as it is named."""
+    """Problems, each with the key that names the file or device."""
 
     wrong: list[Problem] = field(default_factory=list)
-    now: list[Problem] = field(default_factory=list)  # may be only so now: what is unplugged comes back
+    now: list[Problem] = field(default_factory=list)  # may be absent only now, as an unplugged device
     elsewhere: list[str] = field(default_factory=list)  # problems of the files named, with their own lines
 
     def refused(self, key: Key, error: SpheremouseError, path: Path | None = None) -> None:
-        """An error of what `key` names; one that tells lines of the file at `path` says where by itself."""
-        told = str(error)
-        if path is None or told.startswith(f"{path}: "):
-            self.wrong.append(Problem(key, told))
+        """Add an error. One with lines of the file at `path` names its place itself."""
+        text = str(error)
+        if path is None or text.startswith(f"{path}: "):
+            self.wrong.append(Problem(key, text))
         else:
-            self.elsewhere += told.splitlines()
+            self.elsewhere += text.splitlines()
 
 
-def look(file: Path, c: Configuration) -> Found:
-    """Everything that the configuration `c` of a file names."""
+def validate(file: Path, c: Configuration) -> Found:
+    """Check all files and devices that the configuration `c` of a file names."""
     found = Found()
     calibrated = _files(file, c, found)
-    if c.source is not None and _known(("source",), sources, "source", c.source, SourceError, found):
+    if c.source is not None and _probe(("source",), _probe_source, c.source, found):
         size, key = _planned_size(c, found)
         there = None if calibrated is None else (calibrated.width, calibrated.height)
         if size is not None and there is not None and size != there:
             found.wrong.append(Problem(key, _other_size(size, there, c)))
-    if c.output is not None and _known(("output",), outputs, "output", c.output, OutputError, found):
-        _output(c.output, found)
+    if c.output is not None:
+        _probe(("output",), output.probe, c.output, found)
     return found
 
 
@@ -66,7 +65,7 @@ def look(file: Path, c: Configuration) -> Found:
 
 
 def _files(file: Path, c: Configuration, found: Found) -> InteriorOrientation | None:
-    """Rig, camera, map, balls and recordings; gives the camera as calibrated, where one is named."""
+    """Check rig, camera, map, balls and recordings. Return the calibrated camera, if one is named."""
     rig = _read(("rig",), beside(file, c.rig), _rig, found)
     camera = _read(("camera_file",), beside(file, c.camera_file), load_camera, found)
     if (path := beside(file, c.map)) is not None and _folder_there(("map",), path, found) and path.exists():
@@ -100,8 +99,8 @@ def _read(key: Key, path: Path | None, read: Callable[[Path], T], found: Found) 
 
 
 def _folder_there(key: Key, path: Path, found: Found) -> bool:
-    """Is there a folder for a file that a run writes?"""
-    if path.parent.is_dir() or path.parent == _STATE:
+    """Return whether the folder exists for a file that a run writes."""
+    if path.parent.is_dir() or path.parent == STATE_FOLDER:
         return path.parent.is_dir()
     found.wrong.append(Problem(key, f"{path.parent}: no such folder; make it, or name another"))
     return False
@@ -110,29 +109,31 @@ def _folder_there(key: Key, path: Path, found: Found) -> bool:
 # ---- source and output ----
 
 
-def _known(key: Key, package: Any, what: str, spec: str, error: type[SpheremouseError], found: Found) -> bool:
-    """Is there this kind, and no slip in what it is told?"""
+def _probe_source(spec: str) -> list[Finding]:
+    """Probe a source; a V4L2 camera is asked for its sizes instead."""
+    if spec.partition(":")[0] == "v4l2":
+        check(capture, "source", spec, SourceError)
+        return []
+    return capture.probe(spec)
+
+
+def _probe(key: Key, probe: Callable[[str], list[Finding]], spec: str, found: Found) -> bool:
+    """Report the findings about a source or an output. Return False if its text is invalid."""
     try:
-        check(package, what, spec, error)
+        findings = probe(spec)
     except SpheremouseError as e:
         found.refused(key, e)
         return False
+    for f in findings:
+        if f.verdict is Verdict.WRONG:
+            (found.now if f.passing else found.wrong).append(Problem(key, "; ".join(filter(None, (f.text, f.advice)))))
     return True
 
 
 def _planned_size(c: Configuration, found: Found) -> tuple[Size | None, Key]:
-    """Size of the pictures, where it is known before there is one, and the key that says so."""
+    """Return the size of the pictures, if it is known before there is one, and the key that sets it."""
     kind, _, argument = (c.source or "").partition(":")
-    if kind in ("dataset", "video") and not os.path.exists(argument):
-        seen = "" if Path(argument).is_absolute() else ", seen from this folder"
-        report = found.wrong if Path(argument).is_absolute() else found.now
-        report.append(Problem(("source",), f"{argument}: not there{seen}; check the path"))
-    node = node_of_source(c.source or "") if kind == "opencv" and _NODES.is_dir() else None
-    if node is not None and not node.exists():
-        found.now.append(Problem(("source",), f"{node} is not there now; plug the camera in"))
-    if kind != "v4l2":
-        return None, ("source",)
-    return _camera_size(argument, c, found)
+    return _camera_size(argument, c, found) if kind == "v4l2" else (None, ("source",))
 
 
 def _camera_size(argument: str, c: Configuration, found: Found) -> tuple[Size | None, Key]:
@@ -152,14 +153,14 @@ def _camera_size(argument: str, c: Configuration, found: Found) -> tuple[Size | 
 
 
 def _is_software(name: str) -> bool:
-    """Is it a camera without hardware? v4l2loopback ends the stream of who films when somebody else closes the node."""
+    """Recognise a camera without hardware. If it is opened and closed, v4l2loopback ends the stream of its writer."""
     from spheremouse.capture.v4l2.device import find
 
     return "/devices/virtual/" in os.path.realpath(_NODES / find(name).resolve().name)
 
 
-def _is_there(name: str, settings: Any) -> bool:
-    """Is it the wish that cannot be had, and not the camera?"""
+def _is_there(name: str, settings: CameraSettings) -> bool:
+    """Return whether the camera can be opened with other settings."""
     from spheremouse.capture import v4l2
 
     try:
@@ -179,25 +180,3 @@ def _other_size(size: Size, there: Size, c: Configuration) -> str:
         f"pictures of {size[0]}x{size[1]}, but {where} was calibrated at {there[0]}x{there[1]}; "
         f"set camera.size: [{there[0]}, {there[1]}], or calibrate at this size"
     )
-
-
-def _output(spec: str, found: Found) -> None:
-    """The device behind an output; `auto` and `desktop` take what is there at the start."""
-    kind, _, argument = spec.partition(":")
-    key: Key = ("output",)
-    if kind == "uinput" and not _UINPUT.exists():
-        found.now.append(Problem(key, f"{_UINPUT} is not there now; as root: modprobe uinput"))
-    if kind == "serial":
-        from spheremouse.output.serial import check as parsed
-        from spheremouse.output.serial.ports import find_board
-
-        name, identifier, *_ = parsed(argument)
-        try:
-            port = find_board(identifier) if name == "auto" else name
-        except OutputError as e:
-            found.now.append(Problem(key, f"not there now: {e}"))
-        else:
-            if os.name == "posix" and not os.path.exists(port):
-                found.now.append(Problem(key, f"{port} is not there now; plug the board in, or write serial:auto"))
-    if kind == "text" and argument not in ("", "-"):
-        _folder_there(key, Path(argument), found)

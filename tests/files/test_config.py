@@ -420,7 +420,7 @@ def test_every_parameter_of_the_program_says_what_it_is():
 def run(monkeypatch, tmp_path):
     """`spheremouse config ...` with the settings of this file, in an empty folder."""
     monkeypatch.setattr(cli_config, "root", lambda: Root)
-    monkeypatch.setattr("spheremouse.session.config_check.look", lambda *_: Found())  # these settings name nothing
+    monkeypatch.setattr("spheremouse.session.config_check.validate", lambda *_: Found())  # these settings name nothing
     monkeypatch.chdir(tmp_path)
     return lambda *arguments: CliRunner().invoke(cli_config.app, arguments)
 

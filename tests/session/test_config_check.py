@@ -10,8 +10,9 @@ from spheremouse.commands import config as cli_config
 from spheremouse.files import config
 from spheremouse.files.rig import rig_text, save_camera
 from spheremouse.files.yaml import read_document
+from spheremouse.output import uinput
 from spheremouse.session import config_check
-from spheremouse.session.config_check import look
+from spheremouse.session.config_check import validate
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.scene import default_scene
 from tests.files.test_registry import OUTPUT, installed  # noqa: F401  a fixture
@@ -27,7 +28,7 @@ def checked(tmp_path, monkeypatch):
     (tmp_path / "rig.yaml").write_text(rig_text(rig))
     save_camera(tmp_path / "camera.yaml", rig.camera)
     (tmp_path / "uinput").touch()
-    monkeypatch.setattr(config_check, "_UINPUT", tmp_path / "uinput")
+    monkeypatch.setattr(uinput, "NODE", tmp_path / "uinput")
 
     def run(*lines):
         (tmp_path / "c.yaml").write_text("\n".join(["schema: 2", *lines, ""]))
@@ -86,12 +87,12 @@ def test_what_may_be_missing_only_now_is_a_warning(checked, tmp_path):
     assert (code, said[0]) == (0, "c.yaml: ok")
     assert said[1].startswith("c.yaml:2: source: warning: not there now, or not to be opened: /dev/video97: no such")
     assert said[2].startswith("c.yaml:3: output: warning: ")
-    assert said[2].endswith("uinput is not there now; as root: modprobe uinput")
+    assert said[2].endswith("uinput is not there; as root: modprobe uinput")
     code, said = checked("source: dataset:demo/none", "output: serial:/dev/ttyACM97")
     assert code == 0
     assert [line.partition("warning: ")[2].partition(";")[0] for line in said[1:]] == [
         "demo/none: not there, seen from this folder",
-        "/dev/ttyACM97 is not there now",
+        "/dev/ttyACM97 is not there",
     ]
 
 
@@ -150,5 +151,5 @@ def test_it_looks_where_a_run_would(checked, tmp_path, monkeypatch):
     checked("rig: rig.yaml")
     monkeypatch.chdir("/")
     file = tmp_path / "c.yaml"
-    found = look(file, config.loads(read_document(file), Configuration))
+    found = validate(file, config.loads(read_document(file), Configuration))
     assert (found.wrong, found.now, found.elsewhere) == ([], [], [])

@@ -23,7 +23,7 @@ from spheremouse.capture.v4l2 import open_camera
 from spheremouse.errors import DamagedFrameError, SourceError
 from spheremouse.files.rig import save_rig
 from spheremouse.files.yaml import dotted
-from spheremouse.session.config_check import look
+from spheremouse.session.config_check import validate
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.scene import default_scene
 
@@ -452,7 +452,7 @@ def named(folder, source, size, asked=None):
     camera = replace(rig.camera, width=size[0], height=size[1], cx=size[0] / 2, cy=size[1] / 2)
     save_rig(folder / "rig.yaml", replace(rig, camera=camera))
     configuration = Configuration(source=f"v4l2:{source}", rig="rig.yaml", camera=CameraSettings(size=asked))
-    found = look(folder / "config.yaml", configuration)
+    found = validate(folder / "config.yaml", configuration)
     assert (found.now, found.elsewhere) == ([], [])
     print([problem.text for problem in found.wrong])
     return [dotted(problem.key) for problem in found.wrong]

@@ -20,11 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.capture import Stream
+from spheremouse.capture.nodes import nodes, probe_node
 from spheremouse.capture.settings import CameraSettings, PixelName
 from spheremouse.capture.v4l2.pixels import Layout, bgr, luma
 from spheremouse.capture.v4l2.stamps import Arrival, Count, Moment, Stamps, Timing, correct_stamp, unwrap_count
 from spheremouse.errors import DamagedFrameError, SourceError
 from spheremouse.files.registry import options
+from spheremouse.finding import Finding
 from spheremouse.tracker import Frame
 
 if TYPE_CHECKING:
@@ -269,6 +271,13 @@ def parse(argument: str, settings: CameraSettings) -> tuple[str, CameraSettings]
     if settings.size is not None and min(settings.size) < 1:
         raise SourceError(f"{label}: width and height must be above 0")
     return name, settings
+
+
+def probe(argument: str) -> list[Finding]:
+    """Return findings about the camera's node; the camera is not opened."""
+    from spheremouse.capture.v4l2.device import find
+
+    return probe_node(find(argument.partition(",")[0]), nodes())
 
 
 def _newest(camera: V4L2Camera) -> Iterator[Frame]:

@@ -1,4 +1,4 @@
-"""`spheremouse doctor`: what is well, what is not, and what to do about it."""
+"""`spheremouse doctor`: check everything from the camera to the pointer."""
 
 import contextlib
 import json
@@ -36,29 +36,29 @@ def doctor(
         bool, typer.Option("--json", help="As JSON for a bug report: without names, home folder, serial numbers.")
     ] = False,
 ) -> None:
-    """Look at everything from the camera to the pointer, and say what to do.
+    """Check everything from the camera to the pointer, and print a remedy for each fault.
 
-    Takes some five seconds, two of them with the camera; changes nothing. A daemon that runs keeps its camera: it is
-    asked instead. Exit code 0 where nothing is wrong, 1 where something is.
+    It takes about five seconds, two of them with the camera, and changes nothing. A running daemon keeps its camera;
+    the report then has the daemon's figures. The exit code is 1 if anything is wrong.
     """
     from rich.console import Console
 
     from spheremouse.commands.doctor.examine import examine
-    from spheremouse.commands.doctor.finding import Section, Verdict
     from spheremouse.commands.doctor.private import redactor
-    from spheremouse.commands.doctor.report import data, show, summary
+    from spheremouse.commands.doctor.report import Section, data, show, summary
     from spheremouse.errors import ConfigurationError
+    from spheremouse.finding import Verdict
     from spheremouse.session.plan import Request
 
     if balls and tracker != "wand":
         raise ConfigurationError("--ball: goes with --tracker wand; add that, or leave it out")
-    said = [] if tracker is None else [f"tracker={tracker}"]
-    said += [f"wand.balls={json.dumps([str(path.absolute()) for path in balls])}"] if balls else []
-    request = Request(config, tuple(said), source, output, rig, camera)
+    assignments = [] if tracker is None else [f"tracker={tracker}"]
+    assignments += [f"wand.balls={json.dumps([str(path.absolute()) for path in balls])}"] if balls else []
+    request = Request(config, tuple(assignments), source, output, rig, camera)
     console = Console(highlight=False, soft_wrap=False)
     sections: list[Section] = []
-    with _waiting(quiet=as_json) as say:
-        for section in examine(request, say=say):
+    with _waiting(quiet=as_json) as progress:
+        for section in examine(request, progress=progress):
             sections.append(section)
             if not as_json:
                 show(section, console)
@@ -73,7 +73,7 @@ def doctor(
 
 @contextlib.contextmanager
 def _waiting(*, quiet: bool) -> Iterator[Callable[[str], None]]:
-    """A line on what is being done, on a terminal's standard error while it takes."""
+    """Show the step in progress on standard error, if it is a terminal."""
     from rich.console import Console
 
     console = Console(stderr=True)

@@ -1,4 +1,4 @@
-"""The computer: room on the disk, memory, rights to be scheduled first, and what else is at work."""
+"""The computer: disk, memory, scheduling rights and load."""
 
 import os
 import shutil
@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from spheremouse.commands.doctor.finding import Finding, ok, unchecked, warning
+from spheremouse.finding import Finding, ok, unchecked, warning
 from spheremouse.session.process.realtime import PRIORITY
 from spheremouse.session.record.places import recordings_folder
 from spheremouse.session.settings.record import RecordSettings
@@ -16,12 +16,11 @@ _SYS_NICE = 23  # CAP_SYS_NICE
 
 
 def disk(settings: RecordSettings, state: Path | None = None) -> Finding:
-    """Room for one recording beside what is to stay free; `state` is the folder of a service, which writes as another
-    account than this one."""
+    """Check the room for one recording. `state` is the folder of a service, which runs as another account."""
     of_service = state is not None and settings.folder is None
     folder = state / "recordings" if state is not None and of_service else recordings_folder(settings)
     there = folder
-    while not os.path.exists(there):  # nor one that this account may not look into
+    while not os.path.exists(there):  # or is closed to this account
         there = there.parent
     free, needed = shutil.disk_usage(there).free / 1e6, settings.megabytes + settings.free_megabytes
     text = f"{free / 1e3:.1f} GB free for recordings in {folder}"
@@ -39,7 +38,7 @@ def disk(settings: RecordSettings, state: Path | None = None) -> Finding:
 
 
 def memory(listed: Path = Path("/proc/meminfo")) -> Finding:
-    """Memory that programs may still take."""
+    """Check the free memory."""
     try:
         lines = listed.read_text(encoding="ascii").splitlines()
         free = next(int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")) * 1024 / 1e6
@@ -53,7 +52,7 @@ def memory(listed: Path = Path("/proc/meminfo")) -> Finding:
 
 
 def scheduling(service: bool) -> Finding:
-    """Right of this account to go before others. `service`: there is one, which is granted that by its unit."""
+    """Check the right to real-time scheduling. A `service` has it by its unit."""
     if not sys.platform.startswith("linux"):
         return unchecked("scheduling", "not known on this system")
     import resource
@@ -72,11 +71,11 @@ def scheduling(service: bool) -> Finding:
 
 
 def load() -> Finding:
-    """Number of programs that want to work, against how many can."""
+    """Compare the number of busy programs with that of the cores."""
     if not hasattr(os, "getloadavg"):
         return unchecked("load", "this system does not say")
     cores, now = os.cpu_count() or 1, os.getloadavg()[0]
-    text = f"{now:.1f} programs at work on {cores} core{'' if cores == 1 else 's'}"
+    text = f"{now:.1f} programs busy on {cores} core{'' if cores == 1 else 's'}"
     if now > cores:
         return warning("load", text, "end what is not needed: `top` shows it", load=round(now, 2), cores=cores)
     return ok("load", text, load=round(now, 2), cores=cores)

@@ -1,4 +1,4 @@
-"""What a camera does by itself while it should measure: exposure, gain, focus, white balance."""
+"""Automatic controls of the camera: exposure, gain, focus, white balance."""
 
 import contextlib
 import os
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spheremouse.commands.doctor.finding import Finding, ok, unchecked, warning
+from spheremouse.finding import Finding, ok, unchecked, warning
 
 _MANUAL, _SHUTTER_PRIORITY = 1, 2  # V4L2_CID_EXPOSURE_AUTO with an exposure that stays
 _UNIT = 1e-4  # s, of V4L2_CID_EXPOSURE_ABSOLUTE
@@ -15,9 +15,9 @@ _MAINS = {0: "off", 1: "50 Hz", 2: "60 Hz", 3: "automatic"}  # V4L2_CID_POWER_LI
 
 @dataclass(frozen=True, slots=True)
 class Controls:
-    """As they stand; None where the camera has no such control."""
+    """Values of the controls; None if the camera has no such control."""
 
-    exposure_s: float | None = None  # what it tells, also while it changes it by itself
+    exposure_s: float | None = None  # also while it is automatic
     automatic_exposure: bool | None = None
     automatic_gain: bool | None = None
     automatic_focus: bool | None = None
@@ -26,7 +26,7 @@ class Controls:
 
 
 def read(node: Path) -> Controls | None:
-    """Of a camera that may be open elsewhere; None where it cannot be asked."""
+    """Return the controls of a camera, which may be open elsewhere; None if it cannot be asked."""
     try:
         from linuxpy.video.device import ControlID, get_control
 
@@ -60,7 +60,7 @@ def read(node: Path) -> Controls | None:
 
 
 def check(controls: Controls) -> list[Finding]:
-    """A line for each of exposure, focus and colours."""
+    """Return findings about exposure, focus and colours."""
     return [_exposure(controls), _focus(controls), _colours(controls)]
 
 
@@ -69,7 +69,7 @@ def _exposure(c: Controls) -> Finding:
     mains = None if c.mains is None else _MAINS.get(c.mains)
     values: dict[str, Any] = {"exposure_s": c.exposure_s, "automatic": c.automatic_exposure, "mains_filter": mains}
     if c.automatic_exposure is None and c.exposure_s is None:
-        return unchecked("exposure", "this camera has no control for it: nobody can tell what it does")
+        return unchecked("exposure", "this camera has no control for it, so it is unknown")
     if c.automatic_exposure:
         return warning(
             "exposure",
@@ -89,12 +89,12 @@ def _exposure(c: Controls) -> Finding:
 
 def _focus(c: Controls) -> Finding:
     if c.automatic_focus is None:
-        return ok("focus", "this camera has no automatic focus that could be told")
+        return ok("focus", "this camera has no control for automatic focus")
     if c.automatic_focus:
         return warning(
             "focus",
             "automatic: each time it moves, the calibration no longer holds",
-            "set camera.focus in the configuration, to what it had when it was calibrated",
+            "set camera.focus in the configuration to its value at the calibration",
         )
     return ok("focus", "fixed")
 
@@ -103,7 +103,7 @@ def _colours(c: Controls) -> Finding:
     if c.automatic_white_balance:
         return warning(
             "white balance",
-            "automatic: the targets' colours wander with what else is in the picture",
+            "automatic: the targets' colours change with the rest of the picture",
             "set camera.white_balance in the configuration, for example 4500",
         )
     if c.automatic_white_balance is None:

@@ -1,8 +1,9 @@
-"""`spheremouse doctor`: everything from the camera to the pointer, looked at once; nothing is changed.
+"""`spheremouse doctor`: check everything from the camera to the pointer, and change nothing.
 
-Each subject is a module of small functions that return Findings; here is the order, and that no check ends the others.
+Each subject is a module of small functions that return findings. Here is their order. A check that fails ends no other.
 """
 
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,63 +11,64 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse import capture, output
 from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.fit_model import noise_of
 from spheremouse.ball.detect.projection import GREY, sample_weights_of
 from spheremouse.ball.rig import Rig
+from spheremouse.capture.nodes import Node, nodes
 from spheremouse.commands.doctor import (
     computer,
     controls,
     files,
     installed,
     light,
-    nodes,
-    outputs,
     program,
     running,
     timing,
     wand,
 )
 from spheremouse.commands.doctor import sight as sights
-from spheremouse.commands.doctor.finding import Finding, Section, Verdict, ok, refused, unchecked, wrong
 from spheremouse.commands.doctor.footage import Footage, film
+from spheremouse.commands.doctor.report import Section
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.rig import with_camera
+from spheremouse.finding import Finding, Verdict, ok, refused, unchecked, wrong
 from spheremouse.session.cameras import node_of
 from spheremouse.session.plan import Plan, Request, without_map
 from spheremouse.session.wand.setup import WandSetup, wand_setup
 from spheremouse.wand.state import WandTracker
 
-_NO_CAMERA = "v4l2:"  # source of a plan where none is named and none is there
-SECONDS = 2.0  # of film: sixty frames tell a rate to 2 % and flicker to a percent
+_NO_CAMERA = "v4l2:"  # the source if none is named and no camera is there
+SECONDS = 2.0  # of film: sixty frames give a rate to 2 % and flicker to a percent
 
-Say = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 def examine(
-    request: Request, *, seconds: float = SECONDS, socket: Path | None = None, say: Say = lambda _: None
+    request: Request, *, seconds: float = SECONDS, socket: Path | None = None, progress: Progress = lambda _: None
 ) -> Iterator[Section]:
-    """Section by section, as they are done. `say` is told what takes its time."""
-    say("looking at the program")
+    """Yield each section when it is done. `progress` takes a line about the step in progress."""
+    progress("checking the program")
     code = _guarded("compiled code", program.compiled_code)
     if any(f.verdict is not Verdict.OK for f in code):
-        tell = say
-        say = lambda text: tell(f"{text} (compiling for this computer, once: about a minute)")  # noqa: E731
+        show = progress
+        progress = lambda text: show(f"{text} (compiling for this computer, once: about a minute)")  # noqa: E731
     yield Section("program", (*_guarded("version", program.version), *code))
     status, told = running.ask(socket)
     yield Section("daemon", (told, *(_guarded("state", running.check, status) if status else ())))
-    there = nodes.nodes()
+    there = nodes()
     usual = files.usual(request, status)
-    plan, findings = files.read(usual, nodes.first(there))
+    plan, findings = files.read(usual, _first(there))
     if plan is None:
         yield Section("configuration", tuple(findings))
     else:
         named = bool(usual.output or plan.configuration.output)
-        yield from _with_plan(plan, usual, named, findings, there, status, seconds, say)
+        yield from _with_plan(plan, usual, named, findings, there, status, seconds, progress)
     node = None if plan is None else node_of(plan)
     node = node if node is not None and node.exists() else None
     yield Section("service", tuple(_guarded("service", installed.check, node)))
-    yield Section("computer", tuple(_computer(plan, files.service_state(usual), say)))
+    yield Section("computer", tuple(_computer(plan, files.service_state(usual), progress)))
 
 
 def _with_plan(
@@ -74,19 +76,19 @@ def _with_plan(
     request: Request,
     named: bool,
     findings: list[Finding],
-    there: list[nodes.Node],
+    there: list[Node],
     status: dict[str, Any] | None,
     seconds: float,
-    say: Say,
+    progress: Progress,
 ) -> Iterator[Section]:
     node = None if plan.source == _NO_CAMERA else node_of(plan)
     live = plan.source.partition(":")[0] in ("v4l2", "opencv")
-    camera = [*_guarded("cameras", nodes.present, there, node, live)]
-    camera += _guarded("camera access", nodes.permitted, node) if node is not None and node.exists() else []
+    camera = [_cameras(there, live)]
+    camera += _guarded("camera", capture.probe, plan.source) if node is not None else []
     footage: Footage | None = None
     of_wand, brought = plan.configuration.tracker == "wand", None
     rig: Rig | None = None
-    if _is_theirs(plan, status):
+    if _is_in_use(plan, status):
         camera.append(
             unchecked(
                 "film",
@@ -95,7 +97,7 @@ def _with_plan(
             )
         )
     elif not any(f.verdict is Verdict.WRONG for f in camera):
-        say(f"filming {seconds:g} s with {plan.source}")
+        progress(f"filming {seconds:g} s with {plan.source}")
         footage, brought = _filmed(plan, seconds, node, of_wand and not live, camera)
     tracker: WandTracker | None = None
     if of_wand:
@@ -110,7 +112,7 @@ def _with_plan(
         camera += _camera(footage)
     yield Section("camera", tuple(camera))
     if footage is not None:
-        say("looking for the ball" if of_wand else "looking for targets and discs")
+        progress("looking for the ball" if of_wand else "looking for targets and discs")
         if not of_wand:
             yield Section("picture", tuple(_picture(plan, footage, rig)))
         elif tracker is not None:
@@ -118,13 +120,30 @@ def _with_plan(
     none = unchecked(
         "output", "none is named, and a recording needs none", "give --output KIND:ARG to have it looked at"
     )
-    yield Section("output", tuple(_guarded("output", outputs.check, plan.output) if named or live else [none]))
+    yield Section("output", tuple(_guarded("output", output.probe, plan.output) if named or live else [none]))
+
+
+def _first(there: list[Node]) -> str | None:
+    """Return the source that names the first camera."""
+    return f"v4l2:{there[0].lasting or there[0].path}" if there else None
+
+
+def _cameras(there: list[Node], live: bool) -> Finding:
+    """List the cameras of this computer."""
+    if there:
+        listed = "; ".join(f"{n.path} ({n.name}){f' = {n.lasting}' if n.lasting else ''}" for n in there)
+        return ok("cameras", listed, cameras=[str(n.lasting or n.path) for n in there])
+    if not live:
+        return ok("cameras", "there is none, and this source needs none")
+    if not sys.platform.startswith("linux"):
+        return unchecked("cameras", "this system does not list them by name")
+    return wrong("cameras", "there is no camera", "plug a webcam in (docs/camera.md: which one); see `dmesg`")
 
 
 def _filmed(
     plan: Plan, seconds: float, node: Path | None, brings: bool, camera: list[Finding]
 ) -> tuple[Footage | None, WandSetup | None]:
-    """Frames, and what a source that `brings` its own wands has of them; why there are none is added to `camera`."""
+    """Film, and return the wands of a source that `brings` its own. A failure is added to `camera`."""
     brought = None
     try:
         brought = wand_setup(plan.source, realtime=False) if brings else None
@@ -137,7 +156,7 @@ def _filmed(
 
 
 def _with_rig(plan: Plan, footage: Footage | None, findings: list[Finding]) -> tuple[Plan, Rig | None]:
-    """The device and its map, with what is to be said of them added to `findings`."""
+    """Return the device and its map; findings about them are added to `findings`."""
     if footage is not None and footage.rig is not None and plan.map_path is not None and plan.rig_path is None:
         plan = without_map(plan)
     given = None if footage is None else footage.rig
@@ -153,7 +172,7 @@ def _with_rig(plan: Plan, footage: Footage | None, findings: list[Finding]) -> t
 
 
 def _camera(footage: Footage) -> Iterator[Finding]:
-    """Findings on how the frames came: rate, stamps, exposure."""
+    """Yield findings about rate, stamps and exposure."""
     yield ok("source", footage.description)
     yield from _guarded("rate", timing.rate, footage)
     yield from _guarded("stamps", timing.stamps, footage)
@@ -162,11 +181,11 @@ def _camera(footage: Footage) -> Iterator[Finding]:
 
 
 def _picture(plan: Plan, footage: Footage, rig: Rig | None) -> Iterator[Finding]:
-    """Findings on the frames: size, targets, ball, light, discs, blur."""
+    """Yield findings about the frames: size, targets, ball, light, discs, blur."""
     settings = plan.configuration
     seen: sights.Sight | None = None
     if rig is None:
-        yield unchecked("targets", "without a rig nobody knows what to look for", "see rig, above")
+        yield unchecked("targets", "without a rig there is nothing to look for", "see rig, above")
     else:
         sized = files.size(rig, *footage.size)
         yield sized
@@ -191,7 +210,7 @@ def _picture(plan: Plan, footage: Footage, rig: Rig | None) -> Iterator[Finding]
 
 
 def _noise(footage: Footage, seen: "sights.Sight | None") -> float:
-    """Grey values, the median over the views."""
+    """Return the noise in grey values, the median over the views."""
     if seen is not None:
         return float(np.median([seen.detector.noise(v.image) for v in footage.views]))
     images = [v.image if v.image.ndim == 3 else v.image[:, :, None] for v in footage.views]
@@ -201,14 +220,14 @@ def _noise(footage: Footage, seen: "sights.Sight | None") -> float:
 
 
 def _exposure(plan: Plan, footage: Footage, rig: Rig) -> float | None:
-    """s, as the camera tells, else as it is set, else as the rig says."""
+    """Return the exposure in s: of the camera, else of the settings, else of the rig."""
     if footage.controls is not None and footage.controls.exposure_s is not None:
         return footage.controls.exposure_s
     return plan.configuration.camera.exposure_s or rig.exposure_s or None
 
 
-def _is_theirs(plan: Plan, status: dict[str, Any] | None) -> bool:
-    """Has the daemon that runs the camera that we would take?"""
+def _is_in_use(plan: Plan, status: dict[str, Any] | None) -> bool:
+    """Return whether the running daemon uses the camera of this plan."""
     spec = None if status is None else (status.get("source") or {}).get("spec")
     if not spec:
         return False
@@ -216,11 +235,11 @@ def _is_theirs(plan: Plan, status: dict[str, Any] | None) -> bool:
     return here is not None and there is not None and here.resolve() == there.resolve()
 
 
-def _computer(plan: Plan | None, state: Path | None, say: Say) -> list[Finding]:
+def _computer(plan: Plan | None, state: Path | None, progress: Progress) -> list[Finding]:
     from spheremouse.commands.service.systemd import Place
     from spheremouse.session.settings.record import RecordSettings
 
-    say("looking at the computer")
+    progress("checking the computer")
     settings = RecordSettings() if plan is None else plan.configuration.record
     return [
         *_guarded("disk", computer.disk, settings, state),
@@ -231,7 +250,7 @@ def _computer(plan: Plan | None, state: Path | None, say: Say) -> list[Finding]:
 
 
 def _guarded(name: str, check: Callable[..., Any], *given: Any) -> list[Finding]:
-    """Findings of a check; one of its own where it fails."""
+    """Return the findings of a check, or one about its failure."""
     try:
         made = check(*given)
     except SpheremouseError as e:

@@ -1,4 +1,4 @@
-"""The files of a run: configuration, rig, camera and map; each that cannot be read is a line, and the rest goes on."""
+"""The files of a run: configuration, rig, camera and map. A broken one is a finding, and the rest is checked."""
 
 import os
 from collections.abc import Iterator
@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from spheremouse.ball.rig import Rig
-from spheremouse.commands.doctor.finding import Finding, ok, refusals, unchecked, warning, wrong
 from spheremouse.commands.service.systemd import Place
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.files.disc_map import age, check_fits, load_map, map_path
 from spheremouse.files.yaml import read_document
+from spheremouse.finding import Finding, ok, refusals, unchecked, warning, wrong
 from spheremouse.session.plan import Plan, Request, beside, read_plan
 from spheremouse.session.settings import Configuration
 
@@ -24,7 +24,7 @@ _CALIBRATE = (
 
 
 def usual(request: Request, status: dict[str, Any] | None) -> Request:
-    """The request; where nothing is named, what the daemon that runs was told, or the configuration of the service."""
+    """Return the request. If it names nothing, return that of the running daemon, else that of the service."""
     if request != Request():
         return request
     if status is not None:
@@ -34,19 +34,19 @@ def usual(request: Request, status: dict[str, Any] | None) -> Request:
 
 
 def service_state(request: Request) -> Path | None:
-    """Folder of map and recordings, where the configuration is that of the system's service."""
+    """Return the folder of map and recordings, if the configuration is that of the system's service."""
     place = Place()
     return place.state if request.file == place.configuration / "config.yaml" else None
 
 
 def _of_daemon(status: dict[str, Any]) -> Request:
-    """The request of a daemon, from its command line or its configuration."""
+    """Return the request of a daemon from its status."""
 
     def place(key: str) -> Path | None:
         told = status.get(key)
         if not told or Path(told).is_absolute():
             return Path(told) if told else None
-        try:  # it was said in its folder, which need not be ours
+        try:  # relative to the daemon's folder
             return Path(os.readlink(f"/proc/{int(status['pid'])}/cwd")) / told
         except (OSError, KeyError, ValueError):
             return Path(told)
@@ -61,9 +61,9 @@ def _of_daemon(status: dict[str, Any]) -> Request:
 
 
 def read(request: Request, camera: str | None) -> tuple[Plan | None, list[Finding]]:
-    """As much of the plan as can be read, and what cannot; `camera` is looked at where no source is named.
+    """Return as much of the plan as can be read, and the problems. `camera` is the source if none is named.
 
-    Balls in a hand are not read: they have a finding of their own.
+    Hand-held balls are not read here: they have a finding of their own.
     """
     findings: list[Finding] = []
     request = replace(request, assignments=(*request.assignments, "wand.balls=[]"), balls=())
@@ -86,7 +86,7 @@ def read(request: Request, camera: str | None) -> tuple[Plan | None, list[Findin
 
 
 def _no_rig_yet(request: Request, finding: Finding) -> Finding:
-    """What is said of a rig file that the configuration names and that is not there: it has to be made first."""
+    """Return a finding about a missing rig file of the configuration, which must be made first."""
     if request.rig is None and finding.text.endswith(": no such file"):
         rig = beside(request.file, config.in_force(request.file, request.assignments, Configuration).rig)
         if rig is not None and finding.text == f"{rig}: no such file":
@@ -95,7 +95,7 @@ def _no_rig_yet(request: Request, finding: Finding) -> Finding:
 
 
 def _as_the_service(plan: Plan, request: Request) -> Plan:
-    """Beside the rig, where this account may write, the service may not: its map lies in a folder of its own."""
+    """Return the plan with the service's own map folder: the service may not write beside the rig."""
     state = service_state(request)
     usual_map = None if plan.rig_path is None else map_path(plan.rig_path)
     if state is None or usual_map is None or plan.map_path != usual_map:
@@ -104,7 +104,7 @@ def _as_the_service(plan: Plan, request: Request) -> Plan:
 
 
 def _completed(request: Request, camera: str | None) -> Request:
-    """With a source and an output, which a plan wants."""
+    """Return the request with a source and an output, which a plan needs."""
     c = config.in_force(request.file, request.assignments, Configuration)
     return replace(
         request, source=request.source or c.source or camera or "v4l2:", output=request.output or c.output or "auto"
@@ -112,13 +112,13 @@ def _completed(request: Request, camera: str | None) -> Request:
 
 
 def rig_file(path: Path | None, rig: Rig | None, given: Rig | None) -> Finding:
-    """The rig, and its age; `given` is what a recording brings."""
+    """Report the rig and its age; `given` is that of a recording."""
     if rig is None and given is not None:
         return ok("rig", "the source brings its own")
     if rig is None or path is None:
         return unchecked(
             "rig",
-            "no rig yet: what is seen cannot be measured",
+            "no rig yet: the pictures cannot be measured",
             f"{_CALIBRATE}; where there is one: give --rig FILE, or `rig:` in the configuration",
         )
     made, how = _made(path)
@@ -131,7 +131,7 @@ def rig_file(path: Path | None, rig: Rig | None, given: Rig | None) -> Finding:
 
 
 def size(rig: Rig, width: int, height: int) -> Finding:
-    """Size of the pictures, against that which the camera was calibrated with."""
+    """Compare the size of the pictures with that of the calibration."""
     there = (rig.camera.width, rig.camera.height)
     values: dict[str, Any] = {"calibrated_px": list(there), "pictures_px": [width, height]}
     if there == (width, height):
@@ -145,7 +145,7 @@ def size(rig: Rig, width: int, height: int) -> Finding:
 
 
 def map_of(path: Path | None, rig: Rig | None) -> Finding:
-    """The map of the discs, which is made while the ball is used."""
+    """Report the map of the discs, which the tracker learns while the ball turns."""
     if path is None:
         return ok(
             "map",
@@ -163,7 +163,7 @@ def map_of(path: Path | None, rig: Rig | None) -> Finding:
 
 
 def _made(path: Path) -> tuple[datetime, str]:
-    """Time of a rig's calibration, by what it says itself, else by its file."""
+    """Return the time of a rig's calibration, from its contents, else that of its file."""
     for found in _dates(path):
         return found, "calibrated"
     return datetime.fromtimestamp(path.stat().st_mtime, UTC), "written"

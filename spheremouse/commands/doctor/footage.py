@@ -1,4 +1,4 @@
-"""Two seconds of what the source gives: times, a coarse grid of brightness of every frame, and a few whole frames."""
+"""Two seconds of frames: their times, a coarse grid of brightness of each, and a few whole ones."""
 
 import contextlib
 import time
@@ -20,16 +20,16 @@ from spheremouse.session.plan import Plan
 from spheremouse.tracker import Frame
 
 GRID = (24, 16)  # rows and columns: fine enough for the bands of a rolling shutter, which are three or four
-SETTLING = 0.4  # s after a camera's first frame that are left out: it finds its exposure
+SETTLING = 0.4  # s after a camera's first frame that are left out, while it finds its exposure
 _VIEWS = 10  # whole frames
-_FIRST = 4.0  # s for a camera to begin
-_SILENT = 1.0  # s without a frame after which it has stopped
-_MOST = 600  # frames: of a recording at 240 Hz
+_FIRST_TIMEOUT = 4.0  # s for a camera to begin
+_SILENT_TIMEOUT = 1.0  # s without a frame after which it has stopped
+_MAX_FRAMES = 600  # frames: of a recording at 240 Hz
 
 
 @dataclass(frozen=True, slots=True)
 class Footage:
-    """Frames that came, and their times."""
+    """Frames and their times."""
 
     stamps: Array  # (n,) s
     arrivals: Array  # (n,) s on the clock of live stamps
@@ -53,14 +53,14 @@ class Footage:
 
 
 def film(plan: Plan, seconds: float, node: Path | None, source: Source | None = None) -> Footage:
-    """Two seconds or so, of a source that is open already where one is given. SourceError where nothing comes."""
+    """Film a source, which may be open already. SourceError if no frame comes."""
     camera = plan.source.partition(":")[0] == "v4l2"
     with contextlib.nullcontext() if node is None else locked(node):
         return _of_camera(plan, seconds, node) if camera else _of_source(plan, seconds, node, source)
 
 
 class _Reel:
-    """Frames as they come."""
+    """Collects frames."""
 
     def __init__(self, fps: float | None, seconds: float) -> None:
         self.stamps: list[float] = []
@@ -107,10 +107,10 @@ def _of_camera(plan: Plan, seconds: float, node: Path | None) -> Footage:
         notes: tuple[str, ...] = ()
         begun: float | None = None
         while begun is None or time.monotonic() < begun + SETTLING + seconds:
-            shot = camera.next(_FIRST if begun is None else _SILENT)
+            shot = camera.next(_FIRST_TIMEOUT if begun is None else _SILENT_TIMEOUT)
             now = time.monotonic()
             if shot is None:
-                notes = () if begun is None else (f"the frames stopped for {_SILENT:g} s",)
+                notes = () if begun is None else (f"the frames stopped for {_SILENT_TIMEOUT:g} s",)
                 break
             begun = begun or now
             try:
@@ -151,10 +151,10 @@ def _of_source(plan: Plan, seconds: float, node: Path | None, source: Source | N
 
 
 def _bounded(frames: Iterator[Frame], seconds: float) -> Iterator[Frame]:
-    """Those of the first so many seconds by their stamps."""
+    """Yield the frames of the first seconds by their stamps."""
     first: float | None = None
     for n, frame in enumerate(frames):
         first = frame.stamp if first is None else first
-        if frame.stamp > first + seconds or n >= _MOST:
+        if frame.stamp > first + seconds or n >= _MAX_FRAMES:
             return
         yield frame

@@ -1,20 +1,20 @@
-"""The service: is it installed, does it start with the computer, did it fail, and may its user use the camera?"""
+"""The service: installation, start with the computer, failures, and its user's right on the camera."""
 
 import os
 import subprocess
 from pathlib import Path
 from typing import Any
 
-from spheremouse.commands.doctor.access import group_of
-from spheremouse.commands.doctor.finding import Finding, ok, unchecked, warning, wrong
 from spheremouse.commands.service import systemd as service
 from spheremouse.commands.service.systemd import UNIT, USER, Place
+from spheremouse.files.access import group_of
+from spheremouse.finding import Finding, ok, unchecked, warning, wrong
 
 _ASKED = ("ActiveState", "SubState", "Result", "NRestarts")
 
 
 def check(node: Path | None, root: Path = Path("/")) -> list[Finding]:
-    """Of the system's service, and the user's own."""
+    """Check the system's service and the user's own."""
     places = [p for p in (Place(root), Place(root, user=True)) if os.path.lexists(p.unit)]
     if not places:
         return [ok("service", "not installed: spheremouse runs when it is started by hand",
@@ -59,16 +59,16 @@ def _runs(place: Place) -> Finding:
     restarts = int(told.get("NRestarts") or 0)
     numbers: dict[str, Any] = {"active": told["ActiveState"], "restarts": restarts}
     if told["ActiveState"] == "failed" or told.get("Result", "success") != "success":
-        return wrong(name, f"{text}: {told.get('Result')}", f"{log} says why", **numbers)
+        return wrong(name, f"{text}: {told.get('Result')}", f"see {log}", **numbers)
     if told["ActiveState"] != "active":
         return warning(name, text, f"systemctl {'--user ' if place.user else ''}start {UNIT}", **numbers)
     if restarts:
-        return warning(name, f"{text}, started anew {restarts} times", f"{log} says why", **numbers)
+        return warning(name, f"{text}, restarted {restarts} times", f"see {log}", **numbers)
     return ok(name, text, **numbers)
 
 
 def _user(node: Path) -> Finding:
-    """The service's user, and its place in the camera's group."""
+    """Check the service's user, and its membership of the camera's group."""
     import grp
     import pwd
 

@@ -1,7 +1,4 @@
-"""The light: how bright the ball is, how much of it is blown out, and whether lamps flicker.
-
-Limits follow from what the disc detector asks of a picture (detect.discs, detect.fit), not from taste.
-"""
+"""The light: brightness, overexposure and flicker. The limits are those of the disc detector (`detect.discs`)."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,31 +9,31 @@ import numpy as np
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.ball.detect.projection import GREY, Projection
-from spheremouse.commands.doctor.finding import Finding, ok, unchecked, warning, wrong
 from spheremouse.commands.doctor.footage import Footage
 from spheremouse.commands.doctor.timing import steadiness
+from spheremouse.finding import Finding, ok, unchecked, warning, wrong
 from spheremouse.geometry.rotation import Array
 
-_CLIPPED = 254  # grey value: the last two hold what is blown out, whatever the noise
+_CLIPPED = 254  # grey value: the last two hold what is overexposed, whatever the noise
 _LIGHT_DISCS = 99.8  # per cent of the ball that are darker than light discs: eight of 2 cm on 1.2 m cover 0.2 %
 _BRIGHTEST = 95.0  # per cent of the picture that are darker
-_MUCH = 0.1  # of the ball blown out: one disc in ten has a rim whose bright side is cut off
+_MUCH = 0.1  # of the ball overexposed: one disc in ten has a rim whose bright side is cut off
 _PRINT = 0.8  # contrast of black print on white
 _LAMPS = (100.0, 120.0)  # Hz: twice the mains of 50 and 60
 _DRIFT = 0.5  # Hz about them: mains within 0.2 %, the camera's clock and its stamps over two seconds
 _FALSE = 1e-4  # chance that noise alone is taken for flicker
-_LEAST = 0.005  # depth below which nobody need know
+_MIN_DEPTH = 0.005  # depth below which flicker is not reported
 
 
 def brightness(
     views: list[Image], mask: Image | None, settings: DiscSettings, noise: float, projection: Projection = GREY
 ) -> Finding:
-    """Of the ball's paper, grey values, in `views` (h, w) where `mask` (h, w) is not 0.
+    """Check the grey values of the ball's surface in `views` (h, w), where `mask` (h, w) is not 0.
 
-    Without one, of what is brightest in the picture: the ball is not the darkest thing in it.
+    Without a mask, check the brightest part of the picture.
 
-    A disc of the least contrast must stand out of the noise at its edge, where half of it is left: four standard
-    deviations and a grey value, as the detector asks. Its contrast is a part of the lighter of disc and ball, which is
+    A disc of the lowest contrast must exceed the noise at its edge, where half of it is left, by four standard
+    deviations and a grey value, as in the detector. The contrast is relative to the lighter of disc and ball, which is
     the disc in any `projection` but grey.
     """
     name = "brightness"
@@ -46,7 +43,7 @@ def brightness(
     least = (4.0 * noise + 1.0) / (0.5 * settings.contrast)
     hopeless = (4.0 * noise + 1.0) / (0.5 * _PRINT)
     where = "the ball" if mask is not None else "the brightest of the picture"
-    text = f"{where} is at {middle:.0f} of 255, noise {noise:.1f}, {100 * clipped:.1f} % blown out"
+    text = f"{where} is at {middle:.0f} of 255, noise {noise:.1f}, {100 * clipped:.1f} % overexposed"
     numbers: dict[str, Any] = {
         "grey": round(middle, 1),
         "noise": round(noise, 2),
@@ -80,7 +77,7 @@ class Flicker:
 
 
 def flicker(footage: Footage, mask: Image | None, settings: DiscSettings) -> Finding:
-    """Grey values that go up and down with the mains; bands as dark as a faint disc are a warning."""
+    """Check for grey values that oscillate with the mains. Bands as dark as a faint disc are a warning."""
     name = "flicker"
     interval, _ = steadiness(footage.stamps, footage.sequence)
     if len(footage.stamps) < 20 or interval <= 0.0:
@@ -89,7 +86,7 @@ def flicker(footage: Footage, mask: Image | None, settings: DiscSettings) -> Fin
     blind = "".join(f"; {lamp / 2:g} Hz mains cannot be told at {1 / interval:.4g} frames/s" for lamp in hidden)
     if len(hidden) == len(_LAMPS):
         return unchecked(name, f"at {1 / interval:.4g} frames/s lamps of 50 and 60 Hz mains stand still or look alike")
-    real = [f for f in found if f.chance < _FALSE and f.depth > _LEAST]
+    real = [f for f in found if f.chance < _FALSE and f.depth > _MIN_DEPTH]
     if not real:
         return ok(name, f"none seen{blind}", hidden_hz=list(hidden))
     worst = max(real, key=lambda f: f.depth)
@@ -100,8 +97,8 @@ def flicker(footage: Footage, mask: Image | None, settings: DiscSettings) -> Fin
         "chance": worst.chance,
         "seen_at_hz": round(worst.seen_at, 2),
     }
-    text = f"mains of {mains:g} Hz: grey values go up and down by {100 * worst.depth:.1f} %"
-    if worst.depth > 0.3 * settings.contrast:  # peak to peak what the detector takes for the darkness of a disc
+    text = f"mains of {mains:g} Hz: grey values oscillate by {100 * worst.depth:.1f} %"
+    if worst.depth > 0.3 * settings.contrast:  # peak to peak as the detector's limit for a disc
         return warning(
             name,
             f"{text}, as much as a faint disc",
@@ -113,7 +110,7 @@ def flicker(footage: Footage, mask: Image | None, settings: DiscSettings) -> Fin
 
 
 def search(grid: Array, stamps: Array, sequence: Array, mask: Image | None) -> tuple[list[Flicker], tuple[float, ...]]:
-    """Flicker at each frequency of lamps that the film can show, and the frequencies that it cannot.
+    """Return the flicker at each lamp frequency that the film can show, and the frequencies that it cannot.
 
     A film of F frames/s shows f as |f - n F|: at less than one and a half turns in the film it looks like a slow
     change, and within a turn of F/2 its depth is not determined. Strips of rows each have a phase of their own, for a
@@ -147,7 +144,7 @@ def search(grid: Array, stamps: Array, sequence: Array, mask: Image | None) -> t
 
 
 def _times(stamps: Array, interval: float) -> Array:
-    """Times of a regular camera, free of the jitter of its stamps; the stamps where it is not regular."""
+    """Return the times of a regular camera without the jitter of its stamps; the stamps if it is not regular."""
     number = np.concatenate([[0.0], np.cumsum(np.maximum(np.rint(np.diff(stamps) / interval), 1.0))])
     regular = number * interval
     rest = stamps - stamps[0] - regular
@@ -155,7 +152,7 @@ def _times(stamps: Array, interval: float) -> Array:
 
 
 def _strips(grid: Array, mask: Image | None) -> Array:
-    """Grey of strips of rows as parts of their mean, less a slow change, (n, strips)."""
+    """Return the grey of strips of rows relative to their mean, without slow changes, (n, strips)."""
     n, rows, columns = grid.shape
     weight = np.ones((rows, columns))
     if mask is not None:
@@ -172,7 +169,7 @@ def _strips(grid: Array, mask: Image | None) -> Array:
 
 
 def _power(signal: Array, t: Array, frequencies: Array) -> Array:
-    """Squared amplitude of the harmonic that fits best, the mean over strips, (frequencies,)."""
+    """Return the squared amplitude of the best harmonic, the mean over strips, (frequencies,)."""
     found = np.empty(len(frequencies))
     for i, f in enumerate(frequencies):
         angle = 2.0 * np.pi * f * t

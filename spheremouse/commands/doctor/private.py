@@ -1,4 +1,4 @@
-"""What a report for others must not tell: who and where you are, and the numbers of your devices."""
+"""Remove names of people and computers, and serial numbers, from a report for others."""
 
 import getpass
 import os
@@ -11,14 +11,14 @@ from typing import Any
 _USB = Path("/sys/bus/usb/devices")
 _BY_ID = re.compile(r"(/by-id/[^\s,;)]*_)([^\s,;)_]{4,}?)((?:-[a-z]+-index|-if)\d+)")  # ..._SERIAL-video-index0
 _HOMES = re.compile(r"(?<![\w/])/(?:home|Users)/[^/\s,;:)']+")
-_NOBODY = {"root", "spheremouse", "video", "input", "nobody"}  # names of everybody's computer
+_NOBODY = {"root", "spheremouse", "video", "input", "nobody"}  # names that every computer has
 _KEPT = 2  # characters of a serial number
 
 
 def redactor(
     home: str | None = None, user: str | None = None, host: str | None = None, serials: Iterable[str] | None = None
 ) -> Callable[[Any], Any]:
-    """A function that takes such words out of texts, and of whatever holds texts; by default those of this computer."""
+    """Return a function that removes such words from texts and containers; by default those of this computer."""
     home = os.path.expanduser("~") if home is None else home
     users = _users() if user is None else [user]
     host = platform.node() if host is None else host
@@ -54,7 +54,7 @@ def _short(number: str) -> str:
 
 
 def _users() -> list[str]:
-    """This account, and who became it by sudo."""
+    """Return this account, and the one that called sudo."""
     asked = os.environ.get("SUDO_USER", "")
     try:
         return [getpass.getuser(), asked]
@@ -63,7 +63,7 @@ def _users() -> list[str]:
 
 
 def _serials() -> list[str]:
-    """Serial numbers of what is plugged in; root hubs have places there, which contain colons."""
+    """Return serial numbers of USB devices, without those of root hubs, which contain colons."""
     found = []
     try:
         for path in _USB.glob("*/serial"):

@@ -1,7 +1,8 @@
-"""The findings for people (rich, words beside every colour) and for programs (plain data)."""
+"""The report for people, with words beside every colour, and for programs."""
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from rich.console import Console
@@ -10,8 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from spheremouse import __version__
-from spheremouse.commands.doctor.finding import Finding, Section, Verdict
 from spheremouse.errors import printable
+from spheremouse.finding import Finding, Verdict
 
 FORMAT = 1  # of the data
 _LOOKS = {
@@ -23,8 +24,16 @@ _LOOKS = {
 _NAMES = 16  # columns of the longest name of a check
 
 
+@dataclass(frozen=True, slots=True)
+class Section:
+    """The findings of one subject."""
+
+    subject: str
+    findings: tuple[Finding, ...]
+
+
 def show(section: Section, console: Console) -> None:
-    """A section: a line to a finding, and one below it where there is something to do."""
+    """Print a section: a line for each finding, and its remedy below it."""
     console.print(Text(section.subject, style="bold"))
     table = Table.grid(padding=(0, 1))
     table.add_column(width=_word_width() + 2, no_wrap=True)
@@ -36,7 +45,7 @@ def show(section: Section, console: Console) -> None:
 
 
 def summary(sections: Sequence[Section]) -> Text:
-    """Numbers of findings by verdict, in one line."""
+    """Return the numbers of findings by verdict, in one line."""
     every = [f.verdict for s in sections for f in s.findings]
     bad, poor = every.count(Verdict.WRONG), every.count(Verdict.WARNING)
     if bad:
@@ -47,7 +56,7 @@ def summary(sections: Sequence[Section]) -> Text:
 
 
 def data(sections: Sequence[Section]) -> dict[str, Any]:
-    """As JSON."""
+    """Return the report as JSON data."""
     every = [f.verdict for s in sections for f in s.findings]
     return {
         "format": FORMAT,
@@ -70,7 +79,7 @@ def data(sections: Sequence[Section]) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> Any:
-    """JSON has no infinity and no NaN."""
+    """Replace infinity and NaN, which JSON does not have."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -89,7 +98,7 @@ def _words(finding: Finding, console: Console) -> Text:
 
 
 def _draws(console: Console) -> bool:
-    """Has the terminal more than ASCII?"""
+    """Return whether the terminal shows more than ASCII."""
     return (console.encoding or "").lower().replace("-", "").startswith("utf")
 
 

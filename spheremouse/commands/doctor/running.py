@@ -1,16 +1,16 @@
-"""The daemon that runs, by what it says of itself: the camera is its own then, and its figures count."""
+"""The running daemon, by its status."""
 
 from pathlib import Path
 from typing import Any
 
 from spheremouse import __version__
-from spheremouse.commands.doctor.finding import Finding, ok, unchecked, warning, wrong
 from spheremouse.errors import ControlError
+from spheremouse.finding import Finding, ok, unchecked, warning, wrong
 from spheremouse.session.control.client import Client, NoDaemonError
 
-_LOST = 0.01  # of the frames; fewer a filter bridges unseen
+_LOST = 0.01  # of the frames; the filter bridges fewer
 _INTERVALS = 2.0  # from mid-exposure to the event: one to read the frame out and carry it here, one to work on it
-_FEW = 3  # discs that hold the attitude and check it
+_MIN_DISCS = 3  # discs that hold the attitude and check it
 _ADVICE = {
     "starting": "wait; the first start compiles for a minute",
     "no-camera": "see its cable and hub, and `ls -l /dev/v4l/by-id`",
@@ -22,7 +22,7 @@ _ADVICE = {
 
 
 def ask(socket: Path | None = None) -> tuple[dict[str, Any] | None, Finding]:
-    """Its status, None where none answers."""
+    """Return the daemon's status; None if none answers."""
     try:
         with Client(socket) as client:
             status = client.ask("status")
@@ -34,13 +34,13 @@ def ask(socket: Path | None = None) -> tuple[dict[str, Any] | None, Finding]:
     text = f"process {status.get('pid')}, version {status.get('version')}, for {age}"
     if status.get("version") != __version__:
         return status, warning(
-            "daemon", f"{text}; this program is {__version__}", "start it anew to run what is installed"
+            "daemon", f"{text}; this program is {__version__}", "restart it to run the installed version"
         )
     return status, ok("daemon", text)
 
 
 def check(status: dict[str, Any]) -> list[Finding]:
-    """Findings on its status; keys that it does not have are passed over."""
+    """Return findings about a status; missing keys are left out."""
     looks = (_state, _frames, _latency, _discs, _motion, _output)
     return [found for look in looks if (found := look(status)) is not None]
 
@@ -61,7 +61,7 @@ def _frames(s: dict[str, Any]) -> Finding | None:
         return None
     every = frames + dropped + skipped + damaged
     described = str((s.get("source") or {}).get("description") or "")
-    text = f"{fps:.1f} frames/s; of {every} lost {dropped}, passed over {skipped}, damaged {damaged}"
+    text = f"{fps:.1f} frames/s; of {every} lost {dropped}, skipped {skipped}, damaged {damaged}"
     text += f" ({described})" if described else ""
     numbers: dict[str, Any] = {"fps": fps, "frames": frames, "dropped": dropped, "skipped": skipped, "damaged": damaged}
     if skipped > _LOST * every:
@@ -93,13 +93,13 @@ def _discs(s: dict[str, Any]) -> Finding | None:
     pose = s.get("pose")
     if pose:
         text += f"; camera pose {_span(float(pose.get('age_s') or 0.0))} old"
-    if s.get("state") == "tracking" and int(used) < _FEW:
+    if s.get("state") == "tracking" and int(used) < _MIN_DISCS:
         return warning("discs", text, "uncover and light the ball", used=used)
     return ok("discs", text, used=used)
 
 
 def _motion(s: dict[str, Any]) -> Finding | None:
-    """Which way the ball goes now, so that a hand on it can see whether that is so."""
+    """Report the present direction of the ball, which a hand on it can compare."""
     told, counts = s.get("motion"), s.get("counts")
     if not told or not counts:
         return None

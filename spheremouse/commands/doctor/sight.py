@@ -1,4 +1,4 @@
-"""What is seen with the rig right now: targets and camera pose, the ball, its discs, and how fast it may turn."""
+"""The picture, with the rig: targets and camera pose, the ball, its discs, and motion blur."""
 
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -18,18 +18,18 @@ from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.pose import TARGET_SIGMA_PX, find_pose, gather
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.commands.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
 from spheremouse.errors import SpheremouseError
+from spheremouse.finding import Finding, ok, refused, unchecked, warning, wrong
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.messages import why_absent
 from spheremouse.tracker import Frame
 
-_PLACED = 1e-3  # m: as well as targets keep their place on a frame that is wood or steel
+_PLACED = 1e-3  # m: stability of a target on a frame of wood or steel
 _USUAL_RADIUS = 0.6  # m, of a ball whose size nobody measured
 _BRISK = 1.0  # m/s of the ball's surface: an arm's length in less than a second
 _CORE = 0.5  # of a disc's diameter
-_FEW = 3  # directions that hold an attitude and check it
+_MIN_DISCS = 3  # directions that determine an attitude and check it
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,17 +42,17 @@ class Sight:
 
     @property
     def projection(self) -> Projection:
-        """Of the colours, in which discs are darker than the ball."""
+        """Projection of the colours in which discs are darker than the ball."""
         return self.detector.view.fit.projection
 
     @property
     def disc(self) -> float:
-        """px, diameter of a disc in the middle of the ball."""
+        """Diameter of a disc in the middle of the ball, px."""
         return self.detector.diameter
 
 
 def targets(views: tuple[Frame, ...], rig: Rig, settings: Settings) -> tuple[Pose | None, Finding]:
-    """The camera's pose from what is seen of the targets, and how well they fit."""
+    """Return the camera's pose from the targets, and a finding about their residual."""
     if rig.pose is not None:
         return rig.pose, ok("targets", "none are needed: the rig knows where the camera is")
     if len(rig.targets.codes) < 3:
@@ -91,7 +91,7 @@ def targets(views: tuple[Frame, ...], rig: Rig, settings: Settings) -> tuple[Pos
 
 
 def expected_residual(rig: Rig, pose: Pose, sigma: float) -> float:
-    """px, three standard deviations of a target's place in the picture: measured, and put where the rig says."""
+    """Return three standard deviations of a target's residual, px: of its measurement and of its place in the rig."""
     unit = rig.ball.radius / _USUAL_RADIUS if rig.scale_free else 1.0
     depth = np.maximum(pose.to_cam(rig.targets.position)[:, 2], 1e-6)
     placed = rig.camera.fx * _PLACED * unit / float(np.median(depth))
@@ -100,7 +100,7 @@ def expected_residual(rig: Rig, pose: Pose, sigma: float) -> float:
 
 
 def sight(rig: Rig, pose: Pose, settings: Settings) -> tuple[Sight | None, Finding]:
-    """The ball in the picture, and the size of its discs. The detector where it is there."""
+    """Return the detector, and a finding about the ball and the size of its discs."""
     try:
         build(rig, pose, settings)
         detector = disc_detector(settings.discs, rig, pose)
@@ -131,7 +131,7 @@ def sight(rig: Rig, pose: Pose, settings: Settings) -> tuple[Sight | None, Findi
 
 
 def in_colours(seen: Sight, views: tuple[Frame, ...]) -> Sight:
-    """With the projection of colours that shows the discs best in most views, where the settings leave it open."""
+    """Return the sight with the projection that shows the discs best in most views, unless the settings fix it."""
     if seen.detector.settings.projection is not None:
         return seen
     found = Counter(chosen(v.image, seen.detector, seen.projection)[0] for v in views)
@@ -139,7 +139,7 @@ def in_colours(seen: Sight, views: tuple[Frame, ...]) -> Sight:
 
 
 def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Finding:
-    """Number of disc candidates in the median view, and their contrast."""
+    """Report the number of disc candidates in the median view, and their contrast."""
     found = [seen.detector.detect(v.image) for v in views]
     counts = [len(d) for d in found]
     count = int(np.median(counts))
@@ -154,7 +154,7 @@ def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Find
         strength = float(np.median(contrasts))
         numbers["contrast"] = round(strength, 3)
         text += f", contrast {strength:.2f} (print has 0.8; {settings.contrast:g} is the least)"
-    if count < _FEW:
+    if count < _MIN_DISCS:
         return warning(
             "discs",
             f"{text}: fewer than three, nothing checks the attitude",
@@ -165,7 +165,7 @@ def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Find
 
 
 def contrast(image: Image, found: Detections, projection: Projection) -> Array:
-    """Of each disc, (k,), a part of the lighter of disc and ball; without those whose surroundings are out of sight."""
+    """Return the contrast of each disc, (k,), relative to the lighter of disc and ball; without discs at the border."""
     values = (image if image.ndim == 3 else image[:, :, None]) @ weights_of(projection, 1 if image.ndim == 2 else 3)
     made = []
     for (u, v), area in zip(found.centre, found.area, strict=True):
@@ -185,11 +185,11 @@ def contrast(image: Image, found: Detections, projection: Projection) -> Array:
 
 
 def blur(seen: Sight, exposure: float | None, settings: DiscSettings, known: bool) -> Finding:
-    """Way of a disc while the shutter is open; `known` says that the tracker has been told the exposure.
+    """Report the motion of a disc during the exposure; `known`: the rig has the exposure.
 
-    At a brisk turn the disc in the middle of the ball moves by speed * f / distance. Smeared by more than
-    `size_tolerance` of its diameter it no longer has the size that is expected; where the tracker knows the exposure it
-    expects that, and half of the disc must stay dark all the time. Smeared by all of it no dark core is left.
+    At a fast turn the disc in the middle of the ball moves by speed * f / distance. If it smears by more than
+    `size_tolerance` of its diameter, its size is rejected. If the tracker knows the exposure, half of the disc must
+    stay dark. If it smears by its whole diameter, no dark core is left.
     """
     rig, pose = seen.rig, seen.pose
     near = float(np.linalg.norm(pose.position - rig.ball.centre)) - rig.ball.radius
@@ -216,7 +216,7 @@ def blur(seen: Sight, exposure: float | None, settings: DiscSettings, known: boo
     text = f"{1e3 * exposure:g} ms are {turn:.2f}° or {smear:.1f} px at {words}; a disc is {seen.disc:.1f} px"
     shorter = f"an exposure of {1e3 * longest:.1f} ms or less (camera.exposure_s), and more light"
     if smear >= seen.disc:
-        return wrong("blur", f"{text}: a turning ball shows none", shorter, **numbers)
+        return wrong("blur", f"{text}: a turning ball shows no disc", shorter, **numbers)
     if smear > share * seen.disc:
         told = "" if known else "; or exposure_s in the rig file, so that blur is expected"
         return warning("blur", text, shorter + told, **numbers)
@@ -224,5 +224,5 @@ def blur(seen: Sight, exposure: float | None, settings: DiscSettings, known: boo
 
 
 def grey(image: Image) -> Image:
-    """Grey of a picture, (h, w)."""
+    """Return a picture in grey, (h, w)."""
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)

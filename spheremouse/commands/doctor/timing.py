@@ -1,24 +1,24 @@
-"""How many frames really come, and whether their stamps can be believed."""
+"""The frame rate and the stamps."""
 
 from typing import Any
 
 import numpy as np
 
-from spheremouse.commands.doctor.finding import Finding, ok, unchecked, warning, wrong
 from spheremouse.commands.doctor.footage import Footage
+from spheremouse.finding import Finding, ok, unchecked, warning, wrong
 from spheremouse.geometry.rotation import Array
 
-_SLOW = 0.95  # of the promised rate: of two seconds' frames the count alone is uncertain by one in sixty
-_LOST = 0.01  # of the frames: a filter bridges them, yet a camera in order loses none
-_UNSTEADY = 0.05  # of the interval: the rate of the ball from frame to frame is wrong by as much
-_ENOUGH = 8  # frames
+_SLOW = 0.95  # of the promised rate: in two seconds the count is uncertain by one in sixty
+_LOST = 0.01  # of the frames: a camera in order loses none
+_UNSTEADY = 0.05  # of the interval: the measured rate of the ball has the same error
+_MIN_FRAMES = 8  # frames
 
 
 def rate(footage: Footage) -> Finding:
-    """The rate achieved, by the camera's own count."""
+    """Report the rate, by the camera's own count."""
     n, expected = len(footage.stamps), footage.fps
     span = float(footage.stamps[-1] - footage.stamps[0])
-    if n < _ENOUGH:
+    if n < _MIN_FRAMES:
         text = f"no more than {n} frame{'' if n == 1 else 's'} in {span:.1f} s"
         if not footage.live:
             return unchecked("rate", f"{text}: the recording is short, or slow", frames=n)
@@ -49,9 +49,9 @@ def rate(footage: Footage) -> Finding:
 
 
 def stamps(footage: Footage) -> Finding:
-    """Faults of stamps: that do not increase, keep no step, or belong to another clock."""
+    """Check that stamps increase, are steady and belong to this clock."""
     steps = np.diff(footage.stamps)
-    if len(steps) < _ENOUGH - 1:
+    if len(steps) < _MIN_FRAMES - 1:
         return unchecked("stamps", "too few frames")
     bad = int(np.count_nonzero(steps <= 0.0))
     if bad:
@@ -68,19 +68,19 @@ def stamps(footage: Footage) -> Finding:
     notes = "; ".join(footage.notes)
     if notes:
         return warning(
-            "stamps", f"{text}; {notes}", "the tracker mends that; camera.stamp_shift_s sets what is left", **values
+            "stamps", f"{text}; {notes}", "the tracker corrects that; camera.stamp_shift_s sets the rest", **values
         )
     if jitter > _UNSTEADY * interval:
         advice = "take v4l2: in place of opencv:, which has the camera's own stamps" if not footage.stamped else ""
         advice = advice or "a port of its own for the camera, and fewer programs at work"
-        return warning("stamps", text, advice if footage.live else "rates wander by as much; film it anew", **values)
+        return warning("stamps", text, advice if footage.live else "rates vary as much; film again", **values)
     return ok("stamps", text, **values)
 
 
 def steadiness(stamps: Array, sequence: Array) -> tuple[float, float]:
-    """Interval and standard deviation of stamps, (n,) s, about the straight line through their numbers, (n,).
+    """Return interval and standard deviation of stamps, (n,) s, about a straight line through their numbers, (n,).
 
-    Where numbers were not counted (all steps alike while times leap) the steps are rounded to whole intervals.
+    If frames were not counted, the steps are rounded to whole intervals.
     """
     number = sequence - sequence[0]
     interval = float(np.median(np.diff(stamps) / np.maximum(np.diff(number), 1)))

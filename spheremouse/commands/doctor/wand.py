@@ -1,4 +1,4 @@
-"""A hand-held ball: the files of camera and balls, and whether the balls are seen."""
+"""Hand-held balls: the files of camera and balls, and the balls in the picture."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.commands.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
+from spheremouse.finding import Finding, ok, refused, unchecked, warning, wrong
 from spheremouse.session.balls import read_balls
 from spheremouse.session.plan import Plan, Request, named_balls
 from spheremouse.session.settings import Configuration
@@ -18,11 +18,11 @@ from spheremouse.tracker import Frame, Status
 from spheremouse.wand.state import WandPose, WandTracker
 from spheremouse.wand.track import begin, step
 
-_SURE = 0.5  # of the pictures: a ball that somebody holds before the camera is in view in most
+_MIN_FOUND = 0.5  # of the pictures: a ball before the camera is in view in most
 
 
 def tracker_of(plan: Plan, request: Request, given: WandSetup | None) -> tuple[WandTracker | None, Finding]:
-    """The tracker that a run would have; `given` is what a recording brings."""
+    """Return the tracker of a run; `given` is the setup of a recording."""
     try:
         balls = read_balls(named_balls(request, config.in_force(request.file, request.assignments, Configuration)))
         tracker = (given or WandSetup()).tracker(replace(plan, balls=balls))
@@ -33,7 +33,7 @@ def tracker_of(plan: Plan, request: Request, given: WandSetup | None) -> tuple[W
 
 
 def sight(views: tuple[Frame, ...], tracker: WandTracker) -> Iterator[Finding]:
-    """Place of each ball in the pictures, nothing known beforehand, and how sure it is."""
+    """Yield a finding about each ball: its place in the pictures, without prior knowledge, and its uncertainty."""
     there, size = (tracker.camera.width, tracker.camera.height), views[0].image.shape[1::-1]
     if size != there:
         yield wrong(
@@ -71,13 +71,13 @@ def _found(poses: list[WandPose]) -> Finding:
         f"{name}: found in {len(good)} of {len(poses)} pictures, last {away:.2f} m away, known to {1e3 * sigma:.0f} mm"
     )
     numbers |= {"distance_m": round(away, 3), "sigma_mm": round(1e3 * sigma, 1)}
-    if share < _SURE:
+    if share < _MIN_FOUND:
         return warning("sight", text, "more light, or other bounds: spheremouse wand colours PICTURE", **numbers)
     return ok("sight", text, **numbers)
 
 
 def camera_file(plan: Plan, given: WandSetup | None) -> Finding:
-    """Origin of the camera's interior orientation."""
+    """Report the origin of the camera's interior orientation."""
     path = plan.camera_path or plan.rig_path
     if path is not None:
         return ok("camera file", str(path))

@@ -16,11 +16,11 @@ from spheremouse.ball.detect.projection import GREY, projected
 from spheremouse.ball.detect.sharpness import blur_of
 from spheremouse.calibrate.rolling.start import Spots, dark_spots
 from spheremouse.capture.signals import SignalHandler
-from spheremouse.commands.doctor.finding import Finding
 from spheremouse.commands.doctor.light import brightness
 from spheremouse.errors import ConfigurationError, SourceError
 from spheremouse.files import config
 from spheremouse.files.rig import load_rig
+from spheremouse.finding import Finding
 from spheremouse.geometry.rotation import Array
 from spheremouse.geometry.statistics import mad_sigma
 from spheremouse.session import messages

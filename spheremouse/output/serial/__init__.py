@@ -7,17 +7,21 @@ answers, keeps the line alive and reopens a port that is gone. Messages go to st
 """
 
 import contextlib
+import os
 import secrets
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from spheremouse.errors import OutputError
+from spheremouse.files.access import access_problem
 from spheremouse.files.registry import options
+from spheremouse.finding import Finding, absent, ok
 from spheremouse.output import DeliveryStatus, Report
 from spheremouse.output.rate_limited_logger import RateLimitedLogger
 from spheremouse.output.serial.link import Link
@@ -345,6 +349,22 @@ def check(argument: str) -> tuple[str, str | None, int, str]:
     if identifier is not None and name != "auto":
         raise OutputError(f"{whole}: id= goes with serial:auto; a named port needs none")
     return name, None if identifier is None else str(identifier), baud, third
+
+
+def probe(argument: str) -> list[Finding]:
+    """Return whether the board's port exists and this account may use it; the port is not opened."""
+    name, identifier, _, _ = check(argument)
+    try:
+        port = Path(find_board(identifier) if name == "auto" else name)
+    except OutputError as e:
+        text, _, advice = str(e).partition("; ")
+        return [absent("serial board", text, advice)]
+    if os.name == "posix":
+        if not port.exists():
+            return [absent("serial board", f"{port} is not there", "plug the board in, or name its port: serial:auto")]
+        if problem := access_problem(port):
+            return [absent("serial board", *problem)]
+    return [ok("serial board", f"at {port}; `spheremouse firmware check` asks it")]
 
 
 def _three(counts: Iterable[int]) -> tuple[int, int, int]:

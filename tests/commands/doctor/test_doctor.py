@@ -1,8 +1,7 @@
-"""`spheremouse doctor`: what is wrong is said with its number and what to do, whatever else is wrong beside it."""
+"""`spheremouse doctor`: each fault is reported with its number and remedy, whatever else is wrong."""
 
 import json
 import os
-import stat
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -19,14 +18,11 @@ from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.ball.detect.projection import NEGATIVE
 from spheremouse.commands.doctor import (
-    access,
     computer,
     controls,
     files,
     installed,
     light,
-    nodes,
-    outputs,
     report,
     running,
     timing,
@@ -34,17 +30,17 @@ from spheremouse.commands.doctor import (
 from spheremouse.commands.doctor import doctor as command
 from spheremouse.commands.doctor import examine as doctor
 from spheremouse.commands.doctor import sight as sights
-from spheremouse.commands.doctor.finding import Section, Verdict, ok, warning, wrong
 from spheremouse.commands.doctor.footage import GRID, Footage, film
 from spheremouse.commands.doctor.private import redactor
+from spheremouse.commands.doctor.report import Section
 from spheremouse.commands.service import systemd as service
 from spheremouse.commands.service.systemd import Place
 from spheremouse.errors import SourceError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.rig import load_rig, save_rig
+from spheremouse.finding import Verdict, ok, warning, wrong
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import exp
-from spheremouse.output import text
 from spheremouse.session.plan import Request, read_plan
 from spheremouse.session.settings.record import RecordSettings
 
@@ -200,33 +196,6 @@ def test_a_check_that_fails_itself_is_a_line(monkeypatch, far26):
     assert one(found, "picture", "flicker").verdict is WRONG
     assert "ZeroDivisionError: of its own" in one(found, "picture", "flicker").text
     assert one(found, "picture", "discs").verdict is OK
-
-
-def test_compiled_code_counts_where_it_is_for_this_processor(tmp_path, monkeypatch):
-    """A function with a cache of its own: none, compiled, of another processor, damaged."""
-    from numba import njit
-    from numba.core.registry import cpu_target
-
-    from spheremouse.commands.doctor import program
-
-    source = tmp_path / "compiled_for_doctor.py"
-    source.write_text("def twice(x):\n    return 2 * x\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
-    import compiled_for_doctor  # type: ignore[import-not-found]
-
-    function = njit(cache=True)(compiled_for_doctor.twice)
-    assert program.compiled([function]).verdict is WARNING
-    assert function(2) == 4
-    told = program.compiled([function])
-    assert (told.verdict, told.values["kept"]) == (OK, 1)
-    with monkeypatch.context() as patch:
-        codegen = cpu_target.target_context.codegen()
-        patch.setattr(type(codegen), "magic_tuple", lambda self: ("another", "processor", ""))
-        assert program.compiled([function]).verdict is WARNING
-    for index in Path(function.stats.cache_path).glob("*.nbi"):
-        index.write_bytes(b"nothing")
-    assert program.compiled([function]).verdict is WARNING
 
 
 def test_a_recording_that_breaks_off_is_used_as_far_as_it_goes(tmp_path, far26):
@@ -511,107 +480,6 @@ def test_a_source_that_gives_no_frame_is_an_error_that_says_so(monkeypatch, tmp_
 # ---- devices ----
 
 
-def a_tree(tmp_path, names):
-    """/sys/class/video4linux, /dev and by-id with these cameras: (index, name, lasting name or None)."""
-    listed, devices, by_id = tmp_path / "sys", tmp_path / "dev", tmp_path / "by-id"
-    by_id.mkdir()
-    devices.mkdir()
-    for k, (index, name, lasting) in enumerate(names):
-        (listed / f"video{k}").mkdir(parents=True)
-        (listed / f"video{k}" / "name").write_text(name + "\n")
-        (listed / f"video{k}" / "index").write_text(f"{index}\n")
-        (devices / f"video{k}").write_text("")
-        if lasting:
-            (by_id / lasting).symlink_to(devices / f"video{k}")
-    return nodes.nodes(listed, devices, by_id)
-
-
-def test_cameras_are_listed_by_their_first_node_and_lasting_name(tmp_path):
-    found = a_tree(tmp_path, [(0, "HD Cam", "usb-HD-index0"), (1, "HD Cam", "usb-HD-index1"), (0, "Other", None)])
-    assert [(n.name, n.lasting and n.lasting.name) for n in found] == [("HD Cam", "usb-HD-index0"), ("Other", None)]
-    assert nodes.first(found) == f"v4l2:{tmp_path}/by-id/usb-HD-index0"
-    listed, told = nodes.present(found, tmp_path / "dev" / "video0", live=True)
-    assert listed.verdict is OK
-    assert told.verdict is WARNING
-    assert f"source: v4l2:{tmp_path}/by-id/usb-HD-index0" in told.advice
-    assert nodes.present(found, tmp_path / "by-id" / "usb-HD-index0", live=True)[1].verdict is OK
-    assert nodes.present(found, tmp_path / "dev" / "video9", live=True)[1].verdict is WRONG
-    assert nodes.present([], None, live=True)[0].verdict is WRONG
-    assert nodes.present([], None, live=False)[0].verdict is OK
-    assert nodes.nodes(tmp_path / "nowhere") == []
-
-
-def test_a_node_that_may_not_be_used_names_its_group_and_the_account(tmp_path, monkeypatch):
-    node = tmp_path / "video0"
-    node.write_text("")
-    monkeypatch.setattr(access, "group_of", lambda path: "video")
-    monkeypatch.setattr(access, "account", lambda: "ada")
-    assert nodes.permitted(node).verdict is OK
-    node.chmod(0o660)
-    monkeypatch.setattr(access.os, "access", lambda path, mode: False)
-    monkeypatch.setattr(access, "_enrolled", lambda who: [])
-    assert access.refusal(node) == (
-        f"{node} is for the group video, of which ada is not",
-        "as root: usermod -aG video ada, then log in again",
-    )
-    monkeypatch.setattr(access, "_enrolled", lambda who: ["video"])
-    assert access.refusal(node)[1] == "log out and in again"  # type: ignore[index]
-    node.chmod(0o600)
-    assert "by its owner alone" in access.refusal(node)[0]  # type: ignore[index]
-    told = nodes.permitted(node)
-    assert told.verdict is WRONG
-    assert "service install" in told.advice
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become somebody else")
-def test_another_account_is_really_refused(tmp_path):
-    node = tmp_path / "uinput"
-    node.write_text("")
-    node.chmod(0o600)
-    for folder in (tmp_path, *tmp_path.parents):
-        if folder != Path(folder.anchor) and folder.stat().st_uid == 0 and "pytest" in str(folder):
-            folder.chmod(folder.stat().st_mode | stat.S_IXOTH | stat.S_IROTH)
-    pid = os.fork()
-    if pid == 0:
-        os.setgroups([])
-        os.setgid(65534)
-        os.setuid(65534)
-        told = outputs.uinput(node)
-        os._exit(0 if told.verdict is WRONG and "by its owner alone" in told.text else 1)
-    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
-
-
-def test_outputs_are_told_without_being_opened(tmp_path, monkeypatch):
-    missing = outputs.uinput(tmp_path / "uinput")
-    assert missing.verdict is WRONG
-    assert "modprobe uinput" in missing.advice
-    assert outputs.serial(str(tmp_path / "ttyACM9")).verdict is WRONG
-    (tmp_path / "ttyACM0").write_text("")
-    assert outputs.serial(str(tmp_path / "ttyACM0")).verdict is OK
-    assert outputs.check("null")[0].verdict is WARNING
-    assert outputs.check(f"text:{tmp_path}/log")[0].verdict is OK
-    assert outputs.check(f"text:{tmp_path}/nowhere/log")[0].verdict is WRONG
-    assert not (tmp_path / "log").exists()
-    (tmp_path / "log").write_text("a letter")
-    assert outputs.check(f"text:{tmp_path}/log")[0].verdict is WRONG
-    assert "no log of motions" in outputs.check(f"text:{tmp_path}/log")[0].text
-    with text.open(str(tmp_path / "motions")) as output:
-        output.send(STILL)
-    assert outputs.check(f"text:{tmp_path}/motions")[0].verdict is OK
-    assert outputs.check(f"text:{tmp_path}")[0].verdict is WRONG
-    monkeypatch.setattr(outputs, "uinput", lambda: ok("uinput", "may be written"))
-    taken, *others, third = outputs.check("auto")
-    assert (third.name, third.verdict) == ("third axis", OK)
-    assert "is not sent: output auto" in third.text
-    assert outputs.check("uinput:third=wheel")[-1].text == "the ball's spin is sent as the wheel (REL_WHEEL_HI_RES)"
-    assert taken.text == "auto takes uinput"
-    assert {f.verdict for f in others[1:]} == {UNCHECKED}
-    monkeypatch.setattr(outputs, "uinput", lambda: wrong("uinput", "is not there"))
-    monkeypatch.setattr(outputs, "desktop", lambda: wrong("desktop", "is not there"))
-    monkeypatch.setattr(outputs, "_own_board", lambda: wrong("serial board", "is not there"))
-    assert [f.verdict for f in outputs.check("auto")] == [WRONG, WARNING, WARNING, WARNING, OK]
-
-
 def test_what_a_camera_does_by_itself_is_a_warning():
     fixed = controls.Controls(0.01, False, False, False, False, 1)
     assert {f.verdict for f in controls.check(fixed)} == {OK}
@@ -758,7 +626,7 @@ def test_a_daemon_that_runs_keeps_its_camera(tmp_path_factory, monkeypatch):
     from spheremouse.session.settings.control import ControlSettings
 
     path = Path(tmp_path_factory.mktemp("s")) / "c"
-    monkeypatch.setattr(doctor.nodes, "present", lambda *_: [])
+    monkeypatch.setattr(doctor.capture, "probe", lambda spec: [])
     monkeypatch.setattr(doctor, "film", lambda *_: pytest.fail("the camera was opened"))
     with ControlServer(path, ControlSettings(), lambda pending: pending.answer(dict(STATUS))):
         sections = {s.subject: s.findings for s in doctor.examine(Request(source="v4l2:7", output="null"), socket=path)}

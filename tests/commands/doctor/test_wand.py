@@ -8,12 +8,12 @@ import pytest
 
 from spheremouse.commands.doctor import examine as doctor
 from spheremouse.commands.doctor import files
-from spheremouse.commands.doctor.finding import Verdict
 from spheremouse.commands.doctor.wand import sight
 from spheremouse.commands.service import systemd as service
 from spheremouse.commands.service.systemd import Place
 from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.files.wand import save_wand
+from spheremouse.finding import Verdict
 from spheremouse.session.plan import Request
 from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand

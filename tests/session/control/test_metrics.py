@@ -208,8 +208,8 @@ def test_the_dashboard_is_in_order():
     table = next(p for p in panels if p["type"] == "table")
     organise = table["transformations"][1]["options"]
     shown = {f"Value #{t['refId']}" for t in table["targets"]}
-    config_check = set(organise["renameByName"]) | {k for k, hidden in organise["excludeByName"].items() if hidden}
-    assert shown <= config_check
+    handled = set(organise["renameByName"]) | {k for k, hidden in organise["excludeByName"].items() if hidden}
+    assert shown <= handled
     columns = set(organise["renameByName"].values())
     assert {o["matcher"]["options"] for o in table["fieldConfig"]["overrides"]} <= columns
     assert table["options"]["sortBy"][0]["displayName"] in columns

@@ -1,4 +1,4 @@
-"""What a check has found: one line that says how it is, and one that says what to do."""
+"""The result of a check: a verdict, a line with the measurement, and the remedy."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -22,44 +22,42 @@ class Finding:
     name: str  # of the check, the same in every report
     verdict: Verdict
     text: str
-    advice: str = ""  # what to do
-    values: Mapping[str, Any] = field(default_factory=dict)  # the numbers, for programs; their units in the keys
-
-
-@dataclass(frozen=True, slots=True)
-class Section:
-    """The findings of one subject."""
-
-    subject: str
-    findings: tuple[Finding, ...]
+    advice: str = ""
+    values: Mapping[str, Any] = field(default_factory=dict)  # for programs; units in the keys
+    passing: bool = False  # may change without a change of the configuration: a device is not plugged in
 
 
 def ok(name: str, text: str, advice: str = "", **values: Any) -> Finding:
-    """Nothing to do."""
+    """Return a finding that needs no action."""
     return Finding(name, Verdict.OK, text, advice, values)
 
 
 def warning(name: str, text: str, advice: str, **values: Any) -> Finding:
-    """Better mended."""
+    """Return a finding about a part that works less well than it could."""
     return Finding(name, Verdict.WARNING, text, advice, values)
 
 
 def wrong(name: str, text: str, advice: str = "", **values: Any) -> Finding:
-    """To be mended."""
+    """Return a finding about a part that does not work."""
     return Finding(name, Verdict.WRONG, text, advice, values)
 
 
+def absent(name: str, text: str, advice: str) -> Finding:
+    """Return a finding about a device that is not there now, or that this account may not use."""
+    return Finding(name, Verdict.WRONG, text, advice, passing=True)
+
+
 def unchecked(name: str, text: str, advice: str = "", **values: Any) -> Finding:
-    """Cannot be told."""
+    """Return a finding about a part that cannot be checked."""
     return Finding(name, Verdict.UNCHECKED, text, advice, values)
 
 
 def refused(name: str, error: Exception, **values: Any) -> Finding:
-    """An error of ours, which says after its semicolon what to do."""
+    """Return a finding from an error `problem; remedy`."""
     text, _, advice = " ".join(str(error).split()).partition("; ")
     return Finding(name, Verdict.WRONG, text, advice, values)
 
 
 def refusals(name: str, error: Exception) -> list[Finding]:
-    """A line to each of the problems that an error of ours lists, as that of a file does."""
+    """Return a finding for each line of an error, which may list several problems of a file."""
     return [refused(name, type(error)(line)) for line in str(error).splitlines() if line.strip()]

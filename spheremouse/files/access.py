@@ -1,11 +1,13 @@
-"""May this account use a device, and if not: which group, or which rule, is missing?"""
+"""The rights of this account on a device node, and the service's folder."""
 
 import os
 from pathlib import Path
 
+STATE_FOLDER = Path("/var/lib/spheremouse")  # systemd makes it at the service's first start
 
-def refusal(path: Path) -> tuple[str, str] | None:
-    """The reason why a node may not be read and written, and what to do; None where it may."""
+
+def access_problem(path: Path) -> tuple[str, str] | None:
+    """Return the reason why this account may not read and write a node, and the remedy; None if it may."""
     if os.access(path, os.R_OK | os.W_OK):
         return None
     who, group, mode = account(), group_of(path), path.stat().st_mode
@@ -14,7 +16,7 @@ def refusal(path: Path) -> tuple[str, str] | None:
             f"{path} may be used by its owner alone",
             "as root: spheremouse service install, which places the udev rules; or unplug it and plug it in again",
         )
-    if group in _enrolled(who):
+    if group in _groups_of(who):
         return (
             f"{path} is for the group {group}, of which {who} is, but not yet in this session",
             "log out and in again",
@@ -26,7 +28,7 @@ def refusal(path: Path) -> tuple[str, str] | None:
 
 
 def account() -> str:
-    """The name of the account that asks."""
+    """Return the name of this account."""
     try:
         import pwd
 
@@ -36,29 +38,14 @@ def account() -> str:
 
 
 def group_of(path: Path) -> str | None:
-    """The name of a node's group."""
+    """Return the name of a node's group."""
     try:
         return path.group()
     except (OSError, KeyError, NotImplementedError):
         return None
 
 
-def groups() -> list[str]:
-    """Those of this session, sorted."""
-    try:
-        import grp
-    except ImportError:
-        return []
-    found = []
-    for number in {*os.getgroups(), os.getegid()}:
-        try:
-            found.append(grp.getgrgid(number).gr_name)
-        except KeyError:
-            found.append(str(number))
-    return sorted(found)
-
-
-def _enrolled(who: str) -> list[str]:
+def _groups_of(who: str) -> list[str]:
     import grp
 
     return [g.gr_name for g in grp.getgrall() if who in g.gr_mem]

@@ -1,0 +1,71 @@
+"""Findings about sources: camera nodes, their lasting names and the rights on them, and paths of recordings."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from spheremouse.files.access import access_problem, account
+from spheremouse.finding import Finding, absent, ok, warning, wrong
+
+_SYS, _DEV, _BY_ID = Path("/sys/class/video4linux"), Path("/dev"), Path("/dev/v4l/by-id")
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A camera, by the first of its nodes: the others carry no pictures."""
+
+    path: Path
+    name: str
+    lasting: Path | None  # the name below /dev/v4l/by-id, which stays
+
+
+def nodes(listed: Path = _SYS, devices: Path = _DEV, by_id: Path = _BY_ID) -> list[Node]:
+    """Return the cameras of this computer, by number."""
+    try:
+        entries = sorted(listed.iterdir(), key=lambda p: (len(p.name), p.name))
+    except OSError:
+        return []
+    links = {link.resolve(): link for link in sorted(by_id.iterdir())} if by_id.is_dir() else {}
+    found = []
+    for entry in entries:
+        if entry.name.startswith("video") and _text(entry / "index") in ("", "0"):
+            path = devices / entry.name
+            found.append(Node(path, _text(entry / "name") or "unnamed", links.get(path.resolve())))
+    return found
+
+
+def probe_node(node: Path, found: list[Node]) -> list[Finding]:
+    """Return findings about a camera's node: whether it exists, keeps its name, and may be used by this account."""
+    here = next((n for n in found if n.path.resolve() == node.resolve()), None)
+    if not os.path.exists(node):
+        named = " or ".join(f"v4l2:{n.lasting or n.path}" for n in found)
+        others = f", or name the one there is: {named}" if named else ""
+        return [absent("camera", f"{node} is not there", f"plug it in{others}")]
+    camera = ok("camera", str(node))
+    if here is not None and here.lasting is not None and node == here.path:
+        camera = warning(
+            "camera",
+            f"{node} is a number, which may go to another camera at the next start",
+            f"name it by what stays: source: v4l2:{here.lasting}",
+        )
+    problem = access_problem(node)
+    access = (
+        ok("camera access", f"{account()} may use {node}") if problem is None else absent("camera access", *problem)
+    )
+    return [camera, access]
+
+
+def probe_path(path: Path) -> Finding:
+    """Return whether a recording exists. A relative path may exist in another folder."""
+    if path.exists():
+        return ok("source", str(path))
+    if path.is_absolute():
+        return wrong("source", f"{path}: not there", "check the path")
+    return absent("source", f"{path}: not there, seen from this folder", "check the path")
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""
