@@ -56,10 +56,10 @@ def identify(
     if len(seen) < 3 or len(known) < 3:
         return None
     found = attitude(seen, known, float(sigma), towards[0], float(horizon))
-    if found is None or not found.wrong <= risk:
+    if found is None or not found.error_probability <= risk:
         return None
     pairs = np.stack([rows[found.pairs[:, 0]], columns[found.pairs[:, 1]]], axis=1)
-    return Identification(found.rotation, pairs, found.wrong)
+    return Identification(found.rotation, pairs, found.error_probability)
 
 
 def _units(directions: ArrayLike, name: str) -> tuple[Array, NDArray[np.intp]]:

@@ -1,4 +1,8 @@
-"""How well an attitude explains the points, and with what probability by chance."""
+"""Adjustment of an attitude to directions, its log evidence, and the probability that it is wrong.
+
+`seen` (n, 3) and `known` (m, 3) are unit vectors, `variance` (n,) rad² that of each seen one per axis. A rotation maps
+`known` to `seen`.
+"""
 
 import math
 
@@ -6,14 +10,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.ball.constellation.hypotheses import STEPS, Law
+from spheremouse.ball.constellation.hypotheses import MAX_STEPS, Law
 from spheremouse.geometry.matching import match
 from spheremouse.geometry.rotation import Array
 
 
 @njit(cache=True)
-def _turned(R: Array, v: Array) -> Array:
-    """exp(v) R, (3, 3), for a rotation vector v, (3,), by the unit quaternion."""
+def _rotate(R: Array, v: Array) -> Array:
+    """Return exp(v) R, (3, 3), for a rotation vector v, (3,), by the unit quaternion."""
     angle = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
     s = 0.5 if angle < 1e-8 else math.sin(angle / 2.0) / angle
     w, x, y, z = math.cos(angle / 2.0), s * v[0], s * v[1], s * v[2]
@@ -27,8 +31,8 @@ def _turned(R: Array, v: Array) -> Array:
 
 
 @njit(cache=True)
-def _solved(A: Array, g: Array) -> tuple[Array, float]:
-    """Solution, (3,), of a symmetric A v = g, and the determinant; no solution, zero, where that is zero."""
+def _solve(A: Array, g: Array) -> tuple[Array, float]:
+    """Return the solution v, (3,), of a symmetric A v = g, and the determinant; zero for a singular A."""
     c0, c1 = A[1, 1] * A[2, 2] - A[1, 2] ** 2, A[0, 2] * A[1, 2] - A[0, 1] * A[2, 2]
     c2 = A[0, 1] * A[1, 2] - A[0, 2] * A[1, 1]
     det = A[0, 0] * c0 + A[0, 1] * c1 + A[0, 2] * c2
@@ -43,52 +47,54 @@ def _solved(A: Array, g: Array) -> tuple[Array, float]:
 
 
 @njit(cache=True)
-def _sight(R: Array, known: Array, law: Law) -> tuple[Array, Array]:
-    """Known directions turned, (m, 3), and how likely each is seen, were none hidden, (m,)."""
+def _visibility(R: Array, known: Array, law: Law) -> tuple[Array, Array]:
+    """Return the rotated known directions, (m, 3), and their probabilities to be visible without occlusion, (m,)."""
     m = len(known)
     p, visible = np.empty((m, 3)), np.empty(m)
     for j in range(m):
         cosine = 0.0
         for r in range(3):
             p[j, r] = R[r, 0] * known[j, 0] + R[r, 1] * known[j, 1] + R[r, 2] * known[j, 2]
-            cosine += p[j, r] * law.towards[r]
-        visible[j] = 1.0 / (1.0 + math.exp(min(50.0, (law.edge - cosine) / law.blur)))
+            cosine += p[j, r] * law.view_axis[r]
+        visible[j] = 1.0 / (1.0 + math.exp(min(50.0, (law.half_cosine - cosine) / law.limb_width)))
     return p, visible
 
 
 @njit(cache=True)
 def max_log_likelihood_ratio(variance: float, law: Law) -> float:
-    """Log likelihood ratio of a direction that meets a disc in plain sight exactly, over one false direction more."""
+    """Return the log likelihood ratio of an exact match with a visible disc, against one more false direction."""
     false = 2.0 * law.false_mean / (1.0 + law.false_mean) / law.area
-    return math.log(law.detected / (1.0 - law.detected)) - math.log(2.0 * np.pi * variance * false)
+    odds = law.detection_probability / (1.0 - law.detection_probability)
+    return math.log(odds) - math.log(2.0 * np.pi * variance * false)
 
 
 @njit(cache=True)
-def _worth(p: Array, visible: Array, seen: Array, variance: Array, wide: float, law: Law) -> Array:
-    """Log likelihood ratio, (n, m), of each direction being each known one, over being false and that one unseen."""
+def _match_ratios(p: Array, visible: Array, seen: Array, variance: Array, widening: float, law: Law) -> Array:
+    """Return log likelihood ratios, (n, m), of a match of two directions against a false and an unseen one."""
     n, m = len(seen), len(p)
-    worth = np.full((n, m), -1.0)
+    ratio = np.full((n, m), -1.0)
     cost, gate = np.empty(n), np.empty(n)
     for i in range(n):
-        most = max_log_likelihood_ratio(variance[i], law)
-        cost[i] = math.log(law.detected / (1.0 - law.detected)) - most
-        gate[i] = 1.0 - wide * variance[i] * most
+        exact_match = max_log_likelihood_ratio(variance[i], law)
+        cost[i] = math.log(law.detection_probability / (1.0 - law.detection_probability)) - exact_match
+        gate[i] = 1.0 - widening * variance[i] * exact_match
     for j in range(m):
         if visible[j] < 1e-4:
             continue
-        odds = np.nan
+        log_odds = np.nan
         for i in range(n):
             d = p[j, 0] * seen[i, 0] + p[j, 1] * seen[i, 1] + p[j, 2] * seen[i, 2]
             if d > gate[i]:
-                if math.isnan(odds):
-                    odds = math.log(law.detected * visible[j] / (1.0 - law.detected * visible[j]))
-                worth[i, j] = odds - cost[i] - (1.0 - d) / (variance[i] * wide)
-    return worth
+                if math.isnan(log_odds):
+                    seen_probability = law.detection_probability * visible[j]
+                    log_odds = math.log(seen_probability / (1.0 - seen_probability))
+                ratio[i, j] = log_odds - cost[i] - (1.0 - d) / (variance[i] * widening)
+    return ratio
 
 
 @njit(cache=True)
 def _normal_equations(p: Array, column: NDArray[np.intp], seen: Array, variance: Array, A: Array, g: Array) -> None:
-    """Information (3, 3) and gradient (3,) of a small turn of the known directions p, (m, 3), into A and g."""
+    """Write information (3, 3) and gradient (3,) of a small rotation of the known directions p, (m, 3), to A and g."""
     A[:] = 0.0
     g[:] = 0.0
     for i in range(len(seen)):
@@ -105,90 +111,92 @@ def _normal_equations(p: Array, column: NDArray[np.intp], seen: Array, variance:
 
 
 @njit(cache=True)
-def refine(
+def refine_attitude(
     R: Array, seen: Array, known: Array, variance: Array, law: Law, first: float
 ) -> tuple[Array, NDArray[np.intp], Array, float]:
-    """Alternate one-to-one pairs and Gauss-Newton steps of Wahba's problem, from attitude R, (3, 3).
+    """Alternate one-to-one matches and Gauss-Newton steps of Wahba's problem, from attitude R, (3, 3).
 
-    `variance` (n,) rad² of each direction, times `first` for the first pairs. Gives the attitude, for each direction
-    its known one or -1, (n,), the attitude's information, (3, 3) 1/rad², and its determinant, 0 where it is not fixed.
+    The first matches use the variance times `first`. Return the attitude, the index of the known direction or -1 for
+    each seen one, (n,), the information of the attitude, (3, 3) 1/rad², and its determinant, 0 for a singular one.
     """
     column = np.full(len(seen), -1)
     A, g, det = np.zeros((3, 3)), np.zeros(3), 0.0
-    for step in range(STEPS):
-        p, visible = _sight(R, known, law)
-        now = match(_worth(p, visible, seen, variance, first if step == 0 else 1.0, law))
+    for step in range(MAX_STEPS):
+        p, visible = _visibility(R, known, law)
+        now = match(_match_ratios(p, visible, seen, variance, first if step == 0 else 1.0, law))
         same = step > 1 and np.all(now == column)
         column = now
         _normal_equations(p, column, seen, variance, A, g)
-        v, det = _solved(A, g)
-        R = _turned(R, v)
-        if det == 0.0 or (same and g @ v < 1e-8):  # 1e-4 standard deviations; what this step leaves is far less
+        v, det = _solve(A, g)
+        R = _rotate(R, v)
+        if det == 0.0 or (same and g @ v < 1e-8):  # 1e-4 standard deviations; the rest is far smaller after this step
             break
     return R, column, A, det
 
 
 @njit(cache=True)
-def log_sum(terms: Array) -> float:
-    """log(sum(exp(terms))) without overflow."""
+def log_sum_exp(terms: Array) -> float:
+    """Return log(sum(exp(terms))) without overflow."""
     top = terms.max()
     return top if math.isinf(top) else top + math.log(np.exp(terms - top).sum())
 
 
 @njit(cache=True)
-def false_count(k: int, mean: float, area: float) -> float:
-    """Log density of k false directions: uniform over `area` sr, their number geometric with that mean."""
+def false_log_density(k: int, mean: float, area: float) -> float:
+    """Return the log density of k false directions, uniform over `area` sr, with a geometric number of that mean."""
     rate = mean / (1.0 + mean)
     return math.log(1.0 - rate) + k * math.log(rate / area) + math.lgamma(k + 1.0)
 
 
 @njit(cache=True)
-def evidence(
+def log_evidence(
     R: Array, column: NDArray[np.intp], det: float, seen: Array, known: Array, variance: Array, law: Law
 ) -> float:
-    """Log density of all that is and is not seen, over attitudes about R, all equally likely before (Laplace 1774).
+    """Return the log density of all seen and unseen directions, integrated over attitudes about R (Laplace 1774).
 
-    `column` and `det` as `refine` gives them.
+    The prior over attitudes is uniform. `column` and `det` are those of `refine_attitude`.
     """
     if det <= 0.0:
         return -np.inf
-    p, visible = _sight(R, known, law)
-    met = np.zeros(len(known), dtype=np.bool_)
+    p, visible = _visibility(R, known, law)
+    matched = np.zeros(len(known), dtype=np.bool_)
     k, square, logs = 0, 0.0, 0.0
     for i in range(len(seen)):
         if column[i] >= 0:
             k += 1
-            met[column[i]] = True
+            matched[column[i]] = True
             for r in range(3):
                 square += (seen[i, r] - p[column[i], r]) ** 2 / variance[i]
             logs += math.log(2.0 * np.pi * variance[i])
-    width = 1.5 * math.log(2.0 * np.pi) - 0.5 * math.log(det) - math.log(8.0 * np.pi**2)  # of all attitudes
-    noise = np.empty(len(law.scales))
-    for s, scale in enumerate(law.scales):
+    # as a fraction of all attitudes
+    width = 1.5 * math.log(2.0 * np.pi) - 0.5 * math.log(det) - math.log(8.0 * np.pi**2)
+    noise = np.empty(len(law.sigma_scales))
+    for s, scale in enumerate(law.sigma_scales):
         noise[s] = min(0.0, width + 3.0 * math.log(scale)) - 2.0 * k * math.log(scale) - 0.5 * square / scale**2
-    sight = np.zeros(len(law.hidden))
+    log_visibility = np.zeros(len(law.miss_probabilities))
     for j in range(len(known)):
         if visible[j] > 1e-4:
-            for q, hidden in enumerate(law.hidden):
+            for q, hidden in enumerate(law.miss_probabilities):
                 chance = (1.0 - hidden) * visible[j]
-                sight[q] += math.log(chance if met[j] else 1.0 - chance)
-    mean = math.log(len(law.scales) * len(law.hidden))
-    return log_sum(noise) - logs + log_sum(sight) - mean + false_count(len(seen) - k, law.false_mean, law.area)
+                log_visibility[q] += math.log(chance if matched[j] else 1.0 - chance)
+    mean = math.log(len(law.sigma_scales) * len(law.miss_probabilities))
+    false = false_log_density(len(seen) - k, law.false_mean, law.area)
+    return log_sum_exp(noise) - logs + log_sum_exp(log_visibility) - mean + false
 
 
 @njit(cache=True)
-def attitudes(
+def refine_attitudes(
     starts: Array, seen: Array, known: Array, variance: Array, law: Law, first: float
 ) -> tuple[Array, NDArray[np.intp], Array, Array]:
-    """`refine` and `evidence` of each start, (h, 3, 3): rotations, columns (h, n), information (h, 3, 3), log evidence.
+    """Refine each start, (h, 3, 3); return rotations, columns (h, n), information (h, 3, 3) and log evidence (h,).
 
-    A start that ends at the pairs of an earlier one has no evidence of its own.
+    The evidence is -inf for a start that ends with the matches of an earlier one.
     """
     h, n = len(starts), len(seen)
     R, columns, A, value = np.empty((h, 3, 3)), np.empty((h, n), dtype=np.intp), np.empty((h, 3, 3)), np.empty(h)
     for s in range(h):
-        R[s], columns[s], A[s], det = refine(starts[s], seen, known, variance, law, first)
-        value[s] = evidence(R[s], columns[s], det, seen, known, variance, law)
+        R[s], columns[s], A[s], det = refine_attitude(starts[s], seen, known, variance, law, first)
+        value[s] = log_evidence(R[s], columns[s], det, seen, known, variance, law)
         for t in range(s):
             if np.all(columns[t] == columns[s]):
                 value[s] = -np.inf
@@ -197,34 +205,35 @@ def attitudes(
 
 
 @njit(cache=True)
-def only_two(
-    R: Array, origin: NDArray[np.intp], seen: Array, known: Array, variance: Array, law: Law, most: int
+def two_match_log_evidence(
+    R: Array, origin: NDArray[np.intp], seen: Array, known: Array, variance: Array, law: Law, sample_size: int
 ) -> float:
-    """Log evidence that nothing but the two directions that made it meets: of all hypotheses together, from a sample.
+    """Return the log evidence that only the two directions of a hypothesis match, summed over all hypotheses.
 
-    Arguments as `hypotheses` gives them; `most` is the size of the sample.
+    It is estimated from a sample of `sample_size` hypotheses. R and `origin` are those of `attitude_hypotheses`.
     """
     if len(R) == 0:
         return -np.inf
-    step = max(1, len(R) // most)
+    step = max(1, len(R) // sample_size)
     terms = np.empty((len(R) + step - 1) // step)
     A, g = np.empty((3, 3)), np.empty(3)
     for t in range(len(terms)):
         h = t * step
         column = np.full(len(seen), -1)
         column[origin[h, 0]], column[origin[h, 1]] = origin[h, 2], origin[h, 3]
-        p, _ = _sight(R[h], known, law)
+        p, _ = _visibility(R[h], known, law)
         _normal_equations(p, column, seen, variance, A, g)
-        _, det = _solved(A, g)
-        terms[t] = evidence(R[h], column, det, seen, known, variance, law)
-    return log_sum(terms) + math.log(len(R) / len(terms))
+        _, det = _solve(A, g)
+        terms[t] = log_evidence(R[h], column, det, seen, known, variance, law)
+    return log_sum_exp(terms) + math.log(len(R) / len(terms))
 
 
 @njit(cache=True)
-def share(R: Array, A: Array, value: Array, null: float, within: float) -> tuple[int, float]:
-    """Best of the attitudes, and the probability that it, or one as good as the same, is not the true one.
+def posterior_error(R: Array, A: Array, value: Array, null: float, gate: float) -> tuple[int, float]:
+    """Return the index of the best attitude and the probability that it is wrong.
 
-    `value` (h,) log evidence, `null` that of none of them; the same are those `within` squared standard deviations.
+    R and A (h, 3, 3) are attitudes and their information, `value` (h,) their log evidence, and `null` that of no
+    attitude. Attitudes within `gate` squared standard deviations of the best one count as the same.
     """
     best = int(np.argmax(value))
     top = max(value[best], null)
@@ -236,7 +245,7 @@ def share(R: Array, A: Array, value: Array, null: float, within: float) -> tuple
         v = np.array([D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]]) / math.sqrt(
             2.0 + 2.0 * max(0.0, cosine)
         )
-        if h == best or (cosine > 0.0 and v @ A[best] @ v < within):
+        if h == best or (cosine > 0.0 and v @ A[best] @ v < gate):
             own += math.exp(value[h] - top)
         else:
             others += math.exp(value[h] - top)

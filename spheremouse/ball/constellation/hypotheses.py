@@ -1,7 +1,7 @@
-"""Compiled loops of the constellation search: pairs of directions to attitudes, attitudes to one-to-one pairs.
+"""Attitude hypotheses from pairs of directions, and their ranking, in compiled loops (Mortari et al. 2004).
 
-Plain arrays in and out; the statistics, and the reasons for their numbers, are in `constellation`. `seen` (n, 3) and
-`known` (m, 3) are unit vectors, rotations turn `known` towards `seen`. Nothing is random; the first of equals wins.
+`seen` (n, 3) and `known` (m, 3) are unit vectors. A rotation maps `known` to `seen`. Nothing is random. The first of
+equals wins. `identify.IdentificationPrior` has the numbers and their reasons.
 """
 
 from typing import NamedTuple
@@ -13,29 +13,29 @@ from numpy.typing import NDArray
 from spheremouse.geometry.rotation import Array
 
 _BINS = 256  # of the cosine between two known directions
-_SMALL = 1e-6  # squared sine of half an angle: such a pair, or its opposite, fixes no attitude
-STEPS = 12  # of pairing and adjustment; most end after four
+_MIN_SQUARED_SINE = 1e-6  # of half an angle: a smaller one, or that of the opposite direction, fixes no attitude
+MAX_STEPS = 12  # of pairing and adjustment; most end after four
 
 
 class Law(NamedTuple):
-    """What is seen of a ball at a known attitude, as `constellation.IdentificationPrior` explains."""
+    """Observation model of a ball at a known attitude."""
 
-    towards: Array  # (3,) unit vector from the ball to the camera
-    edge: float  # cosine with `towards` at which a disc is seen half as often as one in the middle
-    blur: float  # cosine over which that changes
-    detected: float  # probability that a disc in the middle is seen
-    hidden: Array  # (a,) alternatives, equally likely, to the probability that it is not
-    scales: Array  # (b,) alternatives, equally likely, of the true standard deviation over the one given
-    false_mean: float  # false directions expected
+    view_axis: Array  # (3,) unit vector from the ball to the camera
+    half_cosine: float  # cosine with `view_axis` at which a disc is seen half as often as one in the middle
+    limb_width: float  # cosine over which that changes
+    detection_probability: float  # of a disc in the middle
+    miss_probabilities: Array  # (a,) equally likely probabilities that a disc in the middle is not seen
+    sigma_scales: Array  # (b,) equally likely ratios of the true standard deviation to the given one
+    false_mean: float  # expected number of false directions
     area: float  # sr in which they are uniform
 
 
 @njit(cache=True)
-def pairs_of(seen: Array, groups: int) -> NDArray[np.intp]:
-    """Pairs, (p, 2) indices into `seen`: all within each of so many groups of far-apart directions, neighbours first.
+def select_pairs(seen: Array, groups: int) -> NDArray[np.intp]:
+    """Return pairs, (p, 2) indices into `seen`: all pairs within each of `groups` groups of distant directions.
 
-    Of any `groups` + 1 directions two are in one group: an attitude that meets so many is found. No choice of pairs
-    says that with fewer of them (Turan 1941).
+    Any `groups` + 1 directions contain a pair, so every attitude with that many matches is found. No smaller set of
+    pairs has this property (Turan 1941).
     """
     n = len(seen)
     parallel = np.abs(seen @ seen.T)
@@ -46,14 +46,14 @@ def pairs_of(seen: Array, groups: int) -> NDArray[np.intp]:
     for g in range(groups):
         start[g] = filled
         for _ in range(n // groups + (g < n % groups)):
-            choice, least = -1, np.inf
+            choice, lowest = -1, np.inf
             for i in range(n):
                 if free[i]:
-                    worst = 0.0
+                    nearest_member = 0.0
                     for q in range(start[g], filled):
-                        worst = max(worst, parallel[i, member[q]])
-                    if worst < least:
-                        choice, least = i, worst
+                        nearest_member = max(nearest_member, parallel[i, member[q]])
+                    if nearest_member < lowest:
+                        choice, lowest = i, nearest_member
             member[filled] = choice
             free[choice] = False
             filled += 1
@@ -69,8 +69,8 @@ def pairs_of(seen: Array, groups: int) -> NDArray[np.intp]:
 
 
 @njit(cache=True)
-def _frame(u: Array, v: Array, out: Array) -> None:
-    """Columns middle, across and their normal of two directions, into `out` (3, 3): a triad that favours neither."""
+def _triad(u: Array, v: Array, out: Array) -> None:
+    """Write a symmetric triad of two directions to `out` (3, 3): columns along u + v, u - v and their normal."""
     s = d = 0.0
     for k in range(3):
         out[k, 0] = u[k] + v[k]
@@ -87,8 +87,11 @@ def _frame(u: Array, v: Array, out: Array) -> None:
 
 
 @njit(cache=True)
-def _by_angle(known: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Pairs of known directions in bins of their cosine: first of each bin, (bins + 1,), pairs (p, 2), cosines (p,)."""
+def _bin_pairs(known: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Sort pairs of known directions into bins of their cosine.
+
+    Return the first pair of each bin, (bins + 1,), the pairs, (p, 2), and their cosines, (p,).
+    """
     m = len(known)
     cosine = known @ known.T
     first = np.zeros(_BINS + 1, dtype=np.intp)
@@ -113,34 +116,34 @@ def _bin(cosine: float) -> int:
 
 
 @njit(cache=True)
-def hypotheses(
-    seen: Array, known: Array, pairs: NDArray[np.intp], reach: float, most: int
+def attitude_hypotheses(
+    seen: Array, known: Array, pairs: NDArray[np.intp], tolerance: float, max_count: int
 ) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Rotations, (h, 3, 3), that carry two known directions to a pair of seen ones, their inflation, (h,), and origin.
+    """Return rotations, (h, 3, 3), that map two known directions to a pair of seen ones, with inflation and origin.
 
-    The angles between the two may differ by `reach` rad. The inflation is that of the variance of a further direction
-    by the attitude's own error, for the axis worst known; the origin, (h, 4), is the pair seen and the pair known. No
-    more than `most`: pairs that come late are left out.
+    The angles of the two pairs may differ by `tolerance` rad. The inflation, (h,), is the factor by which the error of
+    the rotation increases the variance of another direction along the worst axis. The origin, (h, 4), has the indices
+    of the seen and of the known pair. The function stops after `max_count` rotations.
     """
-    first, pair, cosine = _by_angle(known)
-    R, inflation, origin = np.empty((most, 3, 3)), np.empty(most), np.empty((most, 4), dtype=np.intp)
+    first, pair, cosine = _bin_pairs(known)
+    R, inflation, origin = np.empty((max_count, 3, 3)), np.empty(max_count), np.empty((max_count, 4), dtype=np.intp)
     S, K = np.empty((3, 3)), np.empty((3, 3))
     count = 0
     for i, j in pairs:
         c = min(1.0, max(-1.0, seen[i, 0] * seen[j, 0] + seen[i, 1] * seen[j, 1] + seen[i, 2] * seen[j, 2]))
-        half = min(1.0 + c, 1.0 - c) / 2.0  # the lesser of the squared sine and cosine of half the angle
-        if half < _SMALL:
+        half = min(1.0 + c, 1.0 - c) / 2.0  # smaller one of squared sine and squared cosine of half the angle
+        if half < _MIN_SQUARED_SINE:
             continue
         angle = np.arccos(c)
-        low, high = np.cos(min(np.pi, angle + reach)), np.cos(max(0.0, angle - reach))
-        _frame(seen[i], seen[j], S)
+        low, high = np.cos(min(np.pi, angle + tolerance)), np.cos(max(0.0, angle - tolerance))
+        _triad(seen[i], seen[j], S)
         for p in range(first[_bin(low)], first[_bin(high) + 1]):
             c = cosine[p]
-            if not low <= c <= high or 1.0 - abs(c) < 2.0 * _SMALL:
+            if not low <= c <= high or 1.0 - abs(c) < 2.0 * _MIN_SQUARED_SINE:
                 continue
-            _frame(known[pair[p, 0]], known[pair[p, 1]], K)
-            for side in (1.0, -1.0):  # which of the two is which
-                if count == most:
+            _triad(known[pair[p, 0]], known[pair[p, 1]], K)
+            for side in (1.0, -1.0):  # both orders of the known pair
+                if count == max_count:
                     return R, inflation, origin
                 for r in range(3):
                     for k in range(3):
@@ -154,7 +157,7 @@ def hypotheses(
 
 @njit(cache=True, fastmath=True)
 def _nearest(x: float, y: float, z: float, known: Array) -> float:
-    """Cosine between a direction and the nearest of `known` (3, m): the loop that takes the time."""
+    """Return the cosine between a direction and the nearest of `known` (3, m). This loop takes most of the time."""
     best = -1.0
     for j in range(known.shape[1]):
         best = max(best, x * known[0, j] + y * known[1, j] + z * known[2, j])
@@ -162,24 +165,24 @@ def _nearest(x: float, y: float, z: float, known: Array) -> float:
 
 
 @njit(cache=True)
-def best_of(
-    R: Array, inflation: Array, seen: Array, known: Array, sigma: float, gain: float, margin: float, most: int
+def best_hypotheses(
+    R: Array, inflation: Array, seen: Array, known: Array, sigma: float, gain: float, margin: float, max_count: int
 ) -> Array:
-    """Those of the rotations, (h, 3, 3), that fit best, (k, 3, 3), best first; of those within 3 sigma only one.
+    """Return the rotations, out of (h, 3, 3), with the best scores, (k, 3, 3), best first, one within 3 sigma.
 
-    A direction that meets a known one is worth `gain` nats, less half its squared distance in standard deviations.
-    Left out is what is worse than the best by more than `margin` nats, and all but the best `most`.
+    A direction near a known one scores `gain` nats minus half its squared distance in standard deviations. The result
+    has at most `max_count` rotations, none worse than the best one by more than `margin` nats.
     """
     n = len(seen)
     columns = np.ascontiguousarray(known.T)
-    kept = np.empty((most, 3, 3))
-    score = np.full(most, -np.inf)
+    kept = np.empty((max_count, 3, 3))
+    score = np.full(max_count, -np.inf)
     count = 0
-    best = 2.0 * gain + margin  # two directions make the hypothesis: more must meet
+    best = 2.0 * gain + margin  # two directions define the hypothesis: others must match
     alike = 1.0 + 2.0 * np.cos(min(3.0 * sigma, np.pi))
     for h in range(len(R)):
         needed = best - margin
-        if count == most:
+        if count == max_count:
             needed = max(needed, score.min())
         weight = 1.0 / (sigma * sigma * inflation[h])
         Q = R[h]
@@ -194,15 +197,15 @@ def best_of(
             if total + left * gain <= needed:
                 break
         if total + left * gain > needed:
-            count = _keep(Q, total, kept, score, count, alike)
+            count = _insert(Q, total, kept, score, count, alike)
             best = max(best, total)
     order = np.argsort(-score[:count], kind="mergesort")
     return kept[order[score[order] > best - margin]]
 
 
 @njit(cache=True)
-def _keep(Q: Array, total: float, kept: Array, score: Array, count: int, alike: float) -> int:
-    """Put a rotation among those kept, in place of one like it or of the worst; the new number kept."""
+def _insert(Q: Array, total: float, kept: Array, score: Array, count: int, alike: float) -> int:
+    """Insert a rotation, in place of a similar one or of the worst. Return the new number."""
     place = -1
     for h in range(count):
         trace = 0.0
@@ -225,10 +228,11 @@ def _keep(Q: Array, total: float, kept: Array, score: Array, count: int, alike: 
 
 
 @njit(cache=True)
-def most_agreed(R: Array, seen: Array, known: Array, near: float) -> tuple[Array, int]:
-    """Of rotations, (h, 3, 3), that by which most directions meet one at a cosine above `near`, and how many do.
+def most_common_rotation(R: Array, seen: Array, known: Array, min_cosine: float) -> tuple[Array, int]:
+    """Return the rotation, out of (h, 3, 3), with the most matches at a cosine above `min_cosine`, and their number.
 
-    They are counted on that side where they are fewer. Of equal numbers the smallest rotation; the identity of none.
+    The number is that of matched `seen` or of matched `known`, whichever is smaller. Among equal numbers the smallest
+    rotation wins. Without hypotheses the result is the identity and 0.
     """
     n, m = len(seen), len(known)
     best, number, trace = np.eye(3), 0, -np.inf
@@ -244,7 +248,7 @@ def most_agreed(R: Array, seen: Array, known: Array, near: float) -> tuple[Array
             z = Q[0, 2] * a + Q[1, 2] * b + Q[2, 2] * c
             row = False
             for j in range(m):
-                if x * known[j, 0] + y * known[j, 1] + z * known[j, 2] > near:
+                if x * known[j, 0] + y * known[j, 1] + z * known[j, 2] > min_cosine:
                     row = met[j] = True
             rows += row
             if rows + n - 1 - i < number:

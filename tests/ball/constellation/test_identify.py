@@ -1,4 +1,4 @@
-"""The search by parts: pairs, matches and adjustment against brute force; the probability against its own model."""
+"""Identification: pairs, matches and adjustment compared with brute force; the probability of error by sampling."""
 
 from itertools import combinations
 
@@ -22,47 +22,47 @@ MODEL = IdentificationPrior()
 AREA = 2.0 * np.pi * (1.0 - HORIZON)
 
 
-def law(hidden=MODEL.hidden, scales=MODEL.scales):
-    edge = HORIZON + MODEL.limb
-    return kernel.Law(CAMERA, edge, MODEL.blur, 0.8, np.array(hidden), np.array(scales), MODEL.false_mean, AREA)
+def law(hidden=MODEL.miss_probabilities, scales=MODEL.sigma_scales):
+    edge = HORIZON + MODEL.limb_cosine
+    return kernel.Law(CAMERA, edge, MODEL.limb_width, 0.8, np.array(hidden), np.array(scales), MODEL.false_mean, AREA)
 
 
 def visibility(cosine):
-    return 1.0 / (1.0 + np.exp((HORIZON + MODEL.limb - cosine) / MODEL.blur))
+    return 1.0 / (1.0 + np.exp((HORIZON + MODEL.limb_cosine - cosine) / MODEL.limb_width))
 
 
 def scattered(p, sigma, rng):
-    """Directions with noise of `sigma` rad, a number or (n, 1), per axis."""
+    """Return directions with noise of `sigma` rad per axis, a number or (n, 1)."""
     e = tangent_basis(p) @ (np.broadcast_to(sigma, (len(p), 1)) * rng.normal(size=(len(p), 2)))[:, :, None]
     p = p + e[:, :, 0]
     return p / np.linalg.norm(p, axis=1, keepdims=True)
 
 
 @pytest.mark.parametrize(("n", "groups"), [(3, 1), (7, 1), (8, 2), (11, 3), (13, 4)])
-def test_of_more_directions_than_groups_two_are_a_pair(n, groups):
-    pairs = {frozenset(p) for p in kernel.pairs_of(directions(n, 1), groups)}
+def test_more_directions_than_groups_contain_a_pair(n, groups):
+    pairs = {frozenset(p) for p in kernel.select_pairs(directions(n, 1), groups)}
     assert all(any(frozenset(p) in pairs for p in combinations(some, 2)) for some in combinations(range(n), groups + 1))
     sizes = [n // groups + (g < n % groups) for g in range(groups)]
-    assert len(pairs) == sum(k * (k - 1) // 2 for k in sizes)  # the fewest that do (Turan 1941)
+    assert len(pairs) == sum(k * (k - 1) // 2 for k in sizes)  # the least possible (Turan 1941)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_every_true_pair_makes_the_true_attitude(seed):
+def test_every_true_pair_gives_the_true_attitude(seed):
     known, R = directions(12, seed), Rotation.random(random_state=seed).as_matrix()
     seen = known[:5] @ R.T
-    pairs = kernel.pairs_of(seen, 1)
-    rotations, inflation, origin = kernel.hypotheses(seen, known, pairs, 1e-6, 1000)
+    pairs = kernel.select_pairs(seen, 1)
+    rotations, inflation, origin = kernel.attitude_hypotheses(seen, known, pairs, 1e-6, 1000)
     truth = [h for h in range(len(rotations)) if np.allclose(rotations[h], R, atol=1e-6)]
     assert {tuple(origin[h]) for h in truth} >= {(i, j, i, j) for i, j in pairs}
     assert np.all(inflation > 1.0)
     for Q, (i, j, a, b) in zip(rotations, origin, strict=True):
         assert_allclose(Q @ known[a] + Q @ known[b], seen[i] + seen[j], atol=1e-5)
         assert_allclose(np.linalg.det(Q), 1.0)
-    assert len(kernel.hypotheses(seen, known, pairs, 1.0, 7)[0]) == 7
+    assert len(kernel.attitude_hypotheses(seen, known, pairs, 1.0, 7)[0]) == 7
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_matches_are_worth_the_most(seed):
+def test_matching_maximises_the_total(seed):
     rng = np.random.default_rng(seed)
     n, m = rng.integers(1, 9, size=2)
     worth = rng.normal(size=(n, m)) + (1.0 if seed % 2 else -0.5)
@@ -78,14 +78,14 @@ def test_matches_are_worth_the_most(seed):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_adjustment_is_wahbas_solution(seed):
+def test_adjustment_equals_wahbas_solution(seed):
     rng = np.random.default_rng(seed)
     known, R = directions(26, seed), Rotation.random(random_state=seed).as_matrix()
     p = known @ R.T
     seen = scattered(p[p[:, 2] > 0.45], 0.01, rng)
     variance = 1e-4 * rng.uniform(0.5, 2.0, size=len(seen))
     start = exp(0.01 * rng.normal(size=3)) @ R
-    rotation, column, information, det = evidence.refine(start, seen, known, variance, law(), 2.5)
+    rotation, column, information, det = evidence.refine_attitude(start, seen, known, variance, law(), 2.5)
     assert_allclose(p[column], seen, atol=0.06)
     assert_allclose(rotation, align(known[column], seen, 1.0 / variance), atol=1e-9)
     q = known[column] @ rotation.T
@@ -95,18 +95,18 @@ def test_adjustment_is_wahbas_solution(seed):
 
 
 def test_evidence_is_the_integral_over_attitudes():
-    """Against a sum over attitudes about the best, with the densities written out."""
+    """Monte Carlo sum of the densities over attitudes about the best one."""
     rng = np.random.default_rng(2)
     sigma, hidden = 0.01, 0.2
     known, R = directions(26, 5), Rotation.random(random_state=5).as_matrix()
     p = known @ R.T
     seen = np.vstack([scattered(p[p[:, 2] > 0.5][:4], sigma, rng), [[0.6, 0.0, 0.8], [0.0, -0.28, 0.96]]])
     variance, rules = np.full(6, sigma**2), law((hidden,), (1.0,))
-    best, column, _, det = evidence.refine(R, seen, known, variance, rules, 2.5)
+    best, column, _, det = evidence.refine_attitude(R, seen, known, variance, rules, 2.5)
     assert np.sum(column >= 0) == 4
-    value = evidence.evidence(best, column, det, seen, known, variance, rules)
+    value = evidence.log_evidence(best, column, det, seen, known, variance, rules)
 
-    half = 0.05  # of the cube of rotation vectors that is summed over: ten standard deviations
+    half = 0.05  # ten standard deviations, half the side of the cube of sampled rotation vectors
     turns = rng.uniform(-half, half, size=(40_000, 3))
     turned = np.einsum("hij,kj->hki", exp(turns) @ best, known)
     rows = np.flatnonzero(column >= 0)
@@ -118,12 +118,12 @@ def test_evidence_is_the_integral_over_attitudes():
     met = np.isin(np.arange(26), column[rows])
     total += np.where(met, np.log(chance), np.log(1.0 - chance)).sum(axis=1)
     geometric = np.log(1.0 / 3.0 * (2.0 / 3.0) ** 2)
-    total += geometric + np.log(2.0) - 2.0 * np.log(AREA)  # two false ones, either of which may be the first
+    total += geometric + np.log(2.0) - 2.0 * np.log(AREA)  # two false ones in any order
     direct = np.log(np.mean(np.exp(total - total.max()))) + total.max() + np.log((2 * half) ** 3 / (8 * np.pi**2))
     assert_allclose(value, direct, atol=0.15)
 
 
-def test_equal_alternatives_are_averaged():
+def test_evidence_is_the_mean_over_equal_alternatives():
     rng = np.random.default_rng(3)
     known, R = directions(26, 5), Rotation.random(random_state=5).as_matrix()
     p = known @ R.T
@@ -132,41 +132,43 @@ def test_equal_alternatives_are_averaged():
 
     def value(hidden, scales):
         rules = law(hidden, scales)
-        rotation, column, _, det = evidence.refine(R, seen, known, variance, rules, 2.5)
-        return evidence.evidence(rotation, column, det, seen, known, variance, rules)
+        rotation, column, _, det = evidence.refine_attitude(R, seen, known, variance, rules, 2.5)
+        return evidence.log_evidence(rotation, column, det, seen, known, variance, rules)
 
     single = [value((h,), (s,)) for h in (0.1, 0.5) for s in (0.8, 1.3)]
     assert_allclose(value((0.1, 0.5), (0.8, 1.3)), np.log(np.mean(np.exp(single))), rtol=1e-9)
 
 
-def test_attitudes_share_the_probability():
+def test_posterior_error_sums_over_other_attitudes():
     R = np.stack([np.eye(3), exp(np.array([0.0, 0.0, 0.02])), exp(np.array([0.0, np.pi, 0.0]))])
     A = np.broadcast_to(np.eye(3) / 0.01**2, (3, 3, 3)).copy()
-    best, wrong = evidence.share(R, A, np.log([6.0, 2.0, 1.0]), np.log(1.0), 25.0)  # the second is as good as the first
+    best, wrong = evidence.posterior_error(
+        R, A, np.log([6.0, 2.0, 1.0]), np.log(1.0), 25.0
+    )  # the second counts as the first
     assert best == 0
     assert_allclose(wrong, 0.2)
-    assert_allclose(evidence.share(R, A, np.log([6.0, 2.0, 1.0]), np.log(1.0), 1.0)[1], 0.4)
+    assert_allclose(evidence.posterior_error(R, A, np.log([6.0, 2.0, 1.0]), np.log(1.0), 1.0)[1], 0.4)
 
 
-def test_the_probability_of_being_wrong_is_how_often_it_is_wrong():
-    """Balls drawn from the model itself, at 4 degrees: of the answers of each certainty so many are wrong."""
+def test_probability_of_error_equals_the_frequency_of_errors():
+    """Balls drawn from the model, with noise of 4 degrees, in four classes of the probability."""
     rng = np.random.default_rng(7)
     said, wrong = [], []
     sigma = np.deg2rad(4.0)
     for i in range(1000):
         known, R = directions(20, i % 30, least=0.35), Rotation.random(random_state=i).as_matrix()
         p = known @ R.T
-        p = p[rng.random(20) < (1.0 - rng.choice(MODEL.hidden)) * visibility(p[:, 2])]
+        p = p[rng.random(20) < (1.0 - rng.choice(MODEL.miss_probabilities)) * visibility(p[:, 2])]
         cosine = np.clip(p[:, 2:], 0.3, 1.0)
-        more = np.sqrt(1.0 + 0.5 * MODEL.foreshortened * (1.0 / cosine**2 - 1.0))
-        p = scattered(p, rng.choice(MODEL.scales) * sigma * more, rng)
+        more = np.sqrt(1.0 + 0.5 * MODEL.pixel_noise_fraction * (1.0 / cosine**2 - 1.0))
+        p = scattered(p, rng.choice(MODEL.sigma_scales) * sigma * more, rng)
         k = rng.geometric(1.0 / (1.0 + MODEL.false_mean)) - 1
         z, a = rng.uniform(HORIZON, 1.0, k), rng.uniform(0.0, 2.0 * np.pi, k)
         r = np.sqrt(1.0 - z * z)
         p = np.vstack([p, np.stack([r * np.cos(a), r * np.sin(a), z], axis=1)])
         found = attitude(p, known, sigma, CAMERA, HORIZON) if len(p) >= 3 else None
         if found is not None:
-            said.append(found.wrong)
+            said.append(found.error_probability)
             wrong.append(np.linalg.norm(log(found.rotation @ R.T)) > 0.35)
     said, wrong = np.array(said), np.array(wrong)
     for low, high in ((0.0, 0.05), (0.05, 0.3), (0.3, 0.7), (0.7, 1.0)):
