@@ -255,7 +255,7 @@ def world(film, tmp_path, monkeypatch):
     monkeypatch.setattr("spheremouse.session.service._TICK", 0.02)
     monkeypatch.setattr(capture_module, "BACK_OFF", (0.01, 0.02))
     monkeypatch.setattr(reporter_module, "RETRY_DELAYS", (0.01, 0.02))
-    monkeypatch.setattr(reporter_module, "LATE", PATIENCE)
+    monkeypatch.setattr(reporter_module, "MAX_QUEUE_TIME", PATIENCE)
     monkeypatch.setattr(realtime, "_give_back", lambda: None)
     monkeypatch.setattr(realtime, "_fold_up_code", lambda: 0)
     made, threads = World(*film, tmp_path), threading.active_count()
@@ -440,7 +440,7 @@ def test_reinit_looks_for_the_balls_anew(playing):
     counts = playing.counts
     assert playing.client.ask("reinit")["message"] == "grzonka: looked for anew"
     playing.settle()
-    assert playing.frames[-1][0].state.tracks[0].course.velocity is not followed.course.velocity
+    assert playing.frames[-1][0].state.tracks[0].pose_velocity.velocity is not followed.pose_velocity.velocity
     assert np.abs(playing.counts - counts).max() < 30
     near(*playing.turn(20))
 
