@@ -30,11 +30,7 @@ def assign_spots(
         by_colour[colours[i]] += 1
     for i in range(m):
         for j in range(m):
-            pairs[i, j] = (
-                direction[i, 0] * direction[j, 0]
-                + direction[i, 1] * direction[j, 1]
-                + direction[i, 2] * direction[j, 2]
-            )
+            pairs[i, j] = _row_product(direction, i, direction, j)
     spent = 0
     for at in range(n):
         s0 = (begin + at) % n
@@ -79,6 +75,18 @@ def assign_spots(
     return kept, 0
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def _row_product(A, i, B, j):
+    """Return the scalar product of row i of A and row j of B, (n, 3)."""
+    return A[i, 0] * B[j, 0] + A[i, 1] * B[j, 1] + A[i, 2] * B[j, 2]
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _difference(A, i, j):
+    """Return row i less row j of A, (n, 3)."""
+    return A[i, 0] - A[j, 0], A[i, 1] - A[j, 1], A[i, 2] - A[j, 2]
+
+
 @njit(cache=True, error_model="numpy")
 def _project_to_plane(x, y, E, q):
     """Write a ray's coordinates in the tangent plane E to q, (2,) or longer; return its depth."""
@@ -106,21 +114,10 @@ def _assign_three(
                 if c in (a, b) or colours[c] != colour[s2] or pairs[a, c] < -0.9 or pairs[b, c] < -0.9:
                     continue
                 # M (3 columns) with M (n_b - n_a) = d0, M (n_c - n_a) = d1: rows of R times the scale
-                b0x, b0y, b0z = (
-                    direction[b, 0] - direction[a, 0],
-                    direction[b, 1] - direction[a, 1],
-                    direction[b, 2] - direction[a, 2],
-                )
-                b1x, b1y, b1z = (
-                    direction[c, 0] - direction[a, 0],
-                    direction[c, 1] - direction[a, 1],
-                    direction[c, 2] - direction[a, 2],
-                )
-                g00, g01, g11 = (
-                    b0x * b0x + b0y * b0y + b0z * b0z,
-                    b0x * b1x + b0y * b1y + b0z * b1z,
-                    b1x * b1x + b1y * b1y + b1z * b1z,
-                )
+                b0x, b0y, b0z = _difference(direction, b, a)
+                b1x, b1y, b1z = _difference(direction, c, a)
+                g00, g01 = b0x * b0x + b0y * b0y + b0z * b0z, b0x * b1x + b0y * b1y + b0z * b1z
+                g11 = b1x * b1x + b1y * b1y + b1z * b1z
                 det = g00 * g11 - g01 * g01
                 if det < 1e-3:
                     continue
@@ -164,19 +161,11 @@ def _assign_three(
                     R[2, 2] = R[0, 0] * R[1, 1] - R[0, 1] * R[1, 0]
                     facing = True
                     for d in (a, b, c):
-                        facing = (
-                            facing
-                            and R[2, 0] * direction[d, 0] + R[2, 1] * direction[d, 1] + R[2, 2] * direction[d, 2]
-                            < -0.05
-                        )
+                        facing = facing and _row_product(R, 2, direction, d) < -0.05
                     if not facing:
                         continue
-                    cx = q[s0, 0] - scale * (
-                        R[0, 0] * direction[a, 0] + R[0, 1] * direction[a, 1] + R[0, 2] * direction[a, 2]
-                    )
-                    cy = q[s0, 1] - scale * (
-                        R[1, 0] * direction[a, 0] + R[1, 1] * direction[a, 1] + R[1, 2] * direction[a, 2]
-                    )
+                    cx = q[s0, 0] - scale * _row_product(R, 0, direction, a)
+                    cy = q[s0, 1] - scale * _row_product(R, 1, direction, a)
                     kept = _keep(
                         cx, cy, scale, R, E, q, area, colour, direction, angle, colours, pixels, min_score, glare_q,
                         near, count, found, kept,
@@ -217,15 +206,9 @@ def _assign_two(
                 sign = 1.0 - 2.0 * way
                 ax, ay = along * ux - sign * aside * uy, along * uy + sign * aside * ux
                 bx, by = ax + length * ux, ay + length * uy
-                _frame(
-                    direction[a, 0],
-                    direction[a, 1],
-                    direction[a, 2],
-                    direction[b, 0],
-                    direction[b, 1],
-                    direction[b, 2],
-                    inner,
-                )
+                nx, ny, nz = direction[a]
+                mx, my, mz = direction[b]
+                _frame(nx, ny, nz, mx, my, mz, inner)
                 _frame(ax, ay, -za, bx, by, -zb, outer)
                 R[:] = outer @ inner.T
                 kept = _keep(
@@ -302,11 +285,10 @@ def _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels,
     used_spots = 0  # bits of the spots that belong to a disc
     within = (0.15 * scale + pixels) ** 2
     for d in range(len(direction)):
-        z = -(R[2, 0] * direction[d, 0] + R[2, 1] * direction[d, 1] + R[2, 2] * direction[d, 2])
+        z = -_row_product(R, 2, direction, d)
         if z < 0.0:
             continue
-        x = cx + scale * (R[0, 0] * direction[d, 0] + R[0, 1] * direction[d, 1] + R[0, 2] * direction[d, 2])
-        y = cy + scale * (R[1, 0] * direction[d, 0] + R[1, 1] * direction[d, 1] + R[1, 2] * direction[d, 2])
+        x, y = cx + scale * _row_product(R, 0, direction, d), cy + scale * _row_product(R, 1, direction, d)
         expected = np.pi * (scale * angle[d]) ** 2 * z
         shown = expected
         for g in range(len(glare_q)):

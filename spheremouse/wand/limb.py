@@ -8,8 +8,8 @@ step from the ball's colour to the background.
 import numpy as np
 from numba import njit
 
-from spheremouse.geometry.camera import distorted
 from spheremouse.geometry.rotation import Array
+from spheremouse.wand.model import rotate, to_pixel
 from spheremouse.wand.rims import Image
 
 DIRECTIONS = 24  # around the outline; every four pixels of a ball 50 px across
@@ -55,8 +55,8 @@ def outline_point(c, radius, lens, k):
     p, q, t = s * _COS[k], s * _SIN[k], -radius * radius / d2
     x, y, z = p * ax + q * bx + t * c[0], q * by + t * c[1], p * az + q * bz + t * c[2]
     depth = c[2] + z
-    xd, yd, _, _, _ = distorted((c[0] + x) / depth, (c[1] + y) / depth, lens[4:])
-    return lens[0] * xd + lens[2], lens[1] * yd + lens[3], x, y, z
+    u, v = to_pixel(c[0] + x, c[1] + y, depth, lens)
+    return u, v, x, y, z
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -72,9 +72,7 @@ def _free_depth(c, R, x, y, z, discs, radius, lens, f):
         nx, ny, nz = cosine * x - sine * c[0], cosine * y - sine * c[1], cosine * z - sine * c[2]
         label = -1
         for q in range(len(discs)):
-            d0 = R[0, 0] * discs[q, 0] + R[0, 1] * discs[q, 1] + R[0, 2] * discs[q, 2]
-            d1 = R[1, 0] * discs[q, 0] + R[1, 1] * discs[q, 1] + R[1, 2] * discs[q, 2]
-            d2 = R[2, 0] * discs[q, 0] + R[2, 1] * discs[q, 1] + R[2, 2] * discs[q, 2]
+            d0, d1, d2 = rotate(R, discs, q, 0)
             angle = np.arccos(min(max((nx * d0 + ny * d1 + nz * d2) / radius, -1.0), 1.0)) - discs[q, 3]
             if abs(angle) < 1.0 / scale:  # and one step to the side
                 return depth

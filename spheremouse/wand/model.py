@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.geometry.camera import InteriorOrientation, distorted
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.wand.ball import WandBall
 
@@ -123,3 +123,21 @@ def scaled_asin(cosine):
     x = min(abs(cosine), ONE)
     rest = np.sqrt(ONE - x) * (ONE - x * (_ARC[0] - x * (_ARC[1] - x * _ARC[2])))
     return ONE - rest if cosine > ZERO else rest - ONE
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def rotate(R, rows, q, k):
+    """Return R v for the vector v in the columns from k on of a row q."""
+    x, y, z = rows[q, k], rows[q, k + 1], rows[q, k + 2]
+    return (
+        R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
+        R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
+        R[2, 0] * x + R[2, 1] * y + R[2, 2] * z,
+    )
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def to_pixel(x, y, z, lens):
+    """Return u, v px of a point in `cam`; `lens` is that of the model."""
+    xd, yd, _, _, _ = distorted(x / z, y / z, lens[4:])
+    return lens[0] * xd + lens[2], lens[1] * yd + lens[3]

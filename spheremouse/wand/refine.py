@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from spheremouse.geometry.camera import distorted
 from spheremouse.geometry.rotation import Array, exp_into
 from spheremouse.wand import limb
 from spheremouse.wand.colour import Fields
@@ -25,7 +24,7 @@ from spheremouse.wand.likelihood import (
     interpolate,
     point_weight,
 )
-from spheremouse.wand.model import Model
+from spheremouse.wand.model import Model, rotate, to_pixel
 
 _COARSE_SIGMAS = (0.6, 0.4, 0.25, 0.13)  # of the field's range, in the first rounds, far from the peak
 _MAX_ROUNDS = 8
@@ -69,9 +68,7 @@ def field_residuals(c, R, table, colour, radius, lens, weight, glare, place, rim
         w[q] = 0.0
         r[q] = 0.0
         g[q] = 0.0
-        nx = R[0, 0] * table[q, 0] + R[0, 1] * table[q, 1] + R[0, 2] * table[q, 2]
-        ny = R[1, 0] * table[q, 0] + R[1, 1] * table[q, 1] + R[1, 2] * table[q, 2]
-        nz = R[2, 0] * table[q, 0] + R[2, 1] * table[q, 1] + R[2, 2] * table[q, 2]
+        nx, ny, nz = rotate(R, table, q, 0)
         x, y, z = c[0] + radius * nx, c[1] + radius * ny, c[2] + radius * nz
         towards = nx * x + ny * y + nz * z
         if towards >= 0.0 and table[q, 9] == 0.0:
@@ -84,9 +81,8 @@ def field_residuals(c, R, table, colour, radius, lens, weight, glare, place, rim
             continue
         if facing <= MIN_FACING:
             continue
-        xd, yd, _, _, _ = distorted(x / z, y / z, lens[4:])
-        px = (lens[0] * xd + lens[2] - place[0] + 0.5) / f - 0.5
-        py = (lens[1] * yd + lens[3] - place[1] + 0.5) / f - 0.5
+        u, v = to_pixel(x, y, z, lens)
+        px, py = (u - place[0] + 0.5) / f - 0.5, (v - place[1] + 0.5) / f - 0.5
         if not (px >= 0.0 and py >= 0.0 and px < field_w - 1 and py < field_h - 1):
             continue
         j, i = np.int64(px), np.int64(py)
@@ -99,9 +95,7 @@ def field_residuals(c, R, table, colour, radius, lens, weight, glare, place, rim
             m_of[q], e_of[q], r[q] = m, 0.0, m
             continue
         m = interpolate(weight, colour[q], i, j, px - j, py - i)
-        tx = R[0, 0] * table[q, 3] + R[0, 1] * table[q, 4] + R[0, 2] * table[q, 5]
-        ty = R[1, 0] * table[q, 3] + R[1, 1] * table[q, 4] + R[1, 2] * table[q, 5]
-        tz = R[2, 0] * table[q, 3] + R[2, 1] * table[q, 4] + R[2, 2] * table[q, 5]
+        tx, ty, tz = rotate(R, table, q, 3)
         along = (tx * x + ty * y + tz * z) * per_length
         # tangent x normal points out of the disc
         outward = ((ty * nz - tz * ny) * x + (tz * nx - tx * nz) * y + (tx * ny - ty * nx) * z) * per_length

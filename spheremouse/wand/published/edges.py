@@ -9,12 +9,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.geometry.camera import distorted
 from spheremouse.geometry.rotation import Array
 from spheremouse.wand.colour import Region
 from spheremouse.wand.likelihood import FULL_FACING
 from spheremouse.wand.limb import DIRECTIONS, outline_point
-from spheremouse.wand.model import Model
+from spheremouse.wand.model import Model, rotate, to_pixel
 from spheremouse.wand.rims import Image
 
 _SIGMA = 0.7  # px, of an edge: half a pixel of Canny's grid, half of lens, gloss and motion
@@ -61,14 +60,11 @@ def _weigh(position, rotation, table, colour, radius, lens, distance, place, val
             if q < len(table):
                 if colour[q] < 0 or table[q, 6] != 0.0:  # no rim
                     continue
-                nx = R[0, 0] * table[q, 0] + R[0, 1] * table[q, 1] + R[0, 2] * table[q, 2]
-                ny = R[1, 0] * table[q, 0] + R[1, 1] * table[q, 1] + R[1, 2] * table[q, 2]
-                nz = R[2, 0] * table[q, 0] + R[2, 1] * table[q, 1] + R[2, 2] * table[q, 2]
+                nx, ny, nz = rotate(R, table, q, 0)
                 x, y, z = c[0] + radius * nx, c[1] + radius * ny, c[2] + radius * nz
                 if z <= 0.0 or nx * x + ny * y + nz * z > -FULL_FACING * np.sqrt(x * x + y * y + z * z):
                     continue
-                xd, yd, _, _, _ = distorted(x / z, y / z, lens[4:])
-                u, v = lens[0] * xd + lens[2], lens[1] * yd + lens[3]
+                u, v = to_pixel(x, y, z, lens)
             else:
                 if c[2] <= radius:
                     continue

@@ -9,12 +9,11 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 
-from spheremouse.geometry.camera import distorted
 from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Status
 from spheremouse.wand.colour import Fields
 from spheremouse.wand.likelihood import interpolate, log_likelihood
-from spheremouse.wand.model import Model
+from spheremouse.wand.model import Model, rotate, to_pixel
 from spheremouse.wand.motions import random_walk
 from spheremouse.wand.particles import Particles, effective_number, mean_pose, move, normalise, resample_degenerate
 from spheremouse.wand.peaks import SearchContext, covered_region, fields_near
@@ -85,15 +84,12 @@ def _weigh(position, rotation, table, colour, radius, lens, weight, place, value
         for q in range(len(table)):
             if colour[q] < 0 or table[q, 6] <= 0.0:
                 continue
-            nx = R[0, 0] * table[q, 0] + R[0, 1] * table[q, 1] + R[0, 2] * table[q, 2]
-            ny = R[1, 0] * table[q, 0] + R[1, 1] * table[q, 1] + R[1, 2] * table[q, 2]
-            nz = R[2, 0] * table[q, 0] + R[2, 1] * table[q, 1] + R[2, 2] * table[q, 2]
+            nx, ny, nz = rotate(R, table, q, 0)
             x, y, z = c[0] + radius * nx, c[1] + radius * ny, c[2] + radius * nz
             if z <= 0.0 or nx * x + ny * y + nz * z >= 0.0:
                 continue
-            xd, yd, _, _, _ = distorted(x / z, y / z, lens[4:])
-            px = (lens[0] * xd + lens[2] - place[0] + 0.5) / place[2] - 0.5
-            py = (lens[1] * yd + lens[3] - place[1] + 0.5) / place[2] - 0.5
+            u, v = to_pixel(x, y, z, lens)
+            px, py = (u - place[0] + 0.5) / place[2] - 0.5, (v - place[1] + 0.5) / place[2] - 0.5
             m = 0.0
             if px >= 0.0 and py >= 0.0 and px < field_w - 1 and py < field_h - 1:
                 j, i = np.int64(px), np.int64(py)
