@@ -19,7 +19,7 @@ from spheremouse.ball.detect.rings import MOST, TargetDetections
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose, project, reduced_to_pixel, unproject
-from spheremouse.geometry.conics import ellipse_to_pixel, project_circle, project_sphere
+from spheremouse.geometry.conics import project_rings, project_sphere
 from spheremouse.geometry.rotation import Array, exp, hat
 from spheremouse.settings import param
 
@@ -181,8 +181,7 @@ def _predict(pose: Pose, rig: Rig, which: NDArray[np.intp]) -> tuple[Array, Arra
     points = pose.to_cam(rig.targets.position[which])
     normal = np.broadcast_to(pose.rotation[2], points.shape)  # obj's Z axis in cam
     _, J = project(points, rig.camera)
-    centres = [ellipse_to_pixel(*project_circle(points, normal, float(r)), rig.camera)[0] for r in rig.targets.radii]
-    return np.mean(centres, axis=0), J
+    return project_rings(points, normal, rig.targets.radii, rig.camera), J
 
 
 def _in_a_line(points: Array) -> bool:
@@ -198,15 +197,15 @@ def _candidates(used: list[Sighting], which: NDArray[np.intp], rig: Rig) -> list
     if not np.all(np.isfinite(xy)) or _in_a_line(points):
         return []
     found = []
-    for start in _starts(points, xy):
+    for start in closed_form_poses(points, xy):
         adjusted = _adjust(start, used, which, rig)
         if adjusted is not None and _possible(adjusted.pose, rig, which):
             found.append(adjusted)
     return found
 
 
-def _starts(points: Array, xy: Array) -> list[Pose]:
-    """Poses in closed form from points (n, 3) m, n >= 3, and what is seen of them, (n, 2) on the plane z = 1."""
+def closed_form_poses(points: Array, xy: Array) -> list[Pose]:
+    """Return poses in closed form from points (n, 3) m, n >= 3, and what is seen of them, (n, 2) on the plane z = 1."""
     frame, origin = np.eye(3), np.zeros(3)
     if len(points) == 3:
         _, rvecs, tvecs = cv2.solveP3P(points, xy[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_P3P)

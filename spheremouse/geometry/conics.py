@@ -19,6 +19,14 @@ def project_circle(centre: Array, normal: Array, radius: Array | float) -> tuple
     return _dual_conic_centre_shape(D)
 
 
+def project_rings(centre: Array, normal: Array, radii: Array, camera: InteriorOrientation) -> Array:
+    """Mean centroids, (n, 2) px, of the images of concentric circles: `centre` and unit `normal` (n, 3) in `cam`.
+
+    Raises LinAlgError for circles that are seen edge-on.
+    """
+    return np.mean([ellipse_to_pixel(*project_circle(centre, normal, float(r)), camera)[0] for r in radii], axis=0)
+
+
 def project_sphere(centre: Array, radius: float) -> tuple[Array, Array]:
     """Return centre (2,) and shape (2, 2) of a sphere's outline, as `project_circle`; `centre` (3,) m in `cam`."""
     c, S = _dual_conic_centre_shape((np.outer(centre, centre) - radius**2 * np.eye(3))[None])

@@ -1,4 +1,6 @@
-"""One-to-one assignment."""
+"""Matching of points: one-to-one assignment, mutual nearest neighbours, non-maximum suppression."""
+
+from collections.abc import Iterable
 
 import numpy as np
 from numba import njit
@@ -18,6 +20,35 @@ def assign(cost: Array, gate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]
     column = match(np.where(worth > 0.0, worth, -1.0))  # nan: no pair
     rows = np.flatnonzero(column >= 0)
     return rows, column[rows]
+
+
+def mutual_nearest(distance: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Pairs (rows, columns) of a distance matrix, (n, m), in which each is the other's nearest; `inf` is no pair."""
+    if distance.size == 0:
+        return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
+    rows = np.arange(len(distance))
+    column = np.argmin(distance, axis=1)
+    mutual = (np.argmin(distance, axis=0)[column] == rows) & np.isfinite(distance[rows, column])
+    return rows[mutual], column[mutual]
+
+
+def suppress(points: Array, radius: Array | float, order: Iterable[int], norm: float = 2.0) -> list[int]:
+    """Indices of points (n, d), first ones first by `order`, none within the `radius` of one before it.
+
+    Non-maximum suppression (Neubeck, Van Gool 2006), with one radius or one for each point, (n,).
+    """
+    from scipy.spatial import KDTree  # the tracker needs none of it
+
+    if len(points) == 0:
+        return []
+    near = KDTree(points).query_ball_point(points, radius, p=norm)
+    free = np.ones(len(points), dtype=bool)
+    kept: list[int] = []
+    for i in order:
+        if free[i]:
+            kept.append(int(i))
+            free[near[i]] = False
+    return kept
 
 
 @njit(cache=True)

@@ -1,9 +1,9 @@
 """Bundle adjustment: image points of targets and discs in, poses of all photos and coordinates of all points out.
 
-Wittich 2017, sections 2.4.4 and 4.3. Lengths in m, in the frame that the targets define (`Axes`), its origin in one of
-them: that one keeps its place, the next its direction, the third its plane (the weights of table 8, taken to their
-limit). The interior orientation takes part as far as its calibration leaves it open. Without distances the scale is
-free; then the first two targets keep their distance.
+Wittich 2017, sections 2.4.4 and 4.3. Lengths are in m, in the frame of the targets (`Axes`). Its first target keeps its
+place, the second its direction, the third its plane (the weights of table 8, taken to their limit). The interior
+orientation is an observation with the covariance of its calibration. Without distances the scale is free; then the
+first two targets keep their distance.
 """
 
 import contextlib
@@ -22,7 +22,7 @@ from spheremouse.geometry.camera import (
     project,
     with_interior,
 )
-from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
+from spheremouse.geometry.conics import project_rings
 from spheremouse.geometry.least_squares.adjust import Adjusted, Jacobian, adjust, cofactors
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian
 
@@ -42,7 +42,7 @@ class ImagePoints:
         return len(self.photo)
 
     def take(self, keep: NDArray[np.bool_]) -> "ImagePoints":
-        """Those of a mask."""
+        """Select by a mask."""
         return ImagePoints(self.photo[keep], self.point[keep], self.centre[keep], self.covariance[keep])
 
 
@@ -57,13 +57,13 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Observations and what holds the frame."""
+    """Observations, and the definition of the frame."""
 
     device: Device
     camera: InteriorOrientation  # as calibrated, with the covariance that lets it move
     image: ImagePoints
     scale_free: bool
-    depth: Array | None = None  # (n, 2) m: depth of each point in cam and its standard deviation, where it is guessed
+    depth: Array | None = None  # (n, 2) m: depth of each point in cam and its standard deviation, if it is a guess
 
     @property
     def targets(self) -> int:
@@ -104,7 +104,7 @@ class Solution:
 
 
 def columns_of(problem: Problem, photos: int, points: int) -> Columns:
-    """Columns of what is adjusted: all but what the definition of the frame holds."""
+    """Return the adjusted columns: all but those that define the frame."""
     device = problem.device
     row, axes = device.row, device.axes
     everything = Columns(photos, points, np.zeros(0, dtype=np.intp))
@@ -117,7 +117,7 @@ def columns_of(problem: Problem, photos: int, points: int) -> Columns:
 
 
 def solve_block(problem: Problem, block: Block, robust: float | None = None) -> Solution:
-    """Adjust a block from an approximation; LinAlgError where something hangs in the air."""
+    """Adjust a block from an approximation; LinAlgError if an unknown is not determined."""
     columns = columns_of(problem, len(block.poses), len(block.points))
     adjusted = None
     for _ in range(2):  # the second time from the solution: rotations are zero there, and slopes exact
@@ -138,16 +138,16 @@ def solve_block(problem: Problem, block: Block, robust: float | None = None) -> 
 
 
 def design(problem: Problem, block: Block) -> tuple[Jacobian, Columns]:
-    """Jacobian of the residuals over their standard deviations, of what is free, at a block: no measurement needed."""
+    """Return the Jacobian of the normalised residuals at a block; it needs no measurement."""
     columns = columns_of(problem, len(block.poses), len(block.points))
     slopes = _eccentricity_slopes(problem, block)
     return _evaluate(problem, block, columns, np.zeros(len(columns.free)), slopes)[1], columns
 
 
 def predicted(block: Block, image: ImagePoints, problem: Problem) -> tuple[Array, Array, Array, Array]:
-    """Expected image points, (n, 2) px, and d by the point in cam (n, 2, 3), by interior (n, 2, 9); points in cam.
+    """Return image points, (n, 2) px, Jacobians by points in cam, (n, 2, 3), and interior, (n, 2, 9), and those points.
 
-    A target is seen at the mean centroid of its circles, which face Z: the eccentricity is in it.
+    A target's image point is the mean centroid of its circles, which face Z, eccentricity included.
     """
     R, _, cam = _placed(block, image)
     uv, J = project(cam, block.camera)
@@ -156,32 +156,23 @@ def predicted(block: Block, image: ImagePoints, problem: Problem) -> tuple[Array
     if len(ring) and np.all(np.isfinite(uv[ring])):
         normal = R[ring, 2]
         uv = uv.copy()
-        with contextlib.suppress(np.linalg.LinAlgError):  # edge-on: its centre must do until the pose is better
-            uv[ring] = _centroids(cam[ring], normal, problem, block.camera)
+        with contextlib.suppress(np.linalg.LinAlgError):  # edge-on: take its centre until the pose is better
+            uv[ring] = project_rings(cam[ring], normal, problem.device.target_radii, block.camera)
     return uv, J, interior_jacobian(xy, block.camera), cam
 
 
 def _placed(block: Block, image: ImagePoints) -> tuple[Array, Array, Array]:
-    """Of each image point: R_obj_cam of its photo (n, 3, 3), way from the camera to it in obj and its place in cam."""
+    """R_obj_cam of each image point's photo, (n, 3, 3), vector from camera to point in obj, and point in cam."""
     R = np.array([p.rotation for p in block.poses])[image.photo]
     way = block.points[image.point] - np.array([p.position for p in block.poses])[image.photo]
     return R, way, np.einsum("nji,nj->ni", R, way)
 
 
-def _centroids(cam: Array, normal: Array, problem: Problem, camera: InteriorOrientation) -> Array:
-    """Mean centroids of the circles of targets at `cam`, (k, 3), that face `normal`, (k, 3), in px, (k, 2)."""
-    radii = np.asarray(problem.device.target_radii, dtype=float)
-    circles = project_circle(
-        np.tile(cam, (len(radii), 1)), np.tile(normal, (len(radii), 1)), np.repeat(radii, len(cam))
-    )
-    return ellipse_to_pixel(*circles, camera)[0].reshape(len(radii), -1, 2).mean(axis=0)
-
-
 def _eccentricity_slopes(problem: Problem, block: Block) -> Array:
-    """d(centroid - projected centre) of the image points by their place and their normal in cam, (n, 2, 6).
+    """Derivative of (centroid - projected centre) by place and normal in cam, (n, 2, 6), by differences.
 
-    By differences: it is a percent of the whole, and changes little while the block moves. Without it the adjustment
-    comes to rest slowly along what the photos hardly fix.
+    It is a percent of the Jacobian, and changes little in an adjustment. Without it, convergence is slow along the
+    least determined unknowns.
     """
     slopes = np.zeros((len(problem.image), 2, 6))
     ring = problem.image.point < problem.targets
@@ -193,7 +184,9 @@ def _eccentricity_slopes(problem: Problem, block: Block) -> Array:
     places = (cam + step[..., :3] * cam[:, 2:]).reshape(-1, 3)
     normals = (normal + step[..., 3:]).reshape(-1, 3)
     try:
-        off = _centroids(places, normals, problem, block.camera) - project(places, block.camera)[0]
+        off = (
+            project_rings(places, normals, problem.device.target_radii, block.camera) - project(places, block.camera)[0]
+        )
         ahead, behind = off.reshape(2, 6, -1, 2)
         depth = np.concatenate([np.tile(cam[:, 2:], (1, 3)), np.ones((len(cam), 3))], axis=1)
         slopes[ring] = (ahead - behind).transpose(1, 2, 0) / (2e-4 * depth[:, None])
@@ -223,7 +216,7 @@ def _evaluate(problem: Problem, block: Block, columns: Columns, x: Array, slopes
     turned = full[INTERIOR : INTERIOR + 6 * columns.photos].reshape(-1, 6)[:, 3:]
     image = problem.image
     uv, by_cam, by_interior, cam = predicted(block, image, problem)
-    uv = np.where(np.isfinite(uv), uv, image.centre + 1e3)  # behind the camera: far off, so that the step is refused
+    uv = np.where(np.isfinite(uv), uv, image.centre + 1e3)  # behind the camera: a large residual rejects the step
     by_cam = np.where(np.isfinite(by_cam), by_cam, 0.0)
     by_interior = np.where(np.isfinite(by_interior), by_interior, 0.0)
     R, way, _ = _placed(block, image)
@@ -269,7 +262,7 @@ def _rows(blocks: Array, where: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDA
 
 
 def distances(device: Device, points: Array) -> Array:
-    """The distances that were measured, (k,) m, as the targets' coordinates have them."""
+    """Return the measured distances by the targets' coordinates, (k,) m."""
     return np.linalg.norm(_ways(device, points), axis=1)
 
 
@@ -296,7 +289,7 @@ def _distances(
 def _prior(
     camera: InteriorOrientation, prior: InteriorOrientation
 ) -> tuple[Array, NDArray[np.intp], NDArray[np.intp], Array]:
-    """The interior orientation as calibrated, as far as its covariance goes."""
+    """The calibrated interior orientation as an observation."""
     known = np.flatnonzero(np.diag(prior.covariance))
     size = np.sqrt(np.diag(prior.covariance))[known]
     value, vector = np.linalg.eigh(prior.covariance[np.ix_(known, known)] / np.outer(size, size))

@@ -1,7 +1,7 @@
-"""Which dark spot is which disc, across photos: first by rays that nearly meet, then by where they meet the ball.
+"""Correspondence of dark spots between photos: first by rays that nearly meet, then by directions on the ball.
 
-Wittich 2017, section 3.3.1, finds points by the distance of rays (eq. 93, 94). Such points hold false ones: rays also
-meet by chance, and frame and room have dark spots. Discs are told from them by the sphere they lie on.
+Wittich 2017, section 3.3.1, finds points by the distance of rays (eq. 93, 94). Some of these points are false: rays
+also meet by chance, and frame and room have dark spots. The discs are the points on one sphere.
 """
 
 from collections.abc import Sequence
@@ -10,22 +10,23 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from spheremouse.ball.rig import Ball, Rig, Targets, directions_at
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.least_squares.sphere import algebraic_sphere
+from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import Array
 
-_TRIES = 3000  # samples of two points: with six false points of seven, 60 of them are clean
-_PROMISING = 60  # of those, the ones looked into
-_FOURS = 100  # samples of four among the points that go with one: half of these may still be false
-_MOST_POINTS = 1500  # tried; a ball with hundreds of discs has fewer, and time goes with their number
-APART = np.radians(10.0)  # between rays: nearer than that the place is six times worse than the gap, and worse
-_LOOSE = 0.15  # of the radius: what a sphere guessed from the size of two dark spots is good for
-_ALIKE = 2.0  # factor by which a dark spot's area may differ from what the sphere says: threshold, shade, a cut
-_CAP = 0.6  # of the radius: least extent of the discs seen, a cap of 17 degrees; bolts in a plane are no large ball
+MIN_RAY_ANGLE = np.radians(10.0)  # at smaller angles a point is six times worse than the gap of its rays
+
+_PAIR_SAMPLES = 3000  # of two points; with six false points of seven, 60 of them are clean
+_REFINED_SPHERES = 60  # the best of those
+_FOUR_SAMPLES = 100  # of the points of one sphere, half of which may still be false
+_MAX_POINTS = 1500  # a ball with hundreds of discs has fewer
+_ROUGH_TOLERANCE = 0.15  # of the radius, of a sphere by the areas of two dark spots
+_AREA_FACTOR = 2.0  # of a dark spot over its expected area, by threshold, shade, or an irregular cut
+_MIN_EXTENT = 0.6  # of the radius, of the discs seen: a cap of 17 degrees; bolts in a plane are no large ball
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,15 +43,15 @@ class Spots:
 
 @dataclass(frozen=True, slots=True)
 class _Points:
-    """Points where rays of k photos nearly meet: m of them, false ones too."""
+    """Points where rays of k photos nearly meet, m of them, with false ones."""
 
     position: Array  # (m, 3) m
     towards: Array  # (m, k, 3) unit vectors to the cameras
-    cosine: Array  # (m, k) area of the spot over that of a disc seen straight on; nan where the photo shows none
+    cosine: Array  # (m, k) area of the spot over that of a disc seen straight on; nan without one
 
     @property
     def support(self) -> Array:
-        """Photos that show each."""
+        """Number of photos that show each."""
         return np.sum(np.isfinite(self.cosine), axis=1)
 
     def take(self, keep: NDArray[np.bool_]) -> "_Points":
@@ -65,11 +66,11 @@ def near_sphere(
     tolerance: float,
     seed: int = 0,
 ) -> tuple[Array, float]:
-    """Centre (3,) m and radius m of the ball on which discs of `disc_radius` m lie; good to about `tolerance` m.
+    """Return centre (3,) m and radius m of the ball on which discs of `disc_radius` m lie, to about `tolerance` m.
 
-    `tolerance`: how far rays may pass each other. Two spots tell a sphere roughly by their areas alone, for a disc seen
-    aslant is small: (P - K) . v = R cos, v towards the camera. Those that go with it tell it exactly. Raises
-    CalibrationError where no five points lie on a sphere.
+    Rays of one disc pass each other within `tolerance` m. The areas of two spots give a rough sphere, as a disc seen
+    aslant is small: (P - K) . v = R cos, with v towards the camera. The points near it give it exactly. Raises
+    CalibrationError if no five points lie on a sphere.
     """
     points = _meeting_points(spots, poses, camera, disc_radius, tolerance)
     points = _firmest(points.take(_disc_like(points)))
@@ -79,17 +80,17 @@ def near_sphere(
             "ball in the photos, did it stay still between them, are its discs dark?"
         )
     rng = np.random.default_rng(seed)
-    largest = float(np.linalg.norm(np.ptp(points.position, axis=0))) / _CAP
+    largest = float(np.linalg.norm(np.ptp(points.position, axis=0))) / _MIN_EXTENT
     rough = []
-    for _ in range(_TRIES):
+    for _ in range(_PAIR_SAMPLES):
         K, R = _by_areas(points, rng.choice(len(points.position), 2, replace=False))
         if 0.0 < R < largest:
-            rough.append((_score(points, K, R, _LOOSE * R), K, R))
+            rough.append((_score(points, K, R, _ROUGH_TOLERANCE * R), K, R))
     rough.sort(key=lambda r: -r[0])
     best, centre, radius = 0.0, np.full(3, np.nan), np.nan
-    for _, K, R in rough[:_PROMISING]:
-        near = np.flatnonzero(_inside(points, K, R, _LOOSE * R))
-        for _ in range(_FOURS if len(near) >= 5 else 0):
+    for _, K, R in rough[:_REFINED_SPHERES]:
+        near = np.flatnonzero(_inside(points, K, R, _ROUGH_TOLERANCE * R))
+        for _ in range(_FOUR_SAMPLES if len(near) >= 5 else 0):
             four, its_radius = algebraic_sphere(points.position[rng.choice(near, 4, replace=False)])
             score = _score(points, four, its_radius, tolerance) if its_radius < largest else 0.0
             if score > best:
@@ -106,10 +107,10 @@ def near_sphere(
 
 
 def numbered(photo: NDArray[np.intp], directions: Array, angle: float, fewest: int = 2) -> NDArray[np.intp]:
-    """Number of the disc that each of n spots on the ball is, (n,); -1 for one seen in fewer than `fewest` photos.
+    """Return the disc number of each of n spots on the ball, (n,); -1 for one seen in fewer than `fewest` photos.
 
-    `directions` (n, 3) unit vectors from the ball's centre; those within `angle` rad are one disc. Of two spots of one
-    photo the one nearer to the disc's middle counts.
+    `directions` (n, 3) are unit vectors from the ball's centre; those within `angle` rad are one disc. Of two spots in
+    one photo the one nearer to the disc's middle counts.
     """
     number = np.full(len(photo), -1)
     free = np.ones(len(photo), dtype=bool)
@@ -130,7 +131,7 @@ def numbered(photo: NDArray[np.intp], directions: Array, angle: float, fewest: i
 def on_ball(
     spots: Spots, poses: Sequence[Pose], camera: InteriorOrientation, centre: Array, radius: float
 ) -> tuple[Array, NDArray[np.intp]]:
-    """Directions from the ball's centre, (k, 3), where the rays of spots meet it, and the k indices."""
+    """Return directions from the ball's centre to the rays' intersections, (k, 3), and the k indices of the spots."""
     directions, index = [], []
     rig = ball_rig(camera, centre, radius, 0.1 * radius)
     for k, pose in enumerate(poses):
@@ -142,7 +143,7 @@ def on_ball(
 
 
 def ball_rig(camera: InteriorOrientation, centre: Array, radius: float, disc_radius: float) -> Rig:
-    """A rig of which only camera, ball and size of the discs are known; any frame."""
+    """Return a rig with camera, ball and size of the discs alone, in any frame."""
     none = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
     return Rig(camera, Ball(radius, centre), none, disc_radius)
 
@@ -150,7 +151,7 @@ def ball_rig(camera: InteriorOrientation, centre: Array, radius: float, disc_rad
 def _meeting_points(
     spots: Spots, poses: Sequence[Pose], camera: InteriorOrientation, disc_radius: float, tolerance: float
 ) -> _Points:
-    """Points where rays of different photos nearly meet, one of those within `tolerance` of each other (eq. 94)."""
+    """Points where rays of different photos nearly meet, at least `tolerance` apart (eq. 94)."""
     xy, dxy_duv = unproject(spots.centre, camera)
     real = np.isfinite(xy[:, 0])
     photo, xy, dxy_duv, area = spots.photo[real], xy[real], dxy_duv[real], spots.area[real]
@@ -190,20 +191,9 @@ def _meeting_points(
     foot = origin[None] + along[..., None] * direction[nearest]
     count = np.maximum(np.sum(sees, axis=1), 1)
     points = np.sum(np.where(sees[..., None], foot, 0.0), axis=1) / count[:, None]
-    kept = _apart(points, np.sum(sees, axis=1), tolerance)
+    support = np.sum(sees, axis=1)
+    kept = suppress(points, tolerance, [i for i in np.argsort(-support, kind="stable") if support[i] >= 2])
     return _Points(points[kept], towards[kept], cosine[kept])
-
-
-def _apart(points: Array, support: NDArray[np.intp], tolerance: float) -> list[int]:
-    """Indices of points that two photos see, best supported first, none within `tolerance` of one before."""
-    near = KDTree(points).query_ball_point(points, tolerance) if len(points) else []
-    free = support >= 2
-    kept: list[int] = []
-    for i in np.argsort(-support, kind="stable"):
-        if free[i]:
-            kept.append(int(i))
-            free[near[i]] = False
-    return kept
 
 
 def _meet(o: Array, u: Array, p: Array, v: Array, tolerance: float) -> Array:
@@ -212,7 +202,7 @@ def _meet(o: Array, u: Array, p: Array, v: Array, tolerance: float) -> Array:
     uv = u @ v.T
     sine2 = 1.0 - uv**2
     bu, bv = (u @ base)[:, None], (v @ base)[None]
-    crossing = sine2 > np.sin(APART) ** 2  # rays nearly alike meet anywhere
+    crossing = sine2 > np.sin(MIN_RAY_ANGLE) ** 2  # rays nearly alike meet anywhere
     safe = np.where(crossing, sine2, 1.0)
     s, t = (bu - uv * bv) / safe, (uv * bu - bv) / safe
     first = o + s[..., None] * u[:, None]
@@ -223,35 +213,35 @@ def _meet(o: Array, u: Array, p: Array, v: Array, tolerance: float) -> Array:
 
 
 def _disc_like(points: _Points) -> NDArray[np.bool_]:
-    """Whether the areas in different photos may be those of one disc: of a normal n with n . v = cos, |n| = 1."""
+    """Return True for points whose areas fit one disc: with a normal n, n . v = cos and |n| = 1."""
     fine = np.ones(len(points.position), dtype=bool)
     for i, (v, c) in enumerate(zip(points.towards, points.cosine, strict=True)):
         sees = np.isfinite(c)
         normal, _, rank, _ = np.linalg.lstsq(v[sees], c[sees], rcond=0.1)
         size = np.linalg.norm(normal)
-        # photos from two directions leave the normal's third part open: it may only be missing
-        fine[i] = size < _ALIKE and (rank < 3 or size > 1.0 / _ALIKE)
+        # photos from two directions leave one component of the normal open
+        fine[i] = size < _AREA_FACTOR and (rank < 3 or size > 1.0 / _AREA_FACTOR)
     return fine
 
 
 def _firmest(points: _Points) -> _Points:
-    """Those that most photos see, where there are too many to try."""
-    if len(points.position) <= _MOST_POINTS:
+    """The points that most photos see, if there are too many."""
+    if len(points.position) <= _MAX_POINTS:
         return points
     keep = np.zeros(len(points.position), dtype=bool)
-    keep[np.argsort(-points.support, kind="stable")[:_MOST_POINTS]] = True
+    keep[np.argsort(-points.support, kind="stable")[:_MAX_POINTS]] = True
     return points.take(keep)
 
 
 def from_several_sides(poses: Sequence[Pose], points: Array) -> bool:
-    """Whether any two photos see the middle of the points from directions ten degrees apart."""
+    """Return True if two photos see the middle of the points from directions ten degrees apart."""
     away = np.array([p.position for p in poses]) - points.mean(axis=0)
     away /= np.linalg.norm(away, axis=1, keepdims=True)
-    return bool(np.min(away @ away.T) < np.cos(APART))
+    return bool(np.min(away @ away.T) < np.cos(MIN_RAY_ANGLE))
 
 
 def _by_areas(points: _Points, which: NDArray[np.intp]) -> tuple[Array, float]:
-    """Sphere by the areas of some points: P . v = K . v + R cos, least squares."""
+    """Sphere by the areas of some points: P . v = K . v + R cos, by least squares."""
     sees = np.isfinite(points.cosine[which])
     v = points.towards[which][sees]
     P = np.broadcast_to(points.position[which][:, None], points.towards[which].shape)[sees]
@@ -261,21 +251,21 @@ def _by_areas(points: _Points, which: NDArray[np.intp]) -> tuple[Array, float]:
 
 
 def _inside(points: _Points, centre: Array, radius: float, tolerance: float) -> NDArray[np.bool_]:
-    """Those on the sphere, and of the areas that discs have there."""
+    """Return True for points on the sphere with areas of discs."""
     way = points.position - centre
     length = np.linalg.norm(way, axis=1)
     near = np.abs(length - radius) < tolerance
     cosine = np.einsum("mi,mki->mk", way / length[:, None], points.towards)
     with np.errstate(invalid="ignore", divide="ignore"):
-        unlike = np.abs(np.log(points.cosine / np.maximum(cosine, 1e-3))) > np.log(_ALIKE)
+        unlike = np.abs(np.log(points.cosine / np.maximum(cosine, 1e-3))) > np.log(_AREA_FACTOR)
     wrong = np.sum(unlike & np.isfinite(points.cosine), axis=1)
     return near & (wrong <= 0.34 * points.support)
 
 
 def _score(points: _Points, centre: Array, radius: float, tolerance: float) -> float:
-    """Score of a sphere: photos that see its points, less the nearer those are to the tolerance."""
+    """Score of a sphere: the photos that see its points, with less weight near the tolerance."""
     inside = _inside(points, centre, radius, tolerance)
-    if np.count_nonzero(inside) < 5 or np.linalg.norm(np.ptp(points.position[inside], axis=0)) < _CAP * radius:
+    if np.count_nonzero(inside) < 5 or np.linalg.norm(np.ptp(points.position[inside], axis=0)) < _MIN_EXTENT * radius:
         return 0.0
     off = (np.linalg.norm(points.position[inside] - centre, axis=1) - radius) / tolerance
     return float(np.sum(points.support[inside] * (1.0 - off**2)))

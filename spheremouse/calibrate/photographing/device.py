@@ -15,7 +15,7 @@ from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect
 from spheremouse.ball.device import Axes, Device
 from spheremouse.calibrate.device.bundle import Block
 from spheremouse.calibrate.device.calibrate import TARGET_SIGMA, calibrate_device
-from spheremouse.calibrate.device.correspond import APART
+from spheremouse.calibrate.device.correspond import MIN_RAY_ANGLE
 from spheremouse.calibrate.device.plans import ENOUGH, work_of
 from spheremouse.calibrate.device.start import first_block, target_views
 from spheremouse.calibrate.photographing.selector import (
@@ -165,12 +165,12 @@ class DeviceSelector:
         distance = np.linalg.norm(way, axis=1)
         cosine = np.clip(way[:-1] @ way[-1] / (distance[:-1] * distance[-1]), -1.0, 1.0)
         angle = np.arccos(cosine)
-        near = angle < APART
+        near = angle < MIN_RAY_ANGLE
         if not near.any():
             return True, f"{np.degrees(angle.min()):.0f}° from the nearest photo"
         if distance[-1] < _NEARER * distance[:-1][near].min():
             return True, "from nearer"
-        least = np.degrees(APART)
+        least = np.degrees(MIN_RAY_ANGLE)
         return False, f"{np.degrees(angle.min()):.0f}° from a photo there is, {least:.0f}° are wanted: go further round"
 
     def _placed(self, seen: Sequence[TargetDetections], strict: bool = False) -> Block | None:

@@ -1,4 +1,4 @@
-"""The frame's axes from its ring targets alone."""
+"""The axes by ring targets of known size at unknown places."""
 
 from collections.abc import Sequence
 
@@ -6,29 +6,32 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from spheremouse.ball.device import Device, Distance
-from spheremouse.calibrate.rolling.axes import PLACE, RIM, SIZE, Axes, Parts, changes_by_lens, jacobian
+from spheremouse.calibrate.rolling.axes import Axes, Parts, changes_by_lens, jacobian
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, unproject
 from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array, log
 
+_SIZE_SIGMA = 0.005, 0.002  # relative, of printed rings: of all alike, and of each
+_RADIUS_SIGMA = 0.05, 0.02  # px, of a ring's image: of all alike, as colours run, and of each
+_CENTRE_SIGMA = 0.05  # px
+
 
 def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Device, camera: InteriorOrientation) -> Axes:
-    """From targets of known size at unknown places: how large each is seen tells how far it is.
+    """Find the axes by targets of known size: the size of each image gives its distance.
 
-    `sightings` are code, centre (2,) px and radius px of the outer ring of each. Distances measured with a tape help.
-    The lens' covariance is counted.
-    CalibrationError where one of the three targets that define the axes is not seen.
+    `sightings` are code, centre (2,) px and radius px of the outer ring of each. Tape distances improve them. The
+    covariance includes that of the lens. Raises CalibrationError if one of the three targets of the axes is not seen.
     """
     ids, uv, size = _seen(sightings, device)
     n, at = len(ids), {i: k for k, i in enumerate(ids)}
-    alike = np.stack([np.full(n, SIZE[0]), RIM[0] / size], axis=1)
-    alone = np.hypot(SIZE[1], RIM[1] / size)
+    alike = np.stack([np.full(n, _SIZE_SIGMA[0]), _RADIUS_SIGMA[0] / size], axis=1)
+    alone = np.hypot(_SIZE_SIGMA[1], _RADIUS_SIGMA[1] / size)
 
     def moved(x: Array, lens: InteriorOrientation = camera) -> Array:
-        """Places, (n, 3), if observations were off by: two of the size of all, one of each size, two of each centre."""
+        """Places, (n, 3), for normalised errors x: two of all sizes, one of each size, two of each centre."""
         sizes = size * np.exp(-(alike @ x[:2]) - alone * x[2 : 2 + n])
-        return _by_size(uv + PLACE * x[2 + n :].reshape(n, 2), sizes, at, device, lens)
+        return _by_size(uv + _CENTRE_SIGMA * x[2 + n :].reshape(n, 2), sizes, at, device, lens)
 
     taped = [d for d in device.distances if d.start in at and d.end in at]
 
@@ -43,14 +46,14 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
     places = moved(x)
     R = _axes_of(places, at, device)
 
-    def told(y: Array, lens: InteriorOrientation = camera) -> Array:
+    def places_and_axes(y: Array, lens: InteriorOrientation = camera) -> Array:
         there = moved(y, lens)
         return np.concatenate([there.ravel(), log(_axes_of(there, at, device) @ R.T)])
 
-    by_x, seen_through = jacobian(told, x), changes_by_lens(lambda c: told(x, c), camera)
+    by_x, seen_through = jacobian(places_and_axes, x), changes_by_lens(lambda c: places_and_axes(x, c), camera)
     own, by_lens = _propagated(by_x, seen_through, residuals(x), places, taped, at)
     joint = own + by_lens @ by_lens.T
-    four = np.eye(4)[:, :3]  # no distance of the ball comes with rings
+    four = np.eye(4)[:, :3]  # rings give no distance of the ball
     return Axes(
         R,
         joint[-3:, -3:],
@@ -80,12 +83,12 @@ def _seen(sightings: Sequence[tuple[str, Array, float]], device: Device) -> tupl
 def _propagated(
     by_x: Array, by_lens: Array, r: Array, places: Array, taped: Sequence[Distance], at: dict[int, int]
 ) -> tuple[Array, Array]:
-    """Covariance of places and axes, (3n + 3, 3n + 3), without the lens' part, and that part, (3n + 3, 9).
+    """Covariance of places and axes without the lens' part, (3n + 3, 3n + 3), and that part, (3n + 3, 9).
 
-    `by_x` and `by_lens` are the Jacobians of places and axes by what observations are off, of variance 1, and by the
-    lens. The distances `taped`, whose residuals end those of the adjustment, `r`, correct both.
+    `by_x` and `by_lens` are the Jacobians of places and axes by normalised errors and by the lens. The distances
+    `taped` correct both; `r` are all residuals of the adjustment.
     """
-    J, pull = np.eye(by_x.shape[1]), np.zeros((by_x.shape[1], 9))  # pull: of the lens on what distances correct
+    J, pull = np.eye(by_x.shape[1]), np.zeros((by_x.shape[1], 9))  # pull: of the lens, on the corrections by distances
     for d in taped:
         i, j = at[d.start], at[d.end]
         along = (places[i] - places[j]) / np.linalg.norm(places[i] - places[j]) / d.sigma
@@ -104,7 +107,7 @@ def _by_size(uv: Array, size: Array, at: dict[int, int], device: Device, camera:
     depth = outer * np.sqrt(camera.fx * camera.fy) / size
     R = np.diag([1.0, -1.0, -1.0])
     places = depth[:, None] * np.column_stack([xy, np.ones(len(xy))])
-    for _ in range(50):  # foreshortening shows once the axes are known, and they once the places are
+    for _ in range(50):  # foreshortening depends on the axes, and the axes on the places
         normal = np.broadcast_to(R[2], places.shape)
         centre, shape = ellipse_to_pixel(*project_circle(places, normal, outer), camera)
         seen = np.linalg.det(shape) ** 0.25

@@ -1,8 +1,8 @@
-"""A rolled calibration from frames to result: looked at several times, each time with a better rig than before.
+"""A rolled calibration from frames to result, in several passes, each with a better rig than the one before.
 
-First dark spots in the first seconds, for a start; then the tracker on those; then the tracker on all, twice where the
-first time changed much; after each an adjustment. Beside that a few views for the targets, and whether the camera
-stood still.
+Dark spots in the first seconds give a start. The tracker runs on those seconds, then on all frames, and again if the
+rig changed much. An adjustment follows each pass. The first pass also keeps a few views for the targets, and for a
+check that the camera stood still.
 """
 
 from collections.abc import Callable, Iterator
@@ -28,18 +28,18 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Frame
 
-BLOCK = 15.0  # s of rolling that a start is sought in, then twice and four times as much
-_LEAST = 3.0  # s of frames
-_CHANGED = 2e-3  # part of the ratio, or rad, by which a rig may be off without spoiling what is measured with it
-_EVERY = 0.5  # s between two views that are kept
-_VIEWS, _COLOURED = 240, 30
-_FEATURES = 150  # places in the room that tell whether the camera stands
-_SHIFTED = 0.5  # px: more is a camera that was moved
+BLOCK = 15.0  # s of rolling for a start; then two and four times as much
+_MIN_SECONDS = 3.0
+_MAX_CHANGE = 2e-3  # of the ratio, or rad: a rig that is off by less measures as well
+_VIEW_INTERVAL = 0.5  # s
+_MAX_VIEWS, _MAX_COLOUR_VIEWS = 240, 30
+_FEATURES = 150  # places in the room, for the check that the camera stood still
+_MAX_SHIFT = 0.5  # px; a larger one is that of a camera that was moved
 
 
 @dataclass(slots=True)
 class Views:
-    """Pictures kept of a few frames: for the targets in colour, and grey for the camera's rest."""
+    """A few of the frames: in colour for the targets, grey for the check that the camera stood still."""
 
     colour: list[Image] = field(default_factory=list)
     grey: list[tuple[float, Image]] = field(default_factory=list)
@@ -49,23 +49,23 @@ class Views:
     colour_due: float = -np.inf
 
     def add(self, frame: Frame) -> None:
-        """One frame, kept if it is time."""
+        """Keep a frame if it is due."""
         self.first = frame.stamp if self.first is None else self.first
         self.last = frame.stamp
         image = frame.image
-        if image.ndim == 3 and frame.stamp >= self.colour_due and len(self.colour) < _COLOURED:
-            self.colour_due = frame.stamp + _EVERY
+        if image.ndim == 3 and frame.stamp >= self.colour_due and len(self.colour) < _MAX_COLOUR_VIEWS:
+            self.colour_due = frame.stamp + _VIEW_INTERVAL
             self.colour.append(image.copy())
-        if frame.stamp < self.due or len(self.grey) >= _VIEWS:
+        if frame.stamp < self.due or len(self.grey) >= _MAX_VIEWS:
             return
-        self.due = frame.stamp + _EVERY
+        self.due = frame.stamp + _VIEW_INTERVAL
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         self.grey.append((frame.stamp, grey))
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """Results of rolling."""
+    """Result of all passes."""
 
     rolled: Rolled
     tracked: Tracked
@@ -84,10 +84,10 @@ def solve(
     disc_angle: Callable[[Rolled, Views], float | None],
     progress: Progress,
 ) -> Solution:
-    """Ball, camera and discs of a recording; `readout` s and its standard deviation.
+    """Find ball, camera and discs in a recording; `readout` s and its standard deviation.
 
-    `disc_angle` may say, of a first result, how large the discs are over the ball; None: as seen. `progress` wraps the
-    frames of each way through. CalibrationError in all the ways that a recording can fail.
+    `disc_angle` returns the discs' radius over the ball's after a first result, or None to take it from the images.
+    `progress` wraps the frames of each pass. Raises CalibrationError if the recording does not determine them.
     """
     views, found, block, polarity = _ball_found(footage, camera, progress)
     assert views.first is not None
@@ -106,7 +106,7 @@ def solve(
         change = abs(np.log(rolled.rolling.ratio / before.ratio)) + np.linalg.norm(
             rolled.rolling.direction - before.direction
         )
-        if change < _CHANGED:
+        if change < _MAX_CHANGE:
             break
     return Solution(rolled, tracked, rig.disc_radius, views, whole)
 
@@ -121,7 +121,7 @@ def _round(
     settings: Settings,
     progress: Progress,
 ) -> tuple[Rolled, Tracked, Rig]:
-    """Track, adjust; and the rig with the size of the discs as they were fitted."""
+    """Track and adjust; the rig gets the fitted size of the discs."""
     frames = progress("tracking" if seconds is None else "first tracking", footage.frames(seconds))
     tracked = track_rolling(frames, rig, provisional_pose(direction, ratio), settings)
     rolled = adjust_rolling(tracked.sightings, tracked.rolling, camera, rig.readout_sigma_s)
@@ -131,20 +131,20 @@ def _round(
 def _ball_found(
     footage: Footage, camera: InteriorOrientation, progress: Progress
 ) -> tuple[Views, RollingStart, float | None, Literal["dark", "light"]]:
-    """The first look by dark discs, or else by light ones; of two failures, the first."""
+    """Find the ball by dark discs, or else by light ones; of two failures raise the first."""
     try:
-        return *_first_look(footage, camera, progress, GREY), "dark"
+        return *_first_pass(footage, camera, progress, GREY), "dark"
     except CalibrationError as e:
         try:
-            return *_first_look(footage, camera, progress, NEGATIVE), "light"
+            return *_first_pass(footage, camera, progress, NEGATIVE), "light"
         except CalibrationError:
             raise e from None
 
 
-def _first_look(
+def _first_pass(
     footage: Footage, camera: InteriorOrientation, progress: Progress, projection: Projection
 ) -> tuple[Views, RollingStart, float | None]:
-    """All frames once: views kept, and the start from the first seconds, or more where those do not do."""
+    """Read all frames once: keep views, and find a start in the first seconds, or in more if necessary."""
     views, spots = Views(), list[Spots]()
     found: RollingStart | None = None
     used, limit = 0.0, BLOCK
@@ -168,7 +168,7 @@ def _first_look(
                 found = start(spots, camera)
             except CalibrationError as e:
                 failed = e
-    if views.first is None or views.last - views.first < _LEAST:
+    if views.first is None or views.last - views.first < _MIN_SECONDS:
         length = 0.0 if views.first is None else views.last - views.first
         raise CalibrationError(f"{length:.1f} s are too short: roll the ball for a minute; ten seconds are the least")
     if found is None:
@@ -180,7 +180,7 @@ def _first_look(
 
 
 def _check_still(views: Views, found: RollingStart, camera: InteriorOrientation) -> None:
-    """CalibrationError where the room, outside of the ball, is seen to shift."""
+    """Raise CalibrationError if the image of the room, outside of the ball, shifts."""
     rig, pose = start_rig(found, camera), provisional_pose(found.direction, found.ratio)
     size = max(3, round(0.03 * camera.width))
     outside = cv2.bitwise_not(cv2.dilate(ball_mask(rig, pose), np.ones((size, size), np.uint8)))
@@ -195,7 +195,7 @@ def _check_still(views: Views, found: RollingStart, camera: InteriorOrientation)
             continue
         middle = np.median(way, axis=0)
         alike = np.mean(np.linalg.norm(way - middle, axis=1) < 0.3 * np.linalg.norm(middle) + 0.2)
-        if np.linalg.norm(middle) > _SHIFTED and alike > 0.5:
+        if np.linalg.norm(middle) > _MAX_SHIFT and alike > 0.5:
             raise CalibrationError(
                 f"the camera was moved by {np.linalg.norm(middle):.1f} px within {stamp - begin:.1f} s: fix it, and "
                 "roll again, or take what was before with --seconds"

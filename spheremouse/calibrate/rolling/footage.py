@@ -1,6 +1,6 @@
-"""Frames that can be looked at more than once: a recording opened again, or a live camera's pictures kept in memory."""
+"""Frames to read several times: a recording that is opened again, or a live camera's frames in memory."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -13,42 +13,41 @@ from spheremouse.tracker import Frame
 
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]  # quick, and half the size
 COLOUR_EVERY = 0.25  # s
-_MOST = 1_500_000_000  # bytes kept in memory
+_MAX_BYTES = 1_500_000_000  # in memory
 
 
 class Footage(Protocol):
-    """Frames from the first on, as often as asked."""
+    """Frames from the first on, any number of times."""
 
     def frames(self, seconds: float | None = None) -> Iterator[Frame]:
-        """Those of the first `seconds`, or all."""
+        """Yield the frames of the first `seconds`, or all."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A source that can be opened again."""
+    """A source that is opened for each reading."""
 
     source: str
     seconds: float | None
-    wrapped: Callable[[Iterator[Frame]], Iterator[Frame]] = lambda frames: frames
 
     def frames(self, seconds: float | None = None) -> Iterator[Frame]:
-        """Those of the first `seconds`, or all."""
+        """Yield the frames of the first `seconds`, or all."""
         limit = min((s for s in (seconds, self.seconds) if s is not None), default=None)
         with open_source(self.source) as given:
-            yield from until(self.wrapped(iter(given)), limit)
+            yield from until(iter(given), limit)
 
 
 @dataclass(slots=True)
-class Kept:
-    """Pictures of a live camera, without loss; grey but for some in colour, which targets need."""
+class Buffered:
+    """Frames of a live camera in memory, without loss; grey but for some in colour, which targets need."""
 
     stored: list[tuple[bytes, float, int]] = field(default_factory=list)
     size: int = 0
     coloured: float = -np.inf  # s, stamp of the last in colour
 
-    def keep(self, frame: Frame) -> None:
-        """One more; SourceError where memory would not take it."""
+    def append(self, frame: Frame) -> None:
+        """Store a frame; SourceError if memory is full."""
         image = frame.image
         if image.ndim == 3 and frame.stamp - self.coloured >= COLOUR_EVERY:
             self.coloured = frame.stamp
@@ -56,12 +55,12 @@ class Kept:
             image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
         data = cv2.imencode(".png", image, _PNG)[1].tobytes()
         self.size += len(data)
-        if self.size > _MOST:
+        if self.size > _MAX_BYTES:
             raise SourceError("the pictures fill the memory: take a smaller mode of the camera, or fewer --seconds")
         self.stored.append((data, frame.stamp, frame.sequence))
 
     def frames(self, seconds: float | None = None) -> Iterator[Frame]:
-        """Those of the first `seconds`, or all."""
+        """Yield the frames of the first `seconds`, or all."""
         every = (
             Frame(np.asarray(cv2.imdecode(np.frombuffer(d, np.uint8), cv2.IMREAD_UNCHANGED), np.uint8), stamp, number)
             for d, stamp, number in self.stored
@@ -70,7 +69,7 @@ class Kept:
 
 
 def until(frames: Iterator[Frame], seconds: float | None) -> Iterator[Frame]:
-    """Frames of the first `seconds`, or all."""
+    """Yield the frames of the first `seconds`, or all."""
     first: float | None = None
     for frame in frames:
         first = frame.stamp if first is None else first

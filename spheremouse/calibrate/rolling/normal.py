@@ -1,4 +1,4 @@
-"""Normal equations of a rolling ball, their minimum, and what is known there."""
+"""Normal equations of a rolling ball, their minimum, and the cofactors there."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,13 +18,13 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.least_squares.adjust import Normal, huber, huber_cost, levenberg_marquardt
 from spheremouse.geometry.rotation import Array, exp, hat, tangent_basis
 
-_FIRM = 1e-7  # s: a readout known for sure is held so firmly
+_MIN_READOUT_SIGMA = 1e-7  # s, for a readout that is known exactly
 
 
 class Eliminated:
-    """What is known of the shared unknowns at the minimum, the attitudes eliminated.
+    """Cofactors of the shared unknowns at the minimum, without the attitudes.
 
-    The turn of the ball's axes, which nothing fixes, is taken out (inner constraints).
+    Inner constraints remove the rotation of the ball's axes, which no observation fixes.
     """
 
     def __init__(self, at: Rolling, s: Sightings, equations: Equations, readout: tuple[float, float]) -> None:
@@ -38,18 +38,18 @@ class Eliminated:
         N = normal.shared - np.einsum("fik,fil->kl", normal.cross, self._gain)
         scale = 1.0 / np.sqrt(np.diag(N))
         Q = np.linalg.inv(N * np.outer(scale, scale)) * np.outer(scale, scale)
-        # what the held turn itself added is taken off again
+        # remove the weight that held the rotation of the axes
         P = np.eye(len(Q)) - self.free @ self.free.T
         Q = P @ Q @ P
         self.cofactors = 0.5 * (Q + Q.T)  # of the shared unknowns, (4 + 2m, 4 + 2m)
 
     def reduced(self) -> Array:
-        """Jacobian by the shared unknowns with the attitudes eliminated, (n, 2, 4 + 2m)."""
+        """Return the Jacobian by the shared unknowns with the attitudes eliminated, (n, 2, 4 + 2m)."""
         turn = self.equations.turn
         return self.equations.shared.toarray().reshape(len(turn), 2, -1) - turn @ self._gain[self.frame]
 
     def residual_cofactors(self) -> Array:
-        """I - A Q A' of each sighting, (n, 2, 2)."""
+        """Return I - A Q A' of each sighting, (n, 2, 2)."""
         J, turn = self.reduced(), self.equations.turn
         own = turn @ self._inverse[self.frame] @ turn.transpose(0, 2, 1)
         return np.eye(2) - own - (J.reshape(-1, J.shape[2]) @ self.cofactors).reshape(J.shape) @ J.transpose(0, 2, 1)
@@ -58,15 +58,17 @@ class Eliminated:
 def adjusted(
     at: Rolling, s: Sightings, camera: InteriorOrientation, readout: tuple[float, float], knee: float | None
 ) -> tuple[Rolling, Eliminated]:
-    """The least sum of squares, or of Huber's function with its knee, and what is known there.
+    """Minimise the sum of squares, or of Huber's function with its `knee`.
 
-    `readout` is the expected one and its standard deviation, s. CalibrationError where there is no minimum.
+    `readout` is the expected one and its standard deviation, s. Raises CalibrationError if there is no minimum.
     """
 
     def linear(at: Rolling) -> tuple[float, Callable[[], Normal]]:
         equations = equations_of(at, s, camera)
         length = np.linalg.norm(equations.residual, axis=1)
-        cost = _cost(length, knee, at.readout, readout) if at.ratio > 1.0 else np.inf  # the camera within the ball
+        cost = (
+            _cost(length, knee, at.readout, readout) if at.ratio > 1.0 else np.inf
+        )  # else the camera is within the ball
         return cost, lambda: _normal(at, s, equations, huber(length, knee), readout)
 
     at = levenberg_marquardt(
@@ -76,9 +78,9 @@ def adjusted(
 
 
 def _normal(at: Rolling, s: Sightings, equations: Equations, root: Array, readout: tuple[float, float]) -> Normal:
-    """Normal equations of sightings times `root` (n,), an attitude being local to its frame.
+    """Normal equations of sightings times `root` (n,); an attitude is local to its frame.
 
-    The turn of the ball's axes is held where the discs are on the mean.
+    A weight on the mean disc holds the rotation of the ball's axes.
     """
     turn, f = equations.turn * root[:, None, None], len(at.attitude)
     shared = sparse.csr_array(sparse.diags_array(np.repeat(root, 2)) @ equations.shared)
@@ -91,7 +93,7 @@ def _normal(at: Rolling, s: Sightings, equations: Equations, root: Array, readou
     np.add.at(own, s.frame, turn.transpose(0, 2, 1) @ turn)
     N, b = (shared.T @ shared).toarray(), np.asarray(shared.T @ r.ravel())
     expected, sigma = readout
-    hold = 1.0 / max(sigma, _FIRM) ** 2
+    hold = 1.0 / max(sigma, _MIN_READOUT_SIGMA) ** 2
     N[READOUT, READOUT] += hold
     b[READOUT] += hold * (expected - at.readout)
     free = _free(at)
@@ -101,12 +103,12 @@ def _normal(at: Rolling, s: Sightings, equations: Equations, root: Array, readou
 
 
 def _cost(length: Array, knee: float | None, readout: float, expected: tuple[float, float]) -> float:
-    """Cost that a step makes less: the residuals' part, and that of what was known of the readout before."""
-    return huber_cost(length, knee) + ((readout - expected[0]) / max(expected[1], _FIRM)) ** 2
+    """Cost of the residuals, and of the readout's prior."""
+    return huber_cost(length, knee) + ((readout - expected[0]) / max(expected[1], _MIN_READOUT_SIGMA)) ** 2
 
 
 def _free(at: Rolling) -> Array:
-    """Orthonormal columns, (4 + 2m, 3): the ball's axes turn by any e, and R follows; a disc moves by e x d."""
+    """Orthonormal basis, (4 + 2m, 3), of the rotations of the ball's axes: a disc moves by e x d."""
     free = np.zeros((GLOBAL + 2 * len(at.discs), 3))
     free[GLOBAL:] = -(tangent_basis(at.discs).transpose(0, 2, 1) @ hat(at.discs)).reshape(-1, 3)
     return np.linalg.qr(free)[0]

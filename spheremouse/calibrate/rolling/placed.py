@@ -1,4 +1,4 @@
-"""A rolled ball placed in the frame's axes, with what was known of the targets before."""
+"""A rolled ball and the targets in the axes of `obj`, with their joint covariances."""
 
 from dataclasses import replace
 
@@ -8,21 +8,19 @@ from spheremouse.ball.device import Device
 from spheremouse.ball.rig import Ball, Targets
 from spheremouse.calibrate.rolling.axes import Axes
 from spheremouse.calibrate.rolling.problem import Rolled
-from spheremouse.geometry.camera import (
-    Pose,
-)
+from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, hat
 
 
 def with_rolled(axes: Axes, rolled: Rolled) -> Axes:
-    """The axes with the uncertainty of the direction they were found with counted, too."""
+    """Return the axes with the covariance of the direction added."""
     C = _joint(rolled, axes)
     distance_sigma = 0.0 if axes.distance is None else axes.distance * float(np.sqrt(C[3, 3]))
     return replace(axes, covariance=C[:3, :3], distance_sigma=distance_sigma)
 
 
 def _joint(rolled: Rolled, axes: Axes) -> Array:
-    """Covariance of axes, logarithm of the distance, direction and ratio, (8, 8); the lens is wrong for all alike."""
+    """Covariance of axes, log distance, direction and ratio, (8, 8); all share the error of the lens."""
     C = np.zeros((8, 8))
     if axes.parts is None:
         C[:3, :3], C[4:, 4:] = axes.covariance, rolled.covariance
@@ -36,14 +34,14 @@ def _joint(rolled: Rolled, axes: Axes) -> Array:
 
 
 def placed(rolled: Rolled, axes: Axes, radius: float | None = None, radius_sigma: float = 0.0) -> tuple[Pose, Ball]:
-    """The camera in `obj` and the ball, with their covariances and how the two hang together.
+    """Return the camera in `obj` and the ball, with their joint covariance.
 
-    For a radius that is known otherwise, m; None: that which the axes' distance tells, and where the camera is does
-    not hang on the ratio then.
+    `radius`, m, is a known one; without it, the axes' distance gives the radius, and the camera's place is independent
+    of the ratio.
     """
     rolling = rolled.rolling
     R, c = axes.rotation, rolling.direction
-    told = radius is None
+    by_distance = radius is None
     if radius is None:
         assert axes.distance is not None
         radius = axes.distance / rolling.ratio
@@ -51,7 +49,7 @@ def placed(rolled: Rolled, axes: Axes, radius: float | None = None, radius_sigma
     by = np.zeros((7, 9))  # pose and radius, of: axes, log distance, direction and ratio, radius
     by[:3, :3], by[3:6, :3] = -hat(P), np.eye(3)
     by[:3, 4:7] = -radius * rolling.ratio * R
-    if told:
+    if by_distance:
         by[:3, 3] = P
         by[6, 3], by[6, 7] = radius, -radius / rolling.ratio
     else:
@@ -67,7 +65,7 @@ def placed(rolled: Rolled, axes: Axes, radius: float | None = None, radius_sigma
 
 
 def known_with_ball(axes: Axes, radius: float) -> Array:
-    """Covariance of known targets with the ball's centre and the radius that their distance told, (3n, 4) m²."""
+    """Return the covariance of known targets with the ball's centre and radius, (3n, 4) m²."""
     assert axes.parts is not None
     cross = np.zeros((len(axes.parts.with_targets), 4))
     cross[:, 3] = radius * axes.parts.with_targets[:, 3]
@@ -75,9 +73,9 @@ def known_with_ball(axes: Axes, radius: float) -> Array:
 
 
 def rescaled_targets(targets: Targets, free: Ball, ball: Ball) -> tuple[Targets, Array]:
-    """Targets in a unit of their own, in which the ball is `free`, in metres; and their covariance with the ball.
+    """Convert targets of a free scale, in which the ball is `free`, to metres, with their covariance with the ball.
 
-    What the ratio and the targets have in common is left out of the unit's uncertainty: it is a little wide.
+    The correlation of ratio and targets is neglected, so the covariance is a little too large.
     """
     unit = ball.radius / free.radius
     by_length, by_free = ball.covariance[3, 3] / ball.radius**2, free.covariance[3, 3] / free.radius**2
@@ -92,7 +90,7 @@ def rescaled_targets(targets: Targets, free: Ball, ball: Ball) -> tuple[Targets,
 def placed_targets(
     axes: Axes, device: Device, rolled: Rolled, radius: float, radius_sigma: float
 ) -> tuple[Targets, Array]:
-    """Targets measured in cam, in `obj`, and their covariance with the ball's centre and radius, (3n, 4)."""
+    """Return targets measured in cam, in `obj`, and their covariance with the ball's centre and radius, (3n, 4)."""
     assert axes.targets_cam is not None
     assert axes.targets_cam_covariance is not None
     c, ratio, R = rolled.rolling.direction, rolled.rolling.ratio, axes.rotation

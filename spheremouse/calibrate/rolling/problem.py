@@ -1,4 +1,4 @@
-"""What a rolling ball is adjusted from: sightings in, unknowns and residuals out."""
+"""Observations, unknowns and residuals of a rolling ball's adjustment."""
 
 from dataclasses import dataclass
 
@@ -9,13 +9,13 @@ from scipy import sparse
 from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, project, row_of
 from spheremouse.geometry.rotation import Array, exp, hat, log, tangent_basis
 
-RATES = 0.005  # part by which rates taken from attitudes a frame apart are off when a hand pushes
+RATES = 0.005  # relative error of rates from differences of attitudes, when a hand pushes
 GLOBAL, READOUT = 4, 3  # unknowns before the discs: direction 2, log ratio, readout
 
 
 @dataclass(frozen=True, slots=True)
 class Sightings:
-    """Discs seen, each with the frame and the disc it belongs to."""
+    """Measured discs, each with its frame and its disc."""
 
     frame: NDArray[np.intp]  # (n,) 0 .. f - 1
     disc: NDArray[np.intp]  # (n,) 0 .. m - 1
@@ -26,13 +26,13 @@ class Sightings:
         return len(self.frame)
 
     def take(self, keep: NDArray[np.bool_]) -> "Sightings":
-        """Those of a mask, with the numbers they have."""
+        """Select by a mask; frame and disc keep their numbers."""
         return Sightings(self.frame[keep], self.disc[keep], self.centre[keep], self.covariance[keep])
 
 
 @dataclass(frozen=True, slots=True)
 class Rolling:
-    """Places of ball, camera and discs, in units of the ball's radius."""
+    """Geometry of ball, camera and discs, in units of the ball's radius."""
 
     direction: Array  # (3,) unit vector in cam, to the ball's centre
     ratio: float  # distance of the centre over the radius
@@ -44,7 +44,7 @@ class Rolling:
 
 @dataclass(frozen=True, slots=True)
 class Rolled:
-    """An adjusted `Rolling` with what is known of its errors; the sightings are those that were used."""
+    """An adjusted `Rolling` with its covariances, and the sightings used."""
 
     rolling: Rolling
     covariance: Array  # (4, 4) of direction (3 along its tangent plane, rad) and ratio
@@ -54,8 +54,8 @@ class Rolled:
     residual: Array  # (n, 2) px
     rejected: int  # sightings that contradict the others
     variance_factor: float  # of the sightings, over what was assumed
-    correlation: float  # by how much the variances of the result grow because errors last, or belong to a place
-    by_lens: Array  # (4, 9) part of the errors of direction and ratio: per standard deviation along `lens_root`
+    correlation: float  # factor on the variances of the result for errors that are correlated in time or place
+    by_lens: Array  # (4, 9) errors of direction and ratio per standard deviation along `lens_root`
 
     @property
     def rms(self) -> float:
@@ -74,7 +74,7 @@ class Equations:
 
 
 def equations_of(at: Rolling, s: Sightings, camera: InteriorOrientation) -> Equations:
-    """Of a point p = ratio c + R d, that a rolling shutter sees late: R = exp(readout row w) R_cam_ball."""
+    """Residuals and Jacobians of points p = ratio c + R d, with R = exp(readout row w) R_cam_ball (rolling shutter)."""
     n, m = len(s), len(at.discs)
     row = row_of(s.centre[:, 1], camera.height)
     rate = _rates(at)[s.frame]
@@ -87,7 +87,7 @@ def equations_of(at: Rolling, s: Sightings, camera: InteriorOrientation) -> Equa
     A = W @ by_point
     basis = tangent_basis(at.discs)[s.disc]
     by_disc = A @ late @ at.attitude[s.frame] @ basis
-    turned = np.einsum("nij,nj->ni", late.transpose(0, 2, 1), d)  # at the frame's own time
+    turned = np.einsum("nij,nj->ni", late.transpose(0, 2, 1), d)  # at the frame's stamp
     by_turn = A @ late @ -hat(turned)
     by_global = np.concatenate(
         [
@@ -110,7 +110,7 @@ def equations_of(at: Rolling, s: Sightings, camera: InteriorOrientation) -> Equa
 def _rates(at: Rolling) -> Array:
     """Angular velocities in cam, (f, 3) rad/s, from the attitudes around each frame; 0 beside a gap.
 
-    Differences over four frames, of fourth order; over two where one of the four is missing.
+    Fourth-order differences over four frames; second-order ones over two if one of the four is missing.
     """
     f = len(at.stamp)
     rate = np.zeros((f, 3))
@@ -131,5 +131,5 @@ def _rates(at: Rolling) -> Array:
 
 
 def whitening(covariance: Array) -> Array:
-    """W with W' W the inverse, (n, 2, 2)."""
+    """Return W, (n, 2, 2), with W' W the inverse covariance."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=float)

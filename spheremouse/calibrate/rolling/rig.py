@@ -1,16 +1,19 @@
-"""The rig that a rolled ball makes: how large all is, where targets and camera are, the discs, the readout."""
+"""The rig of a rolled ball: its axes by targets or gestures, its scale by lengths, targets and camera around it."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from spheremouse.ball.compare_maps import turned
+from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
+from spheremouse.ball.device import Device
 from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.pose import gather
 from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
-from spheremouse.calibrate.rolling.axes import Axes
-from spheremouse.calibrate.rolling.axes_choice import AxesFrom
-from spheremouse.calibrate.rolling.calibrate import Solution
-from spheremouse.calibrate.rolling.lengths import TAPE, check_radius
+from spheremouse.calibrate.rolling.axes import Axes, axes_from_gestures, axes_from_targets
+from spheremouse.calibrate.rolling.axes_from_rings import axes_from_rings
+from spheremouse.calibrate.rolling.calibrate import Solution, Views
 from spheremouse.calibrate.rolling.placed import (
     known_with_ball,
     placed,
@@ -19,14 +22,26 @@ from spheremouse.calibrate.rolling.placed import (
     with_rolled,
 )
 from spheremouse.calibrate.rolling.problem import Rolled
-from spheremouse.geometry.camera import Pose
+from spheremouse.errors import CalibrationError, PoseError
+from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array
 
-_READOUT_KNOWN = 1e-3  # s, standard deviation from which a readout is told
+TAPE = 0.002  # relative error of a length that a person measures on a ball; balls are not rounder
+
+_MAX_DEVIATION = 5.0  # standard deviations of a given radius from that by the targets
+_FIRST_ERROR = 0.1  # relative error of the radius after the first pass, whose disc size is only seen
+_MAX_READOUT_SIGMA = 1e-3  # s, of a readout that goes into the rig
+
+
+class Lengths(NamedTuple):
+    """Lengths that a person measured, m."""
+
+    radius: float | None  # of the ball
+    disc_radius: float | None
 
 
 class Calibrated(NamedTuple):
-    """Everything that a rolled ball tells."""
+    """Result of a rolled calibration."""
 
     rig: Rig
     disc_map: DiscMap
@@ -34,18 +49,116 @@ class Calibrated(NamedTuple):
     source: str  # of the axes: targets, device or gestures
 
 
-class _Scaled(NamedTuple):
-    """What has a length."""
+# ---- axes ----
 
-    pose: Pose
-    ball: Ball
-    targets: Targets
-    cross: Array | None  # (3n, 4) m², of targets with the ball
-    free: bool  # of no unit
+
+@dataclass(frozen=True, slots=True)
+class AxesFrom:
+    """Sources of the axes; the first one given counts: gestures, device, rig."""
+
+    rig: Rig | None  # its targets, their radii and the discs' radius
+    device: Device | None
+    gestures: tuple[tuple[float, float], tuple[float, float]] | None  # s from the first frame
+    camera: InteriorOrientation
+
+    @property
+    def known(self) -> bool:
+        """True with any source."""
+        return self.rig is not None or self.device is not None or self.gestures is not None
+
+    @property
+    def disc_radius(self) -> float | None:
+        """Radius of a disc by device or rig, m."""
+        if self.device is not None:
+            return self.device.disc_radius
+        return None if self.rig is None else self.rig.disc_radius
+
+    def check(self) -> None:
+        """Raise CalibrationError without any source."""
+        if not self.known:
+            raise CalibrationError(
+                "nothing says which way is up: give --device device.yaml or --rig rig.yaml where targets are in view, "
+                "or roll the ball forward, then right, and say when with --forward A:B --right A:B"
+            )
+
+    def find(self, rolled: Rolled, views: Views) -> tuple[Axes, str]:
+        """Return the axes and their source: targets, device or gestures."""
+        self.check()
+        if self.gestures is not None:
+            assert views.first is not None
+            begin = views.first
+            forward, right = ((a + begin, b + begin) for a, b in self.gestures)
+            return axes_from_gestures(rolled.rolling, forward, right), "gestures"
+        if not views.colour:
+            raise CalibrationError(
+                "the pictures are grey: targets need colour; roll two gestures (--forward, --right) instead"
+            )
+        if self.device is not None:
+            seen = _detected(views, self.device.target_radii)
+            return axes_from_rings(_sizes(seen), self.device, self.camera), "device"
+        assert self.rig is not None
+        seen = _detected(views, self.rig.targets.radii)
+        try:
+            return axes_from_targets(gather(seen), self.rig, rolled.rolling), "targets"
+        except PoseError as e:
+            raise CalibrationError(str(e)) from None
+
+
+def _detected(views: Views, radii: np.ndarray) -> list[TargetDetections]:
+    return [detect_targets(image, radii, RingSettings()) for image in views.colour]
+
+
+def _sizes(views: list[TargetDetections]) -> list[tuple[str, np.ndarray, float]]:
+    """Code, centre and size of each target that stands still; of several copies the largest."""
+    found: dict[str, tuple[str, np.ndarray, float]] = {}
+    for s in gather(views):
+        radii = [
+            float(r)
+            for v in views
+            for code, centre, r in zip(v.codes, v.centre, v.radius, strict=True)
+            if code == s.code and np.linalg.norm(centre - s.centre) < 2.0
+        ]
+        size = float(np.median(radii))
+        if s.code not in found or size > found[s.code][2]:
+            found[s.code] = (s.code, s.centre, size)
+    return list(found.values())
+
+
+# ---- lengths ----
+
+
+def disc_angle(lengths: Lengths, axes: AxesFrom, rolled: Rolled, views: Views) -> float | None:
+    """Return a disc's radius over the ball's, by lengths or targets; None if neither gives it."""
+    radius = lengths.radius
+    if axes.rig is not None and axes.device is None and axes.gestures is None:
+        ball = placed(rolled, with_rolled(axes.find(rolled, views)[0], rolled))[1]
+        if radius is not None and not axes.rig.scale_free:
+            check_radius(radius, ball, _FIRST_ERROR)
+        if radius is None or (axes.rig.scale_free and lengths.disc_radius is None):
+            radius = ball.radius
+    disc = lengths.disc_radius or axes.disc_radius
+    return None if disc is None or radius is None else disc / radius
+
+
+def check_radius(radius: float, ball: Ball, error: float = 0.0) -> None:
+    """Raise CalibrationError if a given radius contradicts that by the targets by more than a relative `error`."""
+    sigma = float(ball.covariance[3, 3]) ** 0.5
+    if abs(radius - ball.radius) <= max(error * ball.radius, _MAX_DEVIATION * np.hypot(TAPE * radius, sigma)):
+        return
+    why = "measure again, or leave the length out: the targets give it"
+    for factor, what in ((2.0, "the diameter was given for the radius"), (0.5, "half the radius was given")):
+        if abs(radius / ball.radius / factor - 1.0) < _FIRST_ERROR:
+            why = f"it seems that {what}; leave the length out, or correct it"
+    raise CalibrationError(
+        f"the ball's radius is given as {radius:.4g} m, but the targets of the rig put it at {ball.radius:.4g} m: {why}"
+    )
+
+
+# ---- the rig ----
 
 
 def calibrated(solution: Solution, axes: AxesFrom, radius: float | None, exposure_s: float) -> Calibrated:
-    """The device, with the axes that were found; `radius` of the ball, m, where a person measured it."""
+    """Build the rig in the axes found; `radius` of the ball, m, if a person measured it."""
     rolled = solution.rolled
     found, source = axes.find(rolled, solution.views)
     found = with_rolled(found, rolled)
@@ -54,14 +167,14 @@ def calibrated(solution: Solution, axes: AxesFrom, radius: float | None, exposur
     seen = np.bincount(rolled.sightings.disc, minlength=len(rolled.rolling.discs))
     disc_map = turned(DiscMap(rolled.rolling.discs, rolled.disc_covariance, seen), at_first)
     readout, sigma = rolled.rolling.readout, rolled.readout_sigma
-    told = sigma < _READOUT_KNOWN and readout > -2.0 * sigma
+    known = sigma < _MAX_READOUT_SIGMA and readout > -2.0 * sigma
     rig = Rig(
         camera=axes.camera,
         ball=scaled.ball,
         targets=scaled.targets,
         disc_radius=solution.disc_angle * scaled.ball.radius,
-        readout_s=(readout if readout > 2.0 * sigma else 0.0) if told else 0.0,
-        readout_sigma_s=0.0 if told else UNKNOWN_READOUT,
+        readout_s=(readout if readout > 2.0 * sigma else 0.0) if known else 0.0,
+        readout_sigma_s=0.0 if known else UNKNOWN_READOUT,
         exposure_s=exposure_s,
         pose=scaled.pose,
         disc_directions=disc_map.directions,
@@ -71,8 +184,18 @@ def calibrated(solution: Solution, axes: AxesFrom, radius: float | None, exposur
     return Calibrated(rig, disc_map, found, source)
 
 
+class _Scaled(NamedTuple):
+    """All parts of a rig with a length."""
+
+    pose: Pose
+    ball: Ball
+    targets: Targets
+    cross: Array | None  # (3n, 4) m², of targets with the ball
+    free: bool  # without a unit
+
+
 def _scaled(rolled: Rolled, found: Axes, source: str, axes: AxesFrom, given: float | None) -> _Scaled:
-    """By the length that was `given`, else by that which the targets tell, else in radii of the ball."""
+    """Scale by the length `given`, else by the targets, else in radii of the ball."""
     radius, sigma = (1.0, 0.0) if given is None else (given, TAPE * given)
     if source == "targets":
         assert axes.rig is not None
@@ -80,11 +203,11 @@ def _scaled(rolled: Rolled, found: Axes, source: str, axes: AxesFrom, given: flo
         pose, ball = placed(rolled, found)
         if given is None:
             return _Scaled(pose, ball, targets, known_with_ball(found, ball.radius), axes.rig.scale_free)
-        told = ball
+        by_targets = ball
         pose, ball = placed(rolled, found, radius, sigma)
         if axes.rig.scale_free:
-            return _Scaled(pose, ball, *rescaled_targets(targets, told, ball), False)
-        check_radius(given, told)
+            return _Scaled(pose, ball, *rescaled_targets(targets, by_targets, ball), False)
+        check_radius(given, by_targets)
         return _Scaled(pose, ball, targets, None, False)
     pose, ball = placed(rolled, found, radius, sigma)
     if source == "device" and given is not None:

@@ -1,9 +1,8 @@
-"""Where a ball that rolls is, from nothing but its picture: dark spots that turn together, and the sphere they lie on.
+"""A start for a rolling ball, from its images alone: dark spots that rotate together, and their sphere.
 
-Takes frames and the interior orientation; gives the direction to the ball's centre, its distance over its radius and
-the size of its discs, all roughly: a start for the tracker and the adjustment. Spots are followed from frame to frame;
-between two frames those on a ball turn by one rotation about its centre (Wahba's problem), if the ball is where it is
-supposed to be. A search over the three unknowns finds where that is so.
+The start is the direction to the ball's centre, its distance over its radius, and the size of its discs, all roughly.
+Spots are followed from frame to frame. Between two frames, the spots on a ball turn by one rotation about its centre
+(Wahba's problem). A search over the three unknowns minimises the residuals of these rotations.
 """
 
 from collections.abc import Sequence
@@ -19,28 +18,29 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import Ball, Rig, Targets, directions_at
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
+from spheremouse.geometry.matching import mutual_nearest, suppress
 from spheremouse.geometry.rotation import Array
 from spheremouse.geometry.statistics import mad_sigma
 
-_SCALES = (9, 17, 33, 65)  # px, widths of the closing: discs up to two thirds of that are found
-_DARKER = 0.2  # least depth of a spot, of what surrounds it: print is 0.8, haze and gloss halve it
-_NOISE = 5.0  # standard deviations of a pixel's noise that it must be deeper, too
-_LEAST_AREA = 12.0  # px²
-_ROUND = 0.12  # a spot's area differs from its moments' ellipse by no more than this part, beside a pixel's
-_SLIM = 0.2  # least ratio of an ellipse's axes: slimmer ones are at the limb, or are lines
-_REACH = 0.045  # of the picture's width: no spot goes further in a frame (4 rad/s at 30 Hz)
-_LONG = 5  # frames a spot is followed at least
-_GAP = 3  # frames after which a spot that is not seen again is another one
-_STILL = 3.0  # px: what stays within this does not move
-_FAR = 0.01  # of the picture's width: what goes less tells nothing
-_PAIRS = 120  # pairs of frames that are compared
-_FEW_PAIRS = 5  # fewer say nothing
+_SCALES = (9, 17, 33, 65)  # px, widths of the closing, for discs up to two thirds of it
+_MIN_DEPTH = 0.2  # of a spot, relative to its surroundings: print is 0.8; haze and gloss halve it
+_MIN_DEPTH_SIGMAS = 5.0  # of a spot, in standard deviations of a pixel's noise
+_MIN_AREA = 12.0  # px²
+_MAX_AREA_ERROR = 0.12  # of a spot's area, relative to its moments' ellipse, beside a pixel's
+_MIN_AXIS_RATIO = 0.2  # of an ellipse; slimmer ones are at the limb, or are lines
+_MAX_STEP = 0.045  # of the picture's width, of a spot in a frame (4 rad/s at 30 Hz)
+_MIN_PATH_FRAMES = 5
+_MAX_GAP = 3  # frames; a spot seen later is another one
+_MIN_MOTION = 3.0  # px, of a moving spot
+_MIN_MOTION_SHARE = 0.01  # of the picture's width, of a moving spot
+_MAX_PAIRS, _MIN_PAIRS = 120, 5  # of frames
 _LAGS = (1, 2, 4, 8, 16, 32, 64)
-_FIT = 1.0  # px: spots' places are good to a few tenths, and the model to the rest
-_SHARE = 0.3  # part of the spots that move that must be on the ball
+_FIT = 1.0  # px; spots are exact to some tenths, the model to the rest
+_MIN_BALL_SHARE = 0.3  # of the moving spots on the ball
 _CENTRES, _SIZES = 11, 15  # nodes of the search
-_COARSE = 4  # of so many pairs one is taken while searching
-_REWEIGHTED = 3  # times the rotation between two frames is found, with weights by what the last one left
+_COARSE_STEP = 4  # every so many pairs while searching
+_REWEIGHTINGS = 3  # of the rotation between two frames, by its last residuals
+_MAX_STARTS, _MAX_NODES = 4, 40  # of the search that are refined; nodes among which they are chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class Spots:
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """One spot, followed."""
+    """A spot that was followed."""
 
     frame: NDArray[np.intp]  # (k,) index of the frames it was seen in
     centre: Array  # (k, 2) px
@@ -66,7 +66,7 @@ class Path:
 
     @property
     def smooth(self) -> bool:
-        """Does it go on as it went? Noise that happens to be linked goes to and fro."""
+        """True for a steady motion; linked noise goes to and fro."""
         way = np.diff(self.centre, axis=0) / np.diff(self.frame)[:, None]
         turn = np.diff(way, axis=0)
         return bool(np.mean(turn**2) < 0.25 * np.mean(way**2) + 0.1)
@@ -94,21 +94,19 @@ def dark_spots(image: Image) -> Spots:
             break
         background = cv2.morphologyEx(grey, cv2.MORPH_CLOSE, np.ones((width, width), np.uint8))
         depth = cv2.subtract(background, grey)
-        level = cv2.add(cv2.convertScaleAbs(background, alpha=_DARKER), np.array(_NOISE * noise + 2.0))
+        level = cv2.add(cv2.convertScaleAbs(background, alpha=_MIN_DEPTH), np.array(_MIN_DEPTH_SIGMAS * noise + 2.0))
         contours, _ = cv2.findContours(cv2.compare(depth, level, cv2.CMP_GT), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         for contour in contours:
             if len(contour) >= 6 and (spot := _spot(contour, depth, 0.8 * width)) is not None:
                 found.append(spot)
-    kept: list[tuple[float, float, float]] = []
-    for spot in sorted(found, key=lambda f: -f[2]):  # in a large one the narrow closings see its rim as spots
-        if all(np.hypot(spot[0] - k[0], spot[1] - k[1]) > 1.2 * np.sqrt(k[2] / np.pi) for k in kept):
-            kept.append(spot)
-    a = np.array(kept).reshape(-1, 3)
+    a = np.array(found).reshape(-1, 3)
+    # the narrow closings find the rim of a large spot as further spots
+    a = a[suppress(a[:, :2], 1.2 * np.sqrt(a[:, 2] / np.pi), np.argsort(-a[:, 2], kind="stable"))]
     return Spots(a[:, :2], a[:, 2])
 
 
 def _spot(contour: Image, depth: Image, largest: float) -> tuple[float, float, float] | None:
-    """Centroid and area of a dark region; None where it is no ellipse."""
+    """Centroid and area of a dark region; None if it is no ellipse."""
     x, y, w, h = cv2.boundingRect(contour)
     if max(w, h) > largest:
         return None
@@ -120,64 +118,63 @@ def _spot(contour: Image, depth: Image, largest: float) -> tuple[float, float, f
         return None
     deep = float(np.median(patch[inside > 0]))
     near = cv2.dilate(inside, np.ones((3, 3), np.uint8))
-    cover = np.clip(patch / max(deep, 1.0), 0.0, 1.0) * near  # how much of each pixel is disc
+    cover = np.clip(patch / max(deep, 1.0), 0.0, 1.0) * near  # share of each pixel in the disc
     m = cv2.moments(cover)
     area = m["m00"]
-    if area < _LEAST_AREA:
+    if area < _MIN_AREA:
         return None
     xx, xy, yy = (m[k] / area for k in ("mu20", "mu11", "mu02"))
     root = np.hypot(0.5 * (xx - yy), xy)
     minor, major = np.sqrt(max(0.5 * (xx + yy) - root, 1e-6)), np.sqrt(0.5 * (xx + yy) + root)
     off = abs(area / (4.0 * np.pi * minor * major) - 1.0)
-    if minor < _SLIM * major or off > _ROUND + 1.0 / np.sqrt(area):
+    if minor < _MIN_AXIS_RATIO * major or off > _MAX_AREA_ERROR + 1.0 / np.sqrt(area):
         return None
     return x0 + m["m10"] / area, y0 + m["m01"] / area, float(area)
 
 
 def follow(spots: Sequence[Spots], width: int) -> list[Path]:
-    """Spots of frames in a row, linked where each is the other's nearest and the size is alike."""
-    gate = _REACH * width
-    done: list[_Open] = []
-    alive: list[_Open] = []
+    """Link spots of consecutive frames that are mutual nearest neighbours of about the same size."""
+    gate = _MAX_STEP * width
+    done: list[_OpenPath] = []
+    alive: list[_OpenPath] = []
     for k, seen in enumerate(spots):
-        done += [p for p in alive if k - p.frame[-1] > _GAP]
-        alive = [p for p in alive if k - p.frame[-1] <= _GAP]
+        done += [p for p in alive if k - p.frame[-1] > _MAX_GAP]
+        alive = [p for p in alive if k - p.frame[-1] <= _MAX_GAP]
         expected = np.array([p.expected(k) for p in alive]).reshape(-1, 2)
         reach = np.array([(0.35 * gate + 2.0 if len(p.frame) > 1 else gate) * (k - p.frame[-1]) for p in alive])
         area = np.array([p.area[-1] for p in alive])
         distance = np.linalg.norm(expected[:, None] - seen.centre[None], axis=2)
         unlike = np.abs(np.log(area[:, None] / np.maximum(seen.area[None], 1e-9))) > 0.7
         distance = np.where(unlike | (distance > reach[:, None]), np.inf, distance)
-        taken = np.zeros(len(seen.centre), dtype=bool)
-        for i, path in enumerate(alive):
-            j = int(np.argmin(distance[i])) if distance.shape[1] else -1
-            if j >= 0 and np.isfinite(distance[i, j]) and np.argmin(distance[:, j]) == i:
-                path.add(k, seen, j)
-                taken[j] = True
-        for j in np.flatnonzero(~taken):
-            alive.append(_Open([], [], []))
-            alive[-1].add(k, seen, int(j))
+        rows, columns = mutual_nearest(distance)
+        for i, j in zip(rows, columns, strict=True):
+            alive[i].add(k, seen, j)
+        for j in np.setdiff1d(np.arange(len(seen.centre)), columns):
+            alive.append(_OpenPath([], [], []))
+            alive[-1].add(k, seen, j)
     return [
-        Path(np.array(p.frame), np.array(p.centre), np.array(p.area)) for p in done + alive if len(p.frame) >= _LONG
+        Path(np.array(p.frame), np.array(p.centre), np.array(p.area))
+        for p in done + alive
+        if len(p.frame) >= _MIN_PATH_FRAMES
     ]
 
 
 @dataclass(slots=True)
-class _Open:
-    """A path that may go on."""
+class _OpenPath:
+    """A path that may continue."""
 
     frame: list[int]
     centre: list[Array]
     area: list[float]
 
-    def add(self, k: int, seen: Spots, j: int) -> None:
-        """The spot j of frame k."""
+    def add(self, k: int, seen: Spots, j: np.intp) -> None:
+        """Append the spot j of frame k."""
         self.frame.append(k)
         self.centre.append(seen.centre[j])
         self.area.append(float(seen.area[j]))
 
     def expected(self, k: int) -> Array:
-        """Place in frame k, if it goes on as it went, (2,) px."""
+        """Return the place in frame k at a constant velocity, (2,) px."""
         if len(self.frame) < 2:
             return self.centre[-1]
         way = (self.centre[-1] - self.centre[-2]) / (self.frame[-1] - self.frame[-2])
@@ -194,13 +191,13 @@ class _Pairs:
     path: NDArray[np.intp]  # (p, n) index of the spot's path
 
     def every(self, step: int) -> "_Pairs":
-        """One of so many."""
+        """Select every n-th pair."""
         return _Pairs(self.before[::step], self.after[::step], self.there[::step], self.path[::step])
 
 
 def start(spots: Sequence[Spots], camera: InteriorOrientation) -> RollingStart:
-    """Find the ball that turns. CalibrationError where nothing moves, or nothing that turns as one ball."""
-    least = max(_FAR * camera.width, _STILL)
+    """Find the rolling ball; raises CalibrationError if nothing moves, or nothing that rotates as one ball."""
+    least = max(_MIN_MOTION_SHARE * camera.width, _MIN_MOTION)
     far = [p for p in follow(spots, camera.width) if p.extent > least and p.smooth]
     if len(far) < 3:
         raise CalibrationError(
@@ -223,14 +220,14 @@ def start(spots: Sequence[Spots], camera: InteriorOrientation) -> RollingStart:
 
 
 def _turning(paths: Sequence[Path], camera: InteriorOrientation) -> tuple[Array, float, float, list[Path]] | None:
-    """Direction, ratio misfit in px of the ball that spots turn with, and which do; None where there is none."""
+    """Direction, ratio and misfit, px, of the ball that spots rotate with, and their paths; None without a ball."""
     pairs = _pairs(paths, camera)
-    if len(pairs.there) < _FEW_PAIRS:
+    if len(pairs.there) < _MIN_PAIRS:
         return None
     found = _search(pairs, paths, camera)
     residual = _residuals(found[None], pairs, camera.fx)[0]
-    on = pairs.there & np.isfinite(residual)  # what moves beside the ball is something else
-    if np.count_nonzero(on) < _SHARE * np.count_nonzero(pairs.there):
+    on = pairs.there & np.isfinite(residual)
+    if np.count_nonzero(on) < _MIN_BALL_SHARE * np.count_nonzero(pairs.there):
         return None
     misfit = float(np.median(residual[on]))
     if misfit > _FIT or np.mean(residual[on] < 3.0 * _FIT) < 0.5:
@@ -241,13 +238,13 @@ def _turning(paths: Sequence[Path], camera: InteriorOrientation) -> tuple[Array,
 
 
 def start_rig(found: RollingStart, camera: InteriorOrientation) -> Rig:
-    """A rig of the ball with radius 1 (no targets, no pose) as the detectors take it."""
+    """Return a rig for the detectors: a ball of radius 1 without targets and pose."""
     no_targets = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
     return Rig(camera, Ball(1.0), no_targets, found.disc_angle, scale_free=True)
 
 
 def _pairs(paths: Sequence[Path], camera: InteriorOrientation) -> _Pairs:
-    """Pairs of frames that show most: many spots in common that went far."""
+    """The most informative pairs of frames: many common spots that moved far."""
     last = max(int(p.frame[-1]) for p in paths) + 1
     at = np.full((last, len(paths), 2), np.nan)
     for i, p in enumerate(paths):
@@ -266,9 +263,9 @@ def _pairs(paths: Sequence[Path], camera: InteriorOrientation) -> _Pairs:
                 best = max(best, ((n - 2.5) * min(went, far), f, f + lag))
         if best[0] > 0.0:
             scored.append(best)
-    # the best of each stretch of time, so that every way the ball was rolled has its say
-    stretches = np.array_split(np.arange(len(scored)), min(_PAIRS, len(scored))) if scored else []
-    chosen = [max(scored[i] for i in stretch) for stretch in stretches]
+    # the best of each part of the time, so that all directions of rolling count
+    parts = np.array_split(np.arange(len(scored)), min(_MAX_PAIRS, len(scored))) if scored else []
+    chosen = [max(scored[i] for i in part) for part in parts]
     most = max((int(np.isfinite(at[g, :, 0] + at[f, :, 0]).sum()) for _, f, g in chosen), default=0)
     before, after = np.zeros((len(chosen), most, 3)), np.zeros((len(chosen), most, 3))
     before[..., 2] = after[..., 2] = 1.0
@@ -295,9 +292,9 @@ def _unpacked(x: Array) -> tuple[Array, float]:
 
 
 def _residuals(x: Array, pairs: _Pairs, focal: float) -> Array:
-    """Of h hypotheses, (h, 3) as `_unpacked`: px between where a spot went and where a rotation takes it, (h, p, n).
+    """Residuals, px, of the spots of h hypotheses, (h, 3) as in `_unpacked`, from their rotation, (h, p, n).
 
-    inf for a ray that misses the ball. The rotation is that of most spots: reweighted.
+    inf for a ray that misses the ball. The rotation is robust, by reweighting.
     """
     c = np.concatenate([x[:, :2], np.ones((len(x), 1))], axis=1)
     c /= np.linalg.norm(c, axis=1, keepdims=True)
@@ -312,7 +309,7 @@ def _residuals(x: Array, pairs: _Pairs, focal: float) -> Array:
     u, v = on
     weight = hit.astype(float)
     residual = np.full(hit.shape, np.inf)
-    for _ in range(_REWEIGHTED):
+    for _ in range(_REWEIGHTINGS):
         B = np.einsum("hpn,hpni,hpnj->hpij", weight, v, u)
         left, _, right = np.linalg.svd(B)
         left[..., :, 2] *= np.linalg.det(left @ right)[..., None]
@@ -325,9 +322,9 @@ def _residuals(x: Array, pairs: _Pairs, focal: float) -> Array:
 
 
 def _cost(x: Array, pairs: _Pairs, focal: float, scale: float) -> Array:
-    """Of h hypotheses, (h,): a mean over all spots that gross errors hardly touch, and a miss is one.
+    """Robust cost of h hypotheses, (h,); a ray that misses the ball is a gross error.
 
-    Three spots and three of a rotation's angles leave half of the freedom: pairs count by what they check.
+    Pairs count by their degrees of freedom: three spots less a rotation's three angles leave half.
     """
     residual = _residuals(x, pairs, focal)
     freedom = np.maximum(pairs.there.sum(axis=1) - 1.5, 0.1)
@@ -338,7 +335,7 @@ def _cost(x: Array, pairs: _Pairs, focal: float, scale: float) -> Array:
 
 
 def _search(pairs: _Pairs, paths: Sequence[Path], camera: InteriorOrientation) -> Array:
-    """The best (x/z, y/z, log of the angular radius): nodes over all that is possible, then the best few refined."""
+    """The best (x/z, y/z, log of the angular radius): a grid over all possible ones, then a few refinements."""
     everywhere = np.concatenate([p.centre for p in paths])
     low, high = np.quantile(everywhere, [0.02, 0.98], axis=0)
     xy = np.nan_to_num(_rays(np.array([low, high]), camera))
@@ -351,13 +348,10 @@ def _search(pairs: _Pairs, paths: Sequence[Path], camera: InteriorOrientation) -
     grid = np.array(
         [[middle[0] + a * half[0], middle[1] + b * half[1], s] for s in sizes for a in nodes for b in nodes]
     )
-    few = pairs.every(max(1, min(_COARSE, len(pairs.there) // 20)))
+    few = pairs.every(max(1, min(_COARSE_STEP, len(pairs.there) // 20)))
     cost = np.concatenate([_cost(g, few, camera.fx, 4.0 * _FIT) for g in np.array_split(grid, len(grid) // 100 + 1)])
-    tried: list[Array] = []
-    for k in np.argsort(cost)[:40]:
-        if all(np.abs(grid[k] - x).max() > 0.25 * half.max() for x in tried) and len(tried) < 4:
-            tried.append(grid[k])
-    near = [_refined(x, few, camera.fx, 4.0 * _FIT, 0.1 * half.max()) for x in tried]
+    starts = suppress(grid, 0.25 * half.max(), np.argsort(cost)[:_MAX_NODES], np.inf)[:_MAX_STARTS]
+    near = [_refined(grid[k], few, camera.fx, 4.0 * _FIT, 0.1 * half.max()) for k in starts]
     best = near[int(np.argmin(_cost(np.array(near), pairs, camera.fx, _FIT)))]
     for scale, reach in ((_FIT, 0.02), (0.3 * _FIT, 0.004)):
         best = _refined(best, pairs, camera.fx, scale, reach * half.max())
@@ -365,7 +359,7 @@ def _search(pairs: _Pairs, paths: Sequence[Path], camera: InteriorOrientation) -
 
 
 def _refined(x: Array, pairs: _Pairs, focal: float, scale: float, reach: float) -> Array:
-    """The least cost near x."""
+    """The minimum of the cost near x."""
     found = minimize(
         lambda y: float(_cost(y[None], pairs, focal, scale)[0]),
         x,

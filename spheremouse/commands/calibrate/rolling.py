@@ -1,4 +1,4 @@
-"""`spheremouse calibrate rolling`: a minute of rolling, and the device is calibrated; no photos, no tape."""
+"""`spheremouse calibrate rolling`: calibration by a minute of rolling, without photos and tape."""
 
 import sys
 from collections.abc import Iterator
@@ -15,17 +15,15 @@ from spheremouse.files.safe_files import write_json
 
 if TYPE_CHECKING:
     from spheremouse.ball.rig import Rig
-    from spheremouse.calibrate.rolling.axes_choice import AxesFrom
     from spheremouse.calibrate.rolling.calibrate import Solution, Views
     from spheremouse.calibrate.rolling.footage import Footage
-    from spheremouse.calibrate.rolling.lengths import Lengths
     from spheremouse.calibrate.rolling.problem import Rolled
-    from spheremouse.calibrate.rolling.rig import Calibrated
+    from spheremouse.calibrate.rolling.rig import AxesFrom, Calibrated, Lengths
 
 EXAMPLE = "Example: spheremouse calibrate rolling --source video:roll.mkv --camera camera.yaml --device device.yaml"
 
-_GESTURE = 5.0  # s for a guided gesture
-_PAUSE = 3.0  # s before it
+_GESTURE_SECONDS = 5.0
+_PAUSE_SECONDS = 3.0  # before each gesture
 
 
 def rolling(
@@ -41,33 +39,31 @@ def rolling(
         Path | None, typer.Option(metavar="FILE", help="A rig: its targets' positions give axes and scale.")
     ] = None,
     seconds: Annotated[
-        float | None, typer.Option(metavar="S", min=3.0, help="Take so much, in s.  [default: all; live: 60]")
+        float | None, typer.Option(metavar="S", min=3.0, help="Use the first S seconds.  [default: all; live: 60]")
     ] = None,
     forward: Annotated[
-        str | None, typer.Option(metavar="A:B", help="From A to B s the ball is rolled forward, away from the player.")
+        str | None, typer.Option(metavar="A:B", help="From A to B s the ball rolls forward, away from the player.")
     ] = None,
-    right: Annotated[
-        str | None, typer.Option(metavar="A:B", help="From A to B s the ball is rolled to the right.")
-    ] = None,
+    right: Annotated[str | None, typer.Option(metavar="A:B", help="From A to B s the ball rolls to the right.")] = None,
     radius: Annotated[str | None, typer.Option(metavar="LENGTH", help="Radius of the ball, as in 0.6m.")] = None,
     circumference: Annotated[
-        str | None, typer.Option(metavar="LENGTH", help="A tape around the ball, as in 3770mm.")
+        str | None, typer.Option(metavar="LENGTH", help="Circumference by a tape around the ball, as in 3770mm.")
     ] = None,
     disc_radius: Annotated[
-        str | None, typer.Option(metavar="LENGTH", help="Radius of a disc, as in 20mm; taken with a radius.")
+        str | None, typer.Option(metavar="LENGTH", help="Radius of a disc, as in 20mm; needs a radius of the ball.")
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="The rig file to write.")] = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Calibrate from a minute of rolling the ball before a fixed camera: no photos, no tape measure.
+    """Calibrate by a minute of rolling the ball before a fixed camera, without photos and tape measure.
 
-    Roll it slowly in all directions, so that all sides come by. Targets in view give the axes (--rig, --device, or a
-    dataset's own); without any, roll it forward, then to the right: live you are told when, of a recording say when.
-    Without a length the scale is free: all works, and counts are per radian.
+    Roll it slowly in all directions, so that all sides come into view. Targets in view give the axes (--rig, --device,
+    or a dataset's own). Without targets, roll it forward, then to the right: a live session shows when, for a recording
+    give --forward and --right. Without a length the scale is free: all works, and counts are per radian.
     """
     from spheremouse.calibrate.board import parse_length
-    from spheremouse.calibrate.rolling.lengths import Lengths
+    from spheremouse.calibrate.rolling.rig import Lengths
     from spheremouse.capture import full_spec
 
     lengths = [None if text is None else parse_length(text) for text in (radius, circumference, disc_radius)]
@@ -118,8 +114,7 @@ def _span(text: str, name: str) -> tuple[float, float]:
 
 def _calibrate(given: _Given) -> None:
     from spheremouse.ball.settings import Settings
-    from spheremouse.calibrate.rolling.axes_choice import AxesFrom
-    from spheremouse.calibrate.rolling.rig import calibrated
+    from spheremouse.calibrate.rolling.rig import AxesFrom, calibrated
     from spheremouse.capture import open_source
     from spheremouse.files.device import load_device
     from spheremouse.files.disc_map import map_path
@@ -156,32 +151,32 @@ def _calibrate(given: _Given) -> None:
 
 
 def _solved(lengths: "Lengths", footage: "Footage", axes: "AxesFrom", known: "Rig | None", bar: "_Bar") -> "Solution":
-    """Ball, camera and discs; a ball that did not turn may have had the wrong lengths."""
+    """Find ball, camera and discs; the message of a failure names wrong lengths as a cause."""
     from spheremouse.ball.rig import UNKNOWN_READOUT
     from spheremouse.calibrate.rolling.calibrate import solve
-    from spheremouse.calibrate.rolling.lengths import disc_angle
+    from spheremouse.calibrate.rolling.rig import disc_angle
 
-    told: float | None = None  # what lengths said of the discs' size
+    by_lengths: float | None = None  # rad, of a disc
 
     def angle(rolled: "Rolled", views: "Views") -> float | None:
-        nonlocal told
-        told = disc_angle(lengths, axes, rolled, views)
-        return told
+        nonlocal by_lengths
+        by_lengths = disc_angle(lengths, axes, rolled, views)
+        return by_lengths
 
     readout = (known.readout_s, known.readout_sigma_s) if known is not None else (0.0, UNKNOWN_READOUT)
     try:
         return solve(footage, axes.camera, readout, angle, bar.frames)
     except CalibrationError as e:
-        if lengths.radius is None or told is None:
+        if lengths.radius is None or by_lengths is None:
             raise
         raise CalibrationError(
-            f"{e}. If it did turn: are the lengths right? {1e3 * told * lengths.radius:.3g} mm for a disc's radius and "
-            f"{lengths.radius:.4g} m for the ball's, not a diameter"
+            f"{e}. If it did turn: are the lengths right? {1e3 * by_lengths * lengths.radius:.3g} mm for a disc's "
+            f"radius and {lengths.radius:.4g} m for the ball's, not a diameter"
         ) from None
 
 
 class _Bar:
-    """One progress bar for each way through the frames."""
+    """A progress bar for each pass through the frames."""
 
     def __init__(self, count: int | None, seconds: float | None, fps: float | None) -> None:
         from spheremouse.commands.terminal import progress_bar
@@ -199,7 +194,7 @@ class _Bar:
         self._progress.stop()
 
     def frames(self, what: str, frames: Iterator[Any]) -> Iterator[Any]:
-        """The frames, counted."""
+        """Yield the frames, and count them."""
         task = self._progress.add_task(what, total=self._total)
         for frame in frames:
             yield frame
@@ -208,47 +203,47 @@ class _Bar:
 
 
 def _footage(given: _Given, live: bool, ask: bool) -> Any:
-    from spheremouse.calibrate.rolling.footage import Kept, Recorded
+    from spheremouse.calibrate.rolling.footage import Buffered, Recorded
     from spheremouse.capture import open_source
     from spheremouse.capture.signals import SignalHandler
 
     if not live:
         return Recorded(given.source, given.seconds), None
-    kept, spans = Kept(), []
+    buffer, spans = Buffered(), []
     parts = [("roll the ball slowly in all directions, so that all sides come by", given.seconds or 60.0)]
     if ask:
-        parts += [("now FORWARD: roll the ball straight away from you, on and on", _GESTURE)]
-        parts += [("now RIGHT: roll the ball straight to the right, on and on", _GESTURE)]
+        parts += [("now FORWARD: roll the ball straight away from you, on and on", _GESTURE_SECONDS)]
+        parts += [("now RIGHT: roll the ball straight to the right, on and on", _GESTURE_SECONDS)]
     with SignalHandler() as stopping, open_source(given.source) as stream:
         frames = stopping.frames(iter(stream))
         for k, (text, length) in enumerate(parts):
             begin: float | None = None
-            said = -1
+            shown = -1
             for frame in frames:
                 begin = frame.stamp if begin is None else begin
-                past = frame.stamp - begin - _PAUSE
-                kept.keep(frame)
+                past = frame.stamp - begin - _PAUSE_SECONDS
+                buffer.append(frame)
                 if k and len(spans) < k and past >= 0.0:
                     spans.append((frame.stamp, frame.stamp + length))
                 left = int(-past) + 1 if past < 0.0 else int(length - past)
-                if left != said and (past < 0.0 or left % 5 == 0):
-                    said = left
+                if left != shown and (past < 0.0 or left % 5 == 0):
+                    shown = left
                     print(f"{text}: {'in ' if past < 0.0 else ''}{left} s", file=sys.stderr, flush=True)
                 if past >= length:
                     break
             if stopping.asked:
                 break
-    if not kept.stored:
+    if not buffer.stored:
         raise CalibrationError("the camera gave no frame")
     if ask and len(spans) < 2:
         raise CalibrationError("stopped before the ball was rolled forward and right: the axes are open; begin again")
     # spans in s from the first frame
-    first = kept.stored[0][1]
-    return kept, None if not ask else tuple((a - first, b - first) for a, b in spans)
+    first = buffer.stored[0][1]
+    return buffer, None if not ask else tuple((a - first, b - first) for a, b in spans)
 
 
 def _write(given: _Given, solution: "Solution", made: "Calibrated") -> None:
-    """Rig, map and figures into their files, and what was found to the reader."""
+    """Write rig, map and figures, and print the report."""
     from spheremouse.calibrate.guide.suggested import axes_command
     from spheremouse.calibrate.report.rolling import advise, rolling_json, rolling_text
     from spheremouse.files.disc_map import map_path, save_map, saved_now
