@@ -1,8 +1,8 @@
-"""Corners of a board in many views -> interior orientation with its covariance, and the pose of each view.
+"""Interior orientation with its covariance, and the pose of each view, from corners of a board.
 
 Bundle adjustment with known points (Wittich 2017, section 2.4.5; Zhang 2000): nine unknowns of the camera, six of each
-view. Each view has a variance of its own, estimated with the rest; false corners are found by data snooping; where
-views contradict each other by more than their corners say, the covariance is widened until it covers that.
+view. Each view has an estimated variance of its own. Data snooping finds false corners. If views contradict each other
+beyond the variances of their corners, the covariance is enlarged.
 """
 
 from collections.abc import Sequence
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.calibrate.camera.bundle import (
-    FLOOR,
-    OPEN,
+    MIN_SIGMA,
+    UNDETERMINED,
     BoardAdjustment,
     Bundle,
     View,
@@ -27,26 +27,26 @@ from spheremouse.calibrate.camera.bundle import (
     spread_of,
     unknowns_of,
 )
-from spheremouse.calibrate.camera.variances import finished, with_variances
+from spheremouse.calibrate.camera.variances import with_covariance, with_variances
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, interior_vector
 from spheremouse.geometry.rotation import Array, exp, log
 
 MIN_VIEWS = 3
-FALSE_VIEW = 4.0  # times the usual residual; sharpness and light alone make a factor of two
 
-_OBVIOUS = 20.0  # times the usual residual: a view that no start, however coarse, would leave so far off
-_COARSE = 1.0  # px: corners are never that bad
-_PARALLEL = float(np.radians(6.0))  # between boards: squares are then shortened by half a per cent
+_MAX_RESIDUAL_RATIO = 4.0  # of a view over the usual residual; sharpness and light alone make a factor of two
+_MAX_START_RATIO = 20.0  # the same after the coarse start
+_MAX_START_RESIDUAL = 1.0  # px
+_MIN_BOARD_ANGLE = float(np.radians(6.0))  # between boards; it shortens squares by half a per cent
 _FOLDS = 10
-_TRIES, _FEW = 12, 5  # calibrations from so many views, to begin with those that agree
+_SUBSETS, _SUBSET_VIEWS = 12, 5  # calibrations from a few views, if all together do not agree
 
 
 def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5) -> BoardAdjustment:
-    """The camera of images of `size` (width, height) px, from views of a board.
+    """Calibrate a camera with images of `size` (width, height) px from views of a board.
 
-    `terms` counts the distortion terms estimated: 0 none, 2 k1 k2, 4 also p1 p2, 5 also k3; the others stay 0. Raises
-    CalibrationError where the views do not determine the camera.
+    `terms` counts the estimated distortion terms: 0 none, 2 k1 k2, 4 also p1 p2, 5 also k3; the others stay 0. Raises
+    CalibrationError if the views do not determine the camera.
     """
     if len(views) < MIN_VIEWS:
         raise CalibrationError(
@@ -57,33 +57,34 @@ def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5
     x = _start(views, size)
     bundle = Bundle(views, size, free)
     try:
-        x = _begun(bundle, x)
+        x = _first_adjustment(bundle, x)
     except CalibrationError:
         if _parallel(views, size, free, x):
-            raise CalibrationError(OPEN) from None
+            raise CalibrationError(UNDETERMINED) from None
         raise
     spread = spread_of(bundle, x)
-    used = spread <= _OBVIOUS * np.median(spread)
+    used = spread <= _MAX_START_RATIO * np.median(spread)
     sigma = spread
     for _ in range(len(views)):
         part = bundle.only(used)
         some, x[unknowns_of(used)] = with_variances(part, x[unknowns_of(used)])
-        limit = FALSE_VIEW * max(float(np.median(some)), FLOOR)
+        limit = _MAX_RESIDUAL_RATIO * max(float(np.median(some)), MIN_SIGMA)
         sigma = sigma_of(views, bundle.size, x, used, some)
         worst = int(np.argmax(np.where(used, sigma, 0.0)))
-        again = used | (sigma <= limit)  # a view that the first, coarse camera did not suit
+        again = used | (sigma <= limit)  # a view that only the coarse start rejected
         if sigma[worst] > limit and used.sum() > MIN_VIEWS:
             again[worst] = False
         if np.array_equal(again, used):
             break
         used = again
-    return finished(bundle, x, used, sigma)
+    return with_covariance(bundle, x, used, sigma)
 
 
 def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
-    """Residual RMS of each view, (v,) px, where the camera was calibrated without it; nan of views not used.
+    """Return the residual RMS of each view, (v,) px, with a camera calibrated without it.
 
-    Views are left out one by one, or in ten groups where there are more than ten. nan where the rest is too little.
+    Views are left out one by one, or in ten groups if there are more than ten. nan for views not used, and if too few
+    views are left.
     """
     index = np.flatnonzero(found.used)
     result = np.full(len(views), np.nan)
@@ -110,14 +111,11 @@ def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
     return result
 
 
-# ---- unknowns and observations ----
-
-
 # ---- start ----
 
 
 def _start(views: Sequence[View], size: tuple[int, int]) -> Array:
-    """A camera without distortion whose focal length suits most views, and the views' poses."""
+    """A camera without distortion, of the best focal length for most views, and the views' poses."""
     width, height = size
     cx, cy = 0.5 * (width - 1), 0.5 * (height - 1)
     best, least = None, np.inf
@@ -136,34 +134,34 @@ def _start(views: Sequence[View], size: tuple[int, int]) -> Array:
 
 
 def _parallel(views: Sequence[View], size: tuple[int, int], free: NDArray[np.bool_], x: Array) -> bool:
-    """Whether all boards face the same way, which any focal length explains."""
+    """Return True if all boards face the same way, which leaves the focal length open."""
     try:
         y = Bundle(views, size, free & (np.arange(9) >= 4)).solve(x, np.ones(len(views)))
     except CalibrationError:
         return False
     normals = exp(y[9:].reshape(-1, 2, 3)[:, 0])[:, :, 2]
     normals *= np.sign(normals[:, 2:])
-    return bool(np.all(normals @ normals[0] > np.cos(_PARALLEL)))
+    return bool(np.all(normals @ normals[0] > np.cos(_MIN_BOARD_ANGLE)))
 
 
-def _begun(bundle: Bundle, x: Array) -> Array:
-    """A first adjustment of all views; of the few that suit most of the others, where all together do not agree."""
+def _first_adjustment(bundle: Bundle, x: Array) -> Array:
+    """Adjust all views, or the few that fit most of the others if all together do not agree."""
     n = len(bundle.views)
     try:
         found = bundle.solve(x, np.ones(n))
         spread = spread_of(bundle, found)
-        agree = spread.max() <= FALSE_VIEW * np.median(spread) and np.median(spread) < _COARSE
-        if agree or n < _FEW:
+        agree = spread.max() <= _MAX_RESIDUAL_RATIO * np.median(spread) and np.median(spread) < _MAX_START_RESIDUAL
+        if agree or n < _SUBSET_VIEWS:
             return found
     except CalibrationError:
-        if n < _FEW:
+        if n < _SUBSET_VIEWS:
             raise
         found, spread = None, np.full(n, np.inf)
     rng = np.random.default_rng(0)
-    for _ in range(_TRIES):
-        few = np.isin(np.arange(n), rng.choice(n, _FEW, replace=False))
+    for _ in range(_SUBSETS):
+        few = np.isin(np.arange(n), rng.choice(n, _SUBSET_VIEWS, replace=False))
         try:
-            y = bundle.only(few).solve(x[unknowns_of(few)], np.ones(_FEW))
+            y = bundle.only(few).solve(x[unknowns_of(few)], np.ones(_SUBSET_VIEWS))
             R, t, _ = resected(bundle.views, camera_of(y, bundle.size))
         except CalibrationError:
             continue
@@ -178,15 +176,12 @@ def _begun(bundle: Bundle, x: Array) -> Array:
 
 
 def _focals(views: Sequence[View], size: tuple[int, int]) -> Array:
-    """Focal lengths to begin with: what homographies say (Zhang 2000), and those of usual lenses."""
+    """Focal lengths for the start: that of the homographies (Zhang 2000), and those of usual lenses."""
     usual = max(size) * np.array([0.5, 0.7, 1.0, 1.4, 2.0, 3.0])
     try:
-        said = cv2.initCameraMatrix2D(
+        by_views = cv2.initCameraMatrix2D(
             [v.points.astype(np.float32) for v in views], [v.uv.astype(np.float32) for v in views], size
         )[0, 0]
     except cv2.error:
         return usual
-    return np.append(usual, said) if 0.2 * max(size) < said < 20.0 * max(size) else usual
-
-
-# ---- variances, false observations ----
+    return np.append(usual, by_views) if 0.2 * max(size) < by_views < 20.0 * max(size) else usual

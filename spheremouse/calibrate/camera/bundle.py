@@ -16,17 +16,17 @@ from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, log
 from spheremouse.geometry.statistics import mad_sigma
 
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-FLOOR = 0.01  # px: 8 bits tell an edge 20 px long and 100 grey values high no better
-OPEN = (
+MIN_SIGMA = 0.01  # px; of an edge 20 px long and 100 grey values high in 8 bits
+UNDETERMINED = (
     "the views leave the focal length open: the board faces the camera the same way in all of them; tilt it by 20 to "
     "45 degrees, to the left, right, up and down in turn"
 )
-KNEE = 2.5  # standard deviations, of Huber's function
+HUBER_KNEE = 2.5  # standard deviations
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Corners seen in one image."""
+    """Corners in one image."""
 
     points: Array  # (n, 3) m, in the board's frame
     uv: Array  # (n, 2) px
@@ -39,7 +39,7 @@ class BoardAdjustment:
     camera: InteriorOrientation  # with the covariance of the nine, widened by `contradiction`
     rotations: Array  # (v, 3, 3) R_cam_board
     translations: Array  # (v, 3) m, the board's origin in cam
-    residuals: tuple[Array, ...]  # (n, 2) px each, seen minus computed, also of what is not used
+    residuals: tuple[Array, ...]  # (n, 2) px each, seen minus computed, unused ones included
     used: NDArray[np.bool_]  # (v,) views that took part
     kept: tuple[NDArray[np.bool_], ...]  # (n,) each, corners that took part in a used view
     sigma: Array  # (v,) px, standard deviation of a corner's coordinate in each view
@@ -50,12 +50,12 @@ class BoardAdjustment:
 
     @property
     def rms(self) -> float:
-        """Root mean square distance in px of all corners that took part from where they were computed."""
-        took_part = [r[k] for r, k, u in zip(self.residuals, self.kept, self.used, strict=True) if u]
-        return rms_of(np.concatenate(took_part))
+        """Root mean square distance, px, of the used corners from their computed places."""
+        used = [r[k] for r, k, u in zip(self.residuals, self.kept, self.used, strict=True) if u]
+        return rms_of(np.concatenate(used))
 
     def view_rms(self) -> Array:
-        """The same of each view, (v,) px; of views not used, of all their corners."""
+        """RMS of each view, (v,) px; of unused views over all their corners."""
         return np.array(
             [rms_of(r[k] if u else r) for r, k, u in zip(self.residuals, self.kept, self.used, strict=True)]
         )
@@ -66,7 +66,7 @@ class BoardAdjustment:
         return np.sqrt(np.diag(self.camera.covariance))
 
     def correlation(self) -> Array:
-        """Correlations of all unknowns as `covariance` has them; of what was not estimated, 0 with all else."""
+        """Correlations of all unknowns in the order of `covariance`; 0 for those that were not estimated."""
         s = np.sqrt(np.diag(self.covariance))
         s = np.where(s > 0.0, s, 1.0)
         C = self.covariance / np.outer(s, s)
@@ -83,20 +83,20 @@ class BoardAdjustment:
 
 
 def resected(views: Sequence[View], camera: InteriorOrientation) -> tuple[Array, Array, tuple[Array, ...]]:
-    """Poses of a known camera: R_cam_board (v, 3, 3), translation (v, 3) m, and residuals (n, 2) px of each view."""
+    """Return the poses R_cam_board, (v, 3, 3), and translation, (v, 3) m, of views of a known camera, and residuals."""
     bundle = Bundle(views, (camera.width, camera.height), np.zeros(9, bool))
     x = np.concatenate([interior_vector(camera), poses_of(views, camera).ravel()])
-    for v, view in enumerate(views):  # each for itself: quick, and none disturbs the others
+    for v, view in enumerate(views):  # one by one, as that is fast
         own = np.arange(len(views)) == v
         columns = unknowns_of(own)
-        with contextlib.suppress(CalibrationError):  # then it stays where it began, far off
+        with contextlib.suppress(CalibrationError):  # then it keeps its start, and large residuals
             x[columns] = Bundle([view], bundle.size, bundle.free).solve(x[columns], np.ones(1))
     r, t = x[9:].reshape(-1, 2, 3).transpose(1, 0, 2)
     return exp(r), t, bundle.residuals(x)
 
 
 def rms_of(residual: Array) -> float:
-    """Of distances, from residuals (n, 2)."""
+    """Return the root mean square length of residuals (n, 2)."""
     return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
 
 
@@ -123,17 +123,17 @@ class Bundle:
         return [slice(int(e - 2 * n), int(e)) for e, n in zip(ends, self.counts, strict=True)]
 
     def only(self, used: NDArray[np.bool_]) -> "Bundle":
-        """The adjustment of some views."""
+        """Return the adjustment of some views."""
         return Bundle([v for v, u in zip(self.views, used, strict=True) if u], self.size, self.free)
 
     def linear(self, x: Array) -> tuple[Array, Array]:
-        """Computed minus seen, (n, 2) px, and its Jacobian (n, 2, 15) by the nine and by the view's own six."""
+        """Return computed minus measured, (n, 2) px, and its Jacobian, (n, 2, 15), by the nine and the view's six."""
         camera = camera_of(x, self.size)
         r, t = x[9:].reshape(-1, 2, 3).transpose(1, 0, 2)
         turned = np.einsum("nij,nj->ni", exp(r)[self.of], self.points)
         cam = turned + t[self.of]
         uv, duv = project(cam, camera)
-        if not np.all(np.isfinite(uv)):  # behind the camera: worse than anything
+        if not np.all(np.isfinite(uv)):  # behind the camera: the largest residual
             uv, duv = np.nan_to_num(uv, nan=1e7), np.nan_to_num(duv)
         J = np.empty((len(uv), 2, 15))
         z = np.where(cam[:, 2] > 0.0, cam[:, 2], 1.0)
@@ -143,7 +143,7 @@ class Bundle:
         return uv - self.uv, J
 
     def evaluate(self, x: Array, sigma: Array) -> tuple[Array, Jacobian]:
-        """Residuals computed minus seen over the views' `sigma` (v,), (2n,), and their Jacobian (2n, 9 + 6v)."""
+        """Return residuals over the views' `sigma` (v,), (2n,), and their Jacobian, (2n, 9 + 6v)."""
         residual, J = self.linear(x)
         weight = 1.0 / sigma[self.of]
         data = (J * weight[:, None, None]).reshape(-1)
@@ -151,9 +151,9 @@ class Bundle:
         return (residual * weight[:, None]).ravel(), jacobian
 
     def solve(self, x: Array, sigma: Array, robust: float | None = None) -> Array:
-        """The unknowns at the minimum of squares, or of Huber's function; what is not free keeps its value.
+        """Return the unknowns at the minimum of squares, or of Huber's function; fixed ones keep their value.
 
-        Each view's six are eliminated. CalibrationError where it does not come to rest.
+        Each view's six are eliminated. Raises CalibrationError if it does not converge.
         """
         weight = 1.0 / sigma[self.of]
 
@@ -179,12 +179,12 @@ class Bundle:
         return Normal(N[:, :9, :9].sum(axis=0), down[:, :9].sum(axis=0), N[:, 9:, 9:], N[:, 9:, :9], down[:, 9:])
 
     def jacobian(self, x: Array, sigma: Array) -> tuple[Array, Jacobian]:
-        """Residuals and the columns of the Jacobian that are estimated."""
+        """Return residuals and the estimated columns of the Jacobian."""
         residual, jacobian = self.evaluate(x, sigma)
         return residual, _of_columns(jacobian, self._open)
 
     def residuals(self, x: Array) -> tuple[Array, ...]:
-        """Seen minus computed in px, (n, 2) of each view."""
+        """Return measured minus computed, (n, 2) px of each view."""
         residual, _ = self.evaluate(x, np.ones(len(self.views)))
         return tuple(-residual[g].reshape(-1, 2) for g in self.groups)
 
@@ -212,7 +212,8 @@ def all_unknowns(found: BoardAdjustment) -> Array:
 
 
 def sigma_of(views: Sequence[View], size: tuple[int, int], x: Array, used: NDArray[np.bool_], some: Array) -> Array:
-    """Standard deviation of a corner's coordinate in each view, (v,) px; x gets the poses of views not used."""
+    """Return the standard deviation of a corner's coordinate in each view, (v,) px; set the unused views' poses in
+    x."""
     sigma = np.empty(len(views))
     sigma[used] = some
     out = np.flatnonzero(~used)
@@ -225,16 +226,16 @@ def sigma_of(views: Sequence[View], size: tuple[int, int], x: Array, used: NDArr
 
 
 def robust_sigma(residual: Array) -> float:
-    return max(float(mad_sigma(residual.ravel())), FLOOR)
+    return max(float(mad_sigma(residual.ravel())), MIN_SIGMA)
 
 
 def spread_of(bundle: Bundle, x: Array) -> Array:
-    """Usual residual of each view, (v,) px."""
+    """Return the median absolute residual of each view, (v,) px."""
     return np.array([np.median(np.abs(r)) for r in bundle.residuals(x)])
 
 
 def poses_of(views: Sequence[View], camera: InteriorOrientation) -> Array:
-    """Rotation vector and translation of each view, (v, 2, 3)."""
+    """Return rotation vector and translation of each view, (v, 2, 3)."""
     found = np.empty((len(views), 2, 3))
     for i, view in enumerate(views):
         try:

@@ -1,4 +1,4 @@
-"""A camera from photos of a board, with what they leave open."""
+"""Calibration of a camera from photos of a board, and reasons why photos cannot be used."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -6,9 +6,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any, TypeGuard
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from spheremouse import __version__
 from spheremouse.calibrate.camera.adjust import MIN_VIEWS, calibrate_board, held_out
@@ -19,15 +17,15 @@ from spheremouse.calibrate.photos import Photo, image
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.rotation import Array
 
-_NEAR, _FAR = 0.02, 30.0  # m: no webcam is sharp nearer, and no board that a person holds is of use farther away
-_RATIO = 0.1  # part by which a marker may seem to differ from what was said: blur makes small ones smaller
-_SURE = 12  # corners: grids of 3x3 are found in photos of a device, where there is no board
-_LOOSE = 0.1  # of the focal length: a standard deviation from which on it is not determined
+_MIN_DISTANCE, _MAX_DISTANCE = 0.02, 30.0  # m, of a board that a person holds before a webcam
+_MAX_MARKER_ERROR = 0.1  # relative; blur makes small markers smaller
+_MIN_CORNERS = 12  # of a chessboard; grids of 3x3 also appear in photos of a device
+_MAX_FOCAL_SIGMA = 0.1  # of the focal length
 
 
 @dataclass(frozen=True, slots=True)
 class Calibrated:
-    """Everything a camera's calibration found, for files and report."""
+    """Result of a camera's calibration, for files and report."""
 
     photos: tuple[Photo, ...]  # all, in the order given
     pattern: Pattern
@@ -36,7 +34,7 @@ class Calibrated:
     found: BoardAdjustment
     held_out: Array  # (v,) px RMS of each view, calibrated without it; nan where not
     coverage: Coverage
-    skipped: dict[int, str]  # photo: why it is no view
+    skipped: dict[int, str]  # photo: reason why it is no view
 
     @property
     def names(self) -> list[str]:
@@ -48,16 +46,16 @@ class Calibrated:
 
 
 def calibrate(
-    photos: "Sequence[Photo]", pattern: Pattern, terms: int = 5, tell: Callable[[str], object] = lambda _: None
+    photos: Sequence[Photo], pattern: Pattern, terms: int = 5, progress: Callable[[str], object] = lambda _: None
 ) -> Calibrated:
-    """The camera that took the photos of a board; CalibrationError where they do not tell it.
+    """Calibrate the camera that took the photos; CalibrationError if they do not determine it.
 
-    `tell` hears what is done next, twice a photo.
+    `progress` is called with the next task, twice for each photo.
     """
     size = photos[0].size
     seen = []
     for photo in photos:
-        tell("finding the board")
+        progress("finding the board")
         seen.append(find_board(image(photo), pattern))
     index = [i for i, s in enumerate(seen) if len(s.ids)]
     _check_markers(photos, seen, pattern)
@@ -66,7 +64,7 @@ def calibrate(
     first = calibrate_board([_view(pattern, seen[i]) for i in index], size, terms)
     fine = {i: seen[i] for i in index}
     for k, i in enumerate(index):
-        tell("measuring corners")
+        progress("measuring corners")
         if first.used[k]:
             R, t = first.rotations[k], first.translations[k]
             better = rectified(image(photos[i]), pattern, seen[i], first.camera, R, t)
@@ -87,7 +85,7 @@ def _view(pattern: Pattern, seen: Sighting) -> View:
 
 
 def why_not(seen: Sighting, pattern: Pattern) -> str:
-    """The reason why a photo is no view."""
+    """Return the reason why a photo is no view."""
     if pattern.marker is not None:
         if seen.misplaced:
             return "its markers do not lie as on this board"
@@ -101,16 +99,16 @@ def why_not(seen: Sighting, pattern: Pattern) -> str:
 
 
 def _is_board(grid: tuple[int, int] | None) -> TypeGuard[tuple[int, int]]:
-    """Whether a grid of corners is a chessboard, rather than a few edges that happen to cross."""
-    return grid is not None and grid[0] * grid[1] >= _SURE
+    """Return True for a chessboard, False for a few edges that happen to cross."""
+    return grid is not None and grid[0] * grid[1] >= _MIN_CORNERS
 
 
 def _words(pattern: Pattern) -> str:
     return f"{pattern.columns}x{pattern.rows}"
 
 
-def _too_few(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: Pattern) -> CalibrationError:
-    """The reason why there are hardly any views, as far as the photos tell."""
+def _too_few(photos: Sequence[Photo], seen: Sequence[Sighting], pattern: Pattern) -> CalibrationError:
+    """Find the reason why there are too few views."""
     n = sum(1 for s in seen if len(s.ids))
     if pattern.marker is None:
         grids = Counter(s.grid for s in seen if _is_board(s.grid) and not len(s.ids))
@@ -153,8 +151,8 @@ def _too_few(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: Pat
     )
 
 
-def _reasons(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: Pattern) -> str:
-    """The reasons why photos are no views, those with the same reason together."""
+def _reasons(photos: Sequence[Photo], seen: Sequence[Sighting], pattern: Pattern) -> str:
+    """Reasons why photos are no views, each with its photos."""
     because: dict[str, list[str]] = {}
     for photo, s in zip(photos, seen, strict=True):
         if not len(s.ids):
@@ -162,8 +160,8 @@ def _reasons(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: Pat
     return "".join(f". {', '.join(names)}: {why}" for why, names in because.items())
 
 
-def _check_markers(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: Pattern) -> None:
-    """Refuse a ChArUco board that is not the one described; each marker tells its place and its share of a square."""
+def _check_markers(photos: Sequence[Photo], seen: Sequence[Sighting], pattern: Pattern) -> None:
+    """Refuse a ChArUco board other than the one described, by places and sizes of its markers."""
     if pattern.marker is None:
         return
     with_markers = [s for s in seen if s.markers >= 4]
@@ -177,19 +175,19 @@ def _check_markers(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", patter
     ratios = np.array([s.ratio for s in with_markers])
     if not np.any(np.isfinite(ratios)):
         return
-    ratio, said = float(np.nanmedian(ratios)), pattern.marker / pattern.square
-    if abs(ratio / said - 1.0) > _RATIO:
+    ratio, given = float(np.nanmedian(ratios)), pattern.marker / pattern.square
+    if abs(ratio / given - 1.0) > _MAX_MARKER_ERROR:
         raise CalibrationError(
-            f"the markers are {ratio:.2f} of a square in the photos, and {said:.2f} as given; measure both, as in "
+            f"the markers are {ratio:.2f} of a square in the photos, and {given:.2f} as given; measure both, as in "
             f"--square {1e3 * pattern.square:g}mm --marker {1e3 * pattern.square * ratio:.0f}mm"
         )
 
 
 def _check_plausible(found: BoardAdjustment, pattern: Pattern) -> None:
-    """Refuse what no adjustment can see wrong, and what it cannot determine."""
+    """Refuse an undetermined focal length, a wrong unit, and contradicting photos."""
     camera, sigma = found.camera, found.deviations
     loose = float(np.max(sigma[:2] / np.array([camera.fx, camera.fy])))
-    if loose > _LOOSE or not np.isfinite(loose):
+    if loose > _MAX_FOCAL_SIGMA or not np.isfinite(loose):
         tilt = float(np.degrees(found.tilts()[found.used].max()))
         raise CalibrationError(
             f"the focal length stays open ({camera.fx:.0f} px with a standard deviation of {sigma[0]:.0f}): the board "
@@ -199,7 +197,7 @@ def _check_plausible(found: BoardAdjustment, pattern: Pattern) -> None:
     if int(found.used.sum()) < MIN_VIEWS:
         raise CalibrationError("the photos contradict each other; are they of one camera, one zoom and one board?")
     distance = float(np.median(np.linalg.norm(found.camera_positions()[found.used], axis=1)))
-    if not _NEAR < distance < _FAR:
+    if not _MIN_DISTANCE < distance < _MAX_DISTANCE:
         raise CalibrationError(
             f"--square {_length(pattern.square)} puts the camera {_length(distance)} from the board; measure a square, "
             "and give it with its unit"
@@ -211,6 +209,7 @@ def _length(metres: float) -> str:
 
 
 def provenance(done: Calibrated) -> dict[str, Any]:
+    """Return the provenance for the camera file: board, residual, photos with their hashes."""
     pattern = done.pattern
     left_out = done.skipped | false_views(done)
     made: dict[str, Any] = {
@@ -230,16 +229,10 @@ def provenance(done: Calibrated) -> dict[str, Any]:
 
 
 def false_views(done: Calibrated) -> dict[int, str]:
-    """Photos whose board does not fit the camera of the others, and how badly."""
+    """Return the photos whose board does not fit the camera of the others, with the residuals."""
     rms = done.found.view_rms()
     return {
         i: f"does not fit the others ({rms[k]:.2f} px, they {done.found.rms:.2f}): another zoom, focus or board?"
         for k, i in enumerate(done.index)
         if not done.found.used[k]
     }
-
-
-def thumbnail(image: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
-    """The image made `width` px wide."""
-    height = max(1, round(image.shape[0] * width / image.shape[1]))
-    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)

@@ -1,10 +1,9 @@
-"""Image -> corners of a calibration board with their numbers: chessboards, and ChArUco boards, which may be cut off.
+"""Corners of a calibration board in an image: chessboards, and ChArUco boards, which may be cut off.
 
-OpenCV finds the board (Duda, Frese 2018; Garrido-Jurado et al. 2014 for markers). Corners are refined by gradients
-in two steps: `find_board` in square windows of the image (`cornerSubPix`), where lens and view bend the edges, and,
-once a first calibration is there, `rectified` in windows of the board's plane, where edges are straight (the idea of
-Datta, Kim, Kanade 2009, without making a new image). The first alone shifts focal lengths by several of their
-standard deviations, by the more the larger the window.
+OpenCV finds the board (Duda, Frese 2018; Garrido-Jurado et al. 2014 for markers). Gradients refine the corners in two
+steps. `find_board` uses square windows of the image (`cornerSubPix`), in which lens and view bend the edges. After a
+first calibration, `rectified` uses windows of the board's plane, in which edges are straight (Datta, Kim, Kanade 2009,
+without a new image). The first step alone shifts focal lengths by several standard deviations.
 """
 
 from collections.abc import Iterator
@@ -21,18 +20,18 @@ from spheremouse.geometry.camera import InteriorOrientation, project, unproject
 from spheremouse.geometry.rotation import Array
 
 DICTIONARIES = tuple(f"DICT_{n}X{n}_{m}" for n in (4, 5, 6, 7) for m in (50, 100, 250, 1000))
-MARKER_SHARE = 0.75  # of a square's side, the marker's of boards that this program prints
+MARKER_SHARE = 0.75  # of a square's side, of a marker on printed boards
 
-SEARCHED = 2.0e6  # px, to which larger images are reduced before the board is looked for
-_WINDOW = 0.25  # of the way to the next corner: a window turned by 45° and shrunk by the view still holds no other edge
-_REACH = 1.0 / 3.0  # of a square, half a side of a window in the board's plane: blur of the next edge stays outside
-_SMOOTH = 1.0  # px, standard deviation: an edge then reaches over enough pixels to show its direction
-_TURNS = 15  # iterations at most; each takes away all but the share of noise in the gradients
-_AT_REST = 1e-3  # px
-_MIN_WINDOW, _MAX_WINDOW = 2, 40  # px, half a side; the wider averages over no more edge than noise allows
-_ASTRAY = 0.5  # half-windows that a corner may move: beyond, something else attracts it
-_LEAST = 3  # corners a side, the smallest board looked for
-_CHARUCO_LEAST = 12  # corners: twice what a pose needs
+SEARCHED = 2.0e6  # px; larger images are reduced to it for the search
+_WINDOW = 0.25  # of the way to the next corner: a window turned by 45° still holds no other edge
+_PLANE_WINDOW = 1.0 / 3.0  # of a square, half a side of a window in the board's plane: no blur of the next edge
+_SMOOTHING = 1.0  # px, standard deviation, for the direction of an edge
+_MAX_ITERATIONS = 15
+_CONVERGED = 1e-3  # px
+_MIN_WINDOW, _MAX_WINDOW = 2, 40  # px, half a side
+_MAX_MOTION = 0.5  # half-windows of a corner; beyond, another edge attracts it
+_MIN_SIDE = 3  # corners of the smallest board
+_MIN_CHARUCO_CORNERS = 12  # twice what a pose needs
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,21 +50,21 @@ class Pattern:
         return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1) * self.square
 
 
-def pattern_of(told: BoardFile) -> Pattern:
-    """The board that options or a board.yaml tell; CalibrationError where there can be no such board."""
-    columns, rows = parse_board(told.board)
-    side = parse_length(told.square)
-    if told.marker is None:
+def pattern_of(board: BoardFile) -> Pattern:
+    """Return the pattern of a board's options; CalibrationError if there can be no such board."""
+    columns, rows = parse_board(board.board)
+    side = parse_length(board.square)
+    if board.marker is None:
         return Pattern(columns, rows, side)
-    inner = parse_length(told.marker)
+    inner = parse_length(board.marker)
     if inner >= side:
         raise CalibrationError(
-            f"--marker {told.marker}: must be smaller than the square around it, which is {told.square}"
+            f"--marker {board.marker}: must be smaller than the square around it, which is {board.square}"
         )
-    name = told.dictionary.upper()
+    name = board.dictionary.upper()
     name = name if name.startswith("DICT_") else f"DICT_{name}"
     if name not in DICTIONARIES:
-        raise CalibrationError(f"--dictionary {told.dictionary}: not known; one of {', '.join(DICTIONARIES)}")
+        raise CalibrationError(f"--dictionary {board.dictionary}: not known; one of {', '.join(DICTIONARIES)}")
     pattern = Pattern(columns, rows, side, inner, name)
     if markers_of(pattern) > markers_in(name):
         raise CalibrationError(
@@ -77,27 +76,27 @@ def pattern_of(told: BoardFile) -> Pattern:
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """The part of a board in an image. No `ids`: not enough of it, and `grid` says what was there in its place."""
+    """The corners of a board in an image; without `ids`, too little of it, and `grid` is another chessboard."""
 
     ids: NDArray[np.intp]  # (k,) corners, row by row
     uv: Array  # (k, 2) px
     grid: tuple[int, int] | None = None  # inner corners of the largest chessboard seen, longer side first
     markers: int = 0  # ChArUco markers seen
-    ratio: float = float("nan")  # side of a marker over side of a square, as the image shows it
+    ratio: float = float("nan")  # side of a marker over side of a square, in the image
     misplaced: bool = False  # markers do not lie as on the board
 
 
 def find_board(image: NDArray[np.uint8], pattern: Pattern, searched: float = SEARCHED) -> Sighting:
-    """Corners of the board in an image, (h, w) grey or (h, w, 3) BGR; all of a chessboard, or none.
+    """Find the corners of a board in an image, (h, w) grey or (h, w, 3) BGR; all of a chessboard, or none.
 
-    A chessboard is looked for in an image reduced to `searched` px, and measured in the image itself.
+    The search for a chessboard uses an image reduced to `searched` px, the measurement the image itself.
     """
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
     return _find_chessboard(grey, pattern, searched) if pattern.marker is None else _find_charuco(grey, pattern)
 
 
 def dictionary_seen(image: NDArray[np.uint8]) -> str | None:
-    """The smallest dictionary of which an image shows most markers; None where it shows fewer than four of any."""
+    """Return the smallest dictionary with most markers in an image; None below four markers of each."""
     most, best = 3, None
     for name in DICTIONARIES:
         _, ids, _ = cv2.aruco.ArucoDetector(_dictionary(name)).detectMarkers(image)
@@ -113,11 +112,11 @@ def _find_chessboard(grey: NDArray[np.uint8], pattern: Pattern, searched: float)
     wanted = pattern.rows, pattern.columns
     scale = min(1.0, float(np.sqrt(searched / grey.size)))
     small = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    largest = _grid(small, (_LEAST, _LEAST), cv2.CALIB_CB_LARGER)
+    largest = _grid(small, (_MIN_SIDE, _MIN_SIDE), cv2.CALIB_CB_LARGER)
     shape = None if largest is None else largest.shape[:2]
     found = largest
     if shape is None or sorted(shape) != sorted(wanted):
-        # a board of this size in a larger one is not the board; a smaller one may be a part of what is there
+        # a part of a larger board is another board; a smaller grid may be a part of this one
         larger = shape is not None and max(shape) >= max(wanted) and min(shape) >= min(wanted)
         found = None if larger else _exact(small, pattern)
     seen = None if shape is None else (max(shape), min(shape))
@@ -134,7 +133,7 @@ def _find_chessboard(grey: NDArray[np.uint8], pattern: Pattern, searched: float)
 
 
 def _grid(grey: cv2.typing.MatLike, size: tuple[int, int], flags: int) -> Array | None:
-    """Corners (rows, columns, 2), the board's X to Y turning clockwise as it is looked at."""
+    """Corners (rows, columns, 2); the rotation from the board's X to Y is clockwise in the image."""
     found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, size, flags)
     if not found or meta is None or corners is None or len(corners) != meta.size:
         return None
@@ -142,7 +141,7 @@ def _grid(grey: cv2.typing.MatLike, size: tuple[int, int], flags: int) -> Array 
 
 
 def _exact(grey: cv2.typing.MatLike, pattern: Pattern) -> Array | None:
-    """By the finder for this size, then by the older one, which bears dirt and glare elsewhere than the newer."""
+    """Find a board of known size, also by OpenCV's older finder, which tolerates other dirt and glare."""
     size = pattern.columns, pattern.rows
     grid = _grid(grey, size, cv2.CALIB_CB_NORMALIZE_IMAGE)
     if grid is not None:
@@ -159,7 +158,7 @@ def _facing(grid: Array) -> Array:
 
 
 def _refined(grey: NDArray[np.uint8], grid: Array) -> Array:
-    """Corners, (n, 2), of a grid (rows, columns, 2); nan where the gradients lead elsewhere."""
+    """Corners, (n, 2), of a grid (rows, columns, 2); nan if the gradients lead elsewhere."""
     gaps = np.full(grid.shape[:2], np.inf)
     for axis in (0, 1):
         step = np.linalg.norm(np.diff(grid, axis=axis), axis=2)
@@ -175,7 +174,7 @@ def _refined(grey: NDArray[np.uint8], grid: Array) -> Array:
         corners = start[same].reshape(-1, 1, 2)
         uv[same] = cv2.cornerSubPix(grey, corners, (int(w), int(w)), (-1, -1), criteria)[:, 0]
     moved = np.linalg.norm(uv - start, axis=1)
-    return np.where((moved <= np.maximum(1.0, _ASTRAY * windows))[:, None], uv, np.nan)
+    return np.where((moved <= np.maximum(1.0, _MAX_MOTION * windows))[:, None], uv, np.nan)
 
 
 # ---- in the board's plane ----
@@ -184,10 +183,10 @@ def _refined(grey: NDArray[np.uint8], grid: Array) -> Array:
 def rectified(
     image: NDArray[np.uint8], pattern: Pattern, seen: Sighting, camera: InteriorOrientation, R: Array, t: Array
 ) -> Sighting:
-    """The corners of a sighting as gradients in the board's plane show them; those that cannot be had are left out.
+    """Measure the corners of a sighting by gradients in the board's plane; omit those that cannot be measured.
 
-    `R` (3, 3) R_cam_board and `t` (3,) m are the board's pose from a first calibration. Each edge pixel is carried to
-    the board; a corner is where all gradients there are at right angles to the way to it (Förstner, Gülch 1987).
+    `R` (3, 3) R_cam_board and `t` (3,) m are the board's pose by a first calibration. Edge pixels are mapped to the
+    board. All gradients in a window are perpendicular to the direction to its corner (Förstner, Gülch 1987).
     """
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
     start, _ = _on_plane(seen.uv, camera, R, t)
@@ -203,14 +202,14 @@ def rectified(
 
 
 def _reach(pattern: Pattern) -> float:
-    """Half a side of a window in squares; markers stay outside."""
+    """Half a side of a window in squares, without markers."""
     if pattern.marker is None:
-        return _REACH
-    return min(_REACH, 0.5 * (1.0 - pattern.marker / pattern.square))
+        return _PLANE_WINDOW
+    return min(_PLANE_WINDOW, 0.5 * (1.0 - pattern.marker / pattern.square))
 
 
 def _side(uv: Array) -> float:
-    """Side of a square in px, about: of the nearest other corner."""
+    """Rough side of a square, px, by the nearest other corner."""
     distance = np.linalg.norm(uv[:, None] - uv[None], axis=2)
     return float(np.median(np.partition(distance, 1, axis=1)[:, 1])) if len(uv) > 1 else 0.0
 
@@ -220,7 +219,7 @@ def _in_cam(plane: Array, R: Array, t: Array) -> Array:
 
 
 def _on_plane(uv: Array, camera: InteriorOrientation, R: Array, t: Array) -> tuple[Array, Array]:
-    """Points where rays of pixels (n, 2) meet the board: (n, 2) m in its plane, and dplane_duv (n, 2, 2)."""
+    """Intersections of pixels' rays with the board, (n, 2) m in its plane, and dplane_duv, (n, 2, 2)."""
     xy, dxy = unproject(uv, camera)
     ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
     normal = R[:, 2]
@@ -234,7 +233,7 @@ def _on_plane(uv: Array, camera: InteriorOrientation, R: Array, t: Array) -> tup
 
 
 def _boxes(plane: Array, reach: Array, camera: InteriorOrientation, R: Array, t: Array) -> tuple[Array, Array]:
-    """Upright boxes of the image, low and high (n, 2) px, that hold square windows of the plane."""
+    """Boxes in the image, low and high (n, 2) px, around square windows of the plane."""
     ends = np.array(
         [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]]
     )
@@ -247,7 +246,7 @@ def _boxes(plane: Array, reach: Array, camera: InteriorOrientation, R: Array, t:
 def _fitting(
     plane: Array, reach: float, grey: NDArray[np.uint8], camera: InteriorOrientation, R: Array, t: Array
 ) -> Array:
-    """Factors on the reach, (n,), with which windows stay inside the image; 0 where too little is left."""
+    """Factors on the windows, (n,), that keep them inside the image; 0 if too little is left."""
     limit = np.array(grey.shape[::-1]) - 2.0
     factor, fits = np.ones(len(plane)), np.zeros(len(plane), bool)
     for _ in range(6):
@@ -259,15 +258,15 @@ def _fitting(
 
 
 def _gradient(grey: NDArray[np.uint8]) -> tuple[cv2.typing.MatLike, cv2.typing.MatLike]:
-    """Along u and v. Unsmoothed differences at a sharp edge lean towards the pixel grid, and corners with them."""
-    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTH)
+    """Gradients along u and v, smoothed: unsmoothed differences at a sharp edge are biased to the pixel grid."""
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHING)
     return cv2.Scharr(smooth, cv2.CV_32F, 1, 0), cv2.Scharr(smooth, cv2.CV_32F, 0, 1)
 
 
 def _where_gradients_meet(
     grey: NDArray[np.uint8], start: Array, reach: Array, camera: InteriorOrientation, R: Array, t: Array
 ) -> Array:
-    """Corners in the plane, (n, 2) m; nan where they do not come to rest in their window."""
+    """Corners in the plane, (n, 2) m; nan if they leave their window."""
     low, high = _boxes(start, reach, camera, R, t)
     low, high = np.floor(low).astype(int), np.ceil(high).astype(int) + 1
     u, v, of = [], [], []
@@ -287,7 +286,7 @@ def _where_gradients_meet(
     xx, xy, yy = gx * gx, gx * gy, gy * gy
     corner = start.copy()
     pixel = np.sqrt(np.bincount(of, np.abs(det), len(start)) / np.maximum(np.bincount(of, minlength=len(start)), 1))
-    for _ in range(_TURNS):
+    for _ in range(_MAX_ITERATIONS):
         d = place - corner[of]
         weight = np.exp(-2.0 * np.sum(d * d, axis=1) / reach[of] ** 2) * (np.abs(d).max(axis=1) < reach[of])
         sums = [
@@ -300,7 +299,7 @@ def _where_gradients_meet(
         corner = corner + step
         corner[np.abs(corner - start).max(axis=1) > 0.5 * reach] = np.nan
         moved = np.abs(step).max(axis=1) / pixel  # m over m in a pixel
-        if np.all(~(moved > _AT_REST)):
+        if np.all(~(moved > _CONVERGED)):
             break
     return corner
 
@@ -316,7 +315,7 @@ def _find_charuco(grey: NDArray[np.uint8], pattern: Pattern) -> Sighting:
     if n:
         outlines = np.asarray(marker_corners, float).reshape(-1, 4, 2)
         ratio, misplaced = _as_laid_out(board, outlines, np.ravel(np.asarray(marker_ids)).astype(np.intp))
-    if ids is None or len(ids) < _CHARUCO_LEAST or misplaced:
+    if ids is None or len(ids) < _MIN_CHARUCO_CORNERS or misplaced:
         return Sighting(np.empty(0, np.intp), np.empty((0, 2)), None, n, ratio, misplaced)
     index = np.ravel(np.asarray(ids)).astype(np.intp)
     uv = np.asarray(corners, float).reshape(-1, 2)
@@ -338,20 +337,20 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def markers_of(pattern: Pattern) -> int:
-    """Number of markers of a ChArUco board: one in every second square."""
+    """Return the number of markers of a ChArUco board: one in every second square."""
     return (pattern.columns + 1) * (pattern.rows + 1) // 2
 
 
 def markers_in(dictionary: str) -> int:
-    """Number of markers of a dictionary."""
+    """Return the number of markers of a dictionary."""
     return int(dictionary.rpartition("_")[2])
 
 
 def _as_laid_out(board: cv2.aruco.CharucoBoard, outlines: Array, ids: NDArray[np.intp]) -> tuple[float, bool]:
-    """Side of a marker over side of a square, and whether markers stand elsewhere than the board says.
+    """Side of a marker over side of a square, and True for markers at other places than on the board.
 
-    Each marker, (n, 4, 2) px, is measured by the affine map that its nearest neighbours' centres give: the lens and
-    the view stretch both alike. Centres do not depend on the size of the markers.
+    The affine map by the nearest neighbours' centres measures each marker, (n, 4, 2) px. Centres do not depend on the
+    size of the markers.
     """
     laid = np.asarray(board.getObjPoints(), float)[:, :, :2] / board.getSquareLength()
     if np.any(ids >= len(laid)):
@@ -365,7 +364,7 @@ def _as_laid_out(board: cv2.aruco.CharucoBoard, outlines: Array, ids: NDArray[np
 
 
 def _local(places: Array, centres: Array, outlines: Array) -> Iterator[tuple[float, float]]:
-    """Of each marker with neighbours on all sides: side in squares, and how badly neighbours fit, in squares."""
+    """Side of each marker with neighbours on all sides, and the misfit of these, in squares."""
     for i in range(len(places)):
         distance = np.linalg.norm(places - places[i], axis=1)
         near = np.flatnonzero(distance < 2.1)
