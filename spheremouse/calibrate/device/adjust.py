@@ -1,6 +1,6 @@
-"""Image points of a device -> where its targets, its ball and the ball's discs are, with all covariances.
+"""Adjustment of a device: targets, ball and discs with their joint covariance, from image points.
 
-Wittich 2017, sections 2.4.4, 3.7 and 4.3: a bundle adjustment, a sphere through its discs, and everything moved to the
+Wittich 2017, sections 2.4.4, 3.7 and 4.3: a bundle adjustment, a sphere through its discs, and a translation to the
 sphere's centre (eq. 91, 92).
 """
 
@@ -32,10 +32,11 @@ from spheremouse.geometry.least_squares.sphere import Sphere, fit_sphere, off_sp
 from spheremouse.geometry.rotation import Array, exp, tangent_basis
 from spheremouse.geometry.statistics import gate
 
-DOUBTFUL_RMS = 0.5  # px RMS that sharp photos with a camera file of their own stay far below
-_FALSE = gate(1.0 - 1e-4, 2)  # an image point further off than chance puts one of ten thousand
-_HUBER = 2.0  # standard deviations from which on residuals count less, before false ones are known
-_CONTRADICTS = 3.5  # standard deviations by which a distance must not miss what the photos say
+DOUBTFUL_RMS = 0.5  # px; sharp photos of the right camera stay far below
+
+_OUTLIER_CHI2 = gate(1.0 - 1e-4, 2)  # one normal error in ten thousand exceeds it
+_HUBER_KNEE = 2.0  # standard deviations, before false points are known
+_MAX_DISTANCE_ERROR = 3.5  # standard deviations of a distance from the photos
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +52,7 @@ class DiscViews:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One image point, and what became of it."""
+    """Image points with their residuals."""
 
     photo: NDArray[np.intp]  # (n,) counts DeviceCalibration.photos
     point: NDArray[np.intp]  # (n,) targets first, then discs; -1 for a false one
@@ -62,7 +63,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class DeviceCalibration:
-    """Everything in `obj`, whose origin is the ball's centre; where the scale is free, in radii of the ball.
+    """A calibrated device in `obj`, whose origin is the ball's centre; in radii of the ball if the scale is free.
 
     `covariance` is joint, of [targets (3n), radius, poses (6 each: position, rotation), discs (3 each)].
     """
@@ -74,37 +75,37 @@ class DeviceCalibration:
     targets: Array  # (n, 3)
     radius: float
     discs: Array  # (m, 3), on the ball
-    sightings: NDArray[np.intp]  # (m,) photos that show each
+    sightings: NDArray[np.intp]  # (m,) number of photos that show each
     covariance: Array
     centre: Array  # (3,) of the ball in the frame of the bundle, whose origin is the first target of the axes
     ball_covariance: Array  # (4, 4) of that centre and the radius
-    out_of_round: float  # standard deviation that the discs ask for; 0: round
+    out_of_round: float  # standard deviation of the discs from the sphere; 0: round
     measured: Measured
     rms_px: float  # of all image points used, per axis
-    variance_factors: tuple[float, float]  # of targets and discs: found over assumed
+    variance_factors: tuple[float, float]  # of targets and discs: estimated over assumed
     distance_residuals: Array  # (k,) m, adjusted minus measured
-    ring_scale: float  # size of the rings in the photos over `target_radii`; 1 but for a percent
+    ring_scale: float  # size of the rings in the photos over `target_radii`; 1 within a percent
     scale_free: bool
-    unit: float  # m (by the rings' size) that 1 stands for; 1 where the scale is metric
-    skipped: tuple[tuple[int, str], ...]  # photos left out, and why
-    doubtful: tuple[tuple[int, str], ...]  # photos of which only the targets could be used, and why
-    problem: Problem  # for what-if questions: the observations as they were weighted
+    unit: float  # m, by the rings' size, of a free scale; 1 if the scale is metric
+    skipped: tuple[tuple[int, str], ...]  # photos left out, with the reason
+    doubtful: tuple[tuple[int, str], ...]  # photos without usable discs, with the reason
+    problem: Problem  # the weighted observations, for the design of further photos
     solution: Solution  # the bundle, before the sphere, in its own frame and in m
     sphere: Sphere  # in that frame
 
     @property
     def directions(self) -> Array:
-        """Unit vectors to the discs, (m, 3), in `ball`, which is `obj` as the ball lay in the photos."""
+        """Unit vectors to the discs, (m, 3), in `ball`, which equals `obj` in the photos."""
         return self.discs / np.linalg.norm(self.discs, axis=1, keepdims=True)
 
     def block(self, name: str) -> slice:
-        """Place of `targets`, `radius`, `poses` or `discs` in `covariance`."""
+        """Return the place of `targets`, `radius`, `poses` or `discs` in `covariance`."""
         ends = np.cumsum([0, 3 * len(self.targets), 1, 6 * len(self.poses), 3 * len(self.discs)])
         i = ("targets", "radius", "poses", "discs").index(name)
         return slice(int(ends[i]), int(ends[i + 1]))
 
     def rig(self) -> Rig:
-        """The rig that a tracker needs."""
+        """Return the rig for a tracker."""
         targets, radius = self.block("targets"), self.block("radius")
         ball = np.zeros((4, 4))
         ball[3, 3] = self.covariance[radius, radius].item()
@@ -123,7 +124,7 @@ class DeviceCalibration:
         )
 
     def disc_map(self) -> DiscMap:
-        """The discs with the joint covariance of their directions, for the first run to begin with."""
+        """Return the discs with the joint covariance of their directions, for the first run."""
         m = len(self.discs)
         across = tangent_basis(self.directions) / np.linalg.norm(self.discs, axis=1)[:, None, None]  # (m, 3, 2)
         J = np.zeros((2 * m, 3 * m))
@@ -135,6 +136,8 @@ class DeviceCalibration:
 
 @dataclass(frozen=True, slots=True)
 class Bundled:
+    """Result of bundle and sphere."""
+
     problem: Problem  # of the image points used
     everything: ImagePoints
     used: NDArray[np.bool_]
@@ -146,15 +149,15 @@ class Bundled:
 def adjust_device(
     views: TargetViews, discs: DiscViews, block: Block, device: Device, camera: InteriorOrientation
 ) -> DeviceCalibration:
-    """Calibrate a device from image points whose correspondence is known, from an approximate block.
+    """Calibrate a device from image points with known correspondence and an approximate block.
 
-    Raises what `calibrate_device` raises.
+    Raises the errors of `calibrate_device`.
     """
     return moved_to_ball(bundled(views, discs, block, device, camera), views, device)
 
 
 def bundled(views: TargetViews, discs: DiscViews, block: Block, device: Device, camera: InteriorOrientation) -> Bundled:
-    """Bundle and sphere: robust, then without what is false, then with the variances that the residuals show."""
+    """Adjust bundle and sphere: robustly, then without outliers, then with estimated variances."""
     n = len(device.ids)
     image = ImagePoints(
         np.concatenate([views.image.photo, discs.photo]),
@@ -165,18 +168,18 @@ def bundled(views: TargetViews, discs: DiscViews, block: Block, device: Device, 
     is_disc = image.point >= n
     points = np.concatenate([block.points[:n], discs.position])
     used = np.ones(len(image), dtype=bool)
-    factors, robust = np.ones(2), _HUBER
+    factors, robust = np.ones(2), _HUBER_KNEE
     for _ in range(40):
         used &= np.bincount(image.point, used, minlength=len(points))[image.point] >= 2
         kept, index = np.unique(image.point[used], return_inverse=True)
-        _all_there(kept, device)
+        _require_targets(kept, device)
         factor = np.where(is_disc[used], factors[1], factors[0])[:, None, None]
         weighted = ImagePoints(image.photo[used], index, image.centre[used], factor * image.covariance[used])
         problem = Problem(device, camera, weighted, not device.distances)
         try:
             solution = solve_block(problem, replace(block, points=points[kept]), robust)
         except np.linalg.LinAlgError as e:
-            used &= ~(image.point == _loose(e, problem, kept))
+            used &= ~(image.point == _undetermined_disc(e, problem, kept))
             continue
         block, points[kept], robust = solution.block, solution.block.points, None
         residual, cofactor = image_residuals(solution, len(weighted))
@@ -187,7 +190,7 @@ def bundled(views: TargetViews, discs: DiscViews, block: Block, device: Device, 
         off = outlier_statistic(residual, cofactor) / np.where(is_disc[used], spread[1], spread[0])
         worst = np.zeros(len(kept))
         np.maximum.at(worst, index, off)
-        false = (off > _FALSE) & (off == worst[index])
+        false = (off > _OUTLIER_CHI2) & (off == worst[index])
         if np.any(false):
             used[np.flatnonzero(used)[false]] = False
         elif np.any(np.abs(np.log(spread)) > 0.02):
@@ -205,7 +208,7 @@ def bundled(views: TargetViews, discs: DiscViews, block: Block, device: Device, 
 
 
 def moved_to_ball(result: Bundled, views: TargetViews, device: Device) -> DeviceCalibration:
-    """Everything counted from the ball's centre (eq. 91, 92), with the joint covariance that it then has."""
+    """Move the origin to the ball's centre (eq. 91, 92), with the joint covariance."""
     solution, sphere, columns = result.solution, result.sphere, result.solution.columns
     block, n = solution.block, len(device.ids)
     unit = 1.0 if device.distances else sphere.radius
@@ -250,7 +253,7 @@ def moved_to_ball(result: Bundled, views: TargetViews, device: Device) -> Device
 
 
 def _covariance_about_ball(result: Bundled, n: int, unit: float, in_radii: bool) -> Array:
-    """Joint covariance of [n targets, radius, poses, discs] as `DeviceCalibration` has it, lengths over `unit`."""
+    """Joint covariance of `DeviceCalibration`, of [n targets, radius, poses, discs], lengths over `unit`."""
     sphere, columns = result.sphere, result.solution.columns
     k, m = len(result.solution.block.poses), len(result.solution.block.points) - n
     rows: list[tuple[NDArray[np.intp], bool]] = [(columns.point(i), True) for i in range(n)]
@@ -277,7 +280,7 @@ def _covariance_about_ball(result: Bundled, n: int, unit: float, in_radii: bool)
 
 
 def _measured(result: Bundled) -> Measured:
-    """All image points, with what is left of those used."""
+    """All image points, with the residuals of those used."""
     everything, used, image = result.everything, result.used, result.problem.image
     index = np.full(len(everything), -1)
     index[used] = np.unique(everything.point[used], return_inverse=True)[1]
@@ -287,7 +290,7 @@ def _measured(result: Bundled) -> Measured:
 
 
 def check_distances(result: Bundled, device: Device) -> None:
-    """Refuse a distance that the photos and the others contradict; raises DistanceError."""
+    """Raise DistanceError for a distance that contradicts photos and other distances."""
     k, at = len(device.distances), 2 * len(result.problem.image)
     residual = result.solution.adjusted.residual[at : at + k]
     free = result.solution.columns.free
@@ -298,7 +301,7 @@ def check_distances(result: Bundled, device: Device) -> None:
         return
     sigmas = np.where(checked, np.abs(residual) / np.sqrt(np.where(checked, number, 1.0)), 0.0)
     worst = int(np.argmax(sigmas))
-    if sigmas[worst] <= _CONTRADICTS:
+    if sigmas[worst] <= _MAX_DISTANCE_ERROR:
         return
     rms = image_rms(result.problem, result.solution)
     if rms > DOUBTFUL_RMS:
@@ -306,12 +309,12 @@ def check_distances(result: Bundled, device: Device) -> None:
             f"photos and distances contradict each other, and the photos themselves are {rms:.1f} px off: is the "
             "camera file of this camera, mode and focus?"
         )
-    says = device.distances[worst].metres + residual[worst] / number[worst] * device.distances[worst].sigma
-    raise DistanceError(device, worst, says, float(sigmas[worst]))
+    by_others = device.distances[worst].metres + residual[worst] / number[worst] * device.distances[worst].sigma
+    raise DistanceError(device, worst, by_others, float(sigmas[worst]))
 
 
 def image_residuals(solution: Solution, n: int) -> tuple[Array, Array]:
-    """Residuals of n image points over their standard deviations, (n, 2), and their cofactors, (n, 2, 2)."""
+    """Return the normalised residuals of n image points, (n, 2), and their cofactors, (n, 2, 2)."""
     free = solution.columns.free
     Q = solution.covariance[np.ix_(free, free)]
     rows = sparse.csr_array(solution.adjusted.jacobian[: 2 * n])
@@ -319,13 +322,13 @@ def image_residuals(solution: Solution, n: int) -> tuple[Array, Array]:
 
 
 def image_rms(problem: Problem, solution: Solution) -> float:
-    """px, RMS per axis of the image points."""
+    """Return the RMS per axis of the image points, px."""
     off = predicted(solution.block, problem.image, problem)[0] - problem.image.centre
     return float(np.sqrt(np.mean(off**2)))
 
 
-def _loose(error: np.linalg.LinAlgError, problem: Problem, kept: NDArray[np.intp]) -> int:
-    """The disc that hangs in the air: rays nearly alike. Raises CalibrationError where it is something else."""
+def _undetermined_disc(error: np.linalg.LinAlgError, problem: Problem, kept: NDArray[np.intp]) -> int:
+    """The disc that is not determined, as its rays are nearly alike; CalibrationError if it is another unknown."""
     columns = columns_of(problem, int(problem.image.photo.max()) + 1, len(kept))
     column = int(columns.free[error.args[0]]) - int(columns.point(0)[0])
     if column < 0:
@@ -337,7 +340,7 @@ def _loose(error: np.linalg.LinAlgError, problem: Problem, kept: NDArray[np.intp
     return int(kept[column // 3])
 
 
-def _all_there(kept: NDArray[np.intp], device: Device) -> None:
+def _require_targets(kept: NDArray[np.intp], device: Device) -> None:
     lost = [c for i, c in enumerate(device.codes) if i not in kept]
     if lost:
         raise CalibrationError(
@@ -346,7 +349,7 @@ def _all_there(kept: NDArray[np.intp], device: Device) -> None:
 
 
 def _sphere(solution: Solution, n: int) -> Sphere:
-    """Through all points but the first n."""
+    """Sphere through all points but the first n."""
     return fit_sphere(_vector(solution.block), solution.covariance, _where(solution, n))
 
 
@@ -355,20 +358,20 @@ def _where(solution: Solution, n: int) -> NDArray[np.intp]:
 
 
 def _vector(block: Block) -> Array:
-    """All columns as observations: interior orientation and rotations as what they are off, 0."""
+    """All columns as observations; interior orientation and rotations are differences, 0."""
     poses = [np.concatenate([pose.position, np.zeros(3)]) for pose in block.poses]
     return np.concatenate([np.zeros(INTERIOR), *poses, block.points.ravel()])
 
 
 def _outside(solution: Solution, sphere: Sphere, n: int) -> NDArray[np.bool_]:
-    """Which discs are none: bolts, dark spots of frame and room."""
+    """Return True for points off the sphere: bolts, dark spots of frame and room."""
     where = _where(solution, n)
     blocks = np.stack([solution.covariance[np.ix_(w, w)] for w in where])
     return off_sphere(solution.block.points[n:], blocks, sphere)
 
 
 def _ring_scale(views: TargetViews, block: Block) -> float:
-    """Size of the rings in the photos over what device.yaml says of them; 1 but for a percent."""
+    """Size of the rings in the photos over that in device.yaml; 1 within a percent."""
     image = views.image
     R = np.array([p.rotation for p in block.poses])[image.photo]
     P = np.array([p.position for p in block.poses])[image.photo]

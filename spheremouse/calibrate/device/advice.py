@@ -1,6 +1,6 @@
-"""What would make a calibrated device better, by how much, and what is odd about it: in words for who took the photos.
+"""Advice on a calibrated device, for the person who took the photos: faults, and the most useful further work.
 
-Gains come from the design matrix (what_if), not from rules of thumb; everything else from residuals and redundancy.
+The design matrix gives the gains (`what_if`), residuals and redundancy the faults.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,23 +15,23 @@ from spheremouse.geometry.least_squares.adjust import redundancy
 from spheremouse.geometry.rotation import Array, fibonacci_sphere
 from spheremouse.geometry.statistics import FALSE_ALARM, gate, ratio_gate
 
-_RING = 0.03  # by which the size of rings may be off: print, blur, their colour's fringe
-_SCATTER = 4.0  # variance factor: twice the usual standard deviation
-_STANDS_OUT = 2.0  # times the RMS of the other photos: less is nothing to speak of
-_ASLANT = 3.0  # times the usual standard deviation: discs near the ball's edge
-_CHECKED = 8  # discs in three photos or more: four fix a sphere, as many check it
+_MAX_RING_ERROR = 0.03  # relative, of the size of rings by print, blur and colour fringe
+_MAX_VARIANCE_FACTOR = 4.0  # twice the usual standard deviation
+_MIN_RMS_RATIO = 2.0  # of a photo that stands out over the others
+_MIN_SLANT_RATIO = 3.0  # of a disc's standard deviation near the ball's edge over the usual one
+_MIN_CHECKED_DISCS = 8  # in three photos or more: four determine a sphere, as many check it
 _GROUPS = ("target", "disc")
 
 
 def advise(calibration: DeviceCalibration, names: Sequence[str] | None = None) -> list[Advice]:
-    """Judgement, faults, and at most three things to do, by their gain; `names` of all photos given."""
+    """Return a verdict, faults, and at most three plans by their gain; `names` of all photos given."""
     found = list(_findings(calibration, _Names(calibration, names)))
     work = work_of(calibration)
     return [_verdict(calibration, any(a.kind == "warning" for a in found)), *found, *work]
 
 
 def coverage(directions: Array) -> float:
-    """Share of the ball's surface that discs at unit vectors (m, 3) cover, each as far as half way to the next one."""
+    """Return the share of the ball that discs at unit vectors (m, 3) cover, each up to its neighbours' distance."""
     if len(directions) < 2:
         return 0.0
     cosine = directions @ directions.T - 3.0 * np.eye(len(directions))
@@ -40,7 +40,7 @@ def coverage(directions: Array) -> float:
 
 
 def photo_scatter(calibration: DeviceCalibration) -> tuple[Array, Array]:
-    """Of each photo used: variance of its image points over what is assumed, (k,), and redundancy, (k,)."""
+    """Return the variance factor, (k,), and redundancy, (k,), of each photo used."""
     image = calibration.problem.image
     residual, cofactor = image_residuals(calibration.solution, len(image))
     k = len(calibration.poses)
@@ -50,7 +50,7 @@ def photo_scatter(calibration: DeviceCalibration) -> tuple[Array, Array]:
 
 
 def photo_px(calibration: DeviceCalibration) -> tuple[Array, Array]:
-    """Of each photo used: px RMS per axis of its image points, (k,), and what is expected of them, (k,)."""
+    """Return the RMS per axis, px, of each photo's image points, (k,), and the expected RMS, (k,)."""
     image, m, k = calibration.problem.image, calibration.measured, len(calibration.poses)
     _, cofactor = image_residuals(calibration.solution, len(image))
 
@@ -62,7 +62,7 @@ def photo_px(calibration: DeviceCalibration) -> tuple[Array, Array]:
 
 
 def distance_redundancy(calibration: DeviceCalibration) -> Array:
-    """Redundancy numbers of the tape distances, (k,): 0 nothing checks it, 1 wholly checked."""
+    """Return the redundancy numbers of the tape distances, (k,), from 0, unchecked, to 1, wholly checked."""
     k, at = len(calibration.device.distances), 2 * len(calibration.problem.image)
     if k == 0:
         return np.zeros(0)
@@ -76,7 +76,7 @@ def distance_redundancy(calibration: DeviceCalibration) -> Array:
 
 def _verdict(calibration: DeviceCalibration, odd: bool) -> Advice:
     sigma = np.sqrt(np.diag(calibration.ball_covariance))
-    worst = int(np.flatnonzero(sigma > 0.9 * sigma.max())[-1])  # of those about alike the radius, the last
+    worst = int(np.flatnonzero(sigma > 0.9 * sigma.max())[-1])  # of nearly equal ones the last: the radius
     part = sigma[worst] / calibration.radius
     known = f"{NAMES[worst]} is the least certain, ± {length(sigma[worst], calibration)}"
     if not calibration.scale_free:
@@ -86,11 +86,11 @@ def _verdict(calibration: DeviceCalibration, odd: bool) -> Advice:
     return Advice("note" if odd else "good", f"Good enough to play{', but see below' if odd else ''}: {known}.")
 
 
-# ---- what is odd ----
+# ---- faults ----
 
 
 class _Names:
-    """Names of photos, of those used."""
+    """Names of photos, also by their index among those used."""
 
     def __init__(self, calibration: DeviceCalibration, names: Sequence[str] | None) -> None:
         named = (*calibration.skipped, *calibration.doubtful)
@@ -120,7 +120,7 @@ def _findings(c: DeviceCalibration, names: _Names) -> Iterator[Advice]:
         )
         yield Advice("warning" if c.out_of_round > ENOUGH * c.radius else "note", text)
     often = int(np.count_nonzero(c.sightings >= 3))
-    if often < min(_CHECKED, len(c.discs)):
+    if often < min(_MIN_CHECKED_DISCS, len(c.discs)):
         text = (
             f"Only {often} of {len(c.discs)} discs are seen in three photos or more: in two photos a false match "
             "cannot be told from a true one. Take photos from places nearer to each other, besides those there are."
@@ -140,7 +140,7 @@ def _scale_findings(c: DeviceCalibration) -> Iterator[Advice]:
         yield Advice("note", text)
         return
     off = c.ring_scale - 1.0
-    if abs(off) > _RING:
+    if abs(off) > _MAX_RING_ERROR:
         text = (
             f"The rings look {100.0 * abs(off):.0f} % {'larger' if off > 0 else 'smaller'} in the photos than "
             "device.yaml says: `target_radii` or the distances are wrong (mm for cm? diameter for radius? the "
@@ -171,7 +171,7 @@ def _scale_findings(c: DeviceCalibration) -> Iterator[Advice]:
 
 def _scatter_findings(c: DeviceCalibration, names: _Names) -> Iterator[Advice]:
     for group, factor in zip(_GROUPS, c.variance_factors, strict=True):
-        if factor > _SCATTER:
+        if factor > _MAX_VARIANCE_FACTOR:
             text = (
                 f"The {group}s fit the photos {np.sqrt(factor):.1f} times worse than {group}s usually do: blurred "
                 f"photos, {'targets that are not flat or face aside' if group == 'target' else 'hand-cut discs'}, or "
@@ -190,17 +190,17 @@ def _scatter_findings(c: DeviceCalibration, names: _Names) -> Iterator[Advice]:
 
 
 def _photo_findings(c: DeviceCalibration, names: _Names) -> Iterator[Advice]:
-    """Photos that are farther off than the others, by an F test, and why: what is wrong, or points that may be."""
+    """Photos with larger residuals than the others (F test), and whether discs near the ball's edge explain them."""
     (ratio, freedom), (px, expected) = photo_scatter(c), photo_px(c)
     sigma = np.sqrt(0.5 * np.trace(c.problem.image.covariance, axis1=1, axis2=2))
     for i, f in enumerate(freedom):
         rest = np.delete(freedom, i)
         if f <= 1.0 or rest.sum() <= 1.0:
             continue
-        bound = max(ratio_gate(1.0 - FALSE_ALARM, f, rest.sum()), _STANDS_OUT**2)
+        bound = max(ratio_gate(1.0 - FALSE_ALARM, f, rest.sum()), _MIN_RMS_RATIO**2)
         others, others_px = (np.sum(rest * np.delete(v, i)) / rest.sum() for v in (ratio, px**2))
         mine = sigma[c.problem.image.photo == i]
-        aslant = mine[mine > _ASLANT * np.median(sigma)]
+        aslant = mine[mine > _MIN_SLANT_RATIO * np.median(sigma)]
         far_off = px[i] ** 2 > bound * others_px
         if ratio[i] > bound * others or (far_off and not len(aslant)):
             times = np.sqrt(ratio[i] / max(others, 1e-12))
@@ -217,6 +217,3 @@ def _photo_findings(c: DeviceCalibration, names: _Names) -> Iterator[Advice]:
                 "for little. Nothing need be done; a photo from farther round would show them better."
             )
             yield Advice("note", text)
-
-
-# ---- what to do ----

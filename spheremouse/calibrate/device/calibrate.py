@@ -1,7 +1,7 @@
-"""Photos of a device -> image points of targets and discs, numbered, and from them all that there is to know.
+"""Calibration of a device from photos: image points of targets and discs, their numbers, and the adjustment.
 
-Wittich 2017, section 3.3: targets give the cameras' poses, rays give discs. Discs are measured twice: as dark spots at
-first, and once the ball is known as what they must look like on it.
+Wittich 2017, section 3.3: targets give the cameras' poses, rays give discs. Discs are first dark spots. When the ball
+is known, the tracker's detector measures them by their expected images.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,9 +35,9 @@ from spheremouse.geometry.rotation import Array, hat
 
 TARGET_SIGMA = 0.05  # px, of a ring's centre (TARGET_SIGMA_PX in ball/pose.py)
 _SPOT_SIGMA = 0.5  # px, of a dark spot's centroid: threshold, slope of the light, eccentricity
-_FACING = 0.5  # cosine at which any detector sees a disc
+_MIN_FACING = 0.5  # cosine, of a disc that every detector finds
 
-Progress = Callable[[str, float], None]  # what is being done, and which part of all is done
+Progress = Callable[[str, float], None]  # task, and share of all work done
 
 
 def calibrate_device(
@@ -49,11 +49,10 @@ def calibrate_device(
     names: Sequence[str] | None = None,
     progress: Progress = lambda what, part: None,
 ) -> DeviceCalibration:
-    """Calibrate a device from photos (h, w, 3) BGR that were taken with `camera`; each is read once.
+    """Calibrate a device from photos (h, w, 3) BGR of `camera`; each is read once.
 
-    `names` are those of the photos, for messages; `progress` is told what is being done and which part of all is done.
-    Photos that show fewer than three targets, or another device, are left out and named. Raises CalibrationError where
-    too little remains, DistanceError where a tape distance contradicts the photos.
+    `names` of the photos are for messages. Photos with fewer than three targets, or of another device, are left out and
+    named. Raises CalibrationError if too little remains, DistanceError if a tape distance contradicts the photos.
     """
     rings, discs = rings or RingSettings(), discs or DiscSettings()
     named = [f"photo {k + 1}" for k in range(len(photos))] if names is None else names
@@ -70,15 +69,15 @@ def calibrate_device(
     tolerance = _ray_tolerance(views, block, device, camera)
 
     def found(size: float, here: Sequence[tuple[Image, TargetDetections]]) -> tuple[Bundled, Spots]:
-        """With discs of that part of their radius, dark ones in these pictures."""
+        """Calibrate with discs of a relative size, dark ones in these pictures."""
         sized = replace(device, disc_radius=size * device.disc_radius)
         result = bundled(views, _first_discs(here, block, sized, tolerance), block, sized, camera)
         check_distances(result, sized)
         spots = Spots(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0))
-        for turn in range(2):  # the second time with the ball where the first one found it
-            progress("measuring discs", 0.5 + 0.2 * turn)
+        for k in range(2):  # the second time with the ball of the first
+            progress("measuring discs", 0.5 + 0.2 * k)
             spots, observed = _measured_discs(here, result, sized, discs)
-            progress("adjusting", 0.6 + 0.2 * turn)
+            progress("adjusting", 0.6 + 0.2 * k)
             result = bundled(views, observed, result.solution.block, sized, camera)
         return result, spots
 
@@ -96,10 +95,7 @@ def calibrate_device(
 
 
 def _check_radius(found: Callable[[float], Bundled], device: Device) -> None:
-    """Refuse a device whose discs are found with half or twice their radius: a diameter given for it is what happens.
-
-    `found` takes the part of the radius. Raises CalibrationError.
-    """
+    """Raise CalibrationError if `found` succeeds with discs of half or twice the radius: a diameter was given."""
     for size, what in ((0.5, "half"), (2.0, "twice")):
         try:
             n = len(found(size).solution.block.points) - len(device.ids)
@@ -112,7 +108,7 @@ def _check_radius(found: Callable[[float], Bundled], device: Device) -> None:
 
 
 def dark_spots(grey: Image, seen: TargetDetections, share: float) -> Detections:
-    """Dark spots that may be discs: `share` of the targets' radius, nearer or further off, straight or aslant."""
+    """Detect dark spots that may be discs of `share` of the targets' radius, at any distance and slant."""
     face = np.pi * (float(np.median(seen.radius)) * share) ** 2
     detector = BlobDetector(BlobSettings(masks=24, min_area=max(0.1 * face, 12.0), max_area=4.0 * face))
     return detector.detect(grey)
@@ -124,7 +120,7 @@ def _first_discs(
     device: Device,
     tolerance: float,
 ) -> DiscViews:
-    """Dark spots that lie on one ball, numbered. Raises CalibrationError where there is none."""
+    """Dark spots on one ball with disc numbers; CalibrationError without a ball."""
     found = [dark_spots(grey, seen, device.disc_radius / device.target_radii[2]) for grey, seen in photos]
     spots = Spots(
         np.repeat(np.arange(len(found)), [len(f) for f in found]),
@@ -141,9 +137,9 @@ def _first_discs(
 def _measured_discs(
     photos: Sequence[tuple[Image, TargetDetections]], result: Bundled, device: Device, settings: DiscSettings
 ) -> tuple[Spots, DiscViews]:
-    """Discs measured as what they must look like on the ball found so far: all, and those that two photos show.
+    """Discs by the tracker's detector on the ball found so far: all, and those in two photos.
 
-    In `photos` they are darker than the ball, whatever the settings say of their colours.
+    In `photos` they are darker than the ball, for any setting of their colours.
     """
     settings = replace(settings, polarity="dark", weights=())
     block, K, R = result.solution.block, result.sphere.centre, result.sphere.radius
@@ -160,7 +156,7 @@ def _measured_discs(
 def _numbered_points(
     photo: NDArray[np.intp], centre: Array, covariance: Array, block: Block, K: Array, R: float, tolerance: float
 ) -> DiscViews:
-    """Spots on the ball that are seen in two photos at least, `tolerance` m apart at most."""
+    """Spots on the ball that two photos or more show, at most `tolerance` m apart."""
     directions, index = on_ball(Spots(photo, centre, np.ones(len(photo))), block.poses, block.camera, K, R)
     number = numbered(photo[index], directions, tolerance / R)
     if number.max(initial=-1) + 1 < MIN_POINTS:
@@ -175,9 +171,9 @@ def _numbered_points(
 
 
 def _ray_tolerance(views: TargetViews, block: Block, device: Device, camera: InteriorOrientation) -> float:
-    """m by which rays to one disc may pass each other while the poses rest on the targets alone.
+    """Largest distance, m, between rays to one disc while the targets alone give the poses.
 
-    Three standard deviations of two rays where the targets are, by the covariance of the poses and of a spot.
+    Three standard deviations of two rays at the targets, by the covariance of the poses and of a spot.
     """
     rough = replace(views.image, covariance=4.0 * views.image.covariance)  # eccentricity of the circles, camera, print
     solution = solve_block(Problem(device, camera, rough, not device.distances, views.depth), block)
@@ -194,7 +190,7 @@ def _ray_tolerance(views: TargetViews, block: Block, device: Device, camera: Int
 
 
 def _doubtful(result: Bundled, spots: Spots, views: TargetViews, device: Device) -> tuple[tuple[int, str], ...]:
-    """Photos whose discs are where no other photo has them, though others see that side: the ball turned before."""
+    """Photos whose discs are at other places than in all other photos of that side: the ball turned before."""
     block, K, R = result.solution.block, result.sphere.centre, result.sphere.radius
     directions, index = on_ball(spots, block.poses, block.camera, K, R)
     photo = spots.photo[index]
@@ -204,13 +200,13 @@ def _doubtful(result: Bundled, spots: Spots, views: TargetViews, device: Device)
     towards = np.array([p.position for p in block.poses])[None] - (K + R * directions)[:, None]
     cosine = np.sum(towards * directions[:, None], axis=2) / np.linalg.norm(towards, axis=2)
     cosine[np.arange(len(photo)), photo] = 0.0
-    seen_elsewhere = np.max(cosine, axis=1) > _FACING
-    told = []
+    seen_elsewhere = np.max(cosine, axis=1) > _MIN_FACING
+    doubtful = []
     for i, k in enumerate(views.photos):
         mine = (photo == i) & seen_elsewhere
         n, m = int(np.count_nonzero(mine)), int(np.count_nonzero(mine & known))
         if n >= MIN_POINTS and m < n / 3:
-            told.append(
+            doubtful.append(
                 (k, f"only {m} of its {n} discs are where other photos show them: did the ball turn before it?")
             )
-    return tuple(told)
+    return tuple(doubtful)

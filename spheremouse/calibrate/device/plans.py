@@ -1,4 +1,4 @@
-"""What more photos or lengths could be taken, and what each would gain."""
+"""Plans for further photos or distances, and the gain of each."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -20,18 +20,20 @@ from spheremouse.calibrate.device.what_if import (
 )
 from spheremouse.geometry.camera import Pose
 
-WORTH = 1.3  # times better: less is not worth the way
-ENOUGH = 2.5e-3  # of the radius: half of what Wittich 2017, table 11, had and tracked with
-_MOST = 3  # pieces of advice on what to do
-_FINE = 1e-4  # m: the thickness of paper, to which a disc's surface is the ball's
-_TAPE = 0.001  # m, a steel tape held taut
-_RULER = 0.0003  # m, what nobody reads better
+MIN_GAIN = 1.3  # of a plan, times better
+ENOUGH = 2.5e-3  # of the radius: half of the standard deviation in Wittich 2017, table 11
+
+_MAX_PLANS = 3
+_MIN_SIGMA = 1e-4  # m, the thickness of paper: a disc lies no closer on the ball
+_TAPE_SIGMA = 0.001  # m, of a steel tape held taut
+_MIN_TAPE_SIGMA = 0.0003  # m, of the best reading
+
 Kind = Literal["good", "note", "warning"]
 
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """One sentence or two. Where it asks for work: how many times better it makes what."""
+    """One or two sentences; a plan has its gain, and the quantity that it improves."""
 
     kind: Kind
     text: str
@@ -41,7 +43,7 @@ class Advice:
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """Something to do."""
+    """Further photos, distances, or both."""
 
     text: str
     reason: str
@@ -59,7 +61,7 @@ class _Plan:
 
 
 def length(value: float, calibration: DeviceCalibration) -> str:
-    """A length of `obj` as people say it: in mm, or in percent of the radius where there are no metres."""
+    """Return a length of `obj` in mm, or in percent of the radius if the scale is free."""
     return f"{100.0 * value:.2g} % of the radius" if calibration.scale_free else f"{_digits(1e3 * value)} mm"
 
 
@@ -72,26 +74,26 @@ _TARGETS, _DISC = "the targets' places", "the least certain disc"
 
 
 def work_of(c: DeviceCalibration) -> list[Advice]:
-    """The best plans, each on top of those before it."""
+    """Return the best plans, each in addition to those before it."""
     net = network(c)
     known = len(c.discs)
     now = sigmas(net, known)
     plans, enough = _plans(net), ENOUGH * c.radius
     found: list[Advice] = []
-    while len(found) < _MOST and max(now.ball.max(), now.targets) * c.unit > _FINE:
+    while len(found) < _MAX_PLANS and max(now.ball.max(), now.targets) * c.unit > _MIN_SIGMA:
         options = []
         for plan in plans:
             then = plan.on(net)
             after = sigmas(then, known)
             options.append(_Option(plan, then, after, *_gain(now, after, enough)))
-        options = [o for o in options if o.gain >= WORTH]
+        options = [o for o in options if o.gain >= MIN_GAIN]
         if not options:
             break
         if any(o.what != _DISC for o in options):
             options = [o for o in options if o.what != _DISC]
-        least = 0.8 * np.log(max(o.gain for o in options))  # nearly as good with less work is better
+        least = 0.8 * np.log(max(o.gain for o in options))  # prefer less work for nearly the same gain
         best = min((o for o in options if np.log(o.gain) > least), key=lambda o: (o.plan.effort, -o.gain))
-        found.append(_said(best, now, c, first=not found))
+        found.append(_advice(best, now, c, first=not found))
         plans = [p for p in plans if p is not best.plan]
         net, now = best.then, best.after
     return found
@@ -99,7 +101,7 @@ def work_of(c: DeviceCalibration) -> list[Advice]:
 
 @dataclass(frozen=True, slots=True)
 class _Option:
-    """A plan, and what it would lead to."""
+    """A plan with its result."""
 
     plan: _Plan
     then: Network
@@ -108,7 +110,7 @@ class _Option:
     gain: float
 
 
-def _said(option: _Option, now: Sigmas, c: DeviceCalibration, *, first: bool) -> Advice:
+def _advice(option: _Option, now: Sigmas, c: DeviceCalibration, *, first: bool) -> Advice:
     plan, what = option.plan, option.what
     before, later = _value(now, what), _value(option.after, what)
     times = f"{option.gain:.1f}" if option.gain < 9.5 else f"{option.gain:.0f}"
@@ -122,12 +124,12 @@ def _value(s: Sigmas, what: str) -> float:
 
 
 def _gain(now: Sigmas, after: Sigmas, enough: float) -> tuple[str, float]:
-    """The quantity made better most, of those bad enough to matter, and how many times; the radius first."""
+    """The quantity with the largest gain among the worst ones, and the gain; the radius first."""
     values = {name: _value(now, name) for name in (*NAMES[::-1], _TARGETS)}
     large = max(values.values())
     gains = [(name, v / _value(after, name)) for name, v in values.items() if v >= 0.5 * large and v > 0.0]
     most = max(gain for _, gain in gains)
-    if most < WORTH and now.disc > enough:  # play refines discs by and by: only bad ones are worth a photo
+    if most < MIN_GAIN and now.disc > enough:  # the tracker refines discs in play: only bad ones are worth a photo
         return _DISC, now.disc / after.disc
     return next(g for g in gains if g[1] > 0.9 * most)
 
@@ -137,7 +139,7 @@ def _plans(net: Network) -> list[_Plan]:
 
 
 def _photo_plans(net: Network) -> Iterator[_Plan]:
-    """Photos from places around the device: sides, pairs of sides, the same again, nearer."""
+    """Plans for photos from the sides, from the same places, and from nearer."""
     way = np.array([pose.position - net.aim for pose in net.block.poses])
     distance = float(np.median(np.linalg.norm(way, axis=1)))
     azimuth = np.degrees(np.arctan2(way[:, 0], way[:, 2]))
@@ -171,7 +173,7 @@ class _Side:
     words: str
     right: float  # direction of the angle
     up: float
-    most: int  # degrees; beyond 75 no ring is seen, ceilings and floors come earlier
+    max_angle: int  # degrees; no ring is seen beyond 75, and ceiling or floor limit others
 
 
 _SIDES = (
@@ -182,8 +184,8 @@ _INNER = 0.7  # the second photo's angle over the first's
 
 
 def _aside(net: Network, side: _Side, height: float, distance: float) -> tuple[int, tuple[Pose, ...]]:
-    """As far to a side as three targets are seen: the angle, degrees, and two stations; none where none is."""
-    for angle in range(side.most, 14, -5):
+    """The largest angle to a side with three targets in view, degrees, and two stations; none without one."""
+    for angle in range(side.max_angle, 14, -5):
         at = [(side.right * part * angle, side.up * part * angle if side.up else height) for part in (1.0, _INNER)]
         if stations := _stations(net, at, distance):
             return angle, stations
@@ -191,7 +193,7 @@ def _aside(net: Network, side: _Side, height: float, distance: float) -> tuple[i
 
 
 def _stations(net: Network, angles: Sequence[tuple[float, float]], distance: float) -> tuple[Pose, ...]:
-    """Cameras at angles (degrees) to the right of the front and above it; none where one sees too few targets."""
+    """Cameras at angles, degrees, to the right of the front and above it; none if one sees too few targets."""
     stations = []
     for azimuth, height in angles:
         a, h = np.radians([azimuth, height])
@@ -200,7 +202,7 @@ def _stations(net: Network, angles: Sequence[tuple[float, float]], distance: flo
 
 
 def _distance_plans(net: Network) -> Iterator[_Plan]:
-    """Tape: pairs that were not measured, a better tape, both."""
+    """Plans for further distances, a better tape, and both."""
     given = net.problem.device.distances
     if not given:
         return
@@ -208,13 +210,13 @@ def _distance_plans(net: Network) -> Iterator[_Plan]:
     have = {frozenset((d.start, d.end)) for d in given}
     old = tuple(dict.fromkeys((min(d.start, d.end), max(d.start, d.end)) for d in given))
     new = tuple(p for p in combinations(sorted(net.problem.device.ids), 2) if frozenset(p) not in have)
-    better = _TAPE if sigma > 1.3 * _TAPE else 0.5 * sigma
+    better = _TAPE_SIGMA if sigma > 1.3 * _TAPE_SIGMA else 0.5 * sigma
     each = " each" if len(given) > 1 else ""
     reason = f"The scale rests on {_count(len(given), 'distance')}, ± {1e3 * sigma:g} mm{each}"
     if new:
         yield _Plan(f"measuring {_pairs(new)}, too", reason, pairs=new, sigma=sigma)
-    if better >= _RULER:
-        with_ = "with a steel tape held taut" if better == _TAPE else "with a better tape or a laser"
+    if better >= _MIN_TAPE_SIGMA:
+        with_ = "with a steel tape held taut" if better == _TAPE_SIGMA else "with a better tape or a laser"
         yield _Plan(f"measuring {_pairs(old)} again {with_}, to {1e3 * better:g} mm,", reason, pairs=old, sigma=better)
         if new:
             text = f"measuring all distances {with_}, to {1e3 * better:g} mm, {_pairs(new)} among them"

@@ -1,7 +1,7 @@
-"""Where targets and cameras are, roughly: one photo after the other, from nothing but the apparent size of the rings.
+"""Approximate targets and cameras from the apparent size of the rings, photo by photo.
 
-A ring of known radius r that appears with the semi-major axis a (in reduced coordinates) is r / a away in depth, at
-whatever slant: a percent or so, enough to begin with. Wittich 2017, section 3.3.1, takes measured coordinates here.
+A ring of radius r with the semi-major axis a in reduced coordinates is at a depth of r / a at any slant, within a
+percent or so. Wittich 2017, section 3.3.1, uses measured coordinates instead.
 """
 
 from collections.abc import Sequence
@@ -17,33 +17,30 @@ from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.rotation import Array, align
 
-_DEPTH = 0.02  # of the depth, by which a ring's size may mislead: half a pixel of a ring of 25 px
-_CENTRE = 0.5  # px, of a ring's centre in so rough a start
-_FITS = 0.3  # px RMS per axis: six standard deviations of a ring's centre
-_SHARE = 0.7  # of the contradictions that may remain where the photo left out is to blame
-_MOST_NAMED = 3
-_DOUBTFUL = 0.05  # part of a distance by which a wrong one, or wrong ids, are told from the rings' few percent
+_DEPTH_SIGMA = 0.02  # relative: half a pixel of a ring of 25 px
+_CENTRE_SIGMA = 0.5  # px, of a ring's centre in this start
+_MAX_RMS = 0.3  # px per axis: six standard deviations of a ring's centre
+_MAX_REMAINING = 0.7  # of the squared residuals without a wrong photo
+_MAX_NAMED = 3
+_MAX_DISTANCE_ERROR = 0.05  # relative; the rings' is a few percent
 
 
 @dataclass(frozen=True, slots=True)
 class TargetViews:
-    """The targets of a device in the photos that show at least three of them."""
+    """The targets of a device in the photos with three or more of them."""
 
     photos: tuple[int, ...]  # which photos
     image: ImagePoints  # `photo` counts those
     depth: Array  # (n, 2) m: depth by apparent size, and its standard deviation
     skipped: tuple[tuple[int, str], ...]  # photos left out, and why
-    strangers: tuple[str, ...] = ()  # codes that most photos show and the device does not have
-    ring_scale: float = 1.0  # by which the rings' size misjudges lengths, where distances tell
+    strangers: tuple[str, ...] = ()  # codes in most photos that the device does not have
+    ring_scale: float = 1.0  # factor on lengths by the rings' size, from distances
 
 
 def target_views(
     seen: Sequence[TargetDetections], device: Device, camera: InteriorOrientation, sigma: float
 ) -> TargetViews:
-    """Image points of the device's targets; `sigma` px is the standard deviation of a centre.
-
-    A photo with fewer than 3 is left out.
-    """
+    """Return image points of the device's targets, of photos with three or more; `sigma` px is that of a centre."""
     row = {code: i for i, code in enumerate(device.codes)}
     photos: list[int] = []
     parts: list[tuple[int, int, Array, float]] = []
@@ -75,16 +72,16 @@ def target_views(
     z = np.array([p[3] for p in parts])
     shown = [c for found in seen for c in set(found.codes) - set(row)]
     strangers = tuple(c for c in sorted(set(shown)) if shown.count(c) > len(seen) / 2)
-    return TargetViews(tuple(photos), image, np.stack([z, _DEPTH * z], axis=1), tuple(skipped), strangers)
+    return TargetViews(tuple(photos), image, np.stack([z, _DEPTH_SIGMA * z], axis=1), tuple(skipped), strangers)
 
 
 def first_block(
     views: TargetViews, device: Device, camera: InteriorOrientation, names: Sequence[str]
 ) -> tuple[Block, TargetViews]:
-    """Poses of all photos and coordinates of all targets, in the frame of the targets, good to some mm.
+    """Return poses of all photos and coordinates of all targets, in the frame of the targets, to some mm.
 
-    Photos whose targets do not fit the others are left out. Raises CalibrationError where too little remains, and
-    DistanceError where a distance is far from what the others say.
+    Photos whose targets do not fit the others are left out. Raises CalibrationError if too little remains, and
+    DistanceError if a distance differs far from the others.
     """
     while True:
         _enough(views, device, names)
@@ -103,12 +100,12 @@ def first_block(
 
 
 def _strange(views: TargetViews, block: Block, device: Device, camera: InteriorOrientation) -> tuple[int, float] | None:
-    """The photo without which the others fit together best, and how far off all are in px; None where all fit.
+    """The photo without which the others fit best, and the residual with it, px; None if all fit.
 
-    One by one, the worst first: of several that do not belong, each takes a share of the contradictions with it.
+    Of several wrong photos, the worst comes first.
     """
     all_off = _rms(views, block, device, camera)
-    if np.max(all_off) <= _FITS or len(views.photos) < 3:
+    if np.max(all_off) <= _MAX_RMS or len(views.photos) < 3:
         return None
     rest = []
     for i in range(len(views.photos)):
@@ -118,18 +115,18 @@ def _strange(views: TargetViews, block: Block, device: Device, camera: InteriorO
         except CalibrationError:
             rest.append(np.inf)
     best = int(np.argmin(rest))
-    return (best, float(np.max(all_off))) if rest[best] < _SHARE * float(np.sum(all_off**2)) else None
+    return (best, float(np.max(all_off))) if rest[best] < _MAX_REMAINING * float(np.sum(all_off**2)) else None
 
 
 def _scaled(views: TargetViews, block: Block, device: Device) -> tuple[Block, TargetViews]:
-    """By the distances, where there are any; DistanceError for one that is far from what the others say."""
+    """Scale by the distances, if there are any; DistanceError for one that differs far from the others."""
     if not device.distances:
         return block, views
     ratio = np.array([d.metres for d in device.distances]) / distances(device, block.points)
     scale = float(np.median(ratio))
     off = np.abs(ratio / scale - 1.0)
     worst = int(np.argmax(off))
-    if off[worst] > _DOUBTFUL:
+    if off[worst] > _MAX_DISTANCE_ERROR:
         raise DistanceError(device, worst, device.distances[worst].metres / ratio[worst] * scale)
     poses = tuple(Pose(p.rotation, scale * p.position) for p in block.poses)
     views = replace(views, depth=scale * views.depth, ring_scale=scale)
@@ -137,7 +134,7 @@ def _scaled(views: TargetViews, block: Block, device: Device) -> tuple[Block, Ta
 
 
 def _depth(centre: Array, contour: Array, radius: float, device: Device, camera: InteriorOrientation) -> float:
-    """Depth of a ring, m; nan where no ray maps to its place."""
+    """Depth of a ring, m; nan if no ray maps to its place."""
     (_, axes, angle) = cv2.fitEllipse(np.asarray(contour, dtype=np.float32))
     ratio = np.sqrt(max(axes) / max(min(axes), 1.0))
     turn = np.deg2rad(angle if axes[0] >= axes[1] else angle + 90.0)  # of the longer axis
@@ -151,11 +148,11 @@ def _depth(centre: Array, contour: Array, radius: float, device: Device, camera:
 def _enough(views: TargetViews, device: Device, names: Sequence[str]) -> None:
     if len(views.photos) < 2:
         whys = [f"{names[k]}: {w}" for k, w in views.skipped]
-        more = f"; and {len(whys) - _MOST_NAMED} more" if len(whys) > _MOST_NAMED else ""
+        more = f"; and {len(whys) - _MAX_NAMED} more" if len(whys) > _MAX_NAMED else ""
         photos = "1 photo shows" if len(views.photos) == 1 else "no photo shows"
         raise CalibrationError(
             f"{photos} targets of this device that fit together, at least 2 must"
-            + (f" ({'; '.join(whys[:_MOST_NAMED])}{more})" if whys else ": give more photos")
+            + (f" ({'; '.join(whys[:_MAX_NAMED])}{more})" if whys else ": give more photos")
         )
     missing = [c for i, c in enumerate(device.codes) if np.count_nonzero(views.image.point == i) < 2]
     if missing and views.strangers:
@@ -198,7 +195,7 @@ def _adjusted(views: TargetViews, device: Device, camera: InteriorOrientation) -
     found = [p for p in poses if p is not None]
     block = _in_axes(Block(camera, tuple(found), points), device)
     rough = ImagePoints(
-        image.photo, image.point, image.centre, np.broadcast_to(_CENTRE**2 * np.eye(2), (len(image), 2, 2)).copy()
+        image.photo, image.point, image.centre, np.broadcast_to(_CENTRE_SIGMA**2 * np.eye(2), (len(image), 2, 2)).copy()
     )
     sure = replace(camera, covariance=np.zeros((9, 9)))
     # the size of the rings gives a scale to begin with
@@ -211,9 +208,9 @@ def _adjusted(views: TargetViews, device: Device, camera: InteriorOrientation) -
 
 
 def _in_axes(block: Block, device: Device) -> Block:
-    """The block in the frame that the targets define, Z on the side of the cameras.
+    """The block in the frame of the targets, Z on the side of the cameras.
 
-    Raises CalibrationError where the three targets of the axes lie in a line.
+    Raises CalibrationError if the three targets of the axes lie in a line.
     """
     row = device.row
     origin, up, plane = (block.points[row[i]] for i in (device.axes.origin, device.axes.up, device.axes.plane))
@@ -233,7 +230,7 @@ def _in_axes(block: Block, device: Device) -> Block:
 
 
 def _rms(views: TargetViews, block: Block, device: Device, camera: InteriorOrientation) -> Array:
-    """px, RMS per axis of each photo's targets."""
+    """RMS per axis of each photo's targets, px."""
     image, n = views.image, len(block.poses)
     problem = Problem(device, camera, image, not device.distances)
     off = np.sum((predicted(block, image, problem)[0] - image.centre) ** 2, axis=1)

@@ -1,7 +1,7 @@
-"""How good a calibrated device would be with more photos, or more tape: a covariance needs the design, no measurement.
+"""Expected accuracy of a calibrated device with further photos or distances, from the design alone.
 
-The bundle's own Jacobian, with rows for photos that nobody has taken yet, through the sphere to the ball: what the
-photos of Wittich 2017, section 4.3, lacked ("photographed from all sides") becomes a number.
+The covariance comes from the bundle's Jacobian with rows for further photos, through the sphere to the ball. It gives a
+number to the advice of Wittich 2017, section 4.3, to photograph from all sides.
 """
 
 from dataclasses import dataclass, replace
@@ -17,23 +17,23 @@ from spheremouse.geometry.least_squares.adjust import cofactors
 from spheremouse.geometry.least_squares.sphere import fit_sphere
 from spheremouse.geometry.rotation import Array, fibonacci_sphere
 
-_TARGET_SLANT, _DISC_SLANT = np.cos(np.radians(70.0)), np.cos(np.radians(65.0))  # rings, discs are found up to there
-_APART = np.cos(np.radians(10.0))  # between rays that tell where a disc is (correspond)
-_SAMPLES = 2000  # places on the ball by which areas are measured, to some percent
+# Cosines of the largest slant of rings and discs that are found, and of the least angle between rays to a disc.
+_TARGET_SLANT, _DISC_SLANT, _RAY_ANGLE = np.cos(np.radians([70.0, 65.0, 10.0]))
+_SAMPLES = 2000  # places on the ball, for areas to some percent
 
 
 @dataclass(frozen=True, slots=True)
 class Sigmas:
-    """Standard deviations in `obj`: m, or radii of the ball where the scale is free."""
+    """Standard deviations in `obj`, m, or radii of the ball if the scale is free."""
 
     ball: Array  # (4,) centre X, Y, Z against the targets, radius
     targets: float  # of a coordinate, root mean square
-    disc: float  # of the worst disc that is known already, along its worst axis
+    disc: float  # of the worst known disc, along its worst axis
 
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """A calibration as a design: what is where, in the frame of the bundle, and how well it is seen. In m."""
+    """The design of a calibration in the frame of the bundle, m: geometry, and variances of image points."""
 
     problem: Problem
     block: Block  # discs on the ball
@@ -42,7 +42,7 @@ class Network:
     roughness: float  # out of round, standard deviation
     unit: float
     target_variance: float  # px², of a coordinate
-    disc_variance: float  # px², of one that may be hidden: over the share of discs that are found
+    disc_variance: float  # px², over the share of discs that are found
     density: float  # discs per steradian where the photos show the ball
 
     @property
@@ -57,12 +57,12 @@ class Network:
 
     @property
     def aim(self) -> Array:
-        """Point that photos look at: between ball and targets, (3,)."""
+        """Point between ball and targets that photos aim at, (3,)."""
         return 0.5 * (self.centre + self.targets.mean(axis=0))
 
 
 def network(calibration: DeviceCalibration) -> Network:
-    """The design of a calibration."""
+    """Return the design of a calibration."""
     solution, sphere, problem = calibration.solution, calibration.sphere, calibration.problem
     n, m = problem.targets, len(solution.block.points)
     points = sphere.observations[solution.columns.point(np.arange(m))]
@@ -91,7 +91,7 @@ def network(calibration: DeviceCalibration) -> Network:
 
 
 def with_photos(net: Network, stations: tuple[Pose, ...]) -> Network:
-    """The design with photos from some stations, and with the discs that these make known."""
+    """Return the design with photos from further stations, and with the discs that they add."""
     problem, block = net.problem, net.block
     k, n, m = len(block.poses), problem.targets, len(block.points)
     poses = (*block.poses, *stations)
@@ -117,7 +117,7 @@ def with_photos(net: Network, stations: tuple[Pose, ...]) -> Network:
 
 
 def with_distances(net: Network, pairs: tuple[tuple[int, int], ...], sigma: float) -> Network:
-    """The design with distances measured between targets of these ids, to sigma m."""
+    """Return the design with distances between targets of these ids, to sigma m."""
     row = net.problem.device.row
     more = tuple(
         Distance(a, b, float(np.linalg.norm(net.targets[row[a]] - net.targets[row[b]])), sigma) for a, b in pairs
@@ -127,7 +127,7 @@ def with_distances(net: Network, pairs: tuple[tuple[int, int], ...], sigma: floa
 
 
 def sigmas(net: Network, known: int) -> Sigmas:
-    """Standard deviations of a design; the first `known` discs are judged. LinAlgError where it hangs in the air."""
+    """Return the standard deviations of a design for the first `known` discs; LinAlgError if it is not determined."""
     J, columns = design(net.problem, net.block)
     n, m = net.problem.targets, len(net.block.points)
     where = columns.point(np.arange(m)).ravel()
@@ -139,14 +139,14 @@ def sigmas(net: Network, known: int) -> Sigmas:
         here = slice(3 * (n + i), 3 * (n + i) + 3)
         C[here, here] += net.roughness**2 * np.outer(u, u)
     sphere = fit_sphere(net.block.points.ravel(), C, np.arange(3 * n, 3 * m).reshape(-1, 3))
-    judged = 3 * (n + known)
-    by_ball = np.zeros((judged, 4))  # d of points counted from the centre by centre and radius; by themselves: 1
+    last = 3 * (n + known)
+    by_ball = np.zeros((last, 4))  # d of points counted from the centre by centre and radius; by themselves: 1
     by_ball[:, :3] = -np.tile(np.eye(3), (n + known, 1))
     if net.problem.scale_free:
         by_ball[:, 3] = -(net.block.points[: n + known] - net.centre).ravel() / net.radius
-    mixed = sphere.cross_covariance[:judged] @ by_ball.T
-    D = sphere.observation_covariance[:judged, :judged] + mixed + mixed.T + by_ball @ sphere.covariance @ by_ball.T
-    worst = max(float(np.linalg.eigvalsh(D[i : i + 3, i : i + 3])[-1]) for i in range(3 * n, judged, 3))
+    mixed = sphere.cross_covariance[:last] @ by_ball.T
+    D = sphere.observation_covariance[:last, :last] + mixed + mixed.T + by_ball @ sphere.covariance @ by_ball.T
+    worst = max(float(np.linalg.eigvalsh(D[i : i + 3, i : i + 3])[-1]) for i in range(3 * n, last, 3))
     return Sigmas(
         np.sqrt(np.diag(sphere.covariance)) / net.unit,
         float(np.sqrt(np.mean(np.diag(D)[: 3 * n]))) / net.unit,
@@ -155,7 +155,7 @@ def sigmas(net: Network, known: int) -> Sigmas:
 
 
 def targets_seen(net: Network, pose: Pose) -> NDArray[np.bool_]:
-    """Which targets a photo from there shows, (n,): not too aslant, in the picture, not behind the ball."""
+    """Return True for targets in a photo from a pose, (n,): within the slant, in the picture, not behind the ball."""
     points = net.targets
     away = pose.position - points
     distance = np.linalg.norm(away, axis=1)
@@ -168,14 +168,14 @@ def targets_seen(net: Network, pose: Pose) -> NDArray[np.bool_]:
 
 
 def discs_seen(net: Network, pose: Pose, points: Array) -> NDArray[np.bool_]:
-    """Which discs at `points` on the ball a photo from there shows, (m,), as far as nothing is before them."""
+    """Return True for discs at `points` on the ball in a photo from a pose, (m,), without obstacles."""
     away = pose.position - points
     cosine = np.einsum("ni,ni->n", away, points - net.centre) / np.linalg.norm(away, axis=1) / net.radius
     return (cosine > _DISC_SLANT) & _in_picture(net, pose, points, net.problem.device.disc_radius)
 
 
 def looking(net: Network, direction: Array, distance: float) -> Pose:
-    """A camera at `distance` m from the middle of device and ball, turned about its line of sight as its neighbour."""
+    """Return a camera at `distance` m from the aim, rotated about its line of sight like the nearest pose."""
     towards = np.array([pose.position - net.aim for pose in net.block.poses])
     near = int(np.argmax(towards @ direction / np.linalg.norm(towards, axis=1)))
     z = -direction
@@ -194,18 +194,15 @@ def _in_picture(net: Network, pose: Pose, points: Array, radius: float) -> NDArr
     margin = (camera.fx * radius / z)[:, None]
     with np.errstate(invalid="ignore"):
         inside = (uv > margin) & (uv < np.array([camera.width, camera.height]) - 1.0 - margin)
-        return np.all(inside, axis=1) & (r2 < camera.fold_r2)  # beyond the fold, the lens model shows ghosts
+        return np.all(inside, axis=1) & (r2 < camera.fold_r2)  # beyond the fold the lens model is not unique
 
 
 def _new_discs(net: Network, poses: tuple[Pose, ...]) -> Array:
-    """Discs at the density of the known ones where now two photos see the ball, and did not before, (k, 3).
-
-    The two must be apart: rays nearly alike meet anywhere.
-    """
+    """Expected new discs, (k, 3): at the density of the known ones, where two photos now see the ball at an angle."""
     places = net.centre + net.radius * fibonacci_sphere(max(round(4.0 * np.pi * net.density), 1))
     seen = np.array([discs_seen(net, pose, places) for pose in poses])
     away = np.array([pose.position for pose in poses])[:, None] - places
     away /= np.linalg.norm(away, axis=2, keepdims=True)
-    apart = np.einsum("amj,bmj->abm", away, away) < _APART
+    apart = np.einsum("amj,bmj->abm", away, away) < _RAY_ANGLE
     fixed = np.any(apart & seen[:, None] & seen[None], axis=(0, 1))
     return places[fixed & (np.sum(seen[: len(net.block.poses)], axis=0) < 2)]

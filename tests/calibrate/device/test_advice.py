@@ -14,7 +14,7 @@ from spheremouse.ball.device import Axes, Device, Distance
 from spheremouse.calibrate.device.adjust import DiscViews, adjust_device
 from spheremouse.calibrate.device.advice import advise, coverage, photo_px, photo_scatter
 from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, predicted
-from spheremouse.calibrate.device.plans import ENOUGH, WORTH
+from spheremouse.calibrate.device.plans import ENOUGH, MIN_GAIN
 from spheremouse.calibrate.device.start import TargetViews
 from spheremouse.calibrate.device.what_if import network, sigmas, targets_seen, with_distances, with_photos
 from spheremouse.geometry.camera import InteriorOrientation, Pose
@@ -123,7 +123,7 @@ def test_distances_that_are_measured_bring_what_was_promised(good):
     promised = sigmas(with_distances(network(good), ((1, 3), (2, 4)), 0.001), len(good.discs))
     after = calibrated(ROUND, (*EDGES, (1, 3), (2, 4)))
     assert promised.ball == pytest.approx(np.sqrt(np.diag(after.ball_covariance)), rel=0.05)
-    assert promised.ball[3] < np.sqrt(good.ball_covariance[3, 3]) / WORTH
+    assert promised.ball[3] < np.sqrt(good.ball_covariance[3, 3]) / MIN_GAIN
 
 
 def test_photos_from_the_front_alone_ask_for_photos_from_the_sides():
@@ -154,7 +154,7 @@ def test_every_gain_is_worth_the_work_and_there_are_three_at_most():
     for c in (calibrated(FRONT[:3], tape=0.003), calibrated(ROUND), calibrated(FRONT, ())):
         gains = [a.gain for a in advise(c) if a.gain is not None]
         assert len(gains) <= 3
-        assert all(g >= WORTH for g in gains)
+        assert all(g >= MIN_GAIN for g in gains)
 
 
 def test_nothing_is_asked_for_where_all_is_finer_than_paper():
