@@ -1,4 +1,4 @@
-"""What the commands of a calibration share: what they write, checked before they calculate, and what they say."""
+"""Output files and messages of the calibration commands."""
 
 import hashlib
 import os
@@ -12,9 +12,9 @@ from spheremouse.files.safe_files import open_to_read
 
 
 def check_outputs(outputs: Sequence[Path | None], inputs: Iterable[Path | None], force: bool) -> None:
-    """Refuse what could not be written in the end, or would destroy what is read; `-` and None are no files.
+    """Refuse outputs that cannot be written, or that exist; `-` and None are no files.
 
-    Not even `force` lets an output replace an input, or another output.
+    An output never replaces an input or another output, even with `force`.
     """
     paths = [p for p in outputs if p is not None and p != Path("-")]
     read = {p.resolve() for given in inputs if given is not None for p in _files(given)}
@@ -34,12 +34,12 @@ def check_outputs(outputs: Sequence[Path | None], inputs: Iterable[Path | None],
 
 
 def note(text: str) -> None:
-    """Something worth knowing, on standard error."""
+    """Print a note on standard error."""
     print(f"note: {text}", file=sys.stderr)
 
 
 def sha256(path: Path) -> str:
-    """Of a file, by which what was made from it is known again; CalibrationError where it is none."""
+    """Return the hash of a file, for provenance; CalibrationError if it cannot be read."""
     try:
         with open_to_read(path) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -48,7 +48,7 @@ def sha256(path: Path) -> str:
 
 
 def copyable(*words: str | Path) -> str:
-    """A command as a shell takes it, whatever is in the names."""
+    """Quote a command for a shell."""
     return shlex.join([str(w) for w in words])
 
 

@@ -1,7 +1,7 @@
-"""Photos of a board or a device: paths and folders in, photos of one camera mode out, checked before anything is found.
+"""Photos of a board or a device: paths and folders in, checked photos of one camera mode out.
 
-Pixels are those the sensor read, whatever a rotation flag says: a lens is calibrated on the sensor. Nothing is kept in
-memory: `image` reads a photo when it is looked at.
+Pixels are in the order of the sensor, without the rotation flag, as a lens is calibrated on the sensor. `image` reads a
+photo when it is needed; none stays in memory.
 """
 
 import hashlib
@@ -23,30 +23,30 @@ from spheremouse.geometry.camera import InteriorOrientation
 ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
 _OTHER_ENDINGS = (".heic", ".heif", ".avif", ".webp", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf")
 _HEIF = (b"heic", b"heix", b"heif", b"hevc", b"mif1", b"msf1", b"avif", b"avis")  # ISO 23008-12, brands of `ftyp`
-_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")  # ITU-T T.81, B.1.1: what ends entropy-coded data
-_MOST_NAMED = 6
+_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")  # ITU-T T.81, B.1.1: end of entropy-coded data
+_MAX_NAMED = 6
 
-# As in the printed recipe. Three views of a plane fix a lens (Zhang 2000); four tilts and near and far and four corners
-# of the picture want more. Of the device: front, both sides, above, below, and one between.
+# As in the printed instructions. Three views of a plane determine a lens (Zhang 2000); four tilts, near and far, and
+# four corners of the picture need more. Of the device: front, both sides, above, below, and one between.
 BOARD_ENOUGH, BOARD_MOST = 10, 20  # as coverage.VIEWS
 DEVICE_ENOUGH, DEVICE_MOST = 6, 12
 
 
 @dataclass(frozen=True, slots=True)
 class Photo:
-    """A photo that can be read; its pixels are had by `image`."""
+    """A photo that can be read; `image` returns its pixels."""
 
     path: Path
-    size: Size  # px, width and height as the sensor read them
+    size: Size  # px, width and height on the sensor
     sha256: str  # of the file
     rotated: bool  # it carries a rotation flag (EXIF orientation other than 1), which is ignored
 
 
 def read_photos(paths: Sequence[Path], note: Callable[[str], None] = note) -> list[Photo]:
-    """The photos named, and those in folders named, all of one size; CalibrationError with a line per problem.
+    """Read photos, and those in folders, all of one size; CalibrationError with a line for each problem.
 
-    Photos keep the order in which they were named, those of a folder in natural order (2 before 10). What is not
-    wrong but worth knowing (the same photo twice, rotation flags, files passed over) goes to `note`.
+    Photos keep their order; those of a folder are in natural order (2 before 10). `note` gets remarks: the same photo
+    twice, rotation flags, files passed over.
     """
     if not paths:
         raise CalibrationError("no photos; name photos or a folder with photos")
@@ -57,8 +57,8 @@ def read_photos(paths: Sequence[Path], note: Callable[[str], None] = note) -> li
         except CalibrationError as e:
             problems.append(str(e))
     if problems:
-        more = [f"and {len(problems) - _MOST_NAMED} more photos like these"] if len(problems) > _MOST_NAMED else []
-        raise CalibrationError("\n".join(problems[:_MOST_NAMED] + more))
+        more = [f"and {len(problems) - _MAX_NAMED} more photos like these"] if len(problems) > _MAX_NAMED else []
+        raise CalibrationError("\n".join(problems[:_MAX_NAMED] + more))
     photos = _without_duplicates(photos, note)
     _check_one_size(photos)
     if flagged := [p.path for p in photos if p.rotated]:
@@ -67,7 +67,7 @@ def read_photos(paths: Sequence[Path], note: Callable[[str], None] = note) -> li
 
 
 def has_photos(folder: Path) -> bool:
-    """Whether anything in a folder looks like a photo that can be read."""
+    """Return True for a folder with files named like photos."""
     try:
         return any(p.suffix.lower() in ENDINGS and not p.name.startswith(".") for p in folder.iterdir())
     except OSError:
@@ -75,7 +75,7 @@ def has_photos(folder: Path) -> bool:
 
 
 def image(photo: Photo) -> NDArray[np.uint8]:
-    """Pixels of a photo, (h, w, 3) BGR, as the sensor read them; CalibrationError where the file has changed."""
+    """Return the pixels of a photo, (h, w, 3) BGR, as on the sensor; CalibrationError if the file has changed."""
     data = _bytes(photo.path)
     if _header(photo.path, data).size != photo.size:
         raise CalibrationError(f"{photo.path}: has changed meanwhile; run it again")
@@ -86,7 +86,7 @@ def image(photo: Photo) -> NDArray[np.uint8]:
 
 
 def check_size(photos: Sequence[Photo], camera: InteriorOrientation, camera_path: Path) -> None:
-    """Raise CalibrationError where photos are not of the mode that the camera file is for."""
+    """Raise CalibrationError for photos of another mode than the camera file's."""
     mode = camera.width, camera.height
     other = next((p for p in photos if p.size != mode), None)
     if other is None:
@@ -180,7 +180,7 @@ def _read(path: Path) -> Photo:
     size, orientation = _header(path, data, to_the_end=True)
     if data.startswith(b"\xff\xd8") and not _reaches_its_end(data):
         raise CalibrationError(f"{path}: ends before the picture does; copy it from the camera again, or leave it out")
-    if orientation != 1 and data[:2] in (b"II", b"MM"):  # the decoders turn a TIFF whatever they are told
+    if orientation != 1 and data[:2] in (b"II", b"MM"):  # the decoders always rotate a TIFF
         raise CalibrationError(f"{path}: a TIFF with a rotation flag; save it without one, or take the JPEG")
     return Photo(path, size, hashlib.sha256(data).hexdigest(), orientation != 1)
 
@@ -212,7 +212,7 @@ def _header(path: Path, data: bytes, *, to_the_end: bool = False) -> Header:
 
 
 def _reaches_its_end(jpeg: bytes) -> bool:
-    """Whether the (first) picture of a JPEG has its end marker, whatever stands behind it (ITU-T T.81, annex B)."""
+    """Return True if the first picture of a JPEG has its end marker (ITU-T T.81, annex B)."""
     at = 2
     while found := _MARKER.search(jpeg, at):
         kind, at = jpeg[found.start() + 1], found.end()
@@ -227,6 +227,6 @@ def _reaches_its_end(jpeg: bytes) -> bool:
 
 
 def _named(paths: Sequence[Path]) -> str:
-    names = [str(paths[0]), *(p.name for p in paths[1:_MOST_NAMED])]
-    more = f" and {len(paths) - _MOST_NAMED} more" if len(paths) > _MOST_NAMED else ""
+    names = [str(paths[0]), *(p.name for p in paths[1:_MAX_NAMED])]
+    more = f" and {len(paths) - _MAX_NAMED} more" if len(paths) > _MAX_NAMED else ""
     return ", ".join(names) + more

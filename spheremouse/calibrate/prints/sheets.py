@@ -1,7 +1,4 @@
-"""What a device wears and a camera is shown: ring targets, discs, chessboard and ChArUco board, as pages in mm.
-
-Sizes in, pages out; nothing is drawn or written here.
-"""
+"""Pages in mm of ring targets, discs, chessboard and ChArUco board."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -32,19 +29,19 @@ from spheremouse.geometry.rotation import Array
 
 TARGETS = {1: "MCY", 2: "CYM", 3: "YMC", 4: "CMY", 5: "MYC", 6: "YCM"}  # as device.yaml numbers them
 INKS: dict[str, Colour] = {"C": (0.0, 1.0, 1.0), "M": (1.0, 0.0, 1.0), "Y": (1.0, 1.0, 0.0)}
-MARKER_SHARE = 0.75  # of a ChArUco square: as large as leaves the corners a white surround
-MOST_PAGES = 60  # of a board: who needs more has mistaken the unit
+MARKER_SHARE = 0.75  # of a ChArUco square: the largest with white around the corners
+MAX_PAGES = 60  # of a board; more come from a wrong unit
 
 _NAMES = {"C": "cyan", "M": "magenta", "Y": "yellow"}
 _DICTIONARIES = (("5x5_100", 100), ("5x5_250", 250), ("5x5_1000", 1000))  # each begins with the one before
 _QUIET = 1.5  # mm of white round a board, besides the margins
-_MARKS = 6.0  # mm round a part of a board, where the marks to cut stand
-_FLAP = 8.0  # mm that the next part is glued over
-_BLEED = 2.0  # mm of pattern beyond a cut: who cuts a little off leaves no white line
+_MARKS = 6.0  # mm round a part of a board, for the cutting marks
+_FLAP = 8.0  # mm under the next part
+_BLEED = 2.0  # mm of pattern beyond a cut, so that an inexact cut leaves no white line
 
 
 def mm(length: float) -> str:
-    """A length in mm as people write it."""
+    """Write a length in mm without trailing zeros."""
     return f"{length:.2f}".rstrip("0").rstrip(".")
 
 
@@ -52,9 +49,9 @@ def mm(length: float) -> str:
 
 
 def target_pages(radii: Sequence[float], paper_name: str) -> list[Page]:
-    """The six ring targets of radii inner, middle, outer (mm)."""
+    """Return pages with the six ring targets of radii inner, middle, outer (mm)."""
     sheet = paper(paper_name)
-    white = 2.0 / 3.0 * (radii[1] - radii[0])  # what the detection reads outside a circle
+    white = 2.0 / 3.0 * (radii[1] - radii[0])  # the detection reads colours outside a circle
     half = radii[2] + max(white, 3.0) + 2.5
     places = _grid(sheet, 2.0 * half, f"--ring-radii: a target of {mm(2 * radii[2])} mm")
     size = "/".join(mm(r) for r in radii)
@@ -105,7 +102,7 @@ def _square(x: float, y: float, half: float) -> Iterator[Shape]:
 
 
 def disc_pages(n: int, radius: float, paper_name: str) -> list[Page]:
-    """Discs 1 to n of one radius (mm) to cut out. Laid on the ball, a flat disc keeps its radius along the surface."""
+    """Return pages with discs 1 to n of one radius (mm); a flat disc keeps its radius along the ball's surface."""
     sheet = paper(paper_name)
     places = _grid(sheet, 2.0 * radius + 6.0, f"--disc-radius: a disc of {mm(2 * radius)} mm")
     pages = []
@@ -169,7 +166,7 @@ class Pattern:
 
 
 def largest_square(board: Board, paper_name: str) -> float:
-    """The largest square, in whole mm (below 1 mm what fits), of a board on one page."""
+    """Return the largest square of a board on one page, in whole mm from 1 mm on."""
     fits = max(_fitting(board, paper(paper_name, wide=wide)) for wide in (False, True))
     return float(floor(fits + 1e-9)) if fits >= 1.0 else fits
 
@@ -181,7 +178,7 @@ def _fitting(board: Board, sheet: Paper) -> float:
 
 
 def chessboard(board: Board, square: float) -> Pattern:
-    """A chessboard of inner corners and squares (mm); black at the upper left."""
+    """Return a chessboard of inner corners and squares (mm), black at the upper left."""
     rows, columns = np.mgrid[: board.rows + 1, : board.columns + 1]
     black = (rows + columns) % 2 == 0
     name = f"Chessboard {board.columns}×{board.rows}, squares {mm(square)} mm"
@@ -190,9 +187,9 @@ def chessboard(board: Board, square: float) -> Pattern:
 
 
 def charuco(board: Board, square: float) -> Pattern:
-    """A ChArUco board of inner corners and squares (mm); CalibrationError where it has more markers than there are.
+    """Return a ChArUco board of inner corners and squares (mm); CalibrationError if no dictionary has enough markers.
 
-    Laid out by OpenCV's CharucoBoard (not the legacy pattern), its markers' bits as rectangles.
+    The layout is that of OpenCV's CharucoBoard (not the legacy pattern), with the markers' bits as rectangles.
     """
     columns, rows = board.columns + 1, board.rows + 1
     markers = columns * rows // 2
@@ -248,7 +245,7 @@ def _runs(row: Array) -> Iterator[tuple[int, int]]:
 
 
 def board_pages(pattern: Pattern, board: Board, paper_name: str) -> list[Page]:
-    """A board on one page, or in parts on several; CalibrationError where a part cannot be made."""
+    """Return a board on one page, or in parts on several; CalibrationError if a square is too large."""
     corners = f"--board {board.columns}x{board.rows}, {mm(pattern.square)} mm a square"
     for wide in (True, False):
         sheet = paper(paper_name, wide=wide)
@@ -266,7 +263,7 @@ def board_pages(pattern: Pattern, board: Board, paper_name: str) -> list[Page]:
         raise CalibrationError(f"{corners}: a square is too large for {paper_name}; {_larger(sheet)}")
     sheet, x, y = min(both, key=lambda b: len(b[1]) * len(b[2]))
     n = (len(x) - 1) * (len(y) - 1)
-    if n > MOST_PAGES:
+    if n > MAX_PAGES:
         raise CalibrationError(f"{corners}: {n} pages of {paper_name}; check the unit, or take a smaller square")
     return [_part(pattern, board, sheet, x, y, i, j) for j in range(len(y) - 1) for i in range(len(x) - 1)]
 
@@ -286,12 +283,12 @@ def _span(pattern: Pattern, board: Board) -> str:
 
 
 def _cuts(length: float, square: float, limit: float) -> list[float]:
-    """Places to cut a board, both ends included, in parts that fit; empty where none do.
+    """Places to cut a board into parts that fit, both ends included; empty without any.
 
-    Cuts run through the middle of squares, so that corners, which are what is measured, stay whole.
+    Cuts run through the middle of squares, so that the corners stay whole.
     """
     halves = np.arange(0.5, length / square, 1.0) * square
-    for parts in range(1, 2 * MOST_PAGES):
+    for parts in range(1, 2 * MAX_PAGES):
         ideal = length * np.arange(1, parts) / parts
         inner = sorted({float(halves[np.argmin(np.abs(halves - c))]) for c in ideal})
         cuts = [0.0, *inner, length]
@@ -304,7 +301,7 @@ def _cuts(length: float, square: float, limit: float) -> list[float]:
 
 
 def _part(pattern: Pattern, board: Board, sheet: Paper, x: list[float], y: list[float], i: int, j: int) -> Page:
-    """Part of column i and row j (from the top), with flaps to the right and below where another part follows."""
+    """The part of column i and row j (from the top), with flaps to the right and below for the next parts."""
     columns, rows = len(x) - 1, len(y) - 1
     last_column, last_row = i == columns - 1, j == rows - 1
     cut_left, cut_top = (_BLEED if i else 0.0), (_BLEED if j else 0.0)
@@ -345,7 +342,7 @@ def _part(pattern: Pattern, board: Board, sheet: Paper, x: list[float], y: list[
 
 
 def _clipped(black: Array, window: Array) -> Array:
-    """Parts of rectangles (n, 4) that lie in a window (4,)."""
+    """Clip rectangles (n, 4) to a window (4,)."""
     low, high = np.maximum(black[:, :2], window[:2]), np.minimum(black[:, 2:], window[2:])
     inside = np.all(high - low > 1e-9, axis=1)
     return np.concatenate([low[inside], high[inside]], axis=1)

@@ -1,4 +1,4 @@
-"""`spheremouse calibrate init`: a folder for one device, and the file a person fills in."""
+"""`spheremouse calibrate init`: the folder of a device, with the device.yaml to fill in."""
 
 from pathlib import Path
 from typing import Annotated

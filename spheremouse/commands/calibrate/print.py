@@ -1,4 +1,4 @@
-"""`spheremouse calibrate print`: what calibration needs on paper, at true scale, into a folder."""
+"""`spheremouse calibrate print`: the pages to print for a calibration, at true scale."""
 
 import re
 from enum import StrEnum
@@ -13,7 +13,7 @@ from spheremouse.files.safe_files import read_bytes, replace
 
 EXAMPLE = "Example: spheremouse calibrate print --paper letter --only boards --square 20mm"
 
-_SMALLEST, _LARGEST = 0.5, 1000.0  # mm, of what a printer can do and a person wants
+_MIN_LENGTH, _MAX_LENGTH = 0.5, 1000.0  # mm, of printed shapes
 
 
 class Kind(StrEnum):
@@ -26,7 +26,7 @@ class Kind(StrEnum):
 
 
 class PaperName(StrEnum):
-    """Sizes of paper, as in prints_page.PAPERS."""
+    """Sizes of paper, as in PAPERS of `prints/page.py`."""
 
     A4 = "a4"
     LETTER = "letter"
@@ -72,7 +72,7 @@ def print_(
     kinds, size = set(only or Kind), paper.value
     corners = parse_board(board)
     side = largest_square(corners, size) if square is None else _millimetres("--square", square)
-    if side < _SMALLEST:
+    if side < _MIN_LENGTH:
         raise CalibrationError(f"--board {board}: too many corners for one page of {size}; give a --square")
     made: dict[str, bytes] = {}
     if Kind.TARGETS in kinds:
@@ -95,13 +95,13 @@ def print_(
 
 def _millimetres(option: str, text: str) -> float:
     length = round(1e3 * parse_length(text), 6)
-    if not _SMALLEST <= length <= _LARGEST:
-        raise CalibrationError(f"{option} {text}: must be from {_SMALLEST:g} to {_LARGEST:g} mm")
+    if not _MIN_LENGTH <= length <= _MAX_LENGTH:
+        raise CalibrationError(f"{option} {text}: must be from {_MIN_LENGTH:g} to {_MAX_LENGTH:g} mm")
     return length
 
 
 def parse_radii(text: str) -> tuple[float, float, float]:
-    """Inner, middle and outer radius in mm of `12/24/36mm`; CalibrationError for anything else."""
+    """Return inner, middle and outer radius in mm of `12/24/36mm`; CalibrationError for anything else."""
     found = re.fullmatch(r"([\d.]+)(?:mm)?[/,]([\d.]+)(?:mm)?[/,]([\d.]+)(?:mm)?", re.sub(r"\s", "", text))
     if not found:
         raise CalibrationError(f"--ring-radii {text}: must be three radii in mm, as in 12/24/36mm")
@@ -119,7 +119,7 @@ def _holds(path: Path, data: bytes) -> bool:
 
 
 def _write(folder: Path, made: dict[str, bytes], force: bool) -> None:
-    """All files or, where one is there that differs, none; which board was printed last may change."""
+    """Write all files, or none if one of them exists and differs; board.yaml may differ."""
     from spheremouse.calibrate.board import NAME
 
     try:

@@ -30,7 +30,6 @@ from spheremouse.calibrate.prints.sheets import (
     largest_square,
     target_pages,
 )
-from spheremouse.calibrate.prints.sketches import sketches
 from spheremouse.commands import app
 from spheremouse.errors import SpheremouseError
 
@@ -499,7 +498,7 @@ def test_the_recipe_names_the_board_that_was_printed():
     assert "--for camera --square 30mm" in page
     assert "11x8" not in page
     assert "size: Letter" in page
-    assert page.count("<svg") == len(sketches())
+    assert page.count("<svg") == 3
     assert "sketch:" not in page
 
 
@@ -511,19 +510,3 @@ def test_the_recipe_s_figures_for_the_rim_of_a_flat_disc_are_right():
     told = re.search(r"by ([\d.]+) mm with discs of 20 mm radius on a ball of 1.2 m.*of 10 cm by ([\d.]+) mm", page)
     assert_allclose([float(x) for x in told.groups()], [too_long(20, 600), too_long(20, 50)], atol=0.05)
     assert float(told[1]) == round(too_long(20, 600), 2)
-
-
-def test_the_boards_in_the_recipe_s_drawing_are_wholly_in_the_picture():
-    frames, corners = [], []
-    for line in sketches()["board"].splitlines():
-        if line.startswith("<rect"):
-            x, y, w, h = (float(v) for v in re.findall(r'(?:x|y|width|height)="([-\d.]+)"', line))
-            frames.append((x, y, x + w, y + h))
-            corners.append([])
-        elif line.startswith("<polygon"):
-            corners[-1].append([[float(v) for v in p.split(",")] for p in line.split('"')[1].split()])
-    assert len(frames) == 10
-    for (x0, y0, x1, y1), quads in zip(frames, corners, strict=True):
-        points = np.reshape(quads, (-1, 2))
-        assert np.all(points >= [x0, y0])
-        assert np.all(points <= [x1, y1])

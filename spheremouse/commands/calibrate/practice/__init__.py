@@ -1,7 +1,7 @@
-"""`spheremouse calibrate practice`: a folder of simulated calibration photos with the truth, to try calibration on.
+"""`spheremouse calibrate practice`: a folder of simulated calibration photos with their truth.
 
-The folder has board/*.jpg, device/*.jpg, board.yaml and device.yaml (what a person would know and measure),
-truth.json, and the dataset film: what `spheremouse axes` asks for.
+The folder has board/*.jpg, device/*.jpg, board.yaml, device.yaml, truth.json, and the dataset film with the gestures
+for `spheremouse axes`.
 """
 
 from collections.abc import Iterator
@@ -81,14 +81,14 @@ def practice(
 
 @contextmanager
 def _new_folder(path: Path, replace: bool) -> Iterator[Path]:
-    """A folder beside `path` that takes its name at the end, or vanishes after an exception."""
+    """Make a folder beside `path` that takes its name at the end, or is removed after an exception."""
     path = path.absolute()
     _refuse(path, replace)
     made = NewFolder(path, CalibrationError)
     try:
         made.make().chmod(0o755)
         yield made.path
-        _refuse(path, replace)  # once more: somebody may have come first
+        _refuse(path, replace)  # again: another process may have made it
         made.finish()
     except OSError as e:
         raise CalibrationError(f"{path}: cannot be written ({e.strerror})") from None

@@ -1,4 +1,4 @@
-"""The files of a practice set: photos, a film, the truth, and what a person would know of the device and measure."""
+"""The files of a practice set: photos, a film, the truth, and a device.yaml with simulated tape distances."""
 
 import json
 from collections.abc import Iterator
@@ -16,14 +16,14 @@ from spheremouse.simulate.ball.profile import shown_to_axes
 from spheremouse.simulate.ball.render import RenderOptions
 from spheremouse.simulate.ball.stills import DeviceShape, Stills, photos, truth_of
 
-_FPS = 10.0  # Hz: enough for gestures; and without noise, which no codec makes smaller
-_TAPE = 0.001  # m, standard deviation of a tape measure held by hand
+_FPS = 10.0  # Hz, enough for gestures
+_TAPE_SIGMA = 0.001  # m, standard deviation of a tape measure held by hand
 # as in the reference sets: at half the resolution the colours of narrow rings mix
 _FULL_COLOUR = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 
 
 def device_of(dataset: Path) -> DeviceShape:
-    """Ball, targets and discs of a dataset, the ball lying as in its first frame."""
+    """Return ball, targets and discs of a dataset, with the attitude of its first frame."""
     recording = open_dataset(dataset)
     rig, directions = recording.rig, recording.truth_directions
     if directions is None:
@@ -37,7 +37,7 @@ def device_of(dataset: Path) -> DeviceShape:
 
 
 def write_stills(folder: Path, stills: Stills, quality: int) -> Iterator[Path]:
-    """Write everything into a folder that is there and empty, giving each photo's path when it is done."""
+    """Write all files into an empty folder; yield each photo's path."""
     (folder / "board").mkdir()
     (folder / "device").mkdir()
     for photo in photos(stills):
@@ -52,7 +52,7 @@ def write_stills(folder: Path, stills: Stills, quality: int) -> Iterator[Path]:
 
 
 def film_of(stills: Stills) -> Simulation:
-    """What `spheremouse axes` asks for, seen from where the first photo was taken."""
+    """Return a film of the gestures for `spheremouse axes`, from the place of the first photo."""
     profile = shown_to_axes()
     return Simulation(stills.scene, profile, RenderOptions(), profile.seconds, _FPS, stills.seed)
 
@@ -61,7 +61,7 @@ def film_of(stills: Stills) -> Simulation:
 
 
 def device_yaml(stills: Stills) -> str:
-    """A device.yaml as a person knows the device and measures it with a tape, whose errors are drawn."""
+    """Return a device.yaml with tape distances, whose errors are random."""
     scene, targets = stills.scene, stills.scene.targets
     rng = np.random.default_rng([stills.seed, 5])
     lines = ["# what a person knows of the device and measured with a tape", "targets:"]
@@ -78,14 +78,14 @@ def device_yaml(stills: Stills) -> str:
     for a, b in sides(targets.position):
         true = float(np.linalg.norm(targets.position[a] - targets.position[b]))
         lines.append(
-            f"  - {{from: {targets.ids[a]}, to: {targets.ids[b]}, metres: {true + rng.normal(0.0, _TAPE):.4f}, "
-            f"sigma: {_TAPE:g}}}"
+            f"  - {{from: {targets.ids[a]}, to: {targets.ids[b]}, metres: {true + rng.normal(0.0, _TAPE_SIGMA):.4f}, "
+            f"sigma: {_TAPE_SIGMA:g}}}"
         )
     return "\n".join(lines) + "\n"
 
 
 def axes_of(position: Array) -> tuple[int, int, int]:
-    """Targets, of those at (n, 3) m in obj, that give its axes best: origin, up, and one in the plane."""
+    """Return the best targets, of those at (n, 3) m in obj, for its axes: origin, up, and one in the plane."""
     best, chosen = np.inf, (0, 1, 2)
     for a in range(len(position)):
         for b in range(len(position)):
@@ -95,7 +95,7 @@ def axes_of(position: Array) -> tuple[int, int, int]:
                     z = np.cross(x, y)
                     area = np.linalg.norm(z)
                     if area > 1e-3 * np.linalg.norm(x) * np.linalg.norm(y):
-                        # off by the turn of Y, and by that of the plane, which may face either way
+                        # errors of Y and of the plane, which may face either way
                         off = 2.0 - y[1] / np.linalg.norm(y) - abs(z[2]) / area
                         if off < best - 1e-9:
                             best, chosen = float(off), (a, b, c)
@@ -103,7 +103,7 @@ def axes_of(position: Array) -> tuple[int, int, int]:
 
 
 def sides(position: Array) -> list[tuple[int, int]]:
-    """Pairs of neighbours going round the targets, (n, 3) m, as one would hold a tape."""
+    """Return pairs of neighbours around the targets, (n, 3) m."""
     away = position - position.mean(axis=0)
     order = [int(k) for k in np.argsort(np.arctan2(away[:, 1], away[:, 0]))]
     pairs = zip(order, order[1:] + order[:1], strict=True)
