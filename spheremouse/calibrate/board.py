@@ -1,7 +1,7 @@
 """The calibration board and its file board.yaml; lengths as a person types them (`86mm`).
 
-`calibrate print`, `calibrate practice` and `calibrate photos` write board.yaml. Later commands read it, so that nobody
-types the squares again.
+`calibrate print`, `calibrate practice` and `calibrate photos` write board.yaml. Later commands read the
+board from it.
 """
 
 import re

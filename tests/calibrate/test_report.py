@@ -127,13 +127,6 @@ def test_text_says_radius_photos_and_advice(calibration, photos):
         assert a.text[:60] in text
 
 
-def test_text_without_metres_has_none(free, photos):
-    out = io.StringIO()
-    print_device(free, names(photos), advise(free, names(photos)), Console(file=out, width=200))
-    assert "R/1000" in out.getvalue()
-    assert " mm" not in out.getvalue()
-
-
 @pytest.mark.parametrize("which", ["calibration", "free"])
 def test_page_needs_nothing_beside_it_and_says_all(which, request, photos, tmp_path):
     pytest.importorskip("matplotlib")
@@ -156,20 +149,6 @@ def test_page_needs_nothing_beside_it_and_says_all(which, request, photos, tmp_p
     assert text.index('class="advice"') < text.index("<table")
     assert ("Distances" in words) is (which == "calibration")
     assert "nan" not in words
-
-
-def test_photos_left_out_shift_nothing(calibration, photos, tmp_path):
-    c = replace(
-        calibration, photos=(0, 1, 3, 4, 5, 6), skipped=((2, "2 of 4 targets found"),), doubtful=((4, "it was turned"),)
-    )
-    found = device_json(c, names(photos), advise(c, names(photos)))
-    assert [p["file"] for p in found["photos"]] == [n for k, n in enumerate(names(photos)) if k != 2]
-    assert found["skipped"] == [{"file": names(photos)[2], "why": "2 of 4 targets found"}]
-    assert found["doubtful"] == [{"file": names(photos)[4], "why": "it was turned"}]
-    words = " ".join(Elements(written(tmp_path / "r.html", c, photos)).words)
-    assert f"4: {names(photos)[3]}; " in words
-    assert "2 of 4 targets found" in words
-    assert "it was turned" in words
 
 
 def test_a_photo_of_which_nothing_was_used_has_no_rms(calibration, photos, tmp_path):

@@ -54,7 +54,7 @@ def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5
             f"{MIN_VIEWS}, better 10 to 20, from different sides"
         )
     free = np.arange(9) < 4 + terms
-    x = _start(views, size)
+    x = start(views, size)
     bundle = Bundle(views, size, free)
     try:
         x = _first_adjustment(bundle, x)
@@ -114,8 +114,8 @@ def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
 # ---- start ----
 
 
-def _start(views: Sequence[View], size: tuple[int, int]) -> Array:
-    """A camera without distortion, of the best focal length for most views, and the views' poses."""
+def start(views: Sequence[View], size: tuple[int, int]) -> Array:
+    """Return a camera without distortion, of the best focal length for most views, and the views' poses."""
     width, height = size
     cx, cy = 0.5 * (width - 1), 0.5 * (height - 1)
     best, least = None, np.inf

@@ -122,8 +122,8 @@ def _findings(c: DeviceCalibration, names: _Names) -> Iterator[Advice]:
     often = int(np.count_nonzero(c.sightings >= 3))
     if often < min(_MIN_CHECKED_DISCS, len(c.discs)):
         text = (
-            f"Only {often} of {len(c.discs)} discs are seen in three photos or more: in two photos a false match "
-            "cannot be told from a true one. Take photos from places nearer to each other, besides those there are."
+            f"Only {often} of {len(c.discs)} discs are seen in three photos or more: in two photos "
+            "nothing checks a match. Take further photos from places nearer to each other."
         )
         yield Advice("note", text)
     covered = coverage(c.directions)

@@ -121,16 +121,16 @@ def solve_block(problem: Problem, block: Block, robust: float | None = None) -> 
     columns = columns_of(problem, len(block.poses), len(block.points))
     adjusted = None
     for _ in range(2):  # the second time from the solution: rotations are zero there, and slopes exact
-        slopes = _eccentricity_slopes(problem, block)
+        slopes = eccentricity_slopes(problem, block)
         adjusted = adjust(
-            lambda x, start=block, slopes=slopes: _evaluate(problem, _moved(start, columns, x), columns, x, slopes),
+            lambda x, start=block, slopes=slopes: evaluate(problem, apply_step(start, columns, x), columns, x, slopes),
             np.zeros(len(columns.free)),
             robust,
         )
-        block = _moved(block, columns, adjusted.x)
+        block = apply_step(block, columns, adjusted.x)
     assert adjusted is not None
-    slopes = _eccentricity_slopes(problem, block)
-    residual, jacobian = _evaluate(problem, block, columns, np.zeros(len(columns.free)), slopes)
+    slopes = eccentricity_slopes(problem, block)
+    residual, jacobian = evaluate(problem, block, columns, np.zeros(len(columns.free)), slopes)
     adjusted = replace(adjusted, x=np.zeros(len(columns.free)), residual=residual, jacobian=jacobian)
     covariance = np.zeros((columns.all, columns.all))
     covariance[np.ix_(columns.free, columns.free)] = cofactors(jacobian)
@@ -140,8 +140,8 @@ def solve_block(problem: Problem, block: Block, robust: float | None = None) -> 
 def design(problem: Problem, block: Block) -> tuple[Jacobian, Columns]:
     """Return the Jacobian of the normalised residuals at a block; it needs no measurement."""
     columns = columns_of(problem, len(block.poses), len(block.points))
-    slopes = _eccentricity_slopes(problem, block)
-    return _evaluate(problem, block, columns, np.zeros(len(columns.free)), slopes)[1], columns
+    slopes = eccentricity_slopes(problem, block)
+    return evaluate(problem, block, columns, np.zeros(len(columns.free)), slopes)[1], columns
 
 
 def predicted(block: Block, image: ImagePoints, problem: Problem) -> tuple[Array, Array, Array, Array]:
@@ -168,8 +168,8 @@ def _placed(block: Block, image: ImagePoints) -> tuple[Array, Array, Array]:
     return R, way, np.einsum("nji,nj->ni", R, way)
 
 
-def _eccentricity_slopes(problem: Problem, block: Block) -> Array:
-    """Derivative of (centroid - projected centre) by place and normal in cam, (n, 2, 6), by differences.
+def eccentricity_slopes(problem: Problem, block: Block) -> Array:
+    """Return the derivative of (centroid - projected centre) by place and normal in cam, (n, 2, 6), by differences.
 
     It is a percent of the Jacobian, and changes little in an adjustment. Without it, convergence is slow along the
     least determined unknowns.
@@ -195,7 +195,8 @@ def _eccentricity_slopes(problem: Problem, block: Block) -> Array:
     return slopes
 
 
-def _moved(block: Block, columns: Columns, x: Array) -> Block:
+def apply_step(block: Block, columns: Columns, x: Array) -> Block:
+    """Apply a step of the free unknowns."""
     full = np.zeros(columns.all)
     full[columns.free] = x
     camera = with_interior(block.camera, interior_vector(block.camera) + full[:INTERIOR])
@@ -206,10 +207,10 @@ def _moved(block: Block, columns: Columns, x: Array) -> Block:
     return Block(camera, poses, block.points + full[INTERIOR + 6 * columns.photos :].reshape(-1, 3))
 
 
-def _evaluate(problem: Problem, block: Block, columns: Columns, x: Array, slopes: Array) -> tuple[Array, Jacobian]:
-    """Residuals (predicted minus measured, over standard deviations) and their Jacobian by the free unknowns.
+def evaluate(problem: Problem, block: Block, columns: Columns, x: Array, slopes: Array) -> tuple[Array, Jacobian]:
+    """Return normalised residuals, predicted minus measured, and their Jacobian by the free unknowns.
 
-    `slopes` are those of `_eccentricity_slopes` near the block.
+    `slopes` are those of `eccentricity_slopes` near the block.
     """
     full = np.zeros(columns.all)
     full[columns.free] = x

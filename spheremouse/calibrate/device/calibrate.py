@@ -115,10 +115,7 @@ def dark_spots(grey: Image, seen: TargetDetections, share: float) -> Detections:
 
 
 def _first_discs(
-    photos: Sequence[tuple[Image, TargetDetections]],
-    block: Block,
-    device: Device,
-    tolerance: float,
+    photos: Sequence[tuple[Image, TargetDetections]], block: Block, device: Device, tolerance: float
 ) -> DiscViews:
     """Dark spots on one ball with disc numbers; CalibrationError without a ball."""
     found = [dark_spots(grey, seen, device.disc_radius / device.target_radii[2]) for grey, seen in photos]

@@ -28,8 +28,8 @@ START = "sudo systemctl restart spheremouse.service"
 
 def default_folder() -> Path:
     """Return the folder meant if none is named: the current one if it has contents, else `cabinet`."""
-    begun = any(Path(name).exists() for name in (DEVICE_FILE, CAMERA_FILE, BOARD))
-    return Path() if begun and not DEFAULT.exists() else DEFAULT
+    has_contents = any(Path(name).exists() for name in (DEVICE_FILE, CAMERA_FILE, BOARD))
+    return Path() if has_contents and not DEFAULT.exists() else DEFAULT
 
 
 def init_command(folder: Path) -> str:

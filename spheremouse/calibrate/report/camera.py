@@ -259,9 +259,7 @@ def _residual_section(done: Calibrated) -> str:
         "A common direction in one place is an error of the lens model."
     )
     return page.section(
-        "Reprojection errors",
-        page.figure(_views_figure(done), bars),
-        page.figure(_arrows_figure(done), arrows),
+        "Reprojection errors", page.figure(_views_figure(done), bars), page.figure(_arrows_figure(done), arrows)
     )
 
 

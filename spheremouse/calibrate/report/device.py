@@ -426,9 +426,7 @@ def _provenance_section(c: DeviceCalibration, photos: Sequence[Photo], provenanc
         for k, photo in enumerate(photos)
     ]
     return page.section(
-        "Sources",
-        page.table(["", ""], known, text=2),
-        page.table(["photo", "", "px", "SHA-256"], files, text=4),
+        "Sources", page.table(["", ""], known, text=2), page.table(["photo", "", "px", "SHA-256"], files, text=4)
     )
 
 

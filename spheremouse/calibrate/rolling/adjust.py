@@ -14,15 +14,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spheremouse.calibrate.rolling.normal import Eliminated, adjusted
-from spheremouse.calibrate.rolling.problem import (
-    GLOBAL,
-    RATES,
-    READOUT,
-    Rolled,
-    Rolling,
-    Sightings,
-    whitening,
-)
+from spheremouse.calibrate.rolling.problem import GLOBAL, RATES, READOUT, Rolled, Rolling, Sightings, whitening
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.least_squares.adjust import outlier_statistic, variance_factors
@@ -37,10 +29,7 @@ _CELLS = 12  # rows and columns of the ball's image, for errors that depend on t
 
 
 def adjust_rolling(
-    sightings: Sightings,
-    start: Rolling,
-    camera: InteriorOrientation,
-    readout_sigma: float = 0.0,
+    sightings: Sightings, start: Rolling, camera: InteriorOrientation, readout_sigma: float = 0.0
 ) -> Rolled:
     """Adjust all unknowns to the sightings, without those that contradict the rest.
 

@@ -23,7 +23,7 @@ _MAX_CHI2_PER_DOF = 16.0  # larger for targets of another rig
 _TURN_SECONDS = 0.3  # over which a rotation is taken during a gesture
 _MIN_RATE = 0.1  # rad/s; slower rotations have no direction
 _MAX_OFF_SQUARE = 20.0  # degrees of two gestures from a right angle
-_GESTURE_SIGMA = np.deg2rad(3.0)  # nobody rolls a ball straighter
+_GESTURE_SIGMA = np.deg2rad(3.0)  # accuracy of a person who rolls a ball straight
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,14 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from spheremouse.calibrate.rolling.problem import (
-    GLOBAL,
-    READOUT,
-    Equations,
-    Rolling,
-    Sightings,
-    equations_of,
-)
+from spheremouse.calibrate.rolling.problem import GLOBAL, READOUT, Equations, Rolling, Sightings, equations_of
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.least_squares.adjust import Normal, huber, huber_cost, levenberg_marquardt
 from spheremouse.geometry.rotation import Array, exp, hat, tangent_basis
@@ -72,7 +65,7 @@ def adjusted(
         return cost, lambda: _normal(at, s, equations, huber(length, knee), readout)
 
     at = levenberg_marquardt(
-        at, linear, lambda at, move: _moved(at, move.shared, move.own), "roll the ball longer, and about more axes"
+        at, linear, lambda at, move: apply_step(at, move.shared, move.own), "roll the ball longer, and about more axes"
     )
     return at, Eliminated(at, s, equations_of(at, s, camera), readout)
 
@@ -114,7 +107,8 @@ def _free(at: Rolling) -> Array:
     return np.linalg.qr(free)[0]
 
 
-def _moved(at: Rolling, dx: Array, de: Array) -> Rolling:
+def apply_step(at: Rolling, dx: Array, de: Array) -> Rolling:
+    """Apply a step of the shared unknowns, (4 + 2m,), and of the attitudes, (f, 3)."""
     c = at.direction + tangent_basis(at.direction) @ dx[:2]
     d = at.discs + np.einsum("mij,mj->mi", tangent_basis(at.discs), dx[GLOBAL:].reshape(-1, 2))
     return replace(

@@ -77,7 +77,7 @@ def equations_of(at: Rolling, s: Sightings, camera: InteriorOrientation) -> Equa
     """Residuals and Jacobians of points p = ratio c + R d, with R = exp(readout row w) R_cam_ball (rolling shutter)."""
     n, m = len(s), len(at.discs)
     row = row_of(s.centre[:, 1], camera.height)
-    rate = _rates(at)[s.frame]
+    rate = angular_rates(at)[s.frame]
     late = exp(rate * (at.readout * row)[:, None])
     d = np.einsum("nij,njk,nk->ni", late, at.attitude[s.frame], at.discs[s.disc])
     points = at.ratio * at.direction + d
@@ -107,8 +107,8 @@ def equations_of(at: Rolling, s: Sightings, camera: InteriorOrientation) -> Equa
     return Equations(residual, shared, by_turn, W @ interior_jacobian(points[:, :2] / points[:, 2:], camera))
 
 
-def _rates(at: Rolling) -> Array:
-    """Angular velocities in cam, (f, 3) rad/s, from the attitudes around each frame; 0 beside a gap.
+def angular_rates(at: Rolling) -> Array:
+    """Return angular velocities in cam, (f, 3) rad/s, from the attitudes around each frame; 0 beside a gap.
 
     Fourth-order differences over four frames; second-order ones over two if one of the four is missing.
     """

@@ -14,13 +14,7 @@ from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.calibrate.rolling.axes import Axes, axes_from_gestures, axes_from_targets
 from spheremouse.calibrate.rolling.axes_from_rings import axes_from_rings
 from spheremouse.calibrate.rolling.calibrate import Solution, Views
-from spheremouse.calibrate.rolling.placed import (
-    known_with_ball,
-    placed,
-    placed_targets,
-    rescaled_targets,
-    with_rolled,
-)
+from spheremouse.calibrate.rolling.placed import known_with_ball, placed, placed_targets, rescaled_targets, with_rolled
 from spheremouse.calibrate.rolling.problem import Rolled
 from spheremouse.errors import CalibrationError, PoseError
 from spheremouse.geometry.camera import InteriorOrientation, Pose

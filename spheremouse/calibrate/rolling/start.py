@@ -259,8 +259,8 @@ def _pairs(paths: Sequence[Path], camera: InteriorOrientation) -> _Pairs:
             way = np.linalg.norm(at[f + lag] - at[f], axis=1)
             n = np.count_nonzero(np.isfinite(way))
             if n >= 3:
-                went = float(np.nanmedian(way))
-                best = max(best, ((n - 2.5) * min(went, far), f, f + lag))
+                distance = float(np.nanmedian(way))
+                best = max(best, ((n - 2.5) * min(distance, far), f, f + lag))
         if best[0] > 0.0:
             scored.append(best)
     # the best of each part of the time, so that all directions of rolling count

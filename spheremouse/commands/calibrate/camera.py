@@ -12,6 +12,7 @@ from spheremouse.errors import CalibrationError
 from spheremouse.files.safe_files import write_json
 
 EXAMPLE = "Example: spheremouse calibrate camera board/ --board 11x8 --square 86mm --out camera.yaml"
+
 _TERMS = (0, 2, 4, 5)
 _ALL_TERMS = 5
 
@@ -48,9 +49,8 @@ def camera(
 ) -> None:
     """Find focal lengths, principal point and lens distortion from photos of a chessboard or ChArUco board.
 
-    10 to 20 photos in the mode (size, zoom, focus) that will be used, the whole board in each, tilted to all sides,
-    reaching into all corners of the picture. `calibrate photos --for camera` takes them, and keeps in board.yaml beside
-    them which board it was.
+    Take 10 to 20 photos in the mode (size, zoom, focus) of the later use. Show the whole board in each, tilt it to all
+    sides, and reach all corners of the picture. `calibrate photos --for camera` takes them, and writes board.yaml.
     """
     from spheremouse.calibrate.board import NAME, chosen_board
     from spheremouse.calibrate.camera.calibrate import calibrate, provenance
@@ -68,14 +68,14 @@ def camera(
             "--square: measure the side of a square on the print, and give it with the board's inner corners, as in "
             "--board 11x8 --square 86mm"
         )
-    told = chosen_board(folder.parent, board, square, marker, dictionary)
-    pattern = pattern_of(told)
+    chosen = chosen_board(folder.parent, board, square, marker, dictionary)
+    pattern = pattern_of(chosen)
     if distortion not in _TERMS:
         raise CalibrationError(f"--distortion {distortion}: must be one of {', '.join(map(str, _TERMS))}")
     page = report or out.with_suffix(".html")
     check_outputs([out, page, json_file], photos, force)
     if square is None:
-        note(f"the board as its board.yaml says: {' '.join(told.options)}")
+        note(f"the board as its board.yaml says: {' '.join(chosen.options)}")
     found = read_photos(photos, note)
     with progress_bar() as bar:
         task = bar.add_task("", total=2 * len(found))
@@ -89,14 +89,14 @@ def camera(
     print_camera(done, table_console())
     typer.echo(f"{out}: the camera; {page}: the report")
     if any(kind != "good" for kind, _ in advise(done)):
-        given = [*told.options, *([] if distortion == _ALL_TERMS else ["--distortion", str(distortion)])]
+        given = [*chosen.options, *([] if distortion == _ALL_TERMS else ["--distortion", str(distortion)])]
         again = copyable("spheremouse", "calibrate", "camera", *photos, *given, "--out", out, "--force")
         typer.echo(f"with more photos, again: {again}")
-    typer.echo(f"next: {_follows(out)}")
+    typer.echo(f"next: {_next_command(out)}")
 
 
-def _follows(out: Path) -> str:
-    """The command after this one, by what is in the folder of the camera file."""
+def _next_command(out: Path) -> str:
+    """The next command, by the contents of the camera file's folder."""
     from spheremouse.calibrate.guide.suggested import init_command, photos_command
     from spheremouse.calibrate.photos import has_photos
 

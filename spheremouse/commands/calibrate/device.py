@@ -1,4 +1,4 @@
-"""`spheremouse calibrate device`: photos of a device in, rig.yaml with its map of discs and a report out."""
+"""`spheremouse calibrate device`: rig.yaml with its map of discs, and a report, from photos of a device."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -30,7 +30,8 @@ _STEPS = 100
 def device(
     photos: Annotated[list[Path], typer.Argument(metavar="PHOTOS...", help="Photos of the device, or their folder.")],
     device_file: Annotated[
-        Path, typer.Option("--device", metavar="FILE", help="What is known of it; `calibrate init` writes one.")
+        Path,
+        typer.Option("--device", metavar="FILE", help="Targets, sizes and distances; `calibrate init` writes one."),
     ] = Path("device.yaml"),
     camera_file: Annotated[
         Path, typer.Option("--camera", metavar="FILE", help="The photos' camera, from `calibrate camera`.")
@@ -50,8 +51,8 @@ def device(
 ) -> None:
     """Find targets, ball and discs from photos of the device, with covariances, and write rig.yaml.
 
-    Six to twelve photos from as many sides as targets allow; the ball must not turn between them. Tape distances in
-    the device file give metres; without any the scale is free and counts are per radian.
+    Take six to twelve photos from as many sides as the targets allow. The ball must not turn between them. Tape
+    distances in the device file give metres; without any the scale is free, and counts are per radian.
     """
     from rich.console import Console
 
@@ -90,7 +91,7 @@ def device(
     provenance = _provenance(found, calibration, device_file, camera_file, advice)
     write_device_report(page, calibration, found, provenance, advice)
     save_map(the_map, saved_now(calibration.disc_map(), rig))
-    save_rig(out, rig, provenance)  # last: where it is, the rest is
+    save_rig(out, rig, provenance)  # last: it shows that all files are complete
     figures = device_json(calibration, names, advice)
     if json_file is not None and write_json(json_file, figures):
         return

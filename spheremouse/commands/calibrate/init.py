@@ -15,7 +15,7 @@ def init(
         Path | None, typer.Argument(metavar="[FOLDER]", help="One folder for each device.  [default: cabinet]")
     ] = None,
     force: Annotated[
-        bool, typer.Option("--force", help="Write device.yaml anew, even if filled in. Photos are never touched.")
+        bool, typer.Option("--force", help="Replace device.yaml, even if filled in. Photos stay.")
     ] = False,
 ) -> None:
     """Make a folder with room for photos, and device.yaml to fill in."""
@@ -33,7 +33,7 @@ def init(
             raise CalibrationError(f"{place}: cannot be made: {e.strerror or e}; choose another place") from None
     path = folder / "device.yaml"
     if path.exists() and not force:
-        typer.echo(f"{path}: there already, kept as it is (--force writes it anew)")
+        typer.echo(f"{path}: there already, kept as it is (--force replaces it)")
     else:
         write_atomically(path, device_template())
         typer.echo(f"{path}: written; open it in an editor: it says what to measure")

@@ -28,8 +28,7 @@ _PAUSE_SECONDS = 3.0  # before each gesture
 
 def rolling(
     source: Annotated[
-        str,
-        typer.Option(metavar="KIND:ARG", help="Where frames come from, as `run --source` takes it."),
+        str, typer.Option(metavar="KIND:ARG", help="Where frames come from, as `run --source` takes it.")
     ],
     camera: Annotated[Path | None, typer.Option(metavar="FILE", help="Interior orientation (camera.yaml).")] = None,
     device: Annotated[

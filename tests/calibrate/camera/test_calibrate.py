@@ -14,8 +14,7 @@ from typer.testing import CliRunner
 
 from spheremouse.calibrate.camera.corners import Pattern
 from spheremouse.commands import app
-from spheremouse.errors import CalibrationError, SpheremouseError
-from spheremouse.files.report import page, style, svg
+from spheremouse.errors import SpheremouseError
 from spheremouse.files.rig import load_camera
 from spheremouse.geometry.camera import project
 
@@ -214,35 +213,3 @@ def test_a_charuco_board_that_was_measured_wrongly(poses, tmp_path):
     assert "carries 180" in refused(
         tmp_path, "--board", "19x17", "--square", "30mm", "--marker", "20mm", "--out", tmp_path / "c.yaml"
     )
-
-
-# ---- the page ----
-
-
-def test_pages_escape_what_they_are_given():
-    text = page.page("<a>", "b & c", [page.table(["x"], [["<i>"]]), page.advice([("note", "`run` <b>")])], "d")
-    assert "<a>" not in text
-    assert "&lt;i&gt;" in text
-    assert "<code>run</code> &lt;b&gt;" in text
-
-
-def test_figures_follow_the_page_and_are_the_same_every_time():
-    from matplotlib.figure import Figure
-
-    def drawn():
-        with style.styled():
-            figure = Figure(figsize=(2.0, 1.0))
-            figure.subplots().plot([0, 1], [0, 1], color=style.BLUE)
-            return svg.of_figure(figure, 'a "line"')
-
-    text = drawn()
-    assert text.startswith("<svg ")
-    assert "var(--blue)" in text
-    assert style.BLUE not in text
-    assert 'aria-label="a &#34;line&#34;"' in text
-    assert drawn() == text
-
-
-def test_errors_are_calibration_errors(tmp_path):
-    with pytest.raises(CalibrationError):
-        run(tmp_path / "none.jpg", *BOARD)

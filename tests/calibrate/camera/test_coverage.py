@@ -11,7 +11,6 @@ from spheremouse.calibrate.camera.coverage import (
     enough,
     gain,
     leans_of,
-    listed,
     missing,
     missing_regions,
     region_grid,
@@ -113,8 +112,3 @@ def test_what_is_said_to_be_missing_makes_the_focal_length_better():
     assert sigma[0][0] == 4
     assert sigma[1][0] < 4
     assert sigma[1][1] < 0.4 * sigma[0][1]
-
-
-def test_lists_read_as_words():
-    assert listed(["a"]) == "a"
-    assert listed(["a", "b", "c"]) == "a, b or c"

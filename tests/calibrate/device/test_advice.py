@@ -145,11 +145,6 @@ def test_tape_is_asked_for_where_it_limits_and_photos_are_not(good):
     assert not any("photos from" in text for text in work)
 
 
-def test_a_soft_tape_is_told_from_a_steel_one():
-    work = [a.text for a in advise(calibrated(ROUND, tape=0.004)) if a.gain is not None]
-    assert "with a steel tape held taut, to 1 mm" in work[0]
-
-
 def test_every_gain_is_worth_the_work_and_there_are_three_at_most():
     for c in (calibrated(FRONT[:3], tape=0.003), calibrated(ROUND), calibrated(FRONT, ())):
         gains = [a.gain for a in advise(c) if a.gain is not None]
@@ -241,15 +236,6 @@ def test_what_is_odd_is_said_and_only_then(good, change, words):
         change = {"sightings": np.full(len(good.discs), 2)}
     assert not any(words in t for t in said(good))
     assert any(words in t for t in said(replace(good, **change)))
-
-
-def test_image_points_not_used_speak_only_where_they_are_many(good):
-    used = good.measured.used.copy()
-    used[np.flatnonzero(good.measured.photo == 2)[:2]] = False
-    assert not any("were not used" in t for t in said(replace(good, measured=replace(good.measured, used=used))))
-    used[good.measured.photo == 2] = False
-    texts = said(replace(good, measured=replace(good.measured, used=used)))
-    assert next(t for t in texts if "not used" in t).startswith("photo 3: ")
 
 
 def test_coverage_is_the_share_of_the_surface():

@@ -83,10 +83,10 @@ def test_jacobian_is_the_finite_difference(depth):
     x[bundle.INTERIOR :] = 0.05 * rng.standard_normal(columns.all - bundle.INTERIOR)  # rotations far from zero, too
     x = x[columns.free]
 
-    slopes = bundle._eccentricity_slopes(problem, bundle._moved(start, columns, x))
+    slopes = bundle.eccentricity_slopes(problem, bundle.apply_step(start, columns, x))
 
     def at(x):
-        return bundle._evaluate(problem, bundle._moved(start, columns, x), columns, x, slopes)
+        return bundle.evaluate(problem, bundle.apply_step(start, columns, x), columns, x, slopes)
 
     # what the lens' parameters do to a ring's eccentricity is left out: a thousandth
     def limit(j):

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.ball.rig import CODES
 from spheremouse.calibrate.board import Board
-from spheremouse.calibrate.prints.page import PAPERS, _figure, pdf
+from spheremouse.calibrate.prints.page import PAPERS, pdf
 from spheremouse.calibrate.prints.recipe import recipe
 from spheremouse.calibrate.prints.sheets import (
     board_pages,
@@ -210,29 +210,9 @@ def test_every_page_has_its_paper_s_size_and_two_rulers_of_100_mm(paper):
             assert_allclose(np.diff(marks), 1.0, atol=1e-4)
             assert_allclose(np.ptp(ruler.paths[-1][:, axis]), 100.0, atol=1e-4)
         assert any("100 mm" in w for w in sheet.words)
-
-
-@pytest.mark.parametrize("paper", PAPERS)
-def test_nothing_is_nearer_than_5_mm_to_the_edge_and_words_do_not_run_into_drawings(paper):
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    square = largest_square(BOARD, paper)
-    pages = [
-        target_pages((12, 24, 36), paper)[0],
-        disc_pages(26, 20, paper)[0],
-        board_pages(charuco(BOARD, square), BOARD, paper)[0],
-        board_pages(charuco(BOARD, 3 * square), BOARD, paper)[1],
-    ]
-    dpi = 72
-    for page in pages:
-        canvas = FigureCanvasAgg(_figure(page))
-        canvas.figure.set_dpi(dpi)
-        canvas.draw()
-        ink = np.asarray(canvas.buffer_rgba())[:, :, :3].min(axis=2) < 250
-        edge = int(5.0 * dpi / 25.4)
-        inner = ink[edge:-edge, edge:-edge]
-        assert inner.any()
-        assert ink.sum() == inner.sum()
+        boxes = np.array([d.box for d in sheet.drawn if not np.allclose(d.colour, 1.0)])
+        assert boxes[:, :2].min() >= 5.0  # the printer's margin
+        assert np.all(boxes[:, 2:] <= np.array(sheet.size) - 5.0)
 
 
 # ---- targets ----
@@ -256,18 +236,6 @@ def test_targets_have_their_radii_and_the_tracker_reads_their_codes_where_they_a
             assert np.min(np.linalg.norm(centres - centre, axis=1)) < 0.03
     assert sorted(found) == sorted(CODES)
     assert_allclose(list(found.values()), 36.0, atol=0.1)
-
-
-def test_targets_keep_white_round_them_as_far_as_the_detection_reads():
-    radii = (12.0, 24.0, 36.0)
-    for sheet in sheets_of(target_pages(radii, "a4")):
-        picture = grey(sheet.raster(100))
-        outer = [d.box for colour in (YELLOW, MAGENTA, CYAN) for d in sheet.filled(colour)]
-        y, x = np.indices(picture.shape)
-        for b in [b for b in outer if b[2] - b[0] > 70.0]:
-            centre = np.array([(b[0] + b[2]) / 2, sheet.size[1] - (b[1] + b[3]) / 2])
-            rho = np.hypot((x + 0.5) * 0.254 - centre[0], (y + 0.5) * 0.254 - centre[1])
-            assert picture[(rho > 36.5) & (rho < 36.0 + 2.0 / 3.0 * 12.0 - 0.5)].min() == 255
 
 
 def test_many_small_targets_share_a_page_and_large_ones_are_refused():
@@ -500,13 +468,3 @@ def test_the_recipe_names_the_board_that_was_printed():
     assert "size: Letter" in page
     assert page.count("<svg") == 3
     assert "sketch:" not in page
-
-
-def test_the_recipe_s_figures_for_the_rim_of_a_flat_disc_are_right():
-    def too_long(s, R):
-        return 2 * np.pi * (s - R * np.sin(s / R))
-
-    page = recipe(BOARD, 20.0, "a4")
-    told = re.search(r"by ([\d.]+) mm with discs of 20 mm radius on a ball of 1.2 m.*of 10 cm by ([\d.]+) mm", page)
-    assert_allclose([float(x) for x in told.groups()], [too_long(20, 600), too_long(20, 50)], atol=0.05)
-    assert float(told[1]) == round(too_long(20, 600), 2)

@@ -21,9 +21,9 @@ from spheremouse.calibrate.rolling.axes import axes_from_gestures, axes_from_tar
 from spheremouse.calibrate.rolling.axes_from_rings import axes_from_rings
 from spheremouse.calibrate.rolling.calibrate import solve
 from spheremouse.calibrate.rolling.footage import until
-from spheremouse.calibrate.rolling.normal import _cost, _moved
+from spheremouse.calibrate.rolling.normal import apply_step
 from spheremouse.calibrate.rolling.placed import known_with_ball, placed, rescaled_targets, with_rolled
-from spheremouse.calibrate.rolling.problem import Rolling, Sightings, _rates, equations_of
+from spheremouse.calibrate.rolling.problem import Rolling, Sightings, angular_rates, equations_of
 from spheremouse.calibrate.rolling.start import Spots, start
 from spheremouse.capture import Stream
 from spheremouse.commands.calibrate import app
@@ -112,20 +112,22 @@ def test_the_jacobian_is_that_of_the_residuals():
     shared = equations.shared.toarray().reshape(len(s), 2, -1)
     m, f, h = len(at.discs), len(at.attitude), 1e-6
     nothing, still = np.zeros(4 + 2 * m), np.zeros((f, 3))
-    slow = _rates(at)  # rates follow from the attitudes, and are held in the Jacobian: only the own turn is compared
+    slow = angular_rates(
+        at
+    )  # rates follow from the attitudes, and are held in the Jacobian: only the own turn is compared
     assert np.abs(slow).max() > 0.1
     first = 4 + 2 * int(s.disc[0])
     for k in (0, 1, 2, 3, first, first + 1):
         dx = nothing.copy()
         dx[k] = h
-        plus, minus = (equations_of(_moved(at, sign * dx, still), s, CAMERA).residual for sign in (1, -1))
+        plus, minus = (equations_of(apply_step(at, sign * dx, still), s, CAMERA).residual for sign in (1, -1))
         assert np.abs((minus - plus) / (2 * h) - shared[:, :, k]).max() < 1e-4 * np.abs(shared[:, :, k]).max()
     quick = replace(at, readout=0.0)
     turn = equations_of(quick, s, CAMERA).turn
     for k in range(3):
         de = still.copy()
         de[:, k] = h
-        plus, minus = (equations_of(_moved(quick, nothing, sign * de), s, CAMERA).residual for sign in (1, -1))
+        plus, minus = (equations_of(apply_step(quick, nothing, sign * de), s, CAMERA).residual for sign in (1, -1))
         assert np.abs((minus - plus) / (2 * h) - turn[:, :, k]).max() < 1e-4 * np.abs(turn).max()
 
 
@@ -173,15 +175,6 @@ def test_a_rolling_shutter_is_found():
     assert abs(found.rolling.readout - 0.02) < 2e-4
     error, C = place_error(found, truth)
     assert error @ np.linalg.solve(C, error) < chi2.ppf(0.999, 3)
-
-
-def test_steps_are_judged_by_what_they_make_less():
-    """A readout one standard deviation from what was known costs as much as a residual of one."""
-    length = np.array([0.5, 3.0])
-    for knee in (2.0, None):
-        there, off = (_cost(length, knee, readout, (0.01, 0.002)) for readout in (0.01, 0.012))
-        assert off - there == pytest.approx(1.0)
-    assert there == pytest.approx(9.25)
 
 
 def test_false_sightings_are_set_aside():
