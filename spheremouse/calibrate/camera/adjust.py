@@ -19,9 +19,9 @@ from spheremouse.calibrate.camera.bundle import (
     View,
     all_unknowns,
     camera_of,
-    kept_views,
+    masked_view,
     poses_of,
-    resected,
+    resect_views,
     rms_of,
     sigma_of,
     spread_of,
@@ -97,7 +97,7 @@ def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
         rest = np.setdiff1d(index, out)
         if len(rest) < MIN_VIEWS:
             continue
-        kept = [kept_views(views[v], found.kept[v]) for v in rest.tolist()]
+        kept = [masked_view(views[v], found.kept[v]) for v in rest.tolist()]
         bundle = Bundle(kept, size, found.free)
         mask = np.zeros(len(views), bool)
         mask[rest] = True
@@ -105,8 +105,8 @@ def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
             without = bundle.solve(x[unknowns_of(mask)], found.sigma[rest])
         except CalibrationError:
             continue
-        left = [kept_views(views[v], found.kept[v]) for v in out.tolist()]
-        _, _, residuals = resected(left, camera_of(without, size))
+        left = [masked_view(views[v], found.kept[v]) for v in out.tolist()]
+        _, _, residuals = resect_views(left, camera_of(without, size))
         result[out] = [rms_of(r) for r in residuals]
     return result
 
@@ -162,7 +162,7 @@ def _first_adjustment(bundle: Bundle, x: Array) -> Array:
         few = np.isin(np.arange(n), rng.choice(n, _SUBSET_VIEWS, replace=False))
         try:
             y = bundle.only(few).solve(x[unknowns_of(few)], np.ones(_SUBSET_VIEWS))
-            R, t, _ = resected(bundle.views, camera_of(y, bundle.size))
+            R, t, _ = resect_views(bundle.views, camera_of(y, bundle.size))
         except CalibrationError:
             continue
         tried = np.concatenate([y[:9], np.stack([[log(r) for r in R], t], axis=1).ravel()])

@@ -82,7 +82,7 @@ class BoardAdjustment:
         return np.arccos(np.clip(np.abs(self.rotations[:, 2, 2]), 0.0, 1.0))
 
 
-def resected(views: Sequence[View], camera: InteriorOrientation) -> tuple[Array, Array, tuple[Array, ...]]:
+def resect_views(views: Sequence[View], camera: InteriorOrientation) -> tuple[Array, Array, tuple[Array, ...]]:
     """Return the poses R_cam_board, (v, 3, 3), and translation, (v, 3) m, of views of a known camera, and residuals."""
     bundle = Bundle(views, (camera.width, camera.height), np.zeros(9, bool))
     x = np.concatenate([interior_vector(camera), poses_of(views, camera).ravel()])
@@ -202,7 +202,7 @@ def camera_of(x: Array, size: tuple[int, int]) -> InteriorOrientation:
     return with_interior(InteriorOrientation(*size, 1.0, 1.0, 0.0, 0.0), x[:9])
 
 
-def kept_views(view: View, mask: NDArray[np.bool_]) -> View:
+def masked_view(view: View, mask: NDArray[np.bool_]) -> View:
     return View(view.points[mask], view.uv[mask])
 
 
@@ -218,7 +218,7 @@ def sigma_of(views: Sequence[View], size: tuple[int, int], x: Array, used: NDArr
     sigma[used] = some
     out = np.flatnonzero(~used)
     if len(out):
-        R, t, residuals = resected([views[v] for v in out.tolist()], camera_of(x, size))
+        R, t, residuals = resect_views([views[v] for v in out.tolist()], camera_of(x, size))
         for k, v in enumerate(out.tolist()):
             x[9 + 6 * v : 15 + 6 * v] = np.concatenate([log(R[k]), t[k]])
         sigma[out] = [robust_sigma(r) for r in residuals]

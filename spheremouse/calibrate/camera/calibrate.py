@@ -11,7 +11,7 @@ import numpy as np
 from spheremouse import __version__
 from spheremouse.calibrate.camera.adjust import MIN_VIEWS, calibrate_board, held_out
 from spheremouse.calibrate.camera.bundle import BoardAdjustment, View
-from spheremouse.calibrate.camera.corners import Pattern, Sighting, dictionary_seen, find_board, rectified
+from spheremouse.calibrate.camera.corners import Pattern, Sighting, detect_dictionary, find_board, measure_in_plane
 from spheremouse.calibrate.camera.coverage import Coverage, coverage
 from spheremouse.calibrate.photos import Photo, image
 from spheremouse.errors import CalibrationError
@@ -24,7 +24,7 @@ _MAX_FOCAL_SIGMA = 0.1  # of the focal length
 
 
 @dataclass(frozen=True, slots=True)
-class Calibrated:
+class CameraCalibration:
     """Result of a camera's calibration, for files and report."""
 
     photos: tuple[Photo, ...]  # all, in the order given
@@ -47,7 +47,7 @@ class Calibrated:
 
 def calibrate(
     photos: Sequence[Photo], pattern: Pattern, terms: int = 5, progress: Callable[[str], object] = lambda _: None
-) -> Calibrated:
+) -> CameraCalibration:
     """Calibrate the camera that took the photos; CalibrationError if they do not determine it.
 
     `progress` is called with the next task, twice for each photo.
@@ -67,15 +67,15 @@ def calibrate(
         progress("measuring corners")
         if first.used[k]:
             R, t = first.rotations[k], first.translations[k]
-            better = rectified(image(photos[i]), pattern, seen[i], first.camera, R, t)
+            better = measure_in_plane(image(photos[i]), pattern, seen[i], first.camera, R, t)
             fine[i] = better if len(better.ids) >= 0.8 * len(seen[i].ids) else seen[i]
     views = [_view(pattern, fine[i]) for i in index]
     found = calibrate_board(views, size, terms)
     _check_plausible(found, pattern)
     used = np.flatnonzero(found.used).tolist()
     covered = coverage(size, [views[k].uv for k in used], found.rotations[found.used])
-    skipped = {i: why_not(s, pattern) for i, s in enumerate(seen) if i not in fine}
-    return Calibrated(
+    skipped = {i: rejection_reason(s, pattern) for i, s in enumerate(seen) if i not in fine}
+    return CameraCalibration(
         tuple(photos), pattern, tuple(index), tuple(views), found, held_out(views, found), covered, skipped
     )
 
@@ -84,7 +84,7 @@ def _view(pattern: Pattern, seen: Sighting) -> View:
     return View(pattern.corners()[seen.ids], seen.uv)
 
 
-def why_not(seen: Sighting, pattern: Pattern) -> str:
+def rejection_reason(seen: Sighting, pattern: Pattern) -> str:
     """Return the reason why a photo is no view."""
     if pattern.marker is not None:
         if seen.misplaced:
@@ -124,7 +124,7 @@ def _too_few(photos: Sequence[Photo], seen: Sequence[Sighting], pattern: Pattern
                     "other board"
                 )
     blind = [image(p) for p, s in zip(photos, seen, strict=True) if not len(s.ids)][:3]
-    name = next((d for picture in blind if (d := dictionary_seen(picture))), None)
+    name = next((d for picture in blind if (d := detect_dictionary(picture))), None)
     if name is not None and pattern.marker is None:
         return CalibrationError(
             f"no chessboard found, but markers of {name}: a ChArUco board? give --marker LENGTH --dictionary {name}"
@@ -156,7 +156,7 @@ def _reasons(photos: Sequence[Photo], seen: Sequence[Sighting], pattern: Pattern
     because: dict[str, list[str]] = {}
     for photo, s in zip(photos, seen, strict=True):
         if not len(s.ids):
-            because.setdefault(why_not(s, pattern), []).append(photo.path.name)
+            because.setdefault(rejection_reason(s, pattern), []).append(photo.path.name)
     return "".join(f". {', '.join(names)}: {why}" for why, names in because.items())
 
 
@@ -208,10 +208,10 @@ def _length(metres: float) -> str:
     return f"{metres:.3g} m" if metres >= 1.0 else f"{1e3 * metres:.3g} mm"
 
 
-def provenance(done: Calibrated) -> dict[str, Any]:
+def provenance(done: CameraCalibration) -> dict[str, Any]:
     """Return the provenance for the camera file: board, residual, photos with their hashes."""
     pattern = done.pattern
-    left_out = done.skipped | false_views(done)
+    left_out = done.skipped | inconsistent_views(done)
     made: dict[str, Any] = {
         "made_by": f"spheremouse {__version__}, calibrate camera",
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -228,7 +228,7 @@ def provenance(done: Calibrated) -> dict[str, Any]:
     return made
 
 
-def false_views(done: Calibrated) -> dict[int, str]:
+def inconsistent_views(done: CameraCalibration) -> dict[int, str]:
     """Return the photos whose board does not fit the camera of the others, with the residuals."""
     rms = done.found.view_rms()
     return {

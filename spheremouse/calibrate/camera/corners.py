@@ -2,8 +2,8 @@
 
 OpenCV finds the board (Duda, Frese 2018; Garrido-Jurado et al. 2014 for markers). Gradients refine the corners in two
 steps. `find_board` uses square windows of the image (`cornerSubPix`), in which lens and view bend the edges. After a
-first calibration, `rectified` uses windows of the board's plane, in which edges are straight (Datta, Kim, Kanade 2009,
-without a new image). The first step alone shifts focal lengths by several standard deviations.
+first calibration, `measure_in_plane` uses windows of the board's plane, in which edges are straight (Datta, Kim, Kanade
+2009, without a new image). The first step alone shifts focal lengths by several standard deviations.
 """
 
 from collections.abc import Iterator
@@ -95,7 +95,7 @@ def find_board(image: NDArray[np.uint8], pattern: Pattern, searched: float = SEA
     return _find_chessboard(grey, pattern, searched) if pattern.marker is None else _find_charuco(grey, pattern)
 
 
-def dictionary_seen(image: NDArray[np.uint8]) -> str | None:
+def detect_dictionary(image: NDArray[np.uint8]) -> str | None:
     """Return the smallest dictionary with most markers in an image; None below four markers of each."""
     most, best = 3, None
     for name in DICTIONARIES:
@@ -180,7 +180,7 @@ def _refined(grey: NDArray[np.uint8], grid: Array) -> Array:
 # ---- in the board's plane ----
 
 
-def rectified(
+def measure_in_plane(
     image: NDArray[np.uint8], pattern: Pattern, seen: Sighting, camera: InteriorOrientation, R: Array, t: Array
 ) -> Sighting:
     """Measure the corners of a sighting by gradients in the board's plane; omit those that cannot be measured.

@@ -82,7 +82,7 @@ def missing(found: Coverage) -> list[str]:
     return words + [f"hold the board {place} of the picture" for place in missing_regions(found)]
 
 
-def listed(words: Sequence[str]) -> str:
+def join_words(words: Sequence[str]) -> str:
     """Join words as in "a, b or c"."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
 

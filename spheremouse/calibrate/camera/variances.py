@@ -14,7 +14,7 @@ from spheremouse.calibrate.camera.bundle import (
     BoardAdjustment,
     Bundle,
     camera_of,
-    kept_views,
+    masked_view,
     robust_sigma,
     sigma_of,
     unknowns_of,
@@ -54,7 +54,7 @@ def with_covariance(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: Ar
     columns = unknowns_of(used)
     y = x[columns]
     for _ in range(_ROUNDS):
-        part = Bundle([kept_views(views[v], kept[v]) for v in index.tolist()], bundle.size, bundle.free)
+        part = Bundle([masked_view(views[v], kept[v]) for v in index.tolist()], bundle.size, bundle.free)
         y = part.solve(y, sigma[index])
         residual, J = part.jacobian(y, sigma[index])
         Q = _cofactors(J)
@@ -73,7 +73,7 @@ def with_covariance(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: Ar
             here = slice(group.start // 2, group.stop // 2)
             bad = false[here] & (test[here] >= 0.25 * test[here].max())
             kept[v][np.flatnonzero(kept[v])[bad]] = False
-    part = Bundle([kept_views(views[v], kept[v]) for v in index.tolist()], bundle.size, bundle.free)
+    part = Bundle([masked_view(views[v], kept[v]) for v in index.tolist()], bundle.size, bundle.free)
     y = part.solve(y, sigma[index])
     residual, J = part.jacobian(y, sigma[index])
     Q = _cofactors(J)

@@ -51,7 +51,7 @@ class DiscViews:
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class MeasuredPoints:
     """Image points with their residuals."""
 
     photo: NDArray[np.intp]  # (n,) counts DeviceCalibration.photos
@@ -80,7 +80,7 @@ class DeviceCalibration:
     centre: Array  # (3,) of the ball in the frame of the bundle, whose origin is the first target of the axes
     ball_covariance: Array  # (4, 4) of that centre and the radius
     out_of_round: float  # standard deviation of the discs from the sphere; 0: round
-    measured: Measured
+    measured: MeasuredPoints
     rms_px: float  # of all image points used, per axis
     variance_factors: tuple[float, float]  # of targets and discs: estimated over assumed
     distance_residuals: Array  # (k,) m, adjusted minus measured
@@ -135,7 +135,7 @@ class DeviceCalibration:
 
 
 @dataclass(frozen=True, slots=True)
-class Bundled:
+class BundleResult:
     """Result of bundle and sphere."""
 
     problem: Problem  # of the image points used
@@ -153,10 +153,12 @@ def adjust_device(
 
     Raises the errors of `calibrate_device`.
     """
-    return moved_to_ball(bundled(views, discs, block, device, camera), views, device)
+    return shift_to_ball(adjust_bundle(views, discs, block, device, camera), views, device)
 
 
-def bundled(views: TargetViews, discs: DiscViews, block: Block, device: Device, camera: InteriorOrientation) -> Bundled:
+def adjust_bundle(
+    views: TargetViews, discs: DiscViews, block: Block, device: Device, camera: InteriorOrientation
+) -> BundleResult:
     """Adjust bundle and sphere: robustly, then without outliers, then with estimated variances."""
     n = len(device.ids)
     image = ImagePoints(
@@ -199,7 +201,7 @@ def bundled(views: TargetViews, discs: DiscViews, block: Block, device: Device, 
             sphere = _sphere(solution, n)
             outside = _outside(solution, sphere, n)
             if not np.any(outside):
-                return Bundled(problem, image, used, solution, sphere, (float(factors[0]), float(factors[1])))
+                return BundleResult(problem, image, used, solution, sphere, (float(factors[0]), float(factors[1])))
             used &= ~np.isin(image.point, kept[n:][outside])
     raise CalibrationError(
         "the photos do not agree among themselves: are they all of this camera, in the mode of the camera file, and "
@@ -207,7 +209,7 @@ def bundled(views: TargetViews, discs: DiscViews, block: Block, device: Device, 
     )
 
 
-def moved_to_ball(result: Bundled, views: TargetViews, device: Device) -> DeviceCalibration:
+def shift_to_ball(result: BundleResult, views: TargetViews, device: Device) -> DeviceCalibration:
     """Move the origin to the ball's centre (eq. 91, 92), with the joint covariance."""
     solution, sphere, columns = result.solution, result.sphere, result.solution.columns
     block, n = solution.block, len(device.ids)
@@ -252,7 +254,7 @@ def moved_to_ball(result: Bundled, views: TargetViews, device: Device) -> Device
     )
 
 
-def _covariance_about_ball(result: Bundled, n: int, unit: float, in_radii: bool) -> Array:
+def _covariance_about_ball(result: BundleResult, n: int, unit: float, in_radii: bool) -> Array:
     """Joint covariance of `DeviceCalibration`, of [n targets, radius, poses, discs], lengths over `unit`."""
     sphere, columns = result.sphere, result.solution.columns
     k, m = len(result.solution.block.poses), len(result.solution.block.points) - n
@@ -279,17 +281,17 @@ def _covariance_about_ball(result: Bundled, n: int, unit: float, in_radii: bool)
     return 0.5 * (covariance + covariance.T)
 
 
-def _measured(result: Bundled) -> Measured:
+def _measured(result: BundleResult) -> MeasuredPoints:
     """All image points, with the residuals of those used."""
     everything, used, image = result.everything, result.used, result.problem.image
     index = np.full(len(everything), -1)
     index[used] = np.unique(everything.point[used], return_inverse=True)[1]
     residual = np.full((len(everything), 2), np.nan)
     residual[used] = predicted(result.solution.block, image, result.problem)[0] - image.centre
-    return Measured(everything.photo, index, everything.centre, residual, used)
+    return MeasuredPoints(everything.photo, index, everything.centre, residual, used)
 
 
-def check_distances(result: Bundled, device: Device) -> None:
+def check_distances(result: BundleResult, device: Device) -> None:
     """Raise DistanceError for a distance that contradicts photos and other distances."""
     k, at = len(device.distances), 2 * len(result.problem.image)
     residual = result.solution.adjusted.residual[at : at + k]

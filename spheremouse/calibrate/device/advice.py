@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration, image_residuals
-from spheremouse.calibrate.device.plans import ENOUGH, NAMES, Advice, length, work_of
+from spheremouse.calibrate.device.plans import ENOUGH, NAMES, Advice, best_plans, length
 from spheremouse.geometry.least_squares.adjust import redundancy
 from spheremouse.geometry.rotation import Array, fibonacci_sphere
 from spheremouse.geometry.statistics import FALSE_ALARM, gate, ratio_gate
@@ -26,7 +26,7 @@ _GROUPS = ("target", "disc")
 def advise(calibration: DeviceCalibration, names: Sequence[str] | None = None) -> list[Advice]:
     """Return a verdict, faults, and at most three plans by their gain; `names` of all photos given."""
     found = list(_findings(calibration, _Names(calibration, names)))
-    work = work_of(calibration)
+    work = best_plans(calibration)
     return [_verdict(calibration, any(a.kind == "warning" for a in found)), *found, *work]
 
 

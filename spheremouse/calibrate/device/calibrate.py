@@ -18,15 +18,22 @@ from spheremouse.ball.detect.projection import GREY, projected
 from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.ball.device import Device, DistanceError
 from spheremouse.calibrate.device.adjust import (
-    Bundled,
+    BundleResult,
     DeviceCalibration,
     DiscViews,
-    bundled,
+    adjust_bundle,
     check_distances,
-    moved_to_ball,
+    shift_to_ball,
 )
 from spheremouse.calibrate.device.bundle import Block, Problem, solve_block
-from spheremouse.calibrate.device.correspond import Spots, ball_rig, from_several_sides, near_sphere, numbered, on_ball
+from spheremouse.calibrate.device.correspond import (
+    Spots,
+    ball_rig,
+    directions_on_ball,
+    find_ball,
+    has_wide_rays,
+    number_discs,
+)
 from spheremouse.calibrate.device.start import TargetViews, first_block, target_views
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
@@ -68,24 +75,24 @@ def calibrate_device(
     here = [(grey[k], seen[k]) for k in views.photos]
     tolerance = _ray_tolerance(views, block, device, camera)
 
-    def found(size: float, here: Sequence[tuple[Image, TargetDetections]]) -> tuple[Bundled, Spots]:
+    def found(size: float, here: Sequence[tuple[Image, TargetDetections]]) -> tuple[BundleResult, Spots]:
         """Calibrate with discs of a relative size, dark ones in these pictures."""
         sized = replace(device, disc_radius=size * device.disc_radius)
-        result = bundled(views, _first_discs(here, block, sized, tolerance), block, sized, camera)
+        result = adjust_bundle(views, _first_discs(here, block, sized, tolerance), block, sized, camera)
         check_distances(result, sized)
         spots = Spots(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0))
         for k in range(2):  # the second time with the ball of the first
             progress("measuring discs", 0.5 + 0.2 * k)
             spots, observed = _measured_discs(here, result, sized, discs)
             progress("adjusting", 0.6 + 0.2 * k)
-            result = bundled(views, observed, result.solution.block, sized, camera)
+            result = adjust_bundle(views, observed, result.solution.block, sized, camera)
         return result, spots
 
     failed: list[CalibrationError] = []
     for pictures in (here,) if discs.projection else (here, [(cv2.bitwise_not(g), s) for g, s in here]):
         try:
             result, spots = found(1.0, pictures)
-            return replace(moved_to_ball(result, views, device), doubtful=_doubtful(result, spots, views, device))
+            return replace(shift_to_ball(result, views, device), doubtful=_doubtful(result, spots, views, device))
         except DistanceError:
             raise
         except CalibrationError as e:
@@ -94,7 +101,7 @@ def calibrate_device(
     raise failed[0] from None
 
 
-def _check_radius(found: Callable[[float], Bundled], device: Device) -> None:
+def _check_radius(found: Callable[[float], BundleResult], device: Device) -> None:
     """Raise CalibrationError if `found` succeeds with discs of half or twice the radius: a diameter was given."""
     for size, what in ((0.5, "half"), (2.0, "twice")):
         try:
@@ -124,15 +131,15 @@ def _first_discs(
         np.concatenate([f.centre for f in found]),
         np.concatenate([f.area for f in found]),
     )
-    if not from_several_sides(block.poses, block.points):
+    if not has_wide_rays(block.poses, block.points):
         raise CalibrationError("the photos are from places too close together: move further to the sides")
-    K, R = near_sphere(spots, block.poses, block.camera, device.disc_radius, tolerance)
+    K, R = find_ball(spots, block.poses, block.camera, device.disc_radius, tolerance)
     covariance = np.broadcast_to(_SPOT_SIGMA**2 * np.eye(2), (len(spots), 2, 2))
     return _numbered_points(spots.photo, spots.centre, covariance, block, K, R, device.disc_radius)
 
 
 def _measured_discs(
-    photos: Sequence[tuple[Image, TargetDetections]], result: Bundled, device: Device, settings: DiscSettings
+    photos: Sequence[tuple[Image, TargetDetections]], result: BundleResult, device: Device, settings: DiscSettings
 ) -> tuple[Spots, DiscViews]:
     """Discs by the tracker's detector on the ball found so far: all, and those in two photos.
 
@@ -154,8 +161,8 @@ def _numbered_points(
     photo: NDArray[np.intp], centre: Array, covariance: Array, block: Block, K: Array, R: float, tolerance: float
 ) -> DiscViews:
     """Spots on the ball that two photos or more show, at most `tolerance` m apart."""
-    directions, index = on_ball(Spots(photo, centre, np.ones(len(photo))), block.poses, block.camera, K, R)
-    number = numbered(photo[index], directions, tolerance / R)
+    directions, index = directions_on_ball(Spots(photo, centre, np.ones(len(photo))), block.poses, block.camera, K, R)
+    number = number_discs(photo[index], directions, tolerance / R)
     if number.max(initial=-1) + 1 < MIN_POINTS:
         raise CalibrationError(
             f"{number.max(initial=-1) + 1} discs are seen in two photos or more, at least {MIN_POINTS} are needed: "
@@ -186,10 +193,10 @@ def _ray_tolerance(views: TargetViews, block: Block, device: Device, camera: Int
     return 3.0 * np.sqrt(2.0) * worst
 
 
-def _doubtful(result: Bundled, spots: Spots, views: TargetViews, device: Device) -> tuple[tuple[int, str], ...]:
+def _doubtful(result: BundleResult, spots: Spots, views: TargetViews, device: Device) -> tuple[tuple[int, str], ...]:
     """Photos whose discs are at other places than in all other photos of that side: the ball turned before."""
     block, K, R = result.solution.block, result.sphere.centre, result.sphere.radius
-    directions, index = on_ball(spots, block.poses, block.camera, K, R)
+    directions, index = directions_on_ball(spots, block.poses, block.camera, K, R)
     photo = spots.photo[index]
     discs = block.points[len(device.ids) :] - K
     discs /= np.linalg.norm(discs, axis=1, keepdims=True)

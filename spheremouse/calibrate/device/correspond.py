@@ -58,7 +58,7 @@ class _Points:
         return _Points(self.position[keep], self.towards[keep], self.cosine[keep])
 
 
-def near_sphere(
+def find_ball(
     spots: Spots,
     poses: Sequence[Pose],
     camera: InteriorOrientation,
@@ -106,7 +106,7 @@ def near_sphere(
     return centre, radius
 
 
-def numbered(photo: NDArray[np.intp], directions: Array, angle: float, fewest: int = 2) -> NDArray[np.intp]:
+def number_discs(photo: NDArray[np.intp], directions: Array, angle: float, fewest: int = 2) -> NDArray[np.intp]:
     """Return the disc number of each of n spots on the ball, (n,); -1 for one seen in fewer than `fewest` photos.
 
     `directions` (n, 3) are unit vectors from the ball's centre; those within `angle` rad are one disc. Of two spots in
@@ -128,7 +128,7 @@ def numbered(photo: NDArray[np.intp], directions: Array, angle: float, fewest: i
     return number
 
 
-def on_ball(
+def directions_on_ball(
     spots: Spots, poses: Sequence[Pose], camera: InteriorOrientation, centre: Array, radius: float
 ) -> tuple[Array, NDArray[np.intp]]:
     """Return directions from the ball's centre to the rays' intersections, (k, 3), and the k indices of the spots."""
@@ -233,7 +233,7 @@ def _firmest(points: _Points) -> _Points:
     return points.take(keep)
 
 
-def from_several_sides(poses: Sequence[Pose], points: Array) -> bool:
+def has_wide_rays(poses: Sequence[Pose], points: Array) -> bool:
     """Return True if two photos see the middle of the points from directions ten degrees apart."""
     away = np.array([p.position for p in poses]) - points.mean(axis=0)
     away /= np.linalg.norm(away, axis=1, keepdims=True)

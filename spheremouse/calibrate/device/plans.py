@@ -11,10 +11,10 @@ from spheremouse.calibrate.device.adjust import DeviceCalibration
 from spheremouse.calibrate.device.what_if import (
     Network,
     Sigmas,
-    looking,
+    camera_towards,
     network,
     sigmas,
-    targets_seen,
+    visible_targets,
     with_distances,
     with_photos,
 )
@@ -73,7 +73,7 @@ NAMES = ("the ball's place sideways (X)", "the ball's height (Y)", "the ball's d
 _TARGETS, _DISC = "the targets' places", "the least certain disc"
 
 
-def work_of(c: DeviceCalibration) -> list[Advice]:
+def best_plans(c: DeviceCalibration) -> list[Advice]:
     """Return the best plans, each in addition to those before it."""
     net = network(c)
     known = len(c.discs)
@@ -197,8 +197,10 @@ def _stations(net: Network, angles: Sequence[tuple[float, float]], distance: flo
     stations = []
     for azimuth, height in angles:
         a, h = np.radians([azimuth, height])
-        stations.append(looking(net, np.array([np.sin(a) * np.cos(h), np.sin(h), np.cos(a) * np.cos(h)]), distance))
-    return tuple(stations) if all(np.count_nonzero(targets_seen(net, s)) >= 3 for s in stations) else ()
+        stations.append(
+            camera_towards(net, np.array([np.sin(a) * np.cos(h), np.sin(h), np.cos(a) * np.cos(h)]), distance)
+        )
+    return tuple(stations) if all(np.count_nonzero(visible_targets(net, s)) >= 3 for s in stations) else ()
 
 
 def _distance_plans(net: Network) -> Iterator[_Plan]:

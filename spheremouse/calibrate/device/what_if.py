@@ -80,12 +80,12 @@ def network(calibration: DeviceCalibration) -> Network:
         float(np.median(variance[is_disc])),
         0.0,
     )
-    rule = np.array([discs_seen(bare, pose, points[n:]) for pose in solution.block.poses])
+    rule = np.array([visible_discs(bare, pose, points[n:]) for pose in solution.block.poses])
     found = np.zeros_like(rule)
     found[seen.photo, seen.point - n] = True
     share = np.count_nonzero(found & rule) / max(np.count_nonzero(rule), 1)
     places = sphere.centre + sphere.radius * fibonacci_sphere(_SAMPLES)
-    twice = np.sum([discs_seen(bare, pose, places) for pose in solution.block.poses], axis=0) >= 2
+    twice = np.sum([visible_discs(bare, pose, places) for pose in solution.block.poses], axis=0) >= 2
     area = 4.0 * np.pi * max(float(np.mean(twice)), 1.0 / _SAMPLES)
     return replace(bare, disc_variance=bare.disc_variance / max(share, 0.05), density=(m - n) / area)
 
@@ -100,8 +100,8 @@ def with_photos(net: Network, stations: tuple[Pose, ...]) -> Network:
     photo, point = [], []
     for i, pose in enumerate(poses):
         sees = np.concatenate(
-            [targets_seen(net, pose), discs_seen(net, pose, points[n:])] if i >= k
-            else [np.zeros(m, dtype=bool), discs_seen(net, pose, new)]
+            [visible_targets(net, pose), visible_discs(net, pose, points[n:])] if i >= k
+            else [np.zeros(m, dtype=bool), visible_discs(net, pose, new)]
         )  # fmt: skip
         photo.append(np.full(np.count_nonzero(sees), i))
         point.append(np.flatnonzero(sees))
@@ -154,7 +154,7 @@ def sigmas(net: Network, known: int) -> Sigmas:
     )
 
 
-def targets_seen(net: Network, pose: Pose) -> NDArray[np.bool_]:
+def visible_targets(net: Network, pose: Pose) -> NDArray[np.bool_]:
     """Return True for targets in a photo from a pose, (n,): within the slant, in the picture, not behind the ball."""
     points = net.targets
     away = pose.position - points
@@ -167,14 +167,14 @@ def targets_seen(net: Network, pose: Pose) -> NDArray[np.bool_]:
     return faces & ~hidden & _in_picture(net, pose, points, float(net.problem.device.target_radii[2]))
 
 
-def discs_seen(net: Network, pose: Pose, points: Array) -> NDArray[np.bool_]:
+def visible_discs(net: Network, pose: Pose, points: Array) -> NDArray[np.bool_]:
     """Return True for discs at `points` on the ball in a photo from a pose, (m,), without obstacles."""
     away = pose.position - points
     cosine = np.einsum("ni,ni->n", away, points - net.centre) / np.linalg.norm(away, axis=1) / net.radius
     return (cosine > _DISC_SLANT) & _in_picture(net, pose, points, net.problem.device.disc_radius)
 
 
-def looking(net: Network, direction: Array, distance: float) -> Pose:
+def camera_towards(net: Network, direction: Array, distance: float) -> Pose:
     """Return a camera at `distance` m from the aim, rotated about its line of sight like the nearest pose."""
     towards = np.array([pose.position - net.aim for pose in net.block.poses])
     near = int(np.argmax(towards @ direction / np.linalg.norm(towards, axis=1)))
@@ -200,7 +200,7 @@ def _in_picture(net: Network, pose: Pose, points: Array, radius: float) -> NDArr
 def _new_discs(net: Network, poses: tuple[Pose, ...]) -> Array:
     """Expected new discs, (k, 3): at the density of the known ones, where two photos now see the ball at an angle."""
     places = net.centre + net.radius * fibonacci_sphere(max(round(4.0 * np.pi * net.density), 1))
-    seen = np.array([discs_seen(net, pose, places) for pose in poses])
+    seen = np.array([visible_discs(net, pose, places) for pose in poses])
     away = np.array([pose.position for pose in poses])[:, None] - places
     away /= np.linalg.norm(away, axis=2, keepdims=True)
     apart = np.einsum("amj,bmj->abm", away, away) < _RAY_ANGLE

@@ -10,8 +10,8 @@ import numpy as np
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.calibrate.camera.adjust import calibrate_board
-from spheremouse.calibrate.camera.bundle import View, resected
-from spheremouse.calibrate.camera.calibrate import why_not
+from spheremouse.calibrate.camera.bundle import View, resect_views
+from spheremouse.calibrate.camera.calibrate import rejection_reason
 from spheremouse.calibrate.camera.corners import SEARCHED, Pattern, Sighting, find_board
 from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, Coverage, coverage, enough, gain, missing
 from spheremouse.calibrate.photographing.selector import (
@@ -67,20 +67,22 @@ class BoardSelector:
         seen = find_board(picture, self.pattern, _QUICK_SEARCH)
         moved = self._motion.update(seen.ids.tolist(), seen.uv)
         if not len(seen.ids):
-            return FrameCheck(seen, "the picture is dark" if is_dark(picture) else f"it {why_not(seen, self.pattern)}")
+            return FrameCheck(
+                seen, "the picture is dark" if is_dark(picture) else f"it {rejection_reason(seen, self.pattern)}"
+            )
         share = self._filled(seen)
         words = f"the board fills {100.0 * share:.0f} % of the picture"
         words = f"come closer: {words}" if share < _MIN_SHARE else words
         if moved >= MAX_MOTION:
             return FrameCheck(seen, f"{words}; it {motion_fault(moved)}")
-        R, _, _ = resected([self._view(seen)], self._camera)
+        R, _, _ = resect_views([self._view(seen)], self._camera)
         new = gain(self.coverage, self.size, seen.uv, R[0], self._corners)
         if new is None:
             return FrameCheck(seen, f"{words}; such a view is there already")
         if picture.size > _QUICK_SEARCH:
             seen = find_board(picture, self.pattern)  # as `calibrate camera` finds it
             if not len(seen.ids):
-                return FrameCheck(seen, f"{words}; it {why_not(seen, self.pattern)}")
+                return FrameCheck(seen, f"{words}; it {rejection_reason(seen, self.pattern)}")
         fault = self._sharpness.fault(picture, seen.uv)
         return FrameCheck(seen, f"{words}; {fault}" if fault else words, "" if fault else new)
 
@@ -104,7 +106,7 @@ class BoardSelector:
                     self._camera = found.camera
             except CalibrationError:
                 pass  # not yet
-        self._rotations, _, _ = resected(self._views, self._camera)
+        self._rotations, _, _ = resect_views(self._views, self._camera)
 
     def pending_work(self) -> None:
         """Return nothing: no calculation takes long."""

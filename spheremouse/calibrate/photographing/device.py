@@ -16,7 +16,7 @@ from spheremouse.ball.device import Axes, Device
 from spheremouse.calibrate.device.bundle import Block
 from spheremouse.calibrate.device.calibrate import TARGET_SIGMA, calibrate_device
 from spheremouse.calibrate.device.correspond import MIN_RAY_ANGLE
-from spheremouse.calibrate.device.plans import ENOUGH, work_of
+from spheremouse.calibrate.device.plans import ENOUGH, best_plans
 from spheremouse.calibrate.device.start import first_block, target_views
 from spheremouse.calibrate.photographing.selector import (
     MAX_MOTION,
@@ -141,7 +141,7 @@ class DeviceSelector:
         often = int(np.count_nonzero(done.sightings >= 3))
         words = f"{len(done.discs)} discs, {often} of them in three photos or more; ball to {100.0 * part:.2g} % of it"
         odd = [f"photo {k + 1}: {why}" for k, why in (*done.skipped, *done.doubtful)]
-        plans = tuple(a.text for a in work_of(done))
+        plans = tuple(a.text for a in best_plans(done))
         return Assessment(n, "; ".join([words, *odd]), plans, part <= ENOUGH)
 
     def _known(self, found: TargetDetections) -> set[str]:

@@ -10,8 +10,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from spheremouse.calibrate.camera.bundle import PARAMETERS
-from spheremouse.calibrate.camera.calibrate import Calibrated, false_views
-from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, listed, missing_leans, missing_regions
+from spheremouse.calibrate.camera.calibrate import CameraCalibration, inconsistent_views
+from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, join_words, missing_leans, missing_regions
 from spheremouse.calibrate.photos import image
 from spheremouse.calibrate.report.scene import View, draw_axes, draw_camera, new_figure, scene_axes
 from spheremouse.files.report import page
@@ -36,7 +36,7 @@ _MARKS = {"good": "[green]✓[/]", "note": "[blue]i[/]", "warning": "[yellow]![/
 # ---- advice ----
 
 
-def advise(done: Calibrated) -> list[tuple[str, str]]:
+def advise(done: CameraCalibration) -> list[tuple[str, str]]:
     """Return ("good" | "note" | "warning", sentence), warnings first."""
     found = [*_view_advice(done), *_value_advice(done)]
     if not any(kind == "warning" for kind, _ in found):
@@ -44,9 +44,9 @@ def advise(done: Calibrated) -> list[tuple[str, str]]:
     return sorted(found, key=lambda item: ("warning", "good", "note").index(item[0]))
 
 
-def _view_advice(done: Calibrated) -> Iterator[tuple[str, str]]:
+def _view_advice(done: CameraCalibration) -> Iterator[tuple[str, str]]:
     covered = done.coverage
-    for i, why in false_views(done).items():
+    for i, why in inconsistent_views(done).items():
         yield "warning", f"{done.photos[i].path.name} {why} It was left out."
     if done.skipped:
         names = ", ".join(done.photos[i].path.name for i in done.skipped)
@@ -54,9 +54,12 @@ def _view_advice(done: Calibrated) -> Iterator[tuple[str, str]]:
     if covered.views < VIEWS:
         yield "warning", f"Only {covered.views} views; {VIEWS} to 20 make a lens reliable."
     if places := missing_regions(covered):
-        yield "note", f"No view shows the board {listed(places)}."
+        yield "note", f"No view shows the board {join_words(places)}."
     if ways := missing_leans(covered):
-        yield "note", f"Too few views of the board facing {listed(ways)}: tilt it by 20° to 45°, twice to each side."
+        yield (
+            "note",
+            f"Too few views of the board facing {join_words(ways)}: tilt it by 20° to 45°, twice to each side.",
+        )
     if covered.reach < _MIN_REACH:
         yield (
             "note",
@@ -65,7 +68,7 @@ def _view_advice(done: Calibrated) -> Iterator[tuple[str, str]]:
         )
 
 
-def _value_advice(done: Calibrated) -> Iterator[tuple[str, str]]:
+def _value_advice(done: CameraCalibration) -> Iterator[tuple[str, str]]:
     found, camera, sigma = done.found, done.found.camera, done.found.deviations
     if found.free[:2].all() and sigma[0] / camera.fx > _MAX_FOCAL_ERROR:
         tilt = np.degrees(found.tilts()[found.used])
@@ -96,7 +99,7 @@ def _value_advice(done: Calibrated) -> Iterator[tuple[str, str]]:
 # ---- JSON and terminal ----
 
 
-def camera_json(done: Calibrated) -> dict[str, Any]:
+def camera_json(done: CameraCalibration) -> dict[str, Any]:
     """Return the figures in px, m and degrees; `sigma` is of fx, fy, cx, cy, k1, k2, p1, p2, k3."""
     found, camera = done.found, done.found.camera
     rms, position, tilts = found.view_rms(), found.camera_positions(), np.degrees(found.tilts())
@@ -110,7 +113,7 @@ def camera_json(done: Calibrated) -> dict[str, Any]:
             "false_corners": int((~found.kept[k]).sum()) if found.used[k] else None,
             "tilt_deg": float(tilts[k]),
             "distance_m": float(np.linalg.norm(position[k])),
-            "why": false_views(done).get(i),
+            "why": inconsistent_views(done).get(i),
         }
         for k, i in enumerate(done.index)
     }
@@ -137,7 +140,7 @@ def camera_json(done: Calibrated) -> dict[str, Any]:
     }
 
 
-def print_camera(done: Calibrated, console: "Console") -> None:
+def print_camera(done: CameraCalibration, console: "Console") -> None:
     """Print parameters, views and advice."""
     held = _held_out_rms(done)
     values = Table(box=None, title_justify="left", title_style="")
@@ -161,13 +164,13 @@ def print_camera(done: Calibrated, console: "Console") -> None:
         console.print(f"{_MARKS[kind]} {escape(text.replace('`', ''))}")
 
 
-def _held_out_rms(done: Calibrated) -> float | None:
+def _held_out_rms(done: CameraCalibration) -> float | None:
     """RMS over all views held out, px."""
     good = done.held_out[np.isfinite(done.held_out)]
     return float(np.sqrt(np.mean(good**2))) if len(good) else None
 
 
-def _parameter_rows(done: Calibrated) -> list[list[str]]:
+def _parameter_rows(done: CameraCalibration) -> list[list[str]]:
     camera, sigma = done.found.camera, done.found.deviations
     rows = []
     for k, (v, s, free) in enumerate(zip(interior_vector(camera), sigma, done.found.free, strict=True)):
@@ -180,11 +183,11 @@ def _parameter_rows(done: Calibrated) -> list[list[str]]:
     return rows
 
 
-def _view_rows(done: Calibrated) -> list[tuple[list[str], bool]]:
+def _view_rows(done: CameraCalibration) -> list[tuple[list[str], bool]]:
     """Cells of each photo, and whether it was used."""
     found, rms = done.found, done.found.view_rms()
     tilts, position = np.degrees(found.tilts()), found.camera_positions()
-    false, rows = false_views(done), {}
+    false, rows = inconsistent_views(done), {}
     for k, i in enumerate(done.index):
         gone = int((~found.kept[k]).sum()) if found.used[k] else 0
         remark = false.get(i, f"{gone} false corner{'s' if gone > 1 else ''}" if gone else "")
@@ -199,7 +202,7 @@ def _view_rows(done: Calibrated) -> list[tuple[list[str], bool]]:
 # ---- the page ----
 
 
-def write_camera_report(path: Path, done: Calibrated, provenance: Mapping[str, Any]) -> None:
+def write_camera_report(path: Path, done: CameraCalibration, provenance: Mapping[str, Any]) -> None:
     """Write the page, whole or not at all; ConfigurationError if it cannot be written."""
     with styled():
         blocks = [
@@ -214,7 +217,7 @@ def write_camera_report(path: Path, done: Calibrated, provenance: Mapping[str, A
         write_atomically(path, page.page("Camera calibration", _lead(done), blocks, foot))
 
 
-def _lead(done: Calibrated) -> str:
+def _lead(done: CameraCalibration) -> str:
     found, camera, pattern = done.found, done.found.camera, done.pattern
     kind = "chessboard" if pattern.marker is None else "ChArUco board"
     distance = np.linalg.norm(found.camera_positions()[found.used], axis=1)
@@ -225,7 +228,7 @@ def _lead(done: Calibrated) -> str:
     )
 
 
-def _headlines(done: Calibrated) -> list[tuple[str, str, str]]:
+def _headlines(done: CameraCalibration) -> list[tuple[str, str, str]]:
     found, camera, sigma = done.found, done.found.camera, done.found.deviations
     held = _held_out_rms(done)
     return [
@@ -236,7 +239,7 @@ def _headlines(done: Calibrated) -> list[tuple[str, str, str]]:
     ]
 
 
-def _coverage_section(done: Calibrated) -> str:
+def _coverage_section(done: CameraCalibration) -> str:
     corners = (
         "All corners in the picture. The number in a region counts the views with corners there. In a region without "
         "any, the lens is not known."
@@ -249,7 +252,7 @@ def _coverage_section(done: Calibrated) -> str:
     return page.section("Coverage", page.beside(*pictures))
 
 
-def _residual_section(done: Calibrated) -> str:
+def _residual_section(done: CameraCalibration) -> str:
     bars = (
         "Root mean square distance between each view's corners and their places by the calibrated camera, with this "
         "view and without it. Bars that stand out are bad photos."
@@ -263,7 +266,7 @@ def _residual_section(done: Calibrated) -> str:
     )
 
 
-def _value_section(done: Calibrated) -> str:
+def _value_section(done: CameraCalibration) -> str:
     found = done.found
     text = "From the inverse normal matrix of the adjustment, with the variances of the corners estimated in each view."
     if found.contradiction > 1.0:
@@ -286,7 +289,7 @@ def _strong_correlations(C: Array) -> str:
     return f"Correlated by more than {_NAMED_CORRELATION}: {worst}. Only their combination is certain."
 
 
-def _view_section(done: Calibrated) -> str:
+def _view_section(done: CameraCalibration) -> str:
     head, rows = ["view", "RMS, px", "held out, px", "tilt, °", "distance, m", "remark"], _view_rows(done)
     return page.section(
         "Views",
@@ -298,14 +301,14 @@ def _view_section(done: Calibrated) -> str:
 # ---- figures ----
 
 
-def _used_corners(done: Calibrated) -> list[tuple[Array, Array]]:
+def _used_corners(done: CameraCalibration) -> list[tuple[Array, Array]]:
     """Places and residuals of the corners that took part, (n, 2) px each, of each view."""
     found = done.found
     each = zip(done.views, found.residuals, found.kept, found.used, strict=True)
     return [(v.uv[k], r[k]) for v, r, k, used in each if used]
 
 
-def _picture_axes(figure: "Figure", done: Calibrated) -> "Axes":
+def _picture_axes(figure: "Figure", done: CameraCalibration) -> "Axes":
     """Axes that are the picture, in px."""
     w, h = done.found.camera.width, done.found.camera.height
     axes = figure.subplots()
@@ -314,7 +317,7 @@ def _picture_axes(figure: "Figure", done: Calibrated) -> "Axes":
     return axes
 
 
-def _coverage_figure(done: Calibrated) -> "Figure":
+def _coverage_figure(done: CameraCalibration) -> "Figure":
     figure = new_figure(4.6, 3.1)
     axes = _picture_axes(figure, done)
     rows, columns = done.coverage.regions.shape
@@ -332,7 +335,7 @@ def _coverage_figure(done: Calibrated) -> "Figure":
     return figure
 
 
-def _places_figure(done: Calibrated) -> "Figure":
+def _places_figure(done: CameraCalibration) -> "Figure":
     figure = new_figure(4.6, 3.1)
     (axes,) = scene_axes(figure, 1)
     turn, rise = np.radians((35.0, 22.0))
@@ -355,7 +358,7 @@ def _places_figure(done: Calibrated) -> "Figure":
     return figure
 
 
-def _views_figure(done: Calibrated) -> "Figure":
+def _views_figure(done: CameraCalibration) -> "Figure":
     found, rms = done.found, done.found.view_rms()
     shown = np.flatnonzero(found.used).tolist()
     figure = new_figure(9.4, 2.6)
@@ -375,12 +378,12 @@ def _views_figure(done: Calibrated) -> "Figure":
     return figure
 
 
-def _magnification(done: Calibrated) -> float:
+def _magnification(done: CameraCalibration) -> float:
     """A round number that makes the RMS a fortieth of the picture's width."""
     return round_number(done.found.camera.width / 40.0 / max(done.found.rms, 1e-6))
 
 
-def _arrows_figure(done: Calibrated) -> "Figure":
+def _arrows_figure(done: CameraCalibration) -> "Figure":
     figure = new_figure(9.4, 5.2)
     axes = _picture_axes(figure, done)
     scale = _magnification(done)
@@ -390,7 +393,7 @@ def _arrows_figure(done: Calibrated) -> "Figure":
     return figure
 
 
-def _thumbnail(done: Calibrated, k: int) -> str:
+def _thumbnail(done: CameraCalibration, k: int) -> str:
     """A small photo with its corners, those left out in red."""
     photo, used = done.photos[done.index[k]], done.found.used[k]
     scale = _THUMBNAIL_WIDTH / photo.size[0]

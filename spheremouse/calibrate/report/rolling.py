@@ -7,7 +7,7 @@ import numpy as np
 from spheremouse.ball.rig import Rig
 from spheremouse.calibrate.rolling.axes import Axes
 from spheremouse.calibrate.rolling.calibrate import Solution
-from spheremouse.calibrate.rolling.problem import Rolled, Rolling
+from spheremouse.calibrate.rolling.problem import Rolling, RollingAdjustment
 from spheremouse.geometry.rotation import Array, fibonacci_sphere, log
 
 GOOD_RATIO, GOOD_DIRECTION = 1e-3, float(np.deg2rad(0.02))  # standard deviations; larger ones spoil tracking
@@ -80,7 +80,7 @@ def rolling_text(solution: Solution, axes: Axes, source: str, rig: Rig) -> str:
     return "\n".join(lines)
 
 
-def advise(rolled: Rolled) -> list[str]:
+def advise(rolled: RollingAdjustment) -> list[str]:
     """Return sentences, the most useful first; none for a good calibration."""
     found: list[str] = []
     ratio, direction = sigmas(rolled)
@@ -105,7 +105,7 @@ def advise(rolled: Rolled) -> list[str]:
     return found
 
 
-def sigmas(rolled: Rolled) -> tuple[float, float]:
+def sigmas(rolled: RollingAdjustment) -> tuple[float, float]:
     """Return the standard deviations of the ratio, relative to it, and of the direction, rad along its worse axis."""
     worst = float(np.linalg.eigvalsh(rolled.covariance[:3, :3])[-1])
     return float(np.sqrt(rolled.covariance[3, 3])) / rolled.rolling.ratio, float(np.sqrt(max(worst, 0.0)))

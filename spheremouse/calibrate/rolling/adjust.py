@@ -13,8 +13,16 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spheremouse.calibrate.rolling.normal import Eliminated, adjusted
-from spheremouse.calibrate.rolling.problem import GLOBAL, RATES, READOUT, Rolled, Rolling, Sightings, whitening
+from spheremouse.calibrate.rolling.normal import Eliminated, minimise
+from spheremouse.calibrate.rolling.problem import (
+    GLOBAL,
+    RATES,
+    READOUT,
+    Rolling,
+    RollingAdjustment,
+    Sightings,
+    whitening,
+)
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.least_squares.adjust import outlier_statistic, variance_factors
@@ -30,7 +38,7 @@ _CELLS = 12  # rows and columns of the ball's image, for errors that depend on t
 
 def adjust_rolling(
     sightings: Sightings, start: Rolling, camera: InteriorOrientation, readout_sigma: float = 0.0
-) -> Rolled:
+) -> RollingAdjustment:
     """Adjust all unknowns to the sightings, without those that contradict the rest.
 
     `readout_sigma` s is the standard deviation of the start's readout; 0: it is exact. Frames and discs without
@@ -38,7 +46,7 @@ def adjust_rolling(
     """
     known = start.readout, readout_sigma
     at, used = _compact(start, sightings)
-    at, there = adjusted(at, used, camera, known, _HUBER_KNEE)
+    at, there = minimise(at, used, camera, known, _HUBER_KNEE)
     robust = True
     while True:
         test = outlier_statistic(there.equations.residual, there.residual_cofactors())
@@ -48,7 +56,7 @@ def adjust_rolling(
         if not robust and fits.all():
             break
         at, used = _compact(at, used.take(fits))
-        at, there = adjusted(at, used, camera, known, None)
+        at, there = minimise(at, used, camera, known, None)
         robust = False
     return _result(at, used, len(sightings) - len(used), there, camera)
 
@@ -82,7 +90,9 @@ def _in_largest(at: Rolling, s: Sightings) -> NDArray[np.bool_]:
     return mine == np.bincount(mine).argmax() if len(s) else np.zeros(0, dtype=bool)
 
 
-def _result(at: Rolling, s: Sightings, rejected: int, there: Eliminated, camera: InteriorOrientation) -> Rolled:
+def _result(
+    at: Rolling, s: Sightings, rejected: int, there: Eliminated, camera: InteriorOrientation
+) -> RollingAdjustment:
     equations = there.equations
     Q, J = there.cofactors, there.reduced()
     number = np.full(2 * len(s), 1.0 - (3.0 * len(at.attitude) + Q.shape[0] - 3.0) / (2.0 * len(s)))
@@ -98,7 +108,7 @@ def _result(at: Rolling, s: Sightings, rejected: int, there: Eliminated, camera:
     T[:3, :2] = tangent_basis(at.direction)
     T[3, 2] = at.ratio
     residual = np.einsum("nij,nj->ni", np.linalg.inv(whitening(s.covariance)), equations.residual)
-    return Rolled(
+    return RollingAdjustment(
         at,
         T @ C @ T.T,
         C[GLOBAL:, GLOBAL:],

@@ -41,7 +41,7 @@ class Axes:
     """The axes of `obj` in the camera, and the distance and targets that came with them."""
 
     rotation: Array  # (3, 3) R_obj_cam
-    covariance: Array  # (3, 3) rad², obj; of targets: without the direction's part until `with_rolled`
+    covariance: Array  # (3, 3) rad², obj; of targets: without the direction's part until `with_direction`
     distance: float | None = None  # m, to the ball's centre, by targets
     distance_sigma: float = 0.0  # m
     targets_cam: Array | None = None  # (n, 3) m in cam, of targets that were measured
@@ -55,9 +55,9 @@ class Axes:
 def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling) -> Axes:
     """Find rotation and distance by targets with known coordinates about the ball's centre.
 
-    The direction to the centre is that of `rolling`; `with_rolled` adds its covariance. Only targets and camera of the
-    rig are used, and the camera must be that of the recording. Raises CalibrationError if fewer than three targets are
-    seen, or if they do not fit.
+    The direction to the centre is that of `rolling`; `with_direction` adds its covariance. Only targets and camera of
+    the rig are used, and the camera must be that of the recording. Raises CalibrationError if fewer than three targets
+    are seen, or if they do not fit.
     """
     known = {code: k for k, code in enumerate(rig.targets.codes)}
     x, used = _fitted(sightings, rig, rolling, known)

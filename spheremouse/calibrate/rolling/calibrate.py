@@ -20,8 +20,8 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.calibrate.rolling.adjust import adjust_rolling
 from spheremouse.calibrate.rolling.footage import Footage
-from spheremouse.calibrate.rolling.problem import Rolled
-from spheremouse.calibrate.rolling.sightings import Tracked, provisional_pose, track_rolling
+from spheremouse.calibrate.rolling.problem import RollingAdjustment
+from spheremouse.calibrate.rolling.sightings import TrackedRolling, provisional_pose, track_rolling
 from spheremouse.calibrate.rolling.start import RollingStart, Spots, dark_spots, start, start_rig
 from spheremouse.errors import CalibrationError, SourceError
 from spheremouse.geometry.camera import InteriorOrientation
@@ -67,8 +67,8 @@ class Views:
 class Solution:
     """Result of all passes."""
 
-    rolled: Rolled
-    tracked: Tracked
+    rolled: RollingAdjustment
+    tracked: TrackedRolling
     disc_angle: float  # rad, radius of the discs over the ball's, as seen
     views: Views
     seconds: float
@@ -81,7 +81,7 @@ def solve(
     footage: Footage,
     camera: InteriorOrientation,
     readout: tuple[float, float],
-    disc_angle: Callable[[Rolled, Views], float | None],
+    disc_angle: Callable[[RollingAdjustment, Views], float | None],
     progress: Progress,
 ) -> Solution:
     """Find ball, camera and discs in a recording; `readout` s and its standard deviation.
@@ -120,7 +120,7 @@ def _round(
     camera: InteriorOrientation,
     settings: Settings,
     progress: Progress,
-) -> tuple[Rolled, Tracked, Rig]:
+) -> tuple[RollingAdjustment, TrackedRolling, Rig]:
     """Track and adjust; the rig gets the fitted size of the discs."""
     frames = progress("tracking" if seconds is None else "first tracking", footage.frames(seconds))
     tracked = track_rolling(frames, rig, provisional_pose(direction, ratio), settings)

@@ -48,7 +48,7 @@ class Eliminated:
         return np.eye(2) - own - (J.reshape(-1, J.shape[2]) @ self.cofactors).reshape(J.shape) @ J.transpose(0, 2, 1)
 
 
-def adjusted(
+def minimise(
     at: Rolling, s: Sightings, camera: InteriorOrientation, readout: tuple[float, float], knee: float | None
 ) -> tuple[Rolling, Eliminated]:
     """Minimise the sum of squares, or of Huber's function with its `knee`.

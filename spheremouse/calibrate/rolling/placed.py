@@ -7,19 +7,19 @@ import numpy as np
 from spheremouse.ball.device import Device
 from spheremouse.ball.rig import Ball, Targets
 from spheremouse.calibrate.rolling.axes import Axes
-from spheremouse.calibrate.rolling.problem import Rolled
+from spheremouse.calibrate.rolling.problem import RollingAdjustment
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, hat
 
 
-def with_rolled(axes: Axes, rolled: Rolled) -> Axes:
+def with_direction(axes: Axes, rolled: RollingAdjustment) -> Axes:
     """Return the axes with the covariance of the direction added."""
     C = _joint(rolled, axes)
     distance_sigma = 0.0 if axes.distance is None else axes.distance * float(np.sqrt(C[3, 3]))
     return replace(axes, covariance=C[:3, :3], distance_sigma=distance_sigma)
 
 
-def _joint(rolled: Rolled, axes: Axes) -> Array:
+def _joint(rolled: RollingAdjustment, axes: Axes) -> Array:
     """Covariance of axes, log distance, direction and ratio, (8, 8); all share the error of the lens."""
     C = np.zeros((8, 8))
     if axes.parts is None:
@@ -33,7 +33,9 @@ def _joint(rolled: Rolled, axes: Axes) -> Array:
     return C + by_place @ (rolled.covariance - rolled.by_lens @ rolled.by_lens.T) @ by_place.T + lens @ lens.T
 
 
-def placed(rolled: Rolled, axes: Axes, radius: float | None = None, radius_sigma: float = 0.0) -> tuple[Pose, Ball]:
+def place_camera(
+    rolled: RollingAdjustment, axes: Axes, radius: float | None = None, radius_sigma: float = 0.0
+) -> tuple[Pose, Ball]:
     """Return the camera in `obj` and the ball, with their joint covariance.
 
     `radius`, m, is a known one; without it, the axes' distance gives the radius, and the camera's place is independent
@@ -64,7 +66,7 @@ def placed(rolled: Rolled, axes: Axes, radius: float | None = None, radius_sigma
     return Pose(R, P, C[:6, :6], with_ball), Ball(radius, covariance=np.diag([0.0, 0.0, 0.0, C[6, 6]]))
 
 
-def known_with_ball(axes: Axes, radius: float) -> Array:
+def target_ball_covariance(axes: Axes, radius: float) -> Array:
     """Return the covariance of known targets with the ball's centre and radius, (3n, 4) m²."""
     assert axes.parts is not None
     cross = np.zeros((len(axes.parts.with_targets), 4))
@@ -72,7 +74,7 @@ def known_with_ball(axes: Axes, radius: float) -> Array:
     return cross
 
 
-def rescaled_targets(targets: Targets, free: Ball, ball: Ball) -> tuple[Targets, Array]:
+def rescale_targets(targets: Targets, free: Ball, ball: Ball) -> tuple[Targets, Array]:
     """Convert targets of a free scale, in which the ball is `free`, to metres, with their covariance with the ball.
 
     The correlation of ratio and targets is neglected, so the covariance is a little too large.
@@ -87,8 +89,8 @@ def rescaled_targets(targets: Targets, free: Ball, ball: Ball) -> tuple[Targets,
     return replace(targets, position=X, covariance=C, radii=unit * targets.radii), cross
 
 
-def placed_targets(
-    axes: Axes, device: Device, rolled: Rolled, radius: float, radius_sigma: float
+def place_targets(
+    axes: Axes, device: Device, rolled: RollingAdjustment, radius: float, radius_sigma: float
 ) -> tuple[Targets, Array]:
     """Return targets measured in cam, in `obj`, and their covariance with the ball's centre and radius, (3n, 4)."""
     assert axes.targets_cam is not None

@@ -43,7 +43,7 @@ class Rolling:
 
 
 @dataclass(frozen=True, slots=True)
-class Rolled:
+class RollingAdjustment:
     """An adjusted `Rolling` with its covariances, and the sightings used."""
 
     rolling: Rolling

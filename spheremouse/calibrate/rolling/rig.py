@@ -14,8 +14,14 @@ from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.calibrate.rolling.axes import Axes, axes_from_gestures, axes_from_targets
 from spheremouse.calibrate.rolling.axes_from_rings import axes_from_rings
 from spheremouse.calibrate.rolling.calibrate import Solution, Views
-from spheremouse.calibrate.rolling.placed import known_with_ball, placed, placed_targets, rescaled_targets, with_rolled
-from spheremouse.calibrate.rolling.problem import Rolled
+from spheremouse.calibrate.rolling.placed import (
+    place_camera,
+    place_targets,
+    rescale_targets,
+    target_ball_covariance,
+    with_direction,
+)
+from spheremouse.calibrate.rolling.problem import RollingAdjustment
 from spheremouse.errors import CalibrationError, PoseError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array
@@ -34,7 +40,7 @@ class Lengths(NamedTuple):
     disc_radius: float | None
 
 
-class Calibrated(NamedTuple):
+class RollingCalibration(NamedTuple):
     """Result of a rolled calibration."""
 
     rig: Rig
@@ -75,7 +81,7 @@ class AxesFrom:
                 "or roll the ball forward, then right, and say when with --forward A:B --right A:B"
             )
 
-    def find(self, rolled: Rolled, views: Views) -> tuple[Axes, str]:
+    def find(self, rolled: RollingAdjustment, views: Views) -> tuple[Axes, str]:
         """Return the axes and their source: targets, device or gestures."""
         self.check()
         if self.gestures is not None:
@@ -121,11 +127,11 @@ def _sizes(views: list[TargetDetections]) -> list[tuple[str, np.ndarray, float]]
 # ---- lengths ----
 
 
-def disc_angle(lengths: Lengths, axes: AxesFrom, rolled: Rolled, views: Views) -> float | None:
+def disc_angle(lengths: Lengths, axes: AxesFrom, rolled: RollingAdjustment, views: Views) -> float | None:
     """Return a disc's radius over the ball's, by lengths or targets; None if neither gives it."""
     radius = lengths.radius
     if axes.rig is not None and axes.device is None and axes.gestures is None:
-        ball = placed(rolled, with_rolled(axes.find(rolled, views)[0], rolled))[1]
+        ball = place_camera(rolled, with_direction(axes.find(rolled, views)[0], rolled))[1]
         if radius is not None and not axes.rig.scale_free:
             check_radius(radius, ball, _FIRST_ERROR)
         if radius is None or (axes.rig.scale_free and lengths.disc_radius is None):
@@ -151,11 +157,11 @@ def check_radius(radius: float, ball: Ball, error: float = 0.0) -> None:
 # ---- the rig ----
 
 
-def calibrated(solution: Solution, axes: AxesFrom, radius: float | None, exposure_s: float) -> Calibrated:
+def build_rig(solution: Solution, axes: AxesFrom, radius: float | None, exposure_s: float) -> RollingCalibration:
     """Build the rig in the axes found; `radius` of the ball, m, if a person measured it."""
     rolled = solution.rolled
     found, source = axes.find(rolled, solution.views)
-    found = with_rolled(found, rolled)
+    found = with_direction(found, rolled)
     scaled = _scaled(rolled, found, source, axes, radius)
     at_first = found.rotation @ rolled.rolling.attitude[0]
     seen = np.bincount(rolled.sightings.disc, minlength=len(rolled.rolling.discs))
@@ -175,7 +181,7 @@ def calibrated(solution: Solution, axes: AxesFrom, radius: float | None, exposur
         cross_covariance=scaled.cross,
         scale_free=scaled.free,
     )
-    return Calibrated(rig, disc_map, found, source)
+    return RollingCalibration(rig, disc_map, found, source)
 
 
 class _Scaled(NamedTuple):
@@ -188,24 +194,24 @@ class _Scaled(NamedTuple):
     free: bool  # without a unit
 
 
-def _scaled(rolled: Rolled, found: Axes, source: str, axes: AxesFrom, given: float | None) -> _Scaled:
+def _scaled(rolled: RollingAdjustment, found: Axes, source: str, axes: AxesFrom, given: float | None) -> _Scaled:
     """Scale by the length `given`, else by the targets, else in radii of the ball."""
     radius, sigma = (1.0, 0.0) if given is None else (given, TAPE * given)
     if source == "targets":
         assert axes.rig is not None
         targets = axes.rig.targets
-        pose, ball = placed(rolled, found)
+        pose, ball = place_camera(rolled, found)
         if given is None:
-            return _Scaled(pose, ball, targets, known_with_ball(found, ball.radius), axes.rig.scale_free)
+            return _Scaled(pose, ball, targets, target_ball_covariance(found, ball.radius), axes.rig.scale_free)
         by_targets = ball
-        pose, ball = placed(rolled, found, radius, sigma)
+        pose, ball = place_camera(rolled, found, radius, sigma)
         if axes.rig.scale_free:
-            return _Scaled(pose, ball, *rescaled_targets(targets, by_targets, ball), False)
+            return _Scaled(pose, ball, *rescale_targets(targets, by_targets, ball), False)
         check_radius(given, by_targets)
         return _Scaled(pose, ball, targets, None, False)
-    pose, ball = placed(rolled, found, radius, sigma)
+    pose, ball = place_camera(rolled, found, radius, sigma)
     if source == "device" and given is not None:
         assert axes.device is not None
-        return _Scaled(pose, ball, *placed_targets(found, axes.device, rolled, radius, sigma), False)
+        return _Scaled(pose, ball, *place_targets(found, axes.device, rolled, radius, sigma), False)
     none = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
     return _Scaled(pose, ball, none, None, given is None)

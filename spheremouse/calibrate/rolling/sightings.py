@@ -32,7 +32,7 @@ _MAX_JOIN_FRAMES = 50  # of a segment that are tried
 
 
 @dataclass(frozen=True, slots=True)
-class Tracked:
+class TrackedRolling:
     """Result of the tracker."""
 
     rolling: Rolling
@@ -59,7 +59,7 @@ def provisional_pose(direction: Array, ratio: float) -> Pose:
     return Pose(R_OBJ_CAM, -ratio * (R_OBJ_CAM @ direction))
 
 
-def track_rolling(frames: Iterable[Frame], rig: Rig, pose: Pose, settings: Settings) -> Tracked:
+def track_rolling(frames: Iterable[Frame], rig: Rig, pose: Pose, settings: Settings) -> TrackedRolling:
     """Run the tracker over all frames; raises CalibrationError if it hardly ever tracks the ball."""
     tracker = build(rig, pose, settings)
     state: TrackState | None = None
@@ -91,7 +91,7 @@ def track_rolling(frames: Iterable[Frame], rig: Rig, pose: Pose, settings: Setti
         raise CalibrationError("the ball is hardly seen to turn: roll it on in all directions, slowly, for a minute")
     joined = [s if s is best else _in_frame_of(best, s, rig, pose) for s in segments]
     rolling, sightings = _numbered([s for s in joined if s is not None], best.discs, rig, pose)
-    return Tracked(rolling, sightings, float(np.median(sizes)) if sizes else 1.0, lost, count)
+    return TrackedRolling(rolling, sightings, float(np.median(sizes)) if sizes else 1.0, lost, count)
 
 
 def _in_frame_of(best: _Segment, other: _Segment, rig: Rig, pose: Pose) -> _Segment | None:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from spheremouse.ball.rig import Rig
     from spheremouse.calibrate.rolling.calibrate import Solution, Views
     from spheremouse.calibrate.rolling.footage import Footage
-    from spheremouse.calibrate.rolling.problem import Rolled
-    from spheremouse.calibrate.rolling.rig import AxesFrom, Calibrated, Lengths
+    from spheremouse.calibrate.rolling.problem import RollingAdjustment
+    from spheremouse.calibrate.rolling.rig import AxesFrom, Lengths, RollingCalibration
 
 EXAMPLE = "Example: spheremouse calibrate rolling --source video:roll.mkv --camera camera.yaml --device device.yaml"
 
@@ -113,7 +113,7 @@ def _span(text: str, name: str) -> tuple[float, float]:
 
 def _calibrate(given: _Given) -> None:
     from spheremouse.ball.settings import Settings
-    from spheremouse.calibrate.rolling.rig import AxesFrom, calibrated
+    from spheremouse.calibrate.rolling.rig import AxesFrom, build_rig
     from spheremouse.capture import open_source
     from spheremouse.files.device import load_device
     from spheremouse.files.disc_map import map_path
@@ -146,7 +146,7 @@ def _calibrate(given: _Given) -> None:
     with _Bar(count, given.seconds, stream.fps) as bar:
         solution = _solved(given.lengths, footage, axes, known, bar)
     exposure = 0.0 if known is None else known.exposure_s
-    _write(given, solution, calibrated(solution, axes, given.lengths.radius, exposure))
+    _write(given, solution, build_rig(solution, axes, given.lengths.radius, exposure))
 
 
 def _solved(lengths: "Lengths", footage: "Footage", axes: "AxesFrom", known: "Rig | None", bar: "_Bar") -> "Solution":
@@ -157,7 +157,7 @@ def _solved(lengths: "Lengths", footage: "Footage", axes: "AxesFrom", known: "Ri
 
     by_lengths: float | None = None  # rad, of a disc
 
-    def angle(rolled: "Rolled", views: "Views") -> float | None:
+    def angle(rolled: "RollingAdjustment", views: "Views") -> float | None:
         nonlocal by_lengths
         by_lengths = disc_angle(lengths, axes, rolled, views)
         return by_lengths
@@ -241,7 +241,7 @@ def _footage(given: _Given, live: bool, ask: bool) -> Any:
     return buffer, None if not ask else tuple((a - first, b - first) for a, b in spans)
 
 
-def _write(given: _Given, solution: "Solution", made: "Calibrated") -> None:
+def _write(given: _Given, solution: "Solution", made: "RollingCalibration") -> None:
     """Write rig, map and figures, and print the report."""
     from spheremouse.calibrate.guide.suggested import axes_command
     from spheremouse.calibrate.report.rolling import advise, rolling_json, rolling_text

@@ -10,8 +10,8 @@ from scipy.stats import chi2
 from spheremouse.calibrate.camera import adjust as adjustment
 from spheremouse.calibrate.camera import bundle as bundle_module
 from spheremouse.calibrate.camera.adjust import calibrate_board, held_out
-from spheremouse.calibrate.camera.bundle import View, resected
-from spheremouse.calibrate.camera.corners import Pattern, dictionary_seen, find_board, rectified
+from spheremouse.calibrate.camera.bundle import View, resect_views
+from spheremouse.calibrate.camera.corners import Pattern, detect_dictionary, find_board, measure_in_plane
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import exp, log
@@ -44,7 +44,7 @@ def test_corners_lie_where_the_board_projects():
             far = PATTERN.corners()[-1]
             R[k], t[k] = R[k] @ turn, t[k] + R[k] @ far
             truth = truth[::-1]
-        fine = rectified(image, PATTERN, seen, CAMERA, R[k], t[k])
+        fine = measure_in_plane(image, PATTERN, seen, CAMERA, R[k], t[k])
         before.append(seen.uv - truth)
         after.append(fine.uv - truth[fine.ids])
         assert len(fine.ids) == 54
@@ -55,7 +55,8 @@ def test_corners_lie_where_the_board_projects():
 
 
 def test_a_bad_first_camera_does_not_move_the_corners():
-    """`rectified` needs the camera only to bend its windows: 1 % of focal length changes nothing that matters."""
+    """`measure_in_plane` needs the camera only to bend its windows: 1 % of focal length changes nothing that
+    matters."""
     from dataclasses import replace
 
     rng = np.random.default_rng(2)
@@ -66,8 +67,8 @@ def test_a_bad_first_camera_does_not_move_the_corners():
     off = replace(CAMERA, fx=1.01 * CAMERA.fx, fy=1.01 * CAMERA.fy)
     found = []
     for camera in (CAMERA, off):
-        r, s, _ = resected([view], camera)
-        found.append(rectified(image, PATTERN, seen, camera, r[0], s[0]).uv)
+        r, s, _ = resect_views([view], camera)
+        found.append(measure_in_plane(image, PATTERN, seen, camera, r[0], s[0]).uv)
     assert np.abs(found[0] - found[1]).max() < 0.01
 
 
@@ -112,7 +113,7 @@ def test_a_charuco_board_may_be_cut_off():
     assert len(whole.ids) == 54
     assert whole.ratio == pytest.approx(0.75, rel=0.06)  # blur takes a part of a pixel
     assert np.sqrt(np.mean(np.sum((whole.uv - truth) ** 2, axis=1))) < 0.15
-    fine = rectified(image, CHARUCO, whole, CAMERA, R[0], t[0])
+    fine = measure_in_plane(image, CHARUCO, whole, CAMERA, R[0], t[0])
     assert np.sqrt(np.mean(np.sum((fine.uv - truth[fine.ids]) ** 2, axis=1))) < 0.1
     image[:, int(np.percentile(truth[:, 0], 60)) :] = 120
     part = find_board(image, CHARUCO)
@@ -128,7 +129,7 @@ def test_a_charuco_board_tells_when_it_is_another():
     assert find_board(image, Pattern(8, 6, 0.03, 0.0225)).misplaced
     other = find_board(image, Pattern(9, 6, 0.03, 0.0225, "DICT_4X4_100"))
     assert len(other.ids) == 0
-    assert dictionary_seen(image) == "DICT_5X5_50"  # the same markers as the first of DICT_5X5_100
+    assert detect_dictionary(image) == "DICT_5X5_50"  # the same markers as the first of DICT_5X5_100
 
 
 # ---- the adjustment ----
@@ -282,7 +283,7 @@ def test_reference_photos():
     assert [len(s.ids) for s in seen] == [88] * 15
     first = calibrate_board([View(pattern.corners()[s.ids], s.uv) for s in seen], (1920, 1080))
     fine = [
-        rectified(image, pattern, s, first.camera, R, t)
+        measure_in_plane(image, pattern, s, first.camera, R, t)
         for image, s, R, t in zip(images, seen, first.rotations, first.translations, strict=True)
     ]
     found = calibrate_board([View(pattern.corners()[s.ids], s.uv) for s in fine], (1920, 1080))

@@ -16,7 +16,7 @@ from spheremouse.calibrate.device.advice import advise, coverage, photo_px, phot
 from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, predicted
 from spheremouse.calibrate.device.plans import ENOUGH, MIN_GAIN
 from spheremouse.calibrate.device.start import TargetViews
-from spheremouse.calibrate.device.what_if import network, sigmas, targets_seen, with_distances, with_photos
+from spheremouse.calibrate.device.what_if import network, sigmas, visible_targets, with_distances, with_photos
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import fibonacci_sphere
 
@@ -168,13 +168,15 @@ def test_stations_see_no_target_through_the_ball_or_from_behind(good):
     net = network(good)
     centre = good.centre
     front, side, behind = station(0.0, 0.0), station(85.0, 0.0), station(180.0, 0.0)
-    assert [int(np.sum(targets_seen(net, Pose(p.rotation, p.position + centre)))) for p in (front, side, behind)] == [
+    assert [
+        int(np.sum(visible_targets(net, Pose(p.rotation, p.position + centre)))) for p in (front, side, behind)
+    ] == [
         4,
         0,
         0,
     ]
     near = station(0.0, 0.0, 0.9)
-    assert np.sum(targets_seen(net, Pose(near.rotation, near.position + centre))) < 4  # out of the picture
+    assert np.sum(visible_targets(net, Pose(near.rotation, near.position + centre))) < 4  # out of the picture
 
 
 def test_one_distance_is_not_checked_and_none_is_free():

@@ -6,7 +6,7 @@ from conftest import directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spheremouse.calibrate.device.correspond import Spots, near_sphere, numbered, on_ball
+from spheremouse.calibrate.device.correspond import Spots, directions_on_ball, find_ball, number_discs
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import project
 from tests.calibrate.device.test_bundle import CAMERA, stations
@@ -51,11 +51,11 @@ def test_ball_is_found_among_bolts_and_dark_spots(seed):
     rng = np.random.default_rng(seed)
     poses = stations(rng, np.array([0.3, 0.5, -0.2]))
     seen, number = spots(rng, poses, 40, 14, 25)
-    centre, radius = near_sphere(seen, poses, CAMERA, DISC, 0.004)
+    centre, radius = find_ball(seen, poses, CAMERA, DISC, 0.004)
     assert np.linalg.norm(centre - CENTRE) < 0.02
     assert radius == pytest.approx(RADIUS, abs=0.02)
-    directions_, index = on_ball(seen, poses, CAMERA, centre, radius)
-    found = numbered(seen.photo[index], directions_, DISC / RADIUS)
+    directions_, index = directions_on_ball(seen, poses, CAMERA, centre, radius)
+    found = number_discs(seen.photo[index], directions_, DISC / RADIUS)
     for k in range(found.max() + 1):
         members = number[index[found == k]]
         assert len(np.unique(members[members >= 0])) <= 1  # never two discs under one number
@@ -69,7 +69,7 @@ def test_no_ball_is_refused():
     poses = stations(rng, np.array([0.3, 0.5, -0.2]))
     none, _ = spots(rng, poses, 1, 0, 0)
     with pytest.raises(CalibrationError, match="at least 5"):
-        near_sphere(none, poses, CAMERA, DISC, 0.004)
+        find_ball(none, poses, CAMERA, DISC, 0.004)
 
 
 def test_bolts_in_a_plane_are_no_ball():
@@ -78,10 +78,10 @@ def test_bolts_in_a_plane_are_no_ball():
     seen, number = spots(rng, poses, 1, 20, 10)
     none = Spots(seen.photo[number < 0], seen.centre[number < 0], seen.area[number < 0])
     with pytest.raises(CalibrationError):
-        near_sphere(none, poses, CAMERA, DISC, 0.004)
+        find_ball(none, poses, CAMERA, DISC, 0.004)
 
 
 def test_of_two_spots_of_a_photo_the_nearer_is_the_disc():
     u = np.array([[0.0, 0, 1], [0.001, 0, 1], [0.0, 0.001, 1], [0.02, 0, 1], [1.0, 0, 0]])
     u /= np.linalg.norm(u, axis=1, keepdims=True)
-    assert numbered(np.array([0, 1, 2, 1, 2]), u, 0.03).tolist() == [0, 0, 0, -1, -1]
+    assert number_discs(np.array([0, 1, 2, 1, 2]), u, 0.03).tolist() == [0, 0, 0, -1, -1]

@@ -22,7 +22,7 @@ from spheremouse.calibrate.rolling.axes_from_rings import axes_from_rings
 from spheremouse.calibrate.rolling.calibrate import solve
 from spheremouse.calibrate.rolling.footage import until
 from spheremouse.calibrate.rolling.normal import apply_step
-from spheremouse.calibrate.rolling.placed import known_with_ball, placed, rescaled_targets, with_rolled
+from spheremouse.calibrate.rolling.placed import place_camera, rescale_targets, target_ball_covariance, with_direction
 from spheremouse.calibrate.rolling.problem import Rolling, Sightings, angular_rates, equations_of
 from spheremouse.calibrate.rolling.start import Spots, start
 from spheremouse.capture import Stream
@@ -328,7 +328,8 @@ def test_targets_of_another_device_are_told():
 
 
 def rolled_targets(seed, rig, **how):
-    """Rolled, axes with the direction held, and the truth: pose and radius; rig and lens are off as they say."""
+    """RollingAdjustment, axes with the direction held, and the truth: pose and radius; rig and lens are off as they
+    say."""
     rng = np.random.default_rng(seed)
     truth, s = rolled(seed, **how)
     L = np.sqrt(np.diag(rig.camera.covariance))[:4] * rng.normal(size=4)
@@ -357,16 +358,16 @@ def test_axes_and_pose_are_as_certain_as_they_say(sigma, lens, targets):
     runs, axes_nees, nees, held, joint = 24, 0.0, 0.0, 0.0, 0.0
     for seed in range(runs):
         found, axes, pose, off = rolled_targets(seed, scene, frames=40, discs=24, sigma=sigma, speed=0.8)
-        counted = with_rolled(axes, found)
+        counted = with_direction(axes, found)
         e = log(axes.rotation @ pose.rotation.T)
         held += e @ np.linalg.solve(axes.covariance, e)
         axes_nees += e @ np.linalg.solve(counted.covariance, e)
-        p, ball = placed(found, counted)
+        p, ball = place_camera(found, counted)
         error = np.concatenate([p.position - pose.position, e, [ball.radius - 0.6]])
         C = np.block([[p.covariance, p.ball_covariance[:, 3:]], [p.ball_covariance[:, 3:].T, ball.covariance[3:, 3:]]])
         nees += error @ np.linalg.solve(C, error)
         if targets:
-            cross = known_with_ball(counted, ball.radius)[:, 3:]
+            cross = target_ball_covariance(counted, ball.radius)[:, 3:]
             C = np.block([[scene.targets.covariance, cross], [cross.T, ball.covariance[3:, 3:]]])
             error = np.append(off, error[-1])
             joint += error @ np.linalg.solve(C, error)
@@ -386,8 +387,8 @@ def test_a_rig_from_photos_is_rolled_and_loads(tmp_path):
     before = calibrated(simulated_calibration(np.random.default_rng(0))).rig()
     before = replace(before, camera=CAMERA)
     found, axes, _, _ = rolled_targets(1, before, frames=60, discs=30)
-    pose, ball = placed(found, with_rolled(axes, found))
-    cross = known_with_ball(axes, ball.radius)
+    pose, ball = place_camera(found, with_direction(axes, found))
+    cross = target_ball_covariance(axes, ball.radius)
     assert np.abs(cross[:, 3]).max() > 0.1 * np.sqrt(before.targets.covariance.diagonal().max() * ball.covariance[3, 3])
     path = tmp_path / "rig.yaml"
     save_rig(path, replace(before, pose=pose, ball=ball, cross_covariance=cross))
@@ -399,7 +400,7 @@ def test_targets_of_a_free_rig_take_a_length(tmp_path):
     targets = replace(free.targets, covariance=1e-6 * np.eye(12))
     unit = Ball(1.0, covariance=np.diag([0.0, 0.0, 0.0, 1e-6]))
     ball = Ball(0.6, covariance=np.diag([0.0, 0.0, 0.0, 1.44e-6]))
-    metric, cross = rescaled_targets(targets, unit, ball)
+    metric, cross = rescale_targets(targets, unit, ball)
     assert np.allclose(metric.position, 0.6 * targets.position)
     assert np.allclose(metric.radii, 0.6 * targets.radii)
     path = tmp_path / "rig.yaml"
@@ -477,7 +478,7 @@ def test_the_pose_carries_all_covariances():
     truth, s = rolled(4, frames=60, discs=30)
     found = adjust_rolling(s, truth, CAMERA)
     axes = RolledAxes(R_OBJ_CAM, 1e-4 * np.diag([1.0, 2.0, 3.0]))
-    pose, ball = placed(found, axes, 0.6, 0.003)
+    pose, ball = place_camera(found, axes, 0.6, 0.003)
     rng, drawn = np.random.default_rng(0), []
     for _ in range(4000):
         turn = rng.multivariate_normal(np.zeros(3), axes.covariance)

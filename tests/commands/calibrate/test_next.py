@@ -216,6 +216,8 @@ def test_a_practice_set_ends_with_its_truth_and_your_own_cabinet(finished, tmp_p
     assert shlex.split(next_of(finished).command) == [
         "spheremouse", "axes", "--config", str(config), "--rig", rig, *source
     ]  # fmt: skip
+    (finished / "rig.yaml").unlink()
+    assert [s.state for s in checklist(finished) if s.name in ("truth", "your cabinet")] == ["later", "later"]
 
 
 def test_some_photos_are_counted_and_may_do(cabinet):
