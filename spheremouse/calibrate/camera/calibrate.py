@@ -32,7 +32,7 @@ class CameraCalibration:
     index: tuple[int, ...]  # of the photos that are views
     views: tuple[View, ...]
     found: BoardAdjustment
-    held_out: Array  # (v,) px RMS of each view, calibrated without it; nan where not
+    held_out: Array  # (v,) px RMS of each view, calibrated without it; nan if it was not possible
     coverage: Coverage
     skipped: dict[int, str]  # photo: reason why it is no view
 

@@ -172,7 +172,7 @@ def _adjusted(views: TargetViews, device: Device, camera: InteriorOrientation) -
     xy, _ = unproject(image.centre, camera)
     cam = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) * views.depth[:, :1]
     n, m = len(views.photos), len(device.ids)
-    # the photo that shows most targets is the first frame; the others join where they share three with what is known
+    # the photo with most targets is the first frame; the others join when they share three known targets
     counts = np.bincount(image.photo, minlength=n)
     points = np.full((m, 3), np.nan)
     poses: list[Pose | None] = [None] * n

@@ -53,7 +53,7 @@ class RollingAdjustment:
     sightings: Sightings
     residual: Array  # (n, 2) px
     rejected: int  # sightings that contradict the others
-    variance_factor: float  # of the sightings, over what was assumed
+    variance_factor: float  # of the sightings, over the assumed variance
     correlation: float  # factor on the variances of the result for errors that are correlated in time or place
     by_lens: Array  # (4, 9) errors of direction and ratio per standard deviation along `lens_root`
 

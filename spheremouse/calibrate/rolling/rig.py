@@ -77,7 +77,7 @@ class AxesFrom:
         """Raise CalibrationError without any source."""
         if not self.known:
             raise CalibrationError(
-                "nothing says which way is up: give --device device.yaml or --rig rig.yaml where targets are in view, "
+                "the direction of up is unknown: give --device device.yaml or --rig rig.yaml if targets are in view, "
                 "or roll the ball forward, then right, and say when with --forward A:B --right A:B"
             )
 

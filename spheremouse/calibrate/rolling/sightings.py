@@ -37,7 +37,7 @@ class TrackedRolling:
 
     rolling: Rolling
     sightings: Sightings
-    size: float  # of the discs as fitted, over what was expected
+    size: float  # of the fitted discs over the expected size
     lost: int  # number of times it lost the ball
     frames: int  # all frames read
 

@@ -79,7 +79,7 @@ class RollingStart:
     direction: Array  # (3,) unit vector in cam, to the ball's centre
     ratio: float  # distance of the centre over the radius
     disc_angle: float  # rad, radius of a disc over that of the ball
-    misfit: float  # px, median of what is left between two frames
+    misfit: float  # px, median residual between two frames
     paths: tuple[Path, ...] = field(repr=False)  # those that moved
 
 

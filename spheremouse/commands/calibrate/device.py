@@ -96,14 +96,14 @@ def device(
     if json_file is not None and write_json(json_file, figures):
         return
     print_device(calibration, names, advice, Console(highlight=False))
-    typer.echo(f"{out}: the rig; {the_map}: where its discs are; {page}: the report")
+    typer.echo(f"{out}: the rig; {the_map}: the map of its discs; {page}: the report")
     if any(a.kind != "good" for a in advice):
         files = ["--device", device_file, "--camera", camera_file, *([] if config is None else ["--config", config])]
         files += [word for one in settings or () for word in ("--set", one)]
         again = copyable("spheremouse", "calibrate", "device", *photos, *files, "--out", out, "--force")
         typer.echo(f"with more photos, again: {again}")
     typer.echo(f"next: {axes_command(out)}")
-    typer.echo("      with --camera FILE where the camera runs in another mode than the photos'")
+    typer.echo("      add --camera FILE if the camera runs in another mode than in the photos")
 
 
 def _check_inputs(device_file: Path, camera_file: Path) -> None:

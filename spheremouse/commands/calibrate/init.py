@@ -39,4 +39,4 @@ def init(
         typer.echo(f"{path}: written; open it in an editor: it says what to measure")
     typer.echo(f"{folder / 'board'}, {folder / 'device'}: photos of the board and of the device go here")
     typer.echo("To print board, targets and discs: spheremouse calibrate print")
-    typer.echo(f"What to do next, now and at any time: {next_command(folder)}")
+    typer.echo(f"The next step, now and at any time: {next_command(folder)}")

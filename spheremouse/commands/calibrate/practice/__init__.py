@@ -73,7 +73,7 @@ def practice(
     )
     print(f"next: {camera_command(folder)}")
     print(f"then: {device_command(folder)}")
-    print(f"what to do next, at any time: {next_command(folder)}")
+    print(f"the next step, at any time: {next_command(folder)}")
 
 
 # ---- the folder ----
