@@ -57,11 +57,13 @@ class Step:
     otherwise: tuple[tuple[str, str], ...] = ()  # further text, each with its command
 
 
-def checklist(folder: Path, services: Sequence[Path] = SERVICES) -> list[Step]:
+def checklist(folder: Path, services: Sequence[Path] | None = None) -> list[Step]:
     """Return all steps from nothing to a running mouse; at most one is next.
 
-    The steps of a practice set end with a comparison with its truth. `services` are folders with a service's rig.yaml.
+    The steps of a practice set end with a comparison with its truth. `services` are folders with a service's rig.yaml,
+    by default SERVICES.
     """
+    services = SERVICES if services is None else services
     camera, rig = read_camera(folder), read_rig(folder)
     have_rig = rig is not None and not rig.problem
     have_camera = camera is not None and not camera.problem

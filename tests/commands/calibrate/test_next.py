@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.calibrate.board import BoardFile, save_board
+from spheremouse.calibrate.guide import checklist as checklist_module
 from spheremouse.calibrate.guide.checklist import checklist
 from spheremouse.calibrate.photos import BOARD_ENOUGH, DEVICE_ENOUGH, read_photos
 from spheremouse.commands import app
@@ -117,7 +118,7 @@ def finished(cabinet):
     return cabinet
 
 
-def test_an_evening_from_nothing_to_the_mouse(tmp_path):
+def test_a_calibration_from_nothing_to_the_mouse(tmp_path, monkeypatch):
     """Each step is done as its own words say, and leads to the next one."""
     folder = tmp_path / "my cabinet"
     step = next_of(folder)
@@ -190,6 +191,8 @@ def test_an_evening_from_nothing_to_the_mouse(tmp_path):
     shutil.copy(*copy[2:])
     steps = checklist(folder, [tmp_path / "service"])
     assert [s.name for s in steps if s.state not in ("done", "not needed")] == []
+    monkeypatch.setattr(checklist_module, "SERVICES", [tmp_path / "service"])
+    assert run("next", folder).stdout.splitlines()[-1].startswith("The calibration is complete")
 
 
 def test_a_practice_set_ends_with_its_truth_and_your_own_cabinet(finished, tmp_path):
