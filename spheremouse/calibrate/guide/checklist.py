@@ -12,7 +12,7 @@ from typing import Literal
 
 from spheremouse.calibrate.board import NAME as BOARD_FILE
 from spheremouse.calibrate.board import PRINTED
-from spheremouse.calibrate.guide import suggested
+from spheremouse.calibrate.guide import suggestions
 from spheremouse.calibrate.guide.folder import (
     BOARD,
     CAMERA_FILE,
@@ -71,7 +71,7 @@ def checklist(folder: Path, services: Sequence[Path] | None = None) -> list[Step
     device = read_photo_folder(folder / DEVICE, folder / CAMERA_FILE if have_camera else None)
     rolling: tuple[tuple[str, str], ...] = ()
     if not have_rig:
-        rolling = (("Without photos of the device, roll the ball for a minute:", suggested.rolling_command(folder)),)
+        rolling = (("Without photos of the device, roll the ball for a minute:", suggestions.rolling_command(folder)),)
     ending = [_truth_step(folder), _own_cabinet_step(folder)] if (folder / TRUTH_FILE).is_file() else []
     return _in_order(
         [
@@ -95,11 +95,11 @@ def _folder_step(folder: Path, overtaken: bool) -> Step:
     name = "folder"
     if not folder.is_dir():
         todo = ("Make a folder for all files of this device:",)
-        return Step(name, "next", f"{folder}: no such folder", todo, suggested.init_command(folder))
+        return Step(name, "next", f"{folder}: no such folder", todo, suggestions.init_command(folder))
     if (folder / DEVICE_FILE).exists():
         return Step(name, "done", str(folder))
     todo = ("Add the file that describes the device; existing files stay:",)
-    return Step(name, _open(overtaken), f"{folder}, without {DEVICE_FILE}", todo, suggested.init_command(folder))
+    return Step(name, _open(overtaken), f"{folder}, without {DEVICE_FILE}", todo, suggestions.init_command(folder))
 
 
 def _print_step(folder: Path, overtaken: bool) -> Step:
@@ -114,13 +114,13 @@ def _print_step(folder: Path, overtaken: bool) -> Step:
         "stiff. Measure a whole row of its squares, and divide: that is the square size.",
         "",
     )
-    return Step(name, _open(overtaken), "no pages yet", todo, suggested.print_command(folder), (after,))
+    return Step(name, _open(overtaken), "no pages yet", todo, suggestions.print_command(folder), (after,))
 
 
 def _board_step(folder: Path, board: Photos, overtaken: bool, left_out: frozenset[str]) -> Step:
     """`left_out`: hashes of photos in which the calibration found no board, or one that does not fit."""
     name, n = "photos of the board", len(board.photos)
-    take = suggested.photos_command(folder, "camera")
+    take = suggestions.photos_command(folder, "camera")
     if board.problem:
         return Step(name, _open(overtaken), board.found, board.problem)
     if n and overtaken:
@@ -141,7 +141,7 @@ def _board_step(folder: Path, board: Photos, overtaken: bool, left_out: frozense
     if n < 3:
         return Step(name, _open(overtaken), board.found, todo, take, own)
     so_far = (f"{n} so far, of {BOARD_ENOUGH} to {BOARD_MOST} sharp ones with the whole board in each. Go on:",)
-    use_these = (("Or go on with these:", suggested.camera_command(folder)),)
+    use_these = (("Or go on with these:", suggestions.camera_command(folder)),)
     return Step(name, "next", board.found, so_far, take, use_these)
 
 
@@ -149,8 +149,8 @@ def _camera_step(folder: Path, camera: Result | None, board: Photos, overtaken: 
     name = CAMERA_FILE
     if camera is None:
         todo = ("Is --square as measured on the print, and --board its inner corners, one less than squares each way?",)
-        return Step(name, _open(overtaken), "not there yet", todo, suggested.camera_command(folder))
-    again = suggested.camera_command(folder, camera.board, again=True)
+        return Step(name, _open(overtaken), "not there yet", todo, suggestions.camera_command(folder))
+    again = suggestions.camera_command(folder, camera.board, again=True)
     if camera.problem:
         return Step(name, "next", camera.found, (*camera.problem, "Correct the file, or make it again:"), again)
     if changes := camera.changes(board.photos):
@@ -161,7 +161,7 @@ def _camera_step(folder: Path, camera: Result | None, board: Photos, overtaken: 
 def _device_file_step(folder: Path, overtaken: bool, otherwise: tuple[tuple[str, str], ...]) -> Step:
     name, path = DEVICE_FILE, folder / DEVICE_FILE
     if not path.exists():
-        make = suggested.init_command(folder)
+        make = suggestions.init_command(folder)
         return Step(name, _open(overtaken), "not there yet", ("It describes the device:",), make)
     try:
         device = load_device(path)
@@ -191,20 +191,20 @@ def _device_step(folder: Path, photos: Photos, overtaken: bool, otherwise: tuple
         "Carry the camera round the device: front, both sides, above and below. Keep three targets or more in view, "
         "and as much of the ball as possible. The program takes each photo by itself, and shows what is missing:",
     )
-    take = suggested.photos_command(folder, "device")
+    take = suggestions.photos_command(folder, "device")
     if n < 2:
         own = f"Or put {DEVICE_ENOUGH} to {DEVICE_MOST} sharp photos into {photos.folder}."
         return Step(name, _open(overtaken), photos.found, todo, take, ((own, ""), *otherwise))
     so_far = (f"{n} so far, of {DEVICE_ENOUGH} to {DEVICE_MOST}: from the front, both sides, above and below. Go on:",)
-    use_these = (("Or go on with these:", suggested.device_command(folder)),)
+    use_these = (("Or go on with these:", suggestions.device_command(folder)),)
     return Step(name, "next", photos.found, so_far, take, use_these)
 
 
 def _rig_step(folder: Path, rig: Result | None, photos: Photos) -> Step:
     name = RIG_FILE
     if rig is None:
-        return Step(name, "next", "not there yet", ("Calibrate the device:",), suggested.device_command(folder))
-    again = (suggested.device_command if photos.photos else suggested.rolling_command)(folder, again=True)
+        return Step(name, "next", "not there yet", ("Calibrate the device:",), suggestions.device_command(folder))
+    again = (suggestions.device_command if photos.photos else suggestions.rolling_command)(folder, again=True)
     if rig.problem:
         return Step(name, "next", rig.found, (*rig.problem, "Correct the file, or make it again:"), again)
     changes = [rig.changes(photos.photos)]
@@ -230,7 +230,7 @@ def _axes_step(folder: Path) -> Step:
         return Step("axes", "done", f"player: {shown(player)}")
     show = "The film shows it:" if practice_film(folder) else "Stand where the player stands, and make three gestures:"
     found = f"{path.name} does not say where the player stands" if path.exists() else "not asked yet"
-    return Step("axes", "next", found, (f"Which way is right? {show}",), suggested.axes_command(folder / RIG_FILE))
+    return Step("axes", "next", found, (f"Which way is right? {show}",), suggestions.axes_command(folder / RIG_FILE))
 
 
 def _truth_step(folder: Path) -> Step:
@@ -243,9 +243,9 @@ def _own_cabinet_step(folder: Path) -> Step:
     todo = ("The practice is complete. Go on with your own cabinet:",)
     watch: tuple[tuple[str, str], ...] = ()
     if film := practice_film(folder):
-        run = suggested.run_command(folder, "--source", film, "--output", "null", "--table")
+        run = suggestions.run_command(folder, "--source", film, "--output", "null", "--table")
         watch = (("To watch the tracker on the film of the practice:", run),)
-    return Step("your cabinet", "next", "", todo, suggested.own_cabinet_command(folder), watch)
+    return Step("your cabinet", "next", "", todo, suggestions.own_cabinet_command(folder), watch)
 
 
 def _service_step(folder: Path, services: Sequence[Path]) -> Step:
@@ -258,13 +258,14 @@ def _service_step(folder: Path, services: Sequence[Path]) -> Step:
         return Step("service", "done", f"{served[0] / RIG_FILE} is this calibration")
     config = services[0] / CONFIG_FILE
     todo = ("All is calibrated. Try it; `spheremouse ctl watch` in another terminal shows what the ball does:",)
+    try_first = "If the pointer goes where the ball goes, install the service, which starts with the computer:"
+    copy_settings = f"Copy source, camera and motion from {folder / CONFIG_FILE} into {config}. Then start it:"
     install = (
-        ("If the pointer goes where the ball goes, install the service, which starts with the computer:",
-         suggested.INSTALL),
-        ("Give it this calibration:", suggested.copy_command(folder, services[0])),
-        (f"Copy source, camera and motion from {folder / CONFIG_FILE} into {config}. Then start it:", suggested.START),
-    )  # fmt: skip
-    run = suggested.run_command(folder, "--output", "auto")
+        (try_first, suggestions.INSTALL),
+        ("Give it this calibration:", suggestions.copy_command(folder, services[0])),
+        (copy_settings, suggestions.START),
+    )
+    run = suggestions.run_command(folder, "--output", "auto")
     return Step("service", "next", "not installed with this calibration", todo, run, install)
 
 

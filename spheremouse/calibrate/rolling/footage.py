@@ -25,7 +25,7 @@ class Footage(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class RecordedFootage:
     """A source that is opened for each reading."""
 
     source: str
@@ -39,7 +39,7 @@ class Recorded:
 
 
 @dataclass(slots=True)
-class Buffered:
+class BufferedFootage:
     """Frames of a live camera in memory, without loss; grey but for some in colour, which targets need."""
 
     stored: list[tuple[bytes, float, int]] = field(default_factory=list)

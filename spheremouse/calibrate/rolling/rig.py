@@ -14,7 +14,7 @@ from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.calibrate.rolling.axes import Axes, axes_from_gestures, axes_from_targets
 from spheremouse.calibrate.rolling.axes_from_rings import axes_from_rings
 from spheremouse.calibrate.rolling.calibrate import Solution, Views
-from spheremouse.calibrate.rolling.placed import (
+from spheremouse.calibrate.rolling.placement import (
     place_camera,
     place_targets,
     rescale_targets,

@@ -58,7 +58,7 @@ def device(
 
     from spheremouse.calibrate.device.adjust import DOUBTFUL_RMS
     from spheremouse.calibrate.device.advice import advise
-    from spheremouse.calibrate.guide.suggested import axes_command
+    from spheremouse.calibrate.guide.suggestions import axes_command
     from spheremouse.calibrate.photos import check_size, read_photos
     from spheremouse.calibrate.report.device import device_json, print_device, write_device_report
     from spheremouse.commands.config import root

@@ -202,13 +202,13 @@ class _Bar:
 
 
 def _footage(given: _Given, live: bool, ask: bool) -> Any:
-    from spheremouse.calibrate.rolling.footage import Buffered, Recorded
+    from spheremouse.calibrate.rolling.footage import BufferedFootage, RecordedFootage
     from spheremouse.capture import open_source
     from spheremouse.capture.signals import SignalHandler
 
     if not live:
-        return Recorded(given.source, given.seconds), None
-    buffer, spans = Buffered(), []
+        return RecordedFootage(given.source, given.seconds), None
+    buffer, spans = BufferedFootage(), []
     parts = [("roll the ball slowly in all directions, so that all sides come by", given.seconds or 60.0)]
     if ask:
         parts += [("now FORWARD: roll the ball straight away from you, on and on", _GESTURE_SECONDS)]
@@ -243,7 +243,7 @@ def _footage(given: _Given, live: bool, ask: bool) -> Any:
 
 def _write(given: _Given, solution: "Solution", made: "RollingCalibration") -> None:
     """Write rig, map and figures, and print the report."""
-    from spheremouse.calibrate.guide.suggested import axes_command
+    from spheremouse.calibrate.guide.suggestions import axes_command
     from spheremouse.calibrate.report.rolling import advise, rolling_json, rolling_text
     from spheremouse.files.disc_map import map_path, save_map, saved_now
     from spheremouse.files.rig import save_rig

@@ -22,7 +22,12 @@ from spheremouse.calibrate.rolling.axes_from_rings import axes_from_rings
 from spheremouse.calibrate.rolling.calibrate import solve
 from spheremouse.calibrate.rolling.footage import until
 from spheremouse.calibrate.rolling.normal import apply_step
-from spheremouse.calibrate.rolling.placed import place_camera, rescale_targets, target_ball_covariance, with_direction
+from spheremouse.calibrate.rolling.placement import (
+    place_camera,
+    rescale_targets,
+    target_ball_covariance,
+    with_direction,
+)
 from spheremouse.calibrate.rolling.problem import Rolling, Sightings, angular_rates, equations_of
 from spheremouse.calibrate.rolling.start import Spots, start
 from spheremouse.capture import Stream

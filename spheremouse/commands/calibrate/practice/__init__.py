@@ -42,7 +42,7 @@ def practice(
     `calibrate next` compares your calibration with the truth.
     """
     from spheremouse.calibrate.guide.folder import FILM
-    from spheremouse.calibrate.guide.suggested import camera_command, device_command, next_command
+    from spheremouse.calibrate.guide.suggestions import camera_command, device_command, next_command
     from spheremouse.commands.calibrate.practice.write import device_of, film_of, write_stills
     from spheremouse.simulate.ball.stills import prepare_stills
     from spheremouse.simulate.to_dataset import write_simulation
