@@ -1,4 +1,4 @@
-"""When frames come: how many a second, and whether they still do."""
+"""The rate of the frames that arrive, and the time since the last one."""
 
 import time
 
@@ -16,16 +16,16 @@ class Arrivals:
         self.begin()
 
     def begin(self) -> None:
-        """From now on they are waited for."""
+        """Start to wait for frames."""
         self._last = time.monotonic()
 
     def add(self, now: float) -> None:
-        """One has come."""
+        """Count a frame."""
         self._last = now
         self._times.add(0.0, now)
 
     def silent(self, now: float) -> bool:
-        """Have none come for longer than a camera may take?"""
+        """Return True if no frame has arrived for longer than a camera may take."""
         return now - self._last > PATIENCE
 
     def trouble(self, now: float) -> str:

@@ -1,4 +1,4 @@
-"""From `KIND:ARGUMENT` to what the capture thread opens, again and again."""
+"""Open the camera of a plan, as often as it is needed."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -13,12 +13,12 @@ from spheremouse.session.plan import Plan
 
 
 def is_camera(spec: str) -> bool:
-    """Is it a device, which may be missing, and be there again later?"""
+    """Return True for a device, which may be unplugged and come back."""
     return spec.partition(":")[0] in ("v4l2", "opencv")
 
 
 def opener(plan: Plan, open_recording: Callable[[Plan], Source], first: Source | None = None) -> Callable[[], Camera]:
-    """What opens the camera of a plan and holds its node; the first time it is `first`, where that is open already."""
+    """Return a function that opens a plan's camera and locks its node. `first` is used first, if it is open."""
     waiting = [] if first is None else [first]
 
     def open_it() -> Camera:
@@ -36,7 +36,7 @@ def opener(plan: Plan, open_recording: Callable[[Plan], Source], first: Source |
         return Streamed(source, plan.source)
 
     def open_held() -> Camera:
-        node = node_of(plan)  # anew each time: a camera that comes back may be another node
+        node = node_of(plan)  # each time: a camera that comes back may have another node
         return open_it() if node is None else LockedCamera(node, open_it)
 
     return open_held
@@ -62,24 +62,24 @@ def looked_through(source: str, settings: CameraSettings, realtime: bool = False
 
 
 def refuse_if_taken(plan: Plan) -> None:
-    """SourceError where another daemon has the camera: said at once, not waited for."""
+    """Raise SourceError if another daemon has the camera."""
     with held(plan):
         pass
 
 
 def held(plan: Plan) -> AbstractContextManager[None]:
-    """Holds the camera's node before it is opened. SourceError where another daemon has it."""
+    """Lock the camera's node before it is opened. SourceError if another daemon has it."""
     node = node_of(plan)
     return nullcontext() if node is None else locked(node)
 
 
 def node_of(plan: Plan) -> Path | None:
-    """The device of a live source on Linux."""
+    """Return the device node of a plan's camera, on Linux."""
     return node_of_source(plan.source)
 
 
 def node_of_source(source: str) -> Path | None:
-    """The device that a source names, where it is a camera's on Linux."""
+    """Return the device node of a source, if it is a camera on Linux."""
     kind, _, argument = source.partition(":")
     name = argument.partition(",")[0].strip()
     if kind not in ("v4l2", "opencv") or not sys.platform.startswith("linux"):

@@ -1,4 +1,4 @@
-"""What differs between the plan that is followed and another one, and what each was read from."""
+"""Differences between the current plan and another one, and the files of each."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +26,7 @@ Values = dict[str, tuple[Any, Any]]  # by key: what was in force, and what is
 
 
 def stamps_of(request: Request, plan: Plan) -> dict[Path, int]:
-    """When the files that a plan was read from were last written."""
+    """Return the modification times of the files of a plan."""
     found: dict[Path, int] = {}
     for path in (request.file, plan.rig_path, plan.camera_path, *plan.ball_paths):
         if path is not None:
@@ -38,23 +38,23 @@ def stamps_of(request: Request, plan: Plan) -> dict[Path, int]:
 
 
 def stages_of(plan: Plan) -> tuple[str, str]:
-    """What is compiled for a plan."""
+    """Return the settings that select the compiled code of a plan."""
     return plan.configuration.tracker, plan.configuration.detector
 
 
 def latest(assignments: tuple[str, ...]) -> tuple[str, ...]:
-    """The last assignment to each key, in their order: however often something is set, no more is kept."""
+    """Return the last assignment to each key, in order."""
     last = {a.partition("=")[0].strip(): k for k, a in enumerate(assignments)}
     return tuple(a for k, a in enumerate(assignments) if last[a.partition("=")[0].strip()] == k)
 
 
 def key_of(assignment: str) -> str:
-    """The key of KEY=VALUE."""
+    """Return the key of KEY=VALUE."""
     return assignment.partition("=")[0].strip()
 
 
 def given(request: Request) -> tuple[str, ...]:
-    """Keys that the command line has said: no file changes them."""
+    """Return the keys that the command line sets; no file changes them."""
     options = {
         "source": request.source,
         "output": request.output,
@@ -67,7 +67,7 @@ def given(request: Request) -> tuple[str, ...]:
 
 
 def check_settable(request: Request, assignments: tuple[str, ...]) -> None:
-    """ControlError where an assignment could not take effect while a request is followed, and why."""
+    """Raise ControlError if an assignment could not take effect."""
     keys = [key_of(a) for a in assignments]
     late = sorted({key for key in (k.partition(".")[0] for k in keys) if key in AT_START})
     if late:
@@ -82,7 +82,7 @@ def check_settable(request: Request, assignments: tuple[str, ...]) -> None:
 
 
 def check_read(plan: Plan, assignments: tuple[str, ...]) -> None:
-    """ControlError where nothing reads what was assigned, with the tracker of a plan."""
+    """Raise ControlError if the tracker of a plan does not read an assigned key."""
     tracker = plan.configuration.tracker
     unread = [k for k in map(key_of, assignments) if k.partition(".")[0] in _UNREAD[tracker]]
     if unread:
@@ -90,14 +90,14 @@ def check_read(plan: Plan, assignments: tuple[str, ...]) -> None:
 
 
 def values(before: Plan, now: Plan, assignments: tuple[str, ...]) -> Values:
-    """Of each parameter that is another one now, or was assigned, what was in force and what is."""
+    """Return old and new value of each parameter that has changed or was assigned."""
     a, b = ({dotted(key): value for key, value in config.parameters(plan.configuration)} for plan in (before, now))
     asked = set(map(key_of, assignments))
     return {key: (a[key], b[key]) for key in b if a[key] != b[key] or key in asked}
 
 
 def told(values: Values) -> str:
-    """The same in words."""
+    """Return the changes in words."""
     return ", ".join(
         f"{key} {config.to_yaml(old)} → {config.to_yaml(new)}" if old != new else f"{key} {config.to_yaml(new)} already"
         for key, (old, new) in values.items()
@@ -105,7 +105,7 @@ def told(values: Values) -> str:
 
 
 def differences(before: Plan, now: Plan) -> list[str]:
-    """What has changed, in the words of the configuration; of what the tracker in use does not read, nothing."""
+    """Return the names of the changed sections, without those that the tracker does not read."""
     a, b = before.configuration, now.configuration
     if b.tracker == "wand":
         tuned = any(getattr(a.wand, f) != getattr(b.wand, f) for f in (*WandSettings.__dataclass_fields__, "points"))
@@ -131,7 +131,7 @@ def differences(before: Plan, now: Plan) -> list[str]:
 
 
 def _same(a: Any, b: Any) -> bool:
-    """Are two devices, of nested dataclasses with arrays, equal?"""
+    """Compare two devices, nested dataclasses with arrays."""
     if a is None or b is None:
         return a is b
     if isinstance(a, np.ndarray):

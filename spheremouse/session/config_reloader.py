@@ -1,7 +1,7 @@
-"""The plan in force, and the way to another one: read by the crew, applied between two frames, or refused as a whole.
+"""Read a new configuration in a thread of the pool, and apply it between two frames or refuse it as a whole.
 
-Wanted is another one when a file has changed that it was read from, and when somebody sets something or wants all read
-anew. All methods are the worker's; attributes may be read by others.
+A new one is read if one of its files has changed, and on `set` and `reload`. Only the worker calls the methods. Other
+threads may read the attributes.
 """
 
 from collections.abc import Callable
@@ -32,7 +32,7 @@ Prepare = Callable[[Plan, list[str]], Callable[[], bool]]
 
 
 class ConfigReloader:
-    """What a run is to do, as requested and as read."""
+    """The request and the plan of a run."""
 
     def __init__(
         self,
@@ -45,8 +45,8 @@ class ConfigReloader:
         ask: Callable[[Callable[[], None]], None],
         say: Callable[[str], None],
     ) -> None:
-        """`prepare` takes a plan and what is different in it, and raises SpheremouseError where there is no way to it;
-        what it returns goes over, and tells whether that has ended a recording. `ask` has something done by the worker.
+        """`prepare` takes a plan and the changed sections. It raises SpheremouseError to refuse the plan, or returns
+        a function that applies it and returns True if that has ended a recording. `ask` runs a call in the worker.
         """
         self.request, self.plan, self._setup, self._prepare = request, plan, setup, prepare
         self._crew, self._ask, self._say = crew, ask, say
@@ -54,17 +54,17 @@ class ConfigReloader:
 
     @property
     def outdated(self) -> bool:
-        """Has a file been written since it was read?"""
+        """Return True if a file has been written since it was read."""
         return self._files != stamps_of(self.request, self.plan)
 
     def set(self, assignments: tuple[str, ...], pending: PendingRequest) -> None:
-        """Change parameters, KEY=VALUE. ControlError for those that could not take effect."""
+        """Change parameters, KEY=VALUE. ControlError if one could not take effect."""
         check_settable(self.request, assignments)
         wanted = replace(self.request, changes=latest((*self.request.changes, *assignments)))
         self._load(wanted, pending, assignments)
 
     def reload(self, pending: PendingRequest) -> None:
-        """Read all anew; what was set is void."""
+        """Read all files again, and drop the values of `set`."""
         self._load(replace(self.request, changes=()), pending)
 
     def _load(self, wanted: Request, pending: PendingRequest, assigned: tuple[str, ...] = ()) -> None:
@@ -77,7 +77,7 @@ class ConfigReloader:
                 check_kinds(plan, before)
                 check_read(plan, assigned)
                 if stages_of(plan) != stages_of(before):
-                    self._setup.make_ready(plan)  # no frame is to wait for a compiler
+                    self._setup.make_ready(plan)  # no frame may wait for the compiler
             except SpheremouseError as e:
                 error = str(e)
             except Exception as e:
@@ -97,7 +97,7 @@ class ConfigReloader:
     def _apply(
         self, wanted: Request, plan: Plan, files: dict[Path, int], pending: PendingRequest, assigned: tuple[str, ...]
     ) -> None:
-        """Another plan from here on; what cannot be changed under way is said."""
+        """Apply a plan, and log the changes that need a restart."""
         if pending.cancelled:
             pending.answer(refused("given up: the client has disconnected"))
             return
@@ -111,7 +111,7 @@ class ConfigReloader:
         self.request, self.plan, self._files = wanted, plan, stamps_of(wanted, plan)
         for path, stamp in files.items():
             if path in self._files:
-                self._files[path] = stamp  # when it was read: what was written since is news
+                self._files[path] = stamp  # the time of reading: a later write counts as a change
         ended = apply()
         read = [name for name in changed if name in ("rig", "map", "balls") and name not in exact]  # from their files
         text = f"configuration applied: {', '.join(filter(None, (told(exact), *read))) or 'nothing has changed'}"

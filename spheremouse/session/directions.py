@@ -1,4 +1,4 @@
-"""How a ball moves, in the words of whoever moves it: right and left, towards them and away, and the third way."""
+"""The direction of a ball's motion in words, as seen by its player."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +15,7 @@ _SHARE = 0.1  # of the largest part; less is not worth a word
 
 @dataclass(frozen=True, slots=True)
 class Directions:
-    """Those of the pointer's axes x, y and third, as settings have them before any is reversed."""
+    """Directions of the pointer's axes x, y and third, before any is reversed."""
 
     axes: Array  # (3, 3) unit vectors in obj or cam: about which the ball turns, or along which it is shifted
     words: tuple[tuple[str, str], tuple[str, str], tuple[str, str]]  # along each, and against
@@ -30,7 +30,7 @@ class Directions:
         return {"rate": rate.tolist(), "unit": self.unit, "words": self.said(rate)}
 
     def said(self, rate: Array) -> str:
-        """A rate (3,) in words."""
+        """Return a rate (3,) in words."""
         least = max(self.least, _SHARE * float(np.max(np.abs(rate))))
         digits = 0 if self.least >= 1.0 else 2
         parts = [
@@ -42,13 +42,13 @@ class Directions:
 
 
 def of_ball(settings: MotionSettings) -> Directions:
-    """Of a ball in its frame, as the player sees its top go."""
+    """Return the directions of a ball in its frame, as the player sees its top move."""
     words = ("right", "left"), ("towards you", "away from you"), ("counter-clockwise", "clockwise")
     return Directions(settings.directions(), words, slice(0, 3), "°/s", np.degrees(1.0), 1.0)
 
 
 def of_hand(settings: PointingSettings) -> Directions:
-    """Of a ball in a hand, as its holder sees it."""
+    """Return the directions of a hand-held ball, as its holder sees it."""
     if settings.by == "turn":
         words = ("right", "left"), ("down", "up"), ("clockwise", "counter-clockwise")
         return Directions(settings.directions(), words, slice(0, 3), "°/s", np.degrees(1.0), 1.0)

@@ -1,7 +1,7 @@
-"""A tracker at work, whatever it tracks: what the service and the loop for recordings know of it.
+"""The interface of trackers for the service and for the loop over recordings.
 
-A follower has the tracker's state from frame to frame. It turns motion into reports, and events into sentences, and
-says what a status, a recording and a snapshot show of it. A `Setup` makes it.
+An adapter keeps the tracker's state from frame to frame. It turns motion into reports and events into sentences, and
+gives status, recordings and snapshots their contents. A `Setup` makes it.
 """
 
 from collections.abc import Callable, Collection, Iterator
@@ -24,7 +24,7 @@ TARGETS, POSE, MAP = "targets", "pose", "map"  # kinds of work that followers ha
 
 @dataclass(frozen=True, slots=True)
 class FrameResult:
-    """What a tracked frame gave."""
+    """The result of a tracked frame."""
 
     frame: Frame
     report: Report
@@ -40,14 +40,14 @@ def here(_: str, work: Work) -> None:
 
 
 class LogMessages(NamedTuple):
-    """What is to be said since this was last asked; empty where nothing is."""
+    """Log lines since the previous call; empty if there are none."""
 
     change: str = ""  # of the ball that moves the pointer, with the state that it leads to
     more: tuple[str, ...] = ()  # besides
 
 
 class Change(NamedTuple):
-    """What another plan makes of a follower, while nothing has changed yet."""
+    """A prepared change to another plan."""
 
     outputs: tuple[Callable[[], Output], ...]  # what opens each; the pointer's first
     apply: Callable[[], "TrackerAdapter"]  # makes it so, and gives the follower from then on
@@ -58,12 +58,12 @@ class TrackerAdapter(Protocol):
 
     @property
     def waiting(self) -> str:
-        """Why nothing can be tracked yet; empty where it can."""
+        """Reason why nothing can be tracked yet; empty if it can."""
         ...
 
     @property
     def reason(self) -> str:
-        """What is known of the ball that moves the pointer, in words."""
+        """State of the ball that moves the pointer, in words."""
         ...
 
     @property
@@ -78,52 +78,52 @@ class TrackerAdapter(Protocol):
 
     @property
     def outputs(self) -> tuple[Callable[[], Output], ...]:
-        """What opens each output; the pointer's first."""
+        """Functions that open each output; the pointer's first."""
         ...
 
     @property
     def subject(self) -> Subject | None:
-        """What a recording is of; None while nothing can be tracked."""
+        """Subject of a recording; None while nothing can be tracked."""
         ...
 
     def wants_colour(self, stamp: float) -> bool:
-        """Should the frame of `stamp`, s, come in colour? Grey does otherwise."""
+        """Return True if the frame of `stamp`, s, is needed in colour."""
         ...
 
     def check(self, frame: Frame) -> None:
-        """Raise SourceError where a frame cannot be used."""
+        """Raise SourceError if a frame cannot be used."""
         ...
 
     def follow(self, frame: Frame) -> FrameResult | None:
-        """Do what there is to be done with a frame; None where it was not tracked."""
+        """Track a frame; return None if it was not tracked."""
         ...
 
     def take_news(self) -> LogMessages:
-        """What is to be said since this was last asked."""
+        """Return the log lines since the previous call."""
         ...
 
     def interrupted(self, reason: str) -> None:
-        """No frames come: what was begun with those before is void."""
+        """Drop the work on past frames, since no frames arrive."""
         ...
 
     def restart(self, reason: str) -> None:
-        """Begin anew with the next frame."""
+        """Start again with the next frame."""
         ...
 
     def prepare(self, plan: Plan, changed: Collection[str]) -> Change:
-        """The way to another plan. Raises SpheremouseError where there is none."""
+        """Prepare another plan. Raises SpheremouseError if it cannot be applied."""
         ...
 
     def reinitialise(self, answer: Callable[[str | None, str], None], wanted: Callable[[], bool]) -> None:
-        """Find anew what may have changed about the tracker; `answer` (error, text). Given up when not `wanted`."""
+        """Estimate the pose, or search the balls, again; call `answer` (error, text). Stop when not `wanted`."""
         ...
 
     def figures(self, seeing: bool) -> dict[str, Any]:
-        """Its part of the status, where frames come or not; from any thread."""
+        """Return the tracker's part of the status, from any thread."""
         ...
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
-        """Draws what the tracker sees, with the sum of counts, by another thread.
+        """Return a function that draws the overlay with the sum of counts, for another thread.
 
         It is black but for what `subject` keeps, unless `everything`.
         """
@@ -137,23 +137,23 @@ class TrackerAdapter(Protocol):
         ...
 
     def failure(self, unused: str) -> SpheremouseError | None:
-        """Why it was of no use, at the end of all frames; None where something was tracked.
+        """Return the error if no frame of the run could be tracked.
 
         `unused` is why frames that came could not be used.
         """
         ...
 
     def last_words(self, failed: bool) -> tuple[str, ...]:
-        """What else is to be said then; `failed`: that failure is told."""
+        """Return further closing lines; `failed`: the failure is reported already."""
         ...
 
     def close(self) -> None:
-        """Keep what was learnt."""
+        """Save the learnt map."""
         ...
 
 
 class Setup(Protocol):
-    """What a run is of besides its plan: the source that is open already, and what it knows itself."""
+    """The open source of a run, and the device or balls that it brings."""
 
     @property
     def source(self) -> Source | None:
@@ -173,9 +173,9 @@ class Setup(Protocol):
         ...
 
     def follower(self, plan: Plan, say: Callable[[str], None], do: Do) -> TrackerAdapter:
-        """What follows the ball; raises SpheremouseError where the plan does not say enough."""
+        """Return the tracker's adapter; raises SpheremouseError if the plan is incomplete."""
         ...
 
     def begin(self, frames: Iterator[Frame], follower: Any) -> Iterator[Frame]:
-        """Of a recording, the frames from the first that can be tracked, with what must be known before it."""
+        """Return the frames of a recording from the first that can be tracked, with the pose before it."""
         ...

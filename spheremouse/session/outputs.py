@@ -1,6 +1,6 @@
-"""Where a run's motion goes: the pointer's output and those beside it, a thread each, exchanged while frames come.
+"""The outputs of a run: the pointer's and further ones, each with a thread. They can be exchanged between frames.
 
-All methods but `status` and `troubles`, which any thread may ask, are the worker's; none waits but `close`.
+The worker calls all methods. Any thread may call `status` and `troubles`. Only `close` waits.
 """
 
 import threading
@@ -47,29 +47,29 @@ class Outputs:
             begin(thread)
 
     def give(self, report: Report, taken: float, wanted: bool) -> None:
-        """A frame's report, taken at a time (s); the pointer first, which may not want it."""
+        """Submit a frame's report, taken at a time (s), to the pointer first."""
         self.pointer.submit(report, taken, wanted)
         for other in self.others:
             other.submit(report, taken)
         self._given = plus(self._given, report.counts)
 
     def rest(self, now: float) -> None:
-        """The pointer is carried on no longer."""
+        """Stop the pointer's extrapolation."""
         self.pointer.end_prediction(now)
 
     def pause(self, paused: bool) -> None:
-        """While paused nothing is sent."""
+        """Begin or end a pause, in which nothing is sent."""
         self._paused = paused
         for thread in self._all:
             thread.pause(paused)
 
     def change(self, settings: PointerSettings) -> None:
-        """Other settings of the pointer."""
+        """Change the pointer's settings."""
         for thread in self._all:
             thread.change(settings)
 
     def exchange(self, openers: Sequence[Open], settings: PointerSettings) -> None:
-        """Others for all; ControlError where there is no thread to be had, then those before stay."""
+        """Exchange all outputs. ControlError if there is no thread; the old ones then stay."""
         old, given = self.pointer, self._given
 
         def closed() -> None:
@@ -79,7 +79,7 @@ class Outputs:
         self._given = _NONE
 
     def exchange_others(self, openers: Sequence[Open], settings: PointerSettings) -> None:
-        """Others for those beside the pointer's; ControlError as in `exchange`."""
+        """Exchange all outputs but the pointer's. ControlError as in `exchange`."""
         self.others = self._next(self.others, openers, settings, lambda: None)
 
     def close(self) -> None:
@@ -89,7 +89,7 @@ class Outputs:
 
     @property
     def ended(self) -> bool:
-        """Whoever read one of them has gone, for good."""
+        """True if the reader of an output has gone."""
         return any(thread.ended for thread in self._all)
 
     @property
@@ -99,7 +99,7 @@ class Outputs:
 
     @property
     def troubles(self) -> str | None:
-        """Why nothing can be sent, of each that fails; None: all work."""
+        """Return the reasons of the outputs that fail; None if all work."""
         return "; ".join(filter(None, (thread.failed for thread in self._all))) or None
 
     def status(self) -> tuple[dict[str, Any], Latency | None]:

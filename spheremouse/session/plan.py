@@ -1,6 +1,6 @@
-"""What a run is to do: the configuration file, what the command line says before it, and the files they name, read.
+"""The plan of a run: the configuration file, the command line's overrides, and the files that they name.
 
-Read as a whole or not at all, so that a reload never leaves the daemon between two configurations.
+It is read as a whole or not at all, so a reload never leaves the daemon between two configurations.
 """
 
 import os
@@ -23,7 +23,7 @@ from spheremouse.session.settings import Configuration
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What the command line says; None leaves it to the configuration file."""
+    """Settings of the command line; None leaves a setting to the configuration file."""
 
     file: Path | None = None  # the configuration
     assignments: tuple[str, ...] = ()  # KEY=VALUE
@@ -39,7 +39,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """All of it, checked and read."""
+    """The checked configuration and its files."""
 
     configuration: Configuration
     source: str
@@ -53,7 +53,7 @@ class Plan:
     ball_paths: tuple[Path, ...] = ()
 
     def device(self, given: Rig | None) -> Rig:
-        """The device as calibrated; `given` is what the source knows of it."""
+        """Return the calibrated device; `given` is that of the source."""
         rig = self.rig or given
         if rig is None:
             raise ConfigurationError(f"{self.source}: says nothing of the device; give its rig file with --rig FILE")
@@ -118,12 +118,12 @@ def check_kinds(plan: Plan, before: Plan | None = None) -> None:
 
 
 def without_map(plan: Plan) -> Plan:
-    """The plan for a source that brings its own rig: nobody's map belongs to it, unless one was asked for."""
+    """Return the plan without a map, for a source with its own rig, unless a map was requested."""
     return replace(plan, map_path=None)
 
 
 def beside(file: Path | None, name: str | None) -> Path | None:
-    """A path of the configuration, relative to the folder that it lies in."""
+    """Return a path of the configuration, relative to its folder."""
     if name is None:
         return None
     path = Path(name).expanduser()
@@ -131,12 +131,12 @@ def beside(file: Path | None, name: str | None) -> Path | None:
 
 
 def named_balls(request: Request, c: Configuration) -> tuple[Path, ...]:
-    """Wand files: those of the command line, else those of the configuration."""
+    """Return the wand files of the command line, else those of the configuration."""
     return request.balls or tuple(path for name in c.wand.balls if (path := beside(request.file, name)) is not None)
 
 
 def _usual_map(rig_path: Path) -> Path:
-    """Beside the rig; a service that may not write there has a folder of its own for what it learns."""
+    """Return the map's path beside the rig, or in the state folder of a service."""
     usual = map_path(rig_path)
     state = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
     if state and not os.access(rig_path.parent, os.W_OK):

@@ -1,7 +1,7 @@
-"""The daemon: capture, worker, reporter, control socket and what they need, put together for one run.
+"""The daemon: capture, worker, reporter and control socket of one run.
 
-The loop in `Daemon.run` is the worker's thread: it takes the newest shot, works on it, and between two shots does what
-was asked for. Nothing in it waits but for the next shot.
+The loop in `Daemon.run` is the worker's thread. It takes the newest frame, tracks it, and handles requests between two
+frames. It waits only for the next frame.
 """
 
 import contextlib
@@ -50,7 +50,7 @@ Show = Callable[[FrameResult, TrackerAdapter], None]
 
 
 class Daemon:
-    """One run. Everything is given back when `run` returns."""
+    """One run. `run` releases everything at its end."""
 
     def __init__(
         self,
@@ -106,7 +106,7 @@ class Daemon:
         )
 
     def run(self, stopping: SignalHandler) -> None:
-        """Until it is asked to stop, or a recording ends."""
+        """Run until a signal, a `stop` request or the end of a recording."""
         try:
             with on_hang_up(self._reload):  # as other services do
                 self._crew.begin()
@@ -121,27 +121,27 @@ class Daemon:
 
     @property
     def finished(self) -> bool:
-        """Whether it was the end of a recording that ended it."""
+        """True if the end of a recording ended the run."""
         return self._finished
 
     @property
     def follower(self) -> TrackerAdapter:
-        """What follows the ball: another one after a change of the device."""
+        """The tracker's adapter; another one after a change of the device."""
         return self._worker.follower
 
     @property
     def trouble(self) -> str:
-        """Why the last frames could not be used; empty where they could."""
+        """Reason why the last frames could not be used; empty if they could."""
         return self._worker.trouble
 
     @property
     def unsent(self) -> Counts:
-        """Of all frames, the counts that will not be sent."""
+        """Counts of all frames that will not be sent."""
         return self._outputs.unsent
 
     @property
     def left_out(self) -> dict[str, int]:
-        """Frames of which nothing came, by what became of them."""
+        """Frames that were not tracked, by reason."""
         return {
             "skipped": self._ring.skipped,
             "dropped": self._capture.dropped,
@@ -185,7 +185,7 @@ class Daemon:
             self._over |= self._outputs.ended
 
     def _pass_on(self, made: FrameResult, taken: float) -> None:
-        """What a frame gave, to all that want it; the pointer first."""
+        """Pass the result of a frame to all subscribers, the pointer first."""
         # where the output has come back since this was judged, the next frame is the first one for it
         self._outputs.give(made.report, taken, self._monitor.state is not State.FAILED_OUTPUT)
         self._counts = plus(self._counts, made.report.counts)
@@ -195,14 +195,14 @@ class Daemon:
             self._over = True
 
     def _judge(self, now: float) -> None:
-        """State and reason. Without frames the pointer is not carried on, and what needs them is not waited for."""
+        """Update the state. Without frames, stop the pointer and the requests that need one."""
         if self._monitor.update(now):
             self._outputs.rest(now)
             self.follower.interrupted(self._monitor.reason)
             self._archive.interrupted(self._monitor.reason)
 
     def _tend(self, now: float) -> None:
-        """What has time: the watchdog after progress, files now and then, young garbage."""
+        """Do periodic work: watchdog, files, garbage collection."""
         capture, worker = self._capture, self._worker
         silent = self._arrivals.silent(now)
         self._notifier.progress(("attempts", capture.attempts) if silent else ("frames", worker.seen))
@@ -224,7 +224,7 @@ class Daemon:
     # ---- beginning and end ----
 
     def _open_endpoints(self) -> None:
-        """The control socket, metrics, and the news that we are there."""
+        """Open control socket and metrics, and notify systemd."""
         c = self._loader.plan.configuration
         self._endpoints.open(c.control, c.metrics, self.status)
         removed = tidy(recordings_folder(c.record))
@@ -233,7 +233,7 @@ class Daemon:
         self._notifier.ready()
 
     def _get_ready(self, stopping: SignalHandler) -> bool:
-        """Whether it came to that: a compiler is not waited for by who is asked to stop."""
+        """Compile and start the camera. Return False if a stop came before."""
         plan = self._loader.plan
         self._monitor.starting = "the program is made ready"
         self._notifier.patience(_COMPILING)
@@ -268,7 +268,7 @@ class Daemon:
             realtime.claim(thread)
 
     def _close(self) -> None:
-        """Each, whatever becomes of the others; the last one first."""
+        """Close all parts, the last one first. An error of one does not stop the others."""
         with contextlib.ExitStack() as last:
             last.callback(self._say.flush, end=True)
             last.callback(self._stack.close)
@@ -311,7 +311,7 @@ class Daemon:
             self._outputs.pause(False)
 
     def _prepare(self, plan: Plan, changed: list[str]) -> Callable[[], bool]:
-        """The way to another plan, as `ConfigReloader` wants it."""
+        """Prepare another plan for `ConfigReloader`."""
         change = self.follower.prepare(plan, changed)
         if "output" in changed:
             self._outputs.exchange(change.outputs, plan.configuration.pointer)
@@ -335,7 +335,7 @@ class Daemon:
     # ---- the status ----
 
     def status(self) -> dict[str, Any]:
-        """How it is, as docs/control.md says; from any thread."""
+        """Return the status of docs/control.md, from any thread."""
         now = time.monotonic()
         worker, plan, how = self._worker, self._loader.plan, self._monitor
         output, latency = self._outputs.status()
@@ -375,7 +375,7 @@ class Daemon:
 
 
 def _whole(path: Path | None) -> str | None:
-    """For who asks from another folder."""
+    """Return the absolute path: clients run in other folders."""
     return None if path is None else str(path.absolute())
 
 

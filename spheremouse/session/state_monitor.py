@@ -1,4 +1,4 @@
-"""State and reason of a run from turn to turn: the facts are gathered, and what is new is said."""
+"""State and reason of a run, updated at each turn of the loop, and logged when they change."""
 
 import time
 from collections.abc import Callable
@@ -38,7 +38,7 @@ class StateMonitor:
         self._seen_once = False
 
     def update(self, now: float) -> bool:
-        """Judge anew, and say what has changed; True where that is that no frames come any more."""
+        """Update the state and log its changes; True if frames have just stopped."""
         if self.state in _UNSEEN and self._seen_once:
             self.unseen += now - self._judged
         self._judged = now

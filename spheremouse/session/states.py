@@ -1,4 +1,4 @@
-"""How the daemon is, in one word and a reason: facts in, state out. Pure, so that transcripts can test it."""
+"""The state of the daemon and its reason, derived from conditions by a pure function."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -8,7 +8,7 @@ from spheremouse.tracker import Status
 
 
 class State(StrEnum):
-    """What the daemon does; in all but `tracking` nothing moves."""
+    """States of the daemon; motion is sent in `tracking` only."""
 
     STARTING = "starting"
     NO_CAMERA = "no-camera"
@@ -21,7 +21,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What the state follows from; a text is a reason, and empty where there is no trouble."""
+    """Conditions of the state. A text is a reason, and empty without trouble."""
 
     starting: str = ""
     camera: str = ""
@@ -33,7 +33,7 @@ class Conditions:
 
 
 def derive_state(facts: Conditions) -> tuple[State, str]:
-    """State and reason. What is wrong first along the way from the camera to the pointer is what is told."""
+    """Return state and reason. The first fault on the way from the camera to the pointer counts."""
     for state, reason in (
         (State.STARTING, facts.starting),
         (State.NO_CAMERA, facts.camera),

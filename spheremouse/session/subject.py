@@ -1,4 +1,4 @@
-"""What a recording is of: how it is described, and which part of its pictures is kept."""
+"""The subject of a recording: its description, and the part of the pictures that is kept."""
 
 from typing import Any, Protocol
 

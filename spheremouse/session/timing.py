@@ -1,4 +1,4 @@
-"""How long frames take: over the last second for a table, over the whole run for its summary.
+"""Times per frame: over the last second for a table, over the run for its summary.
 
 Memory does not grow with the run: the whole is a histogram of logarithmic classes, 2 % wide.
 """

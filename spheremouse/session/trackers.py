@@ -1,4 +1,4 @@
-"""Which tracker a plan names, with the source that it reads."""
+"""Choose the tracker of a plan."""
 
 from spheremouse.capture import open_source
 from spheremouse.session.ball.setup import BallSetup

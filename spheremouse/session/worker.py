@@ -1,6 +1,6 @@
-"""What is done with each frame of a camera: decoded, checked and given to what follows the ball; times and faults.
+"""Decode, check and track each frame of a camera; measure times and count faults.
 
-One thread calls this; it waits for nothing. What others want to know of it are plain attributes.
+One thread calls it, and it never waits. Other threads read its attributes.
 """
 
 import time
@@ -14,12 +14,12 @@ from spheremouse.session.follower import FrameResult, TrackerAdapter
 from spheremouse.session.timing import FrameTimes
 from spheremouse.tracker import Frame, Status
 
-_FAULTS, _FAULTS_WITHIN = 5, 60.0  # errors of our own in so many s that end the process: it is begun anew from outside
-_DAMAGED = 1.0  # s of nothing but damaged frames that are told
+_FAULTS, _FAULTS_WITHIN = 5, 60.0  # internal errors in so many s that end the process; the service manager restarts it
+_DAMAGED = 1.0  # s of damaged frames alone that are reported
 
 
 class Worker:
-    """Raw frames in, what they gave out."""
+    """Tracks raw frames."""
 
     def __init__(self, follower: TrackerAdapter, say: Callable[[str], None]) -> None:
         self.follower, self._say = follower, say
@@ -29,7 +29,7 @@ class Worker:
         self.untracked: Frame | None = None  # the one at hand, where it was decoded and not tracked
         self.unfit = False  # frames come, and are of another kind than can be used
         self.frames = 0  # tracked
-        self.seen = 0  # worked on, whatever came of them
+        self.seen = 0  # processed
         self.damaged = 0
         self.lost = 0  # times
         self.good = time.monotonic()  # when a frame last could be used
@@ -37,7 +37,7 @@ class Worker:
         self._faults: deque[float] = deque(maxlen=_FAULTS)
 
     def work(self, arrival: Arrival, colour: bool = False) -> FrameResult | None:
-        """Do what there is to be done with a raw frame; in `colour`, whatever tracking wants.
+        """Track a raw frame; in `colour`, even if tracking needs none.
 
         None where it was not tracked: damaged, of no use, or too early. The frame of what is given, and the one that is
         `untracked`, are good until the raw one is released: `forget` it then.
@@ -69,11 +69,11 @@ class Worker:
         return None
 
     def forget(self) -> None:
-        """The raw frame goes back."""
+        """Forget the frame before its buffer is released."""
         self.untracked = None
 
     def look(self) -> None:
-        """Look what the stages of the last frames took."""
+        """Update the times of the stages."""
         self.stages = {
             name: (times.recent_quantile(0.5), times.recent_quantile(0.99))
             for name, times in self.times.items()
@@ -89,7 +89,7 @@ class Worker:
             self.times[name].add(seconds, now)
 
     def _too_many_faults(self, now: float) -> bool:
-        """An error of our own: told with its traceback, the ball looked for anew. Are there so many that we give up?"""
+        """Log an internal error and restart the tracker. Return True if there were too many."""
         self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
         self.follower.restart("an internal error; the ball is looked for anew")
         self._faults.append(now)

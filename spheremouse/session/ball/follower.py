@@ -1,6 +1,6 @@
-"""The ball in its frame at work: the targets looked for until the camera's pose is known, then every frame tracked.
+"""The tracker of the ball in its frame: search the targets until the camera's pose is known, then track every frame.
 
-What may take longer than a frame is done by another thread; nothing here waits.
+Another thread does any work that may take longer than a frame.
 """
 
 import threading
@@ -84,12 +84,12 @@ class BallFollower:
 
     @property
     def status(self) -> Status:
-        """What the tracker knows of the ball."""
+        """Status of the tracker."""
         return Status.SEARCHING if self.state is None else self.state.status
 
     @property
     def reason(self) -> str:
-        """What is known of the ball, in words."""
+        """State of the ball, in words."""
         return self._news.reason
 
     @property
@@ -109,7 +109,7 @@ class BallFollower:
         self.say(text)
 
     def wants_colour(self, stamp: float) -> bool:
-        """Will the targets be looked for in the frame of `stamp`, or may they?"""
+        """Return True if the targets may be searched in the frame of `stamp`."""
         if self._tracker is None or (self._anew is not None and self._anew.hungry):
             return True
         return self.state is None or wants_colour(self.state, stamp)
@@ -126,18 +126,18 @@ class BallFollower:
         return self._track(frame, self._tracker)
 
     def take_news(self) -> LogMessages:
-        """What is to be said of the ball since this was last asked."""
+        """Return the log lines about the ball since the previous call."""
         return LogMessages(self._news.take())
 
     def interrupted(self, reason: str) -> None:
-        """What has been begun with the frames before is void, for the camera may be moved meanwhile."""
+        """Drop the work on past frames, since the camera may be moved meanwhile."""
         self._forget_views()
         if self._anew is not None:
             self._anew.give_up(f"{reason}; the pose before stays")
             self._anew = None
 
     def restart(self, reason: str) -> None:
-        """The ball looked for anew, by the pose that is known."""
+        """Search the ball again, with the known pose."""
         self.state = None
         self._news.restart(reason)
         self._forget_views()
@@ -177,7 +177,7 @@ class BallFollower:
         return Change(outputs, apply)
 
     def reinitialise(self, answer: Callable[[str | None, str], None], wanted: Callable[[], bool]) -> None:
-        """Estimate the camera's pose anew while the ball is tracked on by the one before."""
+        """Estimate the camera's pose again while tracking continues with the old one."""
         if self._tracker is None:
             answer(None, f"the pose is being looked for: {self.waiting}")
         elif len(self.rig.targets.codes) < 3:
@@ -188,7 +188,7 @@ class BallFollower:
             self._anew = _Reinitialisation(self.rig, self.settings, answer, partial(self._do, POSE), wanted)
 
     def figures(self, seeing: bool) -> dict[str, Any]:
-        """Discs, and where the camera is."""
+        """Return the discs and the camera's pose."""
         estimate = self._estimate
         found = {} if estimate is None else estimate.statistics
         tracking = seeing and self.status is Status.TRACKING
@@ -211,7 +211,7 @@ class BallFollower:
         return lambda: picture(epoch, tracker, counts, everything=everything)
 
     def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
-        """What is seen of the targets in a frame, whose picture is copied; unless `everything`, the rest coarse."""
+        """Draw the targets in a copy of a frame; unless `everything`, the rest is coarse."""
         return partial(sought, frame.image.copy(), self.rig, self.settings, everything=everything)
 
     def failure(self, unused: str) -> SpheremouseError | None:
@@ -262,7 +262,7 @@ class BallFollower:
         }
 
     def _forget_views(self) -> None:
-        """What has been begun with the frames before says nothing of those to come."""
+        """Drop the views of past frames."""
         self._first_pose = FirstPose(self.rig, self.settings, partial(self._do, TARGETS))
         self._seeker = PoseRecovery(partial(self._do, TARGETS))
 
@@ -331,7 +331,7 @@ def outputs_of(plan: Plan) -> tuple[Callable[[], Output], ...]:
 
 
 def _unsaid(_: str) -> None:
-    """What is tried only is not told."""
+    """Log nothing for a trial."""
 
 
 class _Reinitialisation:
@@ -355,7 +355,7 @@ class _Reinitialisation:
 
     @property
     def hungry(self) -> bool:
-        """Does it want another view, in colour?"""
+        """True if another view in colour is needed."""
         return not self._looking
 
     def look(self, frame: Frame) -> Resection | None:
@@ -371,7 +371,7 @@ class _Reinitialisation:
         return self._found
 
     def answer(self, error: str | None, text: str) -> None:
-        """Whoever asked is told, once."""
+        """Answer the request, once."""
         if self._answering.acquire(blocking=False):
             self._answer(error, text)
 

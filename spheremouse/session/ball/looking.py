@@ -81,7 +81,7 @@ class PoseRecovery:
         self._tracker: Tracker | None = None  # in use when it began
 
     def __call__(self, frame: Frame, tracker: Tracker) -> Moved | None:
-        """What `seek_by_colour` finds, where that is known at once; else `found` has it with one of the next frames."""
+        """Start `seek_by_colour`, and return its pose if it is known at once; else `found` returns it later."""
         if self._seeking is not None:
             return None
         kept = replace(frame, image=frame.image.copy())
@@ -102,7 +102,7 @@ class PoseRecovery:
 
 
 def begun(work: Callable[[], T], elsewhere: Elsewhere) -> Future[T]:
-    """What will come of the work, or its error."""
+    """Return a function that gives the result of the work, or its error."""
     future: Future[T] = Future()
 
     def do() -> None:

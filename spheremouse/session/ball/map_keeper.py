@@ -38,7 +38,7 @@ def open_map(path: Path, rig: Rig) -> SavedMap:
 
 @dataclass(frozen=True, slots=True)
 class Succession:
-    """What becomes of a saved map."""
+    """The fate of a saved map."""
 
     map: DiscMap | None  # to be saved, in the frame of the saved one if it is the same ball; None: the saved one stays
     rotation: Array  # (3, 3) that brought the run's map there: saved ~ run's directions @ rotation.T
@@ -47,7 +47,7 @@ class Succession:
 
 
 def succession(saved: DiscMap | None, now: DiscMap, *, absolute: bool) -> Succession:
-    """Which map is to be saved; `now` is the run's, `absolute` says that it grew out of the saved one.
+    """Choose the map to save; `now` is the run's, `absolute`: it grew out of the saved one.
 
     A run that did not recognise the saved map has one of its own. Of the same ball, it is brought into the frame of the
     saved one, so that the attitude means the same for the device's life. Of another ball, it takes its place.
@@ -73,7 +73,7 @@ def succession(saved: DiscMap | None, now: DiscMap, *, absolute: bool) -> Succes
 
 
 def changed(saved: DiscMap | None, now: DiscMap) -> bool:
-    """Is the map worth saving before the end: another disc, or one known twice as well?"""
+    """Return True if the map has a new disc, or one known twice as well."""
     if saved is None:
         return True
     there = compare_at(saved, now, np.eye(3))
@@ -181,7 +181,7 @@ class MapKeeper:
             self._said = text
 
     def _replace(self, next_: Succession) -> str:
-        """Do what was decided; what there is to say of it."""
+        """Replace the file as decided, and return the log lines."""
         if next_.map is None:
             return next_.text
         kept = ""
@@ -194,7 +194,7 @@ class MapKeeper:
         return next_.text + kept
 
     def _in_words(self) -> str:
-        """What is in the file now, and what has changed since the run's start."""
+        """Return the contents of the file and the changes since the start, in words."""
         assert self._saved is not None
         saved = f"{len(self._saved)} discs saved"
         return saved if self._first is None else f"{saved}: {in_words(compare_at(self._first, self._saved, np.eye(3)))}"

@@ -1,4 +1,4 @@
-"""What a recording may show: the ball, the targets, and nothing of the people about them.
+"""The part of a picture that a recording shows: the ball and the targets, and no people.
 
 Kept is what the tracker looks at while it knows where the camera is, and no pixel more, so that a recording blacked out
 everywhere else is tracked bit for bit as the whole picture was. The margins are therefore the reach of its filters:
@@ -74,7 +74,7 @@ def _grown(mask: Image, by: int) -> Image:
 
 
 def _target_boxes(rig: Rig, pose: Pose) -> list[tuple[int, int, int, int]]:
-    """Of each target that is watched: first column and row, and those after the last."""
+    """Return for each monitored target the first column and row, and those after the last."""
     watched = watch.begin(rig, pose)
     if watched is None:
         return []

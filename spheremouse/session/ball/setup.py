@@ -1,4 +1,4 @@
-"""What a run of the ball in its frame is of: a rig, the map of the discs, and the source that may bring both along."""
+"""Setup of a run of the ball in its frame: rig, map, and the source, which may bring both."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class BallSetup:
         return None if self.source is None else self.source.rig
 
     def planned(self, request: Request, plan: Plan) -> Plan:
-        """Nobody's map belongs to a device that the source brings along, unless one was asked for."""
+        """Drop the map for a device that the source brings, unless one was requested."""
         own = self.rig is not None and not is_camera(plan.source)
         return without_map(plan) if own and request.map is None and plan.configuration.map is None else plan
 

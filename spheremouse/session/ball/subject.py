@@ -28,12 +28,12 @@ class BallSubject:
 
     @property
     def camera(self) -> InteriorOrientation:
-        """That of the rig."""
+        """The rig's camera."""
         return self.rig.camera
 
     @property
     def view(self) -> Pose:
-        """Where the camera stands."""
+        """The camera's pose."""
         return self.pose
 
     def kept(self) -> Image:
