@@ -83,7 +83,7 @@ class CommandHandler:
             pending.answer(refused(error))
 
     def _frames_arrive(self) -> bool:
-        """Whether frames arrive in the state `no-camera`: a snapshot can show frames that cannot be tracked."""
+        """Return True if frames arrive in the state `no-camera`: a snapshot can show them."""
         return self._worker.unfit and self._monitor.reason == self._worker.trouble
 
     def _no_picture(self) -> ControlError:

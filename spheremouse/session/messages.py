@@ -1,4 +1,4 @@
-"""What is said of the ball in its frame: an event in, a sentence out. Nothing reads the sentences again."""
+"""Sentences about the ball in its frame, made of events. No program reads them."""
 
 from collections.abc import Iterable
 from typing import assert_never, cast
@@ -31,7 +31,7 @@ _Ball = (
 
 
 def line(happened: Iterable[Event]) -> str:
-    """What a log has of a frame's events, each with the state that it leads to; empty where there are none."""
+    """Return the log line of a frame's events, each with its new state; empty if there are none."""
     return "; ".join(f"{_state(e)}{sentence(e)}" for e in happened)
 
 
@@ -93,7 +93,7 @@ def sentence(event: Event) -> str:
 
 
 def withheld(seconds: float, doubt: Doubt) -> str:
-    """Why a ball that is tracked moves nothing, and for how long it has not."""
+    """Explain why a tracked ball moves nothing, and for how long."""
     return f"motion withheld for {seconds:.1f} s: {_doubt(doubt)}"
 
 
@@ -123,7 +123,7 @@ def no_discs(seen: int, seconds: float, absence: Absence) -> str:
 
 
 def why_absent(absence: Absence) -> tuple[str, str]:
-    """Why no disc is found on the ball, and what to change."""
+    """Return the reason why no disc is found on the ball, and the remedy."""
     spots = f"{absence.spots} spot{'' if absence.spots == 1 else 's'}"
     shown = "`spheremouse ctl snapshot`, or `preview`, shows it"
     match absence.cause:
@@ -193,7 +193,7 @@ def _why(lost: BallLost) -> str:
 
 
 def standing(resection: Resection, rig: Rig) -> str:
-    """Where the camera stands, how certain that is, and of what it is known."""
+    """Describe the camera's pose, its uncertainty and its origin."""
     pose = resection.pose
     size, unit, digits = (1.0 / rig.ball.radius, "radii", 3) if rig.scale_free else (1e3, "mm", 0)
     sigma = np.sqrt(np.maximum(np.diag(pose.covariance), 0.0))
@@ -207,7 +207,7 @@ def standing(resection: Resection, rig: Rig) -> str:
 
 
 def found(seen: Iterable[str], known: Iterable[str] | None) -> str:
-    """Which targets a picture shows, by their codes; beside those that the rig has, where there is one."""
+    """List the targets in a picture by their codes, beside those of the rig, if there is one."""
     seen, known = list(seen), None if known is None else list(known)
     if known is None:
         return f"{len(seen)} target{'' if len(seen) == 1 else 's'}{': ' if seen else ''}{' '.join(seen)}"
@@ -217,7 +217,7 @@ def found(seen: Iterable[str], known: Iterable[str] | None) -> str:
 
 
 def refusal(refused: Refused) -> str:
-    """Why something is no target, short enough to stand beside it in a picture."""
+    """Return the reason why a shape is no target, short enough for a picture."""
     inside, outside = refused.code[0], refused.code[-1]
     match refused.bound:
         case Bound.COLOURS:
@@ -239,7 +239,7 @@ def refusal(refused: Refused) -> str:
 
 
 def remedy(bound: Bound) -> str:
-    """What may help there."""
+    """Return the remedy for a rejected target."""
     match bound:
         case Bound.COLOURS:
             return "no target, or one that is covered in part"

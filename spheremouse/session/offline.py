@@ -89,7 +89,7 @@ def make_ready(settings: Settings, tell: Callable[[str], None] | None = None) ->
 
 
 class View(Protocol):
-    """What shows a run to a person."""
+    """Displays a run."""
 
     def say(self, text: str) -> None:
         """One or more lines, which stay."""

@@ -94,7 +94,7 @@ class Outputs:
 
     @property
     def unsent(self) -> Counts:
-        """Of the run, counts that were given to the pointer's output and will not be sent."""
+        """Counts of the run that the pointer's output will not send."""
         return plus(self.past[1], self.pointer.unsent)
 
     @property
@@ -155,7 +155,7 @@ class Outputs:
         begin(thread) if self._late is None else self._late.append(thread)
 
     def _count_past(self, old: OutputThread, given: Counts) -> None:
-        """What an output was given and did not send, in its queue when it was closed or before."""
+        """Add the counts that a closed output did not send, those in its queue included."""
         status, (reports, unsent) = old.status(), self.past
         self.past = (reports + status.reports, plus(unsent, minus(given, status.sent)))
 
@@ -168,7 +168,7 @@ class _Exchange:
         self._wanted, self.decided = True, threading.Event()
 
     def after(self, open_next: Open) -> Open:
-        """What opens one of them, in its thread."""
+        """Return a function that opens an output after the old ones are closed, in its thread."""
 
         def open_it() -> Output:
             self.decided.wait()
@@ -186,6 +186,6 @@ class _Exchange:
                 self._old.pop().close()
 
     def give_up(self) -> None:
-        """Those before stay, and no other is opened."""
+        """Keep the old outputs, and open no other."""
         self._wanted = False
         self.decided.set()

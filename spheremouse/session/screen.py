@@ -1,4 +1,4 @@
-"""What a run looks like while it goes: a table on a terminal, a line a second where there is none.
+"""Display of a run: a table on a terminal, else a line a second.
 
 Takes epochs as they are tracked and writes to standard error only; refreshed ten times a second at most, so that
 looking costs nothing to speak of.
@@ -34,7 +34,7 @@ _COLOURS = {Status.SEARCHING: "yellow", Status.TRACKING: "green", Status.LOST: "
 
 
 class Tally:
-    """What a run comes to: frames, sum of counts, times."""
+    """Totals of a run: frames, sum of counts, times."""
 
     def __init__(self) -> None:
         self.frames = 0
@@ -203,7 +203,7 @@ def curve(stamps: Array, values: Array, now: float) -> str:
 
 
 def _status(epoch: Epoch) -> str:
-    """What is known of the ball, in a word or two."""
+    """Return the state of the ball in a word or two."""
     withheld = epoch.state.withheld
     return f"{epoch.state.status}{'' if withheld is None or not withheld.announced else ', motion withheld'}"
 

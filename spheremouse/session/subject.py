@@ -21,7 +21,7 @@ class Subject(Protocol):
 
     @property
     def parts(self) -> str:
-        """What is kept of a picture, in words; empty where nothing less than all of it is tracked again."""
+        """The kept part of a picture, in words; empty if the whole picture is needed."""
         ...
 
     def kept(self) -> Image:
@@ -29,7 +29,7 @@ class Subject(Protocol):
         ...
 
     def scene(self) -> dict[str, Any]:
-        """What scene.json says of it."""
+        """Return the contents of scene.json."""
         ...
 
     def files(self) -> dict[str, str]:

@@ -9,7 +9,7 @@ from spheremouse.session.wand.setup import WandSetup, wand_setup
 
 
 def setup(plan: Plan, realtime: bool = False) -> Setup:
-    """Of a plan: a recording is opened here, and its frames held to their stamps where it is to be `realtime`."""
+    """Return the setup of a plan. It opens a recording; `realtime` plays it at its own pace."""
     camera = is_camera(plan.source)
     if plan.configuration.tracker == "wand":
         return WandSetup() if camera else wand_setup(plan.source, realtime)

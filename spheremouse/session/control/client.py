@@ -55,7 +55,7 @@ class Client:
 
     @property
     def is_trusted(self) -> bool:
-        """Whether the server runs as this user or as root, by the kernel's credentials."""
+        """True if the server runs as this user or as root, by the kernel's credentials."""
         peer = peer_of(self._connected())
         return peer is not None and peer.uid in (0, os.geteuid())
 

@@ -64,7 +64,7 @@ def _own_folder() -> Path:
 
 
 def _is_there(path: Path) -> bool:
-    """Whether the path exists, or may exist in a folder that is closed to us."""
+    """Return True if the path exists, or may exist in a folder that is closed to us."""
     try:
         path.lstat()
     except PermissionError:
@@ -75,7 +75,7 @@ def _is_there(path: Path) -> bool:
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether it is a folder, not a link, that only this user or root may write to."""
+    """Return True for a folder, not a link, that only this user or root may write to."""
     try:
         found = path.lstat()
     except OSError:

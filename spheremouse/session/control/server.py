@@ -280,7 +280,7 @@ class _Client:
 
     @property
     def has_gone(self) -> bool:
-        """Whether the client has closed the connection, not only its writing side."""
+        """True if the client has closed the connection, not only its writing side."""
         poll = select.poll()
         poll.register(self.connection, 0)
         return bool(poll.poll(0))

@@ -1,4 +1,4 @@
-"""What the tracker sees, drawn on the frame: a picture or a video to judge by eye.
+"""Overlay of the tracker's view on the frame, for pictures and videos.
 
 Detected contours white, targets green, discs of the map where they are predicted red with the last epochs fading
 (Wittich 2017, fig. 27), masked look-alikes blue, the ball's outline thin; a strip with numbers below.
@@ -70,7 +70,7 @@ class Overlay:
 
 
 def _predicted(state: TrackState, tracker: Tracker) -> Array:
-    """Where the discs of the map are seen, (m, 2) px, those on the near side."""
+    """Return the visible discs of the map, (m, 2) px."""
     discs = np.asarray(state.filter.discs, dtype=float).reshape(-1, 3)
     seen = appearance(discs @ state.filter.attitude.T, tracker.rig, tracker.pose)
     return seen.centre[seen.whole]

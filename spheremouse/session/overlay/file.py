@@ -42,7 +42,7 @@ class OverlayFile:
         self._new = NewFolder(path.with_name(f"{path.name}.part"), OutputError)
 
     def begin(self, tracker: Tracker, targets: tuple[Mark, ...]) -> None:
-        """What will be drawn: known only once the camera's pose is."""
+        """Set the drawing, once the camera's pose is known."""
         self._overlay = Overlay(tracker, targets, self.scale(tracker.rig.camera.width))
 
     def add(self, epoch: Epoch, counts: Callable[[], Counts]) -> None:

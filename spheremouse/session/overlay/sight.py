@@ -1,4 +1,4 @@
-"""What a picture shows while nobody knows where the camera stands, drawn on it: what is a target, what is nearly one.
+"""Overlay while the camera's pose is unknown: targets and rejected candidates.
 
 Targets of the rig green, those that the rig does not have yellow, what was refused orange with the bound that it does
 not keep; round dark spots, which may be discs, white where they are asked for; a strip with words below.
@@ -47,7 +47,7 @@ _NONE = TargetDetections((), np.zeros((0, 2)), np.zeros(0), ())
 
 
 def sight_of(image: Image, radii: Array, codes: tuple[str, ...] | None, settings: RingSettings) -> Sight:
-    """What an image (h, w, 3) BGR or (h, w) shows of targets whose circles have these `radii`, (3,), in any unit."""
+    """Return targets and rejected candidates in an image, (h, w, 3) or (h, w); `radii`, (3,), of their circles."""
     if image.ndim != 3:
         return Sight(_NONE, (), codes)
     seen = detect_targets(image, radii, settings)

@@ -1,4 +1,4 @@
-"""What the tracker of hand-held balls sees, drawn on the frame: a picture or a video to judge by eye.
+"""Overlay of hand-held balls on the frame, for pictures and videos.
 
 Each ball's outline thin, its discs' rims white where they face the camera and grey where the pose is only predicted, a
 green pin in its pole, its way in the last half second yellow; a strip with the numbers of the ball that points below.
@@ -33,7 +33,7 @@ class WandOverlay:
         self._trace: deque[tuple[float, Array]] = deque()  # s; (balls, 2) px; the newest last
 
     def remember(self, epoch: WandEpoch) -> None:
-        """Where the balls are, for the traces; `draw` does not."""
+        """Add the positions of the balls to the traces; `draw` does not."""
         seen = [p.position for p in epoch.poses if p.position is not None and p.seen]
         at = project(np.array(seen).reshape(-1, 3), self._tracker.camera)[0]
         self._trace.append((epoch.frame.stamp, at[np.isfinite(at).all(axis=1)]))
@@ -71,7 +71,7 @@ def rims(ball: WandBall, position: Array, rotation: Array, camera: InteriorOrien
 
 
 def pin(ball: WandBall, position: Array, rotation: Array, camera: InteriorOrientation) -> Array:
-    """What shows of a pin in the pole of a ball, (n, 2) px: of one behind the ball, what reaches past its outline."""
+    """Return the visible part of a pin in the pole of a ball, (n, 2) px."""
     away = float(np.linalg.norm(position))
     place = position + np.linspace(1.0, 1.0 + _PIN, 16)[:, None] * ball.radius * rotation[:, 2]
     far = np.linalg.norm(place, axis=1)

@@ -1,4 +1,4 @@
-"""What systemd is told: READY, STATUS in words, and WATCHDOG when there was progress. Nothing where nobody listens.
+"""Notifications for systemd: READY, STATUS and, after progress, WATCHDOG. Without systemd none is sent.
 
 A watchdog that a timer feeds proves that the timer runs. Here a feed needs a token that changed since the last one:
 the number of frames worked on, or of attempts to open the camera.
@@ -37,15 +37,15 @@ class Notifier:
         self._status = ""
 
     def ready(self) -> None:
-        """Whoever asks is answered from now on."""
+        """Notify that the daemon answers requests."""
         self._send("READY=1")
 
     def stopping(self) -> None:
-        """The end has begun."""
+        """Notify that the daemon stops."""
         self._send("STOPPING=1")
 
     def status(self, text: str) -> None:
-        """How it is, in one line; sent when it changes."""
+        """Send the status in one line, if it has changed."""
         text = " ".join(text.split())  # a line of its own would be an order of its own
         if text != self._status:
             self._status = text

@@ -1,4 +1,4 @@
-"""What keeps other programs and Python itself out of the way: scheduling class, locked memory, collections at rest.
+"""Protection from delays by other programs and by Python: scheduling, locked memory, garbage collection.
 
 Each is asked for and none is needed: where the system does not grant it, the daemon runs all the same and says so.
 """
@@ -52,7 +52,7 @@ def claim(thread: int | None) -> bool:
 
 
 def _fold_up_code() -> int:
-    """What numba keeps beside each compiled function, in case that another one is compiled that calls it; how many.
+    """Compress the modules that Numba keeps for later compilations; return their number.
 
     Its modules take 26 MB. They are kept as the bytes that they were read from, and unfolded if ever they are wanted.
     """
@@ -89,7 +89,7 @@ def _give_back() -> None:
 
 
 def _untouched(smaps: str) -> list[tuple[int, int]]:
-    """Where libraries are mapped read-only and unchanged, by what the kernel says of each mapping."""
+    """Return the unchanged read-only mappings of libraries, from the kernel's list."""
     found: list[tuple[int, int]] = []
     candidate = None
     for line in smaps.splitlines():

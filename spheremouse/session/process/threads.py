@@ -1,4 +1,4 @@
-"""Threads where the system may have none left: begun, or refused in a line; and a fixed crew of them for odd jobs."""
+"""Start threads, with a clear error if the system has none left; and a fixed pool of threads."""
 
 import queue
 import threading
@@ -61,7 +61,7 @@ class WorkerPool:
         return task
 
     def busy(self, kind: str) -> bool:
-        """Is something of that kind not done yet?"""
+        """Return True while work of that kind is not done."""
         return self._left[kind] > 0
 
     def end(self, *kinds: str) -> None:

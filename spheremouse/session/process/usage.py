@@ -1,4 +1,4 @@
-"""What this process takes of the machine."""
+"""Memory and processor use of this process."""
 
 import math
 import resource
@@ -18,7 +18,7 @@ def memory_mb() -> float:
 
 
 class CpuShare:
-    """Of one core, what this process has had between the last two looks; its making is the first."""
+    """Fraction of one core that this process used between the last two calls of `look`."""
 
     def __init__(self) -> None:
         self._looked, self._cpu = time.monotonic(), time.process_time()

@@ -92,7 +92,7 @@ class Archive:
                 self._made.finish(1.0)
 
     def _give_up(self) -> None:
-        """What nobody waits for any more, and has no frame yet."""
+        """Cancel requests without a client that have no frame yet."""
         if self._wanted is not None and self._wanted[1].cancelled:
             (_, pending, _), self._wanted = self._wanted, None
             pending.answer(refused(str(_CANCELLED)))
@@ -190,7 +190,7 @@ class Archive:
         self._crew.do(RECORDING, lambda: self._answer(pending, finish))
 
     def status(self) -> dict[str, Any] | None:
-        """Of the recording; from any thread."""
+        """Return the status of the recording, from any thread."""
         recorder = self._recorder
         if recorder is None:
             return None
@@ -202,7 +202,7 @@ class Archive:
     # ---- snapshots ----
 
     def want_snapshot(self, request: Snapshot, c: Configuration, pending: PendingRequest) -> None:
-        """Of the next frame, in colour."""
+        """Take a snapshot of the next frame, in colour."""
         places = recordings_folder(c.record)
         path = next_name(places, suffix=".png") if request.file is None else places / request.file
         self._wanted = path, pending, replace(c.record, everything=c.record.everything or request.everything)

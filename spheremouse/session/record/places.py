@@ -1,4 +1,4 @@
-"""Where recordings and snapshots are: their folder, their names, who may read them, and how full the disk may be.
+"""Folder, names and permissions of recordings and snapshots, and the limit of the disk.
 
 They show people, perhaps: owner and group may read them, and nobody else. A recording that is not finished has a hidden
 name and a mark, by which what a crash left is told from what somebody is writing.
@@ -25,7 +25,7 @@ _MARK = ".recording"  # a file in the folder of a recording that is not finished
 
 
 def recordings_folder(settings: RecordSettings) -> Path:
-    """Where recordings go: as configured, else recordings/ in the service's or the user's state directory."""
+    """Return the folder of recordings: as configured, else recordings/ in the state directory of service or user."""
     if settings.folder is not None:
         return Path(settings.folder).expanduser().absolute()
     given = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]

@@ -34,7 +34,7 @@ _FPS = 30.0  # of the video, for players only
 
 @dataclass(frozen=True, slots=True)
 class RecorderStatus:
-    """How far a recording is."""
+    """Progress of a recording."""
 
     folder: Path  # where it will be
     frames: int  # written
@@ -139,7 +139,7 @@ class Recorder:
         return self._folder
 
     def status(self) -> RecorderStatus:
-        """How far it is; from any thread."""
+        """Return the progress, from any thread."""
         return RecorderStatus(
             self._folder,
             self._film.frames,

@@ -55,7 +55,7 @@ class WandFollower:
 
     @property
     def reason(self) -> str:
-        """What is known of the ball that points."""
+        """State of the ball that points."""
         return self._told.reason
 
     @property
@@ -94,7 +94,7 @@ class WandFollower:
         return FrameResult(frame, report, {"track": epoch.seconds}, epoch)
 
     def take_news(self) -> LogMessages:
-        """What is to be said since this was last asked."""
+        """Return the log lines since the previous call."""
         news = LogMessages(self._change, tuple(self._more))
         self._change = ""
         self._more.clear()
@@ -143,7 +143,7 @@ class WandFollower:
         answer(None, f"{names}: looked for anew")
 
     def figures(self, seeing: bool) -> dict[str, Any]:
-        """Where each ball is, and how the one that points moves."""
+        """Return the pose of each ball, and the motion of the one that points."""
         none, poses = dict.fromkeys(("discs", "discs_seen", "discs_known", "pose", "targets", "motion")), self._poses
         estimate = self._estimate
         if seeing and estimate is not None and self.status is Status.TRACKING:
@@ -181,7 +181,7 @@ class WandFollower:
 
 
 def axes_of(plan: Plan) -> tuple[PoseLog, ...]:
-    """Where the axes of a plan go. ConfigurationError where that is the same place twice."""
+    """Return the destinations of a plan's axes. ConfigurationError if one occurs twice."""
     kind, _, argument = plan.output.partition(":")
     places = [argument] if kind == "text" else []
     further = plan.configuration.wand.axes
@@ -193,7 +193,7 @@ def axes_of(plan: Plan) -> tuple[PoseLog, ...]:
 
 
 def outputs_of(plan: Plan, axes: tuple[PoseLog, ...]) -> tuple[Callable[[], Output], ...]:
-    """What opens the pointer's output, which is that of axes where it is text, and those of further axes."""
+    """Return functions that open the pointer's output and those of the axes. A text output carries both."""
     opened = [a.open for a in axes]
     return tuple(opened) if plan.output.partition(":")[0] == "text" else (partial(open_output, plan.output), *opened)
 

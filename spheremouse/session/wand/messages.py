@@ -1,4 +1,4 @@
-"""What is said of hand-held balls: an event in, a sentence out; of poses, each change once."""
+"""Sentences about hand-held balls, made of events; each change of a pose is reported once."""
 
 from typing import cast
 
@@ -17,12 +17,12 @@ _Wand = NotInView | BallLost | BallHidden | SecondBall | ColourNowhere | ColourE
 
 
 def sentence(event: Event) -> str:
-    """What has happened, and what to do about it."""
+    """Return an event and its remedy as a sentence."""
     return ": ".join(filter(None, trouble_and_remedy(event)))
 
 
 def trouble_and_remedy(event: Event) -> tuple[str, str]:
-    """What has happened; and what to do about it, empty where that is nothing."""
+    """Return an event and its remedy, which may be empty."""
     match cast(_Wand, event):
         case NotInView(ball):
             return f"no ball like {ball} in view", "hold it into the picture, or check its colours and size"
@@ -55,12 +55,12 @@ class Told:
         self._unseen: dict[int, str] = {}  # balls until they are found: why not, in words
 
     def interrupted(self) -> None:
-        """No frames come: what is there is said anew when they come again."""
+        """Report all balls again when frames arrive again."""
         self._phases.clear()
         self._began = None
 
     def frame(self, stamp: float, poses: tuple[WandPose, ...], image: NDArray[np.uint8]) -> LogMessages:
-        """What the poses of a frame have that is new."""
+        """Return the news of a frame's poses."""
         self._began = stamp if self._began is None else self._began
         change, more = "", list[str]()
         for k, pose in enumerate(poses):
@@ -84,7 +84,7 @@ class Told:
         return tuple(line for k, line in self._unseen.items() if k != but and k not in self.found)
 
     def _phase(self, k: int, pose: WandPose) -> str:
-        """What is to be said of one ball's phase, where it is another one."""
+        """Return the log line of a ball's new phase."""
         before, self._phases[k] = self._phases.get(k), pose.phase
         if k not in self.found:
             self._unseen[k] = f"{pose.name} was never found: {said(pose)}"
@@ -115,5 +115,5 @@ def _why(pose: WandPose, image: NDArray[np.uint8]) -> str:
 
 
 def said(pose: WandPose) -> str:
-    """What a user should know of a ball; empty where all is well."""
+    """Return a problem of a ball; empty if there is none."""
     return "" if pose.event is None else sentence(pose.event)

@@ -1,4 +1,4 @@
-"""What a run of the wand looks like while it goes: a line per ball on a terminal, a line a second elsewhere."""
+"""Display of a wand's run: a line per ball on a terminal, else a line a second."""
 
 import numpy as np
 from rich.console import Console

@@ -1,4 +1,4 @@
-"""What a run of hand-held balls is of: a camera, the balls, and the source that may bring both along."""
+"""Setup of a run of hand-held balls: camera, balls, and the source, which may bring both."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -63,7 +63,7 @@ class WandSetup:
 
 
 def wand_setup(spec: str, realtime: bool) -> WandSetup:
-    """Of a source that is no camera: recordings of wands bring camera and balls along."""
+    """Open a source that is no camera. A wand's recording brings camera and balls."""
     kind, _, argument = spec.partition(":")
     if kind == "synthetic":
         raise SourceError(f"{spec}: simulates no wand; film one with `spheremouse wand simulate DIR`, give dataset:DIR")
