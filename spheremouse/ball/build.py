@@ -6,15 +6,17 @@ import numpy as np
 
 from spheremouse.ball import camera_watch as watching
 from spheremouse.ball.detect.appearance import ball_mask
-from spheremouse.ball.detect.blobs import BlobDetector
 from spheremouse.ball.detect.detections import no_detections
 from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.ball.detect.projection import GREY
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import Filter
-from spheremouse.ball.filters.euler import ConstantDiscsFilter, StateDiscsFilter
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import with_map
+from spheremouse.ball.phases.method import SO3
+from spheremouse.ball.published.blobs import BlobDetector
+from spheremouse.ball.published.euler import ConstantDiscsFilter, StateDiscsFilter
+from spheremouse.ball.published.method import PUBLISHED
 from spheremouse.ball.rig import Rig, considered_covariance
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import (
@@ -70,7 +72,7 @@ def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
         detector = disc_detector(settings.discs, rig, pose)
     else:
         detector = BlobDetector(settings.blobs)
-    return Tracker(settings, rig, pose, detector, stage)
+    return Tracker(settings, rig, pose, detector, stage, SO3 if settings.tracker == "so3" else PUBLISHED)
 
 
 def colours_of(settings: Settings, before: Colours) -> Colours:
@@ -90,7 +92,7 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: 
     R = np.eye(3) if attitude is None else attitude
     start: Any = tracker.filter.initial(stamp, R)
     colours = colours_of(tracker.settings, Colours())
-    saved = known is not None and len(known) >= 3 and not tracker.classic
+    saved = known is not None and len(known) >= 3 and tracker.method.keeps_map
     if saved and known is not None:
         start = with_map(start, known, _REMEMBERED)
         colours = colours if colours.fixed else Colours(known.projection, refined=known.projection != GREY)
@@ -102,5 +104,6 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: 
         no_detections(),
         no_points(tracker),
         colours=colours,
-        watch=None if tracker.classic else watching.begin(tracker.rig, tracker.pose),
+        watch=watching.begin(tracker.rig, tracker.pose) if tracker.method.keeps_map else None,
+        readout_known=not tracker.method.keeps_map,
     )

@@ -1,5 +1,6 @@
 """What tracking carries from frame to frame: the phase it is in, and what all phases have."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
@@ -48,11 +49,16 @@ class Tracker(Generic[K]):
     pose: Pose
     detector: Detector
     filter: K
+    method: "Method"
 
-    @property
-    def classic(self) -> bool:
-        """Is it the tracker of the published filters (`ball.classic`)?"""
-        return self.settings.tracker != "so3"
+
+class Method(NamedTuple):
+    """The steps of tracking that depend on the filter."""
+
+    keeps_map: bool  # also of discs out of view: to recognise a ball, and to notice a moved camera or a lifted ball
+    detect: Callable[["TrackState", Frame, Tracker, Any], tuple[Detections, SearchState]]  # with the predicted filter
+    next_phase: Callable[["TrackState", float, Tracker, Any], tuple["TrackState", Events]]  # after a frame's points
+    at_new_pose: Callable[["TrackState", Tracker, Array | None], Any]  # the filter, after the camera moved
 
 
 class BufferedFrame(NamedTuple):

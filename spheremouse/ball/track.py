@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from spheremouse.ball import camera_watch as watching
-from spheremouse.ball import classic
 from spheremouse.ball.build import begin, build, colours_of
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections, no_detections
@@ -28,15 +27,11 @@ from spheremouse.ball.events import (
     Why,
 )
 from spheremouse.ball.filters import FilterState
-from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_state import KINEMATIC_DIM, PLACED, So3State, consider
+from spheremouse.ball.filters.so3_state import PLACED
 from spheremouse.ball.phases import colours
-from spheremouse.ball.phases.camera_moved import Moved, hidden, out_of_sight, relative, surprised, with_references
-from spheremouse.ball.phases.follow import detect_discs, follow
-from spheremouse.ball.phases.learn import learn
-from spheremouse.ball.phases.lifted import check_bearings
+from spheremouse.ball.phases.camera_moved import hidden, out_of_sight, surprised, with_references
 from spheremouse.ball.phases.readout import learn_readout
-from spheremouse.ball.phases.recover import lost_in_a_gap, recognise, recover
+from spheremouse.ball.phases.recover import lost_in_a_gap
 from spheremouse.ball.points import intersect
 from spheremouse.ball.pose import find_pose, predict_targets
 from spheremouse.ball.settings import Settings
@@ -62,6 +57,8 @@ from spheremouse.tracker import Estimate, Frame, Status, Step, check_size
 
 _MATTERS = 0.1  # s without a confirmation from which a player notices: the pointer's prediction ends there by default
 
+# The tracker at another pose, and what that adds to the covariance, (6, 6); None: a new pose.
+Moved = tuple[Tracker, Array | None]
 Seek = Callable[[Frame, Tracker], Moved | None]
 
 
@@ -147,10 +144,8 @@ def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tu
     anew = build(tracker.rig, current(state, tracker).pose, settings)
     if settings.tracker != tracker.settings.tracker:
         return begin(anew, state.filter.stamp, state.filter.attitude), anew
-    if settings.so3.levels != tracker.settings.so3.levels and not anew.classic:
-        others = tuple(h._replace(state=replace(h.state, weights=np.zeros(0))) for h in state.alternatives)
-        filtered = replace(state.filter, weights=np.zeros(0))  # they were those of other levels
-        state = replace(state, filter=filtered, alternatives=others)
+    others = tuple(h._replace(state=anew.filter.adopt(h.state)) for h in state.alternatives)
+    state = replace(state, filter=anew.filter.adopt(state.filter), alternatives=others)
     seen = colours_of(settings, state.colours)
     return replace(state, rebuilt=None, search=SearchState(), colours=seen), anew
 
@@ -162,10 +157,7 @@ def _stages(
     before = state.colours
     state = colours.with_trial(state, frame, tracker)
     predicted = tracker.filter.predict(state.filter, frame.stamp)
-    if tracker.classic:
-        detections, search = colours.seen_in(tracker.detector, state.colours).detect(frame.image), state.search
-    else:
-        detections, search = detect_discs(state, frame, tracker, predicted)
+    detections, search = tracker.method.detect(state, frame, tracker, predicted)
     detected()
     done = advance(state, frame.stamp, detections, tracker, predicted, search)
     done = colours.refined(done, frame, tracker)
@@ -188,7 +180,7 @@ def _check_camera(
     if moved is None:
         moved = watching.displaced(shift, 3.0 * watching.MATCH_SIGMA_PX)
     if moved and watching.is_still(before, shift):
-        anew = relative(on_rings, shift, tracker) or seek(frame, tracker)
+        anew = _pose_by_shifts(on_rings, shift, tracker) or seek(frame, tracker)
         if anew is not None:
             return _with_new_pose(state, *anew, frame, tracker)
     if moved:
@@ -210,6 +202,22 @@ def _check_camera(
     return done._replace(state=replace(done.state, watch=watch))
 
 
+def _pose_by_shifts(on_rings: Array, shift: Array, tracker: Tracker) -> Moved | None:
+    """Return the tracker at the pose that the shifts of the targets, (n, 2) px, give; None if they give none.
+
+    The shifts are measured on the rings, or else by correlation. Also the addition to the pose's covariance, (6, 6).
+    """
+    rig, settings = tracker.rig, tracker.settings
+    for measured, sigma in ((on_rings, watching.RING_SIGMA_PX), (shift, watching.MATCH_SIGMA_PX)):
+        found = watching.moved_pose(measured, rig, tracker.pose, sigma)
+        if found is not None:
+            try:
+                return build(rig, found[0], settings), found[1]
+            except PoseError:
+                continue
+    return None
+
+
 def _with_new_pose(
     state: TrackState, anew: Tracker, added: Array | None, frame: Frame, tracker: Tracker
 ) -> Step[TrackState]:
@@ -219,18 +227,8 @@ def _with_new_pose(
     a new pose is a new claim of where that is. The pose's error stays what it was, and so does
     what the map has taken up of it; `added`, (6, 6), comes on top. None: the pose owes nothing to the one before.
     """
-    filtered: Any = state.filter
-    if anew.classic and not state.known_to_turn:
-        # nothing is known yet but where candidates were in the picture
-        filtered = anew.filter.initial(state.filter.stamp, state.filter.attitude).with_reference_of(filtered)
-    elif not anew.classic:
-        joint = filtered.joint.copy()
-        if added is None:
-            consider(joint, anew.filter.considered)
-        else:
-            joint[KINEMATIC_DIM : KINEMATIC_DIM + 6, KINEMATIC_DIM : KINEMATIC_DIM + 6] += added
-        filtered = replace(filtered, joint=joint)
-    watch = None if anew.classic else watching.begin(anew.rig, anew.pose)
+    filtered = anew.method.at_new_pose(state, anew, added)
+    watch = watching.begin(anew.rig, anew.pose) if anew.method.keeps_map else None
     if watch is not None:
         watch = replace(with_references(watch, frame, anew), due=frame.stamp)
     phase = _from_elsewhere(state.phase)
@@ -303,31 +301,15 @@ def advance(
         confirmed=False,
         search=search or state.search,
     )
-    what_next = classic.next_phase if tracker.classic else _next_phase
     state, gap = lost_in_a_gap(state, stamp, tracker)
-    state, events = what_next(state, stamp, tracker, carried)
+    state, events = tracker.method.next_phase(state, stamp, tracker, carried)
     events = events or gap  # found again with the frame that ends it
     state, more = _lost_in_time(state, stamp, tracker)
     events = (*more, *events)  # what leads to the state comes first
-    if tracker.rig.readout_sigma_s > 0.0 and not (state.readout_known or tracker.classic):
+    if tracker.rig.readout_sigma_s > 0.0 and not state.readout_known:
         state, more = learn_readout(state, tracker)
         events = (*events, *more)
     return _reported(state, stamp, events)
-
-
-def _next_phase(
-    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
-) -> tuple[TrackState[So3State], Events]:
-    """The state after the points of a frame, and what has changed."""
-    match state.phase:
-        case Recognising():
-            return recognise(state, state.phase, stamp, tracker)
-        case Learning():
-            return learn(state, state.phase, stamp, tracker, predicted)
-        case Tracking():
-            return check_bearings(follow(state, stamp, tracker, predicted), stamp, tracker, predicted)
-        case Lost():
-            return recover(state, state.phase, stamp, tracker, predicted)
 
 
 def _lost_in_time(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Events]:
@@ -335,7 +317,7 @@ def _lost_in_time(state: TrackState, stamp: float, tracker: Tracker) -> tuple[Tr
     after = tracker.settings.loss.lost_after
     if state.status is not Status.TRACKING or state.confirmed or stamp - state.confirmed_at <= after:
         return state, ()
-    if not tracker.classic and stamp - state.supported_at <= after:
+    if stamp - state.supported_at <= after:
         return state, ()
     return lost(state), (BallLost(Why.UNSEEN, after, len(state.points)),)
 

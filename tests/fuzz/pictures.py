@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from spheremouse.ball.build import begin, build
-from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.ball.pose import gather, resect
-from spheremouse.ball.settings import Settings
+from spheremouse.ball.published.blobs import BlobDetector
+from spheremouse.ball.settings import BlobSettings, Settings
 from spheremouse.ball.track import advance
 from tests.fuzz.scene import DT, known, pictures, small_rig, use
 from tests.fuzz.targets import refused, target

@@ -80,6 +80,10 @@ class Filter(Protocol[S]):
         """
         ...
 
+    def adopt(self, state: S) -> S:
+        """Return the state of a filter with other settings, for use by this one."""
+        ...
+
     def is_significant(self, predicted: S, used: int, points: int) -> bool:
         """Would so many of a frame's points, most of them no disc, meet a predicted disc only if it is there?"""
         ...

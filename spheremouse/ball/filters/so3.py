@@ -119,6 +119,10 @@ class So3Filter:
             interval=last,
         )
 
+    def adopt(self, state: So3State) -> So3State:
+        """Return the state of a filter with other settings: the levels of the player start at their prior."""
+        return state if len(state.weights) == len(self.settings.levels) else replace(state, weights=np.zeros(0))
+
     def visible(self, state: So3State) -> NDArray[np.intp]:
         """Indices of the discs that face the camera."""
         return np.flatnonzero(state.discs @ (self.towards_camera @ state.attitude) > self.horizon)

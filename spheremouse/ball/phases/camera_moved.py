@@ -1,21 +1,17 @@
-"""A camera that was moved: noticed, waited for, and its new pose taken."""
+"""Signs that the camera was moved."""
 
 import numpy as np
 
 from spheremouse.ball import camera_watch as watching
-from spheremouse.ball.build import build
 from spheremouse.ball.camera_watch import CameraMonitor
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.state import Tracker, TrackState
-from spheremouse.errors import PoseError
-from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Frame, Status
 
 _LIVELY = 64.0  # level of the player from which a bumped camera explains as much
 _STIRRED = 8.0  # the same of a ball that hardly turns, and a camera that shakes by a few tenths of a pixel
 _RESTS = 0.2  # rad/s, below which a ball hardly turns: a pixel per frame
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
-Moved = tuple[Tracker, Array | None]  # the tracker for another pose; what is added to its covariance, None: it is new
 
 
 def hidden(watch: CameraMonitor | None) -> bool:
@@ -54,17 +50,3 @@ def out_of_sight(state: TrackState, stamp: float) -> bool:
         return False
     astray = state.rebuilt is not None and int(np.count_nonzero(watch.seen)) < 3  # the last pose found shows too few
     return (astray or hidden(watch)) and not watch.tried <= stamp < watch.tried + _COLOUR_EVERY
-
-
-def relative(on_rings: Array, shift: Array, tracker: Tracker) -> Moved | None:
-    """The tracker for the pose that the shifts of the targets, (n, 2) px, tell, and what that adds to the pose's
-    covariance; None where they tell none. Measured on the rings, or else by correlation."""
-    rig, settings = tracker.rig, tracker.settings
-    for measured, sigma in ((on_rings, watching.RING_SIGMA_PX), (shift, watching.MATCH_SIGMA_PX)):
-        found = watching.moved_pose(measured, rig, tracker.pose, sigma)
-        if found is not None:
-            try:
-                return build(rig, found[0], settings), found[1]
-            except PoseError:
-                continue
-    return None

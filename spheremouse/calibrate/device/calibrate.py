@@ -11,12 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
 from spheremouse.ball.detect.projection import GREY, projected
 from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.ball.device import Device, DistanceError
+from spheremouse.ball.published.blobs import BlobDetector
+from spheremouse.ball.settings import BlobSettings
 from spheremouse.calibrate.device.adjust import (
     BundleResult,
     DeviceCalibration,

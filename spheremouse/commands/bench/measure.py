@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.build import begin, build
-from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
+from spheremouse.ball.published.blobs import BlobDetector
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.settings import Settings
+from spheremouse.ball.settings import BlobSettings, Settings
 from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.track import step
 from spheremouse.ball.warm import warm_up

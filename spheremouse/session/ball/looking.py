@@ -11,12 +11,11 @@ from typing import TypeVar
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import TargetDetections, detect_targets
-from spheremouse.ball.phases.camera_moved import Moved
 from spheremouse.ball.pose import Resection, find_pose, gather
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker
-from spheremouse.ball.track import seek_by_colour
+from spheremouse.ball.track import Moved, seek_by_colour
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.tracker import Frame

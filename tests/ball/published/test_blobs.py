@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
+from spheremouse.ball.published.blobs import BlobDetector
+from spheremouse.ball.settings import BlobSettings
 
 DETECTOR = BlobDetector(BlobSettings())
 FINE = 8  # samples per pixel and axis

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from spheremouse.ball.points import SpherePoints
+from spheremouse.ball.settings import EulerSettings
 from spheremouse.geometry.rotation import (
     Array,
     euler_rate_matrix,
@@ -27,39 +28,8 @@ from spheremouse.geometry.rotation import (
     left_jacobian,
     to_euler,
 )
-from spheremouse.settings import param
 
 _ROUNDED = 1e-12  # rad: what an attitude loses on its way to angles and back
-
-
-@dataclass(frozen=True, slots=True)
-class EulerSettings:
-    """Parameters of both classic filters."""
-
-    acceleration_sigma: float = param(
-        0.1,
-        "rad/s²",
-        "assumed acceleration of each Euler angle, sigma_w; best rates in Wittich 2017, section 4.5",
-        ge=1e-4,  # a tenth of the thesis' least
-        le=1000,  # of a flick
-    )
-    gate: float = param(
-        0.03,
-        "m",
-        "a point farther than this from where a stored disc is predicted is another disc; Wittich 2017, table 4",
-        ge=1e-6,
-        le=100,  # farther than any ball reaches
-    )
-    radial_sigma: float = param(
-        1e-4,
-        "m",
-        "added to each point along the ball's normal, where its covariance is singular if the ball is taken as exact; "
-        "below the image noise on the ball (0.3 mm), above the sagitta of a prediction error of 0.01 rad (0.03 mm)",
-        ge=1e-7,  # less is lost in the digits of a point 1 m away
-        le=1,
-    )
-    # Not a setting: rad, rad/s, of the Euler angles and of their rates at the start (Wittich 2017, eq. 123).
-    start_sigma: float = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +128,10 @@ class ConstantDiscsFilter:
         stored = np.concatenate([state.points[np.sort(j)], points.position[new] @ from_euler(x[:3])])
         return EulerState(state.stamp, x[:3], x[3:6], stored, P, np.sort(i), state.reference)
 
+    def adopt(self, state: EulerState) -> EulerState:
+        """Return the same state."""
+        return state
+
     def is_significant(self, predicted: EulerState, used: int, points: int) -> bool:
         """Not known: as published, discs are gated by a length."""
         return False
@@ -204,6 +178,10 @@ class StateDiscsFilter:
         stored = np.concatenate([x[6:].reshape(-1, 3)[kept], points.position[new] @ R])
         P = _append_blocks(P[np.ix_(rows, rows)], R.T @ noise[new] @ R)
         return EulerState(state.stamp, x[:3], x[3:6], stored, P, np.sort(i), state.reference)
+
+    def adopt(self, state: EulerState) -> EulerState:
+        """Return the same state."""
+        return state
 
     def is_significant(self, predicted: EulerState, used: int, points: int) -> bool:
         """Not known: as published, discs are gated by a length."""

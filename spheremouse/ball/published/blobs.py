@@ -10,28 +10,11 @@ import cv2
 import numpy as np
 
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
-from spheremouse.settings import AREA, param
+from spheremouse.ball.settings import BlobSettings
 
 _MEDIAN_PX = 5  # width of the median filter; the thesis does not state it
 _OPENING_PX = 3  # width of the opening's square; the thesis does not state it
 _SIGMA_PX = 0.1  # sigma_b, standard deviation of a centre per axis (section 4.5)
-
-
-@dataclass(frozen=True, slots=True)
-class BlobSettings:
-    """The published detector's bounds on a blob, which depend on camera and ball."""
-
-    masks: int = param(10, "-", "number of masks, M: grey 0 to 120; each takes its time", ge=1, le=25)
-    min_area: float = param(40.0, "px²", "least area of a contour, F_min", **AREA)
-    max_area: float = param(300.0, "px²", "largest area of a contour, F_max", **AREA)
-    # As published (table 4); no settings.
-    mask_step: int = 10  # u_M, grey values between masks
-    mask_width: int = 30  # u_B, grey values
-    convexity: float = 0.95  # q_min, least area over area of the convex hull
-
-    def __post_init__(self) -> None:
-        if self.min_area > self.max_area:
-            raise ValueError(f"min_area: {self.min_area:g} is above max_area, {self.max_area:g}: no blob has both")
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,8 @@ from scipy.linalg import block_diag, solve_discrete_are, solve_discrete_lyapunov
 from scipy.spatial.transform import Rotation
 
 from spheremouse.ball.detect.detections import Detections
-from spheremouse.ball.filters.euler import (
+from spheremouse.ball.points import SpherePoints, intersect
+from spheremouse.ball.published.euler import (
     ConstantDiscsFilter,
     EulerSettings,
     EulerState,
@@ -20,7 +21,6 @@ from spheremouse.ball.filters.euler import (
     angular_velocity,
     turned,
 )
-from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import euler_rate_matrix, exp, from_euler, hat, log

@@ -1,0 +1,63 @@
+"""The method of tracking of the published filters `ekf1` and `ekf2` (Wittich 2017, section 3.5).
+
+Look-alikes are told apart from discs as with any filter. These filters keep no map: a disc that one frame does not show
+is gone. A lost ball starts at its last attitude. A lifted ball, a moved camera and a rolling shutter stay unnoticed.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from spheremouse.ball.detect.detections import Detections
+from spheremouse.ball.detect.search import SearchState
+from spheremouse.ball.phases.candidates import all_are_discs, classify_unmatched, updated
+from spheremouse.ball.phases.colours import seen_in
+from spheremouse.ball.phases.learn import learn
+from spheremouse.ball.phases.recover import begin_anew, seen_since
+from spheremouse.ball.published.euler import EulerState
+from spheremouse.ball.state import Events, Learning, Lost, Method, Recognising, Tracker, Tracking, TrackState
+from spheremouse.geometry.rotation import Array
+from spheremouse.tracker import Frame
+
+State = TrackState[EulerState]
+
+
+def _detect(state: State, frame: Frame, tracker: Tracker, predicted: EulerState) -> tuple[Detections, SearchState]:
+    """Return the disc candidates of the whole image."""
+    return seen_in(tracker.detector, state.colours).detect(frame.image), state.search
+
+
+def _next_phase(state: State, stamp: float, tracker: Tracker, predicted: EulerState) -> tuple[State, Events]:
+    """Return the state after the points of a frame, and the events."""
+    match state.phase:
+        case Learning():
+            return learn(state, state.phase, stamp, tracker, predicted)
+        case Tracking():
+            return _followed(state, stamp, tracker, predicted), ()
+        case Lost():
+            phase = seen_since(state.phase, len(state.points), stamp)
+            state = replace(state, phase=phase)
+            return (state, ()) if phase.in_view_since is None else begin_anew(state, stamp, tracker)
+        case Recognising():
+            raise AssertionError("no map, nothing to recognise")
+
+
+def _followed(state: State, stamp: float, tracker: Tracker, predicted: EulerState) -> State:
+    """Return the state after an update. A candidate that moved with the ball becomes a disc at its next sighting."""
+    state = updated(state, tracker, predicted)
+    if all_are_discs(state):
+        return state
+    if not state.confirmed:  # then no point starts a landmark
+        none = np.zeros(len(state.points), dtype=bool)
+        state = replace(state, filter=tracker.filter.update(predicted, state.points, none))
+    return classify_unmatched(state, stamp, tracker, predicted, lambda posterior, *_: posterior)
+
+
+def _at_new_pose(state: State, tracker: Tracker, added: Array | None) -> EulerState:
+    """Return the filter's state at a new pose: a new start if only image positions of candidates are known."""
+    if state.known_to_turn:
+        return state.filter
+    return tracker.filter.initial(state.filter.stamp, state.filter.attitude).with_reference_of(state.filter)
+
+
+PUBLISHED = Method(keeps_map=False, detect=_detect, next_phase=_next_phase, at_new_pose=_at_new_pose)
