@@ -115,7 +115,7 @@ def main(far26: Path) -> str:
     out += [table(head, rows), ""]
     out += ["## Light and noise (Wittich 2017, table 24)", ""]
     out += [
-        "Rate RMSE in °/s by `spheremouse evaluate far26 --brightness L --noise S`, in brackets EKF2 of the thesis on S1.",
+        "Rate RMSE in °/s by `spheremouse evaluate far26 --brightness L --noise S`; in brackets EKF2 of the thesis.",
         "",
     ]
     rows = []
