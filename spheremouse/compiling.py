@@ -1,4 +1,4 @@
-"""How far Numba is: the kernels that it has not kept on disk yet are counted, and those that are done.
+"""Progress of Numba: the number of kernels to compile, and of those compiled.
 
 What tracking calls is compiled before the first frame, once after an installation, and never in play: whoever waits for
 it is told how long.
@@ -91,6 +91,6 @@ def kernels_on_disk() -> tuple[int, int, str]:
 
 
 def _on_disk(kernel: Dispatcher) -> bool:
-    """Whether Numba has kept it, for whichever types."""
+    """Return whether Numba has a kernel in its cache, for any types."""
     file = getattr(getattr(kernel, "_cache", None), "_cache_file", None)  # None where it has no place to keep anything
     return file is not None and os.path.exists(file._index_path)

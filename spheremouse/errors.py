@@ -9,7 +9,7 @@ def printable(thing: object) -> str:
 
 
 def has_control_characters(text: str) -> bool:
-    """Could the text steer a terminal or break a line: has it a control character or a line separator?"""
+    """Return whether a text has a control character or a line separator, which a terminal would obey."""
     return not text.isprintable() and any(unicodedata.category(c) in ("Cc", "Zl", "Zp") for c in text)
 
 
@@ -31,7 +31,7 @@ class DatasetError(SpheremouseError):
 
 
 class SourceError(SpheremouseError):
-    """No frames to be had."""
+    """A source gives no frames."""
 
 
 class DamagedFrameError(SourceError):

@@ -1,4 +1,4 @@
-"""Where numba keeps what it has compiled, for an account that owns neither the program's folder nor a home.
+"""Cache folder of Numba for an account that owns neither the program's folder nor a home.
 
 Must be settled before numba is imported. Everybody else keeps numba's own places: beside the source, or `~/.cache`.
 """
@@ -22,14 +22,14 @@ def _users() -> Path:
 
 
 def _writable(folder: Path) -> bool:
-    """May files be made in it, or it be made?"""
+    """Return whether files can be created in a folder, or the folder itself."""
     while not os.path.exists(folder) and folder != folder.parent:  # pathlib's raises where it may not look
         folder = folder.parent
     return os.path.isdir(folder) and os.access(folder, os.W_OK | os.X_OK)
 
 
 def _private() -> Path:
-    """A folder of this account alone, the same one each time: nobody else may plant what is run from it."""
+    """Return the same folder of this account each time, in which no other account can place code."""
     import tempfile  # dear, and seldom needed
 
     if not hasattr(os, "getuid"):

@@ -1,4 +1,4 @@
-"""Which seen disc is which known disc: one-to-one assignment in sight of a prediction, and identification without one.
+"""Association of points with known discs: one to one near a prediction, and identification without one.
 
 `assign` is the global nearest neighbour within a gate. `identify` finds the attitude from nothing but the map, with the
 probability that it is wrong (`constellation`); `common_rotation` that between two sights, before there is a map.

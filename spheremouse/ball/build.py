@@ -76,7 +76,7 @@ def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
 
 
 def colours_of(settings: Settings, before: Colours) -> Colours:
-    """How discs are told from the ball by new settings: as they fix it, or else as it was found `before`."""
+    """Return the colour projection under new settings: the fixed one, or else the one found `before`."""
     fixed = settings.discs.projection
     if settings.detector != "default":
         fixed = GREY

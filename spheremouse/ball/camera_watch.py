@@ -37,13 +37,13 @@ _FAR = 0.05  # image widths within which a displaced target is searched; beyond,
 
 @dataclass(frozen=True, slots=True)
 class CameraMonitor:
-    """What the targets looked like, and which is next."""
+    """Appearance of the targets, and the next one to check."""
 
     patches: tuple[Image | None, ...]  # of each target (h, w) grey, reduced; None: not seen yet
     corner: NDArray[np.intp]  # (n, 2) px, top left pixel of each patch: column, row
     size: NDArray[np.intp]  # (n,) px of the patch, its width and height
     reduction: NDArray[np.intp]  # (n,) px of the image to one of the patch
-    zero: Array  # (n, 2) px, what correlation makes of a target that has not moved
+    zero: Array  # (n, 2) px, result of the correlation for a target that has not moved
     place: Array  # (n, 2) px, where the rings were measured; nan: they were not
     seen: NDArray[np.bool_]  # (n,) it was there at the last look
     turn: int = 0  # the target to be looked at next
@@ -111,7 +111,7 @@ def remember_targets(
 
 
 def target_shift(watch: CameraMonitor, image: Image, which: int, far: bool = False) -> Array:
-    """How far, (2,) px, a target is from where it was; nan where it is hidden. `far`: within _FAR widths."""
+    """Return the shift, (2,) px, of a target; nan if it is hidden. With `far`, the search covers _FAR widths."""
     template = watch.patches[which]
     if template is None:
         return np.full(2, np.nan)
@@ -133,7 +133,7 @@ def target_shifts(watch: CameraMonitor, image: Image) -> tuple[CameraMonitor, Ar
 
 
 def check_next_target(watch: CameraMonitor, image: Image, stamp: float, surprised: bool) -> tuple[CameraMonitor, bool]:
-    """One target in its turn, when it is time; the next two at once when something is odd. Is one out of its place?
+    """Check the next target if it is due, or the next two at once after a surprise. Return whether one is displaced.
 
     A target that was there and is gone counts as out of its place, too, once; whether the camera moved, all must say.
     """
@@ -161,7 +161,7 @@ def displaced(shift: Array, limit: float) -> bool | None:
 
 
 def is_still(before: Array, now: Array) -> bool:
-    """Do the targets keep their places from frame to frame: shifts, (n, 2) px each?"""
+    """Return whether the shifts of the targets, (n, 2) px, are the same in two frames."""
     if len(before) != len(now):
         return False
     step = np.hypot(*(now - before).T)
@@ -197,7 +197,7 @@ def moved_pose(shift: Array, rig: Rig, pose: Pose, sigma: float) -> tuple[Pose, 
 
 
 def difference(before: Pose, after: Pose) -> tuple[float, float]:
-    """How far apart two poses are: m, and rad."""
+    """Return the distance of two poses in m and in rad."""
     turn = log(after.rotation @ before.rotation.T)
     return float(np.linalg.norm(after.position - before.position)), float(np.linalg.norm(turn))
 

@@ -34,7 +34,7 @@ class BearingSettings:
 
 @dataclass(frozen=True, slots=True)
 class CentreOffset:
-    """What rotation and shift explain of one frame's discs."""
+    """Fit of a rotation and a shift to the discs of one frame."""
 
     pairs: int
     shift: Array  # (3,) m, obj, of the ball's centre from where it is thought to be
@@ -94,7 +94,7 @@ def is_off(found: CentreOffset, radius: float, settings: BearingSettings, out_of
 
 
 def fits(found: CentreOffset, radius: float, settings: BearingSettings) -> bool:
-    """Do the discs fit a rotation about the centre?"""
+    """Return whether the discs fit a rotation about the centre."""
     far = found.distance > 0.5 * settings.lifted * radius and found.mahalanobis > 0.5 * _MIN_MAHALANOBIS
     return not far and found.before < _MOST
 

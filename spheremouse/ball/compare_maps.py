@@ -19,7 +19,7 @@ _ALL_AROUND = -0.9999  # cosine of the horizon: a map shows all sides of a ball
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What became of the discs of map `a` in map `b`."""
+    """Comparison of the discs of map `a` with map `b`."""
 
     rotation: Array  # (3, 3), directions of b ~ those of a @ rotation.T
     stayed: NDArray[np.intp]  # (k, 2) indices (a, b)
@@ -35,7 +35,7 @@ class Comparison:
 
 
 def compare(a: DiscMap, b: DiscMap) -> Comparison | None:
-    """The maps in whatever frames they are; None where they are not of the same ball, or it cannot be told."""
+    """Compare two maps in any frames. Return None if they show no sign of the same ball."""
     sigma = float(np.clip(np.sqrt(np.median(variances(a)) + np.median(variances(b))), 0.001, 0.02))
     found = identify(b.directions, a.directions, sigma=sigma, view_axis=_ANY_AXIS, horizon=_ALL_AROUND, risk=_RISK)
     if found is None:
@@ -83,7 +83,7 @@ def turned(disc_map: DiscMap, rotation: Array) -> DiscMap:
 
 
 def in_words(comparison: Comparison) -> str:
-    """`24 discs stayed, 1 moved, 1 gone, 2 new`, without what there is none of."""
+    """`24 discs stayed, 1 moved, 1 gone, 2 new`, without empty parts."""
     parts = [f"{len(comparison.stayed)} discs stayed"]
     for name in ("moved", "gone", "new"):
         if count := len(getattr(comparison, name)):

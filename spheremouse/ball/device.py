@@ -1,4 +1,4 @@
-"""What a person knows of a device before it is calibrated: codes of the targets, sizes, axes, and a few distances."""
+"""Description of a device before its calibration: codes of the targets, sizes, axes and a few distances."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ class Distance:
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """Which targets define the axes of `obj`: Y runs from `origin` to `up`, X lies in the plane with `plane`."""
+    """Targets that define the axes of `obj`: Y runs from `origin` to `up`, X lies in the plane with `plane`."""
 
     origin: int  # ids of targets
     up: int

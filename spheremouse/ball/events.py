@@ -1,4 +1,4 @@
-"""What can change with a frame of the ball, as data."""
+"""Events of the ball's tracker, as data."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -7,7 +7,7 @@ from spheremouse.tracker import Event
 
 
 class Why(StrEnum):
-    """Why a ball that was tracked is lost."""
+    """Reason of a loss."""
 
     UNSEEN = "unseen"  # no disc confirms where it should be
     GAP = "gap"  # no frame came
@@ -16,7 +16,7 @@ class Why(StrEnum):
 
 
 class Doubt(StrEnum):
-    """Why a frame does not confirm the attitude of a ball that is tracked."""
+    """Reason for a frame that does not confirm the attitude of a tracked ball."""
 
     NO_DISC = "no disc"  # none is seen
     UNKNOWN = "unknown"  # none of those seen is where a disc of the map should be
@@ -75,7 +75,7 @@ class MotionReleased(Event):
 
 @dataclass(frozen=True, slots=True)
 class NewMap(Event):
-    """A map is begun anew: at the last attitude known of a ball that was lost, or in place of one that was saved."""
+    """A new map begins at the last attitude of a lost ball, or in place of a saved map."""
 
     saved: bool = False
 
@@ -94,14 +94,14 @@ class ReadoutKnown(Event):
 
 @dataclass(frozen=True, slots=True)
 class DiscColours(Event):
-    """The discs are told from the ball by other colours than before."""
+    """Another colour projection separates the discs from the ball."""
 
     weights: tuple[float, float, float]  # of blue, green and red: in that sum the discs are darker
 
 
 @dataclass(frozen=True, slots=True)
 class CameraMoved(Event):
-    """The camera's pose was estimated anew."""
+    """The camera has a new pose."""
 
     path: float  # m
     turn: float  # rad
@@ -110,4 +110,4 @@ class CameraMoved(Event):
 
 @dataclass(frozen=True, slots=True)
 class TargetsHidden(Event):
-    """The ball is lost while the targets are out of sight: nobody can say whether the camera was moved."""
+    """The ball is lost while the targets are out of sight, so the camera may have moved."""

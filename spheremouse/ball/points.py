@@ -34,7 +34,7 @@ class SpherePoints:
         return len(self.position)
 
     def take(self, keep: NDArray[np.bool_] | NDArray[np.intp] | slice) -> "SpherePoints":
-        """Those of a mask, of indices or of a slice."""
+        """Return the entries of a mask, of indices or of a slice."""
         return SpherePoints(
             self.position[keep],
             self.covariance[keep],

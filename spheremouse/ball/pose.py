@@ -35,7 +35,7 @@ _STRANGE = "{} seen, which the rig does not have: correct its codes, or give the
 
 @dataclass(frozen=True, slots=True)
 class PoseSettings:
-    """How the camera's pose is found at the start."""
+    """Parameters of the initial camera pose."""
 
     frames: int = param(
         30,
@@ -172,7 +172,7 @@ def describe(resection: Resection, rig: Rig) -> str:
 
 
 def predict_targets(pose: Pose, rig: Rig) -> Array:
-    """Where the mean centroids of all targets should be seen, (n, 2) px, eccentricity included."""
+    """Return the predicted mean centroids of all targets, (n, 2) px, with eccentricity."""
     return _predict(pose, rig, np.arange(len(rig.targets.codes)))[0]
 
 
@@ -306,7 +306,7 @@ def _refuse_many(seen: dict[str, list[Sighting]], choices: int) -> None:
 
 
 def _settled(fits: list[Resection]) -> bool:
-    """Fits of all targets that are seen, one copy of each: does one say that no target of the rig is missing there?"""
+    """Return whether a fit of one copy of each visible target shows that no target of the rig is missing."""
     if not fits:
         return False
     best = min(np.sqrt(np.mean(f.residual**2)) for f in fits)

@@ -48,7 +48,7 @@ class Rig:
     targets: Targets
     disc_radius: float  # m, along the ball's surface
     readout_s: float = 0.0  # s, time a rolling shutter takes over all rows
-    readout_sigma_s: float = 0.0  # s, its standard deviation; UNKNOWN_READOUT where nobody measured it
+    readout_sigma_s: float = 0.0  # s, its standard deviation; UNKNOWN_READOUT without a measurement
     exposure_s: float = 0.0  # s, time the shutter is open; 0 where it is short or unknown
     pose: Pose | None = None  # camera pose where it is known beforehand: no targets are needed then
     disc_directions: Array | None = None  # (m, 3) unit vectors in ball, a disc map made earlier
@@ -57,7 +57,7 @@ class Rig:
 
     @property
     def radius_m(self) -> float | None:
-        """m, of the ball; None where nobody measured a length."""
+        """m, of the ball; None without a measured length."""
         return None if self.scale_free else self.ball.radius
 
 
@@ -89,7 +89,7 @@ def in_metres(rig: Rig, unit: float) -> Rig:
 
 
 def considered_covariance(pose: Pose, ball: Ball) -> Array:
-    """Of what is wrong in every frame alike, (10, 10): camera position and rotation, ball centre and radius."""
+    """Return the covariance, (10, 10), of the errors common to all frames: camera pose, ball centre, radius."""
     return np.block([[pose.covariance, pose.ball_covariance], [pose.ball_covariance.T, ball.covariance]])
 
 

@@ -1,4 +1,4 @@
-"""When the ball is lost, and all settings of tracking as one nested dataclass."""
+"""Settings of tracking, as one nested dataclass."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -13,7 +13,7 @@ from spheremouse.settings import AREA, HAND_TURN, SECONDS, param
 
 @dataclass(frozen=True, slots=True)
 class LossSettings:
-    """When the ball is lost, and how it is found again."""
+    """Times of loss and recovery."""
 
     lost_after: float = param(
         0.3, "s", "unconfirmed for so long the prediction is a guess: hand passes are shorter, rolls change", **SECONDS

@@ -1,4 +1,4 @@
-"""What tracking carries from frame to frame: the phase it is in, and what all phases have."""
+"""State of the tracker between frames: its phase, and the parts common to all phases."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -33,7 +33,7 @@ K = TypeVar("K", bound=Filter[Any])
 
 
 class Detector(Protocol):
-    """What finds discs."""
+    """Interface of a disc detector."""
 
     def detect(self, image: Image) -> Detections:
         """Disc candidates in an image (h, w, 3) BGR or (h, w)."""
@@ -42,7 +42,7 @@ class Detector(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Tracker(Generic[K]):
-    """What stays the same from frame to frame: device, camera pose, stages with their settings."""
+    """The constant parts of tracking: device, camera pose, and stages with their settings."""
 
     settings: Settings
     rig: Rig
@@ -62,7 +62,7 @@ class Method(NamedTuple):
 
 
 class BufferedFrame(NamedTuple):
-    """What one frame showed, and the state that was predicted for it."""
+    """Detections of one frame, and the state predicted for it."""
 
     stamp: float  # s
     detections: Detections
@@ -82,7 +82,7 @@ class BufferedFrame(NamedTuple):
 
 
 class Colours(NamedTuple):
-    """How the discs are told from the ball."""
+    """Colour projection in which the discs are darker than the ball."""
 
     projection: Projection = GREY  # in which they are darker
     fixed: bool = False  # by the settings
@@ -107,7 +107,7 @@ class Learning(NamedTuple):
 
 
 class CentreCheck(NamedTuple):
-    """How well the ball turns about its centre."""
+    """Check that the ball turns about its centre."""
 
     frames_off_centre: int = 0  # in a row
     misfit: float = 0.0  # mean chi-square per degree of freedom of the discs' places about the centre
@@ -116,7 +116,7 @@ class CentreCheck(NamedTuple):
 
 
 class Tracking(NamedTuple):
-    """The ball turns, and its discs are told from look-alikes."""
+    """The ball has turned, so its discs differ from look-alikes."""
 
     roundness: CentreCheck = CentreCheck()
 
@@ -131,10 +131,10 @@ class Trial(NamedTuple):
 class Lost(NamedTuple):
     """Nothing is sent until the ball is found again."""
 
-    last: Learning | Tracking  # what it was before
+    last: Learning | Tracking  # the phase before
     in_view_since: float | None = None  # s, of discs
     lifted_at: float | None = None  # s, when it was seen to be off its centre
-    trial: Trial | None = None  # of what has been in view for long and is not recognised
+    trial: Trial | None = None  # of an object that has been in view for long and is not recognised
 
 
 Phase = Recognising | Learning | Tracking | Lost
@@ -150,7 +150,7 @@ class Withheld(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TrackState(Generic[F]):
-    """What one frame hands to the next."""
+    """State of the tracker after a frame."""
 
     phase: Phase
     filter: F
@@ -174,7 +174,7 @@ class TrackState(Generic[F]):
 
     @property
     def status(self) -> Status:
-        """What is known of the ball, in a word."""
+        """Phase of tracking."""
         match self.phase:
             case Tracking() | Learning(found=True):
                 return Status.TRACKING
@@ -185,7 +185,7 @@ class TrackState(Generic[F]):
 
     @property
     def known_to_turn(self) -> bool:
-        """Has the ball been seen to turn: are look-alikes told from discs?"""
+        """Whether the ball has turned, so that look-alikes differ from discs."""
         phase = self.phase.last if isinstance(self.phase, Lost) else self.phase
         return isinstance(phase, Tracking)
 
@@ -207,7 +207,7 @@ def current(state: TrackState, tracker: Tracker[K]) -> Tracker[K]:
 
 
 def disc_map(state: TrackState) -> DiscMap | None:
-    """What is worth keeping of the discs on the ball; None while fewer than four are sure, or for another tracker."""
+    """Return the map of discs to save; None with fewer than four certain discs, or from a published filter."""
     if not isinstance(state.filter, So3State) or isinstance(state.phase, Recognising):
         return None
     found = to_map(state.filter, _SURE)
@@ -215,7 +215,7 @@ def disc_map(state: TrackState) -> DiscMap | None:
 
 
 def lost(state: TrackState[F], lifted_at: float | None = None) -> TrackState[F]:
-    """The ball lost with this frame; frames off its centre are counted anew when it is found."""
+    """Return the state of a ball that is lost with this frame. The count of frames off its centre starts again."""
     last = state.phase
     assert isinstance(last, Learning | Tracking)
     if isinstance(last, Tracking):

@@ -63,7 +63,7 @@ Seek = Callable[[Frame, Tracker], Moved | None]
 
 
 def seek_by_colour(frame: Frame, tracker: Tracker) -> Moved | None:
-    """The tracker for the pose that the whole picture tells; None where it tells none, or the one that is known."""
+    """Return the tracker at the pose from the whole image; None without one, or at the same pose."""
     rig, settings = tracker.rig, tracker.settings
     if frame.image.ndim != 3:
         return None
@@ -83,10 +83,10 @@ def step(
     detected: Callable[[], None] = lambda: None,
     seek: Seek = seek_by_colour,
 ) -> Step[TrackState]:
-    """One frame. Raises SourceError when the frame has another size than the camera was calibrated for.
+    """Process one frame. Raises SourceError if the frame has another size than the calibration of the camera.
 
-    Where the targets say that the camera was moved, the pose is estimated anew and the frame is done with that.
-    `detected` is called between detection and what follows: whoever measures times needs to know. `seek` looks for the
+    If the targets show that the camera was moved, the frame is processed with a new pose.
+    The function calls `detected` after detection, to measure times. `seek` looks for the
     camera by the targets' colours, which takes long: whoever has no time does that elsewhere, and uses `with_pose`.
     """
     check_size(frame, tracker.rig.camera)
@@ -108,7 +108,7 @@ def step(
 
 
 def wants_colour(state: TrackState, stamp: float) -> bool:
-    """Should the frame of `stamp` come in colour? For discs that need it, or for the targets; grey does otherwise."""
+    """Return whether discs or targets need the frame of `stamp` in colour; otherwise grey suffices."""
     if colours.wants_colour(state, stamp):
         return True
     watch = state.watch
@@ -119,7 +119,7 @@ def wants_colour(state: TrackState, stamp: float) -> bool:
 
 
 def with_pose(state: TrackState, frame: Frame, tracker: Tracker, pose: Pose) -> Step[TrackState]:
-    """One frame with the camera at a `pose` that was estimated anew: the ball goes on as it was, nothing jumps.
+    """Process one frame with the camera at a new `pose`. The ball keeps its attitude and rate.
 
     Raises PoseError where the ball cannot be seen from there.
     """
@@ -128,7 +128,7 @@ def with_pose(state: TrackState, frame: Frame, tracker: Tracker, pose: Pose) -> 
 
 
 def shows_targets(frame: Frame, tracker: Tracker, pose: Pose) -> bool:
-    """Does a frame still look as from a pose that was found for one before: three targets in their places there?"""
+    """Return whether a frame shows three targets in their places at a pose that was found for an earlier frame."""
     watch = watching.begin(tracker.rig, pose)
     if watch is None:
         return True  # too near the edge of the picture to be watched
@@ -140,7 +140,7 @@ def shows_targets(frame: Frame, tracker: Tracker, pose: Pose) -> bool:
 
 
 def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tuple[TrackState, Tracker]:
-    """State and tracker with other settings, between two frames; another kind of filter begins at the last attitude."""
+    """Return state and tracker with other settings. Another kind of filter starts at the last attitude."""
     anew = build(tracker.rig, current(state, tracker).pose, settings)
     if settings.tracker != tracker.settings.tracker:
         return begin(anew, state.filter.stamp, state.filter.attitude), anew
@@ -153,7 +153,7 @@ def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tu
 def _stages(
     state: TrackState, frame: Frame, tracker: Tracker, detected: Callable[[], None] = lambda: None
 ) -> Step[TrackState]:
-    """One frame of a camera that stands."""
+    """Process one frame of a camera that stands."""
     before = state.colours
     state = colours.with_trial(state, frame, tracker)
     predicted = tracker.filter.predict(state.filter, frame.stamp)
@@ -167,9 +167,9 @@ def _stages(
 def _check_camera(
     state: TrackState, done: Step[TrackState] | None, frame: Frame, tracker: Tracker, seek: Seek
 ) -> Step[TrackState]:
-    """All targets are looked at: is the camera where it was, does it swing, or stand elsewhere?
+    """Check all targets: the camera stands, swings, or has a new place.
 
-    `done` is what the frame says if the camera has not moved, where that is known already. While it swings, nothing is
+    `done` is the result of the frame if the camera has not moved, if known. While it swings, nothing is
     filtered and nothing sent: the prediction of the ball waits for the pose.
     """
     assert state.watch is not None
@@ -247,7 +247,7 @@ def _with_new_pose(
 
 
 def _from_elsewhere(phase: Phase) -> Phase:
-    """The phase without what was seen from where the camera was."""
+    """Return the phase without the views from the earlier pose."""
     match phase:
         case Learning():
             return Learning(phase.found)
@@ -260,7 +260,7 @@ def _from_elsewhere(phase: Phase) -> Phase:
 
 
 def _camera_moving(state: TrackState, stamp: float, tracker: Tracker) -> Step[TrackState]:
-    """The camera is not where it was and does not stand: wait; lost when that lasts."""
+    """Process a frame of a moving camera: wait, and lose the ball after a while."""
     assert state.watch is not None
     away = stamp if state.watch.away is None else min(state.watch.away, stamp)
     state = replace(
@@ -284,7 +284,7 @@ def advance(
     predicted: FilterState | None = None,
     search: SearchState | None = None,
 ) -> Step[TrackState]:
-    """The stages after detection; `predicted` is the filter carried on to `stamp`, where that was done before."""
+    """Process one frame after detection; `predicted` is the filter at `stamp`, if known."""
     carried: Any = tracker.filter.predict(state.filter, stamp) if predicted is None else predicted
     free, lookalikes = static.unmasked(state.lookalikes, detections.centre, stamp)
     if free.all():
@@ -305,7 +305,7 @@ def advance(
     state, events = tracker.method.next_phase(state, stamp, tracker, carried)
     events = events or gap  # found again with the frame that ends it
     state, more = _lost_in_time(state, stamp, tracker)
-    events = (*more, *events)  # what leads to the state comes first
+    events = (*more, *events)  # causes of the state come first
     if tracker.rig.readout_sigma_s > 0.0 and not state.readout_known:
         state, more = learn_readout(state, tracker)
         events = (*events, *more)
@@ -313,7 +313,7 @@ def advance(
 
 
 def _lost_in_time(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Events]:
-    """Unconfirmed for so long, the prediction is a guess."""
+    """Lose a ball that no frame has confirmed for `lost_after` s."""
     after = tracker.settings.loss.lost_after
     if state.status is not Status.TRACKING or state.confirmed or stamp - state.confirmed_at <= after:
         return state, ()
@@ -372,7 +372,7 @@ def _estimate(state: TrackState, stamp: float, sequence: int) -> Estimate:
 
 
 def _withheld(state: TrackState, stamp: float) -> tuple[Withheld, Events]:
-    """What a frame that confirms nothing withholds, and the event when that begins to matter: one for each spell."""
+    """Return the withheld motion after an unconfirmed frame, and one event for each spell that a player notices."""
     before = state.withheld or Withheld(state.confirmed_at, Doubt.NO_DISC)
     since, doubt = min(before.since, stamp), _doubt(state)  # a clock that starts again
     if before.announced or stamp - since <= _MATTERS:
@@ -381,7 +381,7 @@ def _withheld(state: TrackState, stamp: float) -> tuple[Withheld, Events]:
 
 
 def _doubt(state: TrackState) -> Doubt:
-    """Why the last frame does not confirm the attitude."""
+    """Return the reason why the last frame does not confirm the attitude."""
     used = len(state.filter.used)
     if state.watch is not None and state.watch.away is not None:
         return Doubt.CAMERA

@@ -1,4 +1,4 @@
-"""What really happened in a recording: only simulation writes it, only evaluation reads it."""
+"""Truth of a recording. Only the simulation writes it, and only the evaluation reads it."""
 
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class DiscTruth:
-    """Where the discs are in the images, one row per frame and disc whose centre is on the near side of the ball."""
+    """Image positions of the discs: one row for each frame and disc with its centre on the near side of the ball."""
 
     frame: NDArray[np.intp]  # (k,) index of the frame
     disc: NDArray[np.intp]  # (k,) index of the disc

@@ -33,7 +33,7 @@ _DT = 1.0 / 30.0
 
 
 def warm_up(settings: Settings) -> None:
-    """Call what tracking calls with this tracker and detector; once a process, whatever the other settings are."""
+    """Compile the functions of this tracker and detector, once a process."""
     _warm_up(settings.tracker, settings.detector)
 
 

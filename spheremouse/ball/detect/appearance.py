@@ -1,4 +1,4 @@
-"""How a disc on the ball looks from the camera: directions in, ellipses in pixels out.
+"""Projection of discs on the ball: directions to ellipses in pixels.
 
 A disc of radius s along the surface is a spherical cap of half angle alpha = s / R; its rim is a circle in space, so
 its image is an ellipse (camera.project_circle) as long as the whole rim is on the near side.
@@ -31,7 +31,7 @@ class Appearance:
     whole: NDArray[np.bool_]  # (n,) the whole rim faces the camera
 
     def take(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> "Appearance":
-        """Those of a mask or of indices."""
+        """Return the entries of a mask or of indices."""
         return Appearance(self.centre[keep], self.centroid[keep], self.shape[keep], self.area[keep], self.whole[keep])
 
 

@@ -1,4 +1,4 @@
-"""What every disc detector gives."""
+"""Result of a disc detector."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -24,13 +24,13 @@ class Detections:
         return len(self.centre)
 
     def take(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> "Detections":
-        """Those of a mask or of indices, in that order."""
+        """Return the entries of a mask or of indices, in that order."""
         index = np.flatnonzero(keep) if keep.dtype == bool else keep
         contours = tuple(self.contours[i] for i in index) if self.contours else ()
         return Detections(self.centre[index], self.covariance[index], self.area[index], contours)
 
     def joined(self, other: "Detections") -> "Detections":
-        """Those of both; outlines are left out."""
+        """Return the entries of both, without outlines."""
         if len(other) == 0:
             return self
         return Detections(

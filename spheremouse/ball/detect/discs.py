@@ -46,7 +46,7 @@ _FINE = 14.0  # px, diameter of a disc that is found as well no finer: larger pi
 
 @dataclass(frozen=True, slots=True)
 class DiscSettings:
-    """What a disc is, beyond its geometry."""
+    """Appearance of discs, beyond their geometry."""
 
     polarity: Literal["auto", "dark", "light"] = param(
         "auto", "-", "discs darker or lighter than the ball; auto finds that, and the colours that tell them apart"
@@ -162,7 +162,7 @@ class DiscDetector:
     def follow(
         self, image: Image, directions: Array, rate: Array, readout: float, state: SearchState
     ) -> tuple[Detections, SearchState]:
-        """Those of the discs expected at `directions`, (n, 3) unit vectors in obj, that are in an image.
+        """Measure the discs that are expected at `directions`, (n, 3) unit vectors in obj.
 
         `rate` (3,) rad/s, w_obj, carries them on to when their row is exposed (`readout` s for all rows), and smears
         them while it is. `state` remembers noise and size of the discs.
@@ -283,7 +283,7 @@ def _thin(rig: Rig, pose: Pose, diameter: float, reduction: int) -> NDArray[np.b
 
 
 def _levels(part: float, offset: float) -> NDArray[np.uint8]:
-    """Of each value that the ball may have, (256,), that below which a disc lies; `offset` is that of no light.
+    """Return the highest grey value of a disc, (256,), for each value of the ball; `offset` is the value of black.
 
     They differ by a `part` of the light of the lighter of the two: of the ball's, and of the disc's.
     """

@@ -52,7 +52,7 @@ _STILL = 0.01  # px: a step this short is the last
 
 @dataclass(frozen=True, slots=True)
 class Fits:
-    """What became of n places; numbers of a fit that came to nothing are meaningless."""
+    """Results at n places; the numbers of a failed fit are meaningless."""
 
     ok: NDArray[np.bool_]  # (n,) a disc
     centroid: Array  # (n, 2) px, of the disc's image
@@ -63,7 +63,7 @@ class Fits:
 
 @dataclass(frozen=True, slots=True)
 class FitSettings:
-    """What the fit needs to know of discs and camera."""
+    """Parameters of the discs and the camera for the fit."""
 
     projection: Projection  # of colours, in which discs are darker than the ball
     kernel: NDArray[np.float32]  # (2 EDGE + 1,), the smoothing
@@ -218,7 +218,7 @@ def measure_into(
         for i in range(m):
             r = grey[k, i] - x[k, 0] - x[k, 1] * px[k, i] - x[k, 2] * py[k, i]
             weight[k, i] = 0.0 if e[k, i] < CLEAR and abs(r) > foreign else 1.0
-        if size_known > 0.0:  # what discs look like is known: no need to learn it from each
+        if size_known > 0.0:  # the appearance of discs is known from earlier ones
             x[k, 8] = size_known
             count[k] = m
             continue
@@ -307,5 +307,5 @@ def _full_contrast(x, count, minor):
 
 @njit(cache=True, error_model="numpy")
 def _deep(x, contrast, noise):
-    """Is the contrast more than this part of the lighter of disc and ball, and than noise?"""
+    """Return whether the contrast exceeds this part of the lighter of disc and ball, and the noise."""
     return x[3] > max(contrast * lighter(x[0] + x[1] * x[6] + x[2] * x[7], x[3]), 4.0 * noise)

@@ -172,7 +172,7 @@ def _add_share(n, share, e_part, d_part, first, e, d):
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def normal_equations(n, px, py, grey, e, d, x, weight, A, Aw, N, g):
-    """Of n pixels: columns of the Jacobian into A, (9, n), weighted into Aw; N, (9, 9), and gradient g, (9,)."""
+    """Write the Jacobian of n pixels into A, (9, n), weighted into Aw; also normal matrix N, (9, 9), and gradient g."""
     b0, b1, b2 = np.float32(x[0]), np.float32(x[1]), np.float32(x[2])
     a0, a1, a2 = np.float32(x[3]), np.float32(x[4]), np.float32(x[5])
     for i in range(n):
@@ -209,7 +209,7 @@ def biweight(n, px, py, grey, e, x, limit, scale, weight):
     floor = np.float32(4.685) * scale
     bound = max(limit * a0, floor)
     beside = min(max(np.float32(BESIDE) * a0, floor), bound)
-    # beside the disc no rim has to settle: what differs there is foreign
+    # no rim lies beside the disc, so a deviation there is a foreign object
     near, far = np.float32(1.0) / (bound * bound), np.float32(1.0) / (beside * beside)
     for i in range(n):
         r = grey[i] - (b0 + b1 * px[i] + b2 * py[i] - (a0 + a1 * px[i] + a2 * py[i]) * e[i])

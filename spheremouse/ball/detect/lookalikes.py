@@ -1,4 +1,4 @@
-"""Look-alikes: what looks like a disc and stands still while the ball turns is masked; what turns along is proven.
+"""Separation of discs from static distractors: spots that stand still while the ball turns.
 
 Bolts, their shadows, a player's buttons pass every test of shape. Each candidate's place is followed from where it was
 first seen; the ball's rotation says where a disc would be by now. Only what moved with the ball may found a disc, and
@@ -40,7 +40,7 @@ class StaticDistractors:
 
 
 def unmasked(state: StaticDistractors, centre: Array, stamp: float) -> tuple[NDArray[np.bool_], StaticDistractors]:
-    """Which detections, (n, 2) px, are not under a mask, (n,); and the masks, with those renewed that hid one."""
+    """Return a mask, (n,), of the detections, (n, 2) px, outside all masks, and the masks with the time of use."""
     if len(state.masks) == 0 or len(centre) == 0:
         return np.ones(len(centre), dtype=bool), state
     near = np.linalg.norm(centre[:, None] - state.masks[None], axis=2) < MASK_RADIUS_PX
@@ -122,7 +122,7 @@ def classify_candidates(
 
 
 def _told_apart(centre: Array, first: Array, turned: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which candidates turn with the ball, (n,), and which stand still, (n,): neither until the ball has turned enough.
+    """Return masks, (n,), of the candidates that turn with the ball and of those that stand still.
 
     `centre`, (n, 2) px, is where they are, `first` where they were first seen, `turned` where discs would be by now.
     """
@@ -136,7 +136,7 @@ def _told_apart(centre: Array, first: Array, turned: Array) -> tuple[NDArray[np.
 def known_before_to_turn(
     state: StaticDistractors, centre: Array, attitude: Array, rig: Rig, pose: Pose
 ) -> NDArray[np.bool_]:
-    """Which of `centre`, (n, 2) px, are candidates that earlier frames have proven, at a predicted attitude, (n,)."""
+    """Return a mask, (n,), of `centre`, (n, 2) px: candidates proven by earlier frames, at a predicted attitude."""
     proven = np.zeros(len(centre), dtype=bool)
     if len(state.place) == 0:
         return proven
@@ -146,7 +146,7 @@ def known_before_to_turn(
 
 
 def _expected(state: StaticDistractors, attitude: Array, rig: Rig, pose: Pose) -> Array:
-    """Where the candidates would be by now, were they discs, (t, 2) px."""
+    """Return the places, (t, 2) px, of the candidates if they were discs."""
     turned = seen_at(state.anchor_ball @ attitude.T, rig, pose)
     return np.where(np.isfinite(turned), turned, state.place)
 

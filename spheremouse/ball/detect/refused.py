@@ -1,4 +1,4 @@
-"""What looks like a ring target and is none: image in, places out, each with the bound that it does not keep.
+"""Places in an image that resemble a ring target, each with the bound that it exceeds.
 
 For a picture that a person looks at, not for every frame: the image is looked through again with one bound after the
 other widened. What is then found, and was not, is refused by that bound.
@@ -55,7 +55,7 @@ class Refused:
 
 
 def refused_targets(image: Image, radii: Array, settings: RingSettings, seen: TargetDetections) -> tuple[Refused, ...]:
-    """What is nearly a target in a BGR image, (h, w, 3), in which `seen` are the targets; one thing once.
+    """Return the near misses in a BGR image, (h, w, 3), in which `seen` are the targets; each one once.
 
     `radii` (3,) are the rig's circles, in any unit. Takes ten times as long as `detect_targets`.
     """
@@ -80,7 +80,7 @@ def refused_targets(image: Image, radii: Array, settings: RingSettings, seen: Ta
 
 
 class _Places:
-    """What was found, none of it within another."""
+    """Return the near misses that lie within no other one."""
 
     def __init__(self, seen: TargetDetections) -> None:
         self.refused: list[Refused] = []

@@ -27,7 +27,7 @@ _BAND = 2.0  # px, half width of the band in which an edge is measured: blur of 
 
 @dataclass(frozen=True, slots=True)
 class RingSettings:
-    """Which pixels have a target's colour, and what shapes make a target."""
+    """Bounds of the targets' colours and shapes."""
 
     cyan: tuple[int, int] = param(
         (75, 105), "OpenCV hue, 0..180", "cyan print is 90; 15 either way for the light", ge=0, le=180
@@ -70,7 +70,7 @@ class TargetDetections:
 
 @dataclass(frozen=True, slots=True)
 class Spots:
-    """What has one of the colours."""
+    """Pixels of one colour."""
 
     contours: tuple[Image, ...]  # (k, 2) px each
     centre: Array  # (n, 2) px
@@ -126,7 +126,7 @@ def detect_targets(image: Image, radii: Array, settings: RingSettings) -> Target
 
 
 def spots_of(image: Image, settings: RingSettings) -> dict[str, Spots]:
-    """What has each of the three colours in a BGR image, (h, w, 3)."""
+    """Return the pixels of each of the three colours in a BGR image, (h, w, 3)."""
     return {c: _spots(m, settings) for c, m in zip(COLOURS, _masks(image, settings), strict=True)}
 
 
@@ -236,7 +236,7 @@ def within(inside: Spots, outer: Spots, which: NDArray[np.intp], share: float, s
 
 
 def _misfits(inner: Array, inmost: _Pairs, middle: Array, around: _Pairs, outer: Array, proportion: Array) -> Array:
-    """How far the radii of the best triple about each outer circle are from the proportions, (n,); inf without one.
+    """Return the deviation of the radii from their proportions, (n,), of the best triple of each outer circle, or inf.
 
     That is the range of the three log ratios, for the best of the smaller circles `inmost` and `around` it: to an inner
     circle belongs the least middle one that reaches the range of the other two, or the next smaller.
@@ -260,7 +260,7 @@ def _misfits(inner: Array, inmost: _Pairs, middle: Array, around: _Pairs, outer:
 
 
 def _candidate(code: str, outline: Image, middle: Array, shape: tuple[int, ...]) -> Candidate | None:
-    """What is to be measured of a nest in a picture of that shape; None where its outline is no ellipse's."""
+    """Return the measurement of a nest in an image of that shape; None if its outline is no ellipse."""
     ellipse = cv2.fitEllipse(outline) if len(outline) >= 5 else None
     if ellipse is None or min(ellipse[1]) <= 0 or not np.all(np.isfinite((*ellipse[0], *ellipse[1]))):
         return None

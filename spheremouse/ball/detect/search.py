@@ -29,7 +29,7 @@ _REMEMBERED = 256  # places remembered
 
 @dataclass(frozen=True, slots=True)
 class Lattice:
-    """Where a detector looks for unknown discs; made once."""
+    """Search grid for unknown discs, built once."""
 
     places: tuple[NDArray[np.int32], ...]  # of each shift (n, 2): column and row, px, on the ball
     sides: tuple[NDArray[np.uint8], ...]  # of each shift (n,): bits of the neighbours that lie on the ball
@@ -40,7 +40,7 @@ class Lattice:
 
 @dataclass(frozen=True, slots=True)
 class SearchState:
-    """What one frame's search hands to the next."""
+    """State of the search between frames."""
 
     turn: int = 0
     noise: float = 0.0  # grey values, of a pixel; 0: not measured yet
@@ -117,7 +117,7 @@ def candidate_pixels(
     radius: float,
     noise: float,
 ) -> Array:
-    """What is dark in an image (h, w, c), on the ball (`mask`, (h, w)), and not near one of `known`, (m, 2) px.
+    """Return dark spots of an image (h, w, c) on the ball (`mask`, (h, w)), away from `known`, (m, 2) px.
 
     The middles of the darkness around samples, (k, 2) px. `radius` px of the largest disc, `noise` of a pixel.
     """
@@ -169,7 +169,7 @@ def update_rejections(state: SearchState, rejected: Array, reduction: int) -> Se
     old, new = again.any(axis=1), ~again.any(axis=0)
     wait = np.where(old, np.minimum(2 * state.wait, _WAIT[1]), state.wait)
     until = np.where(old, turn + wait, state.until)
-    keep = turn - until < wait  # what was not met again for as long as it was left out is gone
+    keep = turn - until < wait  # a place without a new sighting expires
     return SearchState(
         turn,
         state.noise,

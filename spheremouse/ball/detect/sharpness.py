@@ -1,4 +1,4 @@
-"""How sharp a picture is: the width of its steepest edges, in pixels, whatever it shows.
+"""Sharpness of an image: the width of its steepest edges, in pixels.
 
 Zhuo and Sim 2011, "Defocus map estimation from a single image", eq. 4-6: an edge that is blurred once more loses the
 more of its slope the sharper it was.

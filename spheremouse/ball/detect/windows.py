@@ -21,7 +21,7 @@ from spheremouse.geometry.rotation import Array, exp_into
 
 @dataclass(frozen=True, slots=True)
 class DiscModel:
-    """What decides where discs are looked for, how they look and which are taken, laid out for compiled code."""
+    """Parameters of search, appearance and acceptance of discs, as arrays for compiled code."""
 
     mask: Image  # (h, w) 255 on the ball, a little within its outline
     centre: Array  # (3,) m, of the ball, obj
@@ -38,7 +38,7 @@ class DiscModel:
 
 
 def view_of(rig: Rig, pose: Pose, mask: Image, fit: FitSettings, least: float, apart: float) -> DiscModel:
-    """Of a device and a camera that stands still."""
+    """Return the model for a device and a camera that stands still."""
     return DiscModel(
         mask,
         np.ascontiguousarray(rig.ball.centre, dtype=np.float64),
@@ -70,7 +70,7 @@ def measure_discs(
     readout: float = 0.0,
     size: float = 0.0,
 ) -> tuple[Detections, float]:
-    """Those of the discs at `directions`, (n, 3) unit vectors in obj, that are in an image (h, w, c) of uint8.
+    """Measure the discs at `directions`, (n, 3) unit vectors in obj, in an image (h, w, c) of uint8.
 
     Each begins at its place of `places`, (n, 2) px, where something dark was seen; without them where it is expected,
     and there a part of the contrast is enough. `noise` is that of a pixel. Discs that are not wholly in the picture are
@@ -160,7 +160,7 @@ def _measure_discs(
 
 @njit(cache=True, error_model="numpy")
 def _paths(directions, exposure, rate, K, radius, alpha, rotation, P, intrinsic, distortion, centre, path):
-    """How n discs at `directions` move during the exposure, at a constant `rate`: into `path`, (n, 7).
+    """Write the motion of n discs at `directions` during the exposure, at a constant `rate`, into `path`, (n, 7).
 
     `centre` (n, 2) px is where they are at mid-exposure. The ends of the way give what `moving_ellipse_of` needs; of a
     disc that is not whole at both ends the shape counts as constant.

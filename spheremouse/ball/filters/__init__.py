@@ -14,7 +14,7 @@ from spheremouse.geometry.rotation import Array
 
 
 class FilterState(Protocol):
-    """What the rest of the program may read of any filter's state."""
+    """Public interface of any filter's state."""
 
     @property
     def stamp(self) -> float:
@@ -63,18 +63,18 @@ S = TypeVar("S", bound=FilterState)
 
 
 class Filter(Protocol[S]):
-    """What a filter can do."""
+    """Interface of a filter."""
 
     def initial(self, stamp: float, attitude: Array) -> S:
-        """State before any point was seen, at rest at `attitude` (3, 3)."""
+        """Return the state before the first point, at rest at `attitude` (3, 3)."""
         ...
 
     def predict(self, state: S, stamp: float) -> S:
-        """State carried forward to `stamp` (s); `used` is empty."""
+        """Return the state predicted for `stamp` (s); `used` is empty."""
         ...
 
     def update(self, state: S, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None) -> S:
-        """State after the points of one frame, associated within.
+        """Return the state after the points of one frame, which the filter associates.
 
         Points that belong to no known disc found a new one where they may, `may_start_landmark` (n,) (None: all).
         """
@@ -85,5 +85,5 @@ class Filter(Protocol[S]):
         ...
 
     def is_significant(self, predicted: S, used: int, points: int) -> bool:
-        """Would so many of a frame's points, most of them no disc, meet a predicted disc only if it is there?"""
+        """Return whether chance does not explain so many pairs among a frame's points."""
         ...

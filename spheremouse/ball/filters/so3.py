@@ -52,13 +52,13 @@ class Pairing:
     rows: NDArray[np.intp]  # into the points
     columns: NDArray[np.intp]  # into the discs
     complete: bool  # all that could pair does
-    fits: bool  # and what pairs does so within its standard deviations
+    fits: bool  # and all pairs lie within their standard deviations
     innovation: tuple[Array, Array, Array, Array] | None = None  # of _innovation, where it is known
 
 
 @dataclass(frozen=True, slots=True)
 class So3Filter:
-    """Settings and the camera's place: what decides which discs can be seen."""
+    """Settings, and the camera's place, which determines the visible discs."""
 
     settings: So3Settings
     towards_camera: Array  # (3,) unit vector from the ball's centre, obj
@@ -566,9 +566,9 @@ def _log_density(z: Array, S: Array) -> float:
 def relocate(
     state: So3State, attitude: Array, sigma: float, settings: So3Settings, stamp: float, rate: Array | None = None
 ) -> So3State:
-    """The map as it is, the attitude found anew with `sigma` rad per axis, at `stamp`, for an update.
+    """Return the map with a new attitude of `sigma` rad per axis, at `stamp`, for an update.
 
-    `rate` (3,) rad/s is what the ball is thought to turn at, to within what a hand changes at once; None: unknown.
+    `rate` (3,) rad/s is the expected rate, to within a sudden change by a hand; None: unknown.
     Attitude and map lose their correlation: what was found knows nothing of how the map came to be.
     """
     joint = state.joint.copy()
@@ -618,5 +618,5 @@ def _twist_as_swing(state: So3State, column: int) -> So3State:
     gain = along * (1.0 - expected / variance) / variance  # leaves the twist with the expected variance
     joint = state.joint - np.outer(gain, along)
     joint[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT] = state.joint[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT]
-    gain[KINEMATIC_DIM:READOUT] = 0.0  # what is only considered stays (Schmidt 1966)
+    gain[KINEMATIC_DIM:READOUT] = 0.0  # considered parameters stay (Schmidt 1966)
     return inject(state, -gain * twist, joint, state.weights, state.manoeuvre_level, state.used, state.nis)

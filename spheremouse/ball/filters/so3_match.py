@@ -6,8 +6,8 @@ from numba import njit
 from spheremouse.ball.filters.so3_predict import CONSIDERED_DIM, KINEMATIC_DIM, MAP_OFFSET
 from spheremouse.geometry.rotation import exp_into
 
-_NEAR = 0.99  # cosine: what is further off than 8 degrees is no pair, whatever is considered
-_NEARBY = 0.9  # cosine: what is further off than 26 degrees is none, whenever its row was read
+_NEAR = 0.99  # cosine of 8 degrees, the largest distance of a pair with all considered errors
+_NEARBY = 0.9  # cosine of 26 degrees, the largest distance of a pair with any readout delay
 
 
 @njit(cache=True, error_model="numpy")

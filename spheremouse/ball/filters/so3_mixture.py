@@ -86,7 +86,7 @@ def update_hypotheses(
 def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints, most: int) -> list[_Node]:
     """The likely assignments of a frame's points to the discs of one predicted state.
 
-    Points join one by one, those with the fewest candidates first. Each pair narrows what the next ones may be. No more
+    Points join one by one, those with the fewest candidates first. Each pair reduces the choice of the next. No more
     than `most` assignments are carried on, over a few points, so that the time is bounded.
     """
     density = math.log(new_density(filter_, predicted, len(points)))
@@ -111,7 +111,7 @@ def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints, 
                     rows, columns = (*node.rows, int(row)), (*node.columns, int(column))
                     grown.append(_node(filter_, predicted, points, rows, columns, (done - len(rows)) * density))
         nodes = _distinct(grown, most)
-    nearest = filter_.nearest_pairs(predicted, points)  # of many points, paired all at once: what the search may miss
+    nearest = filter_.nearest_pairs(predicted, points)  # all points at once, if the search misses it
     pairs = dict(zip(nearest.rows.tolist(), nearest.columns.tolist(), strict=True))
     if all(dict(zip(node.rows, node.columns, strict=True)) != pairs for node in nodes):
         unpaired = (len(points) - len(pairs)) * density

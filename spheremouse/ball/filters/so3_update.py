@@ -127,7 +127,7 @@ def correct(P, H, HP, S, z, acceleration, steps, weights, learn, dx):
     covariance once the innovations are taken in (generalised pseudo-Bayesian of order 1: Bar-Shalom, Li, Kirubarajan
     2001, section 11.6.4). Returns the log likelihood of z, its normalised square, and the rms level of the steps.
 
-    What is only considered gets no gain (Schmidt 1966), nor does the reference: what was told stays told. The
+    Considered parameters get no gain (Schmidt 1966), nor does the reference, since its increment was sent. The
     covariance is Joseph's form multiplied out, which holds for any gain: P - K H P - (K H P)' + K S K' (Bierman 1977,
     section V).
     """

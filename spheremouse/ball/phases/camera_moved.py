@@ -44,7 +44,7 @@ def with_references(watch: CameraMonitor, frame: Frame, tracker: Tracker) -> Cam
 
 
 def out_of_sight(state: TrackState, stamp: float) -> bool:
-    """No disc confirms and the targets are not where they were: time to look for them in the whole picture?"""
+    """Return whether to search the whole image for the targets: no disc confirms, and the targets are not in place."""
     watch = state.watch
     if watch is None or state.confirmed or state.status is Status.SEARCHING:
         return False

@@ -62,7 +62,7 @@ def classify_unmatched(
         rig,
         tracker.pose,
     )
-    if not confirmed:  # a hand may have stopped the ball: what stands still says nothing, what goes on turning does
+    if not confirmed:  # a hand may have stopped the ball, so only moving candidates count
         lookalikes = replace(lookalikes, masks=state.lookalikes.masks, mask_seen=state.lookalikes.mask_seen)
     posterior = take_up(posterior, points, np.flatnonzero(other)[turning], tracker)
     if len(posterior.discs) > len(predicted.discs):

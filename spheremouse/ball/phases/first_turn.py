@@ -50,7 +50,7 @@ def still_while_two_turned(views: tuple[BufferedFrame, ...], tracker: Tracker) -
         path = np.linalg.norm(now.centre[last] - view.centre[first], axis=1)
         moved, still = path > _PATH * MOVED_PX, path < STILL_PX
         if np.count_nonzero(moved) != 2 or np.count_nonzero(still) > (view is views[0]):
-            continue  # what stays and what moves must have been seen together from the first: else it came by
+            continue  # both kinds must be in view from the first frame: a later one passed by
         pair = view.points.take(first[moved]), now.points.take(last[moved])
         rotation = align(pair[0].direction, pair[1].direction)
         turned = pair[0].direction @ rotation.T - pair[1].direction

@@ -60,7 +60,7 @@ def follow(
     if all_are_discs(state):
         return state
     if not state.confirmed:
-        found = recognised_attitude(replace(state, filter=predicted), stamp, tracker)  # without what it has founded
+        found = recognised_attitude(replace(state, filter=predicted), stamp, tracker)  # without its new landmarks
         if found is not None:
             return replace(state, filter=found[0], alternatives=(), confirmed=True, supported_at=stamp)
     if state.alternatives:  # the attitude by which candidates would be judged is in doubt

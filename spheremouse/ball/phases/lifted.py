@@ -15,7 +15,7 @@ from spheremouse.ball.filters.so3_state import So3State, delays
 from spheremouse.ball.state import CentreCheck, Events, Lost, Tracker, Tracking, TrackState, lost
 
 _PUSHED = 16.0  # level from which the filter may take for a turn what is none
-_PROVEN = 0.5  # rad: a quarter of what is seen of a ball has come or gone: a wrong centre or radius would have shown
+_PROVEN = 0.5  # rad: a quarter of the visible side has changed, so a wrong centre or radius would have shown
 _PAIRS = 5  # discs that say something of the centre: with three any shift fits, with four nearly
 _RESTS = 0.05  # rad/s, below which a ball brings nothing new
 _FRAME = 0.1  # s, the longest that one frame counts for
@@ -54,7 +54,7 @@ def check_bearings(
     misfit = centre_offset.averaged(before.misfit, shift, dt)
     turned = 0.0 if off else before.rotation_since_failure
     if turned < _PROVEN and state.confirmed and shift.pairs >= _PAIRS and centre_offset.fits(shift, radius, s):
-        turned += speed * dt * min(1.0, (0.5 * s.lifted * radius / max(shift.sigma, 1e-9)) ** 2)  # what it can tell
+        turned += speed * dt * min(1.0, (0.5 * s.lifted * radius / max(shift.sigma, 1e-9)) ** 2)
     if not before.out_of_round and misfit > centre_offset.OUT_OF_ROUND:
         return replace(state, phase=Tracking(CentreCheck(0, misfit, True, 0.0))), (OutOfRound(),)
     still = before.out_of_round and misfit > 0.3 * centre_offset.OUT_OF_ROUND

@@ -64,7 +64,7 @@ def _mean_of_channels(image: Image) -> Image:
 def _without_contained(
     blobs: list[tuple[float, tuple[float, float], Image]],
 ) -> list[tuple[float, tuple[float, float], Image]]:
-    """Of contours that hold each other's centroid the largest: the others are the same blob in another mask."""
+    """Return the largest of the contours that contain each other's centroid: the same blob in several masks."""
     unique: list[tuple[float, tuple[float, float], Image]] = []
     for blob in sorted(blobs, key=lambda b: -b[0]):
         if all(cv2.pointPolygonTest(other[2], blob[1], False) < 0 for other in unique):

@@ -5,7 +5,7 @@ SpherePoints of one frame in, attitude and angular velocity out. Wittich 2017, s
 are kept as published, weaknesses included, so that the default filter can be measured against them:
 
 - At phi = +-90 deg the angles are singular: a ball that passes close by makes omega and kappa race, against the model
-  of constant rates. Points are lost, attitude jumps by degrees and nobody is told: the filters raise nothing and go on.
+  of constant rates. Points are lost and the attitude jumps by degrees. The filters raise no error and continue.
 - A stored disc that is not associated in one frame is forgotten; a ball that comes round again is not recognised.
 - The start is far too confident for a ball that already turns (eq. 123), a new point is stored as if the attitude
   were exact (eq. 170-171), and pose and ball errors count as new in every frame: their covariances are optimistic.
