@@ -1,7 +1,6 @@
 """Progress of Numba: the number of kernels to compile, and of those compiled.
 
-What tracking calls is compiled before the first frame, once after an installation, and never in play: whoever waits for
-it is told how long.
+The functions of tracking are compiled before the first frame, once after an installation, with a progress message.
 """
 
 import os

@@ -69,10 +69,9 @@ class Resection:
 
 
 def find_pose(views: list[TargetDetections], rig: Rig, image: Image) -> Resection:
-    """Pose of the camera from what is seen of the targets in some views of a still scene; `image` is any of them.
+    """Return the camera pose from the targets in some views of a still scene; `image` is any of them.
 
-    Raises PoseError as `resect` does; where views showed too much that looks like targets, or targets that the rig does
-    not have, that is said.
+    Raises PoseError as `resect` does. The error names look-alikes, and targets that the rig does not have.
     """
     sightings = gather(views)
     try:
@@ -111,12 +110,12 @@ def gather(views: list[TargetDetections]) -> list[Sighting]:
 
 
 def resect(sightings: list[Sighting], rig: Rig, image: Image) -> Resection:
-    """Pose of the camera from at least three targets of the rig; `image` (any of the views) shows the ball's outline.
+    """Return the camera pose from at least three targets of the rig; `image`, any view, shows the ball's outline.
 
-    With three targets up to four poses fit (Gao et al. 2003), with four in a plane sometimes two; they are told apart
-    by the ball's outline, which must bear out the pose of three targets in any case. Copies of a target in the room are
-    told from the real one by the residuals.
-    Raises PoseError where targets are missing, where nothing fits, and where two poses fit alike.
+    With three targets up to four poses fit (Gao et al. 2003), with four in a plane sometimes two; the ball's
+    outline decides between them, and must confirm the pose of three targets in any case. Residuals separate copies of a
+    target in the room from the real one.
+    Raises PoseError if targets are missing, no pose fits, or two poses fit equally.
     """
     known = {code: i for i, code in enumerate(rig.targets.codes)}
     seen = {code: [s for s in sightings if s.code == code] for code in known}

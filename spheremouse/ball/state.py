@@ -185,7 +185,7 @@ class TrackState(Generic[F]):
 
     @property
     def known_to_turn(self) -> bool:
-        """Whether the ball has turned, so that look-alikes differ from discs."""
+        """Return True if the ball has turned, so that look-alikes differ from discs."""
         phase = self.phase.last if isinstance(self.phase, Lost) else self.phase
         return isinstance(phase, Tracking)
 

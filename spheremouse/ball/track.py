@@ -85,9 +85,9 @@ def step(
 ) -> Step[TrackState]:
     """Process one frame. Raises SourceError if the frame has another size than the calibration of the camera.
 
-    If the targets show that the camera was moved, the frame is processed with a new pose.
-    The function calls `detected` after detection, to measure times. `seek` looks for the
-    camera by the targets' colours, which takes long: whoever has no time does that elsewhere, and uses `with_pose`.
+    If the targets show that the camera was moved, the frame is processed with a new pose. The function calls `detected`
+    after detection, to measure times. `seek` searches for the targets by colour, which takes long. In real time, search
+    in another thread, and use `with_pose`.
     """
     check_size(frame, tracker.rig.camera)
     tracker = current(state, tracker)

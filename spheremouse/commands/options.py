@@ -79,7 +79,7 @@ def _word(unit: str, value: Any) -> str | None:
 
 
 def _value(field: "Field[Any]", typed: Any) -> Any:
-    """What was typed as the field has it; ConfigurationError where a word is written otherwise."""
+    """Return the typed words in the form of the field. Raises ConfigurationError for an unknown word."""
     unit = field.metadata["unit"]
     if typed is None or not _is_word(unit):
         return typed

@@ -1,1 +1,1 @@
-"""How well a run did: what the tracker said against what was true. Arrays in, numbers out."""
+"""Evaluation of runs against the truth. Arrays in, numbers out."""

@@ -31,7 +31,7 @@ class Bound:
     rate: Array  # (n, 3, 3) rad²/s², obj
 
     def take(self, index: NDArray[np.intp]) -> "Bound":
-        """Those of some frames."""
+        """Return the entries of some frames."""
         return Bound(self.attitude[index], self.rate[index])
 
 
@@ -44,7 +44,7 @@ class Manoeuvre:
 
 
 def manoeuvre(motion: Truth) -> Manoeuvre:
-    """That of a true motion of n >= 2 frames, from its rates; one that turns about in every frame is white."""
+    """Return the model of a true motion of n >= 2 frames, from its rates; white if it reverses in every frame."""
     a = np.diff(motion.rate, axis=0) / np.diff(motion.stamp)[:, None]
     total, next_to = np.sum(a**2, axis=0), np.sum(a[1:] * a[:-1], axis=0)  # next_to <= total, by Cauchy and Schwarz
     lasting = np.maximum(np.divide(next_to, total, out=np.zeros(3), where=total > 0.0), 0.0)
@@ -95,7 +95,7 @@ def _predicted(P: Array, motion: Truth, k: int, model: Manoeuvre) -> Array:
 
 
 def _jacobians(R: Array, directions: Array, basis: Array, rig: Rig, pose: Pose) -> tuple[Array, Array]:
-    """Of the projected centres by the rotation error, (k, 2, 3) px/rad, and by each disc's place, (k, 2, 2) px/rad."""
+    """Return the Jacobians of the projected centres: by rotation error, (k, 2, 3), and place, (k, 2, 2), px/rad."""
     arm = rig.ball.radius * directions @ R.T
     _, duv_dcam = project(pose.to_cam(rig.ball.centre + arm), rig.camera)
     duv = duv_dcam @ pose.rotation.T

@@ -1,4 +1,4 @@
-"""Which disc a detection is, and how well centres of its size were measured in a run."""
+"""Assignment of detections to true discs, and centre errors by size."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

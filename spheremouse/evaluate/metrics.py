@@ -200,7 +200,7 @@ def mean_nis(run: Run) -> float | None:
 
 
 def lost_episodes(status: Sequence[Status]) -> int:
-    """How often the tracker fell from another status to LOST."""
+    """Return the number of changes from another status to LOST."""
     return sum(
         now is Status.LOST and before is not Status.LOST for before, now in zip([None, *status], status, strict=False)
     )

@@ -20,7 +20,7 @@ def ball_table(results: list[dict[str, Any]], title: str) -> Table:
 
 
 def wand_table(results: list[dict[str, Any]]) -> Table:
-    """Those on balls in hands."""
+    """Return the rows of balls in hands."""
     every = [r for result in results for r in (result, *result.get("more_balls", []))]
     table = Table(title="wand", caption="x right, y down, z away from the camera", title_justify="left")
     table.add_column("")

@@ -59,13 +59,12 @@ def rotation_error(run: WandRun, truth: WandTruth) -> Array:
 def followed(
     runs: Sequence[WandRun], balls: Sequence[WandBall], truths: Sequence[WandTruth], filmed: Sequence[WandBall]
 ) -> list[WandTruth | None]:
-    """The truth that each run is to be compared with: `runs` are of `balls`, `truths` are those of the `filmed` balls.
+    """Return the truth for each run: `runs` are of `balls`, `truths` those of the `filmed` balls.
 
-    Balls that look alike get their numbers as they are found, so which of them a run is about is told by where it was:
-    among the filmed balls of its description the assignment is chosen whose distances, means over all frames, have the
-    least sum; a frame without a pose, or one further off than a metre, counts as a metre. It holds for the whole film:
-    a run that changes from one ball to another half way is wrong in the other half. A ball like none in the film is one
-    of those that nobody described; None where there is none left.
+    Equal balls get their numbers in the order of detection, so positions assign runs to balls. Among filmed balls of
+    its description, the assignment has the least sum of mean distances over all frames. A frame without a pose, or more
+    than a metre off, counts as a metre. The assignment holds for the whole film, so a run that changes from one ball to
+    another is wrong in one part. A ball without a match in the film takes an undescribed one, or None.
     """
     may = np.array([[alike(ball, other) for other in filmed[: len(truths)]] for ball in balls], dtype=bool)
     may = may.reshape(len(balls), len(truths))
@@ -116,7 +115,7 @@ def off(run: WandRun, truth: WandTruth, radius: float) -> NDArray[np.bool_]:
 
 
 def is_lost(run: WandRun, truth: WandTruth, radius: float) -> bool:
-    """Did the run lose the ball: never had it, was off for longer than a second (and two frames), or off at the end?"""
+    """Return True if the run lost the ball: never found, off for over 1 s (and two frames), or off at the end."""
     wrong = off(run, truth, radius)
     if wrong.all() or (len(wrong) and wrong[-1]):
         return True
@@ -258,7 +257,7 @@ class WandHistory:
         self.seconds.append(epoch.seconds)
 
     def run(self, ball: int = 0) -> WandRun:
-        """Of one ball, as the metrics take it."""
+        """Return the run of one ball for the metrics."""
         n = len(self.stamps)
         position, rotation = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
         covariance = np.full((n, 6, 6), np.nan)

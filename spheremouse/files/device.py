@@ -93,7 +93,7 @@ def load_device(path: Path) -> Device:
 
 
 def untouched(path: Path) -> bool:
-    """Does the device file still have the first line that `calibrate init` writes?"""
+    """Return True if the device file still has the first line that `calibrate init` writes."""
     try:
         return UNTOUCHED.encode() in read_bytes(path, MAX_BYTES, "device file")
     except OSError:

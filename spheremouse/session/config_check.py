@@ -110,7 +110,7 @@ def _folder_there(key: Key, path: Path, found: Found) -> bool:
 
 
 def _probe_source(spec: str) -> list[Finding]:
-    """Probe a source; a V4L2 camera is asked for its sizes instead."""
+    """Probe a source; for a V4L2 camera, read its sizes instead."""
     if spec.partition(":")[0] == "v4l2":
         check(capture, "source", spec, SourceError)
         return []

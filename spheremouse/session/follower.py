@@ -130,9 +130,9 @@ class TrackerAdapter(Protocol):
         ...
 
     def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
-        """Draws, by another thread, a frame that was not tracked, with what is made out in it.
+        """Return a function that draws a frame without tracking, for another thread.
 
-        Nobody is recognised in it, unless `everything`.
+        Unless `everything`, persons stay unrecognisable.
         """
         ...
 

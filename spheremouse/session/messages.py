@@ -36,7 +36,7 @@ def line(happened: Iterable[Event]) -> str:
 
 
 def reason(happened: Iterable[Event]) -> str:
-    """The same where the state is told beside it."""
+    """Return the sentences of events for a line that has the state beside it."""
     return "; ".join(f"{_state(e) if k else ''}{sentence(e)}" for k, e in enumerate(happened))
 
 

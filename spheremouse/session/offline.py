@@ -83,7 +83,7 @@ def _colour(frame: Frame) -> NDArray[np.uint8]:
 
 
 def make_ready(settings: Settings, tell: Callable[[str], None] | None = None) -> None:
-    """Compile what tracking calls, or read it from disk; whoever has to wait is told how long (`compiling.told`)."""
+    """Compile the functions of tracking, or read them from disk, with progress (`compiling.told`)."""
     with told(tell):
         warm_up(settings)
 
@@ -101,7 +101,7 @@ class View(Protocol):
 
 
 def follow(frames: Iterable[Frame], follower: TrackerAdapter, sinks: Sequence[Output], view: View) -> None:
-    """A recording: every frame, one after the other; what changes is said with the frame's stamp."""
+    """Track every frame of a recording, and log changes with the frame's stamp."""
     for frame in frames:
         follower.check(frame)
         made = follower.follow(frame)

@@ -41,7 +41,7 @@ class Outputs:
         self.pointer, *self.others = self._threads(openers, settings)
 
     def begin(self) -> None:
-        """Begin the threads, which open the outputs; ControlError where there is none to be had."""
+        """Start the threads, which open the outputs. Raises ControlError if the system refuses a thread."""
         late, self._late = self._late, None
         for thread in late or ():
             begin(thread)
@@ -139,7 +139,7 @@ class Outputs:
     def _threads(
         self, openers: Sequence[Open], settings: PointerSettings, give_up: Callable[[], None] = lambda: None
     ) -> list[OutputThread]:
-        """A thread for each; ControlError where there is none to be had for all, once that is given up."""
+        """Return a thread for each output. Raises ControlError, after `give_up`, if the system refuses one."""
         begun: list[OutputThread] = []
         try:
             for open_it in openers:

@@ -70,10 +70,10 @@ class Tally:
 
 
 class Screen:
-    """A picture that is drawn anew on a terminal, a line a second elsewhere; a context manager."""
+    """Status on a terminal, or else one line per second; a context manager."""
 
     def __init__(self, wanted: bool, console: Console | None = None) -> None:
-        """`wanted` False: nothing but what is said."""
+        """With `wanted` False, show only messages."""
         self.console = Console(file=sys.stderr, highlight=False) if console is None else console
         self._wanted = wanted
         self._live = Live(console=self.console, auto_refresh=False) if wanted and self.console.is_terminal else None
@@ -111,7 +111,7 @@ class StatusTable(Screen):
     """Shows epochs."""
 
     def __init__(self, title: str, table: bool, tally: Tally, console: Console | None = None) -> None:
-        """`table` False: nothing but what is said. `tally` is read, not changed."""
+        """With `table` False, show only messages. `tally` is not changed."""
         super().__init__(table, console)
         self._title, self._tally = title, tally
         self._last: Epoch | None = None

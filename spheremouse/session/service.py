@@ -44,7 +44,7 @@ from spheremouse.session.worker import Worker
 _TICK = 0.25  # s; the longest wait for a shot
 _EVERY = 1.0  # s between two looks at files, and at what the process takes
 _COMPILING = 900.0  # s that a small computer may take for it
-_USELESS = 5.0  # s of frames that cannot be used, after which the camera is opened anew
+_USELESS = 5.0  # s of frames that cannot be used, after which the daemon opens the camera again
 
 Show = Callable[[FrameResult, TrackerAdapter], None]
 
@@ -168,7 +168,7 @@ class Daemon:
                     made = self._worker.work(arrival, colour=self._archive.wants_colour)
                     if made is not None:
                         if self._monitor.state is not State.TRACKING:
-                            self._judge(now)  # nothing moves before it is said that it may
+                            self._judge(now)  # log the state before anything moves
                         self._pass_on(made, arrival.taken)
                     elif self._worker.untracked is not None:
                         self._archive.look(self._worker.untracked, self.follower)
@@ -238,7 +238,7 @@ class Daemon:
         self._monitor.starting = "the program is made ready"
         self._notifier.patience(_COMPILING)
         self._judge(time.monotonic())
-        with held(plan):  # whoever comes second hears so now
+        with held(plan):  # a second daemon fails here
             ready = self._crew.make(READING, lambda: self._setup.make_ready(plan, self._compiled))
             while not ready.wait(_TICK):
                 self._requests.run(self._commands.handle)
@@ -283,7 +283,7 @@ class Daemon:
         self._print(text)
         self._endpoints.publish(text)
 
-    # ---- what is asked ----
+    # ---- requests ----
 
     def _reload(self) -> None:
         self._requests.call(lambda: self._requests.put(PendingRequest(Request(command="reload"))))
@@ -307,7 +307,7 @@ class Daemon:
         if paused:
             self._outputs.pause(True)
         self._judge(time.monotonic())
-        if not paused:  # nothing moves before it is said that it may
+        if not paused:  # log the state before anything moves
             self._outputs.pause(False)
 
     def _prepare(self, plan: Plan, changed: list[str]) -> Callable[[], bool]:

@@ -138,12 +138,12 @@ def reflectance(colour: Colour) -> Colour:
 
 
 def _dot(a: Array, b: Array) -> Array:
-    """Of vectors, (n, 3), row by row: (n,); faster than a sum over a short axis."""
+    """Return the dot products of vectors, (n, 3), row by row, (n,); faster than a sum over a short axis."""
     return np.einsum("ni,ni->n", a, b)
 
 
 def _length(a: Array) -> Array:
-    """Of vectors, (n, 3): (n,)."""
+    """Return the lengths, (n,), of vectors, (n, 3)."""
     return np.sqrt(_dot(a, a))
 
 

@@ -103,11 +103,11 @@ _NONE = np.zeros(0, dtype=np.intp)
 
 
 def detect_targets(image: Image, radii: Array, settings: RingSettings) -> TargetDetections:
-    """All targets in a BGR image, (h, w, 3). `radii` (3,) are the rig's circles, in any unit.
+    """Return all targets in a BGR image, (h, w, 3). `radii` (3,) are the rig's circles, in any unit.
 
     Single discs, rings within rings of two colours, and nestings whose circles are not concentric or not in
-    proportion are ignored. Of more than `MOST` with one code the best are measured, and of what together is larger than
-    two pictures the smallest; that there was more is said.
+    proportion are ignored. Of more than `MOST` with one code, the best are measured. If all are larger than two images
+    together, the smallest are measured, and a flag reports it.
     """
     proportion = np.asarray(radii, dtype=float) / radii[-1]
     candidates, crowded = candidates_of(spots_of(image, settings), proportion, settings, image.shape)

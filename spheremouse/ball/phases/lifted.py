@@ -26,9 +26,8 @@ def check_bearings(
 ) -> tuple[TrackState[So3State], Events]:
     """Check the ball's centre in a followed frame. A frame that shows it off its place has no effect.
 
-    A second one in a row is a ball that was lifted: lost, and nothing sent, until the discs fit a rotation again. A
-    ball out of round is said to be, and tracked as well as it goes; and so is one whose discs never were in their
-    places, since the rig is wrong: nothing has been lifted.
+    A second one in a row is a lifted ball. It is lost until the discs fit a rotation again. A ball out of round causes
+    an event and is tracked further. So is one whose discs never were in their places, since then the rig is wrong.
     """
     assert isinstance(state.phase, Tracking)
     before = state.phase.roundness

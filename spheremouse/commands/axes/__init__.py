@@ -67,7 +67,7 @@ def axes(
     with nonblocking_stderr() if live else nullcontext(), SignalHandler() as stopping:
         setup = trackers.setup(plan)
         plan = setup.planned(request, plan)
-        if plan.source.startswith("v4l2:"):  # a service waits for its camera, a person is told that there is none
+        if plan.source.startswith("v4l2:"):  # a service waits for its camera; a person gets an error
             with opener(plan, setup.open)():
                 pass
         dialogue = Dialogue(plan.configuration, stopping, live)
@@ -91,7 +91,7 @@ def _shown(value: Any) -> str:
 
 
 def _told(plan: "Plan", request: "Request", config: Path) -> dict[tuple[str, ...], Any]:
-    """What the command line told of which the configuration says nothing: `run --config` needs nothing else."""
+    """Return the command line's values that the configuration lacks, so that `run --config` needs nothing else."""
     from spheremouse.files.config import assigned
     from spheremouse.files.yaml import read_document
     from spheremouse.session.cameras import is_camera

@@ -1,4 +1,4 @@
-"""What `spheremouse axes` asks for, gesture by gesture, and what it makes of the answers."""
+"""Dialogue of `spheremouse axes`: the gestures, and their evaluation."""
 
 import sys
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ _MIRRORED = "no player's right, away and counter-clockwise go together so"
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What is asked for, and the settings that may come of it."""
+    """Requested gesture, and the settings that it can change."""
 
     gestures: tuple[str, str, str]
     section: tuple[str, ...]

@@ -48,7 +48,7 @@ def status(as_json: _Json = False, socket: _Socket = None) -> None:
 
 @app.command()
 def reinit(as_json: _Json = False, socket: _Socket = None) -> None:
-    """Estimate the camera's pose anew, or look for balls in a hand anew; the pointer does not jump."""
+    """Estimate a new camera pose, or search for the balls in a hand again. The pointer does not jump."""
     _report(_ask(socket, "reinit"), as_json, "looked for anew")
 
 
@@ -67,7 +67,7 @@ def resume(as_json: _Json = False, socket: _Socket = None) -> None:
 
 @app.command()
 def reload(as_json: _Json = False, socket: _Socket = None) -> None:
-    """Read configuration and rig file anew; where one is wrong, what is in force stays."""
+    """Read the configuration and the rig file again. If one has an error, the daemon keeps its settings."""
     _report(_ask(socket, "reload"), as_json, "reloaded")
 
 

@@ -1,4 +1,4 @@
-"""What people read of a status, and of what happens meanwhile: a table, and a line an event."""
+"""Status for people: a table, and one line for each event."""
 
 from typing import Any
 
@@ -95,7 +95,7 @@ def _latency(values: Any) -> str:
 
 
 def _motion(s: dict[str, Any]) -> Text:
-    """How the ball moves, and all that it has moved."""
+    """Return the motion of the ball, and its sum."""
     words = str((s.get("motion") or {}).get("words", "not known"))
     counts = s.get("counts")
     if counts:

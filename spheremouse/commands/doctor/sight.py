@@ -26,7 +26,7 @@ from spheremouse.session.messages import why_absent
 from spheremouse.tracker import Frame
 
 _PLACED = 1e-3  # m: stability of a target on a frame of wood or steel
-_USUAL_RADIUS = 0.6  # m, of a ball whose size nobody measured
+_USUAL_RADIUS = 0.6  # m, of a ball without a measured size
 _BRISK = 1.0  # m/s of the ball's surface: an arm's length in less than a second
 _CORE = 0.5  # of a disc's diameter
 _MIN_DISCS = 3  # directions that determine an attitude and check it

@@ -125,7 +125,7 @@ def _evaluated(
     plot_file: Path | None,
     err: Console,
 ) -> tuple[list[dict[str, Any]], bool]:
-    """Reports of the recordings, and whether something failed, which is said."""
+    """Return the reports of the recordings, and True if one failed. Failures are printed."""
     results: list[dict[str, Any]] = []
     failed = False
     for each in tracks:

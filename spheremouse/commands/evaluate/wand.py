@@ -75,7 +75,7 @@ def evaluate_wands(asked: WandEvaluation, say: Console) -> tuple[list[dict[str, 
 def _reports(
     recording: WandRecording, balls: Sequence[WandBall], histories: Sequence[WandHistory]
 ) -> list[dict[str, Any]]:
-    """Of each ball, compared with the ball of the film that it follows."""
+    """Compare each ball with the ball of the film that it follows."""
     runs = [[history.run(k) for k in range(len(balls))] for history in histories]
     truths = [followed(each, balls, recording.truths, recording.balls) for each in runs]
     reports = []

@@ -139,7 +139,7 @@ def run(
 
 
 def _has_terminal(plan: "Plan") -> bool:
-    """Is standard error a terminal that no output writes to besides?"""
+    """Return True if standard error is a terminal to which no output writes."""
     configuration = plan.configuration
     on_output = configuration.tracker == "wand" and configuration.wand.axes == "-"
     shared = plan.output in ("text:-", "text:", "text") or on_output
@@ -155,7 +155,7 @@ def _run(
     frames: int | None,
     verbose: bool,
 ) -> None:
-    """From the first frame to the last words; what ended the run is raised when all is said."""
+    """Run from the first frame to the summary, then raise the error that ended the run."""
     from spheremouse.capture.signals import SignalHandler
     from spheremouse.commands.run.view import view
     from spheremouse.session import trackers

@@ -1,4 +1,4 @@
-"""What a person sees of a run: the table on the terminal, the overlay in a file, and what it comes to at the end."""
+"""View of a run for people: table on the terminal, overlay in a file, and summary."""
 
 from contextlib import ExitStack
 from pathlib import Path
@@ -36,7 +36,7 @@ class BallView:
     def __init__(
         self, plan: Plan, wanted: bool, overlay: OverlayFile | None, stack: ExitStack, verbose: bool = False
     ) -> None:
-        """`wanted`: a table; it is left with the `stack`. `verbose`: all that is known of the pose is said."""
+        """`wanted` shows a table, which `stack` closes. `verbose` prints all details of the pose."""
         self.tally, self._verbose = Tally(), verbose
         self._screen = stack.enter_context(StatusTable(plan.source, wanted, self.tally))
         self.overlay = overlay
@@ -91,7 +91,7 @@ class WandView:
 
 
 def view(plan: Plan, wanted: bool, overlay: Path | None, fps: float | None, stack: ExitStack, verbose: bool) -> View:
-    """What shows a run of this plan; `fps` is what a video plays at."""
+    """Return the view of a run; `fps` is the frame rate of its video."""
     file = None if overlay is None else stack.enter_context(OverlayFile(overlay, fps))
     kind = WandView if plan.configuration.tracker == "wand" else BallView
     return kind(plan, wanted, file, stack, verbose)

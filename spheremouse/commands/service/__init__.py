@@ -209,7 +209,7 @@ def _systemd_version() -> int | None:
 
 
 def _booted(place: Place) -> bool:
-    """Does systemd run here, as in sd_booted(3), or the user's own systemd?"""
+    """Return True if systemd runs here, as in sd_booted(3), or the user's own systemd."""
     if place.user:
         return (Path(os.environ.get("XDG_RUNTIME_DIR") or "/nowhere") / "systemd").is_dir()
     return Path("/run/systemd/system").is_dir()

@@ -149,7 +149,7 @@ def _schemes() -> Iterator[str]:
 
 
 def _is_private(path: Path) -> bool:
-    """Is a folder above the path closed to other users?"""
+    """Return True if a folder above the path is closed to other users."""
     with contextlib.suppress(OSError):
         return any(not folder.stat().st_mode & 0o001 for folder in path.resolve().parents)
     return False
@@ -301,7 +301,7 @@ def carry_out(actions: Iterator[FileAction] | list[FileAction], umask: int = 0o0
 
 
 def may(place: Place) -> bool:
-    """May this account write into the folders of the files?"""
+    """Return True if this account can write into the folders of the files."""
     for _, path in place.files():
         there = path.parent
         while not there.exists():

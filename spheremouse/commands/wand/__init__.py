@@ -107,7 +107,7 @@ def colours(
 
 
 def _shown_at(picture: Path, given: Path | None) -> Path:
-    """Where the overlay goes: as given, else beside the picture."""
+    """Return the path of the overlay: the given one, or beside the picture."""
     beside = picture.resolve()
     show = given or beside.parent / f"{beside.name}{_OVERLAY}"
     if show.suffix.lower() != ".png":
@@ -116,7 +116,7 @@ def _shown_at(picture: Path, given: Path | None) -> Path:
 
 
 def _print(picked: "PickedBounds", narrower: bool) -> None:
-    """Where the ball is, its bounds and what they select; `narrower`: bounds may be blamed for that, too."""
+    """Print the ball's place, its bounds and their selection; `narrower`: the bounds can be the cause, too."""
     c = picked.circle
     print(f"the ball is at {c.u:.0f}, {c.v:.0f}, radius {c.radius:.0f} px (not so? say it with --at U,V,RADIUS)")
     for name, colour in picked.colours.items():
@@ -131,7 +131,7 @@ def _print(picked: "PickedBounds", narrower: bool) -> None:
 
 
 def _tells(colour: object, name: str) -> bool:
-    """Does a bound differ from that which bounds nothing?"""
+    """Return True if a bound excludes any value."""
     return getattr(colour, name) != getattr(type(colour)(), name)
 
 

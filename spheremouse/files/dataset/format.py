@@ -89,7 +89,7 @@ def read_json(path: Path) -> Any:
 
 
 def _has_plain_texts(content: Any) -> bool:
-    """Can every text in plain data be printed without steering the terminal?"""
+    """Return True if a terminal can print every text in plain data."""
     if isinstance(content, dict):
         return all(_has_plain_texts(key) and _has_plain_texts(value) for key, value in content.items())
     if isinstance(content, list):
@@ -143,12 +143,12 @@ def check_times(path: Path, stamp: Array) -> None:
 
 
 def is_rotation(R: Array) -> bool:
-    """Is (3, 3) a rotation, within the digits of a table?"""
+    """Return True if (3, 3) is a rotation, within the digits of a table."""
     return bool(np.allclose(R @ R.T, np.eye(3), atol=1e-4) and np.linalg.det(R) > 0.0)
 
 
 def in_video(folder: Path) -> bool:
-    """Are the images of a dataset in a video, not in files?"""
+    """Return True if the images of a dataset are in a video."""
     return (folder / "video.mkv").is_file()
 
 

@@ -47,7 +47,7 @@ def read_stamps(folder: Path, frames: int) -> Stamps | None:
 
 
 def fractional(column: Array) -> bool:
-    """Is any of the numbers (n,) not a whole number?"""
+    """Return True if any of the numbers (n,) is not whole."""
     return bool(np.any((column != np.rint(column)) | (np.abs(column) > 2**53)))
 
 

@@ -1,7 +1,7 @@
 """A report, a guide or a print as one HTML file: blocks of text, tables and figures in, a page that needs no other out.
 
 The page is `page.html`, the blocks are the macros of `blocks.html`, the look of all is `style.css`: reports follow the
-reader's light or dark screen, all print in black on white. What is not `Markup` is escaped, wherever it is put in.
+reader's light or dark screen, all print in black on white. All text except `Markup` is escaped.
 """
 
 import base64

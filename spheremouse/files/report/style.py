@@ -1,4 +1,4 @@
-"""How figures look: matplotlib in the project's style (`light.mplstyle`, `dark.mplstyle`).
+"""Style of figures: matplotlib with `light.mplstyle` and `dark.mplstyle`.
 
 And the colours that figures name: a page in HTML has a variable for each, lighter where the screen is dark.
 """

@@ -145,7 +145,7 @@ def _cross_problems(key: Key, C: Array, rows: Matrix | None, ball: BallPart) -> 
 
 
 def _is_covariance(C: Array) -> bool:
-    """Is a symmetric matrix with a diagonal >= 0 positive semidefinite, within the digits of a file?"""
+    """Return True if a symmetric matrix with a diagonal >= 0 is positive semidefinite, within the digits of a file."""
     scale = np.sqrt(np.outer(np.diag(C), np.diag(C)))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = np.where(scale > 0, C / scale, np.where(C == 0, 0.0, np.inf))

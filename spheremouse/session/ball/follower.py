@@ -297,7 +297,7 @@ class BallFollower:
         self._detected = time.monotonic()
 
     def _with_pose(self, state: TrackState, frame: Frame, tracker: Tracker, found: Resection) -> Step[TrackState]:
-        """The frame with a pose estimated anew; with the one before where the ball would not be seen from there."""
+        """Return the step at a new pose; at the earlier one if the new pose does not show the ball."""
         assert self._anew is not None
         anew, self._anew = self._anew, None
         try:

@@ -1,7 +1,7 @@
-"""The targets looked for in whole pictures: by another thread, for it may take longer than a frame lasts.
+"""Search for targets in whole images, in another thread, since it can take longer than a frame.
 
-A piece of work is begun with one frame and asked for with the next ones; nobody waits for it. Where `elsewhere` does it
-at once, what comes of it is there at once: then the same frames give the same.
+A search starts with one frame, and a later frame takes its result without waiting. If `elsewhere` runs it at once, the
+result is there at once, so the same frames give the same result.
 """
 
 from collections.abc import Callable

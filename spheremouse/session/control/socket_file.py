@@ -44,7 +44,7 @@ def listening(path: Path, group: str | None) -> Iterator[socket.socket]:
         _remove_stale(path)
         try:
             listener.bind(str(path))
-            try:  # nobody can connect before `listen`, so the mode is never too wide
+            try:  # no client can connect before `listen`, so the mode is never too wide
                 if gid is not None and path.stat().st_gid != gid:
                     os.chown(path, -1, gid, follow_symlinks=False)
                 path.chmod(0o600 if gid is None else 0o660)

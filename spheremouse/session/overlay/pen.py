@@ -36,7 +36,7 @@ def canvas_of(image: Image, scale: int) -> Image:
 
 
 def in_blocks(image: Image, keep: Image) -> Image:
-    """A copy of a frame in blocks so coarse that nobody is recognised; where `keep`, (h, w), is not 0 as it is."""
+    """Return a copy of a frame in blocks too coarse to recognise a person, except where `keep`, (h, w), is not 0."""
     h, w = image.shape[:2]
     blocks = cv2.resize(image, (_BLOCKS, max(1, round(_BLOCKS * h / w))), interpolation=cv2.INTER_AREA)
     made = cv2.resize(blocks, (w, h), interpolation=cv2.INTER_NEAREST)

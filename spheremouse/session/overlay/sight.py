@@ -1,7 +1,7 @@
 """Overlay while the camera's pose is unknown: targets and rejected candidates.
 
-Targets of the rig green, those that the rig does not have yellow, what was refused orange with the bound that it does
-not keep; round dark spots, which may be discs, white where they are asked for; a strip with words below.
+Targets of the rig are green, other targets yellow, and rejected candidates orange, with the bound that they exceed.
+Round dark spots, which may be discs, are white on request. A strip with words is below.
 """
 
 from dataclasses import dataclass

@@ -28,7 +28,7 @@ class Notifier:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         notifier = sdnotify.SystemdNotifier()
-        if notifier.socket is not None:  # a manager that does not listen holds nobody up: what it misses is dropped
+        if notifier.socket is not None:  # a manager that does not read must not block: messages are dropped
             notifier.socket.setblocking(False)
         self._send: Callable[[str], Any] = notifier.notify
         self._clock, self.interval = clock, _interval()

@@ -1,6 +1,6 @@
 """Protection from delays by other programs and by Python: scheduling, locked memory, garbage collection.
 
-Each is asked for and none is needed: where the system does not grant it, the daemon runs all the same and says so.
+All are optional. If the system refuses one, the daemon logs it and runs without.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ _SWITCH = 5e-4  # s; how long a thread of Python may keep the others waiting (5 
 
 
 def prepare(wanted: bool = True) -> str:
-    """Take what there is to be had, for this process and this thread; what became of it, in words."""
+    """Apply the available protection to this process and this thread. Return the result in words."""
     if not sys.platform.startswith("linux"):
         return "usual scheduling: this system has no other that we know"
     _fold_up_code()

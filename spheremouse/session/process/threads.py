@@ -25,13 +25,13 @@ def begin(thread: threading.Thread) -> None:
 
 
 class WorkerPool:
-    """A thread for each kind of work, begun together: later there may be none to be had, and a kind waits for no other.
+    """One thread for each kind of work. All start together, since the system may refuse threads later.
 
-    What is given is done one after the other; who gives more than that asks `busy` first.
+    A thread does its work in order. To avoid a queue, check `busy` first.
     """
 
     def __init__(self, kinds: Iterable[str], say: Callable[[str], None]) -> None:
-        """`say` is told, from any thread, of errors that are ours."""
+        """`say` logs internal errors, from any thread."""
         self._say = say
         self._given: dict[str, queue.SimpleQueue[Work | None]] = {kind: queue.SimpleQueue() for kind in kinds}
         self._left = dict.fromkeys(self._given, 0)  # given and not done

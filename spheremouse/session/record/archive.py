@@ -67,7 +67,7 @@ class Archive:
         self._take_snapshot(lambda everything: follower.sight(frame, everything))
 
     def interrupted(self, reason: str) -> None:
-        """No frames come any more: who waits for one is told."""
+        """Refuse all requests that wait for a frame, since no frames come."""
         self._give_up()
         self._tell_first()  # it begins when they come again
         if self._wanted is not None:

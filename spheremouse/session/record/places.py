@@ -1,7 +1,7 @@
 """Folder, names and permissions of recordings and snapshots, and the limit of the disk.
 
-They show people, perhaps: owner and group may read them, and nobody else. A recording that is not finished has a hidden
-name and a mark, by which what a crash left is told from what somebody is writing.
+They may show people, so only owner and group can read them. An unfinished recording has a hidden name and a mark. The
+mark's lock separates the remains of a crash from a recording in progress.
 """
 
 import contextlib
@@ -56,7 +56,7 @@ def tidy(folder: Path) -> int:
 
 
 def _removed(left: Path) -> bool:
-    """Remove a half-written recording unless somebody is still at it."""
+    """Remove an unfinished recording unless another process writes it."""
     try:
         with (left / _MARK).open("rb") as mark:
             if fcntl is not None:
@@ -103,7 +103,7 @@ def made_folder(folder: Path, error: type[SpheremouseError]) -> None:
 
 
 def disk_is_full(folder: Path, settings: RecordSettings, least: float = 0.0) -> bool:
-    """Is no more free than must stay, or than `least` bytes? A full disk takes no more, whatever is asked for."""
+    """Return True if no more is free than the reserve or `least` bytes."""
     return shutil.disk_usage(folder).free < max(1e6 * settings.free_megabytes, least)
 
 

@@ -152,7 +152,7 @@ class Recorder:
         )
 
     def _mask(self, subject: Subject | None) -> tuple[Image | None, int]:
-        """What to keep of a frame, and the number of that mask. Where the camera was moved, of that frame both views:
+        """Return the part of a frame to keep, and the number of its mask. After a move of the camera, both views count:
         it was looked at from the pose before, and then from the new one."""
         keep, number = self._keep, self._masks
         if subject is None or subject.view is self._view:

@@ -106,13 +106,13 @@ class WandFollower:
         self._told.interrupted()
 
     def restart(self, reason: str) -> None:
-        """All balls looked for anew."""
+        """Search for all balls again."""
         self._state, self._poses, self.status = None, (), Status.SEARCHING
         self._hand.interrupted()
         self._told.reason = reason
 
     def prepare(self, plan: Plan, changed: Collection[str]) -> Change:
-        """Other parameters, and the balls followed on; or other balls, or another camera, and all looked for anew."""
+        """Prepare other parameters, with the balls tracked on; with other balls or another camera, search again."""
         axes = axes_of(plan) if {"output", "axes"} & set(changed) else self._axes
         if {"balls", "rig"} & set(changed):
             other = WandFollower(self._make, plan, self._say, axes)
@@ -137,7 +137,7 @@ class WandFollower:
         return Change(outputs_of(plan, axes), apply)
 
     def reinitialise(self, answer: Callable[[str | None, str], None], wanted: Callable[[], bool]) -> None:
-        """All balls looked for anew with the next frame: where it follows something else, this is the way out."""
+        """Search for all balls again with the next frame, in case the tracker follows something else."""
         self.restart("looked for anew, as asked")
         names = " and ".join(ball.name for ball in self.tracker.balls)
         answer(None, f"{names}: looked for anew")
@@ -173,7 +173,7 @@ class WandFollower:
         return SourceError(f"{self._plan.source}: {why}")
 
     def last_words(self, failed: bool) -> tuple[str, ...]:
-        """A line for each ball that was never seen, but for the one that points where that is told as the failure."""
+        """Return a line for each ball never seen, except the pointing one if the failure names it."""
         return self._told.never_found(but=self.points if failed else None)
 
     def close(self) -> None:

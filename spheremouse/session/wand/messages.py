@@ -40,7 +40,7 @@ def trouble_and_remedy(event: Event) -> tuple[str, str]:
 
 
 class Told:
-    """Remembers what was said last."""
+    """Log messages of changes since the last frame."""
 
     def __init__(self, points: int, name: str) -> None:
         """`points` is the index of the ball that moves the pointer, `name` what it is called."""

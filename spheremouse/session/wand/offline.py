@@ -20,7 +20,7 @@ Known = dict[int, tuple[Array, Array]]  # position and rotation of balls, by the
 
 
 def make_wand_ready(tell: Callable[[str], None] | None = None) -> None:
-    """Compile what tracking calls, or read it from disk; whoever has to wait is told how long (`compiling.told`)."""
+    """Compile the functions of tracking, or read them from disk, with progress (`compiling.told`)."""
     with told(tell):
         warm_up()
 

@@ -13,7 +13,7 @@ class WandStatusTable(Screen):
     """Shows poses."""
 
     def __init__(self, wanted: bool, tally: Tally, console: Console | None = None) -> None:
-        """`wanted` False: nothing but what is said. `tally` is read, not changed."""
+        """With `wanted` False, show only messages. `tally` is not changed."""
         super().__init__(wanted, console)
         self._tally = tally
 

@@ -78,7 +78,7 @@ def wand_setup(spec: str, realtime: bool) -> WandSetup:
 
 
 def _camera(plan: Plan, given: InteriorOrientation | None) -> InteriorOrientation:
-    """The camera that was asked for, else the rig's, else the recording's own."""
+    """Return the camera of the plan, else that of the rig, else that of the recording."""
     if plan.camera is not None:
         return plan.camera
     if plan.rig is not None:

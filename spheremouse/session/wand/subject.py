@@ -36,7 +36,7 @@ class WandSubject:
 
     @property
     def view(self) -> InteriorOrientation:
-        """Wherever it stands."""
+        """Return the camera, whatever its place."""
         return self.camera
 
     def kept(self) -> Image:

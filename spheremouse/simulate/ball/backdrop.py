@@ -1,4 +1,4 @@
-"""What does not change from frame to frame, rendered once: the scene with a plain ball and with one that is all disc.
+"""Constant parts of all frames, rendered once: the scene with a plain ball, and with one that is all disc.
 
 A frame is then a mixture of the two, by the share of each pixel that the discs cover. A ball that leaves its place is
 put together from `layers`.

@@ -1,4 +1,4 @@
-"""What befalls device, ball and light in a recording, each with its time."""
+"""Events of device, ball and light in a recording, each with its time."""
 
 from dataclasses import dataclass, replace
 

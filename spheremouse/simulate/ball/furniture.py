@@ -1,4 +1,4 @@
-"""What stands in the simulated scene beside the ball: the device's frame with its targets, and a room to confuse.
+"""Objects in the simulated scene beside the ball: the device's frame with its targets, and a cluttered room.
 
 The frame has the geometry of the reference recordings: two struts in front of the ball carry four ring targets on
 white cards, and bolts that look exactly like discs. The room holds false candidates: black dots, single coloured

@@ -1,4 +1,4 @@
-"""What a film of the ball shows, or photos of it, in the words of the command line: known without what makes them."""
+"""Options of films and photos of the ball, in the words of the command line."""
 
 from dataclasses import dataclass
 from typing import Literal

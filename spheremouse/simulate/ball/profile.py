@@ -1,4 +1,4 @@
-"""How a simulated ball moves: its exact attitude and angular velocity at any time.
+"""Motion of a simulated ball: exact attitude and angular velocity at any time.
 
 A profile takes times, (n,) s, and gives R_obj_ball, (n, 3, 3), and w_obj, (n, 3) rad/s, which agree:
 dR/dt = hat(w) R. At time 0 the ball is at rest and `ball` equals `obj`.
@@ -228,7 +228,7 @@ def _shown() -> list[Gesture]:
 
 
 def shown_to_axes() -> Gestures:
-    """What `spheremouse axes` asks for, from the far side: 60° to the right, away, and counter-clockwise from above."""
+    """Gestures for `spheremouse axes` from the far side: 60° to the right, away, and counter-clockwise from above."""
     ways = ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     return Gestures(tuple(Gesture(1.5 + 3.0 * k, 1.5, way, np.pi / 3.0) for k, way in enumerate(ways)), 10.5)
 
@@ -238,7 +238,7 @@ def _end(gestures: list[Gesture]) -> float:
 
 
 def play(seconds: float, rng: np.random.Generator) -> Gestures:
-    """Somebody plays: rolls that run into each other, spins, flicks that coast, rests. It starts with a rest of 1 s."""
+    """Play: rolls that run into each other, spins, flicks that coast, rests. It starts with a rest of 1 s."""
     gestures: list[Gesture] = []
     t = 1.0
     while t < seconds - 0.5:

@@ -1,4 +1,4 @@
-"""Where the camera stands for calibration photos: around the device, and before the board.
+"""Camera poses for calibration photos: around the device, and before the board.
 
 Both as the recipe asks of a person: the device from all sides that show three targets, the board aslant, near, and in
 every part of the picture.

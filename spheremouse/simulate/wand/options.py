@@ -1,4 +1,4 @@
-"""What a film of a wand shows, in the words of the command line: known without what makes it."""
+"""Options of films of a wand, in the words of the command line."""
 
 from dataclasses import dataclass
 from typing import Literal

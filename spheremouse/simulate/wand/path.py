@@ -1,4 +1,4 @@
-"""How a wand moves: the robot's drive of Grzonka 2005, chapter 4, and a ball on a stick in somebody's hand.
+"""Motion of a wand: the robot's drive of Grzonka 2005, chapter 4, and a ball on a stick in a hand.
 
 A path gives poses of the ball in `cam` at any times. World here is the level frame at the camera: x right, y down, z
 forward. The drive is stop, turn and go at constant speeds; the hand is a sum of slow sinusoids whose largest speed
@@ -152,7 +152,7 @@ def hand(
     leans towards the camera by 15 to 35 degrees and nods by some 20 more; about the pole it turns right round.
     """
     m = 4
-    # slow and wide or fast and short: what the hand of somebody does who plays, 0.2 to 1.2 Hz
+    # slow and wide or fast and short, as a player's hand moves, 0.2 to 1.2 Hz
     omega = 2.0 * np.pi * rng.uniform(0.2, 1.0, (3, m))
     sway = np.stack([np.array([[1.0], [0.7], [0.8]]) / omega, omega, _phases(rng, m)], axis=-1)
     omega = 2.0 * np.pi * rng.uniform([[0.2], [0.2], [0.1]], [[1.2], [1.2], [0.6]], (3, m))

@@ -1,6 +1,6 @@
 """Frames of a hand-held ball or a ball on a robot: a still background, drawn once, and what moves painted over it.
 
-Only the windows in which something moves are painted anew. Light is mixed linearly, blurred as by a lens, then turned
+Only windows with moving objects are painted again. Light is mixed linearly, blurred as by a lens, then turned
 into grey values; sensor noise comes last.
 """
 
@@ -199,7 +199,7 @@ def _windows(layers: list[Layer], camera: InteriorOrientation) -> list[tuple[int
 
 
 def _varied(paints: Array, share: float, rng: np.random.Generator) -> Array:
-    """Paints as somebody else would buy them: the same for each colour of a ball."""
+    """Return varied paints, the same for each colour of a ball."""
     if share == 0.0:
         return paints
     kinds, which = np.unique(paints, axis=0, return_inverse=True)

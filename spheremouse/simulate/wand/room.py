@@ -1,4 +1,4 @@
-"""Where a wand is used: floor, wall and things in a room or outdoors, drawn once; and what moves through the picture.
+"""Surroundings of a wand: floor, wall and objects in a room or outdoors, drawn once, and moving objects.
 
 Flat faces, farther ones first, drawn finely and averaged down. A red mug and a blue book stand in every room (the
 single-coloured things that Grzonka 2005, section 4.3, found harmless). Nothing here is known to a tracker.

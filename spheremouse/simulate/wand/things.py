@@ -1,4 +1,4 @@
-"""What moves through a wand's picture beside the ball: its robot or stick, a hand that passes, a card in its colours.
+"""Moving objects in a wand's picture beside the ball: its robot or stick, a hand, a card in its colours.
 
 Each is a function of the pose it belongs to and gives layers to paint.
 """
