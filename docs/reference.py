@@ -5,7 +5,6 @@ holds them to the code.
 """
 
 import argparse
-import ast
 import re
 import sys
 import tomllib
@@ -31,7 +30,6 @@ def made() -> dict[Path, str]:
     share = ROOT / "service" / "share"
     return {
         ROOT / "docs" / "command-line.md": command_line_page(),
-        ROOT / "docs" / "modules.md": modules_page(),
         ROOT / "docs" / "calibration-recipe.md": recipe_page(),
         share / "man" / "man1" / "spheremouse.1": man_page(),
         **{share / path: completion(shell) for shell, path in COMPLETIONS.items()},
@@ -177,26 +175,6 @@ def core_modules() -> dict[str, Path]:
             if path.stat().st_size > 0:
                 found[name] = path
     return found
-
-
-def modules_page() -> str:
-    """The core's modules, each with what it takes and gives; the site has all of each below (conf.py)."""
-    parts, last = [], ""
-    for name, path in core_modules().items():
-        room = name.split(".")[1]
-        if room != last:
-            parts.append(f"\n## {room}\n\n| module | |\n| --- | --- |")
-            last = room
-        said = _first_sentence(ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))))
-        inner = name.removeprefix("spheremouse.")
-        parts.append(f"| [`{inner}`](../{path.relative_to(ROOT).as_posix()}) | {said} |")
-    return (
-        f"# Module reference\n\n{_MADE}\n"
-        "The core: pure functions and frozen dataclasses over NumPy arrays, room by room from the ground up. For the "
-        "way through it see the [tour](tour.md); for frames and units the [conventions](conventions.md). `Array` is an "
-        "`ndarray` of `float64`. The site that `make docs` builds has every function and type of these modules on this "
-        "page; the same words stand in the files.\n" + "\n".join(parts) + "\n"
-    )
 
 
 def _first_sentence(text: str | None) -> str:
