@@ -1,4 +1,4 @@
-"""The documentation site: the pages as they are, and below the list of modules all that these have."""
+"""Documentation site: the pages, and the modules of the core from their docstrings."""
 
 import dataclasses
 import importlib.metadata
@@ -43,14 +43,10 @@ np.set_printoptions(precision=6, suppress=True)
 
 
 def modules_too(_app: Any, name: str, source: list[str]) -> None:
-    """The page that lists the modules, with links to each, followed by all of them."""
+    """Append all modules of the core to their page."""
     if name == "modules":
-        modules = reference.core_modules()
-        for module, path in modules.items():
-            place = f"](../{path.relative_to(reference.ROOT).as_posix()})"
-            source[0] = source[0].replace(place, f"](#{module.replace('.', '')})")
-        parts = (f"## {m}\n\n```{{eval-rst}}\n.. automodule:: {m}\n   :members:\n```\n" for m in modules)
-        source[0] += "\n" + "\n".join(parts)
+        for module in reference.core_modules():
+            source[0] += f"\n## {module}\n\n```{{eval-rst}}\n.. automodule:: {module}\n   :members:\n```\n"
 
 
 def plain_docstring(lines: list[str]) -> list[str]:
