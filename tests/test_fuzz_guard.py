@@ -1,4 +1,4 @@
-"""The fuzzer's guard: what hangs, dies or fills the memory is found, wherever it happens, and told with the example."""
+"""The fuzzer's guard finds examples that hang, crash or fill the memory, and prints the batch that repeats them."""
 
 import os
 import signal
@@ -30,15 +30,15 @@ WRONG = {
 @pytest.fixture
 def small(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(guard, "LONGEST", 1.0)
-    monkeypatch.setattr(guard, "IN_C", 0.3)
-    monkeypatch.setattr(guard, "PATIENCE", 5.0)
+    monkeypatch.setattr(guard, "MAX_CORE_SECONDS", 1.0)
+    monkeypatch.setattr(guard, "MAX_SECONDS", 5.0)
+    monkeypatch.setattr(guard, "MIN_EXAMPLES", 0)
 
     def add(check, every=list):
         for table, value in ((TARGETS, lambda _: None), (STRATEGIES, lambda: st.integers(0, 9)), (EVERY, every)):
             monkeypatch.setitem(table, "toy", value)
         usual = tried("toy", 0, Limit(60.0, 4)).memory  # of a process that has done nothing
-        monkeypatch.setattr(guard, "MEMORY", usual + (200 << 20))
+        monkeypatch.setattr(guard, "MAX_MEMORY", usual + (200 << 20))
         monkeypatch.setitem(TARGETS, "toy", check)
 
     return add
@@ -46,7 +46,7 @@ def small(monkeypatch, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", WRONG)
-def test_what_goes_wrong_is_told_with_what_made_it(small, kind):
+def test_a_failure_is_reported_with_its_batch(small, kind):
     action, says = WRONG[kind]
     small(lambda n: action() if n > 3 else None)
     result = tried("toy", 0, Limit(60.0, 1000))
@@ -55,7 +55,7 @@ def test_what_goes_wrong_is_told_with_what_made_it(small, kind):
     assert "batch 0" in result.found
 
 
-def test_what_is_well_is_counted_and_what_is_listed_comes_first(small, tmp_path):
+def test_examples_are_counted_and_listed_ones_come_first(small, tmp_path):
     seen = tmp_path / "seen"
     small(lambda n: seen.open("a").write(f"{n}\n"), every=lambda: [70, 71, 72])
     result = tried("toy", 0, Limit(60.0, 8))

@@ -1,14 +1,13 @@
-"""One target tried in a process of its own: what hangs, ends or fills it is found and told with the example.
+"""Run one target in its own process, and report a hang, a crash or too much memory with the batch that repeats it.
 
-Within the process a timer ends what takes too long in Python; what takes too long in C, where no signal is heard, the
-process that waits for it ends, and so does it learn of one that has died. `--seed` with the batch that is told makes
-the same examples again.
+The parent process ends an example that takes too long, in Python or in C, with the stack of the place where it is.
 """
 
 import contextlib
 import ctypes
 import faulthandler
 import io
+import math
 import multiprocessing as mp
 import os
 import resource
@@ -26,133 +25,111 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 
 from tests.fuzz.targets import EVERY, STRATEGIES, TARGETS
 
-LONGEST = 10.0  # s of a core that an example may take
-IN_C = 5.0  # s more until the process is ended from outside
-PATIENCE = 90.0  # s on a clock: it waits for something that does not come
-MEMORY = 1 << 30  # bytes, of the process at its largest
-ADDRESSES = 16 << 30  # bytes: beyond, memory is refused, so that the machine goes on
+MAX_CORE_SECONDS = 10.0  # of an example
+MAX_SECONDS = 90.0  # of an example on a clock; it may wait for something that does not come
+MAX_MEMORY = 1 << 30  # bytes of the process
+ADDRESS_SPACE = 16 << 30  # bytes; beyond it the system refuses memory
 BATCH = 1000  # examples of one seed
+MIN_EXAMPLES = 20  # of each target, also after its time
 
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """How much of a target is to be tried."""
+    """Extent of a run of one target."""
 
     seconds: float  # on a clock
-    examples: float  # in all
-    first: int = 0  # batch
-    every: int = 1  # of what is to be tried one after the other, each so-manieth comes first; 0: none
+    examples: float = math.inf
+    first: int = 0  # batch; only a run from batch 0 begins with the listed examples
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What came of it."""
+    """Result of a run."""
 
     count: int = 0  # examples
-    worst: float = 0.0  # s of a core
+    worst: float = 0.0  # s of a core, of the slowest example
     memory: int = 0  # bytes
     seconds: float = 0.0  # on a clock
-    batch: int = 0  # the next
-    found: str | None = None  # what is wrong, and the example
-
-    def joined(self, other: "Result") -> "Result":
-        """Of both, one after the other."""
-        return Result(
-            self.count + other.count,
-            max(self.worst, other.worst),
-            max(self.memory, other.memory),
-            self.seconds + other.seconds,
-            other.batch,
-            self.found or other.found,
-        )
+    found: str | None = None  # failure and example
 
 
-class _Over(BaseException):
-    """Enough has been tried."""
+class _EndOfRun(BaseException):
+    """The limit is reached."""
 
 
-class _TooMuchError(BaseException):
-    """Of time or memory; hypothesis shall not try to make it smaller, which would take as much again each time."""
+class _TooMuchMemoryError(BaseException):
+    """Not an Exception, so hypothesis does not try to shrink the example."""
 
 
 def tried(name: str, first_seed: int, limit: Limit) -> Result:
-    """What a target makes of its examples, in a process of its own."""
-    where = mp.RawArray(ctypes.c_double, 3)  # batch, example, when it began
-    where[2] = time.monotonic()
+    """Run a target on its examples in its own process."""
+    progress = mp.RawArray(ctypes.c_double, 3)  # batch, example, its start
+    progress[2] = time.monotonic()
     here, there = mp.Pipe(duplex=False)
     stacks = Path("stacks").absolute()
-    process = mp.get_context("fork").Process(target=_process, args=(name, first_seed, limit, where, there, stacks))
-    begun = time.monotonic()
+    process = mp.get_context("fork").Process(target=_process, args=(name, first_seed, limit, progress, there, stacks))
+    start = time.monotonic()
     process.start()
     there.close()
     assert process.pid is not None
-    result, why = None, ""
-    used, example = 0.0, where[1]
-    while result is None and not why:
+    result, failure = None, ""
+    used, example = 0.0, progress[1]
+    while result is None and not failure:
         try:
             if here.poll(0.2):
                 result = here.recv()
                 break
         except EOFError:
             process.join()
-            why = f"the process ended ({process.exitcode})"
+            failure = f"the process ended ({process.exitcode})"
             break
-        if where[1] != example:
-            used, example = _core_seconds(process.pid), where[1]
-        if _core_seconds(process.pid) - used > LONGEST + IN_C or time.monotonic() - where[2] > PATIENCE:
-            why = f"an example takes longer than {LONGEST:g} s of a core, or {PATIENCE:g} s"
-            os.kill(process.pid, signal.SIGABRT)  # with the stack of where it is
+        if progress[1] != example:
+            used, example = _core_seconds(process.pid), progress[1]
+        if _core_seconds(process.pid) - used > MAX_CORE_SECONDS or time.monotonic() - progress[2] > MAX_SECONDS:
+            failure = f"an example takes longer than {MAX_CORE_SECONDS:g} s of a core, or {MAX_SECONDS:g} s"
+            os.kill(process.pid, signal.SIGABRT)
     process.join(30.0)
     if process.is_alive():
         process.kill()
     if result is None:
-        told = stacks.read_text(errors="replace")[-3000:] if stacks.exists() else ""
-        batch, count = int(where[0]), int(where[1])
-        why = f"{why}, in example {count} (batch {batch}: --only {name!r} --seed {first_seed} --batch {batch})\n{told}"
-        result = Result(count, LONGEST, 0, 0.0, batch + 1, why)
-    return replace(result, seconds=time.monotonic() - begun)
+        stack = stacks.read_text(errors="replace")[-3000:] if stacks.exists() else ""
+        batch, count = int(progress[0]), int(progress[1])
+        repeat = f"batch {batch}: --only {name!r} --seed {first_seed} --batch {batch}"
+        result = Result(count, MAX_CORE_SECONDS, found=f"{failure}, in example {count} ({repeat})\n{stack}")
+    return replace(result, seconds=time.monotonic() - start)
 
 
 def _core_seconds(pid: int) -> float:
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
-        return 0.0  # it has ended, or this system does not tell: then the clock alone counts
+        return 0.0  # it has ended, or the system has no /proc
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def _process(name: str, first_seed: int, limit: Limit, where: Any, there: Connection, stacks: Path) -> None:
-    with stacks.open("w") as file, _quiet():
+def _process(name: str, first_seed: int, limit: Limit, progress: Any, there: Connection, stacks: Path) -> None:
+    with stacks.open("w") as file, _without_standard_error():
         faulthandler.enable(file)
-        signal.signal(signal.SIGPROF, _hangs)
-        resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, resource.getrlimit(resource.RLIMIT_AS)[1]))
-        there.send(_batches(name, first_seed, limit, where))
+        resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, resource.getrlimit(resource.RLIMIT_AS)[1]))
+        there.send(_run(name, first_seed, limit, progress))
         there.close()
-        os._exit(0)  # threads of a server may live on
+        os._exit(0)  # threads of a server may still run
 
 
-def _hangs(*_: Any) -> None:
-    raise _TooMuchError(f"takes longer than {LONGEST:g} s of a core\n{''.join(traceback.format_stack()[-8:])}")
-
-
-def _batches(name: str, first_seed: int, limit: Limit, where: Any) -> Result:
+def _run(name: str, first_seed: int, limit: Limit, progress: Any) -> Result:
     count, worst, current, end = 0, 0.0, None, time.monotonic() + limit.seconds
 
-    def counted(example: Any) -> None:
+    def check(example: Any) -> None:
         nonlocal count, worst, current
-        if count >= limit.examples or (time.monotonic() > end and not sweeping):
-            raise _Over
+        if count >= limit.examples or (time.monotonic() > end and count >= MIN_EXAMPLES and not listed):
+            raise _EndOfRun
         count, current = count + 1, example
-        where[1], where[2] = count, time.monotonic()
-        begun = time.process_time()
-        signal.setitimer(signal.ITIMER_PROF, LONGEST)
-        try:
-            TARGETS[name](example)
-        finally:
-            signal.setitimer(signal.ITIMER_PROF, 0.0)
-        worst = max(worst, time.process_time() - begun)
-        if (peak := _peak()) > MEMORY:
-            raise _TooMuchError(f"the process has taken {peak >> 20} MB")
+        progress[1], progress[2] = count, time.monotonic()
+        start = time.process_time()
+        TARGETS[name](example)
+        worst = max(worst, time.process_time() - start)
+        if (peak := _peak()) > MAX_MEMORY:
+            raise _TooMuchMemoryError(f"the process has taken {peak >> 20} MB")
 
     options = settings(
         max_examples=BATCH,
@@ -162,24 +139,25 @@ def _batches(name: str, first_seed: int, limit: Limit, where: Any) -> Result:
         phases=(Phase.generate, Phase.shrink),
         suppress_health_check=list(HealthCheck),
     )
-    batch, found, told, sweeping = limit.first, None, io.StringIO(), limit.every > 0
+    batch, found, printed = limit.first, None, io.StringIO()
+    listed = EVERY[name]() if batch == 0 else []
     try:
-        with contextlib.redirect_stdout(told):
-            for example in EVERY[name]()[first_seed % limit.every :: limit.every] if limit.every else ():
-                counted(example)
-            sweeping = False
+        with contextlib.redirect_stdout(printed):
+            for example in listed:
+                check(example)
+            listed = []
             while True:
-                where[0] = batch
-                seed(first_seed * 100_003 + batch)(options(given(STRATEGIES[name]())(counted)))()
+                progress[0] = batch
+                seed(first_seed * 100_003 + batch)(options(given(STRATEGIES[name]())(check)))()
                 batch += 1
-    except _Over:
+    except _EndOfRun:
         pass
-    except (Exception, _TooMuchError) as e:
+    except (Exception, _TooMuchMemoryError) as e:
         lines = "".join(traceback.format_exception(e)) if isinstance(e, Exception) else f"{e}\n"
-        if len(lines) > 6000:  # hypothesis adds the example, which may be long: where it happened comes before
+        if len(lines) > 6000:  # hypothesis adds the example, which may be long
             lines = f"{lines[:4000]}\n...\n{lines[-2000:]}"
-        found = f"batch {batch}:\n{lines}{told.getvalue()[-2000:]}\nlast example: {repr(current)[:2000]}"
-    return Result(count, worst, _peak(), 0.0, batch + 1, found)
+        found = f"batch {batch}:\n{lines}{printed.getvalue()[-2000:]}\nlast example: {repr(current)[:2000]}"
+    return Result(count, worst, _peak(), found=found)
 
 
 def _peak() -> int:
@@ -187,13 +165,13 @@ def _peak() -> int:
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Without what C libraries write to standard error about broken pictures."""
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 2)
+def _without_standard_error() -> Iterator[None]:
+    """Discard the messages of C libraries about damaged images."""
+    kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
     try:
         yield
     finally:
         os.dup2(kept, 2)
         os.close(kept)
-        os.close(nowhere)
+        os.close(null)

@@ -1,4 +1,4 @@
-"""What is fuzzed: a check for each target, and the strategy that makes its input; modules of targets add theirs."""
+"""The targets of the fuzzer: a check for each, and the strategy that makes its input. Other modules add them."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +10,7 @@ from spheremouse.errors import SpheremouseError
 
 TARGETS: dict[str, Callable[[Any], None]] = {}
 STRATEGIES: dict[str, Callable[[], st.SearchStrategy[Any]]] = {}
-EVERY: dict[str, Callable[[], list[Any]]] = {}  # what is tried first, one after the other
+EVERY: dict[str, Callable[[], list[Any]]] = {}  # examples that are tried first
 Check = Callable[[Any], None]
 
 
@@ -25,7 +25,7 @@ def target(
 
 
 def refused(action: Callable[[], Any]) -> Any:
-    """What the action returns, or None where it is refused as a user may be: in lines that say something."""
+    """Return the result of the action; None if it is refused by an error with a message."""
     try:
         return action()
     except SpheremouseError as e:

@@ -4,7 +4,6 @@ import contextlib
 import io
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
@@ -16,7 +15,7 @@ from spheremouse.files import config
 from spheremouse.files.rig import load_camera, load_rig, rig_text
 from spheremouse.files.yaml import parse_document
 from spheremouse.output import open_output
-from spheremouse.session.settings.control import ControlSettings
+from spheremouse.session.settings import Configuration
 from tests.fuzz.scene import film, known, small_rig, use
 from tests.fuzz.strategies import letters, mutated, numbers, words
 from tests.fuzz.targets import file, refused, target
@@ -27,41 +26,19 @@ from tests.fuzz.targets import file, refused, target
     lambda: st.one_of(
         st.binary(max_size=60),
         st.text(max_size=60),
-        st.text("schema: 2\n-{}[]#&*!|>'\"%@`,?tracker so3.", max_size=40),
-        mutated(config.dump_commented(Settings())),
+        st.text("schema: 2\n-{}[]#&*!|>'\"%@`,?tracker so3.null/", max_size=60),
+        mutated(config.dump_commented(Configuration())),
         mutated(config.dump(Settings(), Settings())),
     ),
 )
 def check_configuration(content: str | bytes) -> None:
+    """A configuration that is read can be written and read again."""
     path = file(content)
-    refused(lambda: config.load(path, Settings))
     refused(lambda: load_rig(path))
-
-
-@target(
-    "daemon's configuration",
-    lambda: st.one_of(st.text("schema: 2\n-{}[]null.controlcord'/", max_size=60), mutated(whole_configuration())),
-)
-def check_whole_configuration(content: str | bytes) -> None:
-    path = file(content)
-    found = refused(lambda: config.load(path, whole()))
+    found = refused(lambda: config.load(path, Configuration))
     if found is not None:
-        assert config.loads(parse_document(config.dump(found, whole()()), "again"), whole()) == found
-
-
-@cache
-def whole() -> type[Any]:
-    """The settings of the daemon's file; those of the control socket while there are no others."""
-    try:
-        from spheremouse.session.settings import Configuration
-    except ImportError:
-        return ControlSettings
-    return Configuration
-
-
-@cache
-def whole_configuration() -> str:
-    return config.dump_commented(whole()())
+        text = config.dump(found, Configuration())
+        assert config.loads(parse_document(text, "again"), Configuration) == found
 
 
 @target("rig", lambda: st.one_of(st.binary(max_size=60), mutated(rig_text(known())), mutated(rig_text(small_rig()))))
