@@ -36,7 +36,7 @@ def made(tmp_path, monkeypatch):
     for room in ("experiments", "experiments.report"):
         monkeypatch.setitem(sys.modules, f"{room}.tiny", tiny_experiment)
     monkeypatch.setattr(cli_experiments, "NAMES", ("tiny", "poses"))
-    loader = ChoiceLoader([DictLoader({"tiny.md": tiny_experiment.PAGE}), page._LOADER])
+    loader = ChoiceLoader([DictLoader({"tiny.md.jinja": tiny_experiment.PAGE}), page._LOADER])
     monkeypatch.setattr(page, "_LOADER", loader)
     monkeypatch.setattr(page._TEMPLATES, "loader", loader)
     return folder

@@ -1,4 +1,4 @@
-"""A page of Markdown written by hand, `NAME.md`, with the numbers of a run put in, and the numbers as JSON.
+"""A page of Markdown written by hand, `NAME.md.jinja`, with the numbers of a run put in, and the numbers as JSON.
 
 A template (Jinja2) has the words; `NAME.py` beside it gives what they name: numbers, tables, figures. In a template
 `{{ x | fixed(2) }}` is a number with two digits, `{{ figure("name", "caption") }}` a picture, and what follows
@@ -55,9 +55,9 @@ def said(name: str, page: Callable[[Results], Page], results: Results) -> Said:
         return "" if claim else _NOT_SHOWN
 
     if good:
-        text = _TEMPLATES.get_template(f"{name}.md").render(values, figure=figure, shown=shown)
+        text = _TEMPLATES.get_template(f"{name}.md.jinja").render(values, figure=figure, shown=shown)
     else:
-        text = _LOADER.get_source(_TEMPLATES, f"{name}.md")[0].partition("\n")[0]
+        text = _LOADER.get_source(_TEMPLATES, f"{name}.md.jinja")[0].partition("\n")[0]
     failed = failures(results)
     if not results:
         text += "\n\nNothing was measured: the reference recordings were not at hand (`--datasets`)."
@@ -72,7 +72,7 @@ def write_report(out: Path, sections: Mapping[str, Said], numbers: Mapping[str, 
     """
     drawings = [drawing for section in sections.values() for drawing in section.drawings]
     written = [save(drawing, out / "experiments") for drawing in drawings]
-    front = _TEMPLATES.get_template("front.md").render(
+    front = _TEMPLATES.get_template("front.md.jinja").render(
         command=command, version=__version__, quick="--quick" in command.split(), missing=MISSING
     )
     parts = [front, *(f"\n({name})=\n{section.text}" for name, section in sections.items())]

@@ -32,7 +32,7 @@ def template(monkeypatch):
     """(text) -> the section that a template of this text gives, of results and the values of their page."""
 
     def call(text, results, page=lambda found: Page({"found": found})):
-        monkeypatch.setattr(module._TEMPLATES, "loader", loader := DictLoader({"it.md": text}))
+        monkeypatch.setattr(module._TEMPLATES, "loader", loader := DictLoader({"it.md.jinja": text}))
         monkeypatch.setattr(module, "_LOADER", loader)
         return said("it", page, results)
 
