@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from spheremouse.calibrate.board import parse_board, parse_length
 from spheremouse.errors import CalibrationError
 from spheremouse.files.safe_files import read_bytes, replace
 
@@ -56,7 +55,7 @@ def print_(
 
     Vector PDFs at true scale, with rulers to check the print; the recipe is HTML. The same options give the same bytes.
     """
-    from spheremouse.calibrate.board import NAME, BoardFile
+    from spheremouse.calibrate.board import NAME, BoardFile, parse_board
     from spheremouse.calibrate.prints.page import pdf
     from spheremouse.calibrate.prints.recipe import recipe
     from spheremouse.calibrate.prints.sheets import (
@@ -94,6 +93,8 @@ def print_(
 
 
 def _millimetres(option: str, text: str) -> float:
+    from spheremouse.calibrate.board import parse_length
+
     length = round(1e3 * parse_length(text), 6)
     if not _MIN_LENGTH <= length <= _MAX_LENGTH:
         raise CalibrationError(f"{option} {text}: must be from {_MIN_LENGTH:g} to {_MAX_LENGTH:g} mm")

@@ -317,7 +317,7 @@ def test_every_count_arrives_once_or_is_reported(board, seed, line, there, back,
             w.give(rng.integers(-900, 1200, 4) if event == "fast" else rng.integers(-10, 13, 4))
             w.step(noise, run=event != "hang")
     w.board.usb = True
-    w.settle(5000)
+    w.settle(20_000)
     assert w.link.settled
     uncertain = np.array(w.link.uncertain)
     assert (np.abs(np.array(w.short) - w.link.dropped) <= uncertain).all()
