@@ -1,7 +1,6 @@
-"""What is made from the program's own definitions and kept as files, so that it can be read and installed as it is.
+"""Files generated from the program's definitions: pages of the reference, man page, completion for three shells.
 
-Pages of the reference, the man page, and completion for three shells: `make reference` writes them anew, and a test
-holds them to the code.
+`make reference` writes them, and a test compares them with the code.
 """
 
 import argparse
@@ -70,13 +69,13 @@ def command_line_page() -> str:
     return "\n".join(
         [
             f"# Command line\n\n{_MADE}",
-            "What `--help` of every command says. Errors go to the standard error stream as one line, and the exit "
-            "code is then not 0: 2 where something is to be mended by whoever typed, 70 where it is a fault of the "
-            "program, 128 and the signal's number where a signal ended it; `ctl` has [its own](control.md).\n",
+            "This page shows `--help` of every command. Errors go to the standard error stream, one line each. Exit "
+            "codes are 2 for an error that you can correct, 70 for a fault of the program, and 128 plus the signal's "
+            "number after a signal. `ctl` has [its own](control.md).\n",
             "\n".join(["| command | |", "| --- | --- |", *rows]) + "\n",
-            "`spheremouse --install-completion` lets the shell complete commands and options with the Tab key (bash, "
-            "zsh, fish and PowerShell), from the next terminal on; `service/install.sh` has placed that for all users, "
-            "and `man spheremouse`, which says what is on this page.\n",
+            "After `spheremouse --install-completion` the shell can complete commands and options with the Tab key, in "
+            "bash, zsh, fish and PowerShell. `service/install.sh` installs completion for all users, and the man page "
+            "`spheremouse(1)` with the text of this page.\n",
             *parts,
         ]
     )
@@ -104,10 +103,9 @@ def man_page() -> str:
 
 _END = r"""
 .SH EXIT STATUS
-0: done. 2: something is to be mended by whoever typed. 70: a fault of the program. 128 and a signal's number: ended by
-it.
+0: done. 2: an error that you can correct. 70: a fault of the program. 128 plus a signal's number: ended by that signal.
 .B spheremouse ctl
-also ends with 1: the daemon refuses, and 3: no daemon.
+also ends with 1 if the daemon refuses, and 3 without a daemon.
 .SH ENVIRONMENT
 .TP
 .B SPHEREMOUSE_SOCKET
