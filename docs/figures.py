@@ -9,11 +9,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-THESIS_24 = {
-    -50: ["1.20", "1.29", "1.62", "–"],
-    50: ["1.06", "1.04", "1.09", "1.42"],
-}
-SIGMAS = (1, 5, 10, 15)
 TRACKERS = ("ekf1", "ekf2", "so3")
 
 
@@ -60,8 +55,8 @@ def main(far26: Path) -> str:
     out += [table([*head, "tracked / lost"], rows), ""]
     out += ["## True camera pose", ""]
     out += [
-        "With `--pose known`. The bound is the posterior Cramér-Rao bound (Tichavský 1998) for the discs that this run "
-        "detected and the true motion as a Gauss-Markov acceleration (Singer 1970).",
+        "With `--pose known`. The bound is the posterior Cramér-Rao bound (Tichavský 1998) for the detected discs "
+        "and a Gauss-Markov acceleration (Singer 1970).",
         "",
     ]
     rows = [
@@ -113,19 +108,6 @@ def main(far26: Path) -> str:
         "centre RMS per axis, px (≥ 60 px²)",
     ]
     out += [table(head, rows), ""]
-    out += ["## Light and noise (Wittich 2017, table 24)", ""]
-    out += [
-        "Rate RMSE in °/s by `spheremouse evaluate far26 --brightness L --noise S`; in brackets EKF2 of the thesis.",
-        "",
-    ]
-    rows = []
-    for level, values in THESIS_24.items():
-        cells = []
-        for sigma, value in zip(SIGMAS, values, strict=True):
-            r = evaluate(far26, "--brightness", str(level), "--noise", str(sigma))
-            cells.append(f"{r['rate_rmse_deg_s']['combined']:.2f} ({value})")
-        rows.append([f"{level:+d}", *cells])
-    out += [table(["brightness", *(f"sigma {s}" for s in SIGMAS)], rows), ""]
     out += ["## A ball that rolls on", ""]
     out += ["`spheremouse simulate roll --motion roll --turns 20` and `spheremouse evaluate roll --tracker T`.", ""]
     rows = []
