@@ -324,49 +324,53 @@ def _lost_in_time(state: TrackState, stamp: float, tracker: Tracker) -> tuple[Tr
 
 def _reported(state: TrackState, stamp: float, events: Events) -> Step[TrackState]:
     """Return the estimate of a frame, with the increment since the last confirmed one if discs confirm the attitude."""
-    sequence, state = state.frames, replace(state, frames=state.frames + 1)
+    frames, f = state.frames + 1, state.filter
+    increment, increment_covariance = np.zeros(6), np.zeros((6, 6))
     if state.status is not Status.TRACKING:
-        return Step(replace(state, withheld=None), _estimate(state, stamp, sequence), events)
+        estimate = _estimate(state, stamp, increment, increment_covariance, confirmed=False)
+        return Step(replace(state, withheld=None, frames=frames), estimate, events)
     if not state.confirmed:
         withheld, more = _withheld(state, stamp)
-        return Step(replace(state, withheld=withheld), _estimate(state, stamp, sequence), (*events, *more))
-    attitude, increment, covariance = state.filter.attitude, np.zeros(6), np.zeros((6, 6))
-    rotation = rotation_between(state.reported_attitude, attitude)
-    since = state.filter.increment_covariance(rotation)[:3, :3]
-    if np.trace(since) <= PLACED**2:  # a motion unseen is a guess, and none is sent
-        increment[:3], covariance[:3, :3] = rotation, since
-    estimate = _estimate(state, stamp, sequence)._replace(increment=increment, increment_covariance=covariance)
+        estimate = _estimate(state, stamp, increment, increment_covariance, confirmed=False)
+        return Step(replace(state, withheld=withheld, frames=frames), estimate, (*events, *more))
+    rotation = rotation_between(state.reported_attitude, f.attitude)
+    since = f.increment_covariance(rotation)
+    if since[0, 0] + since[1, 1] + since[2, 2] <= PLACED**2:  # a motion unseen is a guess, and none is sent
+        increment[:3], increment_covariance[:3, :3] = rotation, since[:3, :3]
+    estimate = _estimate(state, stamp, increment, increment_covariance, confirmed=True)
     before = state.withheld
     if before is not None and before.announced:
         events = (*events, MotionReleased(stamp - before.since, float(np.linalg.norm(increment))))
     state = replace(
         state,
-        filter=state.filter.clone_attitude(),
-        reported_attitude=attitude,
+        filter=f.clone_attitude(),
+        reported_attitude=f.attitude,
         confirmed_at=stamp,
         withheld=None,
+        frames=frames,
     )
     return Step(state, estimate, events)
 
 
-def _estimate(state: TrackState, stamp: float, sequence: int) -> Estimate:
-    """Return the estimate without an increment."""
-    f, tracking = state.filter, state.status is Status.TRACKING
-    rate, covariance = np.zeros(6), np.zeros((12, 12))
-    rate[:3], between = f.rate, f.covariance
-    covariance[:3, :3], covariance[6:9, 6:9] = between[:3, :3], between[3:, 3:]
-    covariance[:3, 6:9], covariance[6:9, :3] = between[:3, 3:], between[3:, :3]
+def _estimate(
+    state: TrackState, stamp: float, increment: Array, increment_covariance: Array, *, confirmed: bool
+) -> Estimate:
+    """Return the estimate of a frame, whose increment has 6 components."""
+    f, rate, covariance = state.filter, np.zeros(6), np.zeros((12, 12))
+    rate[:3], known = f.rate, f.covariance
+    covariance[:3, :3], covariance[6:9, 6:9] = known[:3, :3], known[3:, 3:]
+    covariance[:3, 6:9], covariance[6:9, :3] = known[:3, 3:], known[3:, :3]
     return Estimate(
         stamp,
-        sequence,
+        state.frames,
         state.status,
         f.attitude,
         np.zeros(3),
         rate,
         covariance,
-        np.zeros(6),
-        np.zeros((6, 6)),
-        tracking and state.confirmed,
+        increment,
+        increment_covariance,
+        confirmed,
         statistics(state),
     )
 
