@@ -144,8 +144,8 @@ def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tu
     anew = build(tracker.rig, current(state, tracker).pose, settings)
     if settings.tracker != tracker.settings.tracker:
         return begin(anew, state.filter.stamp, state.filter.attitude), anew
-    others = tuple(h._replace(state=anew.filter.adopt(h.state)) for h in state.alternatives)
-    state = replace(state, filter=anew.filter.adopt(state.filter), alternatives=others)
+    others = tuple(h._replace(state=anew.filter.adopt(h.state, tracker.filter)) for h in state.alternatives)
+    state = replace(state, filter=anew.filter.adopt(state.filter, tracker.filter), alternatives=others)
     seen = colours_of(settings, state.colours)
     return replace(state, rebuilt=None, search=SearchState(), colours=seen), anew
 

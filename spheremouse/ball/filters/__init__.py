@@ -80,8 +80,8 @@ class Filter(Protocol[S]):
         """
         ...
 
-    def adopt(self, state: S) -> S:
-        """Return the state of a filter with other settings, for use by this one."""
+    def adopt(self, state: S, before: Self) -> S:
+        """Return the state of the filter `before`, which had other settings, for use by this one."""
         ...
 
     def is_significant(self, predicted: S, used: int, points: int) -> bool:

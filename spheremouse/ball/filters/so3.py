@@ -119,9 +119,9 @@ class So3Filter:
             interval=last,
         )
 
-    def adopt(self, state: So3State) -> So3State:
-        """Return the state of a filter with other settings: the levels of the player start at their prior."""
-        return state if len(state.weights) == len(self.settings.levels) else replace(state, weights=np.zeros(0))
+    def adopt(self, state: So3State, before: "So3Filter") -> So3State:
+        """Return the state of the filter `before`. If the levels changed, they start at their prior."""
+        return state if self.settings.levels == before.settings.levels else replace(state, weights=np.zeros(0))
 
     def visible(self, state: So3State) -> NDArray[np.intp]:
         """Indices of the discs that face the camera."""

@@ -99,18 +99,43 @@ class EulerState:
 
 
 @dataclass(frozen=True, slots=True)
-class ConstantDiscsFilter:
-    """ekf1: stored discs are constants, as exact as the first sight of them (Wittich 2017, sections 3.9.1-3.9.2)."""
+class _EulerFilter:
+    """The parts that both filters share."""
 
     settings: EulerSettings = field(default_factory=EulerSettings)
 
     def initial(self, stamp: float, attitude: Array) -> EulerState:
-        """At rest at `attitude` (3, 3), no disc stored (eq. 122-123)."""
-        return _initial(stamp, attitude, self.settings)
+        """Return a state at rest at `attitude` (3, 3), without a stored disc (eq. 122-123)."""
+        P = self.settings.start_sigma**2 * np.eye(6)
+        return EulerState(stamp, to_euler(attitude), np.zeros(3), np.zeros((0, 3)), P, np.zeros(0, dtype=np.intp))
 
     def predict(self, state: EulerState, stamp: float) -> EulerState:
-        """Constant Euler rates up to `stamp` (s)."""
-        return _predict(state, stamp, self.settings)
+        """Return the state at `stamp` (s) by constant Euler rates; discs stay where they are on the ball.
+
+        Eq. 126-133, 152-156 and 61; Phi P Phi^T + G Sigma_ww G^T without the zeros of Phi and G.
+        """
+        dt = stamp - state.stamp
+        P = state.state_covariance.copy()
+        P[:3] += dt * P[3:6]
+        P[:, :3] += dt * P[:, 3:6]
+        g = np.array([0.5 * dt * dt, dt])
+        P[:6, :6] += np.kron(self.settings.acceleration_sigma**2 * np.outer(g, g), np.eye(3))
+        angles = state.angles + dt * state.angle_rates
+        none = np.zeros(0, dtype=np.intp)
+        return EulerState(stamp, angles, state.angle_rates, state.points, P, none, state.reference)
+
+    def adopt(self, state: EulerState, before: "_EulerFilter") -> EulerState:
+        """Return the same state: none of it depends on the settings."""
+        return state
+
+    def is_significant(self, predicted: EulerState, used: int, points: int) -> bool:
+        """Return False: as published, discs are gated by a length, so no probability is known."""
+        return False
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantDiscsFilter(_EulerFilter):
+    """ekf1: stored discs are constants, as exact as the first sight of them (Wittich 2017, sections 3.9.1-3.9.2)."""
 
     def update(
         self, state: EulerState, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None
@@ -128,28 +153,10 @@ class ConstantDiscsFilter:
         stored = np.concatenate([state.points[np.sort(j)], points.position[new] @ from_euler(x[:3])])
         return EulerState(state.stamp, x[:3], x[3:6], stored, P, np.sort(i), state.reference)
 
-    def adopt(self, state: EulerState) -> EulerState:
-        """Return the same state."""
-        return state
-
-    def is_significant(self, predicted: EulerState, used: int, points: int) -> bool:
-        """Not known: as published, discs are gated by a length."""
-        return False
-
 
 @dataclass(frozen=True, slots=True)
-class StateDiscsFilter:
+class StateDiscsFilter(_EulerFilter):
     """ekf2: stored discs are part of the state and improve with every sight (Wittich 2017, section 3.9.3)."""
-
-    settings: EulerSettings = field(default_factory=EulerSettings)
-
-    def initial(self, stamp: float, attitude: Array) -> EulerState:
-        """At rest at `attitude` (3, 3), no disc stored (eq. 122-123)."""
-        return _initial(stamp, attitude, self.settings)
-
-    def predict(self, state: EulerState, stamp: float) -> EulerState:
-        """Constant Euler rates up to `stamp` (s); the discs stay where they are on the ball (eq. 152-156)."""
-        return _predict(state, stamp, self.settings)
 
     def update(
         self, state: EulerState, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None
@@ -179,14 +186,6 @@ class StateDiscsFilter:
         P = _append_blocks(P[np.ix_(rows, rows)], R.T @ noise[new] @ R)
         return EulerState(state.stamp, x[:3], x[3:6], stored, P, np.sort(i), state.reference)
 
-    def adopt(self, state: EulerState) -> EulerState:
-        """Return the same state."""
-        return state
-
-    def is_significant(self, predicted: EulerState, used: int, points: int) -> bool:
-        """Not known: as published, discs are gated by a length."""
-        return False
-
 
 def turned(angles: Array, points: Array) -> tuple[Array, Array]:
     """Places R p in `obj`, (n, 3) m, of points (n, 3) m in `ball`, and dplace_dangles, (n, 3, 3) (eq. 134-148).
@@ -211,23 +210,6 @@ def angular_velocity(angles: Array, angle_rates: Array) -> tuple[Array, Array, A
     )
     E = euler_rate_matrix(angles)
     return E @ angle_rates, dw_dangles, E
-
-
-def _initial(stamp: float, attitude: Array, settings: EulerSettings) -> EulerState:
-    P = settings.start_sigma**2 * np.eye(6)
-    return EulerState(stamp, to_euler(attitude), np.zeros(3), np.zeros((0, 3)), P, np.zeros(0, dtype=np.intp))
-
-
-def _predict(state: EulerState, stamp: float, settings: EulerSettings) -> EulerState:
-    """Eq. 126-133 and 61; Phi P Phi^T + G Sigma_ww G^T without the zeros of Phi and G."""
-    dt = stamp - state.stamp
-    P = state.state_covariance.copy()
-    P[:3] += dt * P[3:6]
-    P[:, :3] += dt * P[:, 3:6]
-    g = np.array([0.5 * dt * dt, dt])
-    P[:6, :6] += np.kron(settings.acceleration_sigma**2 * np.outer(g, g), np.eye(3))
-    angles = state.angles + dt * state.angle_rates
-    return EulerState(stamp, angles, state.angle_rates, state.points, P, np.zeros(0, dtype=np.intp), state.reference)
 
 
 def _noise(points: SpherePoints, settings: EulerSettings) -> Array:

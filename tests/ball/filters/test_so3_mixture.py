@@ -137,6 +137,18 @@ def test_other_levels_keep_the_alternatives():
     assert state.status is Status.TRACKING
 
 
+@pytest.mark.parametrize(
+    ("levels", "kept"), [(Settings().so3.levels, True), ((1.0, 3.0, 9.0, 27.0, 81.0, 243.0), False)]
+)
+def test_other_levels_start_at_their_prior_also_if_they_are_as_many(levels, kept):
+    rng = np.random.default_rng(3)
+    tracker, state = known_ball(directions(12, 2), rng)
+    settings = Settings(so3=replace(Settings().so3, levels=levels, gate=12.0))
+    changed, _ = with_settings(state, tracker, settings)
+    assert len(levels) == len(state.filter.weights)
+    assert (len(changed.filter.weights) > 0) == kept
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_slow_camera_leaves_no_doubt_about_a_resting_ball_that_shows_five_discs(seed):
     """At three frames/s the prediction is a guess. The constellation is none."""
