@@ -52,7 +52,7 @@ def modules_too(_app: Any, name: str, source: list[str]) -> None:
 def plain_docstring(lines: list[str]) -> list[str]:
     """Docstrings are plain text, written to be read in the source: make them literal for reStructuredText.
 
-    Paragraphs stay paragraphs, `names` become code, what is indented stays as it stands, examples stay examples.
+    Paragraphs, indented text and examples keep their form, and `names` become code.
     """
     out: list[str] = []
     for paragraph in re.split(r"\n[ \t]*\n", "\n".join(lines).strip("\n")):
@@ -95,7 +95,7 @@ def document(_app: Any, what: str, _name: str, obj: Any, _options: Any, lines: l
 
 
 def skip(_app: Any, what: str, name: str, obj: Any, would_skip: bool, _options: Any) -> bool | None:
-    """A dataclass's fields are told once, by `fields`; slots and aliases of imported types are no news."""
+    """A dataclass's fields appear once, by `fields`; slots and aliases of imported types are no news."""
     if what == "class" and (inspect.ismemberdescriptor(obj) or not (callable(obj) or isinstance(obj, property))):
         return True
     return True if name.startswith("_") else (would_skip or None)

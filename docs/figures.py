@@ -18,7 +18,7 @@ def spheremouse(*arguments: str) -> None:
 
 
 def evaluate(dataset: Path, *options: str) -> dict:
-    """What `spheremouse evaluate` says of a dataset."""
+    """Return the figures of `spheremouse evaluate` for a dataset."""
     with tempfile.NamedTemporaryFile(suffix=".json") as file:
         spheremouse("evaluate", str(dataset), *options, "--json", file.name)
         return json.loads(Path(file.name).read_text())

@@ -78,7 +78,7 @@ def growing(world: World, kind: str) -> Array:
     v, u = np.nonzero(world.ball)
     middle = project(world.scene.pose.to_cam(np.zeros((1, 3))), world.scene.camera)[0][0]
     away = np.hypot(u - middle[0], v - middle[1])
-    # the far camera stands turned by 90 degrees: what is above is where obj's y is
+    # the far camera is rolled by 90 degrees, so above is along obj's y
     up = world.scene.pose.rotation.T @ np.array([0.0, 1.0, 0.0])
     right = world.scene.pose.rotation.T @ np.array([1.0, 0.0, 0.0])
     place = {"from the left": u * right[0] + v * right[1], "from below": u * up[0] + v * up[1], "from the middle": away}

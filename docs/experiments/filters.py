@@ -130,7 +130,7 @@ def _row(run: Run, film: Film) -> Result:
 
 
 def _times(run: Run) -> Array:
-    """Of the speeds, s."""
+    """Return the stamps of the speeds, s."""
     k = run.tracked
     return run.stamp[k[np.isin(k - 1, k)]]
 

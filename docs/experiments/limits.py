@@ -65,7 +65,7 @@ class Trial:
     seed: int
 
     def course(self, before: Course, motion: Profile, t: Array) -> list[Course]:
-        """What comes of `before` at times t (n,) s after the start; ends early where the ball is lost."""
+        """Track `before` on at times t (n,) s after the start; end early if the ball is lost."""
         rng, attitudes = np.random.default_rng([self.seed, len(t)]), motion.attitude(t)
         made: list[Course] = []
         for s, R in zip(t, attitudes, strict=True):

@@ -1,6 +1,6 @@
 """A calibration that is wrong: lens distortion left uncorrected, an evening with a tape measure and a good eye.
 
-What it does to attitude and rate, and to the mouse: its scale, its direction, and what no setting puts right. Wittich
+The effect on attitude, rate and mouse: its scale, its direction, and errors that no setting corrects. Wittich
 2017, sections 4.10 and 5, holds that markers placed by eye and distances taken by tape do.
 """
 
@@ -27,7 +27,7 @@ STRAIGHT = 2.0  # °, a pointer that goes where the hand pushes
 STEADY = 100.0 * SHARE  # %, of the motion, that is neither scale nor direction
 EVENING = {"focal": 0.03, "principal": 6.0, "radius": 0.002, "centre": 0.01, "targets": 0.003}  # m, px; 1 sigma
 LENS = 0.1  # −k1 of an evening
-_SHORTEST, _NARROW = 10, 0.1  # frames, and share of the turns about other axes, from which a scale is told
+_SHORTEST, _NARROW = 10, 0.1  # frames, and fraction of the turns about other axes, for an estimate of the scale
 _QUICKLY = "pose.frames=5"  # the film's first frames show the same
 PER_UNIT = {"focal": 1e2, "radius": 1e3, "centre": 1e3, "targets": 1e3, "lens": 1.0, "evening": 1.0}  # SI to the axis
 
@@ -221,7 +221,7 @@ def followed(film: kit.Film, rig: Rig, more: Rig | None = None) -> Result:
 
 
 def mouse(run: Run, motion: Truth, assumed: float, true: float) -> dict[str, float] | None:
-    """What becomes of the pointer: `sent` = A `made`, (2, 3), by least squares over the frames that were tracked.
+    """Return the effect on the pointer: `sent` = A `made`, (2, 3), by least squares over the frames that were tracked.
 
     `scale`: how much faster it goes, %, mean of both axes. `direction`: by how many degrees it goes astray, in the
     worst direction. `spin`: % of the turn about the vertical that gets into it. `wobble`: what A does not explain, % of
@@ -240,7 +240,7 @@ def _compared(sent: Array, made: Array) -> dict[str, float] | None:
     """`sent` (n, 2) mm of the pointer, `made` (n, 3) mm: across, along, spin."""
     spread = np.linalg.svd(made, compute_uv=False)
     if spread[-1] <= _NARROW * spread[0]:
-        return None  # turns about one axis, or none, are left: little is told of the others
+        return None  # turns about one axis, or none, are left, so the others stay uncertain
     A = np.linalg.lstsq(made, sent, rcond=None)[0].T
     M, left = A[:, :2], sent - made @ A.T
     if np.linalg.det(M) <= 0.0:

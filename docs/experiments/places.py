@@ -61,7 +61,7 @@ class Place(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Of its job."""
+        """Name of its job."""
         return f"film-{self.azimuth:g}-{self.elevation:g}-{self.distance:g}-{self.focal:.0f}"
 
 
@@ -269,7 +269,7 @@ def _shapes(scene: Scene) -> Viewpoint:
 
 
 def filmed(place: Sequence[float], frames: int) -> Result:
-    """What `so3` makes of a film from there, with the pose it finds and with the true one, and the film's own bound."""
+    """Track a film from there by `so3`, with its own pose and with the true one, and compute the film's bound."""
     where = Place(*place)
     simulation = prepare(kit.options_of({"discs": DISCS, "noise": NOISE, "seconds": frames / _FPS}))
     film = kit.film_of(replace(simulation, scene=scene_from(where, 0)), where.key)

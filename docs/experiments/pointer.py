@@ -1,6 +1,6 @@
 """Delay, roughness and error of the resampled pointer, by frame rate and settings.
 
-`so3` follows a ball that somebody plays with, and one that is stopped; its counts and rates go through the daemon's
+`so3` follows a ball in play, and one that is stopped; its counts and rates go through the daemon's
 own resampling (`spheremouse.output.pointer`) with the frames' stamps and times of arrival. Nothing here reads a clock.
 """
 
@@ -50,7 +50,7 @@ def latency(fps: float) -> float:
 
 
 def settings(way: str, fps: float) -> PointerSettings:
-    """Of a way to move the pointer."""
+    """Return the settings of a way to move the pointer."""
     horizon = {ZERO: 0.0, ONE: 1.0 / fps, DEFAULT: PointerSettings().horizon, NEXT: latency(fps) + 1.0 / fps}[way]
     return PointerSettings(horizon=horizon)
 
@@ -101,7 +101,7 @@ def _matrix(tracker: Tracker) -> Array:
 
 
 def exact(motion: Profile, stamps: Array, matrix: Array) -> Told:
-    """What a tracker without error would say; `matrix` (3, 3) counts/rad."""
+    """Return the reports of a tracker without error; `matrix` (3, 3) counts/rad."""
     R, remainder, counts = motion.attitude(stamps), Remainder(), [(0, 0, 0)]
     for a, b in pairwise(R):
         moved, remainder = to_counts(log(b @ a.T), matrix, remainder)
@@ -130,7 +130,7 @@ def ball(motion: Profile, end: float, matrix: Array) -> Path:
 
 
 def pointer(told: Told, fps: float, way: PointerSettings | None, t: Array) -> Array:
-    """Where it is at times t, (n, 3) counts; without resampling (None) each frame's counts are sent as it arrives."""
+    """Return the place at times t, (n, 3) counts; without resampling (None), counts are sent with each frame."""
     late = latency(fps)
     arrivals = told.stamp + late
     if way is None:

@@ -294,7 +294,7 @@ def areas(points: int) -> Result:
 
 
 def _met(sphere: Array, scene: Scene, pose: Pose, around: bool) -> NDArray[np.bool_]:
-    """Which points of the ball the renderer's ray towards them meets first, with what stands `around` or without."""
+    """Return the points of the ball that the renderer's ray meets first, with the objects `around` or without."""
     shapes = [Sphere(np.zeros(3), scene.ball_radius, scene.ball_colour), *(scene.surroundings if around else ())]
     cam = pose.to_cam(scene.ball_radius * sphere)
     xy = cam[:, :2] / cam[:, 2:]

@@ -28,7 +28,7 @@ from spheremouse.simulate.ball.tags import Sheet, painted, ring_sheet, tag_cells
 USUAL, NUMBER = 36, 4  # mm, outer radius, and how many, as the thesis has them
 STRAY = (0.04, np.radians(1.0), np.radians(15.0))  # m, rad, rad about the line of sight: how cameras differ
 _HALF_PIXEL = 0.5  # px: AprilTag's corners count from a pixel's corner, all others from its centre
-MATCH = 5.0  # px: what is further off is something else
+MATCH = 5.0  # px: a detection farther off is another object
 SURE = 0.95  # share of targets found that counts as all
 NEARLY = 1.25  # times the least standard deviation is as good
 _Z = 0.5629  # m, of the targets
@@ -114,7 +114,7 @@ def _sheets(kind: str, number: int, size: float) -> list[Sheet]:
 
 
 def rig_of(kind: str, scene: Scene, number: int, size: float) -> Rig:
-    """What is known of the targets: for tags every corner, or every centre, is a target without extent."""
+    """Return the rig with its known targets. Of tags, each corner or centre is a target without extent."""
     points = places(number)
     codes: tuple[str, ...] = CODES[:number]
     radii = _radii(size)
@@ -179,7 +179,7 @@ def _tried(
 
 
 def key(kind: str, number: int, size: float, condition: str) -> str:
-    """Of what was tried."""
+    """Return the name of a trial."""
     return f"{kind}/{number}/{size:g}/{condition}"
 
 
@@ -194,7 +194,7 @@ def _views(picture: NDArray[np.float32], condition: Condition, seed: int) -> Ite
 
 
 def _detected(kind: str, image: NDArray[np.uint8], rig: Rig) -> TargetDetections:
-    """What is seen of the rig's targets; of tags, their corners."""
+    """Return the detections of the rig's targets; of tags, their corners."""
     if kind == "rings":
         return detect_targets(image, rig.targets.radii, kit.settings_of().rings)
     quick, slow = REFINED

@@ -116,7 +116,7 @@ def at_rates(seed: int, seconds: float, rates: list[int]) -> Result:
 
 
 def with_film(seed: int, seconds: float, film: dict[str, Any]) -> Result:
-    """One film by all trackers. Where the targets are not found the true pose is taken, and that is said."""
+    """One film by all trackers. If the targets are not found, the true pose is used, and the report states it."""
     shot = filmed(film, seed, seconds)
     settings, said = kit.settings_of(["tracker=ekf2"]), None
     try:

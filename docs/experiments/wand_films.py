@@ -38,7 +38,7 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class Film:
-    """What is filmed, for every seed."""
+    """Films for every seed."""
 
     name: str
     words: str  # for a reader
@@ -81,7 +81,7 @@ _KNOWN = tuple(Variant(f"{n}, known start", _particles(n), known=True) for n in 
 
 
 def films(quick: bool) -> tuple[Film, ...]:
-    """What is filmed; `quick`: fewer seeds and particles, some minutes."""
+    """Return the films; `quick`: fewer seeds and particles, some minutes."""
     seeds = tuple(range(1, 3 if quick else 21))
     few = tuple(range(1, 2 if quick else 7))
     ours = _OWN
@@ -148,7 +148,7 @@ def work(job: Job) -> dict[str, Any]:
 
 
 def kept_of(runs: Sequence[WandRun], balls: Sequence[WandBall], truths: Sequence[WandTruth]) -> list[dict[str, Any]]:
-    """What is kept of a run with each of the balls: numbers of balls that look alike are as they were found."""
+    """Return the stored part of a run with each ball. Equal balls have numbers in the order of detection."""
     return [
         _kept(run, truth, ball.radius)
         for run, ball, truth in zip(runs, balls, followed(runs, balls, truths, balls), strict=True)
@@ -229,7 +229,7 @@ def restored(kept: Sequence[dict[str, Any]]) -> tuple[list[WandRun], list[WandTr
 
 @dataclass(frozen=True, slots=True)
 class Speed:
-    """What is timed, and what must be reached."""
+    """Timed films and their targets."""
 
     name: str
     settings: WandSettings
@@ -256,7 +256,7 @@ def speed_film(frames: int) -> WandFilm:
 def measure_speeds(frames: int = 60) -> dict[str, Any]:
     """Median frames per second of each of `SPEEDS`, pictures in memory; 90th percentile of the time per frame, ms.
 
-    Measured alone, after everything else. What is found is followed; the first frames, which search, are left out.
+    Measured alone, after everything else. Balls are tracked; the first frames, which search, are left out.
     """
     film = speed_film(frames)
     pictures = [shot.frame for shot in simulate_wand(film)]

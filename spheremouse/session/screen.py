@@ -39,10 +39,10 @@ class Tally:
     def __init__(self) -> None:
         self.frames = 0
         self._counts: Counts = (0, 0, 0)  # of all frames
-        self.unsent: Callable[[], Counts] = lambda: (0, 0, 0)  # of these, what the output did not get
+        self.unsent: Callable[[], Counts] = lambda: (0, 0, 0)  # the part of these that the output did not get
         self.left_out: dict[str, int] = {}  # frames of which nothing came, by what became of them
         self.times = FrameTimes()
-        self.words = ""  # what else there is to be said of it
+        self.words = ""  # further words
 
     def add(self, counts: Counts, seconds: float) -> None:
         """One more frame: its counts, and how long it took."""

@@ -110,7 +110,7 @@ class Daemon:
         try:
             with on_hang_up(self._reload):  # as other services do
                 self._crew.begin()
-                self._open_endpoints()  # who is refused there has opened no output, and emptied no file
+                self._open_endpoints()  # a daemon that is refused there has opened no output
                 self._outputs.begin()
                 self._tell_left_out(self._loader.plan)
                 if self._get_ready(stopping):
@@ -274,7 +274,7 @@ class Daemon:
             last.callback(self._stack.close)
             last.callback(self.follower.close)
             last.callback(self._archive.discard)
-            last.callback(self._crew.end, RECORDING, SNAPSHOT, MAP, OUTPUT)  # what is read is of no use any more
+            last.callback(self._crew.end, RECORDING, SNAPSHOT, MAP, OUTPUT)  # its results are not used any more
             last.callback(self._archive.close)
             last.callback(self._outputs.close)
             last.callback(self._capture.close)

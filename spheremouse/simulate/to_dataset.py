@@ -101,7 +101,7 @@ def write_wand(path: Path | str, film: WandFilm, *, replace: bool = False) -> It
                 yield shot.frame.sequence + 1
         finish_pictures(pictures, path)
         write_scene(folder, {**wand_scene_description(film, path.name), "frames": film.frames})
-        refuse_to_overwrite(path, replace)  # once more: somebody may have come first
+        refuse_to_overwrite(path, replace)  # once more: another process may have come first
         new.finish()
     except OSError as e:
         raise DatasetError(f"{path}: cannot be written ({e.strerror})") from None

@@ -22,7 +22,7 @@ class Job:
 
     key: str  # unique in its experiment; a file's name
     work: Callable[..., Result]  # a function of a module
-    parameters: dict[str, Any] = field(default_factory=dict)  # what JSON can hold
+    parameters: dict[str, Any] = field(default_factory=dict)  # any JSON value
     cost: float = 10.0  # s of one core, about: long ones begin first
     alone: bool = False  # measures time: runs when nothing else of ours does
 

@@ -1,4 +1,4 @@
-"""A recording like R1 of Wittich 2017 (section 4.1.1), which is not available: somebody plays on a ball with a camera
+"""A recording like R1 of Wittich 2017 (section 4.1.1), which is not available: a player rolls a ball with a camera
 in front of it and a trackball under it. Film and mouse's log out, and how well a run agrees with the log (eq. 175).
 
 As there: 32 discs, 640x480 at 30 Hz, the lens of table 5. Noise, exposure, hands and the trackball are our guess of
@@ -22,7 +22,7 @@ from spheremouse.simulate.ball.trackball import Trackball, simulate_log, trackba
 
 PACE = 0.5  # of `play`: at its full pace the published filters lose the ball too often for what R1 shows (`filters`)
 SECONDS = 30.0  # s
-LAG, SCALE = 0.083, 240.0  # s, counts/rad: unknown to whoever compares
+LAG, SCALE = 0.083, 240.0  # s, counts/rad: unknown to the comparison
 OPTIONS: dict[str, Any] = {
     "discs": 32,
     "noise": 4.0,
@@ -75,7 +75,7 @@ def filmed(seconds: float = SECONDS, pace: float = PACE, seed: int = 0) -> tuple
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Of speeds between frames with a log, at the lag at which they agree best."""
+    """Agreement of the speeds between frames with a log, at the best lag."""
 
     r: float  # Pearson's, x and y as one series
     lag: float  # s
@@ -106,7 +106,7 @@ def agreement(begin: Array, end: Array, moved: Array, mouse: MouseLog) -> Agreem
 
 
 def of_run(run: Run, mouse: MouseLog, radius: float) -> Agreement | None:
-    """What a tracker sent, over frames that follow a tracked one and are tracked; `radius` m."""
+    """Return the agreement of a tracker's motion over pairs of tracked frames; `radius` m."""
     k = run.tracked
     k = k[np.isin(k - 1, k)]
     if len(k) < 3:

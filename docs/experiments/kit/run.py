@@ -1,4 +1,4 @@
-"""Jobs on all cores. What each gives is kept in a file: a run that was interrupted goes on where it stopped."""
+"""Jobs on all cores. Each result is kept in a file, so an interrupted run can continue."""
 
 import hashlib
 import json
@@ -102,7 +102,7 @@ def _worked(todo: list[Job], cores: int) -> Iterator[tuple[Job, Result]]:
                     yield job, {"error": "its process ended; was there too little memory?"}
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            for child in multiprocessing.active_children():  # what it works on may take minutes, and is not wanted
+            for child in multiprocessing.active_children():  # its job may take minutes, and its result is not wanted
                 child.terminate()
             raise
 

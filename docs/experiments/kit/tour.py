@@ -62,7 +62,7 @@ def thinned(film: kit.Film, every: int) -> kit.Film:
 def followed(film: kit.Film, seen: detections.Sights, rigs: dict[str, Rig], published: bool = False) -> Result:
     """A film by the classic filters, which saw it as `seen`, and by `so3` with each of the rigs; and the bound.
 
-    The classic filters are told the true acceleration; `published`: `ekf2` once more with that of the thesis.
+    The published filters get the true acceleration; `published`: `ekf2` once more with that of the thesis.
     """
     assert film.truth.motion is not None, "a film made here knows its motion"
     rows: Result = {}

@@ -102,7 +102,7 @@ def _cover_figure(bare: pd.DataFrame) -> Drawing:
 
 
 def finding_again(results: Results) -> Page:
-    """How long after a full cover attitude and rate are right again."""
+    """Time from a full cover to right attitude and rate."""
     rows = tidy(_waits(results)).reindex(columns=_WAITS)
     bare = rows[rows["sight"] == _BARE]
     both = rows.pivot(index=["fps", "ball", "filter", "what"], columns="sight", values="ms")

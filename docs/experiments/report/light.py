@@ -14,7 +14,7 @@ from experiments.report.labels import label_points
 from experiments.report.page import Page
 from experiments.report.plot import BOUND, THESIS, Drawing
 
-LARGE = ("shown",)  # what the figures are drawn from
+LARGE = ("shown",)  # data of the figures
 _FILMS = {"s1": "S1, ours", "far26": "far26"}
 _QUANTITIES = {"rate_rmse_deg_s.combined": "rate", "detection.centre_rms_60_px": "centres", "frames": "frames"}
 _THESIS = pd.DataFrame(
@@ -71,7 +71,7 @@ def _runs(results: Results) -> pd.DataFrame:
 
 
 def _shown(results: Results) -> Result | None:
-    """What figs. 40 and 41 show."""
+    """Return the data of figures 40 and 41."""
     level, sigma = WORST
     return results.get(key_of("s1", level), {"cells": {}})["cells"].get(str(sigma), {}).get("shown")
 

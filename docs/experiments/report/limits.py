@@ -50,7 +50,7 @@ _FILMS = ["fps", "exposure", "ball", "filter", "rate", "in pictures", "without"]
 
 
 def page(results: Results) -> Page:
-    """What is followed, hidden, and found again."""
+    """Return the page of its parts: rates, films, hiding and recovery."""
     parts = [part(results) for part in (_speeds, _films, hiding, finding_again)]
     values = {name: value for part in parts for name, value in part.values.items()}
     return Page(values, tuple(drawing for part in parts for drawing in part.drawings))

@@ -149,7 +149,7 @@ def _table(kind: Kind, medians: pd.DataFrame) -> str:
 
 
 def _typical(medians: pd.DataFrame) -> str:
-    """What `so3` makes of each mistake of a size that is easily made."""
+    """Results of `so3` with each mistake of a likely size."""
     so3 = medians[medians["filter"] == "so3"].set_index(["mistake", "size"])
     rows = so3.reindex([(name, KINDS[name].typical) for name in ALONE]).reset_index("size")
     columns = {"scale": "scale, %", **{name: _LABELS[name] for name in ("direction", "wobble", "attitude")}}

@@ -23,7 +23,7 @@ _NOT_SHOWN = "**Not borne out by this run:** "
 
 
 class Page(NamedTuple):
-    """What a template names."""
+    """Values and drawings of a template."""
 
     values: Mapping[str, Any]  # numbers that are not known are nan
     drawings: tuple[Drawing, ...] = ()
@@ -107,7 +107,7 @@ def fixed(number: Any, digits: int = 2, factor: float = 1.0) -> str:
 
 
 def failures(results: Mapping[str, Result]) -> list[str]:
-    """What failed, a line each, as a list of Markdown."""
+    """Return the failures as a Markdown list."""
     return [f"- {key}: {result['error']}" for key, result in results.items() if "error" in result]
 
 

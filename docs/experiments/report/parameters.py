@@ -117,7 +117,7 @@ def _cells(results: Results) -> pd.DataFrame:
 
 
 def _beside(results: Results) -> _Beside:
-    """Of each film: `so3`, the bound, the true motion."""
+    """Return for each film the results of `so3`, the bound and the true motion."""
     kept = ("so3", "bound", "truth")
     rows = tidy({"film": _FILMS[film], **{k: r[k] for k in kept if k in r}} for film, r in results.items())
     rows = rows.set_index("film").rename(columns=_BESIDE)
@@ -202,7 +202,7 @@ def _best_table(best: pd.DataFrame) -> str:
 
 
 def _figures(cells: pd.DataFrame, beside: _Beside, films: Sequence[str]) -> list[Drawing]:
-    """Of R1, of S1, and of the last film like S1 with an exact ball."""
+    """Return the figures of R1, of S1, and of the last film like S1 with an exact ball."""
     r1_like, s1, last = _FILMS["r1"], _FILMS["s1"], films[-1]
     grids = dict(list(cells.groupby(["film", "grid"])))
 

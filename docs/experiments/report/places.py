@@ -94,7 +94,7 @@ def _films(results: Results) -> pd.DataFrame:
 
 
 def _named(records: list[dict[str, Any]], columns: list[str]) -> pd.DataFrame:
-    """Of these columns; errors are combined ones, and have no unit in their names."""
+    """Return the records with these columns; errors are combined ones, and have no unit in their names."""
     rows = tidy(records)
     rows.columns = rows.columns.astype(str).str.replace(r"(_rmse)?_deg(_s)?(\.combined)?$", "", regex=True)
     rows = rows.reindex(columns=columns)

@@ -38,7 +38,7 @@ _LOOK: dict[str, tuple[str, str, Any]] = {
     NEXT: ("C2", "D", "-"),
     DEFAULT: ("C0", "o", "-"),
 }
-LARGE = ("path", "true", "t")  # what the figures are drawn from
+LARGE = ("path", "true", "t")  # data of the figures
 _METRICS = {"delay": "delay, ms", "off": "distance (RMS), counts", "rough": "roughness, counts"}
 _DIGITS = {"delay, ms": 0, "distance (RMS), counts": 1, "roughness, counts": 2}
 _PLAYS = ["fps", "seed", "pointer", *_METRICS]
@@ -48,7 +48,7 @@ _CM = 0.1  # of the ball's surface per count: 600 counts/rad, 0.6 m radius
 
 
 def page(results: Results) -> Page:
-    """What each way of moving the pointer comes to, while somebody plays and where the ball is stopped."""
+    """Errors of each way to move the pointer, in play and when the ball is stopped."""
     plays, films, more = _plays(results, "play"), _plays(results, "film"), _plays(results, "play", more=True)
     played = [result for _, _, result in trials(results, "play")]
     rough = {name: tidy(played).get(f"{name} rough", pd.Series(dtype=float)).median() for name in ("true", "whole")}

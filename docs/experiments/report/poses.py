@@ -93,7 +93,7 @@ def _of(cameras: pd.DataFrame, view: str, targets: str) -> pd.DataFrame:
 
 
 def _of_thesis_camera(cameras: pd.DataFrame) -> "pd.Series[float]":
-    """That of seed 0, which stands where the thesis' does."""
+    """Return the means of seed 0, at the place of the thesis' camera."""
     return cameras[cameras["camera"] == "0"].mean(numeric_only=True)
 
 
@@ -123,7 +123,7 @@ def _printed(number: str) -> tuple[Array, Array]:
 
 
 def _worst(number: str) -> float:
-    """Of the thesis' errors over their standard deviations."""
+    """Return the largest ratio of the thesis' errors to their standard deviations."""
     error, sigma = _printed(number)
     return float(np.max(error / sigma))
 

@@ -113,7 +113,7 @@ def _means(tried: pd.DataFrame) -> pd.DataFrame:
 
 
 def _rms(values: "pd.Series[float]") -> float:
-    """Of those that are known."""
+    """Return the RMS of the known values."""
     return float(np.sqrt((values**2).mean()))
 
 

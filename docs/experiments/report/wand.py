@@ -44,7 +44,7 @@ _ABSURD = 1000.0  # an ANEES of which the digits say nothing
 
 
 def page(results: Results) -> Page:
-    """What is to be reached, what each film gave, and how fast it was."""
+    """Targets, results and speed of each film."""
     timed = results.get(SPEEDS, {})
     table = rows({key: result for key, result in results.items() if key != SPEEDS})
     reached = [(*said, _WORDS[good]) for *said, good in verdicts(table, timed)]
@@ -68,7 +68,7 @@ def page(results: Results) -> Page:
 
 
 def numbers(results: Results) -> dict[str, Any]:
-    """What experiments.json has: sums over the runs of each film and tracker, and not the poses of all frames."""
+    """Content of experiments.json: sums over the runs of each film and tracker, without the poses of all frames."""
     timed = results.get(SPEEDS, {})
     table = rows({key: result for key, result in results.items() if key != SPEEDS and "error" not in result})
     names = ("variant", "runs", "lost", "found", "tracked")
@@ -78,7 +78,7 @@ def numbers(results: Results) -> dict[str, Any]:
 
 
 def _differences(drive: Mapping[str, Row]) -> str:
-    """What of the thesis' filter makes the difference, on the same pictures."""
+    """Effect of each part of the thesis' filter, on the same images."""
     there = {how: drive[name] for name, how in _DIFFERENCES.items() if name in drive}
     columns = {
         "filter": list(there),
@@ -201,7 +201,7 @@ def _draw_drive(canvas: Any, runs: dict[str, Result]) -> None:
 
 
 def _along(kept: Result) -> tuple[Any, Any, Any]:
-    """Frames (n,), errors (n, 4) of x, y, z in cm and of the rotation's angle in °, and what was said of them."""
+    """Frames (n,), errors (n, 4) of x, y, z in cm and of the rotation's angle in °, and their events."""
     (run,), (truth,) = wand.restored([kept])
     shift = 100.0 * (run.position - truth.position)
     turn = np.rad2deg(np.linalg.norm(log(run.rotation @ truth.rotation.transpose(0, 2, 1)), axis=1))

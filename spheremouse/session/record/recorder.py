@@ -125,7 +125,7 @@ class Recorder:
         return True
 
     def stop(self) -> None:
-        """Take no more; what was taken is still written. Does not wait."""
+        """Take no more frames, and write those taken. Does not wait."""
         self._open = False
         self._full.put(None)
 
@@ -250,7 +250,7 @@ class _Buffer:
         if keep is None:
             np.copyto(image, frame.image)
         else:
-            if self._shown != (number, *shape):  # what another mask kept must not shine through
+            if self._shown != (number, *shape):  # parts kept by another mask must not show
                 self._bytes[:] = 0
                 self._shown = (number, *shape)
             cv2.copyTo(frame.image, keep, image)

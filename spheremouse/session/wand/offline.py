@@ -28,7 +28,7 @@ def make_wand_ready(tell: Callable[[str], None] | None = None) -> None:
 def track_wand(
     frames: Iterable[Frame], tracker: WandTracker, seed: int = 0, known: Known | None = None
 ) -> Iterator[WandEpoch]:
-    """Track every frame; `known` are poses of balls at the first one. What must be compiled is not in the times."""
+    """Track every frame; `known` are poses of balls at the first one. The times exclude compilation."""
     make_wand_ready()
     state: WandState | None = None
     for frame in frames:

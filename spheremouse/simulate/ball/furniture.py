@@ -133,7 +133,7 @@ def _shelves() -> list[Shape]:
 
 
 def _posters() -> list[Shape]:
-    """Sheets on the wall and the floor with what a careless detector would take for discs or targets."""
+    """Sheets on the wall and the floor with shapes that resemble discs or targets."""
     shapes: list[Shape] = []
     z = _BACK_Z + 0.012
 

@@ -135,7 +135,7 @@ def hand_at(
 def linear_hand(drawing: NDArray[np.float32]) -> NDArray[np.float32]:
     """`draw_hand` of `hands`, whose colours are grey values of the screen, as light; its blue sleeve made grey.
 
-    What passes by is to be of one colour of the ball only.
+    A passing object has one colour of the ball only.
     """
     cover = drawing[..., 3:]
     grey = np.divide(drawing[..., :3], cover, out=np.zeros_like(drawing[..., :3]), where=cover > 1e-3) / 255.0
