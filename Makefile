@@ -45,7 +45,7 @@ help:
 	@echo "make lock         the lock files anew, with the newest of each package; LOCK_ARGS= keeps what is locked"
 	@echo "make lint         format, lint rules, types and which rooms import which"
 	@echo "make format       bring the code into the format that make lint asks for"
-	@echo "make reference    the pages, the man page and the completion of shells that are made from the code"
+	@echo "make reference    generate the recipe, the man page and the completion of shells"
 	@echo "make docs         the documentation as a site in docs/_build/html; its examples are run"
 	@echo "make picture      the picture of the README, made anew from the demo"
 	@echo "make dist         a release in dist: sdist, wheel, site, man page, and a folder of all wheels for a machine without network"

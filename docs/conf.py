@@ -42,11 +42,13 @@ np.set_printoptions(precision=6, suppress=True)
 """
 
 
-def modules_too(_app: Any, name: str, source: list[str]) -> None:
-    """Append all modules of the core to their page."""
+def append_generated(_app: Any, name: str, source: list[str]) -> None:
+    """Append all modules of the core, and the commands, to their pages."""
     if name == "modules":
         for module in reference.core_modules():
             source[0] += f"\n## {module}\n\n```{{eval-rst}}\n.. automodule:: {module}\n   :members:\n```\n"
+    elif name == "command-line":
+        source[0] += reference.command_line()
 
 
 def plain_docstring(lines: list[str]) -> list[str]:
@@ -127,7 +129,7 @@ def twins(_app: Any, doctree: Any) -> None:
 def setup(app: Any) -> None:
     """Hook into Sphinx."""
     os.environ.setdefault("MPLBACKEND", "Agg")
-    app.connect("source-read", modules_too)
+    app.connect("source-read", append_generated)
     app.connect("doctree-read", twins, priority=100)  # before pictures are collected
     app.connect("autodoc-process-docstring", document)
     app.connect("autodoc-process-signature", shorten)

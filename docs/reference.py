@@ -1,6 +1,6 @@
-"""Files generated from the program's definitions: pages of the reference, man page, completion for three shells.
+"""Files generated from the program's definitions: the recipe, the man page, completion for three shells.
 
-`make reference` writes them, and a test compares them with the code.
+`make reference` writes them, and a test compares them with the code. The site adds the command line to its page.
 """
 
 import argparse
@@ -28,7 +28,6 @@ def made() -> dict[Path, str]:
     """Every file that is made here, with its text."""
     share = ROOT / "service" / "share"
     return {
-        ROOT / "docs" / "command-line.md": command_line_page(),
         ROOT / "docs" / "calibration-recipe.md": recipe_page(),
         share / "man" / "man1" / "spheremouse.1": man_page(),
         **{share / path: completion(shell) for shell, path in COMPLETIONS.items()},
@@ -57,8 +56,8 @@ def _commands() -> Iterator[tuple[Any, Any]]:
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": WIDTH}
 
 
-def command_line_page() -> str:
-    """`--help` of every command, and a list of them first."""
+def command_line() -> str:
+    """Return a table of the commands and `--help` of each, in Markdown."""
     rows, parts = [], []
     for command, context in _commands():
         words = context.command_path
@@ -66,19 +65,7 @@ def command_line_page() -> str:
         parts.append(f"## {words}\n\n```text\n{text}\n```\n")
         if context.parent is not None and context.parent.parent is None:
             rows.append(f"| [`{words}`](#{words.replace(' ', '-')}) | {_first_sentence(command.help)} |")
-    return "\n".join(
-        [
-            f"# Command line\n\n{_MADE}",
-            "This page shows `--help` of every command. Errors go to the standard error stream, one line each. Exit "
-            "codes are 2 for an error that you can correct, 70 for a fault of the program, and 128 plus the signal's "
-            "number after a signal. `ctl` has [its own](control.md).\n",
-            "\n".join(["| command | |", "| --- | --- |", *rows]) + "\n",
-            "After `spheremouse --install-completion` the shell can complete commands and options with the Tab key, in "
-            "bash, zsh, fish and PowerShell. `service/install.sh` installs completion for all users, and the man page "
-            "`spheremouse(1)` with the text of this page.\n",
-            *parts,
-        ]
-    )
+    return "\n".join(["", "| command | |", "| --- | --- |", *rows, "", *parts])
 
 
 def man_page() -> str:

@@ -35,7 +35,7 @@ def test_no_page_is_only_an_include():
 
 
 def test_the_man_page_has_every_command_and_option_that_help_has():
-    help_page = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
+    help_page = reference.command_line()
     man = (SHARE / "man" / "man1" / "spheremouse.1").read_text(encoding="utf-8").replace("\\-", "-")
     names = re.findall(r"^## (spheremouse .+)$", help_page, re.M)
     assert len(names) > 40
