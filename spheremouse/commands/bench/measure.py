@@ -5,8 +5,6 @@ times are not valid.
 """
 
 import gc
-import os
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,6 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.published.blobs import BlobDetector
@@ -26,26 +25,20 @@ from spheremouse.ball.settings import BlobSettings, Settings
 from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.track import step
 from spheremouse.ball.warm import warm_up
-from spheremouse.commands.bench import (
-    BLOBS,
-    BLOCK,
-    COMPARED,
-    DETECT,
-    FILTER,
-    MEMORY_FROM,
-    SIMPLE,
-    SIZES,
-    STEP,
-    WARM_UP,
-)
+from spheremouse.commands.bench import WARM_UP
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.rotation import Array
 from spheremouse.session import messages
 from spheremouse.session.offline import initialise
+from spheremouse.session.process.usage import memory_mb
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame, Status
 
+STEP, DETECT, FILTER, BLOBS, SIMPLE = "step", "detect", "filter", "blobs", "SimpleBlobDetector"
+SIZES = ((640, 480), (1280, 720), (1920, 1080))  # px; the others are compared with the first
+MEMORY_FROM = 1000  # steps, until the allocator has what it needs
+_BLOCK = 30  # frames that one of the compared processes before the next: a second of video
 _MAX_FRAME_BYTES = 1 << 29  # of the frames that are played repeatedly
 _SIZE_FRAMES, _SIZE_STEPS = 80, 600
 _MOTION_S = 10.0  # of the simulated motion, which is at rest at both ends and can be played back and forth
@@ -88,7 +81,7 @@ class Steps:
     tracked: int  # of the n steps
     lost: int  # how often the ball was lost
     slowest: str  # events of the slowest step
-    memory: tuple[int, int] | None = None  # resident bytes after MEMORY_FROM steps and at the end
+    grown_mb: float | None = None  # of the resident memory from MEMORY_FROM steps to the end
 
     def __len__(self) -> int:
         return len(self.seconds)
@@ -96,27 +89,21 @@ class Steps:
 
 def simulated(frames: int) -> Film:
     """Return the simulated far scene. With 300 frames the ball is at rest at both ends."""
-    simulation = prepare(SimulationOptions(seconds=frames / SimulationOptions().fps))
-    return Film(
-        "simulated far scene",
-        simulation.scene.rig(),
-        1.0 / simulation.fps,
-        lambda: (simulated.frame for simulated in simulate(simulation)),
-        simulation.frames,
-    )
+    return _simulated("simulated far scene", SimulationOptions(seconds=frames / SimulationOptions().fps))
+
+
+def _simulated(name: str, options: SimulationOptions) -> Film:
+    film = prepare(options)
+    interval = 1.0 / SimulationOptions().fps
+    return Film(name, film.scene.rig(), interval, lambda: (made.frame for made in simulate(film)), film.frames)
 
 
 def recorded(path: Path, frames: int) -> Film:
     """Return the first `frames` of a dataset; DatasetError if it is none."""
     recording = open_dataset(path)
     count = min(frames, recording.frames)
-    return Film(
-        recording.name,
-        recording.rig,
-        1.0 / recording.fps,
-        lambda: islice(read_frames(recording), count),
-        count,
-    )
+    interval = 1.0 / recording.fps
+    return Film(recording.name, recording.rig, interval, lambda: islice(read_frames(recording), count), count)
 
 
 def start() -> float:
@@ -124,6 +111,18 @@ def start() -> float:
     began = time.perf_counter()
     warm_up(Settings())
     return time.perf_counter() - began
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Run OpenCV and the linear algebra on one thread in this block."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        cv2.setNumThreads(threads)
 
 
 # ---- comparison on the same frames, one second in turn ----
@@ -135,7 +134,7 @@ def compare(film: Film, repeat: int = 1, progress: Progress = silent) -> Times:
     for r in range(repeat):
         done = r * film.count
         rounds.append(_round(film, lambda k, done=done: progress("comparison", done + k, repeat * film.count)))
-    seconds = {name: np.concatenate([r.seconds[name] for r in rounds]) for name in COMPARED}
+    seconds = {name: np.concatenate([r.seconds[name] for r in rounds]) for name in rounds[0].seconds}
     return Times(seconds, sum(r.tracked for r in rounds))
 
 
@@ -144,7 +143,7 @@ def _round(film: Film, progress: Callable[[int], None]) -> Times:
     blobs = BlobDetector(BlobSettings())
     simple = cv2.SimpleBlobDetector.create()
     state: TrackState | None = None
-    spent: dict[str, list[float]] = {name: [] for name in COMPARED}
+    spent: dict[str, list[float]] = {name: [] for name in (STEP, DETECT, FILTER, BLOBS, SIMPLE)}
     tracked = 0
     detected = 0.0
 
@@ -171,7 +170,7 @@ def _round(film: Film, progress: Callable[[int], None]) -> Times:
         return run
 
     turns = [ours, timed(BLOBS, blobs.detect), timed(SIMPLE, simple.detect)]
-    while block := list(islice(frames, BLOCK)):
+    while block := list(islice(frames, _BLOCK)):
         for turn in turns:
             for frame in block:
                 turn(frame)
@@ -195,14 +194,11 @@ class Player:
         _check_length(film, len(self._frames))
         self._interval = film.interval
         self._state = begin(self._tracker, self._frames[0].stamp)
-        self._seconds = np.full(
-            steps, np.nan
-        )  # written now, since memory that is first used later would look like a leak
-        self._processor = np.full(steps, np.nan)
-        self._tracked = np.zeros(steps, dtype=bool)
-        self._lost = np.zeros(steps, dtype=bool)
+        # filled now, since memory that is first used later would look like a leak
+        self._times = np.full((2, steps), np.nan)  # wall, processor
+        self._status = np.full(steps, Status.TRACKING, dtype=object)
         self._slowest = (0.0, "")
-        self._memory: int | None = None
+        self._early_mb: float | None = None
         self._done = 0
 
     def step(self) -> None:
@@ -210,42 +206,35 @@ class Player:
         k = self._done
         image = self._frames[back_and_forth(k, len(self._frames))].image
         frame = Frame(image, self._frames[0].stamp + k * self._interval, k)
-        before = self._state.status
         used, began = time.thread_time(), time.perf_counter()
         tracked = step(self._state, frame, self._tracker)
         ended, used = time.perf_counter(), time.thread_time() - used
-        self._state, status = tracked.state, tracked.state.status
-        self._tracked[k] = status is Status.TRACKING
-        self._lost[k] = status is Status.LOST and before is not Status.LOST
+        self._state = tracked.state
+        self._status[k] = tracked.state.status
+        self._times[:, k] = ended - began, used
         if k >= WARM_UP and ended - began > self._slowest[0]:
             self._slowest = ended - began, messages.line(tracked.events)
-        self._seconds[k], self._processor[k] = ended - began, used
         self._done += 1
         if self._done == MEMORY_FROM:
-            self._memory = resident_bytes()
+            self._early_mb = memory_mb()
 
     def steps(self) -> Steps:
-        """Return the measurements."""
-        counted = slice(WARM_UP, self._done)
-        memory = resident_bytes() if self._done > MEMORY_FROM else None
+        """Return the measurements of all steps."""
+        status = self._status[WARM_UP:]
+        lost = status == Status.LOST
+        lost[1:] &= status[:-1] != Status.LOST
         return Steps(
-            self._seconds[counted],
-            self._processor[counted],
-            int(np.count_nonzero(self._tracked[counted])),
-            int(np.count_nonzero(self._lost[counted])),
-            self._slowest[1],
-            None if self._memory is None or memory is None else (self._memory, memory),
+            *self._times[:, WARM_UP:],
+            tracked=int(np.count_nonzero(status == Status.TRACKING)),
+            lost=int(np.count_nonzero(lost)),
+            slowest=self._slowest[1],
+            grown_mb=None if self._early_mb is None else memory_mb() - self._early_mb,
         )
 
 
 def in_a_row(film: Film, steps: int, progress: Progress = silent) -> Steps:
     """Measure `steps` of the tracker alone; DatasetError if there are too few frames."""
-    player = Player(film, steps)
-    with collected():
-        for k in range(steps):
-            player.step()
-            progress("step by step", k + 1, steps)
-        return player.steps()
+    return _in_turn([Player(film, steps)], steps, lambda k: progress("step by step", k, steps))[0]
 
 
 def by_size(
@@ -258,28 +247,32 @@ def by_size(
 
     All sizes have the same view. The camera's pose is known, since its search does not change the time of a step.
     """
-    players: dict[tuple[int, int], Player] = {}
+    players = []
     for k, size in enumerate(sizes):
         progress("larger pictures: rendering", k, len(sizes))
-        players[size] = Player(_whole_motion(frames, size), steps)
-    turns = list(players.values())
-    with collected():
+        players.append(Player(_whole_motion(frames, size), steps))
+    return dict(zip(sizes, _in_turn(players, steps, lambda k: progress("larger pictures", k, steps)), strict=True))
+
+
+def _in_turn(players: list[Player], steps: int, progress: Callable[[int], None]) -> list[Steps]:
+    """Let each player take a step in turn. Garbage is collected and frozen before, as in the daemon."""
+    gc.collect()
+    gc.freeze()
+    try:
         for k in range(steps):
-            for player in turns:
+            for player in (*players[k % len(players) :], *players[: k % len(players)]):
                 player.step()
-            turns.append(turns.pop(0))
-            progress("larger pictures", k + 1, steps)
-    return {size: player.steps() for size, player in players.items()}
+            progress(k + 1)
+        return [player.steps() for player in players]
+    finally:
+        gc.unfreeze()
 
 
 def _whole_motion(frames: int, size: tuple[int, int]) -> Film:
     """Return the simulated motion in few frames at the usual rate, so the ball rolls faster."""
-    simulation = prepare(SimulationOptions(seconds=_MOTION_S, fps=frames / _MOTION_S, size=size))
-    rig = replace(simulation.scene.rig(), pose=simulation.scene.pose)
-    shown = 1.0 / SimulationOptions().fps
-    return Film(
-        "far scene", rig, shown, lambda: (simulated.frame for simulated in simulate(simulation)), simulation.frames
-    )
+    options = SimulationOptions(seconds=_MOTION_S, fps=frames / _MOTION_S, size=size)
+    film = _simulated("far scene", options)
+    return replace(film, rig=replace(film.rig, pose=prepare(options).scene.pose))
 
 
 def back_and_forth(k: int, n: int) -> int:
@@ -288,35 +281,6 @@ def back_and_forth(k: int, n: int) -> int:
         return 0
     k %= 2 * (n - 1)
     return min(k, 2 * (n - 1) - k)
-
-
-@contextmanager
-def collected() -> Iterator[None]:
-    """Collect garbage, and exclude the 100,000 objects of the libraries from later collections, as the daemon does."""
-    gc.collect()
-    gc.freeze()
-    try:
-        yield
-    finally:
-        gc.unfreeze()
-
-
-def resident_bytes() -> int | None:
-    """Return the resident memory of this process; None if the system is not Linux."""
-    if not sys.platform.startswith("linux"):
-        return None
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Run OpenCV on one thread in this block."""
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(threads)
 
 
 def _initialised(film: Film) -> tuple[Tracker, Iterator[Frame]]:
