@@ -11,10 +11,11 @@ import numpy as np
 from experiments.kit import detections
 from experiments.kit import film as kit
 from experiments.kit.job import Job, Request, Result
+from spheremouse.ball.associate import identify
 from spheremouse.ball.truth import VISIBLE
-from spheremouse.calibrate.layout.choose import assess, choose_directions
+from spheremouse.calibrate.layout.choose import choose_directions, min_in_view
 from spheremouse.errors import PoseError
-from spheremouse.geometry.rotation import Array, exp, fibonacci_sphere
+from spheremouse.geometry.rotation import Array, exp, fibonacci_sphere, log
 from spheremouse.simulate.ball.film import HandVisit, Simulation, prepare
 from spheremouse.simulate.ball.profile import Gesture, Gestures
 from spheremouse.simulate.ball.scene import spread_directions
@@ -26,6 +27,10 @@ NEARLY = 1.25  # times the least error is as good
 _VIEW_ANGLE = np.radians(70.0)  # as `spheremouse layout`
 _LAYOUT_SEEDS = 2  # their films are longer, and the seeds differ little
 SETTLE = 1.0  # s, before hands come: the camera's pose is found by then
+TRIAL_SIGMA = np.radians(0.1)  # of a direction
+TRIAL_HIDDEN = 0.2  # probability that a disc in view is hidden
+_TRIALS = 300
+_TOLERANCE = 0.02  # rad, of a recognised attitude
 
 SIZES = (4, 6, 8, 10, 14, 20, 30)  # mm, radius
 LAYOUTS = {
@@ -79,8 +84,28 @@ def laid_out(kind: str, seed: int, frames: int) -> Result:
     once = Gestures((Gesture(0.0, seconds, (1.0, 0.0, 0.0), 2.0 * np.pi, 0.3),), seconds)
     result = _followed(replace(simulation, profile=once))
     directions = simulation.scene.disc_directions
-    found = assess(directions, _VIEW_ANGLE)
-    return {**result, "in_view": found.in_view, "recognised": found.recognised, "mistaken": found.mistaken}
+    recognised, mistaken = recognition(directions)
+    in_view = min_in_view(directions, float(_VIEW_ANGLE))
+    return {**result, "in_view": in_view, "recognised": recognised, "mistaken": mistaken}
+
+
+def recognition(directions: Array) -> tuple[float, float]:
+    """Return the fractions of random attitudes that `identify` recognises, and that it mistakes for others."""
+    rng, camera, cosine = np.random.default_rng(0), np.array([0.0, 0.0, 1.0]), np.cos(_VIEW_ANGLE)
+    recognised = mistaken = 0
+    for _ in range(_TRIALS):
+        columns, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+        R = columns * np.linalg.det(columns) @ exp(np.array([0.0, 0.0, rng.uniform(0.0, 2.0 * np.pi)]))
+        seen = directions @ R.T
+        seen = seen[(seen[:, 2] > cosine) & (rng.random(len(seen)) >= TRIAL_HIDDEN)]
+        seen = seen + TRIAL_SIGMA * rng.standard_normal(seen.shape)
+        seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+        horizon = float(np.cos(_VIEW_ANGLE + 0.05))  # a disc near the limb may be in view or not
+        found = identify(seen, directions, sigma=float(TRIAL_SIGMA), view_axis=camera, horizon=horizon)
+        if found is not None:
+            right = bool(np.linalg.norm(log(found.rotation @ R.T)) < _TOLERANCE)
+            recognised, mistaken = recognised + right, mistaken + (not right)
+    return recognised / _TRIALS, mistaken / _TRIALS
 
 
 def with_hands(kind: str, seed: int, frames: int) -> Result:

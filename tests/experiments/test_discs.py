@@ -79,6 +79,15 @@ def test_rows_are_symmetric_under_half_a_turn_upside_down():
     assert np.max(np.min(np.linalg.norm(turned[:, None] - d[None], axis=2), axis=1)) < 1e-9
 
 
+def test_an_irregular_layout_is_recognised_and_a_regular_one_is_not():
+    recognised, mistaken = discs.recognition(directions_of("designed", 1))
+    assert recognised > 0.98
+    assert mistaken == 0.0
+    g = (1 + np.sqrt(5)) / 2
+    icosahedron = np.array([np.roll([0, a, b * g], k) for a in (-1, 1) for b in (-1, 1) for k in range(3)])
+    assert discs.recognition(icosahedron / np.hypot(1, g))[0] == 0.0
+
+
 def test_a_larger_disc_is_seen_larger_and_followed():
     small, large = (json.loads(json.dumps(discs.of_size(mm, 0, 4))) for mm in (10, 20))
     assert large["diameter_px"] == pytest.approx(2.0 * small["diameter_px"])

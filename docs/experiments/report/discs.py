@@ -6,14 +6,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.discs import DISCS, HANDS, LAYOUTS, NEARLY, NOISE, SETTLE, SIZES
+from experiments.discs import DISCS, HANDS, LAYOUTS, NEARLY, NOISE, SETTLE, SIZES, TRIAL_HIDDEN, TRIAL_SIGMA
 from experiments.kit.film import TRACKERS
 from experiments.kit.job import Results
 from experiments.kit.tour import FAR_OFF, FOLLOWED
 from experiments.report.frames import by, markdown, tidy
 from experiments.report.page import Page, fixed
 from experiments.report.plot import BOUND, Drawing, decades
-from spheremouse.calibrate.layout.choose import TRIAL_HIDDEN, TRIAL_SIGMA
 from spheremouse.evaluate.metrics import MIN_AREA
 
 _RECOGNISED = 99.0  # % of the pictures: good enough

@@ -1,6 +1,6 @@
-"""Choose places for discs, and assess the places of discs on a ball. Directions in `ball`, angles in rad.
+"""Choose places for discs on a ball, and give each in lengths of a tape measure. Directions in `ball`, angles in rad.
 
-An irregular layout that is spread over the whole ball is good. A regular one looks the same from several sides, so one
+A good layout is irregular and spread over the whole ball. A regular one looks the same from several sides, so one
 picture does not give the attitude. A layout with bare patches leaves too few discs in view.
 """
 
@@ -8,101 +8,86 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spheremouse.ball.associate import identify
-from spheremouse.geometry.rotation import Array, exp, fibonacci_sphere, hat, log, tangent_basis
+from spheremouse.geometry.rotation import Array, fibonacci_sphere, hat
 from spheremouse.simulate.ball.scene import spread_directions
 
-MIN_DISCS, MAX_DISCS = 4, 120
-ENOUGH_IN_VIEW = 4  # three give an attitude, the fourth confirms it
-RADIUS, DISC_RADIUS = 0.6, 0.02  # m, defaults
-TRIAL_SIGMA = np.radians(0.1)  # of a direction
-TRIAL_HIDDEN = 0.2  # probability that a disc in view is hidden
-_TRIALS = 300
 _CANDIDATES = 20
 _CAMERA_DIRECTIONS = 5000
-_TOLERANCE = 0.02  # rad, of a recognised attitude
 
 
 @dataclass(frozen=True, slots=True)
-class Assessment:
-    """Properties of a layout."""
+class Place:
+    """Place of one disc, in mm along the surface.
 
-    in_view: int  # smallest number of discs in view, over all directions to the camera
-    distance: float  # rad, between the two nearest discs
-    nearest: tuple[int, int]  # indices of these two
-    recognised: float  # fraction of random attitudes that one picture gives
-    mistaken: float  # fraction for which it gives another attitude
+    The tape runs from a pole P over a band of masking tape round the equator with a scale in mm.
+    """
+
+    number: int  # from 1, in the order of work
+    band: int | None  # reading of the band under the tape; None at the pole
+    from_pole: int
+    below_band: int  # negative towards the pole
+    checks: tuple[tuple[int, int], ...]  # number of a disc on the ball, and distance to it
 
 
 def choose_directions(n: int, view_angle: float, min_distance: float, seed: int) -> Array:
     """Return irregular directions (n, 3), well spread; of 20 candidates those with most discs in view.
 
-    The same arguments give the same directions. Raises ValueError if so many discs do not fit.
+    Disc 1 is at the pole z, its nearest neighbour towards x; the others follow from the pole down. The same arguments
+    give the same directions. Raises ValueError if so many discs do not fit.
     """
     rng = np.random.default_rng(seed)
     candidates = [spread_directions(n, min_distance, rng) for _ in range(_CANDIDATES)]
-    return _in_order(max(candidates, key=lambda d: (min_in_view(d, view_angle), _nearest(d)[0])))
-
-
-def assess(directions: Array, view_angle: float) -> Assessment:
-    """Assess a layout (n, 3) for a camera that sees discs within `view_angle` of the direction to it."""
-    distance, nearest = _nearest(directions)
-    return Assessment(min_in_view(directions, view_angle), distance, nearest, *recognition(directions, view_angle))
+    chosen = max(candidates, key=lambda d: (min_in_view(d, view_angle), nearest(d)[0]))
+    _, (pole, neighbour) = nearest(chosen)
+    z = chosen[pole]
+    x = chosen[neighbour] - (chosen[neighbour] @ z) * z
+    x /= np.linalg.norm(x)
+    turned: Array = chosen @ np.stack([x, hat(z) @ x, z], axis=1)
+    return turned[np.argsort(-turned[:, 2], kind="stable")]
 
 
 def min_in_view(directions: Array, view_angle: float) -> int:
-    """Return the smallest number of discs in view, over 5,000 directions to the camera."""
+    """Return the smallest number of discs within `view_angle` of the direction to a camera, over 5,000 of these."""
     seen = fibonacci_sphere(_CAMERA_DIRECTIONS) @ directions.T > np.cos(view_angle)
     return int(seen.sum(axis=1).min())
 
 
-def recognition(directions: Array, view_angle: float) -> tuple[float, float]:
-    """Return the fractions of random attitudes that `identify` recognises, and that it mistakes for others."""
-    rng, camera, cosine = np.random.default_rng(0), np.array([0.0, 0.0, 1.0]), np.cos(view_angle)
-    recognised = mistaken = 0
-    for _ in range(_TRIALS):
-        R = _random_rotation(rng)
-        seen = directions @ R.T
-        seen = seen[(seen[:, 2] > cosine) & (rng.random(len(seen)) >= TRIAL_HIDDEN)]
-        seen = _unit(seen + TRIAL_SIGMA * rng.standard_normal(seen.shape))
-        horizon = float(np.cos(view_angle + 0.05))  # a disc near the limb may be in view or not
-        found = identify(seen, directions, sigma=float(TRIAL_SIGMA), view_axis=camera, horizon=horizon)
-        if found is not None:
-            right = bool(np.linalg.norm(log(found.rotation @ R.T)) < _TOLERANCE)
-            recognised, mistaken = recognised + right, mistaken + (not right)
-    return recognised / _TRIALS, mistaken / _TRIALS
-
-
-def misplaced(directions: Array, sigma: float, rng: np.random.Generator) -> Array:
-    """Return directions with errors of `sigma` rad in both directions along the surface."""
-    offset = sigma * rng.standard_normal((len(directions), 2))
-    return _unit(directions + np.einsum("nij,nj->ni", tangent_basis(directions), offset))
-
-
-def _in_order(directions: Array) -> Array:
-    """Turn and sort the layout for a person. Disc 1 is at the pole z, its nearest neighbour towards x.
-
-    The others follow from the pole down.
-    """
-    _, (pole, neighbour) = _nearest(directions)
-    z = directions[pole]
-    x = _unit(directions[neighbour] - (directions[neighbour] @ z) * z)
-    turned: Array = directions @ np.stack([x, hat(z) @ x, z], axis=1)
-    return turned[np.argsort(-turned[:, 2], kind="stable")]
-
-
-def _nearest(directions: Array) -> tuple[float, tuple[int, int]]:
+def nearest(directions: Array) -> tuple[float, tuple[int, int]]:
     """Return the angle between the two nearest discs, and their indices."""
     cosine = directions @ directions.T - 3.0 * np.eye(len(directions))
     i, j = divmod(int(np.argmax(cosine)), len(directions))
     return float(np.arccos(np.clip(cosine[i, j], -1.0, 1.0))), (i, j)
 
 
-def _unit(v: Array) -> Array:
-    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+def tape_step(radius: float) -> int:
+    """Return the step of the tape's readings in mm: 5 on a large ball, 1 on one that a hand can hold."""
+    return 5 if radius >= 0.3 else 1
 
 
-def _random_rotation(rng: np.random.Generator) -> Array:
-    """Return a rotation (3, 3), uniform over all: a random axis for the pole and a random turn about it."""
-    columns, _ = np.linalg.qr(rng.standard_normal((3, 3)))
-    return columns * np.linalg.det(columns) @ exp(np.array([0.0, 0.0, rng.uniform(0.0, 2.0 * np.pi)]))
+def on_the_tape(directions: Array, radius: float) -> Array:
+    """Round directions (n, 3) to whole steps of the tape, from the pole and along the band."""
+    step = 1e-3 * tape_step(radius) / radius
+    polar = np.rint(np.arccos(np.clip(directions[:, 2], -1.0, 1.0)) / step) * step
+    azimuth = np.rint(np.arctan2(directions[:, 1], directions[:, 0]) / step) * step
+    return np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=1)
+
+
+def places(directions: Array, radius: float) -> list[Place]:
+    """Return the lengths to measure for each disc, with checks by the two nearest of the discs before it."""
+    step, mm = tape_step(radius), 1e3 * radius
+    angle = np.arccos(np.clip(directions @ directions.T, -1.0, 1.0))
+
+    def taped(length: float) -> int:
+        return int(round(length / step) * step)
+
+    circumference = max(taped(2 * np.pi * mm), 1)
+    found = []
+    for k, (x, y, z) in enumerate(directions):
+        polar = float(np.arccos(np.clip(z, -1.0, 1.0)))
+        at_pole = np.hypot(x, y) * mm < 0.5 * step
+        reading = taped(float(np.arctan2(y, x)) % (2.0 * np.pi) * mm) % circumference
+        before = np.argsort(angle[k, :k], kind="stable")[:2]
+        checks = tuple((int(j) + 1, taped(float(angle[k, j]) * mm)) for j in before)
+        below_band = taped((polar - 0.5 * np.pi) * mm)
+        found.append(Place(k + 1, None if at_pole else reading, taped(polar * mm), below_band, checks))
+    return found
