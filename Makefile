@@ -47,7 +47,7 @@ help:
 	@echo "make format       bring the code into the format that make lint asks for"
 	@echo "make reference    generate the recipe, the man page and the completion of shells"
 	@echo "make docs         the documentation as a site in docs/_build/html; its examples are run"
-	@echo "make picture      the picture of the README, made anew from the demo"
+	@echo "make picture      the README's animated picture, from the demo"
 	@echo "make dist         a release in dist: sdist, wheel, site, man page, and a folder of all wheels for a machine without network"
 	@echo "make experiments  the experiments of the theses, into build/experiments (an hour); EXPERIMENTS_ARGS='--datasets DIR'"
 	@echo "make system-test  tests on real kernel devices, in a QEMU guest"
@@ -59,8 +59,7 @@ demo: $(STAMP)
 	$(BIN)/spheremouse demo $(DEMO_ARGS)
 
 picture: demo
-	mkdir -p docs/images
-	$(BIN)/python -c "import cv2; cv2.imwrite('docs/images/overlay.jpg', cv2.imread('demo/overlay.png'), [1, 88])"
+	$(BIN)/python docs/picture.py
 
 # Compiled by one process before the tests are several; a test process that crashes ends them all, and is told.
 test: $(STAMP)
