@@ -13,7 +13,7 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import Filter
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import with_map
-from spheremouse.ball.phases.method import SO3
+from spheremouse.ball.phases.method import SO3, SO3_WITH_BLOBS
 from spheremouse.ball.published.blobs import BlobDetector
 from spheremouse.ball.published.euler import ConstantDiscsFilter, StateDiscsFilter
 from spheremouse.ball.published.method import PUBLISHED
@@ -53,6 +53,7 @@ def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
             " is not in the picture: turn the camera towards it, or check the rig's positions and lengths"
         )
     stage: Filter[Any]
+    method = PUBLISHED
     if settings.tracker == "so3":
         stage = So3Filter(
             settings.so3,
@@ -63,6 +64,7 @@ def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
             considered_covariance(pose, rig.ball),
             rig.readout_sigma_s,
         )
+        method = SO3 if settings.detector == "default" else SO3_WITH_BLOBS
     elif settings.tracker == "ekf2":
         stage = StateDiscsFilter(settings.euler)
     else:
@@ -72,7 +74,7 @@ def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
         detector = disc_detector(settings.discs, rig, pose)
     else:
         detector = BlobDetector(settings.blobs)
-    return Tracker(settings, rig, pose, detector, stage, SO3 if settings.tracker == "so3" else PUBLISHED)
+    return Tracker(settings, rig, pose, detector, stage, method)
 
 
 def colours_of(settings: Settings, before: Colours) -> Colours:

@@ -16,7 +16,7 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.events import Doubt
 from spheremouse.ball.filters import Filter, FilterState
 from spheremouse.ball.filters.so3_mixture import Hypothesis
-from spheremouse.ball.filters.so3_state import So3State, to_map
+from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
@@ -36,7 +36,11 @@ class Detector(Protocol):
     """Interface of a disc detector."""
 
     def detect(self, image: Image) -> Detections:
-        """Disc candidates in an image (h, w, 3) BGR or (h, w)."""
+        """Return the disc candidates in an image (h, w, 3) BGR or (h, w)."""
+        ...
+
+    def seeing(self, projection: Projection) -> "Detector":
+        """Return the detector that uses a projection of colours; a detector that knows none stays the same."""
         ...
 
 
@@ -56,9 +60,12 @@ class Method(NamedTuple):
     """The steps of tracking that depend on the filter."""
 
     keeps_map: bool  # also of discs out of view: to recognise a ball, and to notice a moved camera or a lifted ball
+    exact_centres: bool  # the detector's covariances are right, so the discs can show a lifted ball
     detect: Callable[["TrackState", Frame, Tracker, Any], tuple[Detections, SearchState]]  # with the predicted filter
     next_phase: Callable[["TrackState", float, Tracker, Any], tuple["TrackState", Events]]  # after a frame's points
     at_new_pose: Callable[["TrackState", Tracker, Array | None], Any]  # the filter, after the camera moved
+    update_all: Callable[..., "TrackState"]  # after a frame in which every point may be a disc: `phases.learn`
+    is_covered: Callable[["TrackState", Any, Tracker], bool]  # something lies before most of the known discs
 
 
 class BufferedFrame(NamedTuple):
@@ -197,8 +204,7 @@ def statistics(state: TrackState) -> dict[str, float]:
     the update, which a published filter does not give.
     """
     f = state.filter
-    found: dict[str, float] = {"discs_used": len(f.used), "discs_seen": len(state.points), "discs_known": len(f.discs)}
-    return found | {"nis": f.nis} if isinstance(f, So3State) else found
+    return {"discs_used": len(f.used), "discs_seen": len(state.points), "discs_known": len(f.discs), **f.statistics}
 
 
 def current(state: TrackState, tracker: Tracker[K]) -> Tracker[K]:
@@ -208,9 +214,7 @@ def current(state: TrackState, tracker: Tracker[K]) -> Tracker[K]:
 
 def disc_map(state: TrackState) -> DiscMap | None:
     """Return the map of discs to save; None with fewer than four certain discs, or from a published filter."""
-    if not isinstance(state.filter, So3State) or isinstance(state.phase, Recognising):
-        return None
-    found = to_map(state.filter, _SURE)
+    found = None if isinstance(state.phase, Recognising) else state.filter.to_map(_SURE)
     return None if found is None else replace(found, projection=state.colours.projection)
 
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.phases.recognise import recognised_attitude
+from spheremouse.ball.phases.follow import recognised_attitude
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.settings import Settings

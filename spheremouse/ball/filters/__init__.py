@@ -4,11 +4,13 @@ Each filter is a frozen settings object with `initial`, `predict` and `update`; 
 satisfies `FilterState`. Time is whatever the stamps say.
 """
 
+from collections.abc import Mapping
 from typing import Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array
 
@@ -52,6 +54,15 @@ class FilterState(Protocol):
 
     def with_reference_of(self, other: Self) -> Self:
         """The state whose next motion counts from where that of `other` does, with an error that is another one's."""
+        ...
+
+    @property
+    def statistics(self) -> Mapping[str, float]:
+        """Statistics of the last update that only this filter has."""
+        ...
+
+    def to_map(self, least: int) -> DiscMap | None:
+        """Return the discs seen at least so often, as files keep them; None with fewer than four, or without a map."""
         ...
 
     def increment_covariance(self, turn: Array) -> Array:

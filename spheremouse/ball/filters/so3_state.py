@@ -120,6 +120,24 @@ class So3State:
         """
         return kernel.since_reference(self.joint, turn)
 
+    @property
+    def statistics(self) -> dict[str, float]:
+        """The normalised innovation squared of the last update."""
+        return {"nis": self.nis}
+
+    def to_map(self, least: int) -> DiscMap | None:
+        """Return the discs seen at least so often, as files keep them; None with fewer than four."""
+        keep = self.hits >= least
+        if np.count_nonzero(keep) < 4:
+            return None
+        kept = drop(self, keep)
+        basis = tangent_basis(kept.discs)
+        T = basis.transpose(0, 2, 1) @ kept.basis
+        m = len(kept.discs)
+        P = kept.joint[MAP_OFFSET:-CLONE_DIM, MAP_OFFSET:-CLONE_DIM].reshape(m, 2, m, 2)
+        P = np.einsum("iab,ibjc,jdc->iajd", T, P, T).reshape(2 * m, 2 * m)
+        return DiscMap(kept.discs, 0.5 * (P + P.T), kept.hits)
+
 
 def inject(
     state: So3State,
@@ -225,20 +243,6 @@ def direction_jacobian(points: SpherePoints, radius: float) -> Array:
     by_ball = points.dposition_dball.copy()
     by_ball[:, :, :3] -= np.eye(3)  # the direction counts from the centre
     return np.concatenate([points.dposition_dpose, by_ball], axis=2) / radius
-
-
-def to_map(state: So3State, least: int) -> DiscMap | None:
-    """The discs seen at least so often, as they are kept from run to run; None where those are fewer than four."""
-    keep = state.hits >= least
-    if np.count_nonzero(keep) < 4:
-        return None
-    kept = drop(state, keep)
-    basis = tangent_basis(kept.discs)
-    T = basis.transpose(0, 2, 1) @ kept.basis
-    m = len(kept.discs)
-    P = kept.joint[MAP_OFFSET:-CLONE_DIM, MAP_OFFSET:-CLONE_DIM].reshape(m, 2, m, 2)
-    P = np.einsum("iab,ibjc,jdc->iajd", T, P, T).reshape(2 * m, 2 * m)
-    return DiscMap(kept.discs, 0.5 * (P + P.T), kept.hits)
 
 
 def with_map(state: So3State, known: DiscMap, most: int) -> So3State:

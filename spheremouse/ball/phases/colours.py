@@ -13,17 +13,12 @@ from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.detect.projection import fisher_projection
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.events import DiscColours
-from spheremouse.ball.state import Colours, Detector, Learning, Lost, Phase, Recognising, Tracker, Tracking, TrackState
+from spheremouse.ball.state import Colours, Learning, Lost, Phase, Recognising, Tracker, Tracking, TrackState
 from spheremouse.tracker import Frame, Step
 
 _ENOUGH = 0.2  # noise-free discs: with more information, the wait until the next trial doubles
 _WAIT = (0.5, 64.0)  # s between trials: first and longest; it doubles while the choice stays the same
 _LOST = 10.0  # s without a disc, after which the user may have placed another ball
-
-
-def seen_in(detector: Detector, colours: Colours) -> Detector:
-    """Return the detector that uses the projection of `colours`."""
-    return detector.seeing(colours.projection) if isinstance(detector, DiscDetector) else detector
 
 
 def is_trial_due(state: TrackState, stamp: float) -> bool:
@@ -46,10 +41,9 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
 
     If another projection shows the discs better, the search and an unfinished phase start again with it.
     """
-    detector = tracker.detector
-    if not (isinstance(detector, DiscDetector) and is_trial_due(state, frame.stamp)):
+    if not is_trial_due(state, frame.stamp):
         return state
-    before = state.colours
+    before, detector = state.colours, _adaptable(tracker)
     projection, information = chosen(frame.image, detector, before.projection)
     if projection == before.projection:
         wait = min(2.0 * before.wait, _WAIT[1]) if information > _ENOUGH else _WAIT[0]
@@ -80,13 +74,13 @@ def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[Trac
 
     The comparison takes place once, when a confirmed frame in colour shows enough discs and the ball has turned.
     """
-    state, detector = done.state, tracker.detector
-    colours = state.colours
+    state, colours = done.state, done.state.colours
     if colours.fixed or colours.refined or not colours.projection.needs_colour or frame.image.ndim != 3:
         return done
-    if not (isinstance(detector, DiscDetector) and isinstance(state.phase, Tracking) and state.confirmed):
+    if not isinstance(state.phase, Tracking) or not state.confirmed:
         return done
     used: Any = state.points.index[state.filter.used]
+    detector = _adaptable(tracker)
     fisher = fisher_projection(frame.image, detector.view.mask, state.detections.take(used), detector.diameter)
     if fisher is None:
         return done
@@ -98,6 +92,12 @@ def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[Trac
         return done._replace(state=replace(state, colours=colours._replace(refined=True)))
     state = replace(state, colours=colours._replace(projection=fisher, refined=True), search=SearchState())
     return done._replace(state=state)
+
+
+def _adaptable(tracker: Tracker) -> DiscDetector:
+    """Return the detector of a tracker whose projection is not fixed: it is the default one, by `build.colours_of`."""
+    detector: Any = tracker.detector
+    return detector
 
 
 def told(done: Step[TrackState], before: Colours) -> Step[TrackState]:

@@ -1,41 +1,59 @@
-"""The known discs followed from one frame to the next, and new ones taken in."""
+"""The known discs followed from one frame to the next, and new ones added to the map.
 
+A frame's points update the filter under every attitude that the discs leave possible. The map alone gives the attitude
+if no prediction does. Points without a disc are discs if they turn with the ball, and look-alikes if they stand still.
+"""
+
+import math
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.associate import identify
+from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections
-from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.detect.search import SearchState
-from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters import FilterState
+from spheremouse.ball.filters.so3 import So3Filter, relocate
+from spheremouse.ball.filters.so3_mixture import Hypothesis, update_hypotheses
 from spheremouse.ball.filters.so3_state import So3State, augment
-from spheremouse.ball.phases.candidates import all_are_discs, classify_unmatched
-from spheremouse.ball.phases.colours import seen_in
-from spheremouse.ball.phases.hypotheses import is_covered, updated_hypotheses, without_effect
-from spheremouse.ball.phases.recognise import recognised_attitude
 from spheremouse.ball.points import SpherePoints
-from spheremouse.ball.state import Tracker, Tracking, TrackState
-from spheremouse.tracker import Frame
+from spheremouse.ball.state import F, Tracker, Tracking, TrackState, no_points
+from spheremouse.geometry.rotation import rotation_between
+from spheremouse.tracker import Frame, Status
 
 _AT_REST = 0.05  # rad/s, below which a ball brings no disc into view or out of it
 _SECURE = 3  # discs in use of which one may vanish: with fewer, all of the picture is searched for more
+_JUMP = 16.0  # level of the player from which points pair by chance
+_HIDDEN_BY_CHANCE = 2.0  # discs: struts hide so many, something that covers the ball hides more
+_TURNS = 0.15  # rad/s, from which a disc may come into view with any frame
+_CERTAIN = math.log(0.999)  # log probability from which the most probable attitude is taken for the only one
+_KNOWN_SIGMA = 0.02  # rad per axis, up to which one disc alone holds the attitude: half a disc's width
+IDENTIFY_SIGMA = 0.003  # rad, of a direction when the map is searched; at a tenth any disc may be any other
+
+AddLandmarks = Callable[[F, SpherePoints, NDArray[np.intp], Tracker], F]  # the filter with some of the points as discs
+
+
+def detect_everywhere(
+    state: TrackState, frame: Frame, tracker: Tracker, predicted: FilterState
+) -> tuple[Detections, SearchState]:
+    """Return the disc candidates of the whole image, and the search as it was."""
+    return tracker.detector.seeing(state.colours.projection).detect(frame.image), state.search
 
 
 def detect_discs(
     state: TrackState[So3State], frame: Frame, tracker: Tracker[So3Filter], predicted: So3State
 ) -> tuple[Detections, SearchState]:
-    """The disc candidates of a frame, and the state of the search.
+    """Return the disc candidates of a frame, and the state of the search.
 
-    While the attitude is confirmed, each disc of the map in a window of its own where it is predicted, and a part of
-    the rest of the ball; the whole picture when that does not show enough of what was seen before.
+    While the attitude is confirmed, the detector measures each disc of the map in a window at its predicted place, and
+    searches a part of the rest of the ball. If it sees too few of the discs of the frame before, it searches all of it.
     """
-    detector = seen_in(tracker.detector, state.colours)
-    if not (
-        isinstance(detector, DiscDetector)
-        and isinstance(state.phase, Tracking)
-        and state.confirmed_at == state.filter.stamp
-    ):
+    detector: Any = tracker.detector.seeing(state.colours.projection)  # a DiscDetector, as `build` chose this method
+    if not isinstance(state.phase, Tracking) or state.confirmed_at != state.filter.stamp:
         return detector.detect(frame.image), state.search
     which = tracker.filter.visible(predicted)
     known = np.concatenate([predicted.discs[which], state.lookalikes.anchor_ball])  # discs, and what may be one
@@ -79,3 +97,170 @@ def _with_discs(
         if np.max(known, initial=-1.0) < apart and len(filter_state.discs) < f.settings.most_discs:
             filter_state = augment(filter_state, points, np.array([k]), f.radius)
     return filter_state
+
+
+def updated_hypotheses(
+    state: TrackState[So3State],
+    stamp: float,
+    tracker: Tracker[So3Filter],
+    predicted: So3State,
+    *,
+    proven: NDArray[np.bool_] | None = None,
+    extend_map: bool = True,
+) -> TrackState[So3State]:
+    """Filter the points under every attitude that is possible; `predicted` is the most probable one.
+
+    Points that are `proven` (n,) to turn with the ball may join the map; None: those that earlier frames have proven.
+    Nothing joins unless the map may be extended, `extend_map`.
+    """
+    points, centre, f = state.points, state.detections.centre[state.points.index], tracker.filter
+    if proven is None:
+        proven = static.known_before_to_turn(state.lookalikes, centre, predicted.attitude, tracker.rig, tracker.pose)
+    certain = None if state.alternatives else f.update_if_certain(predicted, points, proven & extend_map)
+    if certain is not None:
+        filtered, alternatives = certain, ()
+    else:
+        rest = tuple(Hypothesis(f.predict(h.state, stamp), h.log_probability) for h in state.alternatives)
+        best = math.log1p(-sum(math.exp(h.log_probability) for h in rest))
+        turned = rotation_between(state.reported_attitude, predicted.attitude)  # new discs come into view by that alone
+        turns = float(predicted.rate @ predicted.rate) > _TURNS**2
+        has_turned = turns or float(turned @ turned) > (2.0 * f.disc_angle) ** 2
+        hypotheses = update_hypotheses(f, (Hypothesis(predicted, best), *rest), points, proven, has_turned, extend_map)
+        filtered = hypotheses[0].state
+        alternatives = () if hypotheses[0].log_probability > _CERTAIN else hypotheses[1:]
+    confirmed = not alternatives and confirms(filtered, len(points), predicted, tracker)
+    supported = confirmed or _supports(state, filtered, predicted, tracker)
+    before = state.supported_at if state.supported_at < stamp else -np.inf  # a clock that starts again
+    return replace(
+        state,
+        filter=filtered,
+        alternatives=alternatives,
+        supported_at=stamp if supported else before,
+        confirmed=confirmed,
+    )
+
+
+def _supports(
+    state: TrackState[So3State], filtered: So3State, predicted: So3State, tracker: Tracker[So3Filter]
+) -> bool:
+    """Return whether a frame agrees with the places of the discs on the map; `state` has its points.
+
+    A frame that shows discs agrees if it shows as many as it hides. A frame that shows none agrees if at most two are
+    expected in view and no more than two were seen before: more do not vanish at once.
+    """
+    used, before = len(filtered.used), len(state.filter.used)
+    missing = filtered.known_missed
+    if used > 0:
+        points = len(state.points)
+        by_chance = 2 * used < points and not tracker.filter.is_significant(predicted, used, points)
+        return missing <= max(used, _HIDDEN_BY_CHANCE) and not by_chance
+    went_on = state.supported_at == state.filter.stamp and before <= _HIDDEN_BY_CHANCE
+    return went_on and filtered.is_roughly_known and missing <= _HIDDEN_BY_CHANCE
+
+
+def is_covered(state: TrackState[So3State], predicted: So3State, tracker: Tracker[So3Filter]) -> bool:
+    """Return whether something lies before most of the established discs, whose places are well known.
+
+    A jump that half of them contradict is no better. Discs in their places that are not there by chance still count.
+    """
+    filtered = state.filter
+    jumped = filtered.manoeuvre_level >= _JUMP
+    missing = filtered.known_missed
+    most_missing = missing > 0.5 and missing + jumped > filtered.known_seen
+    used = len(filtered.used)
+    in_place = used > 0 and not jumped and tracker.filter.is_significant(predicted, used, len(state.points))
+    return most_missing and predicted.is_placed and not in_place
+
+
+def without_effect(state: TrackState[F], tracker: Tracker, predicted: Any) -> TrackState[F]:
+    """Return the state without a frame that `is_covered`: the spots in view may be on what lies before the ball."""
+    filtered = replace(tracker.filter.update(predicted, no_points(tracker)), hidden=predicted.hidden)
+    return replace(state, filter=filtered, alternatives=(), confirmed=False)
+
+
+def recognised_attitude(
+    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter]
+) -> tuple[So3State, int] | None:
+    """The filter with its attitude found by the map alone, and by how many discs; None where it is not certain.
+
+    `identify` weighs all points, also those that meet no disc, so no further rule on their number is needed.
+    After a short gap the rate is that from the last attitude confirmed; after a long one it is unknown.
+    """
+    points = state.points
+    placed = state.filter.map_sigma() < IDENTIFY_SIGMA  # a disc founded at a doubtful attitude tells no attitude
+    known = identify(
+        points.direction,
+        state.filter.discs[placed],
+        sigma=IDENTIFY_SIGMA,
+        view_axis=tracker.filter.towards_camera,
+        horizon=tracker.filter.horizon,
+        risk=1e-3,
+    )
+    if known is None:
+        return None
+    gap = stamp - state.confirmed_at
+    rate = None
+    if state.status is Status.TRACKING and 0.0 < gap <= tracker.settings.loss.lost_after:
+        rate = rotation_between(state.reported_attitude, known.rotation) / gap
+    located = relocate(state.filter, known.rotation, IDENTIFY_SIGMA, tracker.settings.so3, stamp, rate)
+    return tracker.filter.update(located, points, np.zeros(len(points), dtype=bool)), len(known.pairs)
+
+
+def confirms(posterior: FilterState, points: int, predicted: FilterState, tracker: Tracker) -> bool:
+    """Return whether the last frame, with so many points, confirms the attitude.
+
+    Two discs do, or one while it adds to what is known well; but only if chance does not explain them, since of many
+    false candidates a few always fit; and only at a rate that a hand can give.
+    """
+    settings, used, rate = tracker.settings.loss, len(posterior.used), posterior.rate
+    if used == 0 or float(rate @ rate) > settings.fastest**2:
+        return False
+    if 2 * used < points and not tracker.filter.is_significant(predicted, used, points):
+        return False
+    return used > 1 or _known_well(posterior, tracker)
+
+
+def updated(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:
+    """Filter the points; candidates that were seen to move with the ball may found discs."""
+    points, centre = state.points, state.detections.centre[state.points.index]
+    proven = static.known_before_to_turn(state.lookalikes, centre, predicted.attitude, tracker.rig, tracker.pose)
+    posterior = tracker.filter.update(predicted, points, proven)
+    return replace(state, filter=posterior, confirmed=confirms(posterior, len(points), predicted, tracker))
+
+
+def all_are_discs(state: TrackState) -> bool:
+    """Return whether the frame confirms the attitude with every point, and no candidate is followed."""
+    return state.confirmed and len(state.filter.used) == len(state.points) and not len(state.lookalikes.place)
+
+
+def classify_unmatched(
+    state: TrackState[F], stamp: float, tracker: Tracker, predicted: F, take_up: AddLandmarks[F]
+) -> TrackState[F]:
+    """Classify the points without a disc: they turn with the ball, stand still, or do neither yet."""
+    points, centre, confirmed = state.points, state.detections.centre[state.points.index], state.confirmed
+    rig, posterior = tracker.rig, state.filter
+    if not confirmed and not _known_well(posterior, tracker):  # no point has a place on the ball
+        return state
+    other = np.ones(len(points), dtype=bool)
+    other[posterior.used] = False  # what belongs to a known disc needs no judgement
+    turning, _, lookalikes = static.classify_candidates(
+        state.lookalikes,
+        centre[other],
+        points.direction[other],
+        posterior.attitude,
+        stamp,
+        rig,
+        tracker.pose,
+    )
+    if not confirmed:  # a hand may have stopped the ball, so only moving candidates count
+        lookalikes = replace(lookalikes, masks=state.lookalikes.masks, mask_seen=state.lookalikes.mask_seen)
+    posterior = take_up(posterior, points, np.flatnonzero(other)[turning], tracker)
+    if len(posterior.discs) > len(predicted.discs):
+        lookalikes = static.without_landmarks(lookalikes, posterior.discs, rig.disc_radius / rig.ball.radius)
+    return replace(state, filter=posterior, lookalikes=lookalikes)
+
+
+def _known_well(filter_state: FilterState, tracker: Tracker) -> bool:
+    """Return whether the attitude is known so well that one disc gives the rest."""
+    worst = np.linalg.eigvalsh(filter_state.covariance[:3, :3])[-1]
+    return bool(worst < _KNOWN_SIGMA**2)

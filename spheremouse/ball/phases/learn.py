@@ -1,7 +1,9 @@
-"""Learning phase: the first turn of the ball separates discs from look-alikes."""
+"""Learning phase: the first turn of the ball separates discs from look-alikes.
+
+Most of the points turn together like a ball, or two do while the others stay. An image that only shifts is no turn.
+"""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,18 +13,23 @@ from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.lookalikes import MOVED_PX, STILL_PX
 from spheremouse.ball.events import Found, Turned
+from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import So3State
-from spheremouse.ball.phases.candidates import confirms
-from spheremouse.ball.phases.first_turn import follow_points, still_while_two_turned, would_move
-from spheremouse.ball.phases.hypotheses import is_covered, updated_hypotheses, without_effect
+from spheremouse.ball.phases.follow import updated_hypotheses, without_effect
+from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.state import BufferedFrame, Events, F, Learning, Tracker, Tracking, TrackState
-from spheremouse.geometry.rotation import Array, log, rotation_between
+from spheremouse.geometry.camera import project
+from spheremouse.geometry.rotation import Array, align, log, rotation_between
 
 _CERTAIN = 9.0  # nats: odds of 8000 to 1 for a motion of the ball
 _FRAME = 1.0 / 30.0  # s, frame interval within which a turn about the line of sight is detected
 _MODEL_ERROR = 0.1  # px, error of a disc's predicted centre from errors of pose and ball
 _REPLAY = 30  # frames kept until the ball moves, for filtering again without the look-alikes
+_PATH = 5.0  # times MOVED_PX: over so long a path, a turn and a shift of the picture differ by many deviations
+_FITS = 10.83  # chi-square with one degree of freedom, 99.9 %
+_BETTER = 30.0  # squared deviations by which a turn must fit better than a shift of the picture: odds of 3e6
+_CENTRE_SIGMA = 0.1  # px, floor of the standard deviation of a path's length: unevenness of light
 
 
 def learn(
@@ -40,8 +47,8 @@ def learn(
         predicted = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
         if len(state.points) < 2:
             return found(replace(state, filter=predicted), phase, stamp)
-    naive = _with_all(state, stamp, tracker, predicted, phase.views)
-    if is_covered(naive, predicted, tracker):
+    naive = tracker.method.update_all(state, stamp, tracker, predicted, phase.views)
+    if tracker.method.is_covered(naive, predicted, tracker):
         return found(without_effect(state, tracker, predicted), phase, stamp)
     centre = state.detections.centre[state.points.index]
     track, next_track = follow_points(phase.views, centre, phase.next_track)
@@ -60,20 +67,6 @@ def learn(
     return replace(state, phase=Tracking()), (Turned(len(still)), *events)
 
 
-def _with_all(
-    state: TrackState[F], stamp: float, tracker: Tracker, predicted: F, views: tuple[BufferedFrame, ...]
-) -> TrackState[F]:
-    """Return the state after filtering a frame with every point as a possible disc."""
-    if isinstance(predicted, So3State):
-        with_map: Any = state  # it holds an So3State, as `predicted` is one
-        updated: Any = updated_hypotheses(
-            with_map, stamp, tracker, predicted, proven=_founders(with_map, predicted, views, tracker)
-        )
-        return updated
-    filtered = tracker.filter.update(predicted, state.points)
-    return replace(state, filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
-
-
 def _without(state: TrackState[F], still: Array, views: tuple[BufferedFrame, ...], tracker: Tracker) -> TrackState[F]:
     """Return the state after filtering all views again, without the look-alikes at `still`, (k, 2) px."""
     stamp = views[-1].stamp
@@ -83,26 +76,31 @@ def _without(state: TrackState[F], still: Array, views: tuple[BufferedFrame, ...
         free, _ = static.unmasked(state.lookalikes, view.centre, view.stamp)
         state = replace(state, filter=filtered, points=view.points.take(free), detections=view.detections)
         predicted = tracker.filter.predict(filtered, view.stamp)
-        state = _with_all(state, view.stamp, tracker, predicted, views[:k])
+        state = tracker.method.update_all(state, view.stamp, tracker, predicted, views[:k])
         filtered = state.filter
         state = replace(state, confirmed_at=view.stamp if state.confirmed else state.confirmed_at)
     return replace(state, confirmed=not state.alternatives and len(state.filter.used) > 1)
 
 
-def _founders(
-    state: TrackState, predicted: So3State, views: tuple[BufferedFrame, ...], tracker: Tracker
-) -> NDArray[np.bool_]:
-    """Return a mask, (n,), of the points that may add a disc to the map.
+def update_all(
+    state: TrackState[So3State],
+    stamp: float,
+    tracker: Tracker[So3Filter],
+    predicted: So3State,
+    views: tuple[BufferedFrame, ...],
+) -> TrackState[So3State]:
+    """Return the state after filtering a frame with every point as a possible disc.
 
-    All points may if fewer than two discs are established. All may if the ball has turned by a disc's width and the
-    last frame confirmed its attitude, because new discs come into view then. If the ball stands, a new point is not on
-    the ball, or is a disc that was hidden.
+    All points may add a disc to the map if fewer than two discs are established. All may if the ball has turned by a
+    disc's width and the last frame confirmed its attitude, because new discs come into view then. If the ball stands, a
+    new point is not on the ball, or is a disc that was hidden.
     """
     few = np.count_nonzero(predicted.hits >= ESTABLISHED_HITS) < 2
     turned = rotation_between(views[0].attitude, predicted.attitude) if views else np.zeros(3)
     has_turned = np.linalg.norm(turned) > 2.0 * tracker.rig.disc_radius / tracker.rig.ball.radius
     follows = state.confirmed_at == state.filter.stamp and state.filter.known_missed < 0.5
-    return np.full(len(state.points), few or (has_turned and follows))
+    proven = np.full(len(state.points), few or (has_turned and follows))
+    return updated_hypotheses(state, stamp, tracker, predicted, proven=proven)
 
 
 def found(state: TrackState[F], phase: Learning, stamp: float) -> tuple[TrackState[F], Events]:
@@ -177,3 +175,67 @@ def _changed(anchor: BufferedFrame, since: tuple[BufferedFrame, ...]) -> bool:
         return len(later) > 0
     gone = np.linalg.norm(anchor.centre[:, None] - later[None], axis=2).min(axis=1) >= STILL_PX
     return bool(np.count_nonzero(gone) > 0.5 * len(anchor.points))
+
+
+def follow_points(views: tuple[BufferedFrame, ...], centre: Array, next_track: int) -> tuple[NDArray[np.intp], int]:
+    """Number the points of a frame, at `centre` (n, 2) px: as in the view before where it shows them nearby.
+
+    Each is looked for where its last step leads. Returns the numbers, (n,), and the next one that is free.
+    """
+    track = np.full(len(centre), -1, dtype=np.intp)
+    if views and len(centre) and len(views[-1].track):
+        last = views[-1]
+        expected = last.centre.copy()
+        if len(views) > 1:
+            _, before, now = np.intersect1d(views[-2].track, last.track, return_indices=True)
+            step = last.centre[now] - views[-2].centre[before]
+            expected[now] += step * (views[-1].stamp - views[-2].stamp < 0.1)
+        distance = np.linalg.norm(centre[:, None] - expected[None], axis=2)
+        nearest = distance.argmin(axis=1)
+        mutual = distance.argmin(axis=0)[nearest] == np.arange(len(centre))
+        same = mutual & (distance[np.arange(len(centre)), nearest] < 6.0)
+        track[same] = last.track[nearest[same]]
+    new = np.flatnonzero(track < 0)
+    track[new] = next_track + np.arange(len(new))
+    return track, next_track + len(new)
+
+
+def still_while_two_turned(views: tuple[BufferedFrame, ...], tracker: Tracker) -> Array | None:
+    """Places, (k, 2) px, of points that stayed while two others moved as the ball makes them move.
+
+    None while there is no such pair. Two points on a ball that turns keep their angle; two that are carried past it
+    keep their offset in the picture. Over a long path only one of the two holds.
+    """
+    now = views[-1]
+    for view in views[:-1]:
+        _, first, last = np.intersect1d(view.track, now.track, return_indices=True)
+        path = np.linalg.norm(now.centre[last] - view.centre[first], axis=1)
+        moved, still = path > _PATH * MOVED_PX, path < STILL_PX
+        if np.count_nonzero(moved) != 2 or np.count_nonzero(still) > (view is views[0]):
+            continue  # both kinds must be in view from the first frame: a later one passed by
+        pair = view.points.take(first[moved]), now.points.take(last[moved])
+        rotation = align(pair[0].direction, pair[1].direction)
+        turned = pair[0].direction @ rotation.T - pair[1].direction
+        variance = sum(_direction_variance(points, tracker.rig.ball.radius) for points in pair)
+        as_turn = float(np.sum(np.sum(turned**2, axis=1) / variance))
+        step = now.centre[last[moved]] - view.centre[first[moved]]
+        as_shift = float(np.sum((step - step.mean(axis=0)) ** 2) / (2.0 * _CENTRE_SIGMA**2))
+        if as_turn < _FITS and as_shift > as_turn + _BETTER:
+            index = last[still]
+            return now.centre[index][would_move(now.points.take(index), rotation, tracker, MOVED_PX)]
+    return None
+
+
+def _direction_variance(points: SpherePoints, radius: float) -> Array:
+    """Variance, (n,) rad², of a direction along one axis."""
+    return np.trace(points.image_covariance, axis1=1, axis2=2) / (2.0 * radius**2)
+
+
+def would_move(points: SpherePoints, rotation: Array, tracker: Tracker, least: float) -> NDArray[np.bool_]:
+    """Return a mask, (n,), of the points that `rotation`, (3, 3), would have moved by `least` px or more."""
+    radius, centre = tracker.rig.ball.radius, tracker.rig.ball.centre
+    uv = [
+        project(tracker.pose.to_cam(centre + radius * d), tracker.rig.camera)[0]
+        for d in (points.direction, points.direction @ rotation)
+    ]
+    return np.linalg.norm(uv[0] - uv[1], axis=1) > least

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import KINEMATIC_DIM, So3State, consider
-from spheremouse.ball.phases.follow import detect_discs, follow
-from spheremouse.ball.phases.learn import learn
-from spheremouse.ball.phases.lifted import check_bearings
-from spheremouse.ball.phases.recover import recognise, recover
+from spheremouse.ball.phases.follow import detect_discs, detect_everywhere, follow, is_covered
+from spheremouse.ball.phases.learn import learn, update_all
+from spheremouse.ball.phases.recover import check_bearings, recognise, recover
 from spheremouse.ball.state import Events, Learning, Lost, Method, Recognising, Tracker, Tracking, TrackState
 from spheremouse.geometry.rotation import Array
 
@@ -22,7 +21,8 @@ def _next_phase(
         case Learning():
             return learn(state, state.phase, stamp, tracker, predicted)
         case Tracking():
-            return check_bearings(follow(state, stamp, tracker, predicted), stamp, tracker, predicted)
+            state = follow(state, stamp, tracker, predicted)
+            return check_bearings(state, stamp, tracker, predicted) if tracker.method.exact_centres else (state, ())
         case Lost():
             return recover(state, state.phase, stamp, tracker, predicted)
 
@@ -41,4 +41,14 @@ def _at_new_pose(state: TrackState[So3State], tracker: Tracker[So3Filter], added
     return replace(state.filter, joint=joint)
 
 
-SO3 = Method(keeps_map=True, detect=detect_discs, next_phase=_next_phase, at_new_pose=_at_new_pose)
+SO3 = Method(
+    keeps_map=True,
+    exact_centres=True,
+    detect=detect_discs,
+    next_phase=_next_phase,
+    at_new_pose=_at_new_pose,
+    update_all=update_all,
+    is_covered=is_covered,
+)
+# The published detector knows no place to look at, and its centres are off by more than their covariance says.
+SO3_WITH_BLOBS = SO3._replace(exact_centres=False, detect=detect_everywhere)

@@ -71,6 +71,14 @@ class EulerState:
         """(m, 3) unit vectors in `ball`."""
         return self.points / np.linalg.norm(self.points, axis=1, keepdims=True)
 
+    @property
+    def statistics(self) -> dict[str, float]:
+        """Nothing: the publication has no test of the innovations."""
+        return {}
+
+    def to_map(self, least: int) -> None:
+        """Return None: a disc that one frame does not show is forgotten."""
+
     def clone_attitude(self) -> "EulerState":
         """The state whose attitude is the one that the next motion counts from."""
         return replace(self, reference=self.covariance[:3, :3])

@@ -8,23 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from spheremouse.ball.detect.detections import Detections
-from spheremouse.ball.detect.search import SearchState
-from spheremouse.ball.phases.candidates import all_are_discs, classify_unmatched, updated
-from spheremouse.ball.phases.colours import seen_in
+from spheremouse.ball.phases.follow import all_are_discs, classify_unmatched, confirms, detect_everywhere, updated
 from spheremouse.ball.phases.learn import learn
 from spheremouse.ball.phases.recover import begin_anew, seen_since
 from spheremouse.ball.published.euler import EulerState
 from spheremouse.ball.state import Events, Learning, Lost, Method, Recognising, Tracker, Tracking, TrackState
 from spheremouse.geometry.rotation import Array
-from spheremouse.tracker import Frame
 
 State = TrackState[EulerState]
-
-
-def _detect(state: State, frame: Frame, tracker: Tracker, predicted: EulerState) -> tuple[Detections, SearchState]:
-    """Return the disc candidates of the whole image."""
-    return seen_in(tracker.detector, state.colours).detect(frame.image), state.search
 
 
 def _next_phase(state: State, stamp: float, tracker: Tracker, predicted: EulerState) -> tuple[State, Events]:
@@ -60,4 +51,18 @@ def _at_new_pose(state: State, tracker: Tracker, added: Array | None) -> EulerSt
     return tracker.filter.initial(state.filter.stamp, state.filter.attitude).with_reference_of(state.filter)
 
 
-PUBLISHED = Method(keeps_map=False, detect=_detect, next_phase=_next_phase, at_new_pose=_at_new_pose)
+def _update_all(state: State, stamp: float, tracker: Tracker, predicted: EulerState, views: object) -> State:
+    """Return the state after filtering a frame with every point as a possible disc."""
+    filtered = tracker.filter.update(predicted, state.points)
+    return replace(state, filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
+
+
+PUBLISHED = Method(
+    keeps_map=False,
+    exact_centres=False,
+    detect=detect_everywhere,
+    next_phase=_next_phase,
+    at_new_pose=_at_new_pose,
+    update_all=_update_all,
+    is_covered=lambda *_: False,
+)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from spheremouse.ball.associate import identify
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.appearance import appearance
-from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import TrackState
@@ -78,7 +77,7 @@ def track_rolling(frames: Iterable[Frame], rig: Rig, pose: Pose, settings: Setti
         if not state.known_to_turn:  # a candidate may be a look-alike, and the next map is another one
             if segments[-1].stamp:
                 segments.append(_Segment())
-        elif isinstance(f, So3State) and state.confirmed and status is Status.TRACKING:
+        elif tracker.method.keeps_map and state.confirmed and status is Status.TRACKING:
             into, points = segments[-1], state.points
             into.stamp.append(frame.stamp)
             into.attitude.append(f.attitude)

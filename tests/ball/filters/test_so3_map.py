@@ -12,7 +12,7 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_predict import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS, So3Settings
-from spheremouse.ball.filters.so3_state import So3State, augment, consider, drop, inject, to_map, with_map
+from spheremouse.ball.filters.so3_state import So3State, augment, consider, drop, inject, with_map
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import exp, log, tangent_basis
 
@@ -72,13 +72,13 @@ def test_the_map_holds_the_discs_seen_often_enough():
     assert len(state.discs) == 24
     hits = state.hits.copy()
     hits[[2, 5]] = 2
-    known = to_map(replace(state, hits=hits), 3)
+    known = replace(state, hits=hits).to_map(3)
     assert known is not None
     keep = np.delete(np.arange(24), [2, 5])
     assert_array_equal(known.directions, state.discs[keep])
     assert_array_equal(known.sightings, hits[keep])
-    assert to_map(replace(state, hits=np.where(np.arange(24) < 3, 9, 0)), 3) is None  # too few to know a ball by
-    some = to_map(replace(state, hits=np.where(np.arange(24) < 4, 9, 0)), 3)
+    assert replace(state, hits=np.where(np.arange(24) < 3, 9, 0)).to_map(3) is None  # too few to know a ball by
+    some = replace(state, hits=np.where(np.arange(24) < 4, 9, 0)).to_map(3)
     assert some is not None
     assert len(some) == 4
 
@@ -95,7 +95,7 @@ def test_covariance_of_the_map_is_in_the_axes_of_its_directions():
         at = MAP_OFFSET + 2 * i
         T[at : at + 2, at : at + 2] = turn[i].T
     state = replace(state, basis=turned, joint=T @ state.joint @ T.T)
-    known = to_map(state, 1)
+    known = state.to_map(1)
     assert known is not None
     axes = tangent_basis(known.directions)
     rng = np.random.default_rng(1)
@@ -113,9 +113,9 @@ def test_covariance_of_the_map_is_in_the_axes_of_its_directions():
 
 def test_with_map_and_to_map_are_inverses():
     state, _ = learnt()
-    known = to_map(state, 1)
+    known = state.to_map(1)
     assert known is not None
-    back = to_map(with_map(FILTER.initial(5.0, np.eye(3)), known, 1000), 1)
+    back = with_map(FILTER.initial(5.0, np.eye(3)), known, 1000).to_map(1)
     assert back is not None
     assert_allclose(back.directions, known.directions, atol=1e-15)
     assert_allclose(back.covariance, known.covariance, atol=1e-9 * np.abs(known.covariance).max())
@@ -125,7 +125,7 @@ def test_with_map_and_to_map_are_inverses():
 def test_with_map_leaves_the_rest_of_the_state():
     considered = 1e-6 * np.eye(10)
     fresh = replace(FILTER, considered=considered, readout_sigma=0.015).initial(5.0, exp(np.array([0.3, 0.1, -0.2])))
-    known = to_map(learnt()[0], 1)
+    known = learnt()[0].to_map(1)
     assert known is not None
     state = with_map(fresh, known, 50)
     assert state.stamp == 5.0
@@ -146,7 +146,7 @@ def test_with_map_leaves_the_rest_of_the_state():
 def test_a_filter_started_from_a_map_goes_on_as_well_as_before(rate):
     """Another run, another attitude, found to 3 mrad: as near to the truth, and as certain of it, as had it gone on."""
     before, R = learnt()
-    known = to_map(before, ESTABLISHED_HITS)
+    known = before.to_map(ESTABLISHED_HITS)
     assert known is not None
     rng = np.random.default_rng(3)
     found = exp(3e-3 * rng.normal(size=3)) @ R
@@ -165,7 +165,7 @@ def test_a_filter_started_from_a_map_goes_on_as_well_as_before(rate):
 
 def test_attitudes_from_a_saved_map_are_as_certain_as_they_say():
     """30 maps drawn from one covariance, each found at another attitude: chi-square of the attitude, 95 % band."""
-    known = to_map(learnt()[0], 1)
+    known = learnt()[0].to_map(1)
     assert known is not None
     rng = np.random.default_rng(5)
     own = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)))
@@ -220,7 +220,7 @@ def test_consider_sets_the_errors_of_pose_and_ball_and_their_correlations_to_not
 
 def test_a_new_disc_in_a_saved_map_knows_what_the_attitude_does():
     """Founded beside discs of a map: correlated with the attitude of that moment, and through it with the others."""
-    known = to_map(learnt()[0], 1)
+    known = learnt()[0].to_map(1)
     assert known is not None
     state: So3State = relocate(with_map(FILTER.initial(0.0, np.eye(3)), known, 99), np.eye(3), 1e-2, SETTINGS, 0.0)
     d = np.array([[0.1, 0.2, 1.0]]) / np.linalg.norm([0.1, 0.2, 1.0])
