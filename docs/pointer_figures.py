@@ -60,11 +60,11 @@ def pointer(told: Told, latency: float, settings: PointerSettings, accelerated: 
     resampler, sent = Resampler(), (0, 0, 0)
     arrivals = [*(told.stamp + latency), told.stamp[-1] + 1.0]
     for k, stamp in enumerate(told.stamp):
-        now, rate = arrivals[k], tuple(told.rate[k].tolist())
+        now, rate = arrivals[k], tuple(told.rate[k].tolist()) if told.tracking[k] else None
         x, y, z = (int(n) for n in told.counts[k])
         if not accelerated:
             resampler = replace(resampler, rate=None)
-        resampler = take(resampler, sent, (x, y, z), rate, stamp, now, bool(told.tracking[k]), settings)
+        resampler = take(resampler, sent, (x, y, z), rate, stamp, now, settings)
         for n in range(int((arrivals[k + 1] - now) * settings.rate + 1.0 - 1e-6)):
             times.append(now + n / settings.rate)
             sent = due(resampler, times[-1])

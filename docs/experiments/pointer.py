@@ -142,7 +142,8 @@ def pointer(told: Told, fps: float, way: PointerSettings | None, t: Array) -> Ar
     ends = [*arrivals[1:].tolist(), arrivals[-1] + 1.0]
     frames = zip(told.counts.tolist(), told.rate.tolist(), told.stamp.tolist(), arrivals.tolist(), ends, strict=True)
     for k, (counts, rate, stamp, now, end) in enumerate(frames):
-        resampler = take(resampler, sent, tuple(counts), tuple(rate), stamp, now, bool(told.tracking[k]), way)
+        known = tuple(rate) if told.tracking[k] else None
+        resampler = take(resampler, sent, tuple(counts), known, stamp, now, way)
         for n in range(int((end - now) * way.rate + 1.0 - 1e-6)):
             report = now + n / way.rate
             sent = due(resampler, report)

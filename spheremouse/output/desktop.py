@@ -7,7 +7,6 @@ Programs that read the mouse and not the pointer receive nothing. Wayland lets n
 
 import os
 import sys
-from types import TracebackType
 from typing import Any, Self
 
 from spheremouse.errors import OutputError
@@ -53,9 +52,7 @@ class Desktop:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._mouse = None  # pynput disconnects from the display when the last reference goes
 
 

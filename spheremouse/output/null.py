@@ -1,6 +1,5 @@
 """`null`: discard all reports, for measurements of everything else."""
 
-from types import TracebackType
 from typing import Self
 
 from spheremouse.errors import OutputError
@@ -21,9 +20,7 @@ class Null:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         pass
 
 

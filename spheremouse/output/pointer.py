@@ -18,7 +18,9 @@ from math import floor, inf, isfinite
 from spheremouse.settings import param
 
 Counts = tuple[int, int, int]  # x, y and third axis
+Rate = tuple[float, float, float]  # counts/s
 
+_NO_RATE: Rate = (0.0, 0.0, 0.0)
 _ROUNDING_TOLERANCE = 1e-6  # counts
 _MAX_SPEED_RATIO = 2.0  # final to mean speed; 2 is that of constant acceleration from rest
 
@@ -102,7 +104,7 @@ class Resampler:
         AxisTrajectory(),
     )
     stamp: float | None = None  # s, of the last frame
-    rate: tuple[float, float, float] | None = None  # counts/s, of the last frame; None: it was not tracked
+    rate: Rate | None = None  # of the last frame; None: it was not tracked
     interval: float = 0.0  # s between the last two frames; 0: unknown
     until: float = 0.0  # s; nothing is due later, until the next frame
 
@@ -133,30 +135,30 @@ def take(
     resampler: Resampler,
     sent: Counts,
     counts: Counts,
-    rate: tuple[float, float, float],
+    rate: Rate | None,
     stamp: float,
     now: float,
-    tracking: bool,
     settings: PointerSettings,
 ) -> Resampler:
-    """Return the trajectories after a frame of time `stamp` (s), with its counts and rate (counts/s), came at `now`.
+    """Return the trajectories after a frame of time `stamp` (s), with its counts and rate, came at `now`.
 
-    `sent` are the sums sent so far. If not `tracking`, nothing is predicted and all counts are due at once.
+    `sent` are the sums sent so far. Without a rate nothing is predicted and all counts are due at once.
     """
     interval = 0.0 if resampler.stamp is None else max(stamp - resampler.stamp, 0.0)
-    horizon = settings.horizon if tracking and interval > 0.0 else 0.0
+    horizon = settings.horizon if rate is not None and interval > 0.0 else 0.0
+    rates = rate or _NO_RATE
     # After a dropped frame the interval is twice as long, but the next frame still comes at the usual time.
     usual = min(interval, resampler.interval) or interval
     goal_time = now + min(settings.smooth * usual, horizon)
     start_time = now - 1.0 / settings.rate  # the first report already has one period's part of the line
-    previous = resampler.rate or rate
+    previous = resampler.rate or rates
     taken = min(stamp, now)  # a stamp in the future would make the prediction run back
     a, b, c = (
         _take(axis, s, n, start_time, goal_time, taken, _prediction(n, r0, r, interval, horizon))
-        for axis, s, n, r0, r in zip(resampler.trajectories, sent, counts, previous, rate, strict=True)
+        for axis, s, n, r0, r in zip(resampler.trajectories, sent, counts, previous, rates, strict=True)
     )
     until = max(a.until, b.until, c.until)
-    return Resampler((a, b, c), stamp, rate if tracking else None, interval, until)
+    return Resampler((a, b, c), stamp, rate, interval, until)
 
 
 def _prediction(

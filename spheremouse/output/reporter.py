@@ -259,10 +259,8 @@ class OutputThread:
     def _take(self, queued: _QueuedReport, now: float) -> None:
         """Send a frame's report at once, even an empty one: some outputs use it as a sign of life."""
         settings, report = self._settings, queued.report
-        tracking = report.estimate.confirmed and not self._per_frame
-        self._resampler = pointer.take(
-            self._resampler, self._sent, report.counts, report.rate, queued.taken, now, tracking, settings
-        )
+        rate = report.rate if report.estimate.confirmed and not self._per_frame else None
+        self._resampler = pointer.take(self._resampler, self._sent, report.counts, rate, queued.taken, now, settings)
         self._last, self._grid, self._period = queued, now, 1.0 / settings.rate
         self._plan(now)
         due = pointer.due(self._resampler, now)

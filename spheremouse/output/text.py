@@ -11,7 +11,6 @@ import stat
 import sys
 from io import TextIOWrapper
 from pathlib import Path
-from types import TracebackType
 from typing import Self, TextIO
 
 import numpy as np
@@ -68,9 +67,7 @@ class Text:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> bool:
+    def __exit__(self, kind: object, error: object, trace: object) -> bool:
         if self._file is not sys.stdout:
             self._file.close()
         return isinstance(error, OutputClosed)

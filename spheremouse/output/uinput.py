@@ -8,10 +8,8 @@ REL_WHEEL_HI_RES (one unit a count, 120 a notch), and REL_WHEEL for each whole n
 """
 
 import importlib.util
-import os
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from spheremouse.errors import OutputError
@@ -81,9 +79,7 @@ class UInput:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._device.close()
 
 
@@ -101,29 +97,28 @@ def check(argument: str) -> str:
 def probe(argument: str, node: Path | None = None) -> list[Finding]:
     """Return whether this account may create a mouse."""
     node = NODE if node is None else node
-    if importlib.util.find_spec("evdev") is None:
-        return [wrong("uinput", "needs Linux and the Python package evdev", "use another output: desktop, serial:auto")]
+    if obstacle := _obstacle(node):
+        return [absent("uinput", *obstacle)] if _has_evdev() else [wrong("uinput", *obstacle)]
+    return [ok("uinput", f"{node} may be written")]
+
+
+def _has_evdev() -> bool:
+    return importlib.util.find_spec("evdev") is not None
+
+
+def _obstacle(node: Path) -> tuple[str, str] | None:
+    """Return the reason why this account cannot create a mouse, and the remedy; None if it can."""
+    if not _has_evdev():
+        return "needs Linux and the Python package evdev", "use another output: desktop, serial:auto"
     if not node.exists():
-        return [absent("uinput", f"{node} is not there", "as root: modprobe uinput")]
-    problem = access_problem(node)
-    return [ok("uinput", f"{node} may be written") if problem is None else absent("uinput", *problem)]
+        return f"{node} is not there", "as root: modprobe uinput"
+    return access_problem(node)
 
 
 def _create(third: str) -> Any:
-    try:
-        import evdev
-    except ImportError:
-        raise OutputError("uinput: needs Linux and the package evdev; elsewhere use serial:auto or desktop") from None
-    node = "/dev/uinput"
-    if not os.path.exists(node):
-        raise OutputError(f"uinput: {node} does not exist; load the kernel module: sudo modprobe uinput")
-    if not os.access(node, os.W_OK):
-        raise OutputError(
-            f"uinput: {node} may not be written; add a udev rule "
-            '\'KERNEL=="uinput", GROUP="input", MODE="0660", OPTIONS+="static_node=uinput"\', be in the group input, '
-            "and log in again"
-        )
-    capabilities = {EV_KEY: [BTN_LEFT, BTN_RIGHT, BTN_MIDDLE], EV_REL: [REL_X, REL_Y, *_AXES[third]]}
+    if obstacle := _obstacle(NODE):
+        raise OutputError(f"uinput: {'; '.join(obstacle)}")
+    import evdev
 
     class Mouse(evdev.UInput):
         """Does not open its own event node, because a service may write uinput but read no input device."""
@@ -133,7 +128,7 @@ def _create(third: str) -> Any:
 
     try:
         return Mouse(
-            capabilities,
+            {EV_KEY: [BTN_LEFT, BTN_RIGHT, BTN_MIDDLE], EV_REL: [REL_X, REL_Y, *_AXES[third]]},
             name=NAME,
             vendor=VENDOR,
             product=PRODUCT,

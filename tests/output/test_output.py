@@ -197,7 +197,7 @@ def test_the_mouse_where_it_cannot_be_made():
     assert "'wheel' is not KEY=VALUE" in refused("uinput:wheel")
     if os.path.exists("/dev/uinput"):
         pytest.skip("/dev/uinput is here; tests/system uses it")
-    assert refused("uinput") == "uinput: /dev/uinput does not exist; load the kernel module: sudo modprobe uinput"
+    assert refused("uinput") == "uinput: /dev/uinput is not there; as root: modprobe uinput"
 
 
 # ---- all ----

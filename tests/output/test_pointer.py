@@ -31,7 +31,8 @@ class Player:
         self.stamp += interval
         self.frames += 1
         now = self.stamp + self.latency
-        self.resampler = take(self.resampler, self.sums, counts, rate, self.stamp, now, tracking, self.settings)
+        known = rate if tracking else None
+        self.resampler = take(self.resampler, self.sums, counts, known, self.stamp, now, self.settings)
         end, k = now + (interval if listen is None else listen), 0
         while (t := now + k / self.settings.rate) < end - 1e-9:
             self.report(t)

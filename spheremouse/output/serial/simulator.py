@@ -10,7 +10,7 @@ import select
 import threading
 import time
 from collections.abc import Callable
-from types import ModuleType, TracebackType
+from types import ModuleType
 from typing import Any, Self
 
 from spheremouse.errors import OutputError
@@ -85,9 +85,7 @@ class Simulator:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._closing.set()
         self._thread.join()
         self.unplug()
