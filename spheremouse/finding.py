@@ -52,6 +52,17 @@ def unchecked(name: str, text: str, advice: str = "", **values: Any) -> Finding:
     return Finding(name, Verdict.UNCHECKED, text, advice, values)
 
 
+def classify(name: str, text: str, *cases: tuple[bool, Verdict, str, str], **values: Any) -> Finding:
+    """Return the finding of the first case that holds, else one that needs no action.
+
+    A case is a condition, its verdict, the words that it adds to the text, and the remedy.
+    """
+    for holds, verdict, words, advice in cases:
+        if holds:
+            return Finding(name, verdict, text + words, advice, values)
+    return ok(name, text, **values)
+
+
 def refused(name: str, error: Exception, **values: Any) -> Finding:
     """Return a finding from an error `problem; remedy`."""
     text, _, advice = " ".join(str(error).split()).partition("; ")

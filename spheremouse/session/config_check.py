@@ -11,7 +11,6 @@ from typing import TypeVar
 
 from spheremouse import capture, output
 from spheremouse.ball.rig import Rig
-from spheremouse.capture.settings import CameraSettings
 from spheremouse.errors import ConfigurationError, SourceError, SpheremouseError
 from spheremouse.files.access import STATE_FOLDER
 from spheremouse.files.disc_map import check_fits, load_map
@@ -52,10 +51,12 @@ def validate(file: Path, c: Configuration) -> Found:
     found = Found()
     calibrated = _files(file, c, found)
     if c.source is not None and _probe(("source",), _probe_source, c.source, found):
-        size, key = _planned_size(c, found)
-        there = None if calibrated is None else (calibrated.width, calibrated.height)
-        if size is not None and there is not None and size != there:
-            found.wrong.append(Problem(key, _other_size(size, there, c)))
+        kind, _, argument = c.source.partition(":")  # of other sources, no size is known before there is a picture
+        size, key = _camera_size(argument, c, found) if kind == "v4l2" else (None, ("source",))
+        where = "rig" if c.camera_file is None else "camera_file"
+        if size is not None and calibrated is not None:
+            problem = size_problem(size, (calibrated.width, calibrated.height), where)
+            found.wrong += [] if problem is None else [Problem(key, "; ".join(problem))]
     if c.output is not None:
         _probe(("output",), output.probe, c.output, found)
     return found
@@ -130,12 +131,6 @@ def _probe(key: Key, probe: Callable[[str], list[Finding]], spec: str, found: Fo
     return True
 
 
-def _planned_size(c: Configuration, found: Found) -> tuple[Size | None, Key]:
-    """Return the size of the pictures, if it is known before there is one, and the key that sets it."""
-    kind, _, argument = (c.source or "").partition(":")
-    return _camera_size(argument, c, found) if kind == "v4l2" else (None, ("source",))
-
-
 def _camera_size(argument: str, c: Configuration, found: Found) -> tuple[Size | None, Key]:
     from spheremouse.capture import v4l2
 
@@ -146,9 +141,11 @@ def _camera_size(argument: str, c: Configuration, found: Found) -> tuple[Size | 
     try:
         return v4l2.planned_size(argument, c.camera), key
     except SourceError as e:
-        plain = replace(c.camera, size=None, format="auto")
-        there = _is_there(argument.partition(",")[0], plain)
-        (found.wrong if there else found.now).append(Problem(key if there else ("source",), _said(e, there)))
+        try:  # the camera is there, if it can be opened with other settings
+            v4l2.planned_size(argument.partition(",")[0], replace(c.camera, size=None, format="auto"))
+            found.wrong.append(Problem(key, str(e)))
+        except SourceError:
+            found.now.append(Problem(("source",), f"not there now, or not to be opened: {e}"))
     return asked.size, key
 
 
@@ -159,24 +156,11 @@ def _is_software(name: str) -> bool:
     return "/devices/virtual/" in os.path.realpath(_NODES / find(name).resolve().name)
 
 
-def _is_there(name: str, settings: CameraSettings) -> bool:
-    """Return whether the camera can be opened with other settings."""
-    from spheremouse.capture import v4l2
-
-    try:
-        v4l2.planned_size(name, settings)
-    except SourceError:
-        return False
-    return True
-
-
-def _said(error: SourceError, there: bool) -> str:
-    return str(error) if there else f"not there now, or not to be opened: {error}"
-
-
-def _other_size(size: Size, there: Size, c: Configuration) -> str:
-    where = "camera_file" if c.camera_file is not None else "rig"
+def size_problem(size: Size, calibrated: Size, where: str) -> tuple[str, str] | None:
+    """Return problem and remedy if pictures have another size than the calibration of `where`."""
+    if size == calibrated:
+        return None
     return (
-        f"pictures of {size[0]}x{size[1]}, but {where} was calibrated at {there[0]}x{there[1]}; "
-        f"set camera.size: [{there[0]}, {there[1]}], or calibrate at this size"
+        f"pictures of {size[0]}x{size[1]}, but {where} was calibrated at {calibrated[0]}x{calibrated[1]}",
+        f"set camera.size: [{calibrated[0]}, {calibrated[1]}], or calibrate at this size",
     )

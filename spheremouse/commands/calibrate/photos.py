@@ -168,9 +168,9 @@ def _opened(
 
 
 def _warn_of_autofocus(node: Path | None, screen: "Screen") -> None:
-    from spheremouse.commands.doctor.controls import read
+    from spheremouse.commands.doctor.camera import read_controls
 
-    controls = None if node is None else read(node)
+    controls = None if node is None else read_controls(node)
     if controls is not None and controls.automatic_focus:
         screen.print(
             "note: the focus is automatic: each time it moves, the calibration no longer holds; "

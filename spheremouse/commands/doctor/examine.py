@@ -17,27 +17,17 @@ from spheremouse.ball.detect.fit_model import noise_of
 from spheremouse.ball.detect.projection import GREY, sample_weights_of
 from spheremouse.ball.rig import Rig
 from spheremouse.capture.nodes import Node, nodes
-from spheremouse.commands.doctor import (
-    computer,
-    controls,
-    files,
-    installed,
-    light,
-    program,
-    running,
-    timing,
-    wand,
-)
-from spheremouse.commands.doctor import sight as sights
-from spheremouse.commands.doctor.footage import Footage, film
+from spheremouse.commands.doctor import camera as cameras
+from spheremouse.commands.doctor import computer, files, light, running, sight, wand
 from spheremouse.commands.doctor.report import Section
+from spheremouse.commands.service.systemd import Place
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.rig import with_camera
 from spheremouse.finding import Finding, Verdict, ok, refused, unchecked, wrong
-from spheremouse.session.cameras import node_of
+from spheremouse.session.cameras import is_camera, node_of
 from spheremouse.session.plan import Plan, Request, without_map
+from spheremouse.session.settings.record import RecordSettings
 from spheremouse.session.wand.setup import WandSetup, wand_setup
-from spheremouse.wand.state import WandTracker
 
 _NO_CAMERA = "v4l2:"  # the source if none is named and no camera is there
 SECONDS = 2.0  # of film: sixty frames give a rate to 2 % and flicker to a percent
@@ -50,82 +40,143 @@ def examine(
 ) -> Iterator[Section]:
     """Yield each section when it is done. `progress` takes a line about the step in progress."""
     progress("checking the program")
-    code = _guarded("compiled code", program.compiled_code)
+    code = _guarded("compiled code", computer.compiled_code)
     if any(f.verdict is not Verdict.OK for f in code):
         show = progress
         progress = lambda text: show(f"{text} (compiling for this computer, once: about a minute)")  # noqa: E731
-    yield Section("program", (*_guarded("version", program.version), *code))
+    yield Section("program", (*_guarded("version", computer.version), *code))
     status, told = running.ask(socket)
     yield Section("daemon", (told, *(_guarded("state", running.check, status) if status else ())))
     there = nodes()
     usual = files.usual(request, status)
-    plan, findings = files.read(usual, _first(there))
+    plan, findings = files.read(usual, f"v4l2:{there[0].lasting or there[0].path}" if there else None)
+    node = None
     if plan is None:
         yield Section("configuration", tuple(findings))
     else:
-        named = bool(usual.output or plan.configuration.output)
-        yield from _with_plan(plan, usual, named, findings, there, status, seconds, progress)
-    node = None if plan is None else node_of(plan)
+        node = None if plan.source == _NO_CAMERA else node_of(plan)
+        run = _Run(plan, usual, node, findings)
+        yield from run.examine(there, status, seconds, progress)
     node = node if node is not None and node.exists() else None
-    yield Section("service", tuple(_guarded("service", installed.check, node)))
-    yield Section("computer", tuple(_computer(plan, files.service_state(usual), progress)))
-
-
-def _with_plan(
-    plan: Plan,
-    request: Request,
-    named: bool,
-    findings: list[Finding],
-    there: list[Node],
-    status: dict[str, Any] | None,
-    seconds: float,
-    progress: Progress,
-) -> Iterator[Section]:
-    node = None if plan.source == _NO_CAMERA else node_of(plan)
-    live = plan.source.partition(":")[0] in ("v4l2", "opencv")
-    camera = [_cameras(there, live)]
-    camera += _guarded("camera", capture.probe, plan.source) if node is not None else []
-    footage: Footage | None = None
-    of_wand, brought = plan.configuration.tracker == "wand", None
-    rig: Rig | None = None
-    if _is_in_use(plan, status):
-        camera.append(
-            unchecked(
-                "film",
-                "the daemon that runs has the camera: its figures are above",
-                "to look through it, stop the daemon (systemctl stop spheremouse, or ctl stop) and repeat this",
-            )
-        )
-    elif not any(f.verdict is Verdict.WRONG for f in camera):
-        progress(f"filming {seconds:g} s with {plan.source}")
-        footage, brought = _filmed(plan, seconds, node, of_wand and not live, camera)
-    tracker: WandTracker | None = None
-    if of_wand:
-        findings += _guarded("camera file", wand.camera_file, plan, brought)
-        if findings[-1].verdict is Verdict.OK:
-            tracker, found = _pair(lambda: wand.tracker_of(plan, request, brought), "ball")
-            findings.append(found)
-    else:
-        plan, rig = _with_rig(plan, footage, findings)
-    yield Section("configuration", tuple(findings))
-    if footage is not None:
-        camera += _camera(footage)
-    yield Section("camera", tuple(camera))
-    if footage is not None:
-        progress("looking for the ball" if of_wand else "looking for targets and discs")
-        if not of_wand:
-            yield Section("picture", tuple(_picture(plan, footage, rig)))
-        elif tracker is not None:
-            yield Section("picture", tuple(_guarded("sight", wand.sight, footage.views, tracker)))
-    none = unchecked(
-        "output", "none is named, and a recording needs none", "give --output KIND:ARG to have it looked at"
+    yield Section("service", tuple(_guarded("service", computer.installed, node)))
+    progress("checking the computer")
+    record = RecordSettings() if plan is None else plan.configuration.record
+    checks = (
+        _guarded("disk", computer.disk, record, files.service_state(usual)),
+        _guarded("memory", computer.memory),
+        _guarded("scheduling", computer.scheduling, Place().unit.exists()),
+        _guarded("load", computer.load),
     )
-    yield Section("output", tuple(_guarded("output", output.probe, plan.output) if named or live else [none]))
+    yield Section("computer", tuple(f for check in checks for f in check))
 
 
-def _first(there: list[Node]) -> str | None:
-    """Return the source that names the first camera."""
-    return f"v4l2:{there[0].lasting or there[0].path}" if there else None
+class _Run:
+    """Examines configuration, camera, picture and output of a plan."""
+
+    def __init__(self, plan: Plan, request: Request, node: Path | None, findings: list[Finding]) -> None:
+        self.plan, self.request, self.node, self.findings = plan, request, node, findings
+        self.live = is_camera(plan.source)
+        self.of_wand = plan.configuration.tracker == "wand"
+        self.footage: cameras.Footage | None = None
+        self.brought: WandSetup | None = None  # camera and balls of a recording of wands
+
+    def examine(
+        self, there: list[Node], status: dict[str, Any] | None, seconds: float, progress: Progress
+    ) -> Iterator[Section]:
+        camera = [_cameras(there, self.live)]
+        camera += _guarded("camera", capture.probe, self.plan.source) if self.node is not None else []
+        if self._is_in_use(status):
+            advice = "to look through it, stop the daemon (systemctl stop spheremouse, or ctl stop) and repeat this"
+            camera.append(unchecked("film", "the daemon that runs has the camera: its figures are above", advice))
+        elif not any(f.verdict is Verdict.WRONG for f in camera):
+            progress(f"filming {seconds:g} s with {self.plan.source}")
+            camera += _guarded("film", self._film, seconds)
+        picture = self._wand_files() if self.of_wand else self._ball_files()
+        yield Section("configuration", tuple(self.findings))
+        yield Section("camera", tuple(camera))
+        if self.footage is not None:
+            progress(f"looking for {'the ball' if self.of_wand else 'targets and discs'}")
+            if findings := tuple(picture(self.footage)):
+                yield Section("picture", findings)
+        if self.live or self.request.output or self.plan.configuration.output:
+            findings = tuple(_guarded("output", output.probe, self.plan.output))
+        else:
+            advice = "give --output KIND:ARG to have it looked at"
+            findings = (unchecked("output", "none is named, and a recording needs none", advice),)
+        yield Section("output", findings)
+
+    def _is_in_use(self, status: dict[str, Any] | None) -> bool:
+        """Return whether the running daemon uses the camera of this plan."""
+        spec = ((status or {}).get("source") or {}).get("spec")
+        other = node_of(replace(self.plan, source=spec)) if spec else None
+        return self.node is not None and other is not None and self.node.resolve() == other.resolve()
+
+    def _film(self, seconds: float) -> Iterator[Finding]:
+        """Film, and yield findings about rate, stamps and controls."""
+        if self.of_wand and not self.live:
+            self.brought = wand_setup(self.plan.source, realtime=False)
+        source = None if self.brought is None else self.brought.source
+        self.footage = footage = cameras.film(self.plan, seconds, self.node, source)
+        yield ok("source", footage.description)
+        yield from _guarded("rate", cameras.rate, footage)
+        yield from _guarded("stamps", cameras.stamps, footage)
+        if footage.controls is not None:
+            yield from _guarded("exposure", cameras.controls, footage.controls)
+
+    def _wand_files(self) -> Callable[[cameras.Footage], Iterator[Finding]]:
+        """Check camera file and balls, and return the check of the pictures."""
+        self.findings += _guarded("camera file", wand.camera_file, self.plan, self.brought)
+        if self.findings[-1].verdict is not Verdict.OK:
+            return lambda _: iter(())
+        tracker, found = _pair("ball", wand.tracker_of, self.plan, self.request, self.brought)
+        self.findings.append(found)
+        if tracker is None:
+            return lambda _: iter(())
+        return lambda footage: iter(_guarded("sight", wand.sight, footage.views, tracker))
+
+    def _ball_files(self) -> Callable[[cameras.Footage], Iterator[Finding]]:
+        """Check rig and map, and return the check of the pictures."""
+        plan, brought = self.plan, None if self.footage is None else self.footage.rig
+        if brought is not None and plan.map_path is not None and plan.rig_path is None:
+            plan = without_map(plan)
+        rig = plan.rig or brought
+        rig = with_camera(rig, plan.camera) if rig is not None and plan.camera is not None else rig
+        broken = any(f.verdict is Verdict.WRONG for f in self.findings)
+        if broken and plan.rig is None and brought is not None:
+            text = "the source's own is taken, since not all that is named can be read"
+            self.findings.append(unchecked("rig", text))
+        elif rig is not None or not broken:
+            self.findings += _guarded("rig", files.rig_file, plan.rig_path, plan.rig, brought)
+        self.findings += _guarded("map", files.map_of, plan.map_path, rig)
+        return lambda footage: self._picture(footage, rig)
+
+    def _picture(self, footage: cameras.Footage, rig: Rig | None) -> Iterator[Finding]:
+        """Yield findings about the frames: size, targets, ball, light, discs, blur."""
+        settings = self.plan.configuration
+        seen: sight.Sight | None = None
+        if rig is None:
+            yield unchecked("targets", "without a rig there is nothing to look for", "see rig, above")
+        else:
+            sized = files.size(rig.camera, *footage.size)
+            yield sized
+            if sized.verdict is Verdict.OK:
+                pose, found = _pair("targets", sight.targets, footage.views, rig, settings)
+                yield found
+                if pose is not None:
+                    seen, found = _pair("ball", sight.sight, rig, pose, settings)
+                    yield found
+        seen = None if seen is None else sight.in_colours(seen, footage.views)
+        projection = GREY if seen is None else seen.projection
+        mask = None if seen is None else ball_mask(seen.rig, seen.pose)
+        greys = [sight.grey(v.image) for v in footage.views]
+        noise = _noise(footage, seen)
+        yield from _guarded("brightness", light.brightness, greys, mask, settings.discs, noise, projection)
+        yield from _guarded("flicker", light.flicker, footage, mask, settings.discs)
+        if seen is not None:
+            exposure = None if footage.controls is None else footage.controls.exposure_s
+            exposure = exposure or settings.camera.exposure_s or seen.rig.exposure_s
+            yield from _guarded("discs", sight.discs, footage.views, seen, settings.discs)
+            yield from _guarded("blur", sight.blur, seen, exposure, settings.discs, seen.rig.exposure_s > 0.0)
 
 
 def _cameras(there: list[Node], live: bool) -> Finding:
@@ -140,76 +191,7 @@ def _cameras(there: list[Node], live: bool) -> Finding:
     return wrong("cameras", "there is no camera", "plug a webcam in (docs/camera.md: which one); see `dmesg`")
 
 
-def _filmed(
-    plan: Plan, seconds: float, node: Path | None, brings: bool, camera: list[Finding]
-) -> tuple[Footage | None, WandSetup | None]:
-    """Film, and return the wands of a source that `brings` its own. A failure is added to `camera`."""
-    brought = None
-    try:
-        brought = wand_setup(plan.source, realtime=False) if brings else None
-        return film(plan, seconds, node, None if brought is None else brought.source), brought
-    except SpheremouseError as e:
-        camera.append(refused("film", e))
-    except Exception as e:
-        camera.append(_ours("film", e))
-    return None, brought
-
-
-def _with_rig(plan: Plan, footage: Footage | None, findings: list[Finding]) -> tuple[Plan, Rig | None]:
-    """Return the device and its map; findings about them are added to `findings`."""
-    if footage is not None and footage.rig is not None and plan.map_path is not None and plan.rig_path is None:
-        plan = without_map(plan)
-    given = None if footage is None else footage.rig
-    rig = plan.rig or given
-    rig = with_camera(rig, plan.camera) if rig is not None and plan.camera is not None else rig
-    broken = any(f.verdict is Verdict.WRONG for f in findings)
-    if broken and plan.rig is None and given is not None:
-        findings.append(unchecked("rig", "the source's own is taken, since not all that is named can be read"))
-    elif rig is not None or not broken:
-        findings += _guarded("rig", files.rig_file, plan.rig_path, plan.rig, given)
-    findings += _guarded("map", files.map_of, plan.map_path, rig)
-    return plan, rig
-
-
-def _camera(footage: Footage) -> Iterator[Finding]:
-    """Yield findings about rate, stamps and exposure."""
-    yield ok("source", footage.description)
-    yield from _guarded("rate", timing.rate, footage)
-    yield from _guarded("stamps", timing.stamps, footage)
-    if footage.controls is not None:
-        yield from _guarded("exposure", controls.check, footage.controls)
-
-
-def _picture(plan: Plan, footage: Footage, rig: Rig | None) -> Iterator[Finding]:
-    """Yield findings about the frames: size, targets, ball, light, discs, blur."""
-    settings = plan.configuration
-    seen: sights.Sight | None = None
-    if rig is None:
-        yield unchecked("targets", "without a rig there is nothing to look for", "see rig, above")
-    else:
-        sized = files.size(rig, *footage.size)
-        yield sized
-        if sized.verdict is Verdict.OK:
-            pose, found = _pair(lambda: sights.targets(footage.views, rig, settings), "targets")
-            yield found
-            if pose is not None:
-                seen, found = _pair(lambda: sights.sight(rig, pose, settings), "ball")
-                yield found
-    seen = None if seen is None else sights.in_colours(seen, footage.views)
-    projection = GREY if seen is None else seen.projection
-    mask = None if seen is None else ball_mask(seen.rig, seen.pose)
-    greys = [sights.grey(v.image) for v in footage.views]
-    noise = _noise(footage, seen)
-    yield from _guarded("brightness", lambda: light.brightness(greys, mask, settings.discs, noise, projection))
-    yield from _guarded("flicker", light.flicker, footage, mask, settings.discs)
-    if seen is not None:
-        sight = seen
-        yield from _guarded("discs", sights.discs, footage.views, sight, settings.discs)
-        exposure = _exposure(plan, footage, sight.rig)
-        yield from _guarded("blur", lambda: sights.blur(sight, exposure, settings.discs, sight.rig.exposure_s > 0.0))
-
-
-def _noise(footage: Footage, seen: "sights.Sight | None") -> float:
+def _noise(footage: cameras.Footage, seen: sight.Sight | None) -> float:
     """Return the noise in grey values, the median over the views."""
     if seen is not None:
         return float(np.median([seen.detector.noise(v.image) for v in footage.views]))
@@ -219,56 +201,28 @@ def _noise(footage: Footage, seen: "sights.Sight | None") -> float:
     )
 
 
-def _exposure(plan: Plan, footage: Footage, rig: Rig) -> float | None:
-    """Return the exposure in s: of the camera, else of the settings, else of the rig."""
-    if footage.controls is not None and footage.controls.exposure_s is not None:
-        return footage.controls.exposure_s
-    return plan.configuration.camera.exposure_s or rig.exposure_s or None
-
-
-def _is_in_use(plan: Plan, status: dict[str, Any] | None) -> bool:
-    """Return whether the running daemon uses the camera of this plan."""
-    spec = None if status is None else (status.get("source") or {}).get("spec")
-    if not spec:
-        return False
-    here, there = node_of(plan), node_of(replace(plan, source=spec))
-    return here is not None and there is not None and here.resolve() == there.resolve()
-
-
-def _computer(plan: Plan | None, state: Path | None, progress: Progress) -> list[Finding]:
-    from spheremouse.commands.service.systemd import Place
-    from spheremouse.session.settings.record import RecordSettings
-
-    progress("checking the computer")
-    settings = RecordSettings() if plan is None else plan.configuration.record
-    return [
-        *_guarded("disk", computer.disk, settings, state),
-        *_guarded("memory", computer.memory),
-        *_guarded("scheduling", computer.scheduling, Place().unit.exists()),
-        *_guarded("load", computer.load),
-    ]
-
-
 def _guarded(name: str, check: Callable[..., Any], *given: Any) -> list[Finding]:
-    """Return the findings of a check, or one about its failure."""
+    """Return the findings of a check. If it fails, the last one is about its failure."""
+    found: list[Finding] = []
     try:
         made = check(*given)
-    except SpheremouseError as e:
-        return [refused(name, e)]
+        for finding in [made] if isinstance(made, Finding) else made:
+            found.append(finding)
     except Exception as e:
-        return [_ours(name, e)]
-    return [made] if isinstance(made, Finding) else list(made)
+        found.append(_failed(name, e))
+    return found
 
 
-def _pair(check: Callable[[], tuple[Any, Finding]], name: str) -> tuple[Any, Finding]:
+def _pair(name: str, check: Callable[..., tuple[Any, Finding]], *given: Any) -> tuple[Any, Finding]:
+    """Return the result and the finding of a check. If it fails, the result is None."""
     try:
-        return check()
-    except SpheremouseError as e:
-        return None, refused(name, e)
+        return check(*given)
     except Exception as e:
-        return None, _ours(name, e)
+        return None, _failed(name, e)
 
 
-def _ours(name: str, error: Exception) -> Finding:
+def _failed(name: str, error: Exception) -> Finding:
+    if isinstance(error, SpheremouseError):
+        return refused(name, error)
     what = " ".join(f"{type(error).__name__}: {error}".split())
     return wrong(name, f"this check itself failed: {what}", "please report it")

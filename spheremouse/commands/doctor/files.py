@@ -1,7 +1,6 @@
 """The files of a run: configuration, rig, camera and map. A broken one is a finding, and the rest is checked."""
 
 import os
-from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,7 +12,9 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.files.disc_map import age, check_fits, load_map, map_path
 from spheremouse.files.yaml import read_document
-from spheremouse.finding import Finding, ok, refusals, unchecked, warning, wrong
+from spheremouse.finding import Finding, Verdict, classify, ok, refusals, unchecked, warning, wrong
+from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.session.config_check import size_problem
 from spheremouse.session.plan import Plan, Request, beside, read_plan
 from spheremouse.session.settings import Configuration
 
@@ -116,41 +117,35 @@ def rig_file(path: Path | None, rig: Rig | None, given: Rig | None) -> Finding:
     if rig is None and given is not None:
         return ok("rig", "the source brings its own")
     if rig is None or path is None:
-        return unchecked(
-            "rig",
-            "no rig yet: the pictures cannot be measured",
-            f"{_CALIBRATE}; where there is one: give --rig FILE, or `rig:` in the configuration",
-        )
+        advice = f"{_CALIBRATE}; where there is one: give --rig FILE, or `rig:` in the configuration"
+        return unchecked("rig", "no rig yet: the pictures cannot be measured", advice)
     made, how = _made(path)
     days = (datetime.now(UTC) - made).total_seconds() / _DAY
     targets = f"{len(rig.targets.codes)} targets" if rig.pose is None else "the camera's pose"
     text = f"{path}: {how} {_since(days)}; {targets}, ball of {_length(rig)}"
-    if days < -1.0:
-        return warning("rig", text, "its date lies ahead: set this computer's clock", age_days=days)
-    return ok("rig", text, age_days=round(days, 1), targets=len(rig.targets.codes))
-
-
-def size(rig: Rig, width: int, height: int) -> Finding:
-    """Compare the size of the pictures with that of the calibration."""
-    there = (rig.camera.width, rig.camera.height)
-    values: dict[str, Any] = {"calibrated_px": list(there), "pictures_px": [width, height]}
-    if there == (width, height):
-        return ok("size", f"{width}x{height}, as calibrated", **values)
-    return wrong(
-        "size",
-        f"pictures of {width}x{height}, but the camera was calibrated at {there[0]}x{there[1]}",
-        f"set camera.size: [{there[0]}, {there[1]}], or calibrate at this size",
-        **values,
+    return classify(
+        "rig",
+        text,
+        (days < -1.0, Verdict.WARNING, "", "its date lies ahead: set this computer's clock"),
+        age_days=round(days, 1),
+        targets=len(rig.targets.codes),
     )
+
+
+def size(camera: InteriorOrientation, width: int, height: int) -> Finding:
+    """Compare the size of the pictures with that of the calibration."""
+    calibrated = camera.width, camera.height
+    values: dict[str, Any] = {"calibrated_px": list(calibrated), "pictures_px": [width, height]}
+    if problem := size_problem((width, height), calibrated, "the camera"):
+        return wrong("size", *problem, **values)
+    return ok("size", f"{width}x{height}, as calibrated", **values)
 
 
 def map_of(path: Path | None, rig: Rig | None) -> Finding:
     """Report the map of the discs, which the tracker learns while the ball turns."""
     if path is None:
-        return ok(
-            "map",
-            "none is kept for this source" if rig is not None else "none yet: it is learnt once there is a rig file",
-        )
+        none = "none is kept for this source"
+        return ok("map", none if rig is not None else "none yet: it is learnt once there is a rig file")
     if not path.exists():
         return ok("map", f"{path}: not there yet; it is made as the ball turns")
     try:
@@ -164,20 +159,12 @@ def map_of(path: Path | None, rig: Rig | None) -> Finding:
 
 def _made(path: Path) -> tuple[datetime, str]:
     """Return the time of a rig's calibration, from its contents, else that of its file."""
-    for found in _dates(path):
-        return found, "calibrated"
-    return datetime.fromtimestamp(path.stat().st_mtime, UTC), "written"
-
-
-def _dates(path: Path) -> Iterator[datetime]:
     data = read_document(path).data
-    told = data.get("provenance") if isinstance(data, dict) else None
-    value = told.get("date") if isinstance(told, dict) else None
     try:
-        made = datetime.fromisoformat(str(value))
-    except ValueError:
-        return
-    yield made if made.tzinfo is not None else made.replace(tzinfo=UTC)
+        made = datetime.fromisoformat(data["provenance"]["date"])
+    except (TypeError, KeyError, ValueError):
+        return datetime.fromtimestamp(path.stat().st_mtime, UTC), "written"
+    return made if made.tzinfo is not None else made.replace(tzinfo=UTC), "calibrated"
 
 
 def _since(days: float) -> str:

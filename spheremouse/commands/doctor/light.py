@@ -1,7 +1,6 @@
 """The light: brightness, overexposure and flicker. The limits are those of the disc detector (`detect.discs`)."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -9,19 +8,18 @@ import numpy as np
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.ball.detect.projection import GREY, Projection
-from spheremouse.commands.doctor.footage import Footage
-from spheremouse.commands.doctor.timing import steadiness
-from spheremouse.finding import Finding, ok, unchecked, warning, wrong
+from spheremouse.commands.doctor.camera import Footage, steadiness
+from spheremouse.finding import Finding, Verdict, classify, ok, unchecked
 from spheremouse.geometry.rotation import Array
 
 _CLIPPED = 254  # grey value: the last two hold what is overexposed, whatever the noise
 _LIGHT_DISCS = 99.8  # per cent of the ball that are darker than light discs: eight of 2 cm on 1.2 m cover 0.2 %
 _BRIGHTEST = 95.0  # per cent of the picture that are darker
-_MUCH = 0.1  # of the ball overexposed: one disc in ten has a rim whose bright side is cut off
-_PRINT = 0.8  # contrast of black print on white
-_LAMPS = (100.0, 120.0)  # Hz: twice the mains of 50 and 60
-_DRIFT = 0.5  # Hz about them: mains within 0.2 %, the camera's clock and its stamps over two seconds
-_FALSE = 1e-4  # chance that noise alone is taken for flicker
+_MAX_CLIPPED = 0.1  # of the ball overexposed: one disc in ten has a rim whose bright side is cut off
+_PRINT_CONTRAST = 0.8  # contrast of black print on white
+_LAMPS_HZ = (100.0, 120.0)  # Hz: twice the mains of 50 and 60
+_MAINS_DRIFT_HZ = 0.5  # Hz about them: mains within 0.2 %, the camera's clock and its stamps over two seconds
+_MAX_CHANCE = 1e-4  # chance that noise alone is taken for flicker
 _MIN_DEPTH = 0.005  # depth below which flicker is not reported
 
 
@@ -36,34 +34,30 @@ def brightness(
     deviations and a grey value, as in the detector. The contrast is relative to the lighter of disc and ball, which is
     the disc in any `projection` but grey.
     """
-    name = "brightness"
     values = np.concatenate([v[mask > 0] if mask is not None else v.ravel() for v in views])
     middle = float(np.median(values) if mask is not None else np.percentile(values, _BRIGHTEST))
+    level = middle if projection == GREY else float(np.percentile(values, _LIGHT_DISCS))
     clipped = float(np.mean(values >= _CLIPPED))
-    least = (4.0 * noise + 1.0) / (0.5 * settings.contrast)
-    hopeless = (4.0 * noise + 1.0) / (0.5 * _PRINT)
-    where = "the ball" if mask is not None else "the brightest of the picture"
-    text = f"{where} is at {middle:.0f} of 255, noise {noise:.1f}, {100 * clipped:.1f} % overexposed"
-    numbers: dict[str, Any] = {
-        "grey": round(middle, 1),
-        "noise": round(noise, 2),
-        "blown_out": round(clipped, 4),
-        "least": round(least, 1),
-    }
+    least, hopeless = ((4.0 * noise + 1.0) / (0.5 * c) for c in (settings.contrast, _PRINT_CONTRAST))
+    ball, where = (True, "the ball") if mask is not None else (False, "the brightest of the picture")
     darken = "a shorter exposure (camera.exposure_s), less gain, or a lamp less"
     lighten = "more light on the ball; then gain, then exposure"
-    level = middle if projection == GREY else float(np.percentile(values, _LIGHT_DISCS))
-    if clipped > 0.5 and mask is not None:
-        return wrong(name, f"{text}: most discs have no true rim", darken, **numbers)
-    if mask is not None and level < hopeless:
-        return wrong(
-            name, f"{text}: even black print stands out of the noise from {hopeless:.0f} on", lighten, **numbers
-        )
-    if clipped > _MUCH and mask is not None:
-        return warning(name, f"{text}: discs there are measured badly", darken, **numbers)
-    if level < least:
-        return warning(name, f"{text}: discs in haze or shade need {least:.0f}", lighten, **numbers)
-    return ok(name, text, **numbers)
+    hidden = f": even black print stands out of the noise from {hopeless:.0f} on"
+    return classify(
+        "brightness",
+        f"{where} is at {middle:.0f} of 255, noise {noise:.1f}, {100 * clipped:.1f} % overexposed",
+        (ball and clipped > 0.5, Verdict.WRONG, ": most discs have no true rim", darken),
+        (ball and level < hopeless, Verdict.WRONG, hidden, lighten),
+        (ball and clipped > _MAX_CLIPPED, Verdict.WARNING, ": discs there are measured badly", darken),
+        (level < least, Verdict.WARNING, f": discs in haze or shade need {least:.0f}", lighten),
+        grey=round(middle, 1),
+        noise=round(noise, 2),
+        blown_out=round(clipped, 4),
+        least=round(least, 1),
+    )
+
+
+# ---- flicker ----
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,35 +72,31 @@ class Flicker:
 
 def flicker(footage: Footage, mask: Image | None, settings: DiscSettings) -> Finding:
     """Check for grey values that oscillate with the mains. Bands as dark as a faint disc are a warning."""
-    name = "flicker"
     interval, _ = steadiness(footage.stamps, footage.sequence)
     if len(footage.stamps) < 20 or interval <= 0.0:
-        return unchecked(name, "too few frames to tell")
+        return unchecked("flicker", "too few frames to tell")
     found, hidden = search(footage.grid, footage.stamps, footage.sequence, mask)
-    blind = "".join(f"; {lamp / 2:g} Hz mains cannot be told at {1 / interval:.4g} frames/s" for lamp in hidden)
-    if len(hidden) == len(_LAMPS):
-        return unchecked(name, f"at {1 / interval:.4g} frames/s lamps of 50 and 60 Hz mains stand still or look alike")
-    real = [f for f in found if f.chance < _FALSE and f.depth > _MIN_DEPTH]
+    fps = f"at {1 / interval:.4g} frames/s"
+    if len(hidden) == len(_LAMPS_HZ):
+        return unchecked("flicker", f"{fps} lamps of 50 and 60 Hz mains stand still or look alike")
+    real = [f for f in found if f.chance < _MAX_CHANCE and f.depth > _MIN_DEPTH]
     if not real:
-        return ok(name, f"none seen{blind}", hidden_hz=list(hidden))
+        blind = "".join(f"; {lamp / 2:g} Hz mains cannot be told {fps}" for lamp in hidden)
+        return ok("flicker", f"none seen{blind}", hidden_hz=list(hidden))
     worst = max(real, key=lambda f: f.depth)
     mains = worst.lamp / 2.0
-    numbers: dict[str, Any] = {
-        "mains_hz": mains,
-        "depth": round(worst.depth, 4),
-        "chance": worst.chance,
-        "seen_at_hz": round(worst.seen_at, 2),
-    }
-    text = f"mains of {mains:g} Hz: grey values oscillate by {100 * worst.depth:.1f} %"
-    if worst.depth > 0.3 * settings.contrast:  # peak to peak as the detector's limit for a disc
-        return warning(
-            name,
-            f"{text}, as much as a faint disc",
-            f"set camera.exposure_s to a whole number of {1 / worst.lamp:.4g} s, or camera.mains_hz: {mains:g}; "
-            "or lamps that do not flicker",
-            **numbers,
-        )
-    return ok(name, f"{text}, which does no harm", **numbers)
+    strong = worst.depth > 0.3 * settings.contrast  # peak to peak as the detector's limit for a disc
+    period = f"set camera.exposure_s to a whole number of {1 / worst.lamp:.4g} s, or camera.mains_hz: {mains:g}"
+    return classify(
+        "flicker",
+        f"mains of {mains:g} Hz: grey values oscillate by {100 * worst.depth:.1f} %, "
+        + ("as much as a faint disc" if strong else "which does no harm"),
+        (strong, Verdict.WARNING, "", f"{period}; or lamps that do not flicker"),
+        mains_hz=mains,
+        depth=round(worst.depth, 4),
+        chance=worst.chance,
+        seen_at_hz=round(worst.seen_at, 2),
+    )
 
 
 def search(grid: Array, stamps: Array, sequence: Array, mask: Image | None) -> tuple[list[Flicker], tuple[float, ...]]:
@@ -124,20 +114,20 @@ def search(grid: Array, stamps: Array, sequence: Array, mask: Image | None) -> t
     span, half = float(t[-1] - t[0]), 0.5 / interval
     frequencies = np.arange(1.5 / span, half - 1.0 / span, 0.25 / span)
     if len(frequencies) < 8 or signal.shape[1] == 0:
-        return [], _LAMPS
+        return [], _LAMPS_HZ
     power = _power(signal, t, frequencies)
-    alias = {lamp: abs(lamp - np.rint(lamp * interval) / interval) for lamp in _LAMPS}
+    alias = {lamp: abs(lamp - np.rint(lamp * interval) / interval) for lamp in _LAMPS_HZ}
     alike = abs(alias[100.0] - alias[120.0]) < 2.0 / span
     found, hidden = [], []
     for lamp, seen in alias.items():
-        near = np.abs(frequencies - seen) <= max(_DRIFT, 0.5 / span)
+        near = np.abs(frequencies - seen) <= max(_MAINS_DRIFT_HZ, 0.5 / span)
         if not near.any() or seen < frequencies[0] or seen > frequencies[-1] or alike:
             hidden.append(lamp)
             continue
-        away = np.abs(frequencies - seen) > max(_DRIFT, 0.5 / span) + 1.0 / span
+        away = np.abs(frequencies - seen) > max(_MAINS_DRIFT_HZ, 0.5 / span) + 1.0 / span
         mean = float(np.median(power[away])) / np.log(2.0) if away.any() else np.inf
         best = float(power[near].max())
-        tries = max(1.0, 2.0 * _DRIFT * span)
+        tries = max(1.0, 2.0 * _MAINS_DRIFT_HZ * span)
         chance = min(1.0, tries * float(np.exp(-best / max(mean, 1e-30))))
         found.append(Flicker(lamp, float(seen), float(np.sqrt(best)), chance))
     return found, tuple(hidden)

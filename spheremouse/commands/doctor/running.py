@@ -5,11 +5,11 @@ from typing import Any
 
 from spheremouse import __version__
 from spheremouse.errors import ControlError
-from spheremouse.finding import Finding, ok, unchecked, warning, wrong
+from spheremouse.finding import Finding, Verdict, classify, ok, unchecked, wrong
 from spheremouse.session.control.client import Client, NoDaemonError
 
-_LOST = 0.01  # of the frames; the filter bridges fewer
-_INTERVALS = 2.0  # from mid-exposure to the event: one to read the frame out and carry it here, one to work on it
+_MAX_LOST = 0.01  # of the frames; the filter bridges fewer
+_MAX_INTERVALS = 2.0  # from mid-exposure to the event: one to read the frame out and carry it here, one to work on it
 _MIN_DISCS = 3  # discs that hold the attitude and check it
 _ADVICE = {
     "starting": "wait; the first start compiles for a minute",
@@ -32,26 +32,21 @@ def ask(socket: Path | None = None) -> tuple[dict[str, Any] | None, Finding]:
         return None, unchecked("daemon", str(e).partition("; ")[0], str(e).partition("; ")[2])
     age = _span(float(status.get("uptime_s") or 0.0))
     text = f"process {status.get('pid')}, version {status.get('version')}, for {age}"
-    if status.get("version") != __version__:
-        return status, warning(
-            "daemon", f"{text}; this program is {__version__}", "restart it to run the installed version"
-        )
-    return status, ok("daemon", text)
+    other, advice = status.get("version") != __version__, "restart it to run the installed version"
+    return status, classify("daemon", text, (other, Verdict.WARNING, f"; this program is {__version__}", advice))
 
 
 def check(status: dict[str, Any]) -> list[Finding]:
     """Return findings about a status; missing keys are left out."""
-    looks = (_state, _frames, _latency, _discs, _motion, _output)
-    return [found for look in looks if (found := look(status)) is not None]
+    checks = (_state, _frames, _latency, _discs, _motion, _output)
+    return [found for each in checks if (found := each(status)) is not None]
 
 
 def _state(s: dict[str, Any]) -> Finding:
-    state, reason = str(s.get("state")), str(s.get("reason"))
-    text = f"{state}: {reason}"
-    if state == "tracking":
-        return ok("state", text, state=state)
-    make = wrong if state in ("no-camera", "failed-output") else warning
-    return make("state", text, _ADVICE.get(state, ""), state=state)
+    state = str(s.get("state"))
+    verdict = {"tracking": Verdict.OK, "no-camera": Verdict.WRONG, "failed-output": Verdict.WRONG}
+    text, advice = f"{state}: {s.get('reason')}", _ADVICE.get(state, "")
+    return Finding("state", verdict.get(state, Verdict.WARNING), text, advice, {"state": state})
 
 
 def _frames(s: dict[str, Any]) -> Finding | None:
@@ -59,43 +54,43 @@ def _frames(s: dict[str, Any]) -> Finding | None:
     dropped, skipped, damaged = (int(s.get(k) or 0) for k in ("dropped", "skipped", "damaged"))
     if fps is None or frames == 0:
         return None
-    every = frames + dropped + skipped + damaged
-    described = str((s.get("source") or {}).get("description") or "")
-    text = f"{fps:.1f} frames/s; of {every} lost {dropped}, skipped {skipped}, damaged {damaged}"
-    text += f" ({described})" if described else ""
-    numbers: dict[str, Any] = {"fps": fps, "frames": frames, "dropped": dropped, "skipped": skipped, "damaged": damaged}
-    if skipped > _LOST * every:
-        return warning("frames", text, "this computer is too slow for them: a smaller size or rate", **numbers)
-    if dropped + damaged > _LOST * every:
-        return warning("frames", text, "a port of its own for the camera, a shorter cable, a lower rate", **numbers)
-    return ok("frames", text, **numbers)
+    produced = frames + dropped + skipped + damaged
+    described = (s.get("source") or {}).get("description")
+    text = f"{fps:.1f} frames/s; of {produced} lost {dropped}, skipped {skipped}, damaged {damaged}"
+    slow = "this computer is too slow for them: a smaller size or rate"
+    cable = "a port of its own for the camera, a shorter cable, a lower rate"
+    return classify(
+        "frames",
+        f"{text} ({described})" if described else text,
+        (skipped > _MAX_LOST * produced, Verdict.WARNING, "", slow),
+        (dropped + damaged > _MAX_LOST * produced, Verdict.WARNING, "", cable),
+        fps=fps,
+        frames=frames,
+        dropped=dropped,
+        skipped=skipped,
+        damaged=damaged,
+    )
 
 
 def _latency(s: dict[str, Any]) -> Finding | None:
-    told, fps = s.get("latency_ms"), float(s.get("fps") or 0.0)
-    if not told or told.get("p50") is None or told.get("p99") is None or fps <= 0.0:
+    told, fps = s.get("latency_ms") or {}, float(s.get("fps") or 0.0)
+    if told.get("p50") is None or told.get("p99") is None or fps <= 0.0:
         return None
-    slow, share = float(told["p99"]), float(told["p99"]) * fps / 1e3
-    text = f"{float(told['p50']):.1f} ms from frame to event, 1 in 100 takes {slow:.1f} ms ({share:.1f} intervals)"
+    slow, intervals = float(told["p99"]), float(told["p99"]) * fps / 1e3
+    text = f"{float(told['p50']):.1f} ms from frame to event, 1 in 100 takes {slow:.1f} ms ({intervals:.1f} intervals)"
     text += f"; {s['scheduling']}" if s.get("scheduling") else ""
-    if share > _INTERVALS:
-        return warning(
-            "latency", text, "real-time scheduling (the service has it), fewer programs, a faster computer", **told
-        )
-    return ok("latency", text, **told)
+    advice = "real-time scheduling (the service has it), fewer programs, a faster computer"
+    return classify("latency", text, (intervals > _MAX_INTERVALS, Verdict.WARNING, "", advice), **told)
 
 
 def _discs(s: dict[str, Any]) -> Finding | None:
-    used, seen, known = s.get("discs"), s.get("discs_seen"), s.get("discs_known")
+    used, pose = s.get("discs"), s.get("pose")
     if used is None or s.get("state") not in ("tracking", "lost", "failed-output"):
         return None
-    text = f"{used} used, {seen} seen, {known} known"
-    pose = s.get("pose")
-    if pose:
-        text += f"; camera pose {_span(float(pose.get('age_s') or 0.0))} old"
-    if s.get("state") == "tracking" and int(used) < _MIN_DISCS:
-        return warning("discs", text, "uncover and light the ball", used=used)
-    return ok("discs", text, used=used)
+    text = f"{used} used, {s.get('discs_seen')} seen, {s.get('discs_known')} known"
+    text += f"; camera pose {_span(float(pose.get('age_s') or 0.0))} old" if pose else ""
+    few = s.get("state") == "tracking" and int(used) < _MIN_DISCS
+    return classify("discs", text, (few, Verdict.WARNING, "", "uncover and light the ball"), used=used)
 
 
 def _motion(s: dict[str, Any]) -> Finding | None:

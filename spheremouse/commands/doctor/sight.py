@@ -19,7 +19,7 @@ from spheremouse.ball.pose import TARGET_SIGMA_PX, find_pose, gather
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.errors import SpheremouseError
-from spheremouse.finding import Finding, ok, refused, unchecked, warning, wrong
+from spheremouse.finding import Finding, Verdict, classify, ok, refused, unchecked, wrong
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.messages import why_absent
@@ -69,25 +69,20 @@ def targets(views: tuple[Frame, ...], rig: Rig, settings: Settings) -> tuple[Pos
         found = find_pose(looked, rig, colour[0])
     except SpheremouseError as e:
         return None, refused("targets", e, **numbers)
-    residual = float(np.sqrt(np.mean(found.residual**2)))
+    residual, all_codes = float(np.sqrt(np.mean(found.residual**2))), rig.targets.codes
     limit = expected_residual(rig, found.pose, TARGET_SIGMA_PX)
     numbers |= {"seen": len(found.codes), "residual_px": round(residual, 3), "limit_px": round(limit, 3)}
-    text = (
-        f"{len(found.codes)} of {len(rig.targets.codes)} found ({', '.join(found.codes)}), residual {residual:.2f} px"
+    listed = ", ".join(found.codes)
+    hidden = ", ".join(c for c in all_codes if c not in found.codes)
+    moved = "was a target moved, the lens turned, or the camera exchanged? calibrate what has changed"
+    few = len(found.codes) == 3 < len(all_codes)
+    return found.pose, classify(
+        "targets",
+        f"{len(found.codes)} of {len(all_codes)} found ({listed}), residual {residual:.2f} px",
+        (residual > limit, Verdict.WARNING, f"; {limit:.2f} px would be a millimetre on the frame", moved),
+        (few, Verdict.WARNING, ": nothing checks them", f"uncover or light {hidden}"),
+        **numbers,
     )
-    hidden = [c for c in rig.targets.codes if c not in found.codes]
-    if residual > limit:
-        return found.pose, warning(
-            "targets",
-            f"{text}; {limit:.2f} px would be a millimetre on the frame",
-            "was a target moved, the lens turned, or the camera exchanged? calibrate what has changed",
-            **numbers,
-        )
-    if len(found.codes) == 3 and len(rig.targets.codes) > 3:
-        return found.pose, warning(
-            "targets", f"{text}: nothing checks them", f"uncover or light {', '.join(hidden)}", **numbers
-        )
-    return found.pose, ok("targets", text, **numbers)
 
 
 def expected_residual(rig: Rig, pose: Pose, sigma: float) -> float:
@@ -113,21 +108,20 @@ def sight(rig: Rig, pose: Pose, settings: Settings) -> tuple[Sight | None, Findi
     disc = largest_disc(rig, pose)
     distance = float(np.linalg.norm(pose.position - rig.ball.centre)) / (rig.ball.radius if rig.scale_free else 1.0)
     unit = "radii" if rig.scale_free else "m"
-    text = f"{across:.0f} px across, {distance:.2f} {unit} from the camera; a disc is {disc:.1f} px"
-    numbers: dict[str, Any] = {"ball_px": round(across, 1), "disc_px": round(disc, 2), "distance": round(distance, 3)}
-    area = 0.25 * np.pi * disc**2
-    seen = Sight(rig, pose, detector)
+    area, least = 0.25 * np.pi * disc**2, settings.discs.min_area
     closer = "a camera closer by, a longer lens, or more pixels"
-    if area < settings.discs.min_area:
-        return seen, wrong("ball", f"{text}: none is large enough to be found", closer, **numbers)
-    if area < 4.0 * settings.discs.min_area:  # seen at 75 degrees it has a quarter of its area
-        return seen, warning("ball", f"{text}: found in the middle of the ball only", closer, **numbers)
-    if not inside.all():
-        share = 1.0 - float(inside.mean())
-        return seen, warning(
-            "ball", f"{text}; {100 * share:.0f} % of its outline is out of the picture", "turn the camera", **numbers
-        )
-    return seen, ok("ball", text, **numbers)
+    cut = f"; {100 * (1.0 - float(inside.mean())):.0f} % of its outline is out of the picture"
+    # a disc that is seen at 75 degrees has a quarter of its area
+    return Sight(rig, pose, detector), classify(
+        "ball",
+        f"{across:.0f} px across, {distance:.2f} {unit} from the camera; a disc is {disc:.1f} px",
+        (area < least, Verdict.WRONG, ": none is large enough to be found", closer),
+        (area < 4.0 * least, Verdict.WARNING, ": found in the middle of the ball only", closer),
+        (not inside.all(), Verdict.WARNING, cut, "turn the camera"),
+        ball_px=round(across, 1),
+        disc_px=round(disc, 2),
+        distance=round(distance, 3),
+    )
 
 
 def in_colours(seen: Sight, views: tuple[Frame, ...]) -> Sight:
@@ -154,14 +148,10 @@ def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Find
         strength = float(np.median(contrasts))
         numbers["contrast"] = round(strength, 3)
         text += f", contrast {strength:.2f} (print has 0.8; {settings.contrast:g} is the least)"
-    if count < _MIN_DISCS:
-        return warning(
-            "discs",
-            f"{text}: fewer than three, nothing checks the attitude",
-            "uncover the ball, or more discs",
-            **numbers,
-        )
-    return ok("discs", text, **numbers)
+    few = ": fewer than three, nothing checks the attitude"
+    return classify(
+        "discs", text, (count < _MIN_DISCS, Verdict.WARNING, few, "uncover the ball, or more discs"), **numbers
+    )
 
 
 def contrast(image: Image, found: Detections, projection: Projection) -> Array:
@@ -196,31 +186,31 @@ def blur(seen: Sight, exposure: float | None, settings: DiscSettings, known: boo
     speed = _BRISK * (rig.ball.radius / _USUAL_RADIUS if rig.scale_free else 1.0)
     rate = speed / rig.ball.radius
     per_second = speed * rig.camera.fx / near  # px/s
-    words = f"{np.degrees(rate):.0f} °/s"
-    if exposure is None or exposure <= 0.0:
-        longest = 1e3 * settings.size_tolerance * seen.disc / per_second
+    at = f"{np.degrees(rate):.0f} °/s"
+    fraction = _CORE if known and exposure else settings.size_tolerance
+    longest_ms = 1e3 * fraction * seen.disc / per_second
+    if not exposure:
         return unchecked(
             "blur",
-            f"the exposure is not known; up to {longest:.1f} ms keep discs sharp at {words}",
+            f"the exposure is not known; up to {longest_ms:.1f} ms keep discs sharp at {at}",
             "set camera.exposure_s, or exposure_s in the rig file",
-            longest_ms=round(longest, 2),
+            longest_ms=round(longest_ms, 2),
         )
     smear, turn = per_second * exposure, float(np.degrees(rate * exposure))
-    share = _CORE if known else settings.size_tolerance
-    longest = share * seen.disc / per_second
-    numbers: dict[str, Any] = {
-        "exposure_ms": 1e3 * exposure, "blur_px": round(smear, 2), "blur_deg": round(turn, 3),
-        "disc_px": round(seen.disc, 2), "at_deg_s": round(float(np.degrees(rate)), 1),
-        "longest_ms": round(1e3 * longest, 2),
-    }  # fmt: skip
-    text = f"{1e3 * exposure:g} ms are {turn:.2f}° or {smear:.1f} px at {words}; a disc is {seen.disc:.1f} px"
-    shorter = f"an exposure of {1e3 * longest:.1f} ms or less (camera.exposure_s), and more light"
-    if smear >= seen.disc:
-        return wrong("blur", f"{text}: a turning ball shows no disc", shorter, **numbers)
-    if smear > share * seen.disc:
-        told = "" if known else "; or exposure_s in the rig file, so that blur is expected"
-        return warning("blur", text, shorter + told, **numbers)
-    return ok("blur", text, **numbers)
+    shorter = f"an exposure of {longest_ms:.1f} ms or less (camera.exposure_s), and more light"
+    told = "" if known else "; or exposure_s in the rig file, so that blur is expected"
+    return classify(
+        "blur",
+        f"{1e3 * exposure:g} ms are {turn:.2f}° or {smear:.1f} px at {at}; a disc is {seen.disc:.1f} px",
+        (smear >= seen.disc, Verdict.WRONG, ": a turning ball shows no disc", shorter),
+        (smear > fraction * seen.disc, Verdict.WARNING, "", shorter + told),
+        exposure_ms=1e3 * exposure,
+        blur_px=round(smear, 2),
+        blur_deg=round(turn, 3),
+        disc_px=round(seen.disc, 2),
+        at_deg_s=round(float(np.degrees(rate)), 1),
+        longest_ms=round(longest_ms, 2),
+    )
 
 
 def grey(image: Image) -> Image:

@@ -2,13 +2,13 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
+from spheremouse.commands.doctor.files import size
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
-from spheremouse.finding import Finding, ok, refused, unchecked, warning, wrong
+from spheremouse.finding import Finding, Verdict, classify, ok, refused, unchecked, wrong
 from spheremouse.session.balls import read_balls
 from spheremouse.session.plan import Plan, Request, named_balls
 from spheremouse.session.settings import Configuration
@@ -34,15 +34,11 @@ def tracker_of(plan: Plan, request: Request, given: WandSetup | None) -> tuple[W
 
 def sight(views: tuple[Frame, ...], tracker: WandTracker) -> Iterator[Finding]:
     """Yield a finding about each ball: its place in the pictures, without prior knowledge, and its uncertainty."""
-    there, size = (tracker.camera.width, tracker.camera.height), views[0].image.shape[1::-1]
-    if size != there:
-        yield wrong(
-            "size",
-            f"pictures of {size[0]}x{size[1]}, but the camera was calibrated at {there[0]}x{there[1]}",
-            f"set camera.size: [{there[0]}, {there[1]}], or calibrate at this size",
-        )
+    height, width = views[0].image.shape[:2]
+    sized = size(tracker.camera, width, height)
+    yield sized
+    if sized.verdict is not Verdict.OK:
         return
-    yield ok("size", f"{size[0]}x{size[1]}, as calibrated")
     if any(v.image.ndim == 2 for v in views):
         yield unchecked("sight", "the pictures are grey", "choose a format with colour: YUYV or MJPG")
         return
@@ -56,9 +52,7 @@ def sight(views: tuple[Frame, ...], tracker: WandTracker) -> Iterator[Finding]:
 
 def _found(poses: list[WandPose]) -> Finding:
     good = [p for p in poses if p.phase is Status.TRACKING]
-    share, name = len(good) / len(poses), poses[0].name
-    events = [p.event for p in poses if p.event is not None]
-    numbers: dict[str, Any] = {"pictures": len(poses), "found": len(good)}
+    name, events = poses[0].name, [p.event for p in poses if p.event is not None]
     if not good:
         why, advice = trouble_and_remedy(events[-1]) if events else (f"{name} is not seen", "")
         return wrong("sight", why, advice or "hold it before the camera; `spheremouse wand colours` picks its colours")
@@ -67,13 +61,16 @@ def _found(poses: list[WandPose]) -> Finding:
     assert last.covariance is not None, "and its covariance"
     away = float(np.linalg.norm(last.position))
     sigma = float(np.sqrt(np.trace(last.covariance[:3, :3])))
-    text = (
-        f"{name}: found in {len(good)} of {len(poses)} pictures, last {away:.2f} m away, known to {1e3 * sigma:.0f} mm"
+    seldom = len(good) < _MIN_FOUND * len(poses)
+    return classify(
+        "sight",
+        f"{name}: found in {len(good)} of {len(poses)} pictures, last {away:.2f} m away, known to {1e3 * sigma:.0f} mm",
+        (seldom, Verdict.WARNING, "", "more light, or other bounds: spheremouse wand colours PICTURE"),
+        pictures=len(poses),
+        found=len(good),
+        distance_m=round(away, 3),
+        sigma_mm=round(1e3 * sigma, 1),
     )
-    numbers |= {"distance_m": round(away, 3), "sigma_mm": round(1e3 * sigma, 1)}
-    if share < _MIN_FOUND:
-        return warning("sight", text, "more light, or other bounds: spheremouse wand colours PICTURE", **numbers)
-    return ok("sight", text, **numbers)
 
 
 def camera_file(plan: Plan, given: WandSetup | None) -> Finding:
@@ -83,8 +80,5 @@ def camera_file(plan: Plan, given: WandSetup | None) -> Finding:
         return ok("camera file", str(path))
     if given is not None and given.camera is not None:
         return ok("camera file", "the source brings its own")
-    return unchecked(
-        "camera file",
-        "none is named",
-        "give --camera FILE, or `camera_file:`; `spheremouse calibrate camera` makes one",
-    )
+    advice = "give --camera FILE, or `camera_file:`; `spheremouse calibrate camera` makes one"
+    return unchecked("camera file", "none is named", advice)

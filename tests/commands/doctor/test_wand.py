@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 
 from spheremouse.commands.doctor import examine as doctor
-from spheremouse.commands.doctor import files
 from spheremouse.commands.doctor.wand import sight
-from spheremouse.commands.service import systemd as service
-from spheremouse.commands.service.systemd import Place
 from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.files.wand import save_wand
 from spheremouse.finding import Verdict
@@ -29,15 +26,6 @@ def hand(tmp_path_factory):
     for _ in write_wand(path, prepare_wand(WandOptions("hand", seed=1, fps=15.0, seconds=1.0, size=(640, 480)))):
         pass
     return path
-
-
-@pytest.fixture(autouse=True)
-def nobody_home(monkeypatch, tmp_path):
-    """No daemon and no service of this computer."""
-    monkeypatch.setenv("SPHEREMOUSE_SOCKET", str(tmp_path / "nobody"))
-    monkeypatch.setattr(files, "Place", lambda user=False: Place(tmp_path, user))
-    monkeypatch.setattr(doctor.installed, "Place", lambda root, user=False: Place(tmp_path, user))
-    assert service.Place is Place
 
 
 def examined(request):
