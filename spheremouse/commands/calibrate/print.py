@@ -30,18 +30,23 @@ class PaperName(StrEnum):
     A4 = "a4"
     LETTER = "letter"
     A3 = "a3"
+    A2 = "a2"
+    A1 = "a1"
+    A0 = "a0"
 
 
 def print_(
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where the files go.")] = Path("calibration/print"),
     only: Annotated[list[Kind] | None, typer.Option(help="Print this alone; may be given again.")] = None,
-    paper: Annotated[PaperName, typer.Option(help="Paper of the printer.", case_sensitive=False)] = PaperName.A4,
+    paper: Annotated[
+        PaperName, typer.Option(help="Paper of printer or copy shop.", case_sensitive=False)
+    ] = PaperName.A4,
     board: Annotated[str, typer.Option(metavar="NxM", help="Inner corners of the boards, along and down.")] = "11x8",
     square: Annotated[
         str | None,
         typer.Option(
             metavar="LENGTH",
-            help="Square of the boards, as in 30mm; large boards take several pages.  [default: as fits one page]",
+            help="Square of the boards, as in 30mm.  [default: the largest that fits the paper]",
         ),
     ] = None,
     ring_radii: Annotated[
@@ -59,7 +64,7 @@ def print_(
     from spheremouse.calibrate.prints.page import pdf
     from spheremouse.calibrate.prints.recipe import recipe
     from spheremouse.calibrate.prints.sheets import (
-        board_pages,
+        board_page,
         charuco,
         chessboard,
         disc_pages,
@@ -79,7 +84,7 @@ def print_(
         made[f"targets-{'-'.join(mm(r) for r in radii)}mm-{size}.pdf"] = pdf(target_pages(radii, size), "Ring targets")
     if Kind.BOARDS in kinds:
         for pattern in (chessboard(corners, side), charuco(corners, side)):
-            made[f"{pattern.file}-{size}.pdf"] = pdf(board_pages(pattern, corners, size), pattern.name)
+            made[f"{pattern.file}-{size}.pdf"] = pdf([board_page(pattern, size)], pattern.name)
         made[NAME] = BoardFile(f"{corners.columns}x{corners.rows}", f"{mm(side)}mm").text.encode()
     if Kind.DISCS in kinds:
         radius = _millimetres("--disc-radius", disc_radius)

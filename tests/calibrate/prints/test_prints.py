@@ -23,7 +23,7 @@ from spheremouse.calibrate.board import Board
 from spheremouse.calibrate.prints.page import PAPERS, pdf
 from spheremouse.calibrate.prints.recipe import recipe
 from spheremouse.calibrate.prints.sheets import (
-    board_pages,
+    board_page,
     charuco,
     chessboard,
     disc_pages,
@@ -198,8 +198,8 @@ def test_every_page_has_its_paper_s_size_and_two_rulers_of_100_mm(paper):
     pages = [
         target_pages((12, 24, 36), paper)[-1],
         disc_pages(26, 20, paper)[-1],
-        *board_pages(chessboard(BOARD, square), BOARD, paper),
-        board_pages(charuco(BOARD, 3 * square), BOARD, paper)[-1],
+        board_page(chessboard(BOARD, square), paper),
+        board_page(charuco(BOARD, square), paper),
     ]
     for sheet in sheets_of(pages):
         assert_allclose(sorted(sheet.size), PAPERS[paper], atol=0.01)
@@ -241,7 +241,7 @@ def test_targets_have_their_radii_and_the_tracker_reads_their_codes_where_they_a
 def test_many_small_targets_share_a_page_and_large_ones_are_refused():
     assert len(target_pages((5.0, 10.0, 15.0), "a4")) == 1
     assert len(target_pages((25.0, 50.0, 70.0), "a4")) == 6
-    with pytest.raises(SpheremouseError, match=r"does not fit on a4.*--paper a3"):
+    with pytest.raises(SpheremouseError, match=r"does not fit on a4.*a larger --paper"):
         target_pages((40.0, 80.0, 120.0), "a4")
 
 
@@ -261,18 +261,16 @@ def test_discs_are_as_many_and_as_large_as_asked_for():
     assert_allclose(black[:, 2:] - black[:, :2], 2 * radius, atol=0.005)
     assert_allclose(cut[:, 2:] - cut[:, :2], 2 * radius + 2.0, atol=0.005)
     assert_allclose(cut[:, :2] + cut[:, 2:], black[:, :2] + black[:, 2:], atol=0.005)
-    printed = [int(w.text) for page in pages for w in page.shapes if getattr(w, "text", "").isdigit()]
-    assert printed == list(range(1, n + 1))
     assert set(range(1, n + 1)) <= set(numbers)
 
 
 # ---- boards ----
 
 
-@pytest.mark.parametrize("paper", PAPERS)
+@pytest.mark.parametrize("paper", ["a4", "letter", "a3"])
 def test_opencv_finds_the_chessboard_at_its_scale(paper):
     square, dpi = largest_square(BOARD, paper), 100
-    (sheet,) = sheets_of(board_pages(chessboard(BOARD, square), BOARD, paper))
+    (sheet,) = sheets_of([board_page(chessboard(BOARD, square), paper)])
     picture = grey(sheet.raster(dpi))
     for find in (cv2.findChessboardCornersSB, cv2.findChessboardCorners):
         found, corners = find(picture, tuple(BOARD))
@@ -303,7 +301,7 @@ def detector(name):
 def test_opencv_finds_the_charuco_board_at_its_scale(board, paper):
     square, dpi = largest_square(board, paper), 150
     pattern = charuco(board, square)
-    (sheet,) = sheets_of(board_pages(pattern, board, paper))
+    (sheet,) = sheets_of([board_page(pattern, paper)])
     corners, ids, *_ = detector(pattern.file).detectBoard(grey(sheet.raster(dpi)))
     assert ids is not None
     assert np.ravel(ids).tolist() == list(range(board.columns * board.rows))
@@ -314,73 +312,11 @@ def test_a_charuco_board_of_many_markers_has_the_dictionary_for_them():
     board = Board(17, 13)  # 126 markers
     pattern = charuco(board, 10.0)
     assert "5x5_250" in pattern.file
-    (sheet,) = sheets_of(board_pages(pattern, board, "a4"))
+    (sheet,) = sheets_of([board_page(pattern, "a4")])
     _, ids, *_ = detector(pattern.file).detectBoard(grey(sheet.raster(150)))
     assert len(ids) == board.columns * board.rows
     with pytest.raises(SpheremouseError, match="1000 can be told apart"):
         charuco(Board(99, 99), 10.0)
-
-
-def mark(marks, axis):
-    """Where two marks say to cut: the line from one to the other, along the other axis."""
-    at = [p[:, axis] for p in marks if np.ptp(p[:, axis]) < 0.01]
-    assert len(at) == 2
-    assert_allclose(at[0], at[1], atol=0.01)
-    return float(at[0][0])
-
-
-@pytest.mark.parametrize(("square", "paper"), [(40.0, "a4"), (60.0, "a3")])
-def test_a_large_board_cut_and_glued_is_the_board(square, paper):
-    """Cut left and top where another part lies, paste over the flap: the marks and notes told to a picture."""
-    pattern = charuco(BOARD, square)
-    sheets = sheets_of(board_pages(pattern, BOARD, paper))
-    assert len(sheets) > 3
-    dpi, flap = 100, 8.0
-    whole = np.full((round((9 * square + 20) * dpi / 25.4), round((12 * square + 20) * dpi / 25.4)), 255, np.uint8)
-    x = y = row = 0.0
-    for sheet in sheets:
-        place = next(
-            re.match(r"Row (\d+) of (\d+), column (\d+) of (\d+)", w) for w in sheet.words if w.startswith("Row")
-        )
-        j, rows, i, columns = map(int, place.groups())
-        x, y = (0.0, y + row) if i == 1 else (x, y)
-        box = np.array([d.box for d in sheet.filled(BLACK)])
-        x0, y0, x1, y1 = *box[:, :2].min(axis=0), *box[:, 2:].max(axis=0)
-        marks = [p for s in sheet.drawn if not s.fill and s.colour == BLACK and len(s.paths) == 2 for p in s.paths]
-        assert len(marks) == 2 * (i > 1) + 2 * (j > 1)
-        if i > 1:
-            x0 = mark(marks, 0)
-        if j > 1:
-            y1 = mark(marks, 1)
-        warp = np.array([[1.0, 0.0, x - x0 + 10.0], [0.0, 1.0, y - (sheet.size[1] - y1) + 10.0]])
-        warp[:, 2] = warp[:, 2] * dpi / 25.4
-        h, w = whole.shape
-        laid = cv2.warpAffine(grey(sheet.raster(dpi)), warp, (w, h), borderValue=255)
-        a, b = round((x + 10.0) * dpi / 25.4), round((y + 10.0) * dpi / 25.4)
-        c, d = (round((v + 10.0) * dpi / 25.4) for v in (x + x1 - x0, y + y1 - y0))
-        whole[b:d, a:c] = laid[b:d, a:c]
-        x += x1 - x0 - (flap if i < columns else 0.0)
-        row = y1 - y0 - (flap if j < rows else 0.0)
-    assert_allclose([x, y + row], [12 * square, 9 * square], atol=0.02)
-    corners, ids, *_ = detector(pattern.file).detectBoard(whole)
-    assert len(ids) == 88
-    check_grid(corners.reshape(8, 11, 2) * 25.4 / dpi, square, atol=0.1)  # pasted by pixels of 0.25 mm
-
-
-def test_cuts_keep_off_the_corners():
-    square = 33.3
-    cuts = 0
-    for sheet in sheets_of(board_pages(chessboard(BOARD, square), BOARD, "a4")):
-        boxes = [p for d in sheet.filled(BLACK) for p in d.paths]
-        marks = [p for s in sheet.drawn if not s.fill and s.colour == BLACK and len(s.paths) == 2 for p in s.paths]
-        for axis in (0, 1):
-            edges = np.array([v for p in boxes for v in (p[:, axis].min(), p[:, axis].max())])
-            across = [p[:, axis] for p in marks if np.ptp(p[:, axis]) < 0.01]
-            for at in across:
-                cuts += 1
-                inner = edges[np.abs(edges - at[0]) > 2.5]  # less the end of the pattern, beyond the cut
-                assert_allclose(np.min(np.abs(inner - at[0])), square / 2.0, atol=0.01)
-    assert cuts > 2
 
 
 # ---- files ----
@@ -440,8 +376,7 @@ def test_files_that_differ_are_left_alone_without_force(tmp_path):
     [
         (["--square", "22"], "22 of what"),
         (["--square", "2000mm"], "must be from 0.5 to 1000 mm"),
-        (["--only", "boards", "--square", "300mm"], "a square is too large for a4"),
-        (["--only", "boards", "--square", "150mm", "--board", "40x40"], "check the unit"),
+        (["--only", "boards", "--square", "300mm"], "does not fit on a4; take a smaller square or a larger --paper"),
         (["--board", "eleven"], "no board"),
         (["--ring-radii", "12/24"], "three radii"),
         (["--ring-radii", "36/24/12"], "must grow"),
