@@ -43,7 +43,7 @@ realtime: "off"
 pose: {frames: 3}
 pointer: {horizon: 0}
 control: {socket: %s}
-record: {folder: %s, seconds: 20, free_megabytes: 0}
+record: {folder: %s, seconds: 20}
 """
 
 

@@ -8,6 +8,7 @@ from spheremouse.files.device import _DeviceFile
 from spheremouse.files.disc_map import _MapFile
 from spheremouse.files.rig.models import CameraFile, RigFile
 from spheremouse.files.wand import _Wand
+from spheremouse.files.yaml import parse_document
 from spheremouse.geometry.camera import MAX_PIXELS, MAX_SIDE, too_large
 from spheremouse.session.settings import Configuration
 from spheremouse.wand.settings import ColourSettings
@@ -55,7 +56,7 @@ def test_every_number_has_a_bound_on_both_sides_and_every_list_a_greatest_length
 
 
 def test_the_defaults_lie_within_their_bounds():
-    assert config.override(Configuration(), "so3.gate=13.8") == Configuration()
+    assert config.override(Configuration(), "so3.acceleration_sigma=0.1") == Configuration()
     whole = [
         f"{'.'.join(map(str, key))}={config.to_yaml(value)}"
         for key, value in config.parameters(Configuration())
@@ -67,17 +68,13 @@ def test_the_defaults_lie_within_their_bounds():
 @pytest.mark.parametrize(
     ("assignment", "says"),
     [
-        ("discs.sigma=1e9", "must be at most 10, is 1000000000.0"),
-        ("discs.smoothing=1e9", "must be at most 1.5"),
-        ("discs.smoothing=1000", "must be at most 1.5"),
-        ("blobs.masks=1000000", "must be at most 25"),
-        ("so3.levels=[1, 1e5]", "so3.levels[1]: must be at most 10000"),
-        (f"so3.levels={[1] * 13}", "must be a list of at most 12, is a list of 13"),
+        ("discs.contrast=1e9", "must be less than 1, is 1000000000.0"),
+        ("discs.masks=[[0, 0, 1e6, 9]]", "discs.masks[0][2]: must be at most "),
+        (f"wand.balls={['a'] * 9}", "must be a list of at most 8, is a list of 9"),
         ("wand.particles=1000000", "must be at most 5000"),
         ("pose.frames=100000", "must be at most 100"),
         ("blobs.min_area=400", "blobs: min_area: 400 is above max_area, 300"),
         ("rings.cyan=[105, 75]", "rings: cyan: 105 is above 75"),
-        ("wand.nearest=9", "wand: nearest: 9 m is not below farthest, 8 m"),
         ("discs.masks=[[10, 0, 5, 5]]", "discs: masks: give [left, top, right, bottom]"),
         ("camera.size=[16384, 16384]", "camera: size: 16384x16384 is more than can be worked on"),
     ],
@@ -90,14 +87,33 @@ def test_what_would_not_work_is_refused_in_one_line(assignment, says):
 
 
 @pytest.mark.parametrize(
+    ("key", "remedy"),
+    [
+        ("so3.gate", "the program fixes it; remove the line"),
+        ("blobs.masks", "the program fixes it; remove the line"),
+        ("discs.weights", "the tracker finds the colours by itself; remove the line"),
+        ("wand.likelihood", "choose it by `method`: product, edges or rims"),
+        ("motion.swap_xy", "a seat turned by 90 degrees is `player: left` or `right`"),
+    ],
+)
+def test_a_former_setting_is_refused_with_its_remedy(key, remedy):
+    with pytest.raises(ConfigurationError) as e:
+        config.override(Configuration(), f"{key}=1")
+    assert str(e.value) == f"--set {key}: is no setting: {remedy}"
+    section, _, name = key.partition(".")
+    with pytest.raises(ConfigurationError) as e:
+        config.loads(parse_document(f"schema: 2\n{section}:\n  {name}: 1\n", "c.yaml"), Configuration)
+    assert str(e.value) == f"c.yaml:3: {key}: is no setting: {remedy}"
+
+
+@pytest.mark.parametrize(
     "assignments",
     [
         ["camera.size=[7680, 4320]", "camera.fps=1000"],  # 8K, a fast camera
         ["camera.size=[160, 120]", "camera.fps=1", "pose.frames=1"],
         ["motion.counts_per_mm=200", "motion.scale_z=0.05"],
-        ["discs.min_area=4", "discs.smoothing=0", "discs.sigma=0.2"],
-        ["so3.levels=[1]"],
-        ["loss.lost_after=5", "loss.reset_after=60", "bearing.lifted=0.01"],
+        ["so3.acceleration_sigma=5", "discs.contrast=0.1"],
+        ["loss.lost_after=5", "loss.reset_after=60"],
         ["wand.farthest=15", "wand.particles=2000"],
     ],
 )

@@ -208,8 +208,9 @@ def followed(film: kit.Film, rig: Rig, more: Rig | None = None) -> Result:
         if name != "so3"
     }
     there = replace(rig, pose=seen.pose)
-    runs["so3"] = kit.tracked(film, kit.settings_of(), rig=there).run
-    runs[FREE] = kit.tracked(film, kit.settings_of(["bearing.lifted=1.0"]), rig=there).run
+    usual = kit.settings_of()
+    runs["so3"] = kit.tracked(film, usual, rig=there).run
+    runs[FREE] = kit.tracked(film, replace(usual, loss=replace(usual.loss, lifted=1.0)), rig=there).run
     if more is not None:
         with suppress(PoseError):  # then it has no row
             runs[TOLD] = kit.tracked(film, kit.settings_of([_QUICKLY]), rig=more).run

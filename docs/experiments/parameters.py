@@ -104,9 +104,8 @@ def _exact(film: Film, judge: Any) -> Result:
     for b in SIGMA_B:
         noisy = detections.with_sigma(seen, b)
         for w in SIGMA_W:
-            settings = settings_of(
-                ["tracker=ekf2", f"euler.acceleration_sigma={w}", f"euler.radial_sigma={EXACT}"],
-            )
+            settings = settings_of(["tracker=ekf2", f"euler.acceleration_sigma={w}"])
+            settings = replace(settings, euler=replace(settings.euler, radial_sigma=EXACT))
             cells[key_of(w, b)] = judge(detections.filtered(noisy, settings, film))
     return cells
 

@@ -73,7 +73,7 @@ def thesis_motion(n: int, **more: Any) -> WandSettings:
 
 def thesis_settings(n: int) -> WandSettings:
     """All as in the thesis: its motion, its likelihood; no peaks, no outline."""
-    return thesis_motion(n, proposal="motion", likelihood="product", outline=False)
+    return thesis_motion(n, method="product", outline=False)
 
 
 _OWN = Variant("350, own start", _particles(350))
@@ -90,9 +90,9 @@ def films(quick: bool) -> tuple[Film, ...]:
         ours,
         Variant("350, without the outline", _particles(350, outline=False), known=True),
         Variant("350, the thesis' motion", thesis_motion(350), known=True),
-        Variant("350, drawn by the thesis' motion alone", thesis_motion(350, proposal="motion"), known=True),
+        Variant("350, drawn by the thesis' motion alone", thesis_motion(350, method="rims"), known=True),
         *(Variant(f"{n}, all as in the thesis", thesis_settings(n), known=True) for n in (50, 350)),
-        Variant("350, edges alone", thesis_motion(350, proposal="motion", likelihood="edges"), known=True),
+        Variant("350, edges alone", thesis_motion(350, method="edges"), known=True),
     )
     many = (5000,) if quick else (5000, 50_000)
     crowd = (

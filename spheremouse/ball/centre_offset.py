@@ -11,7 +11,6 @@ from numba import njit
 
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array
-from spheremouse.settings import SHARE, param
 
 _FARTHEST = 0.1  # radii, standard deviation of a shift before anything is seen: it keeps the equations solvable
 _PRINT = 5e-4  # rad, standard deviation of a disc's place on the map and in the picture that no view removes
@@ -21,15 +20,6 @@ _MOST = 10.0  # chi-square per degree of freedom that a frame counts for in the 
 OUT_OF_ROUND = 5.0  # mean chi-square per degree of freedom; at 1 the discs fit a rotation
 _MIN_MAHALANOBIS = 6.0  # standard deviations that an offset must be
 _MEAN_TIME_S = 1.0  # time constant of that mean; hands and struts spoil a disc for less
-
-
-@dataclass(frozen=True, slots=True)
-class BearingSettings:
-    """When the ball counts as lifted off its bearings, or out of round."""
-
-    lifted: float = param(
-        0.004, "radii", "the centre is off its place: a quarter of a degree of attitude, two or three counts", **SHARE
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,16 +76,16 @@ def shift_of(
     )
 
 
-def is_off(found: CentreOffset, radius: float, settings: BearingSettings, out_of_round: bool = False) -> bool:
+def is_off(found: CentreOffset, radius: float, lifted: float, out_of_round: bool = False) -> bool:
     """Is the centre off its place, and is that all that is wrong? A ball out of round has a centre that goes round."""
-    least = (_ROUND if out_of_round else 1.0) * settings.lifted * radius
+    least = (_ROUND if out_of_round else 1.0) * lifted * radius
     far = found.distance > least and found.mahalanobis > _MIN_MAHALANOBIS
     return far and found.after < _EXPLAINED * found.before
 
 
-def fits(found: CentreOffset, radius: float, settings: BearingSettings) -> bool:
+def fits(found: CentreOffset, radius: float, lifted: float) -> bool:
     """Return whether the discs fit a rotation about the centre."""
-    far = found.distance > 0.5 * settings.lifted * radius and found.mahalanobis > 0.5 * _MIN_MAHALANOBIS
+    far = found.distance > 0.5 * lifted * radius and found.mahalanobis > 0.5 * _MIN_MAHALANOBIS
     return not far and found.before < _MOST
 
 

@@ -152,7 +152,10 @@ def model_of(cls: type) -> type[BaseModel]:
         fields[field.name] = (Annotated[annotation, read], Field(None, description=None if section else _advice(field)))
     config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
     made = create_model(cls.__name__, __config__=config, **fields)
-    setattr(made, GONE, getattr(cls, GONE, {}))
+    constants = {
+        f.name: "the program fixes it; remove the line" for f in dataclasses.fields(cls) if f.name not in fields
+    }
+    setattr(made, GONE, constants | getattr(cls, GONE, {}))
     return made
 
 

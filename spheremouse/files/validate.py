@@ -59,7 +59,7 @@ def nearest(word: str, names: Sequence[str]) -> str:
 def gone(key: Key, model: type[BaseModel]) -> str:
     """Return the replacement of a former key in words; empty if there was no such key."""
     instead = getattr(_model_at(key[:-1], model), GONE, {}).get(key[-1])
-    return f"is no more; {instead}" if instead else ""
+    return f"is no setting: {instead}" if instead else ""
 
 
 def _problems(error: ValidationError, document: Document, model: type[BaseModel]) -> tuple[list[Problem], int]:

@@ -173,7 +173,7 @@ def _in_colours(weights: tuple[float, float, float]) -> str:
     if weights == NEGATIVE.weights:
         return "the discs are lighter than the ball"
     named = ", ".join(f"{w + 0.0:.2f}" for w in weights)
-    return f"the discs differ from the ball in colour (discs.weights: [{named}])"
+    return f"the discs differ from the ball in colour (weights of blue, green, red: [{named}])"
 
 
 def _why(lost: BallLost) -> str:
@@ -248,7 +248,7 @@ def remedy(bound: Bound) -> str:
         case Bound.CENTRE:
             return "uncover all of it; is it a print of ours?"
         case Bound.SIZE:
-            return "go nearer, choose a larger picture, or print larger targets (rings.min_radius)"
+            return "go nearer, choose a larger picture, or print larger targets"
         case Bound.RATIO:
             return "focus the lens; is it a print of ours?"
         case Bound.LIGHT:

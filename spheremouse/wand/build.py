@@ -11,8 +11,6 @@ from spheremouse.wand.published import track as published
 from spheremouse.wand.settings import ColourSettings, WandSettings
 from spheremouse.wand.state import WandTracker
 
-_FILTERS = {"peaks": track.follow, "motion": published.follow}
-
 
 def build(
     camera: InteriorOrientation,
@@ -26,4 +24,5 @@ def build(
     names = tuple(sorted({c for ball in balls for c in ball.colours}))
     models = tuple(ball_model(ball, camera, names) for ball in balls)
     bounds = DEFAULT_COLOURS | (colours or {})
-    return WandTracker(settings, camera, balls, models, discs, bounds, names, _FILTERS[settings.proposal])
+    follow = track.follow if settings.method == "peaks" else published.follow
+    return WandTracker(settings, camera, balls, models, discs, bounds, names, follow)

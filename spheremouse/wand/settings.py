@@ -1,14 +1,11 @@
 """Parameters of the wand's tracker, and the bounds of its colours."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from spheremouse.settings import HAND, HAND_TURN, SECONDS, Bounds, param
-
-# m from the camera: a nearer ball is out of focus, a farther one of 1 m radius is a few pixels across
-DISTANCE: Bounds = {"ge": 0.01, "le": 100.0}
+from spheremouse.settings import HAND, HAND_TURN, SECONDS, param
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,18 +24,19 @@ class ColourSettings:
 class WandSettings:
     """Parameters of the wand's tracker."""
 
+    GONE: ClassVar[dict[str, str]] = {
+        "proposal": "`method: peaks` is the default; `method: product` and `edges` draw from the motion",
+        "likelihood": "choose it by `method`: product, edges or rims",
+    }
+
     particles: int = param(
         350, "-", "number of particles; the time for a frame grows with it; the thesis uses 350", ge=10, le=5000
     )
-    proposal: Literal["peaks", "motion"] = param(
+    method: Literal["peaks", "product", "edges", "rims"] = param(
         "peaks",
         "-",
-        "peaks: draw particles near the likelihood's peaks; motion: from the motion alone, as in the thesis",
-    )
-    likelihood: Literal["rims", "product", "edges"] = param(
-        "rims",
-        "-",
-        "with `proposal` motion: rims is the default likelihood, product that of the thesis, edges ignores colours",
+        "peaks: draw particles near the likelihood's peaks. The others draw from the motion alone, as in the thesis: "
+        "product has its likelihood, edges ignores colours, rims has the default likelihood",
     )
     acceleration: float = param(
         2.5, "m/s²", "greatest acceleration of a hand: 0.4 m/s to and fro once a second", **HAND
@@ -46,9 +44,12 @@ class WandSettings:
     turn_acceleration: float = param(
         20.0, "rad/s²", "greatest angular acceleration of a wrist: 180 °/s to and fro once a second", **HAND_TURN
     )
-    nearest: float = param(0.2, "m", "least distance at which the tracker searches", **DISTANCE)
     farthest: float = param(
-        8.0, "m", "greatest distance; at 8 m and a focal length of 2100 px the ball is 26 px across", **DISTANCE
+        8.0,
+        "m",
+        "greatest distance; at 8 m and a focal length of 2100 px the ball is 26 px across",
+        ge=0.3,  # beyond `nearest`
+        le=100,  # a ball of 1 m radius is a few pixels across
     )
     lost_after: float = param(0.5, "s", "after this time without a measurement the ball is lost", **SECONDS)
     # Not settings: parts of the published method, which the experiments change.
@@ -63,13 +64,10 @@ class WandSettings:
     sigma_pitch: float = 0.15 * np.pi
     sigma_yaw: float = 0.15 * np.pi
     sigma_roll: float = 0.15 * np.pi
-    # Not settings, since they follow from a hand and from chance.
+    # Not settings, since they follow from a lens, a hand and chance.
+    nearest: float = 0.2  # m, least distance; a nearer ball is out of focus
     fastest: float = 1.0  # m/s, of a sudden start between two frames
     fastest_turn: float = 6.0  # rad/s, of a sudden start
     match: float = 0.65  # fraction of the visible coloured points that must show their colour; a hand can hide a third
     evidence: float = 25.0  # least log-likelihood ratio of a ball; the search compares e^23 poses
     look_around: float = 1.0  # s between two searches of the whole picture for a better pose
-
-    def __post_init__(self) -> None:
-        if self.nearest >= self.farthest:
-            raise ValueError(f"nearest: {self.nearest:g} m is not below farthest, {self.farthest:g} m: no room is left")

@@ -33,9 +33,9 @@ def warm_up() -> None:
     for ball, depth, settings in (
         (grzonka_ball(), 0.8, WandSettings()),
         (grzonka_ball(), 0.25, WandSettings()),
-        (grzonka_ball(), 0.8, WandSettings(proposal="motion")),
-        (grzonka_ball(), 0.8, WandSettings(proposal="motion", likelihood="edges")),
-        (grzonka_ball(), 0.8, WandSettings(proposal="motion", likelihood="product")),
+        (grzonka_ball(), 0.8, WandSettings(method="rims")),
+        (grzonka_ball(), 0.8, WandSettings(method="edges")),
+        (grzonka_ball(), 0.8, WandSettings(method="product")),
         (contrast_ball(), 0.8, WandSettings(region=False)),
     ):
         _track(ball, depth, settings)

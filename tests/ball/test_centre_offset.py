@@ -5,10 +5,11 @@ import pytest
 from conftest import directions
 from numpy.testing import assert_allclose
 
-from spheremouse.ball.centre_offset import OUT_OF_ROUND, BearingSettings, averaged, fits, is_off, shift_of
+from spheremouse.ball.centre_offset import OUT_OF_ROUND, averaged, fits, is_off, shift_of
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import Ball, Rig, Targets
+from spheremouse.ball.settings import LossSettings
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp
 
@@ -17,7 +18,7 @@ POSE = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 2.35]))
 RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
 DISCS = directions(40, 3)
 SIGMA = 0.05  # px
-S = BearingSettings()
+S = LossSettings().lifted
 
 
 def found(shift, turn=(0.0, 0.0, 0.0), noise=0.0, rng=None, wrong=0, seen=None):

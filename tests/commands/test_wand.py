@@ -359,11 +359,11 @@ def test_the_issue_s_cases_are_all_there():
     drive = every["drive"]
     assert drive.seeds == tuple(range(1, 21))
     compared = (*drive.variants, *every["drive-many"].variants)
-    known = {v.settings.particles for v in compared if v.known and v.settings.proposal == "peaks"}
-    thesis = {v.settings.particles for v in compared if v.settings.likelihood == "product"}
+    known = {v.settings.particles for v in compared if v.known and v.settings.method == "peaks"}
+    thesis = {v.settings.particles for v in compared if v.settings.method == "product"}
     assert known == thesis == {50, 350, 5000, 50_000}
     assert any(not v.known for v in drive.variants)
-    assert any(not v.settings.outline and v.settings.proposal == "peaks" for v in drive.variants)
+    assert any(not v.settings.outline and v.settings.method == "peaks" for v in drive.variants)
     assert every["hand-held"].options.motion == "hand"
     assert len({job.key for job in jobs(quick=False)}) == len(jobs(quick=False))
     assert {f.name for f in films(quick=True)} <= set(every)

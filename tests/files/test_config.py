@@ -197,7 +197,7 @@ def test_overrides_add_up():
     [
         ("so3.aceleration_sigma=1", "--set so3.aceleration_sigma: unknown key; did you mean so3.acceleration_sigma?"),
         ("acceleration_sigma=1", "--set acceleration_sigma: unknown key; did you mean so3.acceleration_sigma?"),
-        ("so3.constant=1", "--set so3.constant: unknown key; did you mean so3.gate?"),
+        ("so3.constant=1", "--set so3.constant: is no setting: the program fixes it; remove the line"),
         ("outer.inner=1", "--set outer.inner: a section; set one of outer.inner.count"),
         (
             "so3.acceleration_sigma=-1",

@@ -17,7 +17,7 @@ motion:
   # twice as fast
   counts_per_mm: 2.50
   player: right  # tried
-so3: {gate: 9.0}
+so3: {acceleration_sigma: 9.0}
 """
 SEAT = {("motion", "player"): "left"}
 

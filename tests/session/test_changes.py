@@ -38,8 +38,8 @@ def test_what_set_may_change_though_the_command_line_said_it():
 @pytest.mark.parametrize(
     ("tracker", "unread", "read"),
     [
-        ("so3", "euler.radial_sigma", "so3.acceleration_sigma"),
-        ("ekf1", "so3.acceleration_sigma", "euler.radial_sigma"),
+        ("so3", "euler.acceleration_sigma", "so3.acceleration_sigma"),
+        ("ekf1", "so3.acceleration_sigma", "euler.acceleration_sigma"),
         ("so3", "wand.particles", "motion.scale_x"),
         ("wand", "motion.scale_x", "wand.particles"),
     ],

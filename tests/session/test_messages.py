@@ -48,7 +48,7 @@ SENTENCES = {
     events.DiscColours((0.114, 0.587, 0.299)): "the discs are darker than the ball",
     events.DiscColours((-0.114, -0.587, -0.299)): "the discs are lighter than the ball",
     events.DiscColours((-0.5, 0.0, 0.5)): (
-        "the discs differ from the ball in colour (discs.weights: [-0.50, 0.00, 0.50])"
+        "the discs differ from the ball in colour (weights of blue, green, red: [-0.50, 0.00, 0.50])"
     ),
     events.CameraMoved(0.0028, 0.0042): "the camera was moved: pose estimated anew (2.8 mm, 0.24°)",
     events.CameraMoved(0.0028, 0.0042, asked=True): "pose estimated anew (2.8 mm, 0.24°)",

@@ -20,6 +20,7 @@ import tempfile
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -680,7 +681,7 @@ def test_what_could_not_take_effect_is_refused(world, assignment, why):
     assert "motion.scale_x 1.0 → 5.0, motion.scale_y 1.0 already" in done["message"]
 
 
-def test_a_snapshot_is_for_owner_and_group_and_leaves_room_on_the_disk(playing):
+def test_a_snapshot_is_for_owner_and_group_and_leaves_room_on_the_disk(playing, monkeypatch):
     """As a recording is, whatever the umask."""
     before = os.umask(0)
     try:
@@ -689,8 +690,8 @@ def test_a_snapshot_is_for_owner_and_group_and_leaves_room_on_the_disk(playing):
         os.umask(before)
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
     assert stat.S_IMODE(path.parent.stat().st_mode) == 0o750
-    ask(playing, "set", assignments=["record.free_megabytes=1e8"])
-    assert "are free (record.free_megabytes): remove recordings" in refused(playing, "snapshot", file="b.png")
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=499e6))
+    assert "less than 500 MB are free on the disk: remove recordings" in refused(playing, "snapshot", file="b.png")
     assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 

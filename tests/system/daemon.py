@@ -292,7 +292,7 @@ pose: {{frames: 2}}
 loss: {{lost_after: {slow.lost_after}, reset_after: {slow.reset_after}}}
 pointer: {{horizon: 0}}
 control: {{socket: {folder}/socket}}
-record: {{folder: {folder}/recordings, seconds: 600, free_megabytes: 0}}
+record: {{folder: {folder}/recordings, seconds: 600}}
 """
 
 

@@ -69,7 +69,7 @@ def test_likelihood_is_constant_without_edges(film):
 @pytest.mark.parametrize("likelihood", ["product", "edges", "rims"])
 def test_published_filter_keeps_a_ball_at_rest(film, likelihood):
     camera, shots = film
-    tracker = build(camera, (grzonka_ball(),), WandSettings(particles=2000, proposal="motion", likelihood=likelihood))
+    tracker = build(camera, (grzonka_ball(),), WandSettings(particles=2000, method=likelihood))
     p, R = shots[0].position[0], shots[0].rotation[0]
     state = begin(tracker, 1, 0.0, {0: (p, R)})
     for k in range(8):

@@ -41,14 +41,14 @@ def frames():
         yield frame
 
 
-for settings in (WandSettings(), WandSettings(proposal="motion"), WandSettings(region=False, outline=False)):
+for settings in (WandSettings(), WandSettings(method="rims"), WandSettings(region=False, outline=False)):
     tracker = build(film.scene.camera, tuple(b.ball for b in film.scene.balls), settings)
     hand = WandMapping(PointingSettings())
     phases = set()
     for epoch in track_wand(frames(), tracker):
         hand.report(epoch)
         phases |= {pose.phase for pose in epoch.poses}
-    assert settings.proposal == "motion" or len(phases) >= 2, phases
+    assert settings.method == "rims" or len(phases) >= 2, phases
 late = {name: n for name, n in compiled().items() if n != before.get(name, 0)}
 assert before and not late, late
 """

@@ -41,7 +41,7 @@ from spheremouse.simulate.ball.film import default_scene
 _GENTLEST = ACCELERATIONS[0]  # rad/s²
 _SOFTEST = 1.0  # rad/s², the least that is tried
 _FLICK = 400.0  # °/s, about the fastest that hands turn the ball
-_STOP = 100.0  # rad/s², of a stop by hand (`so3.levels`)
+_STOP = 100.0  # rad/s², of a stop by hand (`So3Settings.levels`)
 _FLICKED = min(ACCELERATIONS, key=lambda a: abs(np.log(a / _STOP)))
 _USUAL = 60.0  # Hz, of the camera whose exposures are compared
 _ALL = 0.99  # of what was tried

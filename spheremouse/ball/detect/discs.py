@@ -9,7 +9,7 @@ measured in a window of its own, and the whole picture is left alone.
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import cv2
 import numpy as np
@@ -24,7 +24,6 @@ from spheremouse.ball.detect.projection import (
     GREY,
     NEGATIVE,
     Projection,
-    normalised,
     offset_of,
     projected,
     sample_weights_of,
@@ -35,7 +34,7 @@ from spheremouse.ball.rig import Rig, directions_at
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import MAX_SIDE, Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.settings import AREA, PART, SIGMA_PX, param
+from spheremouse.settings import param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
 _SHOWN = 4.0  # px of the coarse picture, across a disc that its samples meet: they are 2 px apart, and print is blurred
@@ -48,38 +47,19 @@ _FINE = 14.0  # px, diameter of a disc that is found as well no finer: larger pi
 class DiscSettings:
     """Appearance of discs, beyond their geometry."""
 
+    GONE: ClassVar[dict[str, str]] = {"weights": "the tracker finds the colours by itself; remove the line"}
+
     polarity: Literal["auto", "dark", "light"] = param(
         "auto", "-", "discs darker or lighter than the ball; auto finds that, and the colours that tell them apart"
-    )
-    weights: tuple[float, ...] = param(
-        (),
-        "-",
-        "[blue, green, red]: a sum of colours, so weighted, in which discs are darker than the ball; [] is by polarity",
-        ge=-1,
-        le=1,
-        most=3,
     )
     contrast: float = param(
         0.25,
         "-",
         "least contrast, a part of the lighter of disc and ball; print is 0.8, haze and gloss halve it, its edge is at "
         "half of that",
-        **PART,
+        ge=1e-3,
+        lt=1,
     )
-    smoothing: float = param(
-        0.8,
-        "px",
-        "standard deviation of the Gaussian before all else: about one pixel, and the fit's 7 px hold no more than 1.5",
-        ge=0,
-        le=1.5,
-    )
-    size_tolerance: float = param(
-        0.25,
-        "-",
-        "fitted over expected size may differ from 1 by this part: hand-cut discs, glare on a rim",
-        **PART,
-    )
-    min_area: float = param(10.0, "px²", "smaller discs are not looked for: 3.6 px across, the size of noise", **AREA)
     masks: tuple[tuple[float, float, float, float], ...] = param(
         (),
         "px",
@@ -88,17 +68,14 @@ class DiscSettings:
         le=2 * MAX_SIDE,  # somewhat beyond a picture's edge means: up to it
         most=64,  # a ball has fewer things before it
     )
-    sigma: float = param(
-        0.03, "px", "floor of a centre's standard deviation: sampling, unevenness of light, print", **SIGMA_PX
-    )
-    # Not a setting: least part of a disc's rim that must fit. With a fifth hidden, a cut still passes for a rim.
-    rim: float = 0.7
+    # Not settings, since they follow from pixels and print.
+    smoothing: float = 0.8  # px, standard deviation of the Gaussian before all else; the fit's 7 px hold at most 1.5
+    size_tolerance: float = 0.25  # of the expected size; hand-cut discs and glare on a rim change the fitted size
+    min_area: float = 10.0  # px²; a smaller disc is 3.6 px across, the size of noise
+    sigma: float = 0.03  # px, floor of a centre's standard deviation: sampling, unevenness of light, print
+    rim: float = 0.7  # least part of a disc's rim that must fit; with a fifth hidden, a cut still passes for a rim
 
     def __post_init__(self) -> None:
-        if self.weights and (len(self.weights) != 3 or not any(self.weights)):
-            raise ValueError("weights: give [blue, green, red], one of them not 0, or [] for those of polarity")
-        if self.weights and self.polarity != "auto":
-            raise ValueError("weights: they say which discs are darker: set polarity to auto, or weights to []")
         for left, top, right, bottom in self.masks:
             if left > right or top > bottom:
                 raise ValueError("masks: give [left, top, right, bottom], left not above right, top not above bottom")
@@ -106,8 +83,6 @@ class DiscSettings:
     @property
     def projection(self) -> Projection | None:
         """The projection of colours that is set; None: it is to be found."""
-        if self.weights:
-            return normalised(np.array(self.weights))
         return {"auto": None, "dark": GREY, "light": NEGATIVE}[self.polarity]
 
 

@@ -36,7 +36,7 @@ class Bound(StrEnum):
     """Bounds of a target that something does not keep; of several the first."""
 
     EDGES = "edges"  # the rings lie in one another, and their edges cannot be measured
-    SIZE = "size"  # rings.min_radius
+    SIZE = "size"  # RingSettings.min_radius
     CENTRE = "centre"  # RingSettings.concentric
     RATIO = "ratio"  # RingSettings.ratio
     LIGHT = "light"  # rings.saturation, rings.value

@@ -42,8 +42,8 @@ class RingSettings:
     value: tuple[int, int] = param(
         (60, 255), "0..255", "value bounds; table 4 has 110, which loses a dimmed scene", ge=0, le=255
     )
-    min_radius: float = param(1.5, "px", "smallest inner disc: below, a colour is a guess", ge=0.5, le=1000)
-    # Not settings, since they follow from the print. The search for rejected targets widens them.
+    # Not settings, since they follow from pixels and print. The search for rejected targets widens them.
+    min_radius: float = 1.5  # px, of an inner disc; below it a colour is a guess
     concentric: float = 0.2  # of a target's radius, within which the centres of its contours agree
     ratio: float = 1.5  # factor by which radii may differ from the rig's proportions; a mask loses the mixed pixels
 

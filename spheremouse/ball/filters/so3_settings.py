@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 
 from spheremouse.geometry.rotation import Array
-from spheremouse.settings import SIGMAS, param
+from spheremouse.settings import param
 
 PERSISTENCE_S = 0.2  # mean time between two steps of the acceleration: a hand takes hold, lets go or stops the ball
 DWELL_S = 1.0  # mean time at a level of acceleration: a gesture takes about a second
@@ -26,26 +26,16 @@ class So3Settings:
         ge=1e-3,  # slower than the friction of any bearing
         le=100,  # a stop by hand
     )
-    gate: float = param(
-        13.8, "-", "squared Mahalanobis distance of a pair: 99.9 % of chi-square with 2 degrees", **SIGMAS
-    )
-    levels: tuple[float, ...] = param(
-        (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0),
-        "-",
-        "factors on that acceleration that the player may be at, each as rare as it is large: roll, turn, push, flick, "
-        "and a stop by hand (100 rad/s²)",
-        ge=1,
-        le=1e4,  # of the quietest ball, a stop by hand
-        most=12,  # a factor of two apart; each takes its time
-    )
+    # Not a setting, since it follows from chance: squared Mahalanobis distance of a pair, 99.9 % of chi-square with 2
+    # degrees of freedom.
+    gate: float = 13.8
+    # Not a setting, since the filter finds the level by itself: rising factors on that acceleration that the player may
+    # be at, each as rare as it is large: roll, turn, push, flick, and a stop by hand (100 rad/s²).
+    levels: tuple[float, ...] = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
     # Not a setting: size of the map, since the time per frame grows with its square. Half of 120 discs are in view.
     most_discs: int = 120
     # Not a setting, since no user can know it: rad/s per axis about zero; the ball may roll at the start.
     start_rate_sigma: float = 2.0
-
-    def __post_init__(self) -> None:
-        if not self.levels or list(self.levels) != sorted(self.levels):
-            raise ValueError("levels: factors from 1 to 10000 in rising order")
 
 
 @cache

@@ -214,10 +214,10 @@ def check_bearings(
     if before.frames_off_centre == 0 and before.misfit < 1.0 and settled and _all_fit(state):
         return state, ()
     shift = _shift(state, state.filter, tracker)
-    s, radius = tracker.settings.bearing, tracker.rig.ball.radius
+    lifted, radius = tracker.settings.loss.lifted, tracker.rig.ball.radius
     if shift is None:
         return replace(state, phase=Tracking(before._replace(frames_off_centre=0))), ()
-    off = centre_offset.is_off(shift, radius, s, before.out_of_round)
+    off = centre_offset.is_off(shift, radius, lifted, before.out_of_round)
     if off and before.rotation_since_failure >= _PROVEN:
         blind = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=bool))
         if before.frames_off_centre == 0:
@@ -228,8 +228,8 @@ def check_bearings(
     dt = min(stamp - state.confirmed_at, _FRAME)
     misfit = centre_offset.averaged(before.misfit, shift, dt)
     turned = 0.0 if off else before.rotation_since_failure
-    if turned < _PROVEN and state.confirmed and shift.pairs >= _PAIRS and centre_offset.fits(shift, radius, s):
-        turned += speed * dt * min(1.0, (0.5 * s.lifted * radius / max(shift.sigma, 1e-9)) ** 2)
+    if turned < _PROVEN and state.confirmed and shift.pairs >= _PAIRS and centre_offset.fits(shift, radius, lifted):
+        turned += speed * dt * min(1.0, (0.5 * lifted * radius / max(shift.sigma, 1e-9)) ** 2)
     if not before.out_of_round and misfit > centre_offset.OUT_OF_ROUND:
         return replace(state, phase=Tracking(CentreCheck(0, misfit, True, 0.0))), (OutOfRound(),)
     still = before.out_of_round and misfit > 0.3 * centre_offset.OUT_OF_ROUND
@@ -265,4 +265,4 @@ def back_on_bearings(
     if phase.lifted_at is None:
         return True
     shift = _shift(state, filter_state, tracker)
-    return shift is not None and centre_offset.fits(shift, tracker.rig.ball.radius, tracker.settings.bearing)
+    return shift is not None and centre_offset.fits(shift, tracker.rig.ball.radius, tracker.settings.loss.lifted)

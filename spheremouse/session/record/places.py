@@ -111,6 +111,6 @@ def refuse_full_disk(path: Path, settings: RecordSettings, least: float = 0.0) -
     """DatasetError where there is no room for `path`, whose folder is there."""
     if disk_is_full(path.parent, settings, least):
         raise DatasetError(
-            f"{path}: less than {settings.free_megabytes:g} MB are free (record.free_megabytes): "
+            f"{path}: less than {settings.free_megabytes:g} MB are free on the disk: "
             "remove recordings that are not needed"
         )

@@ -228,7 +228,7 @@ class Recorder:
             if now - looked >= _LOOK:
                 looked = now
                 if disk_is_full(self._folder.parent, self._settings, _BEHIND):
-                    return f"ended: less than {self._settings.free_megabytes:g} MB are free (record.free_megabytes)"
+                    return f"ended: less than {self._settings.free_megabytes:g} MB are free on the disk"
             assert buffer.frame is not None
             self._film.add(buffer.frame)
             self._last = now

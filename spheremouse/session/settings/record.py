@@ -24,11 +24,10 @@ class RecordSettings:
         ge=20,
         le=1e8,  # 100 TB: a day of the largest pictures
     )
-    free_megabytes: float = param(
-        500.0, "MB", "free space on the disk at which a recording ends; the system and the map need it", ge=0, le=1e8
-    )
     everything: bool = param(
         False,
         "-",
         "keep whole images; by default all but ball and targets is black, to protect the people in view",
     )
+    # Not a setting: MB that recordings and snapshots leave free on the disk for the system and the map.
+    free_megabytes: float = 500.0

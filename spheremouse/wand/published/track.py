@@ -1,7 +1,7 @@
 """One step of the thesis' particle filter for one ball (Grzonka 2005, table 3): move at random, weigh, resample.
 
-The configuration chooses it by `wand.proposal: motion`, and the likelihood by `wand.likelihood`: the thesis' product,
-the edges that its outlook names (section 5.2), or the default one of `wand.likelihood`.
+The setting `wand.method` chooses it with a likelihood: `product` of the thesis, `edges` that its outlook names (section
+5.2), or `rims`, the core's own.
 """
 
 from dataclasses import replace
@@ -37,7 +37,7 @@ def follow(
     motions = random_walk(max(stamp - track.stamp, 1e-4), context.tracker)
     fields = fields_near(track, motions, context)
     moved = move(track.particles, motions, rng)
-    value, match = _LIKELIHOODS[context.tracker.settings.likelihood](moved.position, moved.rotation, context, fields)
+    value, match = _LIKELIHOODS[context.tracker.settings.method](moved.position, moved.rotation, context, fields)
     weight, _ = normalise(np.log(np.maximum(moved.weight, 1e-300)) + value)
     particles = Particles(moved.position, moved.rotation, weight)
     pose, count = mean_pose(particles), effective_number(weight)

@@ -399,7 +399,7 @@ def test_it_ends_before_the_disk_is_full(tmp_path, monkeypatch):
     free[0], now[0] = 9e7, 1.0
     recorder.add(Frame(image, 0.1, 1))
     wait_for(lambda: recorder.status().ended is not None)
-    assert "record.free_megabytes" in recorder.status().ended
+    assert "MB are free on the disk" in recorder.status().ended
     assert open_dataset(recorder.finish(PATIENCE)).frames == 1
     with pytest.raises(DatasetError, match="100 MB are free"):
         Recorder(tmp_path / "next", BallSubject(rig, pose, Configuration()), settings)

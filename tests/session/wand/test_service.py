@@ -40,7 +40,7 @@ output: sink:quiet
 realtime: "off"
 pointer: {{horizon: 0}}
 control: {{socket: {folder}/s}}
-record: {{folder: {folder}/recordings, seconds: 20, free_megabytes: 0}}
+record: {{folder: {folder}/recordings, seconds: 20}}
 wand: {{axes: {axes}}}
 """
 PATIENCE = 30.0  # s
