@@ -102,17 +102,17 @@ system_packages() {
         "${missing[@]}" >/dev/null || fail "apt-get could not install ${missing[*]}"
 }
 
-# Install the packages of the tray's menu if there is a desktop. pip would have to compile them.
+# Install the packages of the tray if there is a desktop. pip would have to compile them.
 tray() {
     local packages=(python3-gi gir1.2-ayatanaappindicator3-0.1)
     [ -n "$service" ] && compgen -G '/usr/share/*sessions/*.desktop' >/dev/null || return 0
     ! /usr/bin/python3 -c 'import gi; gi.require_version("AyatanaAppIndicator3", "0.1")' 2>/dev/null || return 0
     if [ -z "$wheelhouse" ] && command -v apt-get >/dev/null; then
-        say "apt-get installs ${packages[*]}, for the tray's menu"
+        say "apt-get installs ${packages[*]}, for the tray"
         DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y --no-install-recommends \
             "${packages[@]}" >/dev/null 2>&1 && return 0
     fi
-    say "the tray has no menu; to add it: apt-get install ${packages[*]}"
+    say "the tray needs packages of the system: apt-get install ${packages[*]}"
 }
 
 # private_to_root FOLDER [caller]: fail if this is root and others may change the folder, one above it, or a link on the

@@ -5,7 +5,6 @@ Each state has a colour, an outline and a sign, so people who cannot tell the co
 
 import math
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -189,7 +188,8 @@ def icon(state: str, size: int = 64) -> Image.Image:
     look = LOOKS.get(state, _UNKNOWN)
     pen = _Pen(size)
     pen.outline(look.outline, (*look.colour, 255))
-    _SIGNS[look.sign](pen)
+    for points, width, colour in _SIGNS[look.sign]:
+        pen.stroke(points, width, colour)
     return pen.picture.resize((size, size), Image.Resampling.LANCZOS)
 
 
@@ -218,10 +218,13 @@ class _Pen:
     def polygon(self, corners: list[tuple[float, float]], colour: tuple[int, ...]) -> None:
         self._draw.polygon([self._at(x, y) for x, y in corners], fill=colour)
 
-    def line(self, corners: list[tuple[float, float]], width: float, colour: tuple[int, ...] = _PAPER) -> None:
-        points = [self._at(x, y) for x, y in corners]
-        self._draw.line(points, fill=colour, width=round(width * self.half), joint="curve")
-        for x, y in (corners[0], corners[-1]):
+    def stroke(self, points: list[tuple[float, float]], width: float | None, colour: tuple[int, ...]) -> None:
+        """Draw a line with round ends, a disc for one point, or without a width the polygon of the points."""
+        if width is None:
+            self.polygon(points, colour)
+            return
+        self._draw.line([self._at(x, y) for x, y in points], fill=colour, width=round(width * self.half), joint="curve")
+        for x, y in (points[0], points[-1]):
             self.disc(x, y, width / 2.0, colour)
 
     def _at(self, x: float, y: float) -> tuple[float, float]:
@@ -251,52 +254,15 @@ _CORNERS = {
 }
 
 
-def _dots(pen: _Pen) -> None:
-    for x in (-0.52, 0.0, 0.52):
-        pen.disc(x, 0.0, 0.21, _INK)
-
-
-def _target(pen: _Pen) -> None:
-    for radius, colour in ((0.62, _INK), (0.42, _PAPER), (0.22, _INK)):
-        pen.disc(0.0, 0.0, radius, colour)
-
-
-def _tick(pen: _Pen) -> None:
-    pen.line([(-0.45, 0.05), (-0.12, 0.38), (0.48, -0.36)], 0.26)
-
-
-def _question(pen: _Pen) -> None:
-    bow = [(0.26 * math.cos(a), -0.24 + 0.26 * math.sin(a)) for a in (math.pi * (1.0 + k / 12.0) for k in range(18))]
-    pen.line([*bow, (0.0, 0.05), (0.0, 0.16)], 0.19, _INK)
-    pen.disc(0.0, 0.5, 0.13, _INK)
-
-
-def _bars(pen: _Pen) -> None:
-    for x in (-0.32, 0.32):
-        pen.polygon([(x - 0.17, -0.52), (x + 0.17, -0.52), (x + 0.17, 0.52), (x - 0.17, 0.52)], _PAPER)
-
-
-def _exclamation(pen: _Pen) -> None:
-    pen.line([(0.0, -0.24), (0.0, 0.26)], 0.24)
-    pen.disc(0.0, 0.62, 0.14, _PAPER)
-
-
-def _cross(pen: _Pen) -> None:
-    for y in (-0.38, 0.38):
-        pen.line([(-0.38, y), (0.38, -y)], 0.26)
-
-
-def _dash(pen: _Pen) -> None:
-    pen.line([(-0.28, 0.0), (0.28, 0.0)], 0.24, _INK)
-
-
-_SIGNS: dict[str, Callable[[_Pen], None]] = {
-    "dots": _dots,
-    "target": _target,
-    "tick": _tick,
-    "question": _question,
-    "bars": _bars,
-    "exclamation": _exclamation,
-    "cross": _cross,
-    "dash": _dash,
+_BOW = [(0.26 * math.cos(a), -0.24 + 0.26 * math.sin(a)) for a in (math.pi * (1.0 + k / 12.0) for k in range(18))]
+_BARS = [[(x - 0.17, -0.52), (x + 0.17, -0.52), (x + 0.17, 0.52), (x - 0.17, 0.52)] for x in (-0.32, 0.32)]
+_SIGNS: dict[str, list[tuple[list[tuple[float, float]], float | None, tuple[int, ...]]]] = {  # points, width, colour
+    "dots": [([(x, 0.0)], 0.42, _INK) for x in (-0.52, 0.0, 0.52)],
+    "target": [([(0.0, 0.0)], width, colour) for width, colour in ((1.24, _INK), (0.84, _PAPER), (0.44, _INK))],
+    "tick": [([(-0.45, 0.05), (-0.12, 0.38), (0.48, -0.36)], 0.26, _PAPER)],
+    "question": [([*_BOW, (0.0, 0.05), (0.0, 0.16)], 0.19, _INK), ([(0.0, 0.5)], 0.26, _INK)],
+    "bars": [(bar, None, _PAPER) for bar in _BARS],
+    "exclamation": [([(0.0, -0.24), (0.0, 0.26)], 0.24, _PAPER), ([(0.0, 0.62)], 0.28, _PAPER)],
+    "cross": [([(-0.38, y), (0.38, -y)], 0.26, _PAPER) for y in (-0.38, 0.38)],
+    "dash": [([(-0.28, 0.0), (0.28, 0.0)], 0.24, _INK)],
 }

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from PIL import Image
 
 from spheremouse.commands.tray import icon as tray_live
 from spheremouse.commands.tray import view as tray
@@ -291,25 +290,6 @@ def test_without_a_daemon_an_action_shows_the_reason(world):
     until(lambda: shown and shown[-1][1].startswith("no daemon runs"))
 
 
-# ---- bare X11 ----
-
-
-@pytest.mark.parametrize(("width", "height"), [(24, 30), (30, 24), (16, 16)])
-@pytest.mark.parametrize("state", STATES)
-def test_in_a_window_the_icon_keeps_its_shape_and_the_rest_is_transparent(state, width, height):
-    side = min(width, height)
-    picture, outline = tray_live.fit_icon(tray.icon(state), width, height)
-    seen = np.zeros((height, width), dtype=bool)
-    for x, y, w, h in outline:
-        seen[y : y + h, x : x + w] = True
-    whole = np.zeros((height, width, 4), dtype=int)
-    top, left = (height - side) // 2, (width - side) // 2
-    whole[top : top + side, left : left + side] = np.asarray(tray.icon(state).resize((side, side), Image.LANCZOS))
-    assert np.array_equal(seen, whole[..., 3] > 127)  # no outline has a hollow
-    solid = whole[..., 3] == 255
-    assert np.abs(np.asarray(picture, dtype=int) - whole[..., :3])[solid].max() <= 1
-
-
 # ---- backends ----
 
 
@@ -343,21 +323,9 @@ def test_a_pygobject_of_another_python_is_ignored(monkeypatch, tmp_path):
         monkeypatch.delitem(sys.modules, name)
 
 
-@pytest.mark.parametrize(
-    ("backend", "desktop", "wayland", "words", "not_words"),
-    [
-        ("appindicator", "ubuntu:GNOME", True, "gnome-shell-extension-appindicator", "python3-gi"),
-        ("xorg", "GNOME", True, "python3-gi", "trayer"),
-        ("xorg", "sway", True, "python3-gi", "gnome-shell"),
-        ("appindicator", "sway", True, "trayer", "python3-gi"),
-        ("xorg", "", False, "trayer", "gnome-shell"),
-    ],
-)
-def test_without_a_tray_the_advice_says_what_to_install(backend, desktop, wayland, words, not_words):
-    text = tray_live.advice(backend, desktop, wayland=wayland)
-    assert words in text
-    assert not_words not in text
-    assert "\n" not in text
+def test_without_a_tray_the_advice_says_what_to_install():
+    assert "gnome-shell-extension-appindicator" in tray_live.advice("ubuntu:GNOME")
+    assert "trayer" in tray_live.advice("sway")
 
 
 def test_the_autostart_entry_starts_this_command():
