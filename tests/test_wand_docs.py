@@ -33,8 +33,8 @@ def test_the_ball_that_is_shown_is_found(shown):
     tracker = build(film.scene.camera, balls, colours=colours)
     state = begin(tracker, 1)
     for shot in simulate_wand(film):
-        state, (pose,) = step(state, shot.frame, tracker)
-        assert pose.phase is Status.TRACKING
+        state, pose, _ = step(state, shot.frame, tracker)
+        assert pose.status is Status.TRACKING
         assert pose.position == pytest.approx(shot.position[0], abs=0.03)
         assert np.trace(pose.rotation.T @ shot.rotation[0]) > 2.99
 

@@ -269,7 +269,7 @@ def measure_speeds(frames: int = 60) -> dict[str, Any]:
             state = begin(tracker, 1, shown[0].stamp)
             for frame in shown:
                 start = time.perf_counter()
-                state, _ = step(state, frame, tracker)
+                state = step(state, frame, tracker).state
                 times.append(time.perf_counter() - start)
         settled = np.array(times[len(shown) + 3 :])
         found[speed.name] = {

@@ -1,8 +1,8 @@
-"""Convert poses of a hand-held ball to mouse counts, without rounding loss and without jitter at rest.
+"""Convert the motion of a hand-held ball to mouse counts, without rounding loss and without jitter at rest.
 
-The counts follow the rotation vector between two frames, or the shift, in axes of the camera. So no attitude of the
-ball is singular. A backlash between pose and pointer is as wide as the filter's standard deviations, times `play`.
-Within it the hand counts as resting.
+The counts follow the increment of an estimate, its rotation vector or its shift, in axes of the camera. So no attitude
+of the ball is singular. A backlash between pose and pointer is as wide as the filter's standard deviations, times
+`play`. Within it the hand counts as resting.
 """
 
 from dataclasses import dataclass, field, replace
@@ -10,16 +10,11 @@ from typing import Literal
 
 import numpy as np
 
-from spheremouse.geometry.rotation import Array, exp, left_jacobian, log
-from spheremouse.output import Report, no_report
+from spheremouse.geometry.rotation import Array
+from spheremouse.output import Report
 from spheremouse.output.counts import Remainder, to_counts
 from spheremouse.settings import FACTOR, PER_RADIAN, param
-from spheremouse.tracker import Estimate, Status, unknown
-from spheremouse.wand.pose_velocity import PoseVelocityState, pose_difference
-from spheremouse.wand.state import WandEpoch, WandPose
-
-_ROTATION_FIRST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])  # a pose has it last, an estimate first
-_MAX_NOISE_SIGMAS = 3.0  # error of a pose beside the fastest motion of a hand
+from spheremouse.tracker import Estimate, Status
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +56,6 @@ class PointingSettings:
         ge=0,
         le=10,
     )
-    # Not settings: no hand moves faster. A larger change is a corrected pose or another ball, and moves nothing.
-    fastest: float = 3.0  # m/s
-    fastest_turn: float = 20.0  # rad/s, 1150 °/s
 
     def directions(self) -> Array:
         """Return the axes in `cam`, (3, 3), about or along which the ball moves right, down, and the third way.
@@ -84,96 +76,42 @@ class PointingSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class ReferencePose:
-    """The last pose from which motion is counted."""
-
-    stamp: float  # s
-    position: Array  # (3,) m, cam
-    rotation: Array  # (3, 3) R_cam_ball
-    covariance: Array  # (6, 6) m, rad
-
-    @property
-    def variance(self) -> Array:
-        """Return the variances, (6,) m², rad²."""
-        return np.diag(self.covariance).clip(0.0)
-
-
-@dataclass(frozen=True, slots=True)
 class PointingState:
     """State of the mapping between two frames."""
 
-    reference: ReferencePose | None = None  # None: the ball was never seen, or it was lost
+    counting: bool = False  # False: the ball was never seen, or it was lost; the motion to its next pose moves nothing
     slack: Array = field(default_factory=lambda: np.zeros(3))  # rad or m, cam: motion within the backlash
     remainder: Remainder = field(default_factory=Remainder)  # counts
 
     def reset(self) -> "PointingState":
-        """Return the state without a reference: the motion to the next pose moves nothing."""
+        """Return the state of a ball that was lost."""
         return PointingState(remainder=self.remainder)
 
 
-def point(
-    state: PointingState,
-    pose: WandPose,
-    velocity_state: PoseVelocityState | None,
-    stamp: float,
-    settings: PointingSettings,
-) -> tuple[PointingState, Report]:
-    """Return the next state, and the report of a frame with the motion since the last pose, in cam.
+def point(state: PointingState, estimate: Estimate, settings: PointingSettings) -> tuple[PointingState, Report]:
+    """Return the next state, and the report of a frame with the motion since the last confirmed estimate.
 
-    `velocity_state` has the velocity. A ball that was hidden for a moment moves the pointer when it is seen again. A
-    ball that was lost does not.
+    A ball that was hidden for a moment moves the pointer when it is seen again. A ball that was lost does not.
     """
-    still = no_report(stamp)
-    if pose.phase is not Status.TRACKING or pose.position is None or pose.rotation is None:
+    still = Report((0, 0, 0), (0.0, 0.0, 0.0), estimate)
+    if estimate.status is not Status.TRACKING:
         return state.reset(), still
-    if not pose.seen or pose.covariance is None:
+    if not estimate.confirmed:
         return state, still
-    now = ReferencePose(stamp, pose.position, pose.rotation, pose.covariance)
-    velocity = np.zeros(6) if velocity_state is None else velocity_state.velocity
-    rate = pointing_rate(velocity, settings)
-    if state.reference is None or _is_implausible(state.reference, now, settings):
-        return replace(state.reset(), reference=now), Report((0, 0, 0), rate, _estimate(now, now, velocity_state))
-    estimate = _estimate(state.reference, now, velocity_state)
-    if settings.by == "turn":
-        displacement, variance = estimate.increment[:3], now.variance[3:]
-    else:
-        displacement, variance = estimate.increment[3:], now.variance[:3]
-    slack, passed = apply_backlash(state.slack, displacement, settings.play * np.sqrt(variance))
+    rate = pointing_rate(estimate.rate, settings)
+    if not state.counting or not estimate.increment_covariance.any():  # found again: no motion without an error
+        begins = estimate._replace(increment=np.zeros(6), increment_covariance=np.zeros((6, 6)))
+        return replace(state.reset(), counting=True), still._replace(rate=rate, estimate=begins)
+    part = slice(0, 3) if settings.by == "turn" else slice(3, 6)
+    sigma = np.sqrt(np.diag(estimate.covariance)[part].clip(0.0))
+    slack, passed = apply_backlash(state.slack, estimate.increment[part], settings.play * sigma)
     counts, remainder = to_counts(passed, settings.matrix(), state.remainder)
-    return PointingState(now, slack, remainder), Report(counts, rate, estimate)
+    return PointingState(True, slack, remainder), Report(counts, rate, estimate)
 
 
-def _estimate(before: ReferencePose, now: ReferencePose, velocity_state: PoseVelocityState | None) -> Estimate:
-    """Return the estimate at a pose, with the increment from the pose before and the rate at its end.
-
-    The errors of poses and rate are assumed to be independent. If the images have equal errors, the increment is better
-    than its covariance.
-    """
-    turn, increment_covariance = log(now.rotation @ before.rotation.T), np.zeros((6, 6))
-    covariance, rate = np.zeros((12, 12)), np.zeros(6)
-    covariance[:6, :6] = now.covariance[_ROTATION_FIRST]
-    if before is not now:
-        A, J = np.eye(6), np.eye(6)
-        A[3:, 3:], J[:3, :3] = exp(turn), np.linalg.inv(left_jacobian(turn))
-        increment_covariance = J @ (now.covariance + A @ before.covariance @ A.T)[_ROTATION_FIRST] @ J.T
-    if velocity_state is not None:
-        rate = np.roll(velocity_state.velocity, 3)
-        covariance[6:, 6:] = velocity_state.covariance[6:, 6:][_ROTATION_FIRST]
-    return unknown(now.stamp, status=Status.TRACKING)._replace(
-        rotation=now.rotation,
-        position=now.position,
-        rate=rate,
-        covariance=covariance,
-        increment=np.concatenate([turn, now.position - before.position]),
-        increment_covariance=increment_covariance,
-        confirmed=True,
-    )
-
-
-def pointing_rate(velocity: Array, settings: PointingSettings) -> tuple[float, float, float]:
-    """Return counts/s of the three axes at a velocity (6,), m/s and rad/s in cam."""
-    part = velocity[3:] if settings.by == "turn" else velocity[:3]
-    x, y, z = (settings.matrix() @ part).tolist()
+def pointing_rate(rate: Array, settings: PointingSettings) -> tuple[float, float, float]:
+    """Return counts/s of the three axes at a rate (6,), rad/s and m/s in cam."""
+    x, y, z = (settings.matrix() @ (rate[:3] if settings.by == "turn" else rate[3:])).tolist()
     return x, y, z
 
 
@@ -189,28 +127,15 @@ def apply_backlash(slack: Array, displacement: Array, half_width: Array) -> tupl
     return slack - passed, passed
 
 
-def _is_implausible(before: ReferencePose, after: ReferencePose, settings: PointingSettings) -> bool:
-    """Return True if the change exceeds the fastest motion of a hand and the error of both poses."""
-    dt = after.stamp - before.stamp
-    change = pose_difference(before.position, before.rotation, after.position, after.rotation)
-    reach = np.repeat([settings.fastest * dt, settings.fastest_turn * dt], 3)
-    return bool(
-        dt <= 0.0 or (np.abs(change) > reach + _MAX_NOISE_SIGMAS * np.sqrt(before.variance + after.variance)).any()
-    )
-
-
 class WandMapping:
-    """Makes the pointer's reports from the epochs of a run."""
+    """Makes the pointer's reports from the estimates of a run."""
 
-    def __init__(self, settings: PointingSettings, points: int = 0) -> None:
-        """Take the index `points` of the ball that moves the pointer."""
-        self._settings, self._points = settings, points
-        self._state = PointingState()
+    def __init__(self, settings: PointingSettings) -> None:
+        self._settings, self._state = settings, PointingState()
 
-    def report(self, epoch: WandEpoch) -> Report:
-        """Return the report of an epoch."""
-        pose, velocity_state = epoch.poses[self._points], epoch.state.tracks[self._points].pose_velocity
-        self._state, report = point(self._state, pose, velocity_state, epoch.frame.stamp, self._settings)
+    def report(self, estimate: Estimate) -> Report:
+        """Return the report of an estimate."""
+        self._state, report = point(self._state, estimate, self._settings)
         return report
 
     def interrupted(self) -> None:

@@ -17,7 +17,7 @@ _MAX_STEPS = 10  # of that length: after 2 s a velocity carries no information
 _SIGMA_OF_MAX = 0.5  # standard deviation over the greatest acceleration: half to all of it (ibid.)
 # m/s, rad/s for each axis, of a ball at first sight: the mean of a hand that goes to and fro at 0.4 m/s and 180 °/s
 _INITIAL_VELOCITY_SIGMA = np.repeat([0.2, 1.0], 3)
-_MAX_HAND_VELOCITY = np.repeat([3.0, 20.0], 3)  # m/s, rad/s
+MAX_HAND_VELOCITY = np.repeat([3.0, 20.0], 3)  # m/s, rad/s: no hand is faster
 GATE = 36.0  # d² of six standard deviations: beyond it lies a sudden start, another ball, or another side of the ball
 
 
@@ -79,7 +79,7 @@ def update(
     if d @ solved[:, 12] > GATE:
         new = initialise(stamp, position, rotation, covariance)
         motion = pose_difference(before.position, before.rotation, position, rotation)
-        if np.any(np.abs(motion) > _MAX_HAND_VELOCITY * dt):
+        if np.any(np.abs(motion) > MAX_HAND_VELOCITY * dt):
             return new
         P = np.kron([[1.0, 1.0 / dt], [1.0 / dt, 1.0 / dt**2]], covariance)
         P[6:, 6:] += before.covariance[:6, :6] / dt**2 + np.diag(_velocity_variance(dt, acceleration))

@@ -7,7 +7,7 @@ import numpy as np
 
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
-from spheremouse.tracker import Event, Frame, Status
+from spheremouse.tracker import Estimate, Event, Frame, Status
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.model import Model
 from spheremouse.wand.particles import Particles
@@ -29,6 +29,7 @@ class WandTracker:
     colours: dict[str, ColourSettings]
     names: tuple[str, ...]  # of the colours in use
     follow: Callable[..., tuple["Track", "WandPose"]]  # (track, stamp, context, search_due, rng), as `track.follow`
+    points: int = 0  # index of the ball of which `step` returns the estimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +48,16 @@ class WandPose:
 
 
 @dataclass(frozen=True, slots=True)
+class MeasuredPose:
+    """Pose of a ball in the last frame that measured it."""
+
+    stamp: float  # s
+    position: Array  # (3,) m, cam
+    rotation: Array  # (3, 3) R_cam_ball
+    covariance: Array  # (6, 6) m, rad
+
+
+@dataclass(frozen=True, slots=True)
 class Track:
     """State of one ball."""
 
@@ -61,6 +72,7 @@ class Track:
     unseen_frames: int = 0
     evidence: float = 0.0  # running mean of the log-likelihood ratio of this ball's pose
     next_spot: int = 0  # spot with which the next search begins, if one frame has too many spots for one search
+    measured: MeasuredPose | None = None  # None: the ball was never seen, or it is lost
     second: tuple[int, Array] | None = None  # frames in a row with an undeclared ball like it, and its position, (3,) m
 
     @property
@@ -74,6 +86,8 @@ class WandState:
     """State of the tracker between two frames."""
 
     tracks: tuple[Track, ...]
+    poses: tuple[WandPose, ...] = ()  # of each ball in the last frame
+    frames: int = 0  # since the tracker began
     last_search: float = -np.inf  # s, last search of the whole picture
     frames_since_search: int = 0
     colour_problem: Event | None = None  # that the last search of the whole picture found
@@ -87,6 +101,11 @@ class WandEpoch:
     """One tracked frame."""
 
     frame: Frame
-    poses: tuple[WandPose, ...]
     state: WandState
+    estimate: Estimate
     seconds: float  # wall time of the step
+
+    @property
+    def poses(self) -> tuple[WandPose, ...]:
+        """Poses of all balls."""
+        return self.state.poses

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array, exp
-from spheremouse.tracker import Event, Frame, Status
+from spheremouse.tracker import Event, Frame, Status, Step
 from spheremouse.wand import limb
 from spheremouse.wand.colour import Fields, picture_colours
+from spheremouse.wand.estimate import estimate, measured_pose
 from spheremouse.wand.events import (
     BallHidden,
     SecondBall,
@@ -95,13 +96,12 @@ def begin(
     return WandState(tuple(tracks), seed=seed)
 
 
-def step(
-    state: WandState, frame: Frame, tracker: WandTracker, command: Array | None = None
-) -> tuple[WandState, tuple[WandPose, ...]]:
-    """Track all balls through one frame and return the new state and the pose of each ball.
+def step(state: WandState, frame: Frame, tracker: WandTracker, command: Array | None = None) -> Step[WandState]:
+    """Track all balls through one frame.
 
-    `command` (6,) m/s, rad/s in cam axes is a known velocity since the last frame, for example a robot's. Equal frames
-    and seeds give equal poses.
+    The estimate is that of the ball `tracker.points`, and the state has the poses of all balls. `command` (6,) m/s,
+    rad/s in cam axes is a known velocity since the last frame, for example a robot's. Equal frames and seeds give equal
+    poses.
     """
     image = frame.image if frame.image.ndim == 3 else np.repeat(frame.image[:, :, None], 3, axis=2)
     rng = np.random.default_rng((state.seed, frame.sequence))
@@ -118,6 +118,7 @@ def step(
         if isinstance(pose.event, SecondBall) and len(others) < len(tracks) - 1:
             pose = replace(pose, event=None)  # it can be a declared ball that is not tracked yet
         poses.append(pose)
+        tracks[i] = replace(tracks[i], measured=measured_pose(track.measured, pose, frame.stamp))
     after = replace(
         _update_colour_problem(state, frame.stamp, scene, tracks),
         tracks=tuple(tracks),
@@ -128,7 +129,11 @@ def step(
     some_missing = any(t.phase != Status.TRACKING for t in (*state.tracks, *tracks))  # now or before this frame
     if problem and (some_missing or after.colour_problem_age > _REPORT_AGE):
         poses = [replace(p, event=problem) if not p.event or p.phase != Status.TRACKING else p for p in poses]
-    return after, tuple(poses)
+    k = tracker.points
+    found = estimate(state.tracks[k].measured, tracks[k], poses[k], frame.stamp, state.frames)
+    known = {pose.event for pose in state.poses}
+    events = dict.fromkeys(pose.event for pose in poses if pose.event is not None and pose.event not in known)
+    return Step(replace(after, poses=tuple(poses), frames=state.frames + 1), found, tuple(events))
 
 
 def _apply_command(track: Track, command: Array) -> Track:
@@ -167,24 +172,24 @@ def follow(
         track, event = update_second_ball(track, far, first, dt, context)
     if not is_ball(modes, s, track.evidence):
         return _predict_hidden(track, stamp, dt, context, rng, modes)
-    estimate = _filter(particles, motions, modes, context.model, s.particles, rng)
-    peak = estimate.peak
+    average = _filter(particles, motions, modes, context.model, s.particles, rng)
+    peak = average.peak
     covariance = limit_covariance(peak.covariance)
     best = float(modes.log_likelihood[0])
     after = replace(
         track,
         phase=Status.TRACKING,
-        particles=resample_degenerate(estimate.particles, rng),
-        pose=estimate.pose,
+        particles=resample_degenerate(average.particles, rng),
+        pose=average.pose,
         pose_velocity=update(pose_velocity, stamp, peak.position, peak.rotation, covariance, max_acceleration(s)),
-        motion_probability=motion_probabilities(track, estimate.pose, motions),
+        motion_probability=motion_probabilities(track, average.pose, motions),
         stamp=stamp,
         seen=stamp,
         unseen_frames=0,
         evidence=track.evidence + _EVIDENCE_GAIN * (best - track.evidence) if track.evidence else best,
         measurement_covariance=covariance,
     )
-    return after, _measured_pose(estimate, modes, context, event)
+    return after, _measured_pose(average, modes, context, event)
 
 
 def acquire(track: Track, stamp: float, context: SearchContext, rng: np.random.Generator) -> tuple[Track, WandPose]:
@@ -208,12 +213,12 @@ def acquire(track: Track, stamp: float, context: SearchContext, rng: np.random.G
     value = _log_likelihoods(position, rotation, which, which, modes, context.model)
     log_proposal = -0.5 * np.einsum("ni,nij,nj->n", d, np.linalg.inv(peaks.covariance)[which], d)
     weight, _ = normalise(value - log_proposal - modes.log_likelihood[which])
-    estimate = _average(Particles(position, rotation, weight), which, modes)
-    peak = estimate.peak
+    average = _average(Particles(position, rotation, weight), which, modes)
+    peak = average.peak
     after = Track(
         Status.TRACKING,
-        resample(estimate.particles, s.particles, rng),
-        estimate.pose,
+        resample(average.particles, s.particles, rng),
+        average.pose,
         initialise(stamp, peak.position, peak.rotation, peak.covariance),
         measurement_covariance=limit_covariance(peak.covariance),
         stamp=stamp,
@@ -221,11 +226,11 @@ def acquire(track: Track, stamp: float, context: SearchContext, rng: np.random.G
         evidence=float(modes.log_likelihood[0]),
     )
     after, event = update_second_ball(after, modes, modes.peaks[0].position, 0.0, context)
-    return after, _measured_pose(estimate, modes, context, event)
+    return after, _measured_pose(average, modes, context, event)
 
 
 @dataclass(frozen=True, slots=True)
-class _Estimate:
+class _Average:
     """Weighted particles and their mean."""
 
     particles: Particles
@@ -234,14 +239,14 @@ class _Estimate:
     peak: Peak  # that most of the weight is nearest to
 
 
-def _measured_pose(estimate: _Estimate, modes: Modes, context: SearchContext, event: Event | None) -> WandPose:
+def _measured_pose(average: _Average, modes: Modes, context: SearchContext, event: Event | None) -> WandPose:
     match = float(modes.match[0])
-    return WandPose(context.ball.name, *estimate.pose, Status.TRACKING, event, match, estimate.effective, True)
+    return WandPose(context.ball.name, *average.pose, Status.TRACKING, event, match, average.effective, True)
 
 
 def _filter(
     particles: Particles, motions: MotionMixture, modes: Modes, m: Model, count: int, rng: np.random.Generator
-) -> _Estimate:
+) -> _Average:
     """Draw `count` particles from motions and peaks, weigh and average them."""
     peaks = proposals(modes)
     drawn, log_ratio, nearest = propose(particles, motions, peaks, _BLIND, count, rng)
@@ -251,11 +256,11 @@ def _filter(
     return _average(Particles(drawn.position, drawn.rotation, weight), nearest, modes)
 
 
-def _average(particles: Particles, nearest: NDArray[np.int64], modes: Modes) -> _Estimate:
+def _average(particles: Particles, nearest: NDArray[np.int64], modes: Modes) -> _Average:
     count = effective_number(particles.weight)
     p, R, sample = mean_pose(particles)
     peak = modes.peaks[int(np.bincount(nearest, particles.weight).argmax())]
-    return _Estimate(particles, (p, R, regularised_covariance(sample, count, peak.covariance)), count, peak)
+    return _Average(particles, (p, R, regularised_covariance(sample, count, peak.covariance)), count, peak)
 
 
 def _log_likelihoods(

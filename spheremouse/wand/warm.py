@@ -48,7 +48,7 @@ def _track(ball: WandBall, depth: float, settings: WandSettings) -> None:
     empty = _picture(None, depth, 0.0)
     for k, image in enumerate((empty, *shown, shown[-1], empty, empty, shown[0], shown[0])):
         stamp = k * (_DT if k < 7 else 0.3)  # hidden, then lost
-        state, _ = step(state, Frame(image, stamp, k), tracker)
+        state = step(state, Frame(image, stamp, k), tracker).state
 
 
 def _picture(ball: WandBall | None, depth: float, turned: float) -> NDArray[np.uint8]:

@@ -207,15 +207,16 @@ def follow(tracker: state_module.WandTracker, frames: list[Frame], c: Configurat
     usual = build_wand(film.scene.camera, tuple(carried.ball for carried in film.scene.balls))
     state, pointing = wand.begin(tracker, 1, frames[0].stamp), PointingState()
     for frame in frames:
-        state, poses = in_time(
+        found = in_time(
             "a ball in a hand",
             lambda s=state, f=frame: wand.step(s, f, tracker),
             lambda f=frame: wand.step(wand.begin(usual, 1, f.stamp), f, usual),
         )
-        pointing, report = point(pointing, poses[0], state.tracks[0].pose_velocity, frame.stamp, c.wand.pointing)
+        state = found.state
+        pointing, report = point(pointing, found.estimate, c.wand.pointing)
         sound(report.estimate)
         assert all(math.isfinite(rate) for rate in report.rate)
-        for pose in poses:
+        for pose in state.poses:
             assert pose.position is None or np.all(np.isfinite(pose.position))
             assert pose.covariance is None or np.all(np.isfinite(pose.covariance))
 

@@ -84,7 +84,7 @@ def convert_wand(dataset: Path, folder: Path) -> None:
         for k, frame in enumerate(read_wand_frames(recording)):
             yuyv = cv2.cvtColor(frame.image, cv2.COLOR_BGR2YUV_YUY2)
             plain.write(yuyv.tobytes())
-            state, _ = step_wand(state, Frame(cv2.cvtColor(yuyv, cv2.COLOR_YUV2BGR_YUY2), 0.2 * k, k), tracker)
+            state = step_wand(state, Frame(cv2.cvtColor(yuyv, cv2.COLOR_YUV2BGR_YUY2), 0.2 * k, k), tracker).state
     np.save(folder / "attitude.npy", recording.truth.rotation)
     np.save(folder / "position.npy", recording.truth.position)
     save_camera(folder / "camera.yaml", recording.camera)

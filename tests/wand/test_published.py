@@ -73,5 +73,6 @@ def test_published_filter_keeps_a_ball_at_rest(film, likelihood):
     p, R = shots[0].position[0], shots[0].rotation[0]
     state = begin(tracker, 1, 0.0, {0: (p, R)})
     for k in range(8):
-        state, (pose,) = step(state, replace(shots[0].frame, stamp=k / 15.0, sequence=k), tracker)
+        state = step(state, replace(shots[0].frame, stamp=k / 15.0, sequence=k), tracker).state
+        (pose,) = state.poses
         assert np.linalg.norm((pose.position - p)[:2]) < 0.05

@@ -41,7 +41,7 @@ def test_no_ball_in_noise_with_squares(coloured):
     tracker = build(CAMERA, (grzonka_ball(),))
     found = []
     for k in range(PICTURES):
-        _, (pose,) = step(begin(tracker), Frame(squares(k, coloured), 0.0, 0), tracker)
+        (pose,) = step(begin(tracker), Frame(squares(k, coloured), 0.0, 0), tracker).state.poses
         found.append(pose.phase != Status.SEARCHING)
     assert sum(found) == 0
 
@@ -53,7 +53,8 @@ def test_no_ball_in_a_room_of_red_and_blue_things(seed):
     tracker = build(film.scene.camera, (grzonka_ball(),))
     state, renderer = begin(tracker), WandRenderer(replace(film.scene, balls=()))
     for k in range(3):
-        state, (pose,) = step(state, Frame(renderer.picture(k / 30.0, rng), k / 30.0, k), tracker)
+        state = step(state, Frame(renderer.picture(k / 30.0, rng), k / 30.0, k), tracker).state
+        (pose,) = state.poses
         assert pose.phase == Status.SEARCHING
 
 
@@ -63,7 +64,7 @@ def test_ball_in_glare_is_found_in_the_first_frame(seed, begins):
     film = prepare_wand(WandOptions(light="outdoor", seed=seed, begin=begins, seconds=1.3))
     (shot,) = simulate_wand(film)
     tracker = build(film.scene.camera, (grzonka_ball(),))
-    _, (pose,) = step(begin(tracker), shot.frame, tracker)
+    (pose,) = step(begin(tracker), shot.frame, tracker).state.poses
     assert pose.phase == Status.TRACKING
     assert np.linalg.norm(log(pose.rotation @ shot.rotation[0].T)) < np.deg2rad(8)
     assert np.linalg.norm((pose.position - shot.position[0])[:2]) < 0.01

@@ -41,8 +41,8 @@ def follow(shots, tracker, state=None):
     state = state or begin(tracker, 1)
     poses = []
     for shot in shots:
-        state, found = step(state, shot.frame, tracker)
-        poses.append(found)
+        state = step(state, shot.frame, tracker).state
+        poses.append(state.poses)
     return state, poses
 
 
@@ -100,7 +100,8 @@ def test_lost_ball_is_found_again(hand):
     state, _ = follow(shots[:4], tracker)
     empty = np.full_like(shots[0].frame.image, 128)
     for k in range(12):
-        state, (pose,) = step(state, Frame(empty, shots[3].frame.stamp + 0.066 * (k + 1), 100 + k), tracker)
+        state = step(state, Frame(empty, shots[3].frame.stamp + 0.066 * (k + 1), 100 + k), tracker).state
+        (pose,) = state.poses
     assert pose.phase == Status.LOST
     assert pose.position is None
     assert isinstance(pose.event, BallLost | ColourNowhere)
@@ -114,7 +115,8 @@ def test_hidden_ball_is_predicted(hand):
     tracker = build(camera, balls)
     state, poses = follow(shots[:4], tracker)
     empty = np.full_like(shots[0].frame.image, 128)
-    state, (pose,) = step(state, Frame(empty, shots[3].frame.stamp + 0.066, 100), tracker)
+    state = step(state, Frame(empty, shots[3].frame.stamp + 0.066, 100), tracker).state
+    (pose,) = state.poses
     assert pose.phase == Status.TRACKING
     assert not pose.seen
     assert pose.event == BallHidden("grzonka")
@@ -128,7 +130,8 @@ def test_covariance_of_a_hidden_ball_grows_by_the_random_walk():
     state, poses = follow(shots, tracker)
     empty = np.full_like(shots[0].frame.image, 128)
     for k in range(1, 11):
-        state, (pose,) = step(state, Frame(empty, shots[-1].frame.stamp + 0.04 * k, 100 + k), tracker)
+        state = step(state, Frame(empty, shots[-1].frame.stamp + 0.04 * k, 100 + k), tracker).state
+        (pose,) = state.poses
     assert not pose.seen
     walk = np.array([settings.sigma_x, settings.sigma_y, settings.sigma_z]) ** 2 * (0.4 / 1.25)
     gained = np.diag(pose.covariance - poses[-1][0].covariance)[:3]
@@ -141,7 +144,7 @@ def test_velocity_is_that_of_the_hand(hand):
     tracker = build(camera, balls)
     state, off, speed = begin(tracker, 1), [], []
     for k, shot in enumerate(shots[:-1]):
-        state, _ = step(state, shot.frame, tracker)
+        state = step(state, shot.frame, tracker).state
         if k > 3:
             a, b = shots[k - 1], shots[k + 1]
             dt = b.frame.stamp - a.frame.stamp
@@ -169,7 +172,7 @@ def test_event_without_a_ball_in_view():
     tracker = build(camera, balls)
     image = np.full((480, 640, 3), 120, dtype=np.uint8)
     image[100:110, 100:110], image[200:210, 300:310] = (200, 60, 30), (30, 30, 200)
-    _, (pose,) = step(begin(tracker), Frame(image, 0.0, 0), tracker)
+    (pose,) = step(begin(tracker), Frame(image, 0.0, 0), tracker).state.poses
     assert pose.phase == Status.SEARCHING
     assert pose.event == NotInView("grzonka")
 
@@ -177,14 +180,14 @@ def test_event_without_a_ball_in_view():
 def test_events_of_bounds_that_match_nothing_or_everything(hand):
     camera, balls, shots = hand
     nothing = build(camera, balls, colours={"red": ColourSettings(hue_min=100, hue_max=110, saturation_min=200)})
-    _, (pose,) = step(begin(nothing), shots[0].frame, nothing)
+    (pose,) = step(begin(nothing), shots[0].frame, nothing).state.poses
     assert pose.event == ColourNowhere("red")
     one = build(camera, balls, colours={"blue": ColourSettings(hue_min=100, hue_max=110, saturation_min=200)})
     _, poses = follow([replace_stamp(shot, k) for k, shot in enumerate([*shots, *shots[::-1], *shots])], one)
     assert poses[-1][0].phase == Status.TRACKING  # by red alone
     assert ColourNowhere("blue") in [p.event for (p,) in poses if p.phase == Status.TRACKING]
     half = build(camera, balls, colours={"blue": ColourSettings()})
-    _, (pose,) = step(begin(half), shots[0].frame, half)
+    (pose,) = step(begin(half), shots[0].frame, half).state.poses
     assert pose.event == ColourEverywhere("blue", 1.0)
     assert pose.event.fraction == 1.0
 
@@ -202,7 +205,8 @@ def test_a_missing_colour_is_reported_after_one_or_ten_seconds(hand, first, afte
     assert pose is not None
     state, said = begin(tracker, poses={0: pose[:2]}), []
     for k in range(160 if after > 1.0 else 20):
-        state, (pose,) = step(state, replace_stamp(shot, k).frame, tracker)
+        state = step(state, replace_stamp(shot, k).frame, tracker).state
+        (pose,) = state.poses
         assert pose.phase == Status.TRACKING
         said.append(pose.event == ColourNowhere("blue"))
     assert said.index(True) / 15.0 == pytest.approx(after, abs=0.1)
@@ -267,7 +271,7 @@ def test_a_known_command_replaces_the_last_velocity(hand):
     a, b = shots[2], shots[8]
     dt = b.frame.stamp - a.frame.stamp
     command = np.concatenate([(b.position[0] - a.position[0]) / dt, log(b.rotation[0] @ a.rotation[0].T) / dt])
-    _, (pose,) = step(state, b.frame, tracker, command)
+    (pose,) = step(state, b.frame, tracker, command).state.poses
     assert pose.seen
     assert np.linalg.norm(log(pose.rotation @ b.rotation[0].T)) < np.deg2rad(8)
 

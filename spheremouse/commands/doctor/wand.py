@@ -44,8 +44,8 @@ def sight(views: tuple[Frame, ...], tracker: WandTracker) -> Iterator[Finding]:
         return
     state, seen = begin(tracker, seed=1), list[tuple[WandPose, ...]]()
     for view in views:
-        state, poses = step(state, view, tracker)
-        seen.append(poses)
+        state = step(state, view, tracker).state
+        seen.append(state.poses)
     for k in range(len(tracker.balls)):
         yield _found([poses[k] for poses in seen])
 

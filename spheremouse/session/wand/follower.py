@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,7 @@ class WandFollower:
     ) -> None:
         """`make` gives the tracker that a plan asks for, `axes` are those that go on. Raises ConfigurationError."""
         self._make, self._say = make, say
-        self._hand = WandMapping(plan.configuration.wand.pointing, plan.configuration.wand.points - 1)
+        self._hand = WandMapping(plan.configuration.wand.pointing)
         self._state: WandState | None = None
         self._poses: tuple[WandPose, ...] = ()
         self._estimate: Estimate | None = None  # of the last frame
@@ -49,9 +50,9 @@ class WandFollower:
         self._told = Told(self.points, self.tracker.balls[self.points].name)
 
     def _take_on(self, plan: Plan, tracker: WandTracker, axes: tuple[PoseLog, ...]) -> None:
-        self._plan, self.tracker, self._axes = plan, tracker, axes
         self.points = plan.configuration.wand.points - 1  # index of the ball that moves the pointer
-        self.subject = WandSubject(tracker, plan.configuration)
+        self._plan, self.tracker, self._axes = plan, replace(tracker, points=self.points), axes
+        self.subject = WandSubject(self.tracker, plan.configuration)
 
     @property
     def reason(self) -> str:
@@ -80,10 +81,10 @@ class WandFollower:
         """Track the balls."""
         begun = time.perf_counter()
         state = self._state or begin(self.tracker, 0, frame.stamp)
-        self._state, self._poses = step(state, frame, self.tracker)
-        epoch = WandEpoch(frame, self._poses, self._state, time.perf_counter() - begun)
-        report = self._hand.report(epoch)
-        self._estimate = report.estimate
+        self._state, self._estimate, _ = step(state, frame, self.tracker)
+        self._poses = self._state.poses
+        epoch = WandEpoch(frame, self._state, self._estimate, time.perf_counter() - begun)
+        report = self._hand.report(self._estimate)
         for axes in self._axes:
             axes.push(frame.stamp, self._poses, self.points)
         self._frames += 1
@@ -128,7 +129,7 @@ class WandFollower:
             before = self.points
             self._take_on(plan, tracker, axes)
             if "motion" in changed or self.points != before:
-                self._hand = WandMapping(plan.configuration.wand.pointing, self.points)
+                self._hand = WandMapping(plan.configuration.wand.pointing)
             if self.points != before:
                 self._told = Told(self.points, tracker.balls[self.points].name)
                 self.status = self._poses[self.points].phase if self._poses else Status.SEARCHING

@@ -35,8 +35,8 @@ def track_wand(
         check_wand_frame(frame, tracker)
         state = state or begin(tracker, seed, frame.stamp, known)
         start = time.perf_counter()
-        state, poses = step(state, frame, tracker)
-        yield WandEpoch(frame, poses, state, time.perf_counter() - start)
+        state, estimate, _ = step(state, frame, tracker)
+        yield WandEpoch(frame, state, estimate, time.perf_counter() - start)
 
 
 def check_wand_frame(frame: Frame, tracker: WandTracker) -> None:

@@ -17,7 +17,7 @@ from spheremouse.session.overlay.pen import GREEN, WHITE
 from spheremouse.session.overlay.wand import WandOverlay, pin, rims
 from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
-from spheremouse.tracker import Frame, Status
+from spheremouse.tracker import Frame, Status, unknown
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.build import build
 from spheremouse.wand.state import WandEpoch, WandPose
@@ -37,7 +37,7 @@ def rays(points):
 def epoch(pose, image=None):
     tracker = build(CAMERA, (BALL,))
     frame = Frame(np.full((480, 640, 3), 90, np.uint8) if image is None else image, 1.5, 3)
-    return tracker, WandEpoch(frame, (pose,), begin(tracker), 0.0)
+    return tracker, WandEpoch(frame, replace(begin(tracker), poses=(pose,)), unknown(1.5), 0.0)
 
 
 def pose(**changes):
@@ -110,8 +110,8 @@ def test_the_trace_is_half_a_second_long_at_any_rate():
     overlay.remember(first)
     gone = WandEpoch(
         replace(first.frame, stamp=first.frame.stamp + 0.4),
-        (pose(position=None, rotation=None, covariance=None, seen=False),),
-        first.state,
+        replace(first.state, poses=(pose(position=None, rotation=None, covariance=None, seen=False),)),
+        unknown(1.9),
         0.0,
     )
     overlay.remember(gone)

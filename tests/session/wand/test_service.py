@@ -531,8 +531,9 @@ def test_a_complaint_is_said_with_the_frame_that_finds_the_ball(world, monkeypat
     from spheremouse.session.wand import follower
 
     def complaining(state, frame, tracker):
-        state, poses = step(state, frame, tracker)
-        return state, tuple(replace(p, event=SecondBall("grzonka")) if p.seen else p for p in poses)
+        found = step(state, frame, tracker)
+        poses = tuple(replace(p, event=SecondBall("grzonka")) if p.seen else p for p in found.state.poses)
+        return found._replace(state=replace(found.state, poses=poses))
 
     step = follower.step
     monkeypatch.setattr(follower, "step", complaining)
