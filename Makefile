@@ -52,7 +52,7 @@ help:
 	@echo "make experiments  the experiments of the theses, into build/experiments (an hour); EXPERIMENTS_ARGS='--datasets DIR'"
 	@echo "make system-test  tests on real kernel devices, in a QEMU guest"
 	@echo "make soak         hours of tracking; SOAK_ARGS=... chooses how long"
-	@echo "make fuzz         broken input of every kind; FUZZ_ARGS=... chooses how much"
+	@echo "make fuzz         broken input of every kind; FUZZ_EXAMPLES=N of each, FUZZ_ARGS=... goes to pytest"
 	@echo "make clean        removes everything that these targets made"
 
 demo: $(STAMP)
@@ -137,10 +137,12 @@ system-test: $(STAMP)
 	@test -x tests/system/run || { echo "make: tests/system/run does not exist: no system test yet" >&2; exit 2; }
 	tests/system/run $(SYSTEM_TEST_ARGS)
 
-soak fuzz: $(STAMP)
-	@test -e tests/$@.py -o -e tests/$@/__main__.py || { echo "make: tests/$@ does not exist yet" >&2; exit 2; }
-	$(BIN)/python -m tests.$@ $(if $(filter soak,$@),$(SOAK_ARGS),$(FUZZ_ARGS))
-	$(if $(filter soak,$@),$(BIN)/python -m tests.daemon_soak $(SOAK_ARGS))
+soak: $(STAMP)
+	$(BIN)/python -m tests.soak $(SOAK_ARGS)
+	$(BIN)/python -m tests.daemon_soak $(SOAK_ARGS)
+
+fuzz: $(STAMP)
+	$(BIN)/python -m pytest tests/fuzz $(FUZZ_ARGS)
 
 clean:
 	rm -rf $(VENV) docs/_build demo build dist .pytest_cache .ruff_cache .hypothesis *.egg-info

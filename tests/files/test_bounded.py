@@ -7,12 +7,12 @@ import struct
 import subprocess
 import sys
 import threading
+import zlib
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from oversized import mkv, png, sparse
 
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.capture import open_source
@@ -30,6 +30,41 @@ from spheremouse.session.control.status import misfit
 
 CLIP = Path(__file__).parents[1] / "data" / "far26_clip"
 LIMIT = 600_000_000  # bytes beyond what the program has when it has been imported; each of these files took 1.6 to 6 GB
+
+
+def png(width: int, height: int, rows: int | None = None) -> bytes:
+    """A black picture in colour, of which so many rows are there: a thousandth of a byte a pixel."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    deflate = zlib.compressobj(9)
+    row = bytes(1 + 3 * width)
+    rows = height if rows is None else rows
+    data = b"".join(deflate.compress(row) for _ in range(rows)) + deflate.flush()
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+
+
+def mkv(codec: str, width: int, height: int, frames: list[bytes]) -> bytes:
+    """A film of pictures in a container that says its own size: Matroska, RFC 9559."""
+
+    def element(name: str, data: bytes) -> bytes:
+        return bytes.fromhex(name) + (len(data) | 1 << 56).to_bytes(8) + data
+
+    def number(name: str, value: int) -> bytes:
+        return element(name, value.to_bytes(8))
+
+    format_ = struct.pack("<IiiHH4sIiiII", 40, width, height, 1, 24, codec.encode(), 0, 0, 0, 0, 0)
+    video = element("e0", number("b0", width) + number("ba", height))
+    track = number("d7", 1) + number("73c5", 1) + number("83", 1) + element("86", b"V_MS/VFW/FOURCC")
+    blocks = b"".join(element("a3", b"\x81" + struct.pack(">h", 33 * i) + b"\x80" + f) for i, f in enumerate(frames))
+    return element("1a45dfa3", element("4282", b"matroska") + number("4287", 4) + number("4285", 2)) + element(
+        "18538067",
+        element("1549a966", number("2ad7b1", 1_000_000))
+        + element("1654ae6b", element("ae", track + element("63a2", format_) + video))
+        + element("1f43b675", number("e7", 0) + blocks),
+    )
 
 
 @pytest.fixture
@@ -100,7 +135,7 @@ def test_what_says_that_it_is_huge_is_refused_within_little_memory(folder, tmp_p
     assert "film.mkv: frames of 15000x15000; scale the film" in read_within("film", film)
     shutil.copy(film, folder / "video.mkv")
     assert "video.mkv: frames of 15000x15000" in read_within("dataset", folder)
-    sparse(folder / "scene.json", 10**9)
+    os.truncate(folder / "scene.json", 10**9)
     assert "scene.json: cannot be read: larger than 1 MB" in read_within("dataset", folder)
 
 

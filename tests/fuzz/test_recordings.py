@@ -11,11 +11,13 @@ import numpy as np
 from hypothesis import strategies as st
 
 from spheremouse.ball.settings import Settings
+from spheremouse.calibrate.photos import image, read_photos
 from spheremouse.capture import open_source
+from spheremouse.commands.wand.picture import read_picture
 from spheremouse.files.dataset.ball import open_dataset, read_frames
+from tests.fuzz.fuzzing import file, fuzz, refused
 from tests.fuzz.scene import use
 from tests.fuzz.strategies import mutated, mutated_bytes, mutated_json
-from tests.fuzz.targets import file, refused, target
 
 CLIP = Path(__file__).parents[1] / "data" / "far26_clip"
 
@@ -50,8 +52,8 @@ def _datasets(draw: st.DrawFn) -> dict[str, str | bytes]:
     return made
 
 
-@target("dataset", _datasets)
-def check_dataset(made: dict[str, str | bytes]) -> None:
+@fuzz(_datasets)
+def test_dataset(made: dict[str, str | bytes]) -> None:
     folder = Path("dataset")
     (folder / "frames").mkdir(parents=True, exist_ok=True)
     for name, content in made.items():
@@ -68,13 +70,42 @@ def check_dataset(made: dict[str, str | bytes]) -> None:
 
 
 @cache
+def _picture(kind: str) -> bytes:
+    """Return a picture of noise, 40 by 30."""
+    image = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
+    return bytes(cv2.imencode(f".{kind}", image)[1])
+
+
+@fuzz(
+    lambda: st.sampled_from(["png", "jpg", "bmp", "tif"]).flatmap(
+        lambda kind: st.tuples(
+            st.just(kind), st.one_of(mutated_bytes(_picture(kind)), mutated_bytes(_picture(kind)[:200]))
+        )
+    )
+)
+def test_damaged_pictures(drawn: tuple[str, bytes]) -> None:
+    """Read a file as a photo, in the wand's colour picker, and as a frame of a dataset."""
+    kind, data = drawn
+    path = file(data, f"picture.{kind}")
+    photos = refused(lambda: read_photos([path], lambda _: None))
+    if photos:
+        refused(lambda: image(photos[0]))
+    refused(lambda: read_picture(path))
+    folder = Path("dataset")
+    (folder / "frames").mkdir(parents=True, exist_ok=True)
+    for name, content in _dataset().items():
+        file(data if name == "frames/000000.png" else content, str(folder / name))
+    refused(lambda: list(read_frames(open_dataset(folder))))
+
+
+@cache
 def _video() -> bytes:
     """The clip's first frames as a video file."""
     return (CLIP / "video.mkv").read_bytes()[:180_000]
 
 
-@target("video", lambda: st.one_of(mutated_bytes(_video()), mutated_bytes(_video()[:2000]), st.binary(max_size=100)))
-def check_video(content: bytes) -> None:
+@fuzz(lambda: st.one_of(mutated_bytes(_video()), mutated_bytes(_video()[:2000]), st.binary(max_size=100)))
+def test_video(content: bytes) -> None:
     path = file(content, "file.mkv")
 
     def read() -> None:

@@ -6,6 +6,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 
 from spheremouse.ball.build import begin, build
@@ -22,8 +23,8 @@ from spheremouse.tracker import Frame
 from spheremouse.wand.build import build as build_wand
 from spheremouse.wand.colour import DEFAULT_COLOURS
 from tests.fuzz.extremes import USUAL
-from tests.fuzz.parameters import Configuration, as_usual, clip, follow, hand, in_time, sound
-from tests.fuzz.targets import file, refused, target
+from tests.fuzz.fuzzing import bounded, file, fuzz, refused
+from tests.fuzz.test_parameters import Configuration, as_usual, clip, follow, hand, in_time, sound
 
 SCALES = (1e-6, 1e-3, 0.08, 1.0, 17.0, 1e3, 1.6e6)  # of lengths; the clip's ball has 0.6
 MORE = (16_384, 16_385, 8192, 250.0, 1e-5, 1e5, -1e5)  # besides the usual ones
@@ -101,20 +102,22 @@ def _text(tree: Any) -> str:
     return "[" + ", ".join(map(_text, tree)) + "]" if isinstance(tree, tuple) else config.to_yaml(tree)
 
 
-def _scales() -> list[tuple[float, list[Change]]]:
-    return [(scale, []) for scale in SCALES]
-
-
-@target(
-    "numbers of the rig",
+@fuzz(
     lambda: st.tuples(
         st.sampled_from((1.0, 1.0, 1.0, *SCALES)),
         st.lists(st.sampled_from(_rig_changes()), min_size=1, max_size=3),
-    ),
-    every=_scales,
+    )
 )
-def check_rig_numbers(drawn: tuple[float, list[Change]]) -> None:
-    scale, changes = drawn
+def test_rig_numbers(drawn: tuple[float, list[Change]]) -> None:
+    _track(*drawn)
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_rig_scales(scale: float) -> None:
+    bounded(lambda s: _track(s, []), scale)
+
+
+def _track(scale: float, changes: list[Change]) -> None:
     tree = _rig()
     for place, value in changes:
         tree = _changed(tree, place, value)
@@ -157,8 +160,8 @@ def _in_use(rig: Rig) -> None:
         assert np.all(np.isfinite(state.filter.attitude))
 
 
-@target("numbers of the wand", lambda: st.lists(st.sampled_from(_wand_changes()), min_size=1, max_size=3))
-def check_wand_numbers(changes: list[Change]) -> None:
+@fuzz(lambda: st.lists(st.sampled_from(_wand_changes()), min_size=1, max_size=3))
+def test_wand_numbers(changes: list[Change]) -> None:
     tree = _wand()
     for place, value in changes:
         tree = _changed(tree, place, value)

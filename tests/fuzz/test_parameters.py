@@ -34,7 +34,7 @@ from spheremouse.wand import track as wand
 from spheremouse.wand.build import build as build_wand
 from spheremouse.wand.warm import warm_up as warm_up_wand
 from tests.fuzz.extremes import extremes, numbers
-from tests.fuzz.targets import refused, target
+from tests.fuzz.fuzzing import bounded, fuzz, refused
 
 CLIP = Path(__file__).parents[1] / "data" / "far26_clip"
 TIMES, FLOOR = 20.0, 0.2  # a frame may take so many times as long as with the defaults; s of a core that are no matter
@@ -73,16 +73,24 @@ def rounds() -> list[list[str]]:
     return [some for group in together for some in ([group] if _taken(group) else [[one] for one in group])]
 
 
-@target(
-    "parameters",
+@fuzz(
     lambda: st.lists(
         st.sampled_from(list(accepted())).flatmap(lambda key: st.sampled_from(accepted()[key] or [f"{key}=0"])),
         min_size=1,
         max_size=3,
-    ),
-    every=rounds,
+    )
 )
-def check_parameters(assignments: list[str]) -> None:
+def test_parameters(assignments: list[str]) -> None:
+    track(assignments)
+
+
+def test_every_extreme() -> None:
+    for assignments in rounds():
+        bounded(track, assignments)
+
+
+def track(assignments: list[str]) -> None:
+    """Track balls with these settings, unless they are refused."""
     c = refused(lambda: config.in_force(None, assignments, Configuration))
     if c is None:
         return

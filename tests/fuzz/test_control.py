@@ -14,8 +14,8 @@ from spheremouse.session.control.protocol import parse as parse_request
 from spheremouse.session.control.protocol import refused as refused_reply
 from spheremouse.session.control.server import ControlServer, Limits
 from spheremouse.session.settings.control import ControlSettings
+from tests.fuzz.fuzzing import fuzz
 from tests.fuzz.strategies import mutated, mutated_json, words
-from tests.fuzz.targets import target
 
 MESSAGES = (
     '{"command": "status", "id": 7}',
@@ -27,8 +27,7 @@ MESSAGES = (
 )
 
 
-@target(
-    "control messages",
+@fuzz(
     lambda: st.one_of(
         st.binary(max_size=60),
         st.sampled_from(MESSAGES).flatmap(lambda m: mutated_json(json.loads(m)).map(json.dumps)),
@@ -39,7 +38,7 @@ MESSAGES = (
         ),
     ),
 )
-def check_message(content: str | bytes) -> None:
+def test_message(content: str | bytes) -> None:
     line = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content
     try:
         request = parse_request(line)
@@ -54,8 +53,7 @@ def check_message(content: str | bytes) -> None:
     assert reply["error"]
 
 
-@target(
-    "control socket",
+@fuzz(
     lambda: st.lists(
         st.one_of(
             st.binary(max_size=30),
@@ -65,7 +63,7 @@ def check_message(content: str | bytes) -> None:
         max_size=10,
     ),
 )
-def check_socket(chunks: list[bytes]) -> None:
+def test_socket(chunks: list[bytes]) -> None:
     """Whatever one client sends, in whatever pieces, the next one is answered."""
     server = _control_server()
     with contextlib.closing(socket.socket(socket.AF_UNIX)) as hostile:

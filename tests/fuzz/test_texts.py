@@ -16,13 +16,12 @@ from spheremouse.files.rig import load_camera, load_rig, rig_text
 from spheremouse.files.yaml import parse_document
 from spheremouse.output import open_output
 from spheremouse.session.settings import Configuration
+from tests.fuzz.fuzzing import file, fuzz, refused
 from tests.fuzz.scene import film, known, small_rig, use
 from tests.fuzz.strategies import letters, mutated, numbers, words
-from tests.fuzz.targets import file, refused, target
 
 
-@target(
-    "configuration",
+@fuzz(
     lambda: st.one_of(
         st.binary(max_size=60),
         st.text(max_size=60),
@@ -31,7 +30,7 @@ from tests.fuzz.targets import file, refused, target
         mutated(config.dump(Settings(), Settings())),
     ),
 )
-def check_configuration(content: str | bytes) -> None:
+def test_configuration(content: str | bytes) -> None:
     """A configuration that is read can be written and read again."""
     path = file(content)
     refused(lambda: load_rig(path))
@@ -41,8 +40,8 @@ def check_configuration(content: str | bytes) -> None:
         assert config.loads(parse_document(text, "again"), Configuration) == found
 
 
-@target("rig", lambda: st.one_of(st.binary(max_size=60), mutated(rig_text(known())), mutated(rig_text(small_rig()))))
-def check_rig(content: str | bytes) -> None:
+@fuzz(lambda: st.one_of(st.binary(max_size=60), mutated(rig_text(known())), mutated(rig_text(small_rig()))))
+def test_rig(content: str | bytes) -> None:
     path = file(content)
     refused(lambda: load_camera(path))
     rig = refused(lambda: load_rig(path))
@@ -58,8 +57,7 @@ def _keys() -> list[str]:
     return [".".join(str(k) for k in key) for key, _ in config.parameters(Settings())]
 
 
-@target(
-    "--set",
+@fuzz(
     lambda: st.lists(
         st.one_of(
             st.text(max_size=30),
@@ -71,7 +69,7 @@ def _keys() -> list[str]:
         max_size=3,
     ),
 )
-def check_set(assignments: list[str]) -> None:
+def test_set(assignments: list[str]) -> None:
     chosen: Settings | None = Settings()
     for assignment in assignments:
         chosen = refused(lambda a=assignment, c=chosen: config.override(c, a))
@@ -82,8 +80,7 @@ def check_set(assignments: list[str]) -> None:
     refused(lambda: detect_targets(image, known().targets.radii, chosen.rings))
 
 
-@target(
-    "source and output",
+@fuzz(
     lambda: st.one_of(
         st.text(letters, max_size=20),
         st.builds(
@@ -107,7 +104,7 @@ def check_set(assignments: list[str]) -> None:
         ),
     ).filter(lambda s: not s.startswith("uinput") and s.partition(":")[2] not in (".", "..")),
 )
-def check_spec(spec: str) -> None:
+def test_spec(spec: str) -> None:
     def source() -> None:
         with open_source(spec) as s:
             assert s.live in (True, False)

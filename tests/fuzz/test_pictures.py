@@ -17,12 +17,12 @@ from spheremouse.ball.published.blobs import BlobDetector
 from spheremouse.ball.rig import CODES
 from spheremouse.ball.settings import BlobSettings, Settings
 from spheremouse.ball.track import advance
+from tests.fuzz.fuzzing import fuzz, refused
 from tests.fuzz.scene import DT, known, pictures, small_rig, use
-from tests.fuzz.targets import refused, target
 
 
-@target("pictures of any size", lambda: st.tuples(pictures(), st.integers(0, 3)))
-def check_any_picture(drawn: tuple[NDArray[np.uint8], int]) -> None:
+@fuzz(lambda: st.tuples(pictures(), st.integers(0, 3)))
+def test_any_picture(drawn: tuple[NDArray[np.uint8], int]) -> None:
     image, shift = drawn
     _sound(BlobDetector(BlobSettings()).detect(image), image)
     if image.ndim == 3:
@@ -33,8 +33,8 @@ def check_any_picture(drawn: tuple[NDArray[np.uint8], int]) -> None:
         refused(lambda: resect(gather([found] * 2), small_rig(), image))
 
 
-@target("pictures of the camera's size", lambda: st.lists(pictures(160, 120), min_size=1, max_size=4))
-def check_pictures(drawn: list[NDArray[np.uint8]]) -> None:
+@fuzz(lambda: st.lists(pictures(160, 120), min_size=1, max_size=4))
+def test_pictures(drawn: list[NDArray[np.uint8]]) -> None:
     images = [
         np.require(image, requirements=("C", "W")) for image in drawn
     ]  # as frames come: no other are compiled for
@@ -81,8 +81,8 @@ def _sights(draw: st.DrawFn) -> tuple[str, list[tuple[float, Any]]]:
     return draw(st.sampled_from(["so3", "so3", "ekf1", "ekf2"])), sights
 
 
-@target("detections", _sights)
-def check_detections(drawn: tuple[str, list[tuple[float, Any]]]) -> None:
+@fuzz(_sights)
+def test_detections(drawn: tuple[str, list[tuple[float, Any]]]) -> None:
     name, sights = drawn
     rig = known()
     assert rig.pose is not None
@@ -147,8 +147,7 @@ def _dot(image: NDArray[np.uint8], centre: tuple[int, int], radius: int, rng: np
     cv2.circle(image, centre, radius, _INKS[rng.integers(0, 3)].tolist(), -1, cv2.LINE_AA)
 
 
-@target(
-    "clutter pictures",
+@fuzz(
     lambda: st.builds(
         Clutter,
         st.sampled_from(_KINDS),
@@ -157,7 +156,7 @@ def _dot(image: NDArray[np.uint8], centre: tuple[int, int], radius: int, rng: np
         st.integers(0, 2**32 - 1),
     ),
 )
-def check_clutter(clutter: Clutter) -> None:
+def test_clutter(clutter: Clutter) -> None:
     image = clutter.picture()
     found = detect_targets(image, _RADII, RingSettings())
     assert len(found) == len(found.radius) == len(found.contours) <= MOST * len(CODES)
