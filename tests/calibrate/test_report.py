@@ -13,13 +13,8 @@ from rich.console import Console
 
 from spheremouse.calibrate.device.advice import advise
 from spheremouse.calibrate.photos import read_photos
-from spheremouse.calibrate.report.device import (
-    device_json,
-    magnification,
-    photo_picture,
-    print_device,
-    write_device_report,
-)
+from spheremouse.calibrate.report.device import device_json, print_device, write_device_report
+from spheremouse.calibrate.report.device_figures import arrow_scale, photo_picture
 from spheremouse.geometry.conics import ellipse_to_pixel, project_sphere
 
 PROVENANCE = {"made_by": "spheremouse 9.9, calibrate device", "date": "2026-01-02T03:04:05+00:00", "camera": "c.yaml"}
@@ -178,9 +173,9 @@ def test_picture_marks_points_where_they_are_and_arrows_reach_the_prediction(cal
 
     red = near(m.centre[i])
     assert np.max(red[:, 2] - red[:, 0]) > 80.0
-    tip = m.centre[far] + magnification(c, 1920) * residual[far]
+    tip = m.centre[far] + arrow_scale(c, 1920) * residual[far]
     assert near(tip).max() > 180.0
-    beyond = m.centre[far] + 1.4 * magnification(c, 1920) * residual[far]
+    beyond = m.centre[far] + 1.4 * arrow_scale(c, 1920) * residual[far]
     assert near(beyond, 1).max() < 120.0
 
 

@@ -53,7 +53,7 @@ def write_guide(path: Path, layout: Layout) -> None:
         distance=f"{distance * mm:.0f}",
     )
     ball = f"Ball {2 * mm:.0f} mm in diameter ({circumference} mm around) · discs {2e3 * layout.disc_radius:.0f} mm"
-    text = page(f"Where to put the {n} discs", f"{ball} · layout of seed {layout.seed}", [guide], paper="A4")
+    text = page(f"Where to put the {n} discs", f"{ball} · layout of seed {layout.seed}", guide, paper="A4")
     write_atomically(path, text)
 
 

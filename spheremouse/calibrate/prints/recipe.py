@@ -24,4 +24,4 @@ def recipe(board: Board, square: float, paper_name: str) -> str:
     title, text = text.replace("--square 20mm", f"--square {mm(square)}mm").removeprefix("# ").split("\n", 1)
     body = re.sub(r"<!-- sketch: (\w+) -->", drawing, MarkdownIt("commonmark").render(text))
     paper = paper_name.capitalize() if paper_name == "letter" else paper_name.upper()
-    return page(title, "", [Markup(body)], paper=paper)
+    return page(title, "", Markup(body), paper=paper)

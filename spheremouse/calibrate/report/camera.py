@@ -6,15 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from rich.markup import escape
-from rich.table import Table
 
 from spheremouse.calibrate.camera.bundle import PARAMETERS
 from spheremouse.calibrate.camera.calibrate import CameraCalibration, inconsistent_views
 from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, join_words, missing_leans, missing_regions
 from spheremouse.calibrate.photos import image
 from spheremouse.calibrate.report.scene import View, draw_axes, draw_camera, new_figure, scene_axes
-from spheremouse.files.report import page
+from spheremouse.calibrate.report.terminal import print_advice, print_table
+from spheremouse.files.report.page import page, rendered
 from spheremouse.files.report.style import BLUE, GOLD, GRID, INK, MUTED, PAPER, RED, round_number, styled
 from spheremouse.files.safe_files import write_atomically
 from spheremouse.geometry.camera import Pose, interior_vector
@@ -30,7 +29,6 @@ _MAX_FOCAL_ERROR = 5e-4  # of the focal length: 1 mm at 2 m, the accuracy that t
 _MIN_SIGNIFICANCE = 2.0  # standard deviations
 _NAMED_CORRELATION = 0.98
 _THUMBNAIL_WIDTH = 300  # px
-_MARKS = {"good": "[green]✓[/]", "note": "[blue]i[/]", "warning": "[yellow]![/]"}
 
 
 # ---- advice ----
@@ -56,41 +54,35 @@ def _view_advice(done: CameraCalibration) -> Iterator[tuple[str, str]]:
     if places := missing_regions(covered):
         yield "note", f"No view shows the board {join_words(places)}."
     if ways := missing_leans(covered):
-        yield (
-            "note",
-            f"Too few views of the board facing {join_words(ways)}: tilt it by 20° to 45°, twice to each side.",
-        )
+        tilt = "tilt it by 20° to 45°, twice to each side"
+        yield "note", f"Too few views of the board facing {join_words(ways)}: {tilt}."
     if covered.reach < _MIN_REACH:
-        yield (
-            "note",
+        text = (
             f"No corner lies beyond {100 * covered.reach:.0f} % of the way from the middle of the picture to its "
-            "corners: farther out the lens is a guess. Bring the board into the corners.",
+            "corners: farther out the lens is a guess. Bring the board into the corners."
         )
+        yield "note", text
 
 
 def _value_advice(done: CameraCalibration) -> Iterator[tuple[str, str]]:
     found, camera, sigma = done.found, done.found.camera, done.found.deviations
     if found.free[:2].all() and sigma[0] / camera.fx > _MAX_FOCAL_ERROR:
         tilt = np.degrees(found.tilts()[found.used])
-        yield (
-            "warning",
-            f"The focal length is uncertain by {100 * sigma[0] / camera.fx:.2f} %; the "
-            f"board is tilted by {np.min(tilt):.0f}° to {np.max(tilt):.0f}°. More views at 30° to 45° help most.",
+        text = (
+            f"The focal length is uncertain by {100 * sigma[0] / camera.fx:.2f} %; the board is tilted by "
+            f"{np.min(tilt):.0f}° to {np.max(tilt):.0f}°. More views at 30° to 45° help most."
         )
+        yield "warning", text
     k3 = camera.distortion[4]
     if found.free[8] and abs(k3) < _MIN_SIGNIFICANCE * sigma[8]:
-        yield (
-            "note",
-            f"k3 is {k3:.3f} with a standard deviation of {sigma[8]:.3f}: it may as well be 0, and "
-            "`--distortion 4` would do.",
-        )
+        text = f"k3 is {k3:.3f} with a standard deviation of {sigma[8]:.3f}: it may as well be 0"
+        yield "note", f"{text}, and `--distortion 4` would do."
     if found.contradiction > 1.0:
-        yield (
-            "note",
-            "The views contradict each other more than their corners say; all standard deviations were "
-            f"made {np.sqrt(found.contradiction):.1f} times larger. Is the board flat, and did it stand still?"
-            + ("" if found.free.all() else " Or does the lens need more terms (`--distortion 5`)?"),
+        text = (
+            "The views contradict each other more than their corners say; all standard deviations were made "
+            f"{np.sqrt(found.contradiction):.1f} times larger. Is the board flat, and did it stand still?"
         )
+        yield "note", text + ("" if found.free.all() else " Or does the lens need more terms (`--distortion 5`)?")
     dropped = int(sum((~k).sum() for k, u in zip(found.kept, found.used, strict=True) if u))
     if dropped:
         yield "note", f"{dropped} corner{'s were' if dropped > 1 else ' was'} false and left out."
@@ -102,23 +94,6 @@ def _value_advice(done: CameraCalibration) -> Iterator[tuple[str, str]]:
 def camera_json(done: CameraCalibration) -> dict[str, Any]:
     """Return the figures in px, m and degrees; `sigma` is of fx, fy, cx, cy, k1, k2, p1, p2, k3."""
     found, camera = done.found, done.found.camera
-    rms, position, tilts = found.view_rms(), found.camera_positions(), np.degrees(found.tilts())
-    views: dict[int, dict[str, Any]] = {
-        i: {
-            "file": done.photos[i].path.name,
-            "rms_px": float(rms[k]),
-            "used": bool(found.used[k]),
-            "held_out_px": None if np.isnan(done.held_out[k]) else float(done.held_out[k]),
-            "corners": len(done.views[k].uv),
-            "false_corners": int((~found.kept[k]).sum()) if found.used[k] else None,
-            "tilt_deg": float(tilts[k]),
-            "distance_m": float(np.linalg.norm(position[k])),
-            "why": inconsistent_views(done).get(i),
-        }
-        for k, i in enumerate(done.index)
-    }
-    for i, why in done.skipped.items():
-        views[i] = {"file": done.photos[i].path.name, "rms_px": None, "used": False, "why": why}
     interior = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
     return {
         "camera": {
@@ -135,33 +110,47 @@ def camera_json(done: CameraCalibration) -> dict[str, Any]:
             "leans": dict(zip(LEANS, done.coverage.leans.tolist(), strict=True)),
             "reach": done.coverage.reach,
         },
-        "board_views": [views[i] for i in sorted(views)],
+        "board_views": _views(done),
         "advice": [text for _, text in advise(done)],
     }
+
+
+def _views(done: CameraCalibration) -> list[dict[str, Any]]:
+    """Each photo, in the order given."""
+    found, false = done.found, inconsistent_views(done)
+    rms, position, tilts = found.view_rms(), found.camera_positions(), np.degrees(found.tilts())
+    views: dict[int, dict[str, Any]] = {
+        i: {
+            "file": done.photos[i].path.name,
+            "rms_px": float(rms[k]),
+            "used": bool(found.used[k]),
+            "held_out_px": None if np.isnan(done.held_out[k]) else float(done.held_out[k]),
+            "corners": len(done.views[k].uv),
+            "false_corners": int((~found.kept[k]).sum()) if found.used[k] else None,
+            "tilt_deg": float(tilts[k]),
+            "distance_m": float(np.linalg.norm(position[k])),
+            "why": false.get(i),
+        }
+        for k, i in enumerate(done.index)
+    }
+    for i, why in done.skipped.items():
+        views[i] = {"file": done.photos[i].path.name, "rms_px": None, "used": False, "why": why}
+    return [views[i] for i in sorted(views)]
 
 
 def print_camera(done: CameraCalibration, console: "Console") -> None:
     """Print parameters, views and advice."""
     held = _held_out_rms(done)
-    values = Table(box=None, title_justify="left", title_style="")
-    values.title = (
+    console.print(
         f"{int(done.found.used.sum())} views of {len(done.photos)} photos, {done.found.camera.width}x"
         f"{done.found.camera.height}: reprojection {done.found.rms:.3f} px RMS"
         + ("" if held is None else f", {held:.3f} px in views held out")
     )
-    for name in ("", "value", "std. dev."):
-        values.add_column(name, justify="right" if name else "left")
-    for row in _parameter_rows(done):
-        values.add_row(*row[:3])
-    console.print(values)
-    views = Table(box=None)
-    for name in ("view", "rms, px", "held out, px", "tilt, °", "distance, m", ""):
-        views.add_column(name, justify="left" if name in ("view", "") else "right")
-    for row, used in _view_rows(done):
-        views.add_row(*map(escape, row), style=None if used else "red")
-    console.print(views)
-    for kind, text in advise(done):
-        console.print(f"{_MARKS[kind]} {escape(text.replace('`', ''))}")
+    print_table(console, ("", "value", "std. dev."), [row[:3] for row in _parameter_rows(done)])
+    rows, faulty = _view_rows(done)
+    head = ("view", "rms, px", "held out, px", "tilt, °", "distance, m", "")
+    print_table(console, head, rows, (0, 5), np.flatnonzero(faulty))
+    print_advice(console, advise(done))
 
 
 def _held_out_rms(done: CameraCalibration) -> float | None:
@@ -183,38 +172,52 @@ def _parameter_rows(done: CameraCalibration) -> list[list[str]]:
     return rows
 
 
-def _view_rows(done: CameraCalibration) -> list[tuple[list[str], bool]]:
-    """Cells of each photo, and whether it was used."""
-    found, rms = done.found, done.found.view_rms()
-    tilts, position = np.degrees(found.tilts()), found.camera_positions()
-    false, rows = inconsistent_views(done), {}
-    for k, i in enumerate(done.index):
-        gone = int((~found.kept[k]).sum()) if found.used[k] else 0
-        remark = false.get(i, f"{gone} false corner{'s' if gone > 1 else ''}" if gone else "")
-        held = "" if np.isnan(done.held_out[k]) else f"{done.held_out[k]:.3f}"
-        cells = [f"{rms[k]:.3f}", held, f"{tilts[k]:.0f}", f"{np.linalg.norm(position[k]):.2f}"]
-        rows[i] = ([done.photos[i].path.name, *cells, remark], bool(found.used[k]))
-    for i, why in done.skipped.items():
-        rows[i] = ([done.photos[i].path.name, "", "", "", "", f"left out: {why}"], False)
-    return [rows[i] for i in sorted(rows)]
+def _view_rows(done: CameraCalibration) -> tuple[list[list[str]], list[bool]]:
+    """Cells of each photo, and whether it was left out."""
+    views = _views(done)
+    rows = []
+    for view in views:
+        if view["rms_px"] is None:
+            rows.append([view["file"], "", "", "", "", f"left out: {view['why']}"])
+            continue
+        gone, held = view["false_corners"] or 0, view["held_out_px"]
+        remark = view["why"] or (f"{gone} false corner{'s' if gone > 1 else ''}" if gone else "")
+        cells = [f"{view['rms_px']:.3f}", "" if held is None else f"{held:.3f}"]
+        rows.append([view["file"], *cells, f"{view['tilt_deg']:.0f}", f"{view['distance_m']:.2f}", remark])
+    return rows, [not view["used"] for view in views]
 
 
-# ---- the page ----
+# ---- the page: camera.html with these values ----
 
 
 def write_camera_report(path: Path, done: CameraCalibration, provenance: Mapping[str, Any]) -> None:
     """Write the page, whole or not at all; ConfigurationError if it cannot be written."""
+    C = done.found.correlation()[:9, :9]
+    strong = sorted((-abs(C[i, j]), i, j) for i in range(9) for j in range(i) if abs(C[i, j]) > _NAMED_CORRELATION)
+    views, faulty = _view_rows(done)
     with styled():
-        blocks = [
-            page.numbers(_headlines(done)),
-            page.advice(advise(done)),
-            _coverage_section(done),
-            _residual_section(done),
-            _value_section(done),
-            _view_section(done),
-        ]
-        foot = f"{provenance['made_by']}, {provenance['date']}"
-        write_atomically(path, page.page("Camera calibration", _lead(done), blocks, foot))
+        body = rendered(
+            "spheremouse.calibrate.report",
+            "camera.html",
+            headlines=_headlines(done),
+            advice=advise(done),
+            coverage=_coverage_figure(done),
+            places=_places_figure(done),
+            errors=_views_figure(done),
+            arrows=_arrows_figure(done),
+            arrow_scale=_magnification(done),
+            values=_parameter_rows(done),
+            widening=float(np.sqrt(done.found.contradiction)),
+            parameters=PARAMETERS,
+            correlation=C.tolist(),
+            named_correlation=_NAMED_CORRELATION,
+            correlated=[f"{PARAMETERS[j]} and {PARAMETERS[i]} ({C[i, j]:+.3f})" for _, i, j in strong],
+            views=views,
+            faulty=faulty,
+            thumbnails=[_thumbnail(done, k) for k in range(len(done.views))],
+        )
+    foot = f"{provenance['made_by']}, {provenance['date']}"
+    write_atomically(path, page("Camera calibration", _lead(done), body, foot))
 
 
 def _lead(done: CameraCalibration) -> str:
@@ -237,65 +240,6 @@ def _headlines(done: CameraCalibration) -> list[tuple[str, str, str]]:
         ("reprojection error", f"{found.rms:.3f} px", f"RMS of {sum(int(k.sum()) for k in found.kept)} corners"),
         ("views held out", "–" if held is None else f"{held:.3f} px", "RMS, calibrated without them"),
     ]
-
-
-def _coverage_section(done: CameraCalibration) -> str:
-    corners = (
-        "All corners in the picture. The number in a region counts the views with corners there. In a region without "
-        "any, the lens is not known."
-    )
-    places = (
-        "The board and, in its frame, the camera's places and viewing directions. For a good focal length, they "
-        "surround the board on all four sides. The coloured axes are three squares long."
-    )
-    pictures = page.figure(_coverage_figure(done), corners), page.figure(_places_figure(done), places)
-    return page.section("Coverage", page.beside(*pictures))
-
-
-def _residual_section(done: CameraCalibration) -> str:
-    bars = (
-        "Root mean square distance between each view's corners and their places by the calibrated camera, with this "
-        "view and without it. Bars that stand out are bad photos."
-    )
-    arrows = (
-        f"Residuals of all views in one picture, {_magnification(done):.0f} times larger. They should point anywhere. "
-        "A common direction in one place is an error of the lens model."
-    )
-    return page.section(
-        "Reprojection errors", page.figure(_views_figure(done), bars), page.figure(_arrows_figure(done), arrows)
-    )
-
-
-def _value_section(done: CameraCalibration) -> str:
-    found = done.found
-    text = "From the inverse normal matrix of the adjustment, with the variances of the corners estimated in each view."
-    if found.contradiction > 1.0:
-        text += f" Widened by {np.sqrt(found.contradiction):.2f} because views contradict each other."
-    C = found.correlation()[:9, :9]
-    return page.section(
-        "Values and standard deviations",
-        page.table(["", "value", "std. dev.", "value / std. dev."], _parameter_rows(done)),
-        page.paragraph(text),
-        page.correlations(PARAMETERS, C),
-        page.paragraph(_strong_correlations(C)),
-    )
-
-
-def _strong_correlations(C: Array) -> str:
-    pairs = sorted((-abs(C[i, j]), i, j) for i in range(9) for j in range(i) if abs(C[i, j]) > _NAMED_CORRELATION)
-    if not pairs:
-        return f"No two are correlated by more than {_NAMED_CORRELATION}."
-    worst = ", ".join(f"{PARAMETERS[j]} and {PARAMETERS[i]} ({C[i, j]:+.3f})" for _, i, j in pairs)
-    return f"Correlated by more than {_NAMED_CORRELATION}: {worst}. Only their combination is certain."
-
-
-def _view_section(done: CameraCalibration) -> str:
-    head, rows = ["view", "RMS, px", "held out, px", "tilt, °", "distance, m", "remark"], _view_rows(done)
-    return page.section(
-        "Views",
-        page.table(head, [row for row, _ in rows], [not good for _, good in rows]),
-        page.sheet([_thumbnail(done, k) for k in range(len(done.views))]),
-    )
 
 
 # ---- figures ----
@@ -393,8 +337,8 @@ def _arrows_figure(done: CameraCalibration) -> "Figure":
     return figure
 
 
-def _thumbnail(done: CameraCalibration, k: int) -> str:
-    """A small photo with its corners, those left out in red."""
+def _thumbnail(done: CameraCalibration, k: int) -> tuple[bytes, str]:
+    """A small photo with its corners, those left out in red, and its caption."""
     photo, used = done.photos[done.index[k]], done.found.used[k]
     scale = _THUMBNAIL_WIDTH / photo.size[0]
     size = _THUMBNAIL_WIDTH, max(1, round(scale * photo.size[1]))
@@ -405,4 +349,4 @@ def _thumbnail(done: CameraCalibration, k: int) -> str:
         cv2.circle(small, at, 28, (176, 133, 47) if good else (61, 85, 220), -1, cv2.LINE_AA, 4)
     data = bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1])
     remark = f"{done.found.view_rms()[k]:.3f} px" + ("" if used else ", left out")
-    return page.picture(data, f"{photo.path.name}: {remark}")
+    return data, f"{photo.path.name}: {remark}"
