@@ -62,7 +62,7 @@ def named(camera: Any) -> dict[str, float]:
 def camera_rows(found: Any, truth: Any) -> list[Row]:
     values, true = (named(c["camera"]) for c in (found, truth))
     sigma = found["camera"]["sigma"]
-    sigma = sigma if isinstance(sigma, dict) else dict(zip(NINE, sigma, strict=True))
+    sigma = sigma if isinstance(sigma, dict) else dict(zip(true, sigma, strict=True))
     worst = max(abs(values[k] - true[k]) / sigma[k] for k in true)
     focal = max(abs(values[k] / true[k] - 1.0) for k in ("fx", "fy"))
     middle = max(abs(values[k] - true[k]) for k in ("cx", "cy"))

@@ -111,7 +111,7 @@ def photograph(hand: bool, degrees: tuple[float, float], claimed: float, at_limb
         p = discs @ R.T
         faint = 1.0 / (1.0 + np.exp((rng.uniform(0.05, 0.3) - p[:, 2]) / 0.03))
         p = p[rng.random(20) < 0.9 * faint]
-        p = np.vstack([with_noise(p, sigma, rng, at_limb), anywhere(rng.integers(0, 3), 0.1, rng)])
+        p = np.vstack([with_noise(p, sigma, rng, at_limb), anywhere(int(rng.integers(0, 3)), 0.1, rng)])
         axis = unit(CAMERA + np.deg2rad(3.0) * rng.normal(size=3))
         return rng.permutation(p), discs, R, {"sigma": claimed * sigma, "view_axis": axis}
 
@@ -283,7 +283,7 @@ def speed(trials: int) -> str:
 
 def main() -> None:
     """Print the tables and write the first one."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("far26", type=Path, nargs="?", help="folder of the reference recording, for its layout")
     parser.add_argument("--trials", type=int, default=30_000)
     options = parser.parse_args()

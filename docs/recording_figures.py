@@ -13,7 +13,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from spheremouse.session.ball.subject import BallSubject
 from spheremouse.session.record.recorder import Recorder
+from spheremouse.session.settings import Configuration
 from spheremouse.session.settings.record import RecordSettings
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame
@@ -28,9 +30,9 @@ def processor() -> float:
     return spent.user + spent.system
 
 
-def measured(images: list[np.ndarray], device: tuple, settings: RecordSettings, folder: Path) -> str:
-    """Hand the images over at their pace, back and forth, and say what that took."""
-    recorder = Recorder(folder, *device, settings)
+def measured(images: list[np.ndarray], subject: BallSubject, settings: RecordSettings, folder: Path) -> str:
+    """Record the images at their pace and return the cost in words."""
+    recorder = Recorder(folder, subject, settings)
     recorder.ready(60.0)
     n, handing, begun, before = round(FPS * SECONDS), [], time.monotonic(), processor()
     for i in range(n):
@@ -56,12 +58,12 @@ def main() -> None:
         made = prepare(SimulationOptions(motion="play", seconds=0.5, fps=FPS, noise=4.0, seed=1, size=size))
         colour = [f.frame.image for f in simulate(made)]
         grey = [cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in colour]
-        device = (made.scene.rig(), made.scene.pose)
+        subject = BallSubject(made.scene.rig(), made.scene.pose, Configuration())
         for kind, images in (("grey", grey), ("colour", colour)):
             for everything in (False, True):
                 settings = replace(RecordSettings(), everything=everything, megabytes=1e5, free_megabytes=0.0)
                 with tempfile.TemporaryDirectory() as folder:
-                    text = measured(images, device, settings, Path(folder) / "made")
+                    text = measured(images, subject, settings, Path(folder) / "made")
                 print(f"{size[0]}x{size[1]} {kind:6s} {'everything' if everything else 'ball and targets':16s}: {text}")
 
 

@@ -34,7 +34,7 @@ from spheremouse.session import messages
 from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.simulate.ball.render import SimulatedFrame
-from spheremouse.tracker import Frame, Motion, Status
+from spheremouse.tracker import Estimate, Frame, Status
 
 Mask = NDArray[np.bool_]
 
@@ -139,11 +139,8 @@ class Truth:
 class Said:
     """Output of the tracker at one frame."""
 
-    status: Status
     event: str
-    attitude: Array  # (3, 3)
-    rate: Array  # (3,) rad/s
-    motion: Motion
+    estimate: Estimate
     seconds: float  # s, of wall time
 
 
@@ -180,10 +177,10 @@ def run(scenario: Scenario, settings: Settings, pose: str) -> tuple[Tracker, lis
     for frame in start.frames:
         state = state or begin(tracker, frame.stamp)
         began = time.perf_counter()
-        state, motion, events = step(state, frame, tracker)
+        state, estimate, events = step(state, frame, tracker)
         took = time.perf_counter() - began
         kept.append(frame.sequence)
-        said.append(Said(state.status, messages.line(events), state.filter.attitude, state.filter.rate, motion, took))
+        said.append(Said(messages.line(events), estimate, took))
     return tracker, [truths[k] for k in kept], said
 
 
@@ -192,10 +189,10 @@ def run(scenario: Scenario, settings: Settings, pose: str) -> tuple[Tracker, lis
 
 def measure(tracker: Tracker, truths: list[Truth], said: list[Said]) -> dict[str, Any]:
     """The figures of one run; None where there is nothing to measure."""
-    tracking = np.array([s.status is Status.TRACKING for s in said])
+    tracking = np.array([s.estimate.status is Status.TRACKING for s in said])
     off = attitude_errors(truths, said, tracking)
     good = tracking & (off < WRONG)
-    rate = np.linalg.norm([s.rate - t.rate for s, t in zip(said, truths, strict=True)], axis=1)
+    rate = np.linalg.norm([s.estimate.rate[:3] - t.rate for s, t in zip(said, truths, strict=True)], axis=1)
     true = np.array([np.zeros(3), *(true_counts(tracker, a, b) for a, b in pairwise(truths))])
     counter = Counter(matrix(tracker))
     sent = np.array([counter.report(s.estimate).counts for s in said], dtype=float)
@@ -236,9 +233,9 @@ def attitude_errors(truths: list[Truth], said: list[Said], tracking: Mask) -> Ar
         known = np.flatnonzero(mine & late & tracking)
         if len(known):
             k = known[0]
-            M = truths[k].attitude.T @ said[k].attitude
+            M = truths[k].attitude.T @ said[k].estimate.rotation
             for i in np.flatnonzero(mine & late)[np.flatnonzero(mine & late) >= k]:
-                off[i] = np.linalg.norm(log(said[i].attitude @ (truths[i].attitude @ M).T))
+                off[i] = np.linalg.norm(log(said[i].estimate.rotation @ (truths[i].attitude @ M).T))
     return off
 
 
