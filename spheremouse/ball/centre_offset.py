@@ -5,11 +5,13 @@ centre on top may explain them. Least squares on rotation and shift together, fr
 """
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from spheremouse.ball.points import SpherePoints
+from spheremouse.geometry.matching import mutual_nearest
 from spheremouse.geometry.rotation import Array
 
 _FARTHEST = 0.1  # radii, standard deviation of a shift before anything is seen: it keeps the equations solvable
@@ -30,8 +32,8 @@ class CentreOffset:
     shift: Array  # (3,) m, obj, of the ball's centre from where it is thought to be
     sigma: float  # m, its standard deviation in the direction in which it is known least
     mahalanobis: float  # standard deviations
-    before: float  # chi-square of the directions with a rotation alone, per degree of freedom
-    after: float  # the same with the shift
+    chi2_rotation: float  # chi-square of the directions with a rotation alone, per degree of freedom
+    chi2_with_offset: float  # the same with the shift
 
     @property
     def distance(self) -> float:
@@ -39,92 +41,59 @@ class CentreOffset:
         return float(np.sqrt(self.shift @ self.shift))
 
 
-def shift_of(
-    points: SpherePoints, delay: Array, discs: Array, variance: Array, attitude: Array, rate: Array, radius: float,
-    reach: float,
-) -> CentreOffset | None:  # fmt: skip
-    """The shift of the centre that makes known discs appear at `points`; None where fewer than four are seen,
-    or all in one place.
+class KnownDiscs(NamedTuple):
+    """Discs of the map, and the ball's motion."""
 
-    `discs` (m, 3) unit vectors in ball with variances (m,) rad² per axis; `delay` (n,) s of the points, `attitude`
-    R_obj_ball (3, 3), `rate` (3,) rad/s; a point and a disc that are nearest to each other within `reach` rad are one.
-    With three discs any shift fits.
+    directions: Array  # (m, 3) unit vectors, ball
+    variance: Array  # (m,) rad² per axis
+    attitude: Array  # (3, 3) R_obj_ball
+    rate: Array  # (3,) rad/s, w_obj
+
+
+def shift_of(points: SpherePoints, delay: Array, discs: KnownDiscs, radius: float, reach: float) -> CentreOffset | None:
+    """Return the shift of the centre that makes known discs appear at `points`.
+
+    `delay` (n,) s is that of the points. A point and a disc belong together if each is the other's nearest, within
+    `reach` rad. Returns None if fewer than four discs are seen, since any shift fits three, or all in one place.
     """
-    if len(points) < 4 or len(discs) < 4:
+    if len(points) < 4 or len(discs.directions) < 4:
         return None
-    shift = np.empty(3)
+    distance = np.arccos(np.clip(points.direction @ discs.attitude @ discs.directions.T, -1.0, 1.0))
+    pair = mutual_nearest(np.where(distance < reach, distance, np.inf))
+    if np.count_nonzero(pair >= 0) < 4:
+        return None
     try:
-        pairs, sigma, mahalanobis, before, after = _shift(
-            points.direction,
-            points.image_covariance,
-            points.dposition_dball,
-            delay,
-            discs,
-            variance,
-            attitude,
-            rate,
-            radius,
-            np.cos(reach),
-            shift,
-        )
+        fields = _shift(points.direction, points.image_covariance, points.dposition_dball, delay, pair, discs, radius)
     except np.linalg.LinAlgError:  # discs found in one place alone: no direction of a shift can be told from a turn
         return None
-    return (
-        CentreOffset(pairs, shift, sigma, mahalanobis, before, after)
-        if pairs >= 4 and np.isfinite(mahalanobis)
-        else None
-    )
+    offset = CentreOffset(*fields)
+    return offset if np.isfinite(offset.mahalanobis) else None
 
 
 def is_off(found: CentreOffset, radius: float, lifted: float, out_of_round: bool = False) -> bool:
     """Is the centre off its place, and is that all that is wrong? A ball out of round has a centre that goes round."""
     least = (_ROUND if out_of_round else 1.0) * lifted * radius
     far = found.distance > least and found.mahalanobis > _MIN_MAHALANOBIS
-    return far and found.after < _EXPLAINED * found.before
+    return far and found.chi2_with_offset < _EXPLAINED * found.chi2_rotation
 
 
 def fits(found: CentreOffset, radius: float, lifted: float) -> bool:
     """Return whether the discs fit a rotation about the centre."""
     far = found.distance > 0.5 * lifted * radius and found.mahalanobis > 0.5 * _MIN_MAHALANOBIS
-    return not far and found.before < _MOST
+    return not far and found.chi2_rotation < _MOST
 
 
 def averaged(mean: float, found: CentreOffset, dt: float) -> float:
     """The mean chi-square per degree of freedom, `dt` s later."""
     keep = np.exp(-max(dt, 0.0) / _MEAN_TIME_S)
-    return float(keep * mean + (1.0 - keep) * min(found.before, _MOST))
+    return float(keep * mean + (1.0 - keep) * min(found.chi2_rotation, _MOST))
 
 
 @njit(cache=True, error_model="numpy")
-def _paired(seen, expected, least):
-    """For each of `seen` (n, 3) the one of `expected` (m, 3) that is nearest and whose nearest it is; -1: none."""
-    n, m = len(seen), len(expected)
-    pair = np.full(n, -1)
-    for i in range(n):
-        best, cosine = -1, least
-        for j in range(m):
-            c = seen[i, 0] * expected[j, 0] + seen[i, 1] * expected[j, 1] + seen[i, 2] * expected[j, 2]
-            if c > cosine:
-                best, cosine = j, c
-        if best < 0:
-            continue
-        mutual = True
-        for k in range(n):
-            c = seen[k, 0] * expected[best, 0] + seen[k, 1] * expected[best, 1] + seen[k, 2] * expected[best, 2]
-            mutual = mutual and (k == i or c <= cosine)
-        if mutual:
-            pair[i] = best
-    return pair
-
-
-@njit(cache=True, error_model="numpy")
-def _shift(seen, noise, by_ball, delay, discs, variance, attitude, rate, radius, least, shift):
-    """Pairs, sigma, certainty and chi-squares per degree of freedom; the shift, m, into `shift`. See `shift_of`."""
-    expected = np.empty_like(discs)
-    for j in range(len(discs)):
-        for a in range(3):
-            expected[j, a] = attitude[a, 0] * discs[j, 0] + attitude[a, 1] * discs[j, 1] + attitude[a, 2] * discs[j, 2]
-    pair = _paired(seen, expected, least)
+def _shift(seen, noise, by_ball, delay, pair, discs, radius) -> tuple[Any, ...]:
+    """Return the fields of CentreOffset. `pair` (n,) has the disc of each point, or -1."""
+    expected = discs.directions @ discs.attitude.T
+    rate = discs.rate
     N, right, total, pairs = np.zeros((6, 6)), np.zeros(6), 0.0, 0
     A, C, z = np.zeros((3, 6)), np.empty((3, 3)), np.empty(3)
     for i in range(len(seen)):
@@ -139,7 +108,7 @@ def _shift(seen, noise, by_ball, delay, discs, variance, attitude, rate, radius,
             for k in range(3):
                 A[a, 3 + k] = (1.0 if a == k else 0.0) - by_ball[i, a, k]
                 C[a, k] = noise[i, a, k] / radius**2
-            C[a, a] += variance[pair[i]] + _PRINT**2
+            C[a, a] += discs.variance[pair[i]] + _PRINT**2
         W = np.linalg.inv(C)
         for a in range(3):
             for b in range(3):
@@ -148,25 +117,15 @@ def _shift(seen, noise, by_ball, delay, discs, variance, attitude, rate, radius,
                     right[k] += A[a, k] * W[a, b] * z[b]
                     for j in range(6):
                         N[k, j] += A[a, k] * W[a, b] * A[b, j]
-    if pairs < 4:
-        return pairs, 0.0, 0.0, 0.0, 0.0
     for a in range(3):
         N[a, a] += 1e-9
         N[3 + a, 3 + a] += 1.0 / _FARTHEST**2
     turn = np.linalg.solve(N[:3, :3].copy(), right[:3].copy())
     Q = np.linalg.inv(N)
-    x = np.zeros(6)
-    for k in range(6):
-        for j in range(6):
-            x[k] += Q[k, j] * right[j]
-    explained_before, explained_after = 0.0, 0.0
-    for a in range(3):
-        explained_before += right[a] * turn[a]
-        shift[a] = radius * x[3 + a]
-    for k in range(6):
-        explained_after += right[k] * x[k]
-    worth = np.linalg.solve(Q[3:, 3:].copy(), x[3:].copy())
-    mahalanobis = np.sqrt(max(worth[0] * x[3] + worth[1] * x[4] + worth[2] * x[5], 0.0))
-    before = max(total - explained_before, 0.0) / (2 * pairs - 3)
+    x = Q @ right
+    shift = x[3:].copy()
+    mahalanobis = np.sqrt(max(shift @ np.linalg.solve(Q[3:, 3:].copy(), shift), 0.0))
     sigma = radius * np.sqrt(np.linalg.eigvalsh(Q[3:, 3:].copy())[2])
-    return pairs, sigma, mahalanobis, before, max(total - explained_after, 0.0) / (2 * pairs - 6)
+    chi2_rotation = max(total - right[:3] @ turn, 0.0) / (2 * pairs - 3)
+    chi2_with_offset = max(total - right @ x, 0.0) / (2 * pairs - 6)
+    return pairs, radius * shift, sigma, mahalanobis, chi2_rotation, chi2_with_offset

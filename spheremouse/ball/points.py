@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Detections
-from spheremouse.ball.rig import Rig, first_hit
+from spheremouse.ball.rig import Rig, view_of
 from spheremouse.geometry.camera import Pose, row_of, unprojected
 from spheremouse.geometry.rotation import Array
 
@@ -55,21 +55,13 @@ def intersect(detections: Detections, rig: Rig, pose: Pose) -> SpherePoints:
     differentiation gives dB = (I - r nᵀ / (nᵀ r)) (dP + s dr) + r / (nᵀ r) (nᵀ dK + dR), n the outward normal.
     Close to the limb nᵀ r goes to zero and the covariance grows without bound, as it should.
     """
-    camera = rig.camera
     return SpherePoints(
         *_intersect(
             detections.centre,
             np.ascontiguousarray(detections.covariance),
-            camera.intrinsic,
-            camera.distortion,
-            camera.fold_r2,
-            camera.height,
+            view_of(rig, pose),
             rig.readout_s,
-            np.ascontiguousarray(pose.rotation),
-            pose.position,
             pose.covariance,
-            rig.ball.centre,
-            rig.ball.radius,
             rig.ball.covariance,
             pose.ball_covariance,
             bool(np.any(pose.ball_covariance)),
@@ -77,28 +69,40 @@ def intersect(detections: Detections, rig: Rig, pose: Pose) -> SpherePoints:
     )
 
 
+def directions_at(uv: Array, rig: Rig, pose: Pose) -> tuple[Array, NDArray[np.intp]]:
+    """Return the directions, (k, 3) unit vectors in obj, of the points seen at pixels (n, 2), and their k indices."""
+    uv = np.ascontiguousarray(uv, dtype=np.float64)
+    points = intersect(Detections(uv, np.zeros((len(uv), 2, 2)), np.zeros(len(uv))), rig, pose)
+    return points.direction, points.index
+
+
 @njit(cache=True, error_model="numpy")
-def _intersect(
-    centre,
-    noise,
-    intrinsic,
-    distortion,
-    fold,
-    height,
-    readout,
-    rotation,
-    P,
-    pose_covariance,
-    K,
-    R,
-    ball_covariance,
-    cross_covariance,
-    correlated,
-):
-    """The fields of SpherePoints of what is met; nan meets nothing."""
+def _first_hit(xy, view, ray):
+    """Return the scale at which the ray of reduced coordinates `xy`, (2,), first meets the ball; nan if it misses.
+
+    The point is position + scale * ray, with `ray`, (3,), of unit depth in cam, written in obj. The nearer of two
+    points is taken (Wittich 2017, eq. 110-113).
+    """
+    rotation, P, K = view.rotation, view.position, view.centre
+    a, b, far = 0.0, 0.0, -view.radius * view.radius
+    for j in range(3):
+        ray[j] = rotation[j, 0] * xy[0] + rotation[j, 1] * xy[1] + rotation[j, 2]
+        a += ray[j] * ray[j]
+        b += ray[j] * (K[j] - P[j])
+        far += (K[j] - P[j]) ** 2
+    root = b * b - a * far
+    if root > 0.0 and b > 0.0:  # nan (a pixel no ray maps to) compares false: a miss
+        return (b - np.sqrt(root)) / a
+    return np.nan
+
+
+@njit(cache=True, error_model="numpy")
+def _intersect(centre, noise, view, readout, pose_covariance, ball_covariance, cross_covariance, correlated):
+    """Return the fields of SpherePoints for the rays that meet the ball."""
+    rotation, P, K, R = view.rotation, view.position, view.centre, view.radius
     n = len(centre)
     xy, dxy_duv = np.empty((n, 2)), np.empty((n, 2, 2))
-    unprojected(centre, intrinsic, distortion, fold, xy, dxy_duv)
+    unprojected(centre, view.intrinsic, view.distortion, view.fold_r2, xy, dxy_duv)
     position, covariance, direction = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3))
     image_covariance, J_pose, J_ball = np.empty((n, 3, 3)), np.empty((n, 3, 6)), np.empty((n, 3, 4))
     row, index = np.empty(n), np.empty(n, dtype=np.intp)
@@ -106,7 +110,7 @@ def _intersect(
     ray, normal, J_image = np.empty(3), np.empty(3), np.empty((3, 2))
     slide = np.empty((3, 3))
     for i in range(len(xy)):
-        s = first_hit(xy[i], rotation, P, K, R, ray)
+        s = _first_hit(xy[i], view, ray)
         if not np.isfinite(s):
             continue
         along = 0.0
@@ -153,7 +157,7 @@ def _intersect(
                             value += both * cross_covariance[a, b]
                 covariance[met, j, k] = value
                 covariance[met, k, j] = value
-        row[met] = row_of(centre[i, 1], height)
+        row[met] = row_of(centre[i, 1], view.height)
         index[met] = i
         met += 1
     return (

@@ -1,12 +1,11 @@
 """The rig: everything calibration knows of a device, with covariances. Made by calibration or from a dataset."""
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
-from spheremouse.geometry.camera import InteriorOrientation, Pose, unprojected
+from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array
 
 COLOURS = "CMY"
@@ -93,56 +92,31 @@ def considered_covariance(pose: Pose, ball: Ball) -> Array:
     return np.block([[pose.covariance, pose.ball_covariance], [pose.ball_covariance.T, ball.covariance]])
 
 
-@njit(cache=True, error_model="numpy")
-def first_hit(xy, rotation, P, K, R, ray):
-    """Scale at which the ray of reduced coordinates `xy`, (2,), first meets the ball; nan where it misses.
+class BallView(NamedTuple):
+    """A ball as one camera sees it, for compiled code."""
 
-    The point is P + scale * ray, `ray` (3,) with unit depth in cam, in obj, which is written. The nearer of two points
-    is taken (Wittich 2017, eq. 110-113).
-    """
-    a, b, far = 0.0, 0.0, -R * R
-    for j in range(3):
-        ray[j] = rotation[j, 0] * xy[0] + rotation[j, 1] * xy[1] + rotation[j, 2]
-        a += ray[j] * ray[j]
-        b += ray[j] * (K[j] - P[j])
-        far += (K[j] - P[j]) ** 2
-    root = b * b - a * far
-    if root > 0.0 and b > 0.0:  # nan (a pixel no ray maps to) compares false: a miss
-        return (b - np.sqrt(root)) / a
-    return np.nan
+    centre: Array  # (3,) m, of the ball, obj
+    radius: float  # m
+    disc_angle: float  # rad, angular radius of a disc
+    rotation: Array  # (3, 3) R_obj_cam
+    position: Array  # (3,) m, of the camera, obj
+    intrinsic: tuple[float, float, float, float]  # px, fx, fy, cx, cy
+    distortion: Array  # (5,)
+    fold_r2: float  # squared reduced radius beyond which a pixel has no ray
+    height: int  # px
 
 
-def directions_at(uv: Array, rig: Rig, pose: Pose) -> tuple[Array, NDArray[np.intp]]:
-    """Directions from the ball's centre, (k, 3) unit vectors in obj, seen at pixels (n, 2), and the k indices."""
-    directions, index = np.empty((len(uv), 3)), np.empty(len(uv), dtype=np.intp)
-    c = rig.camera
-    n = _directions_at(
-        np.ascontiguousarray(uv, dtype=np.float64),
-        c.intrinsic,
-        c.distortion,
-        c.fold_r2,
-        np.ascontiguousarray(pose.rotation),
-        pose.position,
-        rig.ball.centre,
-        rig.ball.radius,
-        directions,
-        index,
+def view_of(rig: Rig, pose: Pose) -> BallView:
+    """Return the view of a rig's ball from a camera at `pose`."""
+    ball, camera = rig.ball, rig.camera
+    return BallView(
+        np.ascontiguousarray(ball.centre, dtype=np.float64),
+        float(ball.radius),
+        float(rig.disc_radius / ball.radius),
+        np.ascontiguousarray(pose.rotation, dtype=np.float64),
+        np.ascontiguousarray(pose.position, dtype=np.float64),
+        camera.intrinsic,
+        np.ascontiguousarray(camera.distortion, dtype=np.float64),
+        camera.fold_r2,
+        camera.height,
     )
-    return directions[:n], index[:n]
-
-
-@njit(cache=True, error_model="numpy")
-def _directions_at(uv, intrinsic, distortion, fold, rotation, P, K, R, directions, index):
-    n = len(uv)
-    xy, J = np.empty((n, 2)), np.empty((n, 2, 2))
-    unprojected(uv, intrinsic, distortion, fold, xy, J)
-    met = 0
-    ray = np.empty(3)
-    for i in range(n):
-        s = first_hit(xy[i], rotation, P, K, R, ray)
-        if np.isfinite(s):
-            for j in range(3):
-                directions[met, j] = (P[j] + s * ray[j] - K[j]) / R
-            index[met] = i
-            met += 1
-    return met

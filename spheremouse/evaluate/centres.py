@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.appearance import appearance
-from spheremouse.ball.rig import Rig, directions_at
+from spheremouse.ball.points import directions_at
+from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.matching import assign

@@ -1,7 +1,5 @@
 """Matching of points: one-to-one assignment, mutual nearest neighbours, non-maximum suppression."""
 
-from collections.abc import Iterable
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -22,33 +20,42 @@ def assign(cost: Array, gate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]
     return rows, column[rows]
 
 
-def mutual_nearest(distance: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Pairs (rows, columns) of a distance matrix, (n, m), in which each is the other's nearest; `inf` is no pair."""
-    if distance.size == 0:
-        return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
-    rows = np.arange(len(distance))
-    column = np.argmin(distance, axis=1)
-    mutual = (np.argmin(distance, axis=0)[column] == rows) & np.isfinite(distance[rows, column])
-    return rows[mutual], column[mutual]
+@njit(cache=True)
+def mutual_nearest(distance: Array) -> NDArray[np.intp]:
+    """Return for each row of a distance matrix, (n, m), the column if each is the other's nearest, else -1.
 
-
-def suppress(points: Array, radius: Array | float, order: Iterable[int], norm: float = 2.0) -> list[int]:
-    """Indices of points (n, d), first ones first by `order`, none within the `radius` of one before it.
-
-    Non-maximum suppression (Neubeck, Van Gool 2006), with one radius or one for each point, (n,).
+    The distance `inf` is no pair.
     """
-    from scipy.spatial import KDTree  # the tracker needs none of it
+    column = np.full(len(distance), -1)
+    for i in range(len(distance) if distance.shape[1] else 0):
+        j = int(np.argmin(distance[i]))
+        if distance[i, j] < np.inf and np.argmin(distance[:, j]) == i:
+            column[i] = j
+    return column
 
-    if len(points) == 0:
-        return []
-    near = KDTree(points).query_ball_point(points, radius, p=norm)
-    free = np.ones(len(points), dtype=bool)
-    kept: list[int] = []
-    for i in order:
-        if free[i]:
-            kept.append(int(i))
-            free[near[i]] = False
-    return kept
+
+@njit(cache=True)
+def suppress(points: Array, radius: Array, norm: float = 2.0) -> NDArray[np.intp]:
+    """Return the indices of points, (n, d), that no earlier kept point has within its radius, of (n,).
+
+    Non-maximum suppression (Neubeck, Van Gool 2006) of points in the order of their worth. The norm is 2 or inf.
+    """
+    kept = np.empty(len(points), dtype=np.intp)
+    count = 0
+    for i in range(len(points)):
+        alone = True
+        for k in kept[:count]:
+            distance = 0.0
+            for axis in range(points.shape[1]):
+                offset = abs(points[i, axis] - points[k, axis])
+                distance = max(distance, offset) if norm == np.inf else np.hypot(distance, offset)
+            if distance <= radius[k]:
+                alone = False
+                break
+        if alone:
+            kept[count] = i
+            count += 1
+    return kept[:count]
 
 
 @njit(cache=True)

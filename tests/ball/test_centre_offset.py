@@ -5,7 +5,7 @@ import pytest
 from conftest import directions
 from numpy.testing import assert_allclose
 
-from spheremouse.ball.centre_offset import OUT_OF_ROUND, averaged, fits, is_off, shift_of
+from spheremouse.ball.centre_offset import OUT_OF_ROUND, KnownDiscs, averaged, fits, is_off, shift_of
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import Ball, Rig, Targets
@@ -32,7 +32,7 @@ def found(shift, turn=(0.0, 0.0, 0.0), noise=0.0, rng=None, wrong=0, seen=None):
         Detections(uv, np.tile(SIGMA**2 * np.eye(2), (len(uv), 1, 1)), np.full(len(uv), 50.0)), RIG, POSE
     )
     variance = np.full(len(DISCS), 1e-8)
-    return shift_of(points, np.zeros(len(points)), DISCS, variance, np.eye(3), np.zeros(3), 0.6, 0.07)
+    return shift_of(points, np.zeros(len(points)), KnownDiscs(DISCS, variance, np.eye(3), np.zeros(3)), 0.6, 0.07)
 
 
 @pytest.mark.parametrize("shift", [[0.0, 0.03, 0.0], [0.02, -0.01, 0.0], [0.0, 0.0, 0.03], [0.005, 0.0, 0.0]])
@@ -53,7 +53,7 @@ def test_a_rotation_alone_is_no_shift_and_noise_scatters_as_it_says():
         assert not is_off(out, 0.6, S)
         assert fits(out, 0.6, S)
         mahalanobis.append(out.mahalanobis**2)
-        before.append(out.before)
+        before.append(out.chi2_rotation)
     # chi-square with 3 degrees of freedom and 1: less, since the floor for print is not in the noise here
     assert 0.05 < np.mean(mahalanobis) < 3.0
     assert 0.02 < np.mean(before) < 1.0
@@ -61,7 +61,7 @@ def test_a_rotation_alone_is_no_shift_and_noise_scatters_as_it_says():
 
 def test_one_wrong_pair_is_not_a_ball_off_its_bearings():
     out = found([0.0, 0.0, 0.0], wrong=1)
-    assert out.before > 3.0
+    assert out.chi2_rotation > 3.0
     assert not is_off(out, 0.6, S)
 
 
@@ -93,5 +93,7 @@ def test_discs_seen_many_times_over_in_one_place_tell_no_shift():
         points = intersect(seen, RIG, POSE)
         discs = np.tile(points.direction[0], (9, 1))
         for variance in (0.0, 1e-8):
-            out = shift_of(points, np.zeros(9), discs, np.full(9, variance), np.eye(3), np.zeros(3), 0.6, 0.07)
+            out = shift_of(
+                points, np.zeros(9), KnownDiscs(discs, np.full(9, variance), np.eye(3), np.zeros(3)), 0.6, 0.07
+            )
             assert out is None or np.isfinite(out.mahalanobis)

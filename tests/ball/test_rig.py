@@ -6,9 +6,9 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from spheremouse.ball.detect.detections import Detections
-from spheremouse.ball.points import intersect
+from spheremouse.ball.points import directions_at, intersect
 from spheremouse.ball.pose import predict_targets
-from spheremouse.ball.rig import Ball, Rig, Targets, considered_covariance, directions_at, in_metres
+from spheremouse.ball.rig import Ball, Rig, Targets, considered_covariance, in_metres
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)

@@ -1,28 +1,47 @@
 """Matching of points by their distances."""
 
 import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import linear_sum_assignment
 
-from spheremouse.geometry.matching import mutual_nearest, suppress
+from spheremouse.geometry.matching import match, mutual_nearest, suppress
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_matching_maximises_the_total(seed):
+    rng = np.random.default_rng(seed)
+    n, m = rng.integers(1, 9, size=2)
+    worth = rng.normal(size=(n, m)) + (1.0 if seed % 2 else -0.5)
+    if seed % 3 == 0:
+        worth = np.round(worth)  # ties
+    column = match(worth)
+    rows = np.flatnonzero(column >= 0)
+    assert len(set(column[rows])) == len(rows)
+    gain = np.maximum(worth, 0.0)
+    i, j = linear_sum_assignment(gain, maximize=True)
+    assert_allclose(worth[rows, column[rows]].sum(), gain[i, j].sum(), atol=1e-12)
+    assert np.all(worth[rows, column[rows]] > 0.0)
 
 
 def test_mutual_nearest_pairs_are_each_other_s_nearest():
     distance = np.random.default_rng(0).random((7, 9))
     distance[2] = np.inf
-    rows, columns = mutual_nearest(distance)
-    assert len(rows) > 2
-    assert 2 not in rows
-    for i, j in zip(rows, columns, strict=True):
-        assert distance[i, j] == distance[i].min() == distance[:, j].min()
-    assert len(mutual_nearest(distance[:0])[0]) == 0
+    columns = mutual_nearest(distance)
+    for i, j in np.ndindex(distance.shape):
+        assert (columns[i] == j) == (i != 2 and distance[i, j] == distance[i].min() == distance[:, j].min())
+    assert np.count_nonzero(columns >= 0) > 2
+    assert len(mutual_nearest(distance[:0])) == 0
+    assert np.all(mutual_nearest(distance[:, :0]) == -1)
 
 
-def test_suppression_keeps_the_first_of_each_neighbourhood():
+@pytest.mark.parametrize("norm", [2.0, np.inf])
+def test_suppression_keeps_the_first_of_each_neighbourhood(norm):
     points = np.random.default_rng(0).random((60, 2))
     radius = np.linspace(0.05, 0.2, 60)
-    order = np.random.default_rng(1).permutation(60).tolist()
-    kept = suppress(points, radius, order)
-    for n, i in enumerate(order):
-        before = [k for k in kept if order.index(k) < n]
-        hidden = any(np.linalg.norm(points[i] - points[k]) <= radius[k] for k in before)
+    kept = suppress(points, radius, norm).tolist()
+    assert 10 < len(kept) < 60
+    for i in range(60):
+        hidden = any(np.linalg.norm(points[i] - points[k], norm) <= radius[k] for k in kept if k < i)
         assert (i in kept) != hidden
-    assert suppress(points[:0], 0.1, []) == []
+    assert len(suppress(points[:0], radius[:0])) == 0

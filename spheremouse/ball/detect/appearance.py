@@ -4,7 +4,7 @@ A disc of radius s along the surface is a spherical cap of half angle alpha = s 
 its image is an ellipse (camera.project_circle) as long as the whole rim is on the near side.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
-from spheremouse.ball.rig import Rig
+from spheremouse.ball.rig import Rig, view_of
 from spheremouse.geometry.camera import Pose, distorted
 from spheremouse.geometry.conics import sphere_outline
 from spheremouse.geometry.rotation import Array
@@ -20,8 +20,7 @@ from spheremouse.geometry.rotation import Array
 _CORNERS = 24  # of the polygon that stands for a distorted outline
 
 
-@dataclass(frozen=True, slots=True)
-class Appearance:
+class Appearance(NamedTuple):
     """Images of n discs. What the ball itself or the picture's edge cuts is not `whole`."""
 
     centre: Array  # (n, 2) px, projection of the disc's centre
@@ -30,42 +29,24 @@ class Appearance:
     area: Array  # (n,) px²
     whole: NDArray[np.bool_]  # (n,) the whole rim faces the camera
 
-    def take(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> "Appearance":
-        """Return the entries of a mask or of indices."""
-        return Appearance(self.centre[keep], self.centroid[keep], self.shape[keep], self.area[keep], self.whole[keep])
-
 
 def appearance(directions: Array, rig: Rig, pose: Pose) -> Appearance:
-    """Images of the discs at `directions`, (n, 3) unit vectors in `obj`. Values are nan where not `whole`.
+    """Return the images of the discs at `directions`, (n, 3) unit vectors in `obj`; nan for those that are not whole.
 
     The lens bends an ellipse; its centroid is taken of the bent outline, its shape from the Jacobian at the centre.
     """
-    n = len(directions)
-    seen = Appearance(np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n), np.empty(n, dtype=np.bool_))
-    camera = rig.camera
-    appearance_into(
-        np.ascontiguousarray(directions, dtype=np.float64),
-        rig.ball.centre,
-        rig.ball.radius,
-        rig.disc_radius / rig.ball.radius,
-        np.ascontiguousarray(pose.rotation),
-        pose.position,
-        camera.intrinsic,
-        camera.distortion,
-        seen.centre,
-        seen.centroid,
-        seen.shape,
-        seen.area,
-        seen.whole,
-    )
-    return seen
+    return appearance_of(np.ascontiguousarray(directions, dtype=np.float64), view_of(rig, pose))
 
 
 @njit(cache=True, error_model="numpy")
-def appearance_into(
-    directions, K, R, alpha, rotation, P, intrinsic, k, centre, centroid, shape, area, whole
-):  # fmt: skip
-    fx, fy, cx, cy = intrinsic
+def appearance_of(directions, view):
+    """Return the `appearance` for a BallView."""
+    count = len(directions)
+    centre, centroid, shape = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2, 2))
+    area, whole = np.empty(count), np.empty(count, dtype=np.bool_)
+    K, R, alpha, P, k = view.centre, view.radius, view.disc_angle, view.position, view.distortion
+    rotation = view.rotation
+    fx, fy, cx, cy = view.intrinsic
     bent = np.any(k != 0.0)
     tx, ty, tz = P[0] - K[0], P[1] - K[1], P[2] - K[2]
     distance = np.sqrt(tx * tx + ty * ty + tz * tz)
@@ -107,6 +88,7 @@ def appearance_into(
         if bent:
             da, db = _bent_centroid(x, y, sxx, sxy, syy, a, b, k)
         centroid[i, 0], centroid[i, 1] = fx * (a + da) + cx, fy * (b + db) + cy
+    return Appearance(centre, centroid, shape, area, whole)
 
 
 @njit(cache=True, error_model="numpy")
@@ -136,27 +118,19 @@ def _bent_centroid(x, y, sxx, sxy, syy, a, b, k):
 
 
 def seen_at(directions: Array, rig: Rig, pose: Pose) -> Array:
-    """Pixels, (n, 2), of points of the ball at `directions`, (n, 3) unit vectors in `obj`, on the far side too.
+    """Return the pixels, (n, 2), of points of the ball at `directions`, (n, 3) unit vectors in `obj`.
 
-    nan for what is at or behind the projection centre.
+    Points of the far side have pixels too. Points at or behind the projection centre give nan.
     """
-    uv = np.empty((len(directions), 2))
-    camera = rig.camera
-    seen_into(
-        np.ascontiguousarray(directions),
-        rig.ball.centre - pose.position,
-        rig.ball.radius,
-        np.ascontiguousarray(pose.rotation),
-        camera.intrinsic,
-        camera.distortion,
-        uv,
-    )
-    return uv
+    return pixels_of(np.ascontiguousarray(directions), view_of(rig, pose))
 
 
 @njit(cache=True, error_model="numpy")
-def seen_into(directions, to_centre, R, rotation, intrinsic, k, uv):
-    fx, fy, cx, cy = intrinsic
+def pixels_of(directions, view):
+    """Return the result of `seen_at` for a BallView."""
+    uv = np.empty((len(directions), 2))
+    fx, fy, cx, cy = view.intrinsic
+    rotation, to_centre, R, k = view.rotation, view.centre - view.position, view.radius, view.distortion
     for i in range(len(directions)):
         c = rotation.T @ (to_centre + R * directions[i])
         if c[2] > 0.0:
@@ -164,6 +138,7 @@ def seen_into(directions, to_centre, R, rotation, intrinsic, k, uv):
             uv[i, 0], uv[i, 1] = fx * u + cx, fy * v + cy
         else:
             uv[i, 0], uv[i, 1] = np.nan, np.nan
+    return uv
 
 
 def ball_outline(rig: Rig, pose: Pose, points: int = 180) -> Array:

@@ -13,7 +13,6 @@ from typing import ClassVar, Literal
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.appearance import appearance, ball_mask, largest_disc
@@ -29,10 +28,12 @@ from spheremouse.ball.detect.projection import (
     sample_weights_of,
 )
 from spheremouse.ball.detect.search import Lattice, SearchState, candidate_pixels, lattice, update_rejections
-from spheremouse.ball.detect.windows import DiscModel, measure_discs, view_of
-from spheremouse.ball.rig import Rig, directions_at
+from spheremouse.ball.detect.windows import DiscModel, Motion, measure_discs
+from spheremouse.ball.points import directions_at
+from spheremouse.ball.rig import Rig, view_of
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import MAX_SIDE, Pose
+from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import Array
 from spheremouse.settings import param
 
@@ -94,22 +95,21 @@ class DiscDetector:
     rig: Rig
     pose: Pose
     window: tuple[slice, slice]  # rows and columns of the ball's bounding box, whole pixels of the coarse picture
-    diameter: float  # px, of the largest disc
     coarse: Image  # 255 on the ball, of the window of the coarse picture
     lattice: Lattice
     slivers: Lattice  # its part near the limb, where discs are too thin for the coarse picture
-    view: DiscModel
+    model: DiscModel
 
     def seeing(self, projection: Projection) -> "DiscDetector":
         """The detector with another projection of colours."""
-        if projection == self.view.fit.projection:
+        if projection == self.model.fit.projection:
             return self
-        return replace(self, view=replace(self.view, fit=replace(self.view.fit, projection=projection)))
+        return replace(self, model=self.model._replace(fit=self.model.fit._replace(projection=projection)))
 
     def detect(self, image: Image) -> Detections:
         """Disc candidates in an image (h, w, 3) BGR or (h, w), look-alikes included."""
         noise = self.noise(image)
-        offset = offset_of(self.view.fit.projection, 1 if image.ndim == 2 else 3)
+        offset = offset_of(self.model.fit.projection, 1 if image.ndim == 2 else 3)
         places, size = self._dark_places(self._grey(image), noise, offset)
         directions, index = directions_at(places, self.rig, self.pose)
         seen = appearance(directions, self.rig, self.pose)
@@ -117,8 +117,8 @@ class DiscDetector:
         # half a disc to one with its shadow; of several regions in one place that which covers a disc best
         plausible = np.flatnonzero((share > 0.3) & (share < 2.5))
         best = plausible[np.argsort(np.abs(np.log(share[plausible])), kind="stable")]
-        best = best[first_of_each(places[index[best]], 0.3 * self.diameter)]
-        found = measure_discs(_with_channels(image), directions[best], self.view, noise, places[index[best]])[0]
+        best = best[suppress(places[index[best]], np.full(len(best), 0.3 * self.model.diameter))]
+        found = measure_discs(_with_channels(image), directions[best], self.model, noise, places[index[best]])[0]
         return self._with_slivers(found, image, noise) if self.lattice.reduction > 1 else found
 
     def _with_slivers(self, found: Detections, image: Image, noise: float) -> Detections:
@@ -127,7 +127,7 @@ class DiscDetector:
         It tries each place at most once, and ends when a round of all shifts has none left.
         """
         near_limb, state, idle = replace(self, lattice=self.slivers), SearchState(noise=noise), 0
-        shifts = len(self.slivers.places)
+        shifts = len(self.slivers.samples)
         while idle < shifts and state.turn < _MOST_ROUNDS * shifts:
             more, after = near_limb.find_new_discs(image, state, found.centre)
             idle = idle + 1 if len(more) == 0 and len(after.rejected) == len(state.rejected) else 0
@@ -148,33 +148,32 @@ class DiscDetector:
         noise = self.noise(image) if again else state.noise
         known = 0.0 if again else state.size
         found, size = measure_discs(
-            _with_channels(image), directions, self.view, noise, rate=rate, readout=readout, size=known
+            _with_channels(image), directions, self.model, noise, motion=Motion(rate, readout), size=known
         )
         return found, replace(state, noise=noise, size=size) if again else state
 
     def find_new_discs(self, image: Image, state: SearchState, known: Array) -> tuple[Detections, SearchState]:
         """A share of the search for discs that are not at `known`, (m, 2) px."""
-        fit, radius = self.view.fit, 0.5 * self.diameter
         noise = state.noise or self.noise(image)
         colours = _with_channels(image)
-        places = candidate_pixels(colours, self.view.mask, self.lattice, state, known, fit, radius, noise)
+        places = candidate_pixels(colours, self.model, self.lattice, state, known, noise)
         if len(places) == 0:
             return no_detections(), update_rejections(state, places, self.lattice.reduction)
         directions, index = directions_at(places, self.rig, self.pose)
-        found, _ = measure_discs(colours, directions, self.view, noise, places[index])
-        near = np.linalg.norm(places[:, None] - found.centre[None], axis=2) < radius
+        found, _ = measure_discs(colours, directions, self.model, noise, places[index])
+        near = np.linalg.norm(places[:, None] - found.centre[None], axis=2) < 0.5 * self.model.diameter
         return found, update_rejections(state, places[~near.any(axis=1)], self.lattice.reduction)
 
     def noise(self, image: Image) -> float:
         """Standard deviation of one pixel, grey values."""
         rows, columns = self.window
         colours = _with_channels(image)
-        weights = sample_weights_of(self.view.fit.projection, colours.shape[2])
+        weights = sample_weights_of(self.model.fit.projection, colours.shape[2])
         return noise_of(colours, weights, rows.start, rows.stop, columns.start, columns.stop)
 
     def _grey(self, image: Image) -> Image:
         """Smoothed projection of the window, coarse, dark discs."""
-        grey = projected(image[self.window], self.view.fit.projection)
+        grey = projected(image[self.window], self.model.fit.projection)
         f = self.lattice.reduction
         if f > 1:
             grey = cv2.resize(grey, (grey.shape[1] // f, grey.shape[0] // f), interpolation=cv2.INTER_AREA)
@@ -186,7 +185,7 @@ class DiscDetector:
         Looked for at three levels: the low one finds slivers at the limb, the high one parts a disc from a shadow.
         """
         f = self.lattice.reduction
-        diameter, least = self.diameter / f, 0.3 * self.settings.min_area / f**2
+        diameter, least = self.model.diameter / f, 0.3 * self.settings.min_area / f**2
         width = 2 * int(np.ceil(0.75 * diameter)) + 1
         background = cv2.morphologyEx(grey, cv2.MORPH_CLOSE, np.ones((width, width), np.uint8))
         deep = cv2.inRange(cv2.subtract(background, grey), np.array(4.0 * noise / f + 1.0), np.array(255.0))
@@ -239,11 +238,11 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose) -> DiscDetector:
         settings.rim,
         settings.sigma,
     )
-    view = view_of(rig, pose, mask, fit, settings.min_area, 0.3 * diameter)
+    model = DiscModel(view_of(rig, pose), mask, float(rig.exposure_s), fit, settings.min_area, diameter)
     coarse = cv2.erode(mask, np.ones((2 * f - 1, 2 * f - 1), np.uint8))[window][f // 2 :: f, f // 2 :: f]
     thin = _thin(rig, pose, diameter, f)
     samples = lattice(mask, thin, diameter, f)
-    return DiscDetector(settings, rig, pose, window, diameter, coarse, samples, _part(samples, thin), view)
+    return DiscDetector(settings, rig, pose, window, coarse, samples, samples.at(thin), model)
 
 
 def _thin(rig: Rig, pose: Pose, diameter: float, reduction: int) -> NDArray[np.bool_]:
@@ -266,30 +265,8 @@ def _levels(part: float, offset: float) -> NDArray[np.uint8]:
     return np.clip(np.rint(np.minimum(ball * (1.0 - part), ball / (1.0 - part)) + offset), 0, 255).astype(np.uint8)
 
 
-def _part(whole: Lattice, where: NDArray[np.bool_]) -> Lattice:
-    """The samples of a lattice at pixels `where`, (h, w)."""
-    keep = [where[at[:, 1], at[:, 0]] for at in whole.places]
-    places = tuple(at[k] for at, k in zip(whole.places, keep, strict=True))
-    return replace(whole, places=places, sides=tuple(s[k] for s, k in zip(whole.sides, keep, strict=True)))
-
-
 def _with_channels(image: Image) -> Image:
     return image if image.ndim == 3 else image[:, :, None]
-
-
-@njit(cache=True, error_model="numpy")
-def first_of_each(points, radius):
-    """Indices of points, (n, 2), that have no earlier one within `radius`."""
-    index = np.empty(len(points), dtype=np.intp)
-    n = 0
-    for i in range(len(points)):
-        alone = True
-        for j in range(i):
-            alone = alone and np.hypot(points[i, 0] - points[j, 0], points[i, 1] - points[j, 1]) >= radius
-        if alone:
-            index[n] = i
-            n += 1
-    return index[:n]
 
 
 def _centroid(contour: Image) -> tuple[float, float]:

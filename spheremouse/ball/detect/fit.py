@@ -10,18 +10,16 @@ Pixels that fit neither (a strut, a highlight) are weighted down (Tukey's biweig
 adjustment (Wittich 2017, chapter 5, names it as the next step). Compiled: all per-pixel work is in the functions below.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.fit_model import (
     BESIDE,
     CLEAR,
     EDGE,
-    PATH,
     UNKNOWNS,
     biweight,
     cut_patch,
@@ -34,7 +32,7 @@ from spheremouse.ball.detect.fit_model import (
     semi_axes,
     solve,
 )
-from spheremouse.ball.detect.projection import Projection, weights_of
+from spheremouse.ball.detect.projection import Projection
 from spheremouse.geometry.rotation import Array
 
 _SURROUND = 3.0  # px of background around a disc that take part in the fit: enough for its slope, too few for more
@@ -50,8 +48,7 @@ _LIMITS = np.array([0.35, 0.25, 0.25, 0.25, 0.25], dtype=np.float32)  # of the c
 _STILL = 0.01  # px: a step this short is the last
 
 
-@dataclass(frozen=True, slots=True)
-class Fits:
+class Fits(NamedTuple):
     """Results at n places; the numbers of a failed fit are meaningless."""
 
     ok: NDArray[np.bool_]  # (n,) a disc
@@ -61,8 +58,7 @@ class Fits:
     cut: Array  # (n,) part of it that does not fit at all: something lies over it
 
 
-@dataclass(frozen=True, slots=True)
-class FitSettings:
+class FitSettings(NamedTuple):
     """Parameters of the discs and the camera for the fit."""
 
     projection: Projection  # of colours, in which discs are darker than the ball
@@ -74,60 +70,23 @@ class FitSettings:
     sigma: float  # px, floor of a centre's standard deviation
 
 
-def measure(
-    image: Image,
-    mask: Image,
-    place: Array,
-    shape: Array,
-    noise: float,
-    settings: FitSettings,
-    path: Array | None = None,
-) -> Fits:
+@njit(cache=True, error_model="numpy")
+def measure(image, mask, place, shape, path, noise, weights, fit, size_known):
     """Fit n discs expected at `place`, (n, 2) px, with `shape`, (n, 2, 2) px², in an image (h, w, c) of uint8.
 
-    `mask` (h, w) is not 0 on the ball, `noise` is that of one pixel. First the size is free, which tells discs from
-    other things and the size all discs share; then it is held at that, so that a disc cut by a strut is seen as cut,
-    not as smaller. Where fewer than three tell it, 1 is taken. `path` (n, 7) is how each moves during the exposure
-    (`moving_ellipse_of`).
+    `mask` (h, w) is not 0 on the ball, `path` (n, 7) is how each disc moves during the exposure (`moving_ellipse_of`),
+    `noise` is that of a pixel, `weights` (c,) are those of the projection, and `fit` is a FitSettings. Returns Fits,
+    and the size that all discs share, fitted over expected. First the size is free, which tells discs from other
+    things, and the size all discs share. Then it is held at that, so that a disc cut by a strut is seen as cut, not as
+    smaller. If fewer than three discs tell the size, it is held at 1 and the result is 0. If `size_known` is not 0, the
+    size is held at that from the beginning.
     """
+    kernel, blur, contrast, size_tolerance = fit.kernel, fit.blur, fit.contrast, fit.size_tolerance
+    rim_least, sigma = fit.rim, fit.sigma
+    noise = np.float32(noise)
     n = len(place)
-    ok, centroid, covariance, rim = np.zeros(n, dtype=np.bool_), np.empty((n, 2)), np.empty((n, 2, 2)), np.zeros(n)
-    cut = np.zeros(n)
-    if n:
-        measure_into(
-            image,
-            mask,
-            place,
-            np.ascontiguousarray(shape),
-            np.zeros((n, PATH)) if path is None else path,
-            np.float32(noise),
-            weights_of(settings.projection, image.shape[2]),
-            settings.kernel,
-            settings.blur,
-            settings.contrast,
-            settings.size_tolerance,
-            settings.rim,
-            settings.sigma,
-            0.0,
-            ok,
-            centroid,
-            covariance,
-            rim,
-            cut,
-        )
-    return Fits(ok, centroid, covariance, rim, cut)
-
-
-@njit(cache=True, error_model="numpy")
-def measure_into(
-    image, mask, place, shape, path, noise, weights, kernel, blur, contrast, size_tolerance, rim_least, sigma,
-    size_known, ok, centroid, covariance, rim, cut,
-):  # fmt: skip
-    """`measure` into ok, centroid, covariance, rim and cut; returns the size all discs share, 0 where too few tell.
-
-    Where `size_known` is not 0, the size is held at that from the beginning.
-    """
-    n = len(place)
+    ok, centroid, covariance = np.zeros(n, dtype=np.bool_), np.empty((n, 2)), np.empty((n, 2, 2))
+    rim, cut = np.zeros(n), np.zeros(n)
     widest = 0.0
     for k in range(n):
         half_way = 0.5 * np.hypot(path[k, 0], path[k, 1])
@@ -288,7 +247,7 @@ def measure_into(
             covariance[k, j, 1] = variance * g[7]
             # where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
             covariance[k, j, j] += sigma**2 + (_SLIVER_BIAS / minor[k] ** 2) ** 2 + _CUT * cut[k]
-    return told
+    return Fits(ok, centroid, covariance, rim, cut), told
 
 
 @njit(cache=True, error_model="numpy")

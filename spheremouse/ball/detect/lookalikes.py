@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.matching import mutual_nearest
 from spheremouse.geometry.rotation import Array
 
 MOVED_PX = 2.0  # displacement by the ball's rotation that shows a static candidate: many times a centre's noise
@@ -153,15 +154,12 @@ def _expected(state: StaticDistractors, attitude: Array, rig: Rig, pose: Pose) -
 
 def _found(state: StaticDistractors, expected: Array, centre: Array) -> NDArray[np.intp]:
     """For each of `centre`, (n, 2) px, the candidate that stayed or turned there, (n,); -1 where there is none."""
-    found = np.full(len(centre), -1, dtype=np.intp)
-    if len(centre) and len(expected):
-        _nearest(centre, expected, state.place, _MATCH_PX, found)
-    return found
+    return mutual_nearest(_distances(centre, expected, state.place))
 
 
 @njit(cache=True, error_model="numpy")
-def _nearest(centre, expected, place, limit, found):
-    """For each centre the candidate that is its nearest and whose nearest it is, within `limit`."""
+def _distances(centre, expected, place):
+    """Return the distances, (n, t) px, from each centre to each candidate; those beyond `_MATCH_PX` are inf."""
     n, t = len(centre), len(place)
     distance = np.empty((n, t))
     for i in range(n):
@@ -169,7 +167,6 @@ def _nearest(centre, expected, place, limit, found):
             turned = np.hypot(centre[i, 0] - expected[j, 0], centre[i, 1] - expected[j, 1])
             stayed = np.hypot(centre[i, 0] - place[j, 0], centre[i, 1] - place[j, 1])
             distance[i, j] = min(turned, stayed)
-    for i in range(n):
-        j = np.argmin(distance[i])
-        if distance[i, j] < limit and np.argmin(distance[:, j]) == i:
-            found[i] = j
+            if not distance[i, j] < _MATCH_PX:
+                distance[i, j] = np.inf
+    return distance

@@ -6,8 +6,8 @@ of two. Once discs are known, Fisher's linear discriminant (Fisher 1936) gives t
 best.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -23,8 +23,7 @@ _EVERY = 4  # the noise is measured in every fourth row
 _FACING = 0.5  # of the largest disc's area: a disc seen more obliquely has no round core
 
 
-@dataclass(frozen=True, slots=True)
-class Projection:
+class Projection(NamedTuple):
     """Weights of blue, green and red. Their absolute values sum to 1, so the projected values stay in -255..255."""
 
     weights: tuple[float, float, float]

@@ -6,7 +6,8 @@ shifted lattice, see every disc that is large enough; one of ordinary size is me
 to be none are left out for a while, so that struts cost nothing.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -14,8 +15,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
-from spheremouse.ball.detect.fit import FitSettings
 from spheremouse.ball.detect.projection import Projection, offset_of, projected, sampled_channel
+from spheremouse.ball.detect.windows import DiscModel
 from spheremouse.geometry.rotation import Array
 
 _STRIDE = (2, 8)  # columns and rows of the coarse picture between samples of one frame: few rows are few cache misses
@@ -27,15 +28,27 @@ _WAIT = (32, 512)  # frames for which such a place is left out, at first and at 
 _REMEMBERED = 256  # places remembered
 
 
+class Samples(NamedTuple):
+    """Samples of the ball in one frame, n pixels."""
+
+    place: NDArray[np.int32]  # (n, 2) column and row, px, on the ball
+    sides: NDArray[np.uint8]  # (n,) bits of the neighbours that lie on the ball
+    along: NDArray[np.int32]  # (n, 2, 2) px to both sides along the limb; 0 away from it
+
+
 @dataclass(frozen=True, slots=True)
 class Lattice:
     """Search grid for unknown discs, built once."""
 
-    places: tuple[NDArray[np.int32], ...]  # of each shift (n, 2): column and row, px, on the ball
-    sides: tuple[NDArray[np.uint8], ...]  # of each shift (n,): bits of the neighbours that lie on the ball
-    along: tuple[NDArray[np.int32], ...]  # of each shift (n, 2, 2) px to both sides along the limb; 0 away from it
+    samples: tuple[Samples, ...]  # of each shift
     offsets: NDArray[np.int32]  # (8, 2) px to the neighbours, opposite ones follow each other
-    reduction: int  # a large picture is looked at so much more coarsely
+    reduction: int  # a large picture is searched so much more coarsely
+
+    def at(self, where: NDArray[np.bool_]) -> "Lattice":
+        """Return the lattice with the samples at pixels `where`, (h, w)."""
+        inside = [where[s.place[:, 1], s.place[:, 0]] for s in self.samples]
+        part = tuple(Samples(s.place[k], s.sides[k], s.along[k]) for s, k in zip(self.samples, inside, strict=True))
+        return replace(self, samples=part)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +74,7 @@ def lattice(mask: Image, thin: NDArray[np.bool_], diameter: float, reduction: in
     d = 0.5 * diameter + _MARGIN * reduction
     angles = np.pi / 4 * np.array([0, 4, 2, 6, 1, 5, 3, 7])
     offsets = np.rint(d * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(np.int32)
-    places, sides, along = [], [], []
+    samples = []
     limb = _Limb(mask)
     for dx, dy in _SHIFTS:
         parts = []
@@ -76,10 +89,8 @@ def lattice(mask: Image, thin: NDArray[np.bool_], diameter: float, reduction: in
             inside = (u >= 0) & (u < w) & (v >= 0) & (v < h)
             inside[inside] = mask[v[inside], u[inside]] > 0
             bits |= (inside.astype(np.uint8) << k).astype(np.uint8)
-        places.append(at)
-        sides.append(bits)
-        along.append(limb.along(at, d))
-    return Lattice(tuple(places), tuple(sides), tuple(along), offsets, reduction)
+        samples.append(Samples(at, bits, limb.along(at, d)))
+    return Lattice(tuple(samples), offsets, reduction)
 
 
 class _Limb:
@@ -107,64 +118,52 @@ class _Limb:
         return offsets
 
 
-def candidate_pixels(
-    image: Image,
-    mask: Image,
-    where: Lattice,
-    state: SearchState,
-    known: Array,
-    fit: FitSettings,
-    radius: float,
-    noise: float,
-) -> Array:
-    """Return dark spots of an image (h, w, c) on the ball (`mask`, (h, w)), away from `known`, (m, 2) px.
+class _Plane(NamedTuple):
+    """Values of a projection in an image. They are `sign` times the pixels' channel `channel`, less `dark`."""
 
-    The middles of the darkness around samples, (k, 2) px. `radius` px of the largest disc, `noise` of a pixel.
+    flat: Image  # (h w c,)
+    channels: int
+    channel: int
+    sign: int
+    dark: int  # value of no light
+
+
+def candidate_pixels(
+    image: Image, model: DiscModel, lattice: Lattice, state: SearchState, known: Array, noise: float
+) -> Array:
+    """Return dark spots of an image (h, w, c) on the ball, away from the pixels `known`, (m, 2).
+
+    They are the middles of the darkness around samples, (k, 2) px. `noise` is that of a pixel.
     """
-    plane, first, sign, dark = _samples(image, fit.projection)
-    shift = state.turn % len(_SHIFTS)
-    found = np.empty((_MOST, 2))
-    n = _candidates_on(
-        plane.reshape(-1),
-        plane.shape[2],
-        first,
-        sign,
-        dark,
-        mask,
-        where.places[shift],
-        where.sides[shift],
-        where.along[shift],
-        where.offsets,
+    return _candidates_on(
+        _plane(image, model.fit.projection),
+        model.mask,
+        lattice.samples[state.turn % len(_SHIFTS)],
+        lattice.offsets,
+        lattice.reduction,
         state.turn,
         known,
-        radius + 2.0 * where.reduction,
         state.rejected[state.until > state.turn],
-        _REJECTED * where.reduction,
-        0.5 * fit.contrast,
+        0.5 * model.fit.contrast,
         2.5 * noise,
-        radius,
-        where.reduction,
-        found,
+        0.5 * model.diameter,
     )
-    return found[:n]
 
 
-def _samples(image: Image, projection: Projection) -> tuple[Image, int, int, int]:
-    """A picture, (h, w, c), its channel and the sign that are the projection, and the value of no light.
-
-    A picture of its own is made where more than one channel counts.
-    """
-    one = sampled_channel(projection, image.shape[2])
+def _plane(image: Image, projection: Projection) -> _Plane:
+    """Return the values of a projection in an image, (h, w, c). Only several channels need a picture of their own."""
+    channels = image.shape[2]
+    one = sampled_channel(projection, channels)
     if one is not None:
-        return image, *one, 0
-    return projected(image, projection)[:, :, None], 0, 1, round(offset_of(projection, image.shape[2]))
+        return _Plane(image.reshape(-1), channels, *one, 0)
+    return _Plane(projected(image, projection).reshape(-1), 1, 0, 1, round(offset_of(projection, channels)))
 
 
 def update_rejections(state: SearchState, rejected: Array, reduction: int) -> SearchState:
     """The search's state after a frame in which the places `rejected`, (k, 2) px, turned out to be no discs."""
     turn = state.turn + 1
     if len(rejected) == 0:
-        return SearchState(turn, state.noise, state.size, state.rejected, state.until, state.wait)
+        return replace(state, turn=turn)
     again = np.linalg.norm(state.rejected[:, None] - rejected[None], axis=2) < _REJECTED * reduction
     old, new = again.any(axis=1), ~again.any(axis=0)
     wait = np.where(old, np.minimum(2 * state.wait, _WAIT[1]), state.wait)
@@ -190,8 +189,9 @@ def _near(x, y, places, radius):
 
 
 @njit(cache=True, error_model="numpy")
-def _settle(flat, channels, first, sign, dark, mask, level, reach, reduction, place):
+def _settle(plane, mask, level, reach, reduction, place):
     """Two steps of the mean shift towards what is darker than `level`, on the ball, within `reach` px."""
+    flat, channels, channel, sign, dark = plane
     h, w = mask.shape
     for _ in range(2):
         left, right = max(int(place[0] - reach), 0), min(int(place[0] + reach) + 1, w - 1)
@@ -201,7 +201,7 @@ def _settle(flat, channels, first, sign, dark, mask, level, reach, reduction, pl
             dy = y - place[1]
             for x in range(left, right + 1, reduction):
                 at = y * w + x
-                g = np.float32(sign * np.int32(flat[np.uint64(at * channels + first)]) - dark)
+                g = np.float32(sign * np.int32(flat[np.uint64(at * channels + channel)]) - dark)
                 dx = x - place[0]
                 if g < level and mask[np.uint64(y), np.uint64(x)] > 0 and dx * dx + dy * dy < reach * reach:
                     total += level - g
@@ -213,11 +213,11 @@ def _settle(flat, channels, first, sign, dark, mask, level, reach, reduction, pl
 
 
 @njit(cache=True, error_model="numpy")
-def _candidates_on(
-    flat, channels, first, sign, dark, mask, places, sides, along, offsets, turn, known, known_radius, rejected,
-    rejected_radius, contrast, least, radius, reduction, found,
-):  # fmt: skip
-    """`flat` is the image, (h w c,). Of a pixel, `sign` times its channel `first`, less `dark`, is the projection."""
+def _candidates_on(plane, mask, samples, offsets, reduction, turn, known, rejected, contrast, least, radius):
+    flat, channels, channel, sign, dark = plane
+    places, sides, along = samples
+    known_radius, rejected_radius = radius + 2.0 * reduction, _REJECTED * reduction
+    found = np.empty((_MOST, 2))
     n = len(places)
     count = 0
     start = (turn * 997) % n if n else 0  # another one is the first each time: the limit falls on none for long
@@ -229,7 +229,7 @@ def _candidates_on(
     s0, s1 = np.uint64(steps[0]), np.uint64(steps[1])
     for part in range(2):
         for i in range(start if part == 0 else 0, n if part == 0 else start):
-            at = np.uint64(places[i, 1] * width + places[i, 0]) * np.uint64(channels) + np.uint64(first)
+            at = np.uint64(places[i, 1] * width + places[i, 0]) * np.uint64(channels) + np.uint64(channel)
             bits = sides[i]
             g = sign * np.int32(flat[at]) - dark
             # two neighbours part most of the ball from the rest
@@ -263,17 +263,17 @@ def _candidates_on(
             if not ends:
                 continue
             x, y = float(places[i, 0]), float(places[i, 1])
-            if _near(x, y, known, known_radius) or _near(x, y, found[:count], radius + 2.0 * reduction):
+            if _near(x, y, known, known_radius) or _near(x, y, found[:count], known_radius):
                 continue
             if _near(x, y, rejected, 0.7 * radius):  # within such a place
                 continue
             found[count, 0], found[count, 1] = x, y
             level = np.float32(0.5 * (g + ball / brighter))
-            _settle(flat, channels, first, sign, dark, mask, level, radius + reduction, reduction, found[count])
+            _settle(plane, mask, level, radius + reduction, reduction, found[count])
             x, y = found[count, 0], found[count, 1]
             if _near(x, y, known, known_radius) or _near(x, y, rejected, rejected_radius):
                 continue
             count += 1
             if count == len(found):
-                return count
-    return count
+                return found
+    return found[:count]

@@ -81,7 +81,8 @@ def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[Trac
         return done
     used: Any = state.points.index[state.filter.used]
     detector = _adaptable(tracker)
-    fisher = fisher_projection(frame.image, detector.view.mask, state.detections.take(used), detector.diameter)
+    found, diameter = state.detections.take(used), detector.model.diameter
+    fisher = fisher_projection(frame.image, detector.model.mask, found, diameter)
     if fisher is None:
         return done
     before, after = (

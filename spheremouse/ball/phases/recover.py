@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from spheremouse.ball import centre_offset
-from spheremouse.ball.centre_offset import CentreOffset
+from spheremouse.ball.centre_offset import CentreOffset, KnownDiscs
 from spheremouse.ball.events import BallLost, NewMap, OutOfRound, Recognised, Why
 from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_predict import CLONE_DIM, MAP_OFFSET
@@ -246,16 +246,9 @@ def _shift(state: TrackState[So3State], filter_state: So3State, tracker: Tracker
     """Return the offset of the ball's centre by the last frame's discs, with a filter's attitude and map."""
     sure = np.flatnonzero(filter_state.hits >= ESTABLISHED_HITS)
     variance = filter_state.joint.diagonal()[MAP_OFFSET:-CLONE_DIM].reshape(-1, 2).mean(axis=1)[sure]
-    return centre_offset.shift_of(
-        state.points,
-        delays(state.points, filter_state),
-        filter_state.discs[sure],
-        variance,
-        filter_state.attitude,
-        filter_state.rate,
-        tracker.rig.ball.radius,
-        2.0 * tracker.filter.disc_angle,
-    )
+    discs = KnownDiscs(filter_state.discs[sure], variance, filter_state.attitude, filter_state.rate)
+    delay = delays(state.points, filter_state)
+    return centre_offset.shift_of(state.points, delay, discs, tracker.rig.ball.radius, 2.0 * tracker.filter.disc_angle)
 
 
 def back_on_bearings(

@@ -11,7 +11,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.rig import Ball, Rig, Targets, directions_at
+from spheremouse.ball.points import directions_at
+from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.least_squares.sphere import algebraic_sphere
@@ -192,7 +193,8 @@ def _meeting_points(
     count = np.maximum(np.sum(sees, axis=1), 1)
     points = np.sum(np.where(sees[..., None], foot, 0.0), axis=1) / count[:, None]
     support = np.sum(sees, axis=1)
-    kept = suppress(points, tolerance, [i for i in np.argsort(-support, kind="stable") if support[i] >= 2])
+    order = np.argsort(-support, kind="stable")[: np.count_nonzero(support >= 2)]
+    kept = order[suppress(points[order], np.full(len(order), tolerance))]
     return _Points(points[kept], towards[kept], cosine[kept])
 
 

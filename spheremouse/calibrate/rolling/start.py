@@ -15,7 +15,8 @@ from scipy.optimize import minimize
 
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.detect.detections import Image
-from spheremouse.ball.rig import Ball, Rig, Targets, directions_at
+from spheremouse.ball.points import directions_at
+from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.matching import mutual_nearest, suppress
@@ -101,7 +102,8 @@ def dark_spots(image: Image) -> Spots:
                 found.append(spot)
     a = np.array(found).reshape(-1, 3)
     # the narrow closings find the rim of a large spot as further spots
-    a = a[suppress(a[:, :2], 1.2 * np.sqrt(a[:, 2] / np.pi), np.argsort(-a[:, 2], kind="stable"))]
+    a = a[np.argsort(-a[:, 2], kind="stable")]
+    a = a[suppress(a[:, :2], 1.2 * np.sqrt(a[:, 2] / np.pi))]
     return Spots(a[:, :2], a[:, 2])
 
 
@@ -146,9 +148,9 @@ def follow(spots: Sequence[Spots], width: int) -> list[Path]:
         distance = np.linalg.norm(expected[:, None] - seen.centre[None], axis=2)
         unlike = np.abs(np.log(area[:, None] / np.maximum(seen.area[None], 1e-9))) > 0.7
         distance = np.where(unlike | (distance > reach[:, None]), np.inf, distance)
-        rows, columns = mutual_nearest(distance)
-        for i, j in zip(rows, columns, strict=True):
-            alive[i].add(k, seen, j)
+        columns = mutual_nearest(distance)
+        for i in np.flatnonzero(columns >= 0):
+            alive[i].add(k, seen, columns[i])
         for j in np.setdiff1d(np.arange(len(seen.centre)), columns):
             alive.append(_OpenPath([], [], []))
             alive[-1].add(k, seen, j)
@@ -350,8 +352,9 @@ def _search(pairs: _Pairs, paths: Sequence[Path], camera: InteriorOrientation) -
     )
     few = pairs.every(max(1, min(_COARSE_STEP, len(pairs.there) // 20)))
     cost = np.concatenate([_cost(g, few, camera.fx, 4.0 * _FIT) for g in np.array_split(grid, len(grid) // 100 + 1)])
-    starts = suppress(grid, 0.25 * half.max(), np.argsort(cost)[:_MAX_NODES], np.inf)[:_MAX_STARTS]
-    near = [_refined(grid[k], few, camera.fx, 4.0 * _FIT, 0.1 * half.max()) for k in starts]
+    starts = grid[np.argsort(cost)[:_MAX_NODES]]
+    starts = starts[suppress(starts, np.full(len(starts), 0.25 * half.max()), np.inf)[:_MAX_STARTS]]
+    near = [_refined(start, few, camera.fx, 4.0 * _FIT, 0.1 * half.max()) for start in starts]
     best = near[int(np.argmin(_cost(np.array(near), pairs, camera.fx, _FIT)))]
     for scale, reach in ((_FIT, 0.02), (0.3 * _FIT, 0.004)):
         best = _refined(best, pairs, camera.fx, scale, reach * half.max())

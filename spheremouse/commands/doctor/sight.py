@@ -43,12 +43,12 @@ class Sight:
     @property
     def projection(self) -> Projection:
         """Projection of the colours in which discs are darker than the ball."""
-        return self.detector.view.fit.projection
+        return self.detector.model.fit.projection
 
     @property
     def disc(self) -> float:
         """Diameter of a disc in the middle of the ball, px."""
-        return self.detector.diameter
+        return self.detector.model.diameter
 
 
 def targets(views: tuple[Frame, ...], rig: Rig, settings: Settings) -> tuple[Pose | None, Finding]:

@@ -55,10 +55,10 @@ def _around_ball(detector: DiscDetector, clipped: bool) -> Image:
     """The ball with the reach of what finds and measures discs; `clipped`: nothing beyond its box is looked at."""
     f = detector.lattice.reduction
     rows, columns = detector.window
-    closing = 2 * int(np.ceil(0.75 * detector.diameter / f))
+    closing = 2 * int(np.ceil(0.75 * detector.model.diameter / f))
     smoothing = int(np.ceil(3.0 * detector.settings.smoothing)) + 1
-    wide = _grown(detector.view.mask, f * (closing + smoothing + 1))
-    mask = _grown(detector.view.mask, f * _FIT)
+    wide = _grown(detector.model.mask, f * (closing + smoothing + 1))
+    mask = _grown(detector.model.mask, f * _FIT)
     if clipped:
         mask[detector.window] |= wide[detector.window]
     else:

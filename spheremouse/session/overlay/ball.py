@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.appearance import appearance, ball_outline
 from spheremouse.ball.detect.lookalikes import MASK_RADIUS_PX
+from spheremouse.ball.points import directions_at
 from spheremouse.ball.pose import Resection, predict_targets
-from spheremouse.ball.rig import Rig, directions_at
+from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import Epoch, Tracker, TrackState, current
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.conics import ellipse_to_pixel, project_circle

@@ -11,7 +11,8 @@ from spheremouse.ball.detect.lookalikes import (
     mask,
     unmasked,
 )
-from spheremouse.ball.rig import Ball, Rig, Targets, directions_at
+from spheremouse.ball.points import directions_at
+from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp
 

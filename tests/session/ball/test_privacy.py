@@ -114,7 +114,7 @@ def test_discs_at_the_limb_are_found_alike_and_need_the_reach_of_the_closing(vie
     rig, pose = scene.rig(), scene.pose
     detector = disc_detector(Settings().discs, rig, pose)
     keep, side = kept(rig, pose, Settings()), 8 * detector.lattice.reduction + 1
-    narrow = np.where(cv2.dilate(detector.view.mask, np.ones((side, side), np.uint8)) > 0, keep, 0).astype(np.uint8)
+    narrow = np.where(cv2.dilate(detector.model.mask, np.ones((side, side), np.uint8)) > 0, keep, 0).astype(np.uint8)
     rows, columns = detector.window
     step = (rows.stop - rows.start) // 16
     narrow[rows.start + step // 2 : rows.stop : step, columns] = 255  # the noise's lines
