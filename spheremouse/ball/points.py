@@ -5,15 +5,29 @@ adjustment per disc; both give the same covariance (tests/ball/test_points.py).
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.rig import Rig, view_of
 from spheremouse.geometry.camera import Pose, row_of, unprojected
 from spheremouse.geometry.rotation import Array
+
+
+class Centres(Protocol):
+    """Points in an image, as `Detections` has them."""
+
+    @property
+    def centre(self) -> Array: ...  # (n, 2) px
+    @property
+    def covariance(self) -> Array: ...  # (n, 2, 2) px²
+
+
+class _Pixels(NamedTuple):
+    centre: Array
+    covariance: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +62,7 @@ class SpherePoints:
         )
 
 
-def intersect(detections: Detections, rig: Rig, pose: Pose) -> SpherePoints:
+def intersect(detections: Centres, rig: Rig, pose: Pose) -> SpherePoints:
     """Intersect the rays of all detections with the ball; rays that miss it are left out (`index` says which remain).
 
     The nearer of the two points is taken (Wittich 2017, eq. 110-113). With F(B) = |B - K| - R = 0 and B = P + s r,
@@ -72,7 +86,7 @@ def intersect(detections: Detections, rig: Rig, pose: Pose) -> SpherePoints:
 def directions_at(uv: Array, rig: Rig, pose: Pose) -> tuple[Array, NDArray[np.intp]]:
     """Return the directions, (k, 3) unit vectors in obj, of the points seen at pixels (n, 2), and their k indices."""
     uv = np.ascontiguousarray(uv, dtype=np.float64)
-    points = intersect(Detections(uv, np.zeros((len(uv), 2, 2)), np.zeros(len(uv))), rig, pose)
+    points = intersect(_Pixels(uv, np.zeros((len(uv), 2, 2))), rig, pose)
     return points.direction, points.index
 
 
