@@ -1,18 +1,30 @@
-"""Predicted places of the discs, and the agreement of points with them."""
+"""Pairs of points and discs: predicted places, innovations, and the agreement of pairs with one another.
+
+Most functions take these arguments, inside as the tuples `body` and `seen`, since calls with tuples are slow:
+- `body`: attitude, (3, 3), rate, (3,), and acceleration, (3,), then the discs, (m, 3), and their axes, (m, 3, 2),
+- `seen`: of n points the directions, (n, 3), image noise, (n, 3, 3) rad², delays, (n,) s, and rows, (n,); the Jacobians
+  of their places by pose, (n, 3, 6), and by ball, (n, 3, 4); and the radius of the ball, m.
+
+`P` is the joint covariance, whose order is in `so3_update`. `added` (9, 9) is process noise that is not in it yet.
+"""
 
 import numpy as np
 from numba import njit
 
-from spheremouse.ball.filters.so3_predict import CONSIDERED_DIM, KINEMATIC_DIM, MAP_OFFSET
-from spheremouse.geometry.rotation import exp_into
+from spheremouse.ball.filters.so3_motion import CONSIDERED_DIM, KINEMATIC_DIM, MAP_OFFSET
+from spheremouse.geometry.matching import match
+from spheremouse.geometry.rotation import exp_into, left_jacobian_into
 
 _NEAR = 0.99  # cosine of 8 degrees, the largest distance of a pair with all considered errors
 _NEARBY = 0.9  # cosine of 26 degrees, the largest distance of a pair with any readout delay
+_WIDE = 0.1  # rad: an attitude known worse than that is not linear in any sense; the allowance for it grows no more
 
 
 @njit(cache=True, error_model="numpy")
-def place_and_axes(attitude, rate, acceleration, delay, basis, disc, R, p, E):
-    """Place p, (3,), and axes E, (3, 2), in obj of a disc as the camera sees it `delay` after the stamp."""
+def _place_and_axes(body, delay, k, R, p, E):
+    """Write place p, (3,), and axes E, (3, 2), in obj of disc `k` as the camera sees it `delay` after the stamp."""
+    attitude, rate, acceleration, discs, axes = body
+    disc, basis = discs[k], axes[k]
     if delay != 0.0:
         turn, more = np.empty(3), np.empty((3, 3))
         for i in range(3):
@@ -30,8 +42,8 @@ def place_and_axes(attitude, rate, acceleration, delay, basis, disc, R, p, E):
 
 
 @njit(cache=True, error_model="numpy")
-def turning_jacobian(E, p, H):
-    """H, (2, 3) = d z / d rotation error: a turn e moves p by e x p."""
+def _turning_jacobian(E, p, H):
+    """Write H = d z / d rotation error, (2, 3): a turn e moves p by e x p."""
     for a in range(2):
         H[a, 0] = E[2, a] * p[1] - E[1, a] * p[2]
         H[a, 1] = E[0, a] * p[2] - E[2, a] * p[0]
@@ -39,22 +51,23 @@ def turning_jacobian(E, p, H):
 
 
 @njit(cache=True, error_model="numpy")
-def places(attitude, discs, basis, P, which, added_process_noise, centre_sigma):
-    """Root of the larger variance, rad, of where each disc of `which` is predicted, with process noise (3, 3) added."""
+def place_sigma(attitude, rate, acceleration, discs, basis, P, which, added):
+    """Return the standard deviation, (k,) rad, along its worse axis, of where each disc of `which` is predicted."""
+    body = (attitude, rate, acceleration, discs, basis)
     H, R, p, E = np.empty((2, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 2))
-    zero = np.zeros(3)
+    sigma = np.empty(len(which))
     for i in range(len(which)):
-        m = which[i]
-        place_and_axes(attitude, zero, zero, 0.0, basis[m], discs[m], R, p, E)
-        turning_jacobian(E, p, H)
-        S = _disc_covariance(P, H, MAP_OFFSET + 2 * m, added_process_noise)
+        _place_and_axes(body, 0.0, which[i], R, p, E)
+        _turning_jacobian(E, p, H)
+        S = _disc_covariance(P, H, MAP_OFFSET + 2 * which[i], added)
         mean, half = 0.5 * (S[0, 0] + S[1, 1]), np.hypot(0.5 * (S[0, 0] - S[1, 1]), S[0, 1])
-        centre_sigma[i] = np.sqrt(max(mean + half, 0.0))
+        sigma[i] = np.sqrt(max(mean + half, 0.0))
+    return sigma
 
 
 @njit(cache=True, error_model="numpy")
-def _disc_covariance(P, H, at, added_process_noise):
-    """(2, 2) of a disc's predicted place without image noise; process noise (3, 3) is added to rotation."""
+def _disc_covariance(P, H, at, added):
+    """(2, 2) of a disc's predicted place without image noise; `added` counts for the rotation."""
     S = np.empty((2, 2))
     for a in range(2):
         for b in range(2):
@@ -62,36 +75,37 @@ def _disc_covariance(P, H, at, added_process_noise):
             for i in range(3):
                 value += H[a, i] * P[i, at + b] + H[b, i] * P[i, at + a]
                 for j in range(3):
-                    value += H[a, i] * (P[i, j] + added_process_noise[i, j]) * H[b, j]
+                    value += H[a, i] * (P[i, j] + added[i, j]) * H[b, j]
             S[a, b] = value
     return S
 
 
 @njit(cache=True, error_model="numpy")
-def _row(H, E, t, rate, row, by_pose, by_ball, radius, J):
-    """Write d z / d (core, considered, readout) of one point into J, (2, 20), to first order in the delay t."""
+def _jacobian(H, E, t, rate, seen, i, J):
+    """Write d z / d (core, considered, readout) of point i into J, (2, 20), to first order in the delay t."""
     for a in range(2):
         for c in range(3):
             J[a, c] = H[a, c]
             J[a, 3 + c] = H[a, c] * t
             J[a, 6 + c] = 0.5 * H[a, c] * t * t
-    considered_jacobian(H, E, rate, row, by_pose, by_ball, radius, J[:, KINEMATIC_DIM:])
+    _considered_jacobian(H, E, rate, seen, i, J[:, KINEMATIC_DIM:])
 
 
 @njit(cache=True, error_model="numpy")
-def considered_jacobian(H, E, rate, row, by_pose, by_ball, radius, J):
-    """Write d z / d (pose, ball, readout) of one point into J, (2, 11)."""
+def _considered_jacobian(H, E, rate, seen, i, J):
+    """Write d z / d (pose, ball, readout) of point i into J, (2, 11)."""
+    _, _, _, row, by_pose, by_ball, radius = seen
     for a in range(2):
         for c in range(CONSIDERED_DIM):
             value = E[c - 6, a] if 6 <= c < 9 else 0.0  # the direction counts from the centre
             for d in range(3):
-                value -= E[d, a] * (by_pose[d, c] if c < 6 else by_ball[d, c - 6])
+                value -= E[d, a] * (by_pose[i, d, c] if c < 6 else by_ball[i, d, c - 6])
             J[a, c] = value / radius
-        J[a, CONSIDERED_DIM] = (H[a, 0] * rate[0] + H[a, 1] * rate[1] + H[a, 2] * rate[2]) * row
+        J[a, CONSIDERED_DIM] = (H[a, 0] * rate[0] + H[a, 1] * rate[1] + H[a, 2] * rate[2]) * row[i]
 
 
 @njit(cache=True, error_model="numpy")
-def _full_covariance(P, J, JP, at, H, added_process_noise):
+def _full_covariance(P, J, JP, at, H, added):
     """(2, 2) of a disc's predicted place, its errors at `at`, with all that J, (2, 20), depends on."""
     S = np.empty((2, 2))
     for a in range(2):
@@ -108,7 +122,7 @@ def _full_covariance(P, J, JP, at, H, added_process_noise):
                 value += JP[a, j] * J[b, j]
             for i in range(3):
                 for j in range(3):
-                    value += H[a, i] * added_process_noise[i, j] * H[b, j]
+                    value += H[a, i] * added[i, j] * H[b, j]
             S[a, b] = value
     return S
 
@@ -126,37 +140,36 @@ def _squared(z0, z1, a00, a01, a11, E, noise):
 
 @njit(cache=True, error_model="numpy")
 def distances(
-    attitude, rate, acceleration, discs, basis, P, which, added_process_noise, curvature, seen, noise, delay, row,
-    by_pose, by_ball, radius, out,
+    attitude, rate, acceleration, discs, basis, P, which, added, curvature, gate, direction, noise, delay, row, by_pose,
+    by_ball, radius,
 ):  # fmt: skip
-    """Squared Mahalanobis distances of n seen directions to the discs `which`, into out (n, m).
+    """Return squared Mahalanobis distances, (n, k), of points to the discs `which`, exact below `gate`.
 
-    `noise` (n, 3, 3) rad² in obj, `row`, `by_pose` and `by_ball` as in `innovation`: no disc is turned away for an
-    error of what is considered. Returns whether no row and no column has two entries below `out`'s limit given in
-    out[0, 0] at the call: then the pairs are plain.
+    No disc is turned away for an error of what is considered. `curvature` is in rad². Also returns whether no row and
+    no column has two entries below `gate`: then the pairs are plain.
     """
+    body, seen = (attitude, rate, acceleration, discs, basis), (direction, noise, delay, row, by_pose, by_ball, radius)
     H, R, p, E = np.empty((2, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 2))
-    gate = out[0, 0]
     plain = True
     any_considered = False
     for i in range(KINEMATIC_DIM, MAP_OFFSET):
         any_considered = any_considered or P[i, i] > 0.0
     J, JP = np.empty((2, MAP_OFFSET)), np.empty((2, MAP_OFFSET + 2))
-    taken = np.zeros(len(seen), dtype=np.bool_)
+    out, taken = np.empty((len(direction), len(which))), np.zeros(len(direction), dtype=np.bool_)
     for m in range(len(which)):
         k = which[m]
         hits = 0
         before = 0.0
-        place_and_axes(attitude, rate, acceleration, before, basis[k], discs[k], R, p, E)
-        turning_jacobian(E, p, H)
-        S = _disc_covariance(P, H, MAP_OFFSET + 2 * k, added_process_noise)
-        for i in range(len(seen)):
-            b = seen[i]
+        _place_and_axes(body, before, k, R, p, E)
+        _turning_jacobian(E, p, H)
+        S = _disc_covariance(P, H, MAP_OFFSET + 2 * k, added)
+        for i in range(len(direction)):
+            b = direction[i]
             cosine = p[0] * b[0] + p[1] * b[1] + p[2] * b[2]
             if delay[i] != before and cosine > _NEARBY:
                 before = delay[i]
-                place_and_axes(attitude, rate, acceleration, before, basis[k], discs[k], R, p, E)
-                turning_jacobian(E, p, H)
+                _place_and_axes(body, before, k, R, p, E)
+                _turning_jacobian(E, p, H)
                 cosine = p[0] * b[0] + p[1] * b[1] + p[2] * b[2]
             if cosine < 0.0:
                 out[i, m] = np.inf
@@ -171,8 +184,8 @@ def distances(
                 value = _squared(z0, z1, a00, a01, a11, E, noise[i])
             # most pairs are one without what is considered: then it need not be counted
             if value >= gate and cosine > _NEAR and (any_considered or before != 0.0):
-                _row(H, E, before, rate, row[i], by_pose[i], by_ball[i], radius, J)
-                T = _full_covariance(P, J, JP, MAP_OFFSET + 2 * k, H, added_process_noise)
+                _jacobian(H, E, before, rate, seen, i, J)
+                T = _full_covariance(P, J, JP, MAP_OFFSET + 2 * k, H, added)
                 value = _squared(z0, z1, T[0, 0] + curvature, T[0, 1], T[1, 1] + curvature, E, noise[i])
             out[i, m] = value
             if value < gate:
@@ -182,7 +195,88 @@ def distances(
                 taken[i] = True
         if hits > 1:
             plain = False
-    return plain
+    return out, plain
+
+
+@njit(cache=True, error_model="numpy")
+def innovation(
+    attitude, rate, acceleration, discs, basis, P, rows, columns, curvature, direction, noise, delay, row, by_pose,
+    by_ball, radius,
+):  # fmt: skip
+    """Return for k pairs H, (2k, 9), H P, (2k, n), the innovation z, (2k,) rad, and its covariance S, (2k, 2k).
+
+    Points `rows` are taken for discs `columns`. H P includes what is only considered, and the readout.
+    """
+    body, seen = (attitude, rate, acceleration, discs, basis), (direction, noise, delay, row, by_pose, by_ball, radius)
+    k, n = len(columns), len(P)
+    H, HP, z, S = np.empty((2 * k, KINEMATIC_DIM)), np.empty((2 * k, n)), np.empty(2 * k), np.empty((2 * k, 2 * k))
+    R, p, E, turning = np.empty((3, 3)), np.empty(3), np.empty((3, 2)), np.empty((2, 3))
+    axes = np.empty((k, 3, 2))
+    turn, later = np.empty(3), np.empty((3, 3))
+    considered = np.zeros((2 * k, MAP_OFFSET - KINEMATIC_DIM))
+    any_considered = False
+    for i in range(KINEMATIC_DIM, MAP_OFFSET):
+        any_considered = any_considered or P[i, i] > 0.0
+    for i in range(k):
+        t = delay[rows[i]]
+        _place_and_axes(body, t, columns[i], R, p, E)
+        axes[i] = E
+        b = direction[rows[i]]
+        _turning_jacobian(E, p, turning)
+        before, along = turning, turning
+        if t != 0.0:
+            for c in range(3):
+                turn[c] = rate[c] * t + 0.5 * acceleration[c] * t * t
+            exp_into(turn, R)
+            left_jacobian_into(turn, later)
+            before, along = turning @ R, turning @ later
+        if any_considered:
+            _considered_jacobian(turning, E, rate, seen, rows[i], considered[2 * i : 2 * i + 2])
+        for a in range(2):
+            at_z = 2 * i + a
+            z[at_z] = E[0, a] * b[0] + E[1, a] * b[1] + E[2, a] * b[2]
+            for c in range(3):
+                H[at_z, c] = before[a, c]
+                H[at_z, 3 + c] = along[a, c] * t
+                H[at_z, 6 + c] = 0.5 * along[a, c] * t * t
+            at = MAP_OFFSET + 2 * columns[i] + a
+            for j in range(n):
+                HP[at_z, j] = P[at, j] + H[at_z, 0] * P[0, j] + H[at_z, 1] * P[1, j] + H[at_z, 2] * P[2, j]
+            if t != 0.0:
+                for c in range(3, KINEMATIC_DIM):
+                    for j in range(n):
+                        HP[at_z, j] += H[at_z, c] * P[c, j]
+            if any_considered:
+                for c in range(MAP_OFFSET - KINEMATIC_DIM):
+                    if P[KINEMATIC_DIM + c, KINEMATIC_DIM + c] > 0.0:
+                        for j in range(n):
+                            HP[at_z, j] += considered[at_z, c] * P[KINEMATIC_DIM + c, j]
+    for i in range(2 * k):
+        for m in range(k):
+            for a in range(2):
+                j = 2 * m + a
+                value = HP[i, MAP_OFFSET + 2 * columns[m] + a]
+                for c in range(KINEMATIC_DIM if delay[rows[m]] != 0.0 else 3):
+                    value += HP[i, c] * H[j, c]
+                if any_considered:
+                    for c in range(MAP_OFFSET - KINEMATIC_DIM):
+                        value += HP[i, KINEMATIC_DIM + c] * considered[j, c]
+                S[i, j] = value
+    for i in range(k):
+        for a in range(2):
+            for b in range(2):
+                value = 0.0
+                for c in range(3):
+                    for d in range(3):
+                        value += axes[i, c, a] * noise[rows[i], c, d] * axes[i, d, b]
+                S[2 * i + a, 2 * i + b] += value
+            S[2 * i + a, 2 * i + a] += curvature
+    for i in range(2 * k):
+        for j in range(i):
+            mean = 0.5 * (S[i, j] + S[j, i])
+            S[i, j] = mean
+            S[j, i] = mean
+    return H, HP, z, S
 
 
 @njit(cache=True, error_model="numpy")
@@ -224,3 +318,59 @@ def consistent(z, S, limit):
         keep[at[2 * worst] // 2] = False
         left -= 1
     return keep
+
+
+@njit(cache=True, error_model="numpy")
+def curvature(P, added):
+    """Return the variance, rad², of what the linear model omits: a turn e moves p by e x p + e (e . p) / 2 + ...
+
+    At the start, with the rate unknown, it exceeds the image noise many times. In tracking it is negligible.
+    """
+    spread = (P[0, 0] + P[1, 1] + P[2, 2] + added[0, 0] + added[1, 1] + added[2, 2]) / 3.0
+    return min(spread, _WIDE * _WIDE) ** 2
+
+
+@njit(cache=True, error_model="numpy")
+def pair(
+    attitude, rate, acceleration, discs, basis, P, towards, horizon, added, gate, direction, noise, delay, row, by_pose,
+    by_ball, radius,
+):  # fmt: skip
+    """Return the one-to-one pairs of least total distance of points and visible discs, as rows and columns.
+
+    Pairs that contradict the others are left out. Also returns the greatest possible number of pairs, whether no other
+    pair was possible, whether all pairs lie in their places, whether they agree with one another, and the innovation of
+    all. `towards`, (3,) obj, points to the camera, which sees what lies above the cosine `horizon` with it.
+    """
+    which = np.flatnonzero(discs @ (towards @ attitude) > horizon)
+    body, seen = (attitude, rate, acceleration, discs, basis), (direction, noise, delay, row, by_pose, by_ball, radius)
+    allowance = curvature(P, added)
+    distance, plain = distances(*body, P, which, added, allowance, gate, *seen)
+    worth = gate - distance
+    column = match(np.where(worth > 0.0, worth, -1.0)) if len(which) else np.full(len(direction), -1)
+    rows = np.flatnonzero(column >= 0)
+    columns, total = which[column[rows]], 0.0
+    for i in rows:
+        total += distance[i, column[i]]
+    fits = total < 4.0 * max(len(rows), 1) + 10.0
+    H, HP, z, S = innovation(*body, P, rows, columns, allowance, *seen)
+    keep = np.ones(len(rows), dtype=np.bool_)
+    if len(rows) > 1:
+        keep = consistent(z, S + H @ added @ H.T, 1.5 * gate)
+    agree, possible = bool(keep.all()), min(len(direction), len(which))
+    return rows[keep], columns[keep], possible, plain, fits and agree, agree, (H, HP, z, S)
+
+
+@njit(cache=True, error_model="numpy")
+def leaves_a_pair(
+    attitude, rate, acceleration, discs, basis, P, which, added, gate, rows, columns, direction, noise, delay, row,
+    by_pose, by_ball, radius,
+):  # fmt: skip
+    """Return whether a point and a disc that are in no pair of `rows` and `columns` lie within the gate."""
+    body, seen = (attitude, rate, acceleration, discs, basis), (direction, noise, delay, row, by_pose, by_ball, radius)
+    distance, _ = distances(*body, P, which, added, 0.0, gate, *seen)
+    for i in range(len(distance)):
+        if not np.any(rows == i):
+            for j in range(len(which)):
+                if distance[i, j] < gate and not np.any(columns == which[j]):
+                    return True
+    return False

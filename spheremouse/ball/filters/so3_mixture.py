@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3 import Pairing, So3Filter
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.points import SpherePoints
@@ -78,7 +78,9 @@ def update_hypotheses(
     for _, node, value in kept:
         may_start = (proven | (few and len(node.rows) < 2)) & extend_map
         hypotheses.append(
-            Hypothesis(filter_.keep_map(node.state, points, node.rows, node.columns, may_start), value - total)
+            Hypothesis(
+                filter_.keep_map(node.state, points, _pairing(node.rows, node.columns), may_start), value - total
+            )
         )
     return tuple(hypotheses)
 
@@ -94,7 +96,7 @@ def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints, 
     distance, which = filter_.candidate_distances(predicted, points, gate, widest=True)
     choices = np.count_nonzero(distance < gate, axis=1)
     choices[np.argsort(np.where(choices > 0, choices, len(which) + 1), kind="stable")[_MAX_SEARCHED:]] = 0
-    nodes = [_Node((), (), filter_.correct(predicted, points, (), ())[0], 0.0)]
+    nodes = [_Node((), (), filter_.correct(predicted, points, _pairing((), ()))[0], 0.0)]
     for done, row in enumerate(np.argsort(choices, kind="stable"), 1):
         grown: list[_Node] = []
         for node in nodes:
@@ -141,9 +143,13 @@ def _node(
     columns: tuple[int, ...],
     log_unpaired: float,
 ) -> _Node:
-    state, evidence = filter_.correct(predicted, points, rows, columns)
+    state, evidence = filter_.correct(predicted, points, _pairing(rows, columns))
     detected = float(np.sum(np.log(np.maximum(filter_.detection_probability(state)[list(columns)], _LEAST_DETECTED))))
     return _Node(rows, columns, state, evidence + detected + log_unpaired)
+
+
+def _pairing(rows: tuple[int, ...], columns: tuple[int, ...]) -> Pairing:
+    return Pairing(np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp))
 
 
 def new_density(filter_: So3Filter, state: So3State, seen: int) -> float:

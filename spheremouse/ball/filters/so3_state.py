@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import so3_update as kernel
-from spheremouse.ball.filters.so3_predict import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
-from spheremouse.ball.filters.so3_visibility import HIDDEN_SHARE
+from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
+from spheremouse.ball.filters.so3_sightings import HIDDEN_SHARE
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
 
@@ -52,6 +52,11 @@ class So3State:
     def is_roughly_known(self) -> bool:
         """Return whether the attitude is better than a guess."""
         return bool(np.linalg.eigvalsh(self.joint[:3, :3])[-1] < 1.0)
+
+    @property
+    def body(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Attitude, rate, acceleration, discs and their axes, as `so3_match` takes them."""
+        return self.attitude, self.rate, self.acceleration, self.discs, self.basis
 
     @property
     def covariance(self) -> Array:
@@ -173,7 +178,7 @@ def inject(
 
 def drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
     """Forget the discs that are not in a mask, (m,)."""
-    if np.all(keep):
+    if keep.all():
         return state
     rows = np.concatenate([np.ones(MAP_OFFSET, dtype=bool), np.repeat(keep, 2), np.ones(CLONE_DIM, dtype=bool)])
     return replace(
@@ -193,6 +198,8 @@ def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radi
     d = R^T b; a rotation error e turns it by R^T (b x e), an error of pose or ball by R^T db: the inverse observation
     of EKF-SLAM, which Wittich 2017, eq. 171 leaves out.
     """
+    if len(index) == 0:
+        return state
     points = points.take(index)
     b, k, n = points.direction, len(index), len(state.joint) - CLONE_DIM
     late = delays(points, state)

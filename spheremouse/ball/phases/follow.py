@@ -19,7 +19,7 @@ from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_mixture import Hypothesis, update_hypotheses
-from spheremouse.ball.filters.so3_state import So3State, augment
+from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.state import F, Tracker, Tracking, TrackState, no_points
 from spheremouse.geometry.rotation import rotation_between
@@ -34,7 +34,7 @@ _CERTAIN = math.log(0.999)  # log probability from which the most probable attit
 _KNOWN_SIGMA = 0.02  # rad per axis, up to which one disc alone holds the attitude: half a disc's width
 IDENTIFY_SIGMA = 0.003  # rad, of a direction when the map is searched; at a tenth any disc may be any other
 
-AddLandmarks = Callable[[F, SpherePoints, NDArray[np.intp], Tracker], F]  # the filter with some of the points as discs
+AddLandmarks = Callable[[F, SpherePoints, NDArray[np.intp]], F]  # the filter with some of the points as discs
 
 
 def detect_everywhere(
@@ -83,20 +83,8 @@ def follow(
             return replace(state, filter=found[0], alternatives=(), confirmed=True, supported_at=stamp)
     if state.alternatives:  # the attitude by which candidates would be judged is in doubt
         return state
-    return classify_unmatched(state, stamp, tracker, predicted, _with_discs)
-
-
-def _with_discs(
-    filter_state: So3State, points: SpherePoints, which: NDArray[np.intp], tracker: Tracker[So3Filter]
-) -> So3State:
-    """With those points that have just shown to turn with the ball as discs: the next frame may show no other."""
-    f = tracker.filter
-    apart = np.cos(2.0 * f.disc_angle)  # two discs do not overlap: nearer to a known one it is that one, badly seen
-    for k in which:
-        known = filter_state.discs @ (points.direction[k] @ filter_state.attitude)
-        if np.max(known, initial=-1.0) < apart and len(filter_state.discs) < f.settings.most_discs:
-            filter_state = augment(filter_state, points, np.array([k]), f.radius)
-    return filter_state
+    # a point that has just shown to turn with the ball is a disc at once: the next frame may show no other
+    return classify_unmatched(state, stamp, tracker, predicted, tracker.filter.with_discs)
 
 
 def updated_hypotheses(
@@ -234,7 +222,7 @@ def all_are_discs(state: TrackState) -> bool:
 
 
 def classify_unmatched(
-    state: TrackState[F], stamp: float, tracker: Tracker, predicted: F, take_up: AddLandmarks[F]
+    state: TrackState[F], stamp: float, tracker: Tracker, predicted: F, with_discs: AddLandmarks[F]
 ) -> TrackState[F]:
     """Classify the points without a disc: they turn with the ball, stand still, or do neither yet."""
     points, centre, confirmed = state.points, state.detections.centre[state.points.index], state.confirmed
@@ -254,7 +242,7 @@ def classify_unmatched(
     )
     if not confirmed:  # a hand may have stopped the ball, so only moving candidates count
         lookalikes = replace(lookalikes, masks=state.lookalikes.masks, mask_seen=state.lookalikes.mask_seen)
-    posterior = take_up(posterior, points, np.flatnonzero(other)[turning], tracker)
+    posterior = with_discs(posterior, points, np.flatnonzero(other)[turning])
     if len(posterior.discs) > len(predicted.discs):
         lookalikes = static.without_landmarks(lookalikes, posterior.discs, rig.disc_radius / rig.ball.radius)
     return replace(state, filter=posterior, lookalikes=lookalikes)

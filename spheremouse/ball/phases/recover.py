@@ -8,7 +8,7 @@ from spheremouse.ball import centre_offset
 from spheremouse.ball.centre_offset import CentreOffset, KnownDiscs
 from spheremouse.ball.events import BallLost, NewMap, OutOfRound, Recognised, Why
 from spheremouse.ball.filters.so3 import So3Filter, relocate
-from spheremouse.ball.filters.so3_predict import CLONE_DIM, MAP_OFFSET
+from spheremouse.ball.filters.so3_motion import CLONE_DIM, MAP_OFFSET
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import So3State, delays
 from spheremouse.ball.phases.follow import IDENTIFY_SIGMA, recognised_attitude, updated_hypotheses

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from spheremouse.ball.detect.detections import Detections
-from spheremouse.ball.filters.so3 import So3Filter, relocate
-from spheremouse.ball.filters.so3_predict import CLONE_DIM, CONSIDERED_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
+from spheremouse.ball.filters.so3 import Pairing, So3Filter, relocate
+from spheremouse.ball.filters.so3_motion import CLONE_DIM, CONSIDERED_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS, PERSISTENCE_S, So3Settings
 from spheremouse.ball.filters.so3_state import augment, inject
 from spheremouse.ball.points import SpherePoints, intersect
@@ -133,12 +133,12 @@ def test_the_innovation_depends_on_the_state_as_its_jacobian_says():
     columns = np.flatnonzero(p[:, 2] > HORIZON)[:4]
     points = points_at(p[columns], rng=np.random.default_rng(1))
     rows = np.arange(len(columns))
-    H, HP, _, _ = FILTER._innovation(state, points, rows, columns, STILL)
+    H, HP, _, _ = FILTER.innovation(state, points, Pairing(rows, columns))
     h = 1e-6
     assert_allclose(HP[:, :KINEMATIC_DIM], H)
     for i in np.delete(np.arange(len(state.joint)), np.arange(KINEMATIC_DIM, READOUT)):
         e = h * np.eye(len(state.joint))[i]
-        z = [FILTER._innovation(inject(state, s * e), points, rows, columns, STILL)[2] for s in (1, -1)]
+        z = [FILTER.innovation(inject(state, s * e), points, Pairing(rows, columns))[2] for s in (1, -1)]
         assert_allclose(-(z[0] - z[1]) / (2 * h), HP[:, i], atol=2e-3)  # the axes turn with the state: second order
 
 
@@ -786,13 +786,13 @@ def test_innovation_and_founding_depend_on_pose_and_ball_as_finite_differences_s
     state = inject(state, 1e-5 * np.random.default_rng(23).normal(size=len(state.joint)))  # not zero innovations
     rows = columns = np.arange(len(d))
     known = replace(state, joint=np.eye(len(state.joint)))  # then H @ joint is H
-    _, H, _, _ = consider._innovation(known, points, rows, columns, STILL)
+    _, H, _, _ = consider.innovation(known, points, Pairing(rows, columns))
     bare = replace(known, discs=np.zeros((0, 3)), basis=np.zeros((0, 3, 2)), joint=np.eye(MAP_OFFSET + CLONE_DIM))
     founded = augment(bare, points, rows, RADIUS)
     h = 1e-5
     for i in range(CONSIDERED_DIM):
         ends = [intersect(seen_at, *other(rig, pose, s * h * np.eye(CONSIDERED_DIM)[i])) for s in (1, -1)]
-        z = [consider._innovation(known, p, rows, columns, STILL)[2] for p in ends]
+        z = [consider.innovation(known, p, Pairing(rows, columns))[2] for p in ends]
         # the pose assumed is the truth less the error: what is seen moves against it
         assert_allclose(
             -(z[0] - z[1]) / (2 * h), H[:, KINEMATIC_DIM + i], atol=1e-4 * np.abs(H[:, KINEMATIC_DIM + i]).max()
@@ -912,7 +912,7 @@ def test_without_the_delays_the_attitude_is_wrong():
 @pytest.mark.parametrize("rate", [pytest.param(0.1 * FLICK, id="slow"), pytest.param(FLICK, id="flick")])
 def test_innovation_with_a_delay_depends_on_rotation_and_rate_as_finite_differences_say(rate):
     state, points, rows, columns = _delayed(rate)
-    H, _, _, _ = FILTER._innovation(state, points, rows, columns, STILL)
+    H, _, _, _ = FILTER.innovation(state, points, Pairing(rows, columns))
     slope = _slope(state, points, rows, columns)
     # the axes turn with the state: second order in z, which is zero but for the noise
     assert_allclose(H[:, :3], slope[:, :3], atol=0.03)
@@ -921,7 +921,7 @@ def test_innovation_with_a_delay_depends_on_rotation_and_rate_as_finite_differen
 
 def test_innovation_with_a_delay_depends_on_acceleration_as_finite_differences_say():
     state, points, rows, columns = _delayed(0.1 * FLICK)
-    H, _, _, _ = FILTER._innovation(state, points, rows, columns, STILL)
+    H, _, _, _ = FILTER.innovation(state, points, Pairing(rows, columns))
     slope = _slope(state, points, rows, columns)
     assert np.abs(H[:, 6:]).max() > 5e-5  # half of (15 ms)²
     assert_allclose(H[:, 6:], slope[:, 6:KINEMATIC_DIM], atol=0.05 * np.abs(H[:, 6:]).max())
@@ -943,7 +943,7 @@ def _slope(state, points, rows, columns, h=1e-6):
     for i in range(KINEMATIC_DIM):
         e = h * np.eye(len(state.joint))[i]
         step = 1.0 if i < 6 else 1e3  # half of (15 ms)²: too small a slope for the same step
-        z = [FILTER._innovation(inject(state, s * step * e), points, rows, columns, STILL)[2] for s in (1, -1)]
+        z = [FILTER.innovation(inject(state, s * step * e), points, Pairing(rows, columns))[2] for s in (1, -1)]
         out.append(-(z[0] - z[1]) / (2 * h * step))
     return np.stack(out, axis=1)
 
@@ -1026,8 +1026,8 @@ def test_innovation_and_founding_depend_on_the_readout_as_finite_differences_say
     points = replace(points_at(turned), delay=0.01 * row, row=row)  # the rig says 10 ms
     rows, h = np.arange(len(columns)), 1e-5
     ends = [replace(state, readout=readout + s * h) for s in (1, -1)]
-    _, HP, _, _ = FILTER._innovation(state, points, rows, columns, STILL)
-    z = [FILTER._innovation(end, points, rows, columns, STILL)[2] for end in ends]
+    _, HP, _, _ = FILTER.innovation(state, points, Pairing(rows, columns))
+    z = [FILTER.innovation(end, points, Pairing(rows, columns))[2] for end in ends]
     slope = -(z[0] - z[1]) / (2 * h)
     assert np.abs(slope).max() > 0.2 * np.linalg.norm(rate)
     assert_allclose(HP[:, READOUT], slope, atol=1e-4 * np.abs(slope).max())
@@ -1159,7 +1159,7 @@ def test_a_large_correction_is_nearer_to_the_truth_than_one_step_of_it():
         after = FILTER.update(wrong, points, np.zeros(5, dtype=bool))
         assert len(after.used) >= 4
         rows, columns = np.arange(5), np.argmax(points.direction @ state.discs.T, axis=1)
-        _, HP, z, S = FILTER._innovation(wrong, points, rows, columns, STILL)
+        _, HP, z, S = FILTER.innovation(wrong, points, Pairing(rows, columns))
         dx = HP.T @ np.linalg.solve(S, z)
         iterated.append(np.linalg.norm(log(after.attitude)))
         single.append(np.linalg.norm(log(exp(dx[:3]) @ wrong.attitude)))

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import So3Filter, relocate
-from spheremouse.ball.filters.so3_predict import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
+from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS, So3Settings
 from spheremouse.ball.filters.so3_state import So3State, augment, consider, drop, inject, with_map
 from spheremouse.ball.points import SpherePoints

@@ -8,6 +8,7 @@ from conftest import directions
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections
+from spheremouse.ball.filters.so3 import Pairing
 from spheremouse.ball.filters.so3_mixture import Hypothesis, update_hypotheses
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import Ball, Rig, Targets
@@ -191,5 +192,5 @@ def test_one_disc_leaves_a_known_twist_alone():
     predicted = tracker.filter.predict(turning, turning.stamp + DT)
     points = intersect(photo(predicted.attitude, discs, rng), RIG, POSE)
     which = int(np.argmax(points.direction @ axis))
-    corrected, _ = tracker.filter.correct(predicted, points, (which,), (column,))
+    corrected, _ = tracker.filter.correct(predicted, points, Pairing(np.array([which]), np.array([column])))
     assert abs(corrected.rate @ axis - 2.0) < 0.1

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
-from spheremouse.ball.filters import so3_steps
+from spheremouse.ball.filters import so3_motion
 
 DT = 1.0 / 30.0
 VARIANCES = np.array([0.1, 2.0, 30.0]) ** 2
@@ -46,7 +46,7 @@ def test_the_moments_are_those_of_conditioning_each_hypothesis(delayed):
         z = 1e-4 * rng.normal(size=8) + H[:, :3] @ (2e-3 * rng.normal(size=3))
         mean, covariance, levels, likelihood = conditioned(H, S, z, acceleration, DT, 0.2, weights)
         Si = np.linalg.inv(S)
-        found = so3_steps.posterior(H.T @ Si @ H, H.T @ Si @ z, acceleration, (DT, 0.2, VARIANCES), weights)
+        found = so3_motion.posterior(H.T @ Si @ H, H.T @ Si @ z, acceleration, (DT, 0.2, VARIANCES), weights)
         scale = np.sqrt(np.diag(covariance))
         assert_allclose(found[0] / scale, mean / scale, atol=1e-4)
         assert_allclose(found[1] / np.outer(scale, scale), covariance / np.outer(scale, scale), atol=1e-4)
@@ -57,7 +57,7 @@ def test_the_moments_are_those_of_conditioning_each_hypothesis(delayed):
 
 def test_without_an_interval_there_is_no_step():
     weights = np.array([0.5, 0.3, 0.2])
-    mean, covariance, *_ = so3_steps.posterior(np.eye(9), np.ones(9), np.ones(3), (0.0, 0.2, VARIANCES), weights)
+    mean, covariance, *_ = so3_motion.posterior(np.eye(9), np.ones(9), np.ones(3), (0.0, 0.2, VARIANCES), weights)
     assert not np.any(np.abs(mean) > 1e-12)
     assert not np.any(np.abs(covariance) > 1e-12)
     assert_allclose(weights, [0.5, 0.3, 0.2])

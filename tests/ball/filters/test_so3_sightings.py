@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spheremouse.ball.filters.so3_visibility import HIDDEN_SHARE, carry_hidden, detection_probability, update_hidden
+from spheremouse.ball.filters.so3_sightings import HIDDEN_SHARE, carry_hidden, detection_probability, update_hidden
 
 TOWARDS, HORIZON, DISC_ANGLE = np.array([0.0, 0.0, 1.0]), 0.25, 0.035
 FACING, STILL, NONE = np.array([[0.0, 0.0, 1.0]]), np.zeros(3), np.zeros(0, dtype=np.intp)

@@ -1,5 +1,6 @@
-"""Probability that a disc is detected: it faces the camera, nothing hides it, and the detector finds it.
+"""Sightings of the discs on the map: how likely a disc is detected, and which discs enter and leave the map.
 
+A disc is detected if it faces the camera, nothing hides it, and the detector finds it.
 A disc is hidden or not, as a Markov chain of two states with an observation in each frame (Thrun, Burgard and Fox 2005,
 section 4.2, the binary Bayes filter). A strut or a hand hides a disc until one of them moves. So a disc that is missed
 again and again while the ball rests counts once: repeated views of a still scene are not independent.
@@ -11,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS, MAX_MISSES_PER_HIT, MAX_TRIAL_MISSES
 from spheremouse.geometry.rotation import Array
 
 HIDDEN_SHARE = 0.2  # of the discs that face the camera: struts and hands before them
@@ -52,6 +54,7 @@ def carry_hidden(attitude: Array, rate: Array, discs: Array, hidden: Array, dt: 
     return carried
 
 
+@njit(cache=True, error_model="numpy")
 def update_hidden(hidden: Array, probability: Array, seen: NDArray[np.intp]) -> Array:
     """Return the probabilities, (m,), that something hides each disc, after a frame that shows the discs `seen`.
 
@@ -60,6 +63,50 @@ def update_hidden(hidden: Array, probability: Array, seen: NDArray[np.intp]) -> 
     updated = hidden / (1.0 - probability)
     updated[seen] = 0.0
     return updated
+
+
+@njit(cache=True, error_model="numpy")
+def count_sightings(attitude, discs, hits, missed, hidden, towards, horizon, columns, any_point):
+    """Count a frame that shows the discs `columns` in their places, and whether it shows `any_point` at all.
+
+    `hits` are sightings, `missed` misses in a row, and `hidden` probabilities of something before the disc, (m,) each.
+    Returns the three after the frame, a mask, (m,), of the discs to keep, the number of established discs seen, and
+    the expected number of those missed.
+    """
+    seen = np.zeros(len(discs), dtype=np.bool_)
+    seen[columns] = True
+    # a disc near the horizon is often too thin to be detected, and a frame without a point misses no disc in particular
+    well = discs @ (towards @ attitude) > horizon + 0.5 * (1.0 - horizon)
+    misses = well & ~seen & any_point
+    probability = detection_probability(attitude, discs, hidden, towards, horizon)
+    established = hits >= ESTABLISHED_HITS
+    known_seen, known_missed = np.count_nonzero(seen & established), np.sum(probability[misses & established])
+    hits, missed = hits + seen, np.where(seen, 0, missed + misses)
+    limit = np.where(hits < ESTABLISHED_HITS, float(MAX_TRIAL_MISSES), MAX_MISSES_PER_HIT * hits)
+    return hits, missed, update_hidden(hidden, probability, columns), missed < limit, known_seen, known_missed
+
+
+@njit(cache=True, error_model="numpy")
+def new_discs(attitude, discs, direction, free, rows, apart):
+    """Return the points, (k,), of a mask `free` (n,) that are no disc of the map, by their directions, (n, 3) obj.
+
+    The points `rows` are paired with discs. Two discs do not overlap. A point whose cosine with a known disc exceeds
+    `apart` is that disc, badly seen. Of two points that close to each other, the first counts.
+    """
+    place = np.empty((len(discs) + len(direction), 3))
+    for k in range(len(discs)):
+        for i in range(3):
+            place[k, i] = attitude[i, 0] * discs[k, 0] + attitude[i, 1] * discs[k, 1] + attitude[i, 2] * discs[k, 2]
+    new, known = np.empty(len(direction), dtype=np.intp), len(discs)
+    for i in range(len(direction)):
+        b, is_new = direction[i], free[i] and not np.any(rows == i)
+        for k in range(known):
+            is_new = is_new and place[k, 0] * b[0] + place[k, 1] * b[1] + place[k, 2] * b[2] < apart
+        if is_new:
+            new[known - len(discs)] = i
+            place[known] = b
+            known += 1
+    return new[: known - len(discs)]
 
 
 @njit(cache=True, error_model="numpy")
