@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from spheremouse import __version__
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError, SpheremouseError
 
@@ -24,7 +25,7 @@ from experiments import NAMES
 if TYPE_CHECKING:
     from experiments.kit.job import Job, Result
 
-_FIGURES = re.compile(r"^```\{figure\}.*?^```$\n", re.MULTILINE | re.DOTALL)
+_LINKS = re.compile(r"^!?\[.*\]\(experiments/.*\)\n", re.MULTILINE)
 
 
 def experiments(
@@ -46,14 +47,15 @@ def experiments(
 ) -> None:
     """Repeat the experiments of the theses, and those they left open, on all cores.
 
-    DIR/experiments/jobs keeps the result of each film until the program changes, so an interrupted run continues. The
-    report lists failures under their experiment, and the exit code is 1.
+    DIR/experiments/jobs keeps the result of each film until the program changes, so an interrupted run continues.
+    DIR/experiments.md has the sections of this run and, of other experiments, those of earlier runs. The report lists
+    failures under their experiment, and the exit code is 1.
     """
     from rich.console import Console
     from rich.markdown import Markdown
 
     from experiments.kit.job import Request
-    from experiments.report.page import numbers_of, said, write_report
+    from experiments.kit.render import write_page, write_section
 
     chosen = _chosen(names)
     _check(cores, datasets)
@@ -62,23 +64,20 @@ def experiments(
     modules = {name: import_module(f"experiments.{name}") for name in chosen}
     jobs = {name: module.jobs(request) for name, module in modules.items()}
     results = _worked(jobs, folder, cores or os.cpu_count() or 1, again)
-    reports = {name: import_module(f"experiments.report.{name}") for name in chosen}
-    sections = {name: said(name, report.page, results[name]) for name, report in reports.items()}
-    numbers = {name: numbers_of(report, results[name]) for name, report in reports.items()}
     console = Console(highlight=False)
-    for section in sections.values():
-        console.print(Markdown(_FIGURES.sub("", section.text)))
-    words = ["python docs/experiments", *(names or ()), *(["--quick"] if quick else [])]
-    written = write_report(
-        out, sections, numbers, " ".join([*words, *(["--datasets DIR"] if datasets else []), "--out DIR"])
-    )
+    words = [*(names or ()), *(["--quick"] if quick else []), *(["--datasets DIR"] if datasets else []), "--out DIR"]
+    made = f"Made by `{' '.join(['python docs/experiments', *words])}`, spheremouse {__version__}."
+    made += " This is a quick run, mostly with one short film instead of several; not to be quoted." if quick else ""
+    for name, module in modules.items():
+        doubts = write_section(out / "experiments", name, module, results[name], made)
+        console.print(Markdown(_LINKS.sub("", (out / "experiments" / f"{name}.md").read_text("utf-8"))))
+        if doubts:
+            print(f"{name}: {doubts} of its sentences are not borne out by this run; the page marks them")
+    page = write_page(out, NAMES)
     failed = [f"{name}/{key}: {r['error']}" for name, of in results.items() for key, r in of.items() if "error" in r]
-    for name, section in sections.items():
-        if section.doubts:
-            print(f"{name}: {section.doubts} of its sentences are not borne out by this run; the page marks them")
     for line in failed:
         console.print(f"failed: {line}", markup=False)
-    print(f"{written[0]}: written, with {len(written) - 1} files beside it; what each film gave is kept in {folder}")
+    print(f"{page}: written; its figures, its numbers and the result of each film are in {folder.parent}")
     if failed:
         raise typer.Exit(1)
 

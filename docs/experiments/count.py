@@ -4,21 +4,39 @@ Wittich 2017, section 4.7, table 20: 26, 50 and 74 discs (sets S1, S2, S3); here
 """
 
 import numpy as np
+import pandas as pd
 
 from experiments.kit import detections
 from experiments.kit.film import TRACKERS, bound_rms, film_of, options_of, settings_of, tracked
-from experiments.kit.job import Job, Request, Result
+from experiments.kit.job import Job, Request, Result, Results
+from experiments.kit.render import (
+    ATTITUDE,
+    AXES,
+    ERRORS,
+    RATE,
+    Claim,
+    Part,
+    Plot,
+    Table,
+    by,
+    filter_rows,
+    lengths,
+    rms,
+    tidy,
+    where,
+)
 from spheremouse.evaluate.bound import Bound
 from spheremouse.evaluate.metrics import Run, run_bound
 from spheremouse.simulate.ball.film import prepare
 
+TITLE = "Number of discs (Wittich 2017, table 20)"
 COUNTS = (6, 10, 16, 26, 36, 50, 74, 100)
 LAYOUTS = (0, 1, 2)
 _KNOWN = 1.0  # rad/s, standard deviation of a rate of which something is known
 FAR_OFF = 1.0  # °, an attitude that is lost
 STORED = {26: 4.9, 50: 8.9, 74: 14.5}
-ATTITUDE = {26: (0.100, 0.086, 0.122), 50: (0.070, 0.067, 0.083), 74: (0.040, 0.056, 0.080)}  # °
-RATE = {26: (0.595, 0.481, 0.773), 50: (0.551, 0.407, 0.624), 74: (0.456, 0.406, 0.561)}  # °/s
+ATTITUDE_20 = {26: (0.100, 0.086, 0.122), 50: (0.070, 0.067, 0.083), 74: (0.040, 0.056, 0.080)}  # °
+RATE_20 = {26: (0.595, 0.481, 0.773), 50: (0.551, 0.407, 0.624), 74: (0.456, 0.406, 0.561)}  # °/s
 
 
 def jobs(request: Request) -> list[Job]:
@@ -55,3 +73,49 @@ def _where_known(limit: Bound | None) -> Bound | None:
 
 def key_of(discs: int, layout: int) -> str:
     return f"{discs}-{layout}"
+
+
+# ---- section ----
+
+
+def section(results: Results) -> list[Part]:
+    """Table 20, and errors against the number of discs."""
+    records = []
+    for key, result in results.items():
+        discs, layout = map(int, key.split("-"))
+        records += filter_rows({"discs": discs, "layout": layout}, result["rows"], result["bound"])
+    columns = {"discs": "discs", "layout": "films", "filter": "filter", "mean_discs": "used per frame"}
+    columns |= {"detection.centre_rms_px": "centres, px", "lost_episodes": "times lost", **ERRORS, **AXES}
+    runs = tidy(records, columns)
+    how = {"films": "size", "used per frame": "mean", "centres, px": "mean", ATTITUDE: rms, RATE: rms}
+    means = by(runs, ["discs", "filter"], {**how, "times lost": "sum"})
+    typed = [[n, "thesis, EKF2", STORED[n], *ATTITUDE_20[n], *RATE_20[n]] for n in STORED]
+    thesis = pd.DataFrame(typed, columns=["discs", "filter", "used per frame", *AXES.values()])
+    names = list(AXES.values())
+    thesis = thesis.assign(**{ATTITUDE: lengths(thesis, names[:3]), RATE: lengths(thesis, names[3:])})
+    first = where(runs, films=0, discs=list(STORED), filter=list(TRACKERS))
+    both = pd.concat([thesis, first])[["discs", "filter", "used per frame", *names]]
+    filters = means[means["filter"] != "bound"].groupby("discs")[ATTITUDE]
+    known = filters.max().get(16, np.nan) < FAR_OFF < filters.min().get(10, np.nan)
+    return [
+        Table(
+            "RMSE per axis on the first layout (table 20; the thesis counts stored discs)",
+            both.sort_values("discs", kind="stable"),
+            ["discs"],
+        ),
+        Table("Combined RMSE by the number of discs, over the films", means, ["discs", "films"]),
+        Claim(
+            "With ten discs or fewer no filter knows the attitude to 1°, with 16 all do. A single disc in view "
+            "leaves the rotation about itself open.",
+            known,
+        ),
+        Plot(
+            "count",
+            "Errors against the number of discs, and the bound for the centres that `so3` measured.",
+            pd.concat([runs, thesis]),
+            "discs",
+            [ATTITUDE, RATE],
+            "filter",
+            log="xy",
+        ),
+    ]

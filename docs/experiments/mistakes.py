@@ -1,18 +1,29 @@
 """A calibration that is wrong: lens distortion left uncorrected, an evening with a tape measure and a good eye.
 
-The effect on attitude, rate and mouse: its scale, its direction, and errors that no setting corrects. Wittich
-2017, sections 4.10 and 5, holds that markers placed by eye and distances taken by tape do.
+Wittich 2017, sections 4.10 and 5, holds that markers placed by eye and distances taken by tape are accurate enough. The
+film is right and the rig is wrong, and so are the camera's pose and everything after it. The sent motion of the pointer
+is compared with the true one: how much faster it goes (scale), its angle in the worst direction, and the remaining
+error (wobble), which no setting can correct. `ekf1` and `ekf2` get the true acceleration. `so3, no lift` is not asked
+whether the ball was lifted, `so3, told` knows how uncertain the lengths are.
+
+In an evening everything is wrong at once: the focal length by 3 % (one standard deviation), the principal point by
+6 px, the radius by 2 mm, the ball's centre by 10 mm, the targets by 3 mm in each coordinate, and an unknown lens. A rig
+counts as lost if no pose is found or the film is lost. It is good if the pointer is straight to 2°, steady to 5 %, and
+the ball never lost.
 """
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from experiments.kit import detections
 from experiments.kit import film as kit
-from experiments.kit.job import Job, Request, Result
-from experiments.kit.tour import SHARE, brief, filmed, least, moved, suited
+from experiments.kit.job import Job, Request, Result, Results
+from experiments.kit.render import ATTITUDE, RATE, Claim, Part, Plot, Table, by, tidy, where
+from experiments.kit.tour import FAR_OFF, FOLLOWED, SHARE, brief, filmed, least, moved, suited
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import Truth
 from spheremouse.errors import PoseError
@@ -20,6 +31,7 @@ from spheremouse.evaluate.metrics import Run, surface_travel
 from spheremouse.geometry.conics import project_sphere
 from spheremouse.geometry.rotation import Array, log
 
+TITLE = "A calibration that is wrong (Wittich 2017, chapter 5)"
 TRACKERS = kit.TRACKERS
 FREE = "so3, no lift"  # not asked whether the ball was lifted off its bearings
 TOLD = "so3, told"  # how uncertain the lengths are
@@ -256,3 +268,116 @@ def _compared(sent: Array, made: Array) -> dict[str, float] | None:
         "spin": 100.0 * float(np.linalg.norm(A[:, 2])),
         "wobble": 100.0 * float(np.linalg.norm(left) / np.linalg.norm(made[:, :2])),
     }
+
+
+# ---- section ----
+
+
+def section(results: Results) -> list[Part]:
+    """Each mistake, all together, and what may be off by how much."""
+    runs = _runs(results)
+    how = {"rigs": "size", **dict.fromkeys(_QUANTITIES.values(), "median"), "lost": "sum", "good": "sum"}
+    medians = by(runs.assign(rigs=0), ["mistake", "size", "filter"], how)
+    wrong = runs[runs["size"] != 0.0]
+    lost = (where(wrong, mistake=[KINDS[name].label for name in ALONE])).groupby("filter")["lost"].sum()
+    both = medians[medians["size"] != 0.0].pivot(index=["mistake", "size"], columns="filter", values="wobble, %")
+    both = both.reindex(columns=["so3", "ekf2"]).dropna()
+    more = (both["so3"] > both["ekf2"]).groupby(level="mistake", sort=False).mean()
+    evening = where(medians, mistake=KINDS["evening"].label, size=1.0).set_index("filter")
+    return [
+        *(
+            Table(f"{label} (medians)", rows.drop(columns="mistake"), ["size", "rigs"])
+            for label, rows in medians.groupby("mistake", sort=False)
+        ),
+        Table("The largest size up to which all rigs are good (– if even the least is too much)", _borne(wrong)),
+        Claim(
+            "`so3` loses the ball more often than `ekf2`, since it may take the ball for lifted if discs do not "
+            "turn about the rig's centre.",
+            lost.get("so3", 0) > lost.get(FREE, 0) >= lost.get("ekf2", np.inf),
+        ),
+        Claim(
+            "`so3` wobbles more than `ekf2` with a wrong focal length, radius, centre or lens. With wrong targets it "
+            "wobbles less, at most sizes.",
+            more.get(KINDS["targets"].label, 1.0) < 0.5 < more.drop(KINDS["targets"].label, errors="ignore").min(),
+        ),
+        Claim(
+            "After most evenings no filter sends a pointer that is straight and steady.",
+            len(evening) and evening["good"].max() < 0.5 * evening["rigs"].max(),
+        ),
+        *(
+            Plot(
+                f"mistakes-{name}",
+                f"Errors of {words} by mistake: medians and range of the wrong rigs.",
+                wrong,
+                "size",
+                columns,
+                "filter",
+                "mistake",
+                log="y",
+            )
+            for name, words, columns in (
+                ("errors", "attitude and rate", [ATTITUDE, RATE]),
+                ("mouse", "the pointer", ["scale off by, %", "direction, °", "wobble, %"]),
+            )
+        ),
+    ]
+
+
+_QUANTITIES = {
+    "attitude": ATTITUDE,
+    "rate": RATE,
+    "scale": "scale, %",
+    "off": "scale off by, %",
+    "direction": "direction, °",
+    "wobble": "wobble, %",
+}
+
+
+def _runs(results: Results) -> pd.DataFrame:
+    """A row for each mistake, rig and filter, in units of the labels; the right rig has size 0."""
+    records: list[dict[str, Any]] = []
+    for result in results.values():
+        for mistake, sizes in result["mistakes"].items():
+            rigs = [(0.0, result["right"]), *((float(size), rig) for size, of in sizes.items() for rig in of)]
+            for size, rig in rigs:
+                who = (*TRACKERS, FREE, TOLD) if mistake == "evening" and size else (*TRACKERS, FREE)
+                about = {
+                    "mistake": KINDS[mistake].label,
+                    "order": list(KINDS).index(mistake),
+                    "size": size * PER_UNIT[mistake],
+                }
+                records += [{**about, "filter": w, **rig.get("rows", {}).get(w, {})} for w in who]
+    columns = (
+        "mistake",
+        "order",
+        "size",
+        "filter",
+        "attitude",
+        "rate",
+        "scale",
+        "direction",
+        "wobble",
+        "lost",
+        "tracked",
+    )
+    runs = tidy(records, [*columns, "frames"]).sort_values(["order", "size"], kind="stable").drop(columns="order")
+    followed = (runs["lost"] == 0) & (runs["tracked"] >= FOLLOWED * runs["frames"])
+    good = followed & (runs["direction"] <= STRAIGHT) & (runs["wobble"] <= STEADY)
+    runs = runs.assign(off=runs["scale"].abs(), lost=~(followed & (runs["attitude"] <= FAR_OFF)), good=good)
+    return runs.rename(columns=_QUANTITIES)
+
+
+def _borne(wrong: pd.DataFrame) -> pd.DataFrame:
+    """By mistake and filter; sizes count either way."""
+    size = wrong["size"].abs()
+    good = (
+        wrong["good"]
+        .groupby([wrong["mistake"], wrong["filter"], size], sort=False)
+        .all()
+        .astype(int)
+        .sort_index(level="size")
+    )
+    so_far = good.groupby(level=["mistake", "filter"]).cummin()
+    largest = so_far[so_far == 1].reset_index("size").groupby(["mistake", "filter"])["size"].max().unstack("filter")
+    rows = largest.reindex(index=wrong["mistake"].unique(), columns=["so3", FREE])
+    return rows.assign(**{"least tried": size.groupby(wrong["mistake"]).min()}).reset_index()

@@ -2,7 +2,8 @@
 
 Wittich 2017, chapter 5, asks for as many cameras as possible. The map is the posterior Cramer-Rao bound of what a
 camera there would measure, by geometry alone: which discs are wholly in view past the device's frame, how large they
-are in the picture, and how well centres of that size are measured (which is taken from pictures first).
+are in the picture, and how well centres of that size are measured (which is taken from pictures first). The camera
+points at the middle of ball and frame. Azimuth 0° and elevation 0° are straight before the frame.
 """
 
 from collections.abc import Sequence
@@ -11,10 +12,12 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from experiments.kit import film as kit
-from experiments.kit.job import Job, Request, Result
+from experiments.kit.job import Job, Request, Result, Results
+from experiments.kit.render import ATTITUDE, RATE, Claim, Part, Plot, Table, tidy, where
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.ball.truth import VISIBLE, Truth
@@ -29,6 +32,7 @@ from spheremouse.simulate.ball.profile import thesis
 from spheremouse.simulate.ball.stations import looking
 from spheremouse.simulate.shapes import Sphere, Viewpoint, look
 
+TITLE = "Where to put the camera (Wittich 2017, chapter 5)"
 DISCS = 50
 NOISE = 3.0  # grey values
 _FPS = 30.0  # Hz
@@ -40,6 +44,7 @@ _FILL = 0.9  # share of the picture's height that the ball fills before a lens c
 _RIM = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)  # where a disc is looked at, beside its centre
 _RING = 2.5  # px across: narrower rings of targets are not found (`targets`)
 _LEAST = 15  # centres that make a size class
+POSED = 3  # targets that make a pose
 NEAR_BEST = 1.25  # times the least error: as good as the best place
 TOP = 60.0  # times the least error: more is not drawn
 LENSES = ("same lens", "ball fills the picture")
@@ -280,3 +285,135 @@ def filmed(place: Sequence[float], frames: int) -> Result:
     except PoseError as e:
         result["own pose"] = {"error": str(e)}
     return result
+
+
+# ---- section ----
+
+
+def section(results: Results) -> list[Part]:
+    """The maps, the films beside them, and where to put the camera."""
+    maps = [{"part": key.partition("-")[0], **_entry(e)} for key, r in results.items() for e in r.get("map", ())]
+    rows = tidy(maps, ["part", *_PLACE, ATTITUDE, RATE, "discs in view", "targets in view"])
+    around, along = (
+        where(rows, part=part).drop(columns="part").sort_values(ATTITUDE) for part in ("directions", "distances")
+    )
+    seen = around[around["targets in view"] >= POSED]
+    films = _films(results)
+    tracked = films[films["frames lost"] == 0]
+    posed = films["`so3`, own pose: " + ATTITUDE].notna()
+    near = 100.0 * float((around[ATTITUDE] <= NEAR_BEST * around[ATTITUDE].min()).mean())
+    best = along.groupby("lens")["distance, m"].first().reindex(LENSES)
+    sizes = next((r["noise"] for r in results.values() if "noise" in r), [])
+    noise = pd.DataFrame(sizes, columns=["area, px²", "centre RMS per axis, px", "share found", "discs"])
+    shown = along[along[ATTITUDE] <= TOP * along[ATTITUDE].min()]
+    rises = around.sort_values(["elevation, °", "azimuth, °"])
+    return [
+        Table(
+            "The best and the worst direction, of all and of those that see three targets",
+            pd.concat([around[:1], around[-1:], seen[:1], seen[-1:]]),
+        ),
+        Claim(
+            f"The direction matters little: {near:.0f} % of the directions are within "
+            f"{100 * (NEAR_BEST - 1):.0f} % of the best attitude.",
+            near > 90.0,
+        ),
+        Claim(
+            f"The targets limit the choice: three or more are visible from {len(seen)} of {len(around)} directions. "
+            "For another place, move the targets too.",
+            0 < len(seen) < len(around),
+        ),
+        *(
+            [
+                Table(
+                    "The bound by distance, straight before the frame",
+                    along.sort_values(["lens", "distance, m"]),
+                    ["lens"],
+                )
+            ]
+            if len(along)
+            else []
+        ),
+        Claim(
+            f"With one lens of {FOCAL:.0f} px there is a best distance; with a lens with which the ball fills the "
+            "picture, the farther the better.",
+            best.iloc[0] < best.iloc[1] == along["distance, m"].max(),
+        ),
+        Table("Films beside the map", films),
+        Claim(
+            "The targets gave a pose if three or more are in view by the map, and nowhere else.",
+            (posed == (films["targets in view"] >= POSED)).all(),
+        ),
+        Table(
+            "Errors of `so3` (true pose) over those of the map, in films without a lost frame",
+            _over(tracked, "`so3`, true pose: ", "map: ").describe().loc[["min", "50%", "max"]].reset_index(),
+        ),
+        Table("Noise by size, as in the map", noise),
+        *(
+            [
+                Plot(
+                    "places-directions",
+                    "The bound by the direction of the camera.",
+                    rises,
+                    "azimuth, °",
+                    [ATTITUDE, RATE],
+                    "elevation, °",
+                    log="y",
+                )
+            ]
+            if len(around)
+            else []
+        ),
+        *(
+            [
+                Plot(
+                    "places-distances",
+                    "The bound against the distance, straight before the frame.",
+                    shown,
+                    "distance, m",
+                    [ATTITUDE, RATE],
+                    "lens",
+                    log="xy",
+                )
+            ]
+            if len(along)
+            else []
+        ),
+    ]
+
+
+_PLACE = ["azimuth, °", "elevation, °", "distance, m", "focal length, px", "lens"]
+
+
+def _entry(entry: Result) -> Result:
+    place = Place(*entry["place"])
+    lens = LENSES[place.focal != FOCAL]
+    found = {ATTITUDE: entry["attitude_deg"], RATE: entry["rate_deg_s"]} if "attitude_deg" in entry else {}
+    found |= {"discs in view": entry.get("discs"), "targets in view": entry.get("targets")}
+    return {**dict(zip(_PLACE, (*place, lens), strict=True)), **found}
+
+
+def _films(results: Results) -> pd.DataFrame:
+    """A row for each film: the map's value with its own discs, its bound, and `so3` with both poses."""
+    expected = {Place(*e["place"]).key: _entry(e) for result in results.values() for e in result.get("checked", ())}
+    records = []
+    for key, result in results.items():
+        if "place" in result:
+            true, own, at = result["true pose"], result["own pose"], expected.get(key, {})
+            sources = {"map: ": (at.get(ATTITUDE), at.get(RATE))}
+            bound = result["bound"] or {"attitude_deg": {}, "rate_deg_s": {}}
+            sources["bound: "] = (bound["attitude_deg"].get("combined"), bound["rate_deg_s"].get("combined"))
+            for name, found in (("`so3`, true pose: ", true), ("`so3`, own pose: ", own)):
+                errors = (found.get(f"{what}", {}).get("combined") for what in ("attitude_rmse_deg", "rate_rmse_deg_s"))
+                sources[name] = tuple(errors)
+            row = {f"{s}{q}": x for s, of in sources.items() for q, x in zip((ATTITUDE, RATE), of, strict=True)}
+            counts = {"targets in view": at.get("targets in view"), "frames lost": true["frames"] - true["tracked"]}
+            place = {k: v for k, v in _entry(result).items() if k in _PLACE}
+            records.append({**place, **row, **counts})
+    sources = [
+        f"{s}{q}" for q in (ATTITUDE, RATE) for s in ("map: ", "bound: ", "`so3`, true pose: ", "`so3`, own pose: ")
+    ]
+    return tidy(records, [*_PLACE, *sources, "targets in view", "frames lost"])
+
+
+def _over(films: pd.DataFrame, numerator: str, denominator: str) -> pd.DataFrame:
+    return pd.DataFrame({q: (films[numerator + q] / films[denominator + q]).astype(float) for q in (ATTITUDE, RATE)})

@@ -1,17 +1,20 @@
 """Accuracy of a disc's place over the visible part of the ball, and the area of that part.
 
 Wittich 2017, table 13 and figure 39. Covariances are those that `intersect` carries from image, pose and ball; beside
-them stands the scatter of simulated detections, and of calibrations and poses that are off by chance.
+them stands the scatter of simulated detections, and of calibrations and poses that are off by chance. The thesis does
+not give the place of its real camera; ours is that of S2.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from experiments.kit import film as kit
-from experiments.kit.job import Job, Request, Result
+from experiments.kit.job import Job, Request, Result, Results
+from experiments.kit.render import Claim, Part, Plot, Table, rms, where
 from experiments.kit.thesis import THESIS_TABLES, calibrated_rig
 from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.detections import Detections
@@ -27,11 +30,11 @@ from spheremouse.simulate.ball.film import HandVisit, Renderer, RenderOptions, S
 from spheremouse.simulate.ball.hands import draw_hand, place_hand
 from spheremouse.simulate.shapes import Sphere, look
 
+TITLE = "Points on the ball: covariances over the visible cap, visible area"
 VIEWS: tuple[View, ...] = ("far", "near")
 _DISCS = 74  # as many as the thesis' fullest ball: more places at once
 _NOISE = 3.0  # grey values
 _BIN = 6.0  # deg, from the point that faces the camera
-RINGS, _SPOKES = 24, 61  # of a map
 _DISTANCES = (0.7, 0.8, 0.9, 1.0, 1.2, 1.35, 1.6, 2.0, 2.35, 2.7, 3.0)  # m
 _POINTS = 20_000  # spread over the sphere to be counted
 
@@ -46,8 +49,6 @@ TABLE_13 = (
 _TABLE_11 = ((0.7, 0.9, 3.3, 2.7), ((-0.333,), (-0.460, 0.858), (0.457, -0.858, -0.998)))  # centre, radius: mm
 SIGMA_B = 0.1  # px, of a centre in the thesis, section 4.5
 RADIUS = 0.6  # m
-LEVELS = (0.1, 0.15, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0)  # mm, of the map
-TURN = np.linspace(0.0, 2.0 * np.pi, _SPOKES)
 FIGURE_39 = {"far": (2.35, 2.74), "near": (1.35, 2.16)}  # m, m²
 
 
@@ -92,7 +93,7 @@ class _Sights:
 
 
 def cap(view: View, frames: int, draws: int) -> Result:
-    """Errors of points on the ball and what is claimed of them; the map of that; table 13 for the far camera."""
+    """Errors of points on the ball and what is claimed of them; table 13 for the far camera."""
     scene = default_scene(_DISCS, view, 1)
     detections = _sights(scene, frames)
     known = [_device(scene, seed) for seed in range(draws)]
@@ -106,7 +107,6 @@ def cap(view: View, frames: int, draws: int) -> Result:
         "bins": _bins(angle, image, total),
         "chi_square_image": _chi_square([image]),
         "chi_square_total": _chi_square(total),
-        "map": _map(scene, rig, angle, detections.detections),
     }
     if view == "far":
         result["table 13"] = _five(scene, rig)
@@ -190,22 +190,6 @@ def _chi_square(cases: Sequence[_Errors]) -> float:
     return float(np.mean(np.concatenate([(c.error / c.sigma) ** 2 for c in cases])))
 
 
-def _map(scene: Scene, rig: Rig, angle: Array, seen: Detections) -> Result:
-    """Standard deviations over the image of the ball, mm; a centre there is as certain as discs at that angle were."""
-    middle = scene.pose.position / np.linalg.norm(scene.pose.position)
-    right, down = (axis - (axis @ middle) * middle for axis in scene.pose.rotation.T[:2])
-    right, down = right / np.linalg.norm(right), down / np.linalg.norm(down)
-    limb = np.degrees(np.arccos(scene.ball_radius / np.linalg.norm(scene.pose.position)))
-    polar, turn = np.meshgrid(np.linspace(0.0, limb - 1.0, RINGS), TURN)
-    a, t = np.radians(polar.ravel())[:, None], turn.ravel()[:, None]
-    directions = np.cos(a) * middle + np.sin(a) * (np.cos(t) * right + np.sin(t) * down)
-    sigma = np.interp(polar.ravel(), *_certainty(angle, seen))
-    points = _seen(directions, sigma, rig, scene)
-    variance, _ = _along_surface(points)
-    worst, best = (np.round(1e3 * np.sqrt(v), 4).reshape(_SPOKES, RINGS).tolist() for v in variance.T[::-1])
-    return {"worst": worst, "best": best, "limb_deg": float(limb), "seen_to_deg": float(angle.max())}
-
-
 def _seen(directions: Array, sigma: Array, rig: Rig, scene: Scene) -> SpherePoints:
     """Points of the ball at (n, 3), seen from where the camera is; centres are certain to `sigma`, (n,) px."""
     assert rig.pose is not None, "the device stands before a camera"
@@ -218,14 +202,6 @@ def _angle(directions: Array, scene: Scene) -> Array:
     """deg from the point of the ball that faces the camera."""
     middle = scene.pose.position / np.linalg.norm(scene.pose.position)
     return np.degrees(np.arccos(np.clip(directions @ middle, -1.0, 1.0)))
-
-
-def _certainty(angle: Array, seen: Detections) -> tuple[list[float], list[float]]:
-    """Angles (deg) and median standard deviations of centres there (px), as the detector gives them."""
-    pixel = np.sqrt(0.5 * np.trace(seen.covariance, axis1=1, axis2=2))
-    groups = [(low, pixel[(angle >= low) & (angle < low + _BIN)]) for low in np.arange(0.0, 90.0, _BIN)]
-    full = [(float(low + 0.5 * _BIN), float(np.median(g))) for low, g in groups if len(g)]
-    return [a for a, _ in full], [m for _, m in full]
 
 
 def _five(scene: Scene, rig: Rig) -> Result:
@@ -336,3 +312,114 @@ def _behind_hands(sphere: Array, scene: Scene, hands: int) -> float:
 def visible_cap(distance: float, radius: float) -> float:
     """Area of a sphere that is seen from `distance` to its centre, m²."""
     return 2.0 * np.pi * radius**2 * (1.0 - radius / distance)
+
+
+# ---- section ----
+
+
+def section(results: Results) -> list[Part]:
+    """Table 13, the scatter of points beside what is claimed of it, and the area that is seen."""
+    caps = {view: results[f"cap-{view}"] for view in VIEWS if f"cap-{view}" in results}
+    chi = [
+        {
+            "camera": view,
+            "discs": c["detections"],
+            "chi-square / 2, image alone": c["chi_square_image"],
+            "with pose and ball": c["chi_square_total"],
+        }
+        for view, c in caps.items()
+    ]
+    records = [
+        {
+            "camera": view,
+            "angle, °": b["angle"],
+            "of": f"{direction}, {what}",
+            "all errors, mm": b[f"total {what}"][k],
+            "image alone, mm": b[f"image {what}"][k],
+        }
+        for view, c in caps.items()
+        for b in c["bins"]
+        for k, direction in enumerate(("worst", "best"))
+        for what in ("sigma", "error")
+    ]
+    parts: list[Part] = _table_13(caps["far"]["table 13"]) if "far" in caps else []
+    if caps:
+        bins = pd.DataFrame(records)
+        parts += [
+            Table("True errors squared over claimed variances; 1 is honest", pd.DataFrame(chi)),
+            Table(
+                "Along the surface in the direction in which it is known worst, as claimed, by the angle from the "
+                "point that faces the camera",
+                where(bins, of="worst, sigma").drop(columns="of"),
+                ["camera"],
+            ),
+            Plot(
+                "surface-scatter",
+                "Claimed standard deviation and true error (RMS) of a disc's place along the surface, "
+                "in the worst and the best direction.",
+                bins,
+                "angle, °",
+                ["all errors, mm", "image alone, mm"],
+                "of",
+                "camera",
+                log="y",
+            ),
+        ]
+    return [*parts, *(_areas(results["area"]) if "area" in results else [])]
+
+
+def _table_13(found: Result) -> list[Part]:
+    """The places of table 13, each by the thesis and by what the points are made with."""
+    records = []
+    for k, (place, correlation, sigma) in enumerate(TABLE_13):
+        described = {name: (of[k]["correlation"], of[k]["sigma"]) for name, of in found.items()}
+        for name, (r, s) in {"thesis": (correlation, sigma), **described}.items():
+            columns = ("ρ XY", "ρ XZ", "ρ YZ", "σ X, mm", "σ Y, mm", "σ Z, mm")
+            values = dict(zip(columns, (*r, *s), strict=True))
+            records.append({"X, Y, Z, mm": ", ".join(f"{x:.0f}" for x in place), "pose and ball": name, **values})
+    points = pd.DataFrame(records)
+    sigmas = points.groupby("pose and ball")[["σ X, mm", "σ Y, mm", "σ Z, mm"]].agg(rms).agg(rms, axis=1)
+    return [
+        Table("Points on the ball (table 13)", points, ["X, Y, Z, mm"]),
+        Claim(
+            "With our own calibration pose and ball are better known, and their errors are correlated and cancel in "
+            "part.",
+            sigmas["ours"] < sigmas["uncorrelated"] < sigmas["as the thesis"],
+        ),
+    ]
+
+
+def _areas(area: Result) -> list[Part]:
+    views = pd.DataFrame.from_dict(area["views"], "index").rename_axis("camera").reset_index()
+    table = views.assign(
+        thesis=[FIGURE_39[v][1] for v in views["camera"]], formula=[visible_cap(d, RADIUS) for d in views["distance"]]
+    )
+    counted = {"bare ball": (area["distance"], area["alone"]), "thesis": tuple(zip(*FIGURE_39.values(), strict=True))}
+    for name in ("behind frame", "two hands"):
+        counted[name] = (views["distance"], views[name])
+    fine = np.linspace(RADIUS, 3.0, 25)
+    counted["formula"] = (fine, [visible_cap(d, RADIUS) for d in fine])
+    curves = pd.concat(
+        [
+            pd.DataFrame(dict(zip(("distance, m", "area, m²"), c, strict=True))).assign(of=name)
+            for name, c in counted.items()
+        ]
+    )
+    far = views.set_index("camera")
+    return [
+        Table("Visible area of the ball, m² (fig. 39)", table),
+        Claim(
+            f"The thesis' areas are too large. From 2.35 m a camera can see no more than "
+            f"{visible_cap(FIGURE_39['far'][0], RADIUS):.2f} m² of this ball. The far camera sees more "
+            "than the near one.",
+            (far.loc["far", ["alone", "behind frame"]] > far.loc["near", ["alone", "behind frame"]]).all(),
+        ),
+        Plot(
+            "surface-area",
+            "Visible area against the camera's distance from the ball's centre.",
+            curves,
+            "distance, m",
+            ["area, m²"],
+            "of",
+        ),
+    ]

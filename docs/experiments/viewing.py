@@ -1,29 +1,43 @@
 """Errors by frame rate, resolution, motion blur and rolling shutter, beside the theoretical bound.
 
 Wittich 2017, chapter 5, leaves frame rate and resolution open. The ball turns from rest to rest about one axis after
-the other; each film has other places of the discs and another order of the axes.
+the other; each film has other places of the discs and another order of the axes. `ekf1` and `ekf2` get the true
+acceleration as σ_w. Films of a lower frame rate are the film of 240 Hz with each second, third, ... frame taken. The
+field of view stays with the resolution. `so3` knows the readout of a rolling shutter, or estimates it, or assumes that
+there is none; `ekf1` and `ekf2` take all rows for simultaneous.
+
+A film is lost if the tracker lost the ball, tracked less than 90 % of the frames, or is off by more than 1° (RMS).
+Where no target is found, the camera's pose is given.
 """
 
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+import pandas as pd
+
 from experiments.kit import detections
 from experiments.kit import film as kit
-from experiments.kit.job import Job, Request, Result
+from experiments.kit.job import Job, Request, Result, Results
+from experiments.kit.render import ATTITUDE, RATE, Claim, Part, Plot, Table, by, tidy, where
 from experiments.kit.tour import (
     CLASSIC,
     ESTIMATED,
     IGNORED,
     KNOWN,
+    NEAR,
     PUBLISHED,
+    SHARE,
     USUAL,
     filmed,
     followed,
+    is_lost,
     thinned,
 )
 from spheremouse.ball.rig import UNKNOWN_READOUT
 from spheremouse.errors import PoseError
 
+TITLE = "How the camera films: frame rate, resolution, blur, rolling shutter (Wittich 2017, chapter 5)"
 FASTEST = 240  # frames per second, of the film from which the slower ones are taken
 
 
@@ -130,3 +144,91 @@ def with_film(seed: int, seconds: float, film: dict[str, Any]) -> Result:
         none = replace(shot.rig, readout_s=0.0)
         rigs |= {ESTIMATED: replace(none, readout_sigma_s=UNKNOWN_READOUT), IGNORED: none}
     return {**followed(shot, seen, rigs), "pose": said}
+
+
+# ---- section ----
+
+
+def section(results: Results) -> list[Part]:
+    """Errors against what is varied, and where they are small enough."""
+    runs = _runs(results)
+    limits = {"films": "size", "lost": "sum", "pose given": "sum", ATTITUDE: _median, RATE: _median, "speed": "median"}
+    medians = by(runs.assign(films=0), ["kind", "value", "filter"], limits)
+    enough = (medians[ATTITUDE] < NEAR) & (medians[RATE] < SHARE * medians["speed"]) & (medians["lost"] == 0)
+    good = medians[enough & (medians["filter"] != "bound")]
+    reach = good.groupby(["kind", "filter"], sort=False)["value"].agg(", ".join).unstack("kind", sort=False)
+    ours = {kind: list(where(good, kind=kind, filter=KNOWN)["value"]) for kind in KINDS}
+    estimated = list(where(good, kind="readout", filter=ESTIMATED)["value"])
+    whole = {name: list(kind.whole) for name, kind in KINDS.items()}
+    parts: list[Part] = []
+    for name, kind in KINDS.items():
+        rows = where(runs, kind=name)
+        rows = rows.assign(**{kind.label: [float(value.rpartition("x")[2]) for value in rows["value"]]})
+        table = where(medians, kind=name).drop(columns=["kind", "speed"])
+        parts += [
+            Table(f"{kind.title}: medians over the films", table, ["value", "films"]),
+            Plot(
+                f"viewing-{name}",
+                f"{kind.title}: combined errors, median of the films with their range.",
+                rows,
+                kind.label,
+                [ATTITUDE, RATE],
+                "filter",
+                log="xy" if kind.log else "y",
+            ),
+        ]
+    return [
+        *parts,
+        Table(
+            f"Values at which no film is lost, the attitude is good to {NEAR:g}° and the rate to {100 * SHARE:g} % "
+            "of the ball's own",
+            reach.reset_index().fillna("none"),
+        ),
+        Claim(
+            "`so3` needs 20 frames per second and a picture of 640×480, and the exposure may be as long as the frame.",
+            ours["rate"] == whole["rate"][1:] and ours["size"] == whole["size"][2:] and ours["blur"] == whole["blur"],
+        ),
+        Claim(
+            "A rolling shutter does no harm that matters if the readout is estimated.", estimated == whole["readout"]
+        ),
+        Claim(
+            "With the thesis' σ_w `ekf2` reaches that at no frame rate, since this motion is livelier "
+            "than the thesis'.",
+            where(good, kind="rate", filter=PUBLISHED).empty,
+        ),
+    ]
+
+
+def _median(values: "pd.Series[float]") -> float:
+    """nan where one is not known."""
+    return float(np.median(np.asarray(values, float)))
+
+
+def _runs(results: Results) -> pd.DataFrame:
+    """A row for each film and filter, in the order of what is varied.
+
+    The film without anything special stands for a value of three kinds. Without a rolling shutter its readout is as
+    good as known.
+    """
+    films = []
+    for key, result in results.items():
+        kind, _, rest = key.partition("-")
+        if kind == "rate":
+            films += [(kind, value, point) for value, point in result["points"].items()]
+        elif kind == "plain":
+            films += [(k.name, k.plain, result) for k in KINDS.values() if k.plain]
+        else:
+            films.append((kind, rest.rpartition("-")[0], result))
+    order = list(KINDS)
+    records = []
+    for kind, value, film in sorted(films, key=lambda f: (order.index(f[0]), KINDS[f[0]].whole.index(f[1]))):
+        about = {"kind": kind, "value": value, "speed": film["moved"]["rms"], "pose given": bool(film.get("pose"))}
+        for who in KINDS[kind].shown:
+            row = film["rows"].get(who, film["rows"][KNOWN])
+            records.append({**about, "filter": who, **_errors(row), "lost": is_lost(row)})
+        records.append({**about, "filter": "bound", **_errors(film["bound"] or {}), "lost": False})
+    return tidy(records)
+
+
+def _errors(row: Result) -> Result:
+    return {ATTITUDE: row.get("attitude"), RATE: row.get("rate")}

@@ -23,6 +23,7 @@ from spheremouse.files.safe_files import read_text, write_atomically
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _MOST_BYTES = 100_000_000  # of a job's result
 _WAND = "wand/"  # how keys of its jobs begin
+_SECTION = b"# ---- section ----"  # from which on an experiment puts its results into words
 # Folders that no experiment's figure depends on.
 _SHELL = (
     "capture",
@@ -42,9 +43,9 @@ def program(wand: bool = False) -> str:
     """
     root, ours = Path(spheremouse.__file__).parent, Path(__file__).parents[1]
     files = [p for p in sorted(root.rglob("*.py")) if not p.relative_to(root).as_posix().startswith(_SHELL)]
-    files += [p for p in sorted(ours.rglob("*.py")) if p.parent.name != "report"]
+    files += [p for p in sorted(ours.rglob("*.py")) if p.name != "render.py"]
     kept = [p for p in files if wand or "wand" not in f"{p.parent.name}/{p.name}"]
-    return hashlib.sha256(b"".join(p.read_bytes() for p in kept)).hexdigest()[:16]
+    return hashlib.sha256(b"".join(p.read_bytes().partition(_SECTION)[0] for p in kept)).hexdigest()[:16]
 
 
 def work_all(
