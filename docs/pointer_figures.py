@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from experiments.report.plot import Drawing, save
+from experiments.kit.render import save
 
 from spheremouse.ball.build import build
 from spheremouse.ball.settings import Settings
@@ -182,7 +182,7 @@ def main() -> None:
     parser.add_argument("--figure", action="store_true", help="draw the figure alone")
     given = parser.parse_args()
     if given.write or given.figure:
-        save(Drawing("pointer", draw, (7.2, 3.5)), IMAGES)
+        save("pointer", draw, IMAGES, (7.2, 3.5))
     if given.figure:
         return
     rows = rows_of_films()

@@ -4,9 +4,10 @@ import os
 import time
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 from experiments.kit.job import Job
-from experiments.report.page import Page, fixed, table
-from experiments.report.plot import Drawing
+from experiments.kit.render import Claim, Plot, Table
 
 
 def square(n, made):
@@ -38,20 +39,17 @@ def jobs(request):
     ]
 
 
-PAGE = "## Squares | and more\n\nSome words.\n\n{{ table }}\n\n{{ figure('squares', 'What came.') }}\n"
+TITLE = "Squares | and more"
 
 
-def page(results):
-    squares = {k: r for k, r in results.items() if k.startswith("square")}
-
-    def draw(figure):
-        axes = figure.subplots()
-        axes.plot([r["n"] for r in squares.values()])
-        axes.set_xlabel("job")
-
-    rows = [(k, fixed(r["part"]["square"], 0), fixed(r.get("none"))) for k, r in squares.items()]
-    return Page({"table": table(("job", "square", "none"), rows)}, (Drawing("squares", draw),))
-
-
-def numbers(results):
-    return {"others": results["alone"]["others"]}
+def section(results):
+    squares = [{"job": k, "n": r["n"], "square": r["part"]["square"]} for k, r in results.items() if "part" in r]
+    rows = pd.DataFrame(squares, columns=["job", "n", "square"])
+    table = Table("What came", rows.drop(columns="n").assign(none=np.nan))
+    plot = Plot("squares", "What came.", rows, "n", ["square"], "job")
+    return [
+        f"Other workers: {results['alone']['others']}.",
+        table,
+        plot,
+        Claim("Some are large.", (rows["square"] > 3).any()),
+    ]

@@ -43,6 +43,7 @@ MORE = {
 FIXED, FRAMES = 0.01, 1.2  # s, and frames: from a frame's stamp to its arrival; 50 ms at 30 Hz, 30 ms at 60 Hz
 SHOWN = 0.004  # s, between two looks at the pointer
 SPEED, STOPPED, HELD = float(np.radians(400.0)), (0.05, 0.2), 0.25  # rad/s; s, in which it is stopped, and before
+OVERSHOOT = "overshoot, counts"
 NEAR = 5.0  # counts, about 5 mm on the ball: a pointer is near
 TRACKED, JUMP = 0.98, 20.0  # of the frames; counts beyond a stop that are no noise
 _BEGIN = 1.2  # s: the ball begins to move after one second, and frames arrive later
@@ -286,59 +287,35 @@ def section(results: Results) -> list[Part]:
     shown = plays[plays["pointer"].isin([NONE, ONE, DEFAULT, NEXT, EXACT])]
     at = by(shown, ["Hz", "pointer"], medians)
     near = at[(at["pointer"] == DEFAULT)].set_index("Hz")["distance RMS, counts"]
-    away = where(stops, pointer=NONE).groupby("Hz")["overshoot, counts"].max()
+    away = where(stops, pointer=NONE).groupby("Hz")[OVERSHOOT].max()
     both = films.merge(plays, on=["Hz", "seed", "pointer"], suffixes=(", filmed", ", without pictures"))
-    parts: list[Part] = []
-    if len(plays):
-        parts += [
-            Table("Somebody plays (medians over motions)", at, ["Hz"]),
-            Table("Other settings", by(more, ["Hz", "pointer"], medians), ["Hz"]),
-            *([Table("The same motion filmed and without pictures", both.drop(columns="seed"))] if len(both) else []),
-            Claim(
-                "A horizon of 0 sends each frame's counts as it arrives: it is the pointer without "
-                "resampling, to the count.",
-                max(r["apart"] for r in played) == 0.0,
-            ),
-            Claim(
-                f"With the default the pointer stays within {NEAR:g} counts of the ball (RMS) from 60 Hz "
-                "on, not below.",
-                near[near.index >= 60.0].max() < NEAR <= near[near.index < 60.0].min(),
-            ),
-            Plot(
-                "pointer",
-                "Delay, distance from the ball and roughness of the pointer while somebody plays.",
-                shown,
-                "Hz",
-                list(medians),
-                "pointer",
-                log="x",
-            ),
-        ]
-    if len(stops):
-        table = by(
-            stops.assign(most=stops["overshoot, counts"]),
-            ["Hz", "pointer", "stopped in, ms"],
-            {"overshoot, counts": "median", "most": "max"},
-        )
-        parts += [
-            Table("Overshoot of a ball stopped by hand (median and most)", table, ["Hz", "pointer"]),
-            Claim(
-                "Without resampling the pointer goes too far only where the tracker does, at 15 Hz.",
-                away.get(15.0, 0.0) > JUMP >= away[away.index > 15.0].max(),
-            ),
-            Plot(
-                "pointer-overshoot",
-                "How far the pointer goes beyond a stop, by when it falls between two frames.",
-                stops,
-                "Hz",
-                ["overshoot, counts"],
-                "pointer",
-                "stopped in, ms",
-                log="x",
-            ),
-            *_one_stop(results),
-        ]
-    return parts
+    table = by(
+        stops.assign(most=stops[OVERSHOOT]), ["Hz", "pointer", "stopped in, ms"], {OVERSHOOT: "median", "most": "max"}
+    )
+    return [
+        Table("Somebody plays (medians over motions)", at, ["Hz"]),
+        Table("Other settings", by(more, ["Hz", "pointer"], medians), ["Hz"]),
+        Table("The same motion filmed and without pictures", both.drop(columns="seed")),
+        Claim(
+            "A horizon of 0 sends each frame's counts as it arrives, so it is no resampling, to the count.",
+            max((r["apart"] for r in played), default=np.nan) == 0.0,
+        ),
+        Claim(
+            f"With the default the pointer stays within {NEAR:g} counts of the ball (RMS) from 60 Hz on, not below.",
+            near[near.index >= 60.0].max() < NEAR <= near[near.index < 60.0].min(),
+        ),
+        Plot("pointer", "The pointer while somebody plays.", shown, "Hz", list(medians), "pointer", log="x"),
+        Table("Overshoot of a ball stopped by hand (median and most)", table, ["Hz", "pointer"]),
+        Claim(
+            "Without resampling the pointer goes too far only where the tracker does, at 15 Hz.",
+            away.get(15.0, 0.0) > JUMP >= away[away.index > 15.0].max(),
+        ),
+        Plot(
+            "pointer-overshoot", "How far the pointer goes beyond a stop, by when it falls between two frames.",
+            stops, "Hz", [OVERSHOOT], "pointer", "stopped in, ms", log="x",
+        ),
+        *_one_stop(results),
+    ]  # fmt: skip
 
 
 def _plays(results: Results, kind: str, more: bool = False) -> pd.DataFrame:
@@ -354,20 +331,15 @@ def _plays(results: Results, kind: str, more: bool = False) -> pd.DataFrame:
 
 
 def _stops(results: Results) -> pd.DataFrame:
-    rows = tidy(
-        {
-            "Hz": float(key.removeprefix("stop-")),
-            "pointer": way,
-            "stopped in, ms": 1e3 * down,
-            "overshoot, counts": beyond,
-        }
+    records = [
+        {"Hz": float(key.removeprefix("stop-")), "pointer": way, "stopped in, ms": 1e3 * down, OVERSHOOT: beyond}
         for key, result in results.items()
         if key.startswith("stop-")
         for way in (NONE, ONE, DEFAULT, NEXT)
         for down in STOPPED
         for beyond in result[way][f"{down:g}"]
-    )
-    return rows.sort_values("Hz", kind="stable") if len(rows) else rows
+    ]
+    return tidy(records, ["Hz", "pointer", "stopped in, ms", OVERSHOOT]).sort_values("Hz", kind="stable")
 
 
 def _one_stop(results: Results) -> list[Part]:

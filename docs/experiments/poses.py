@@ -264,4 +264,4 @@ def _beside(cameras: pd.DataFrame, number: str) -> pd.DataFrame:
     rows += [["standard deviation", "ours", *own.reindex(_SIGMA)], ["", "thesis", *typed["sigma"]]]
     rows += [["error", "ours", *cameras[_ERROR].pow(2).mean().pow(0.5)], ["", "thesis", *typed.get("error", ())]]
     units = [f"{name}, {'mm' if k < 3 else '°'}" for k, name in enumerate(NAMES)]
-    return pd.DataFrame(rows, columns=["", "by", *units])
+    return pd.DataFrame([[*row, *[np.nan] * (8 - len(row))] for row in rows], columns=["", "by", *units])

@@ -1,4 +1,4 @@
-"""The wand's commands as a user meets them: films, bounds of colours, evaluation, experiments."""
+"""The wand's commands as a user meets them: films, bounds of colours, evaluation."""
 
 import json
 from dataclasses import replace
@@ -8,21 +8,17 @@ import cv2
 import numpy as np
 import pytest
 import typer
-from experiments import wand_films as wand_experiments
-from experiments.report.wand_rows import Row, rows, verdicts
-from experiments.wand_films import Film, Job, Variant, films, jobs
 from invoking import invoke
 
 from spheremouse.commands import wand as cli_wand
 from spheremouse.commands.evaluate import evaluate
 from spheremouse.errors import ConfigurationError
-from spheremouse.evaluate.wand import errors
 from spheremouse.files.wand import load_wand, save_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import contrast_ball, grzonka_ball, led_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS
 from spheremouse.wand.pick_colours import Circle, check_bounds, circle_mask, find_ball, pick_bounds
-from spheremouse.wand.settings import ColourSettings, WandSettings
+from spheremouse.wand.settings import ColourSettings
 
 app = typer.Typer()
 app.add_typer(cli_wand.app, name="wand")
@@ -341,69 +337,3 @@ def test_a_circle_is_where_it_says():
     assert np.argwhere(mask).mean(axis=0) == pytest.approx([15.0, 20.0])
     with pytest.raises(ConfigurationError):
         find_ball(np.random.default_rng(0).integers(100, 140, (200, 200, 3), dtype=np.uint8), grzonka_ball())
-
-
-# ---- experiments ----
-
-TINY = Film(
-    "tiny",
-    "a short one",
-    WandOptions(motion="hand", seconds=0.4, size=(320, 240)),
-    (1, 2),
-    (Variant("20, known start", WandSettings(particles=20), known=True), Variant("30", WandSettings(particles=30))),
-)
-
-
-def test_the_issue_s_cases_are_all_there():
-    every = {film.name: film for film in films(quick=False)}
-    drive = every["drive"]
-    assert drive.seeds == tuple(range(1, 21))
-    compared = (*drive.variants, *every["drive-many"].variants)
-    known = {v.settings.particles for v in compared if v.known and v.settings.method == "peaks"}
-    thesis = {v.settings.particles for v in compared if v.settings.method == "product"}
-    assert known == thesis == {50, 350, 5000, 50_000}
-    assert any(not v.known for v in drive.variants)
-    assert any(not v.settings.outline and v.settings.method == "peaks" for v in drive.variants)
-    assert every["hand-held"].options.motion == "hand"
-    assert len({job.key for job in jobs(quick=False)}) == len(jobs(quick=False))
-    assert {f.name for f in films(quick=True)} <= set(every)
-
-
-def test_results_put_together_are_the_metrics_of_the_runs(monkeypatch):
-    monkeypatch.setattr(wand_experiments, "films", lambda quick: (TINY,))
-    results = {Job(TINY, seed).key: wand_experiments.work(Job(TINY, seed)) for seed in (1, 2)}
-    row = rows(json.loads(json.dumps(results)))[0]
-    runs, truths = wand_experiments.restored([results[k]["variants"]["20, known start"][0] for k in results])
-    assert row.figures == errors(runs, truths)
-    assert (row.runs, row.lost) == (2, sum(results[k]["variants"]["20, known start"][0]["lost"] for k in results))
-
-
-def test_verdicts_hold_figures_against_what_is_asked():
-    def row(variant, lost, runs, p95=(5.0, 5.0, 50.0), turned=1.0, found=20):
-        figures = {"position_p95_mm": dict(zip("xyz", p95, strict=True)), "rotation_p95_deg": turned}
-        film = replace(TINY, name="drive")
-        return Row(film, variant, runs, lost, found, 1.0, figures)
-
-    good = [row("350, known start", 0, 20), row("50, known start", 2, 20), row("350, own start", 0, 20, found=19)]
-    speeds = {"350 particles, whole frame": {"fps": 61.0}, "5000 particles, region of interest": {"fps": 29.0}}
-    reached = {asked: ok for asked, _, _, ok in verdicts(good, speeds)}
-    assert list(reached.values()) == [True, True, True, True, True, False]
-    bad = [
-        row("350, known start", 1, 20, p95=(5.0, 5.0, 101.0)),
-        row("50, known start", 3, 20),
-        row("350, own start", 0, 20, found=18),
-    ]
-    assert [ok for _, _, _, ok in verdicts(bad, {})] == [False, False, False, False]
-    assert [ok for _, _, _, ok in verdicts([row("50, known start", 0, 0)], {})] == [None]
-    few = [row("350, known start", 0, 2), row("50, known start", 0, 2), row("350, own start", 0, 2, found=2)]
-    assert [ok for _, _, _, ok in verdicts(few, {})] == [True, None, None, None]  # two of two are not 19 of 20
-
-
-def test_distractors_are_judged_by_the_films_that_there_are():
-    def row(film, lost, runs):
-        return Row(replace(TINY, name=film), "350, own start", runs, lost, runs, 1.0, {})
-
-    found = verdicts([row("hand-hand", 0, 6), row("hand-card", 1, 6), row("drive-hand", 0, 1)], {})
-    assert [(ours, ok) for _, _, ours, ok in found] == [("1 of 1", None), ("6 of 6", True), ("5 of 6", False)]
-    assert "in both colours" in found[2][0]
-    assert verdicts([row("hand-hand", 0, 0)], {}) == []

@@ -1,4 +1,4 @@
-"""Limits of tracking: what is seen without pictures against pictures, laws of the trials, pages from given results."""
+"""Limits of tracking: what is seen without pictures against pictures, laws of the trials."""
 
 from dataclasses import replace
 
@@ -7,18 +7,12 @@ import pytest
 from experiments import covers, limits
 from experiments.covers import COVERS
 from experiments.kit import world as world_module
-from experiments.kit.job import Request
-from experiments.kit.world import NEW, RATES, WHO, SpedUp, world
-from experiments.limits import ACCELERATIONS, FASTEST, TRACKERS, Trial, jobs
-from experiments.report.limits import page
-from experiments.report.page import said
-from experiments.report.plot import save
+from experiments.kit.world import NEW, SpedUp, world
+from experiments.limits import ACCELERATIONS, FASTEST, Trial
 
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.render import Renderer, RenderOptions
-
-QUICK, WHOLE = Request(True, None), Request(False, None)
 
 
 @pytest.fixture(scope="module")
@@ -151,109 +145,3 @@ def test_the_wait_is_counted_from_when_the_cover_goes():
     assert found["rate"] == {"frames": 5, "ms": pytest.approx(400.0)}
     assert found["attitude"] == {"frames": 1, "ms": pytest.approx(0.0)}
     assert covers._waited(t, [(np.eye(3), 1.0, True)] * len(t), 3.0) == {"error": "lost before the cover came"}
-
-
-# ---- the page ----
-
-
-def speed(ekf, so3=FASTEST, push=None):
-    rows = {who: {"rate": [ekf] * len(ACCELERATIONS), "acceleration": 10.0 * ekf} for who in WHO}
-    rows |= {who: {"rate": [so3] * len(ACCELERATIONS), "acceleration": limits.HARDEST} for who in ("so3", NEW)}
-    return rows if push is None else {who: {**row, "acceleration": push} for who, row in rows.items()}
-
-
-def waited(ms, ekf1=None, ekf2=None):
-    wait = {"frames": 1, "ms": ms}
-    known = {"attitude": wait, "rate": wait}
-    return {"ekf1": {"attitude": ekf1, "rate": wait}, "ekf2": ekf2 or known} | dict.fromkeys(("so3", NEW), known)
-
-
-COVER = {kind: {"ekf1": 0.5, "ekf2": 0.6, "so3": 0.7} for kind in COVERS}
-SHARP = {"ekf1": [3.1, 3.0], "ekf2": [3.2, 3.2], "so3": [8.0, 8.0]}
-GIVEN = {
-    **{f"speed-{fps:g}-{k}": speed(1.0 + k) for fps in RATES for k in range(3)},
-    "film-60-4-0": {"ekf1": 0.0, "ekf2": 4.0, "so3": 8.0},
-    "film-60-4-1": {"ekf1": 2.0, "ekf2": 4.0, "so3": 8.0},
-    "film-60-0-0": {"ekf1": 4.0, "ekf2": 4.0, "so3": 16.0, "sharp": SHARP},
-    "film-30-4-0": {"ekf1": 4.0, "ekf2": 4.0, "so3": 8.0},
-    "cover-50-0": COVER,
-    "cover-50-1": {**COVER, "closing in": {"ekf1": 0.1, "ekf2": 0.2, "so3": 0.0}},
-    "cover-50-0-filmed": {"from above": {"ekf1": 0.52, "ekf2": 0.6, "so3": 0.7}},
-    "again-30-0": waited(0.0, ekf2={"error": "lost before the cover came"}),
-    "again-30-1": waited(100.0),
-    "film-60-16-0": {"error": "too little memory"},
-}
-
-
-def test_medians_spans_and_what_failed_are_on_the_page(tmp_path):
-    found = said("limits", page, GIVEN)
-    for line in (
-        "| 15 | `ekf1` | 115 | 20 | 45 |",  # the median, 2 rad/s
-        "|  | `so3` | ≥ 1432 | ≥ 2000 |  |",
-        "| 30 | 4 | 1 | 955 | 229 | 229 | 458 |",  # 2 x 0.02 / 0.6 rad in 4 ms
-        "| 60 | 4 | 2 | 955 | none – 115 | 229 | 458 |",
-        "| `ekf1` | 178 | 172 |",
-        "| `so3` | ≥ 458 | ≥ 458 |",
-        "|  | closing in | 10 – 50 | 20 – 60 | lost before – 70 |",
-        "| from above | 52 | 60 | 70 |",
-        "| 30 | `ekf1` | never | never | 17 – 117 | 1 |",  # half a frame
-        "|  | `ekf2` | 117 | 1 | 117 | 1 |",  # of the ball that it did not lose before
-    ):
-        assert line + "\n" in found.text
-    assert "Pictures differ from none by 0.0 % of the ball (median; at most 2 %)" in found.text
-    assert "- film-60-16-0: too little memory" in found.text
-    names = [drawing.name for drawing in found.drawings]
-    assert names == ["limits-speed", "limits-map", "limits-exposure", "limits-cover", "limits-again"]
-    assert all(save(drawing, tmp_path).stat().st_size > 5000 for drawing in found.drawings)
-
-
-BORNE_OUT = {
-    **GIVEN,
-    "speed-15-0": speed(5.0, push=0.0),
-    "speed-15-1": speed(5.0, push=0.0),
-    **{f"film-60-{e}-0": {"ekf1": 1.0, "ekf2": 1.0, "so3": limits.LADDER[-1]} for e in (2, 4, 8, 16)},
-    "film-60-4-1": {"ekf1": 1.0, "ekf2": 1.0, "so3": limits.LADDER[-1]},
-    **{f"cover-{n}-0": {kind: {**COVER[kind], "so3": 0.01 * n} for kind in COVERS} for n in (26, 50, 74)},
-    "cover-50-1": COVER,
-    "cover-16-0": {kind: {**COVER[kind], "so3": 0.0} for kind in COVERS},
-    **{f"again-30-{k}": waited(0.0, ekf2={"attitude": None, "rate": None}) for k in range(2)},
-    "again-30-0-filmed": waited(0.0, ekf2={"attitude": None, "rate": None}),
-}
-
-
-@pytest.mark.parametrize(
-    ("key", "result", "claim"),
-    [
-        ("speed-15-0", speed(2.0, push=1.0), "Lost at 1 rad/s²"),
-        ("speed-60-0", speed(1.0, 1.0), "A flick to 400 °/s"),
-        ("film-60-8-0", {"ekf1": 1.0, "ekf2": 1.0, "so3": 2.0}, "At an even rate"),
-        ("film-60-0-0", {**GIVEN["film-60-0-0"], "sharp": {**SHARP, "so3": [7.0, 8.0]}}, "Sharp pictures"),
-        ("cover-16-0", COVER, "16 discs are too few"),
-        ("cover-74-0", {kind: {**COVER[kind], "so3": 0.4} for kind in COVERS}, "With more, the cover"),
-        ("again-30-0", {**waited(0.0), "ekf2": {"error": "lost before the cover came"}}, "In no trial"),
-        ("again-30-0-filmed", waited(40.0), "In pictures it takes"),
-        ("again-30-1", waited(0.0, ekf1={"frames": 3, "ms": 70.0}), "The published filters never"),
-    ],
-)
-def test_what_a_run_contradicts_is_marked(key, result, claim):
-    """One result at a time is another one than in a run that bears out all."""
-    assert said("limits", page, BORNE_OUT).doubts == 0
-    text = said("limits", page, {**BORNE_OUT, key: result}).text
-    assert "**Not borne out by this run:** " + claim in text
-
-
-def test_a_part_of_a_run_is_a_page_with_figures_of_what_is_there(tmp_path):
-    for key, result in GIVEN.items():
-        assert said("limits", page, {key: result}).text.startswith("## Limits")
-    few = {key: GIVEN[key] for key in ("speed-30-0", "film-30-4-0", "cover-50-0", "again-30-0")}
-    found = {drawing.name: drawing for drawing in said("limits", page, few).drawings}
-    assert list(found) == ["limits-speed", "limits-map", "limits-cover", "limits-again"]  # one exposure is no curve
-    assert save(found["limits-cover"], tmp_path).stat().st_size > 5000
-
-
-def test_jobs_have_keys_of_their_own_and_check_with_pictures():
-    whole = jobs(WHOLE)
-    assert len({job.key for job in whole}) == len(whole) > len(jobs(QUICK))
-    assert sum(job.key.endswith("-filmed") for job in whole) == 2
-    assert {f"again-{fps:g}-0" for fps in RATES} < {job.key for job in whole}
-    assert set(TRACKERS) < set(WHO)

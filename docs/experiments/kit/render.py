@@ -34,12 +34,12 @@ least to the largest value.
 The bound is the posterior Cramér-Rao bound: the best average of any filter, with centres as noisy as those that `so3` \
 measured. It takes common errors of centres for noise, and an error is that of one film. So values below it occur.
 
-Our films are compared with those of Wittich 2017. R1 is real: somebody plays on a ball of 32 discs. S1, S2 and S3 are \
-modelled, with 26, 50 and 74 discs before the far camera (2.35 m from the ball's centre). S4 has 50 discs before the \
-near camera (1.35 m). The ball turns for ten seconds at up to 28 °/s and back, in 300 frames. Those films are \
-not available; ours have those cameras and that motion. far26 is a Blender recording like S1, with struts, highlights and a \
-room. Our own films show the same device and room. So the comparison is between similar films, not between the same \
-pictures.
+Our films are compared with those of Wittich 2017. R1 is real: somebody plays on a ball of 32 discs. S1, S2 and S3 \
+are modelled, with 26, 50 and 74 discs before the far camera (2.35 m from the ball's centre). S4 has 50 discs before \
+the near camera (1.35 m). The ball turns for ten seconds at up to 28 °/s and back, in 300 frames. Those films are \
+not available; ours have those cameras and that motion. far26 is a Blender recording like S1, with struts, \
+highlights and a room. Our own films show the same device and room. So the comparison is between similar films, not \
+between the same pictures.
 """
 # The colours of Okabe and Ito (2008), which colour-blind eyes tell apart; the curves differ in their dashes as well.
 STYLE = {
@@ -56,7 +56,10 @@ _MAX_TICKS = 9  # of a logarithmic axis that has a tick at each value
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table; numbers have three significant digits, or the decimals that are given by column."""
+    """A table; numbers have three significant digits, or the decimals that are given by column.
+
+    A section leaves out tables and plots without rows.
+    """
 
     caption: str
     rows: pd.DataFrame
@@ -205,6 +208,8 @@ def _written(part: Part, folder: Path, name: str) -> list[str]:
         return [part]
     if isinstance(part, Claim):
         return [("" if part.holds else _NOT_SHOWN) + part.text]
+    if part.rows.empty:
+        return []
     folder.mkdir(parents=True, exist_ok=True)
     if isinstance(part, Plot):
         save(part.name, lambda canvas: draw(part, canvas), folder, size_of(part))
