@@ -1,6 +1,7 @@
 """A host and a board with a bad line between them, at a simulated time; `python -m tests.serial_world`.
 
-The board is the firmware's protocol.py under CPython; tests/output/serial/test_firmware.py runs it under MicroPython.
+The board is the Pico's protocol.py under CPython. test_firmware.py and test_firmware_avr.py, in tests/output/serial,
+compare the other firmwares with it, byte by byte.
 """
 
 import argparse
@@ -11,45 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.output.serial.firmware import load_protocol
+from spheremouse.output.serial import messages
 from spheremouse.output.serial.link import Link
-
-PROTOCOL: Any = load_protocol()
-
-
-class Board:
-    """The firmware, and a mouse that adds up its reports."""
-
-    def __init__(self, fine: int = 0b101) -> None:
-        self.moved, self.buttons, self.usb = [0, 0, 0, 0], 0, True
-        self._fine = fine
-        self.reset()
-
-    def reset(self) -> None:
-        """Reset the board."""
-        self.buttons = 0
-        self.line, self.device = PROTOCOL.Line(), PROTOCOL.Device(PROTOCOL.SIMULATOR, b"world")
-        self.device.set_multipliers(self._fine)
-
-    def turn(self, data: bytes, now: int) -> bytes:
-        """Return the answers to these bytes at `now` (ms)."""
-        line, device, at = self.line, self.device, 0
-        while at < len(data):
-            at = line.take(data, at, len(data))
-            if line.length:
-                device.handle(line, now)
-        device.tick(now)
-        device.set_usb(self.usb)
-        if device.due():
-            for k in range(4):
-                value = int.from_bytes(device.report[1 + 2 * k : 3 + 2 * k], "little", signed=True)
-                self.moved[k] += value
-            self.buttons = device.report[0]
-            device.passed_on()
-        out = b""
-        while (frame := device.answer(line)) is not None:
-            out += bytes(frame)
-        return out
+from spheremouse.output.serial.simulator import Board
 
 
 class Wire:
@@ -168,6 +133,34 @@ def exchange(board: Any, motions: int, damage: float, seed: int = 0) -> World:
         world.step()
     world.settle()
     return world
+
+
+def conversation(rng: np.random.Generator, steps: int = 1500) -> Iterator[tuple[int, int, bytes]]:
+    """Yield time (ms), line (0 or 1) and bytes of a host that sends all kinds of frames, late, damaged and cut ones."""
+    now, counters, number, sessions = 0, np.zeros(4, dtype=int), [0, 0], [1, 2, 3, 0]
+    for _ in range(steps):
+        now += int(rng.choice([0, 0, 1, 1, 1, 2, 5, 20] if rng.random() < 0.98 else [98, 99, 100, 101, 150]))
+        line, data = int(rng.random() < 0.1), b""
+        number[line] = (number[line] + int(rng.choice([1] * 100 + [0, 2, 7, -1, 0x7FFF, 0x8000]))) & 0xFFFF
+        for _ in range(int(rng.choice([0, 1, 1, 1, 2]))):
+            what = rng.random()
+            if what < 0.06:
+                sessions.append(int(rng.integers(1, 2**32)))
+                data += messages.hello(number[line], int(rng.choice(sessions[-3:])))
+                counters[:] = 0
+            elif what < 0.9:
+                most = 3000 if rng.random() < 0.01 else 100
+                counters += rng.integers(-most, most + 1, 4)
+                data += messages.motion(number[line], counters.tolist(), int(rng.choice([0, 0, 1, 0xFF])))
+            elif what < 0.97:
+                data += messages.encode(messages.ASK_STATUS if what < 0.95 else messages.STOP, number[line])
+            else:
+                body, version = rng.bytes(int(rng.choice([0, 4, 9, 60]))), int(rng.choice([1, 1, 2]))
+                data += messages.encode(int(rng.choice([0, 1, 2, 3, 4, 5, 0x82])), number[line], body, version)
+        if rng.random() < 0.02:  # noise, a flood, a frame of any length, a cut one
+            size = int(rng.choice([60, 63, 64, 65, 253, 254, 255, 256, 1000]))
+            data += rng.bytes(size) + (b"\0" if rng.random() < 0.5 else b"")
+        yield now, line, bytes(b if rng.random() > 0.002 else int(rng.integers(256)) for b in data)
 
 
 def main() -> None:

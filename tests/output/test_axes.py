@@ -10,7 +10,6 @@ from reporting import report
 from scipy.spatial.transform import Rotation
 
 from spheremouse.errors import OutputError
-from spheremouse.output import OutputClosed
 from spheremouse.output.axes import HEADER, NAMES, AxesText, PoseLog
 from spheremouse.tracker import Status
 from spheremouse.wand.axes import UPRIGHT, attitude, axes_of, wrapped
@@ -45,12 +44,6 @@ def test_angles_are_those_of_scipy(yaw, pitch, roll):
     R = (Rotation.from_euler("XZY", [pitch, roll, yaw]) * Rotation.from_matrix(UPRIGHT)).as_matrix()
     assert attitude(np.array([yaw, pitch, roll])) == pytest.approx(R, abs=1e-12)
     assert wrapped(axes_of(P, R, NONE).angles - (yaw, pitch, roll)) == pytest.approx(np.zeros(3), abs=1e-9)
-
-
-@given(st.floats(-100.0, 100.0))
-def test_wrapped_is_the_same_angle_within_half_a_turn(x):
-    assert -np.pi < wrapped(np.array(x)) <= np.pi
-    assert np.cos(wrapped(np.array(x)) - x) == pytest.approx(1.0)
 
 
 def test_standard_deviations_are_the_scatter_of_samples():
@@ -137,15 +130,3 @@ def test_files_of_another_kind_are_kept(tmp_path):
         with PoseLog(str(path)).open():
             pass
         assert path.read_text() == times * (HEADER + "\n")
-
-
-def test_a_reader_that_goes_ends_it_quietly():
-    class Gone(io.StringIO):
-        def write(self, _):
-            raise BrokenPipeError
-
-    output = PoseLog("-")
-    sink = AxesText(Gone(), "here", output)
-    output.push(0.0, (FOUND,))
-    with pytest.raises(OutputClosed):
-        sink.send(report())

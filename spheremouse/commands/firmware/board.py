@@ -26,12 +26,11 @@ def select_drive(path: Path | None) -> Drive:
     """Return the board whose drive is at a path, or the only board. Raise OutputError if there is none."""
     if path is not None:
         return firmware.read_drive(path)
-    found = firmware.drives()
+    found, waiting = firmware.drives()
     if len(found) == 1:
         return found[0]
     if found:
         raise OutputError(f"several boards: {', '.join(str(d.path) for d in found)}; name one with --drive")
-    waiting = firmware.boot_loader_drives()
     if waiting:
         raise NoDriveError(
             f"{waiting[0]}: a board without CircuitPython; copy its .uf2 file there "

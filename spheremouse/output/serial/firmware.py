@@ -83,24 +83,16 @@ def read_drive(path: Path) -> Drive:
     return Drive(path, (int(found[1]), int(found[2])), board[1] if board else found[3].strip())
 
 
-def drives() -> list[Drive]:
-    """Return the mounted drives of boards with CircuitPython."""
-    found = []
+def drives() -> tuple[list[Drive], list[Path]]:
+    """Return the mounted drives of boards with CircuitPython, and those of boards that wait in their boot loader."""
+    found, waiting = list[Drive](), list[Path]()
     for path in mounted_folders():
         with contextlib.suppress(OutputError, OSError):
             if (path / _BOOT_OUT).is_file():
                 found.append(read_drive(path))
-    return found
-
-
-def boot_loader_drives() -> list[Path]:
-    """Return the drives of boards without CircuitPython: RP2040's boot loader shows INFO_UF2.TXT."""
-    found = []
-    for path in mounted_folders():
-        with contextlib.suppress(OSError):
-            if (path / _BOOT_LOADER_INFO).is_file() and not (path / _BOOT_OUT).exists():
-                found.append(path)
-    return found
+            elif (path / _BOOT_LOADER_INFO).is_file():
+                waiting.append(path)
+    return found, waiting
 
 
 def mounted_folders() -> Iterator[Path]:

@@ -3,8 +3,8 @@
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from enum import IntFlag
+from typing import NamedTuple
 
 from cobs import cobs
 
@@ -18,7 +18,7 @@ _HEADER, _CRC = struct.Struct("<BBH"), struct.Struct("<I")
 _MOTION, _ACK = struct.Struct("<4HB"), struct.Struct("<H4HBHH")
 _IDENTITY, _STATUS = struct.Struct("<II4HIHH3BB16s"), struct.Struct("<IIIHHHIHBB")
 
-Counters = tuple[int, int, int, int]  # x, y, wheel, pan, modulo 2^16
+Counters = tuple[int, ...]  # x, y, wheel, pan, modulo 2^16
 
 
 class Flags(IntFlag):
@@ -31,8 +31,7 @@ class Flags(IntFlag):
     PAN_FINE = 0x10
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
+class Frame(NamedTuple):
     """An undamaged frame."""
 
     version: int
@@ -41,8 +40,7 @@ class Frame:
     body: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Identity:
+class Identity(NamedTuple):
     """A device's kind, version and sessions."""
 
     session: int
@@ -60,8 +58,7 @@ class Identity:
         return f"firmware {version} ({FIRMWARE_KINDS.get(self.kind, f'kind {self.kind}')}) on {self.board}"
 
 
-@dataclass(frozen=True, slots=True)
-class Ack:
+class Ack(NamedTuple):
     """A device's counters: the counts that it has passed on."""
 
     number: int
@@ -71,8 +68,7 @@ class Ack:
     lost: int
 
 
-@dataclass(frozen=True, slots=True)
-class Status:
+class Status(NamedTuple):
     """A device's condition and totals."""
 
     session: int
@@ -124,16 +120,16 @@ def parse(frame: Frame) -> Identity | Ack | Status | None:
     if frame.version != VERSION:
         return None
     if frame.type == ACK:
-        number, x, y, wheel, pan, flags, refused, lost = _ACK.unpack(frame.body)
-        return Ack(number, (x, y, wheel, pan), Flags(flags), refused, lost)
+        number, *counters, flags, refused, lost = _ACK.unpack(frame.body)
+        return Ack(number, tuple(counters), Flags(flags), refused, lost)
     if frame.type == IDENTITY:
-        session, last, x, y, wheel, pan, first, step, silence, *version, kind, board = _IDENTITY.unpack(frame.body)
-        name = "".join(c if c.isprintable() else "?" for c in board.rstrip(b"\0").decode("ascii", "replace"))
-        a, b, c = version
-        return Identity(session, last, (x, y, wheel, pan), first, step, silence, (a, b, c), kind, name)
+        session, last, *fields = _IDENTITY.unpack(frame.body)
+        name = "".join(c if c.isprintable() else "?" for c in fields[-1].rstrip(b"\0").decode("ascii", "replace"))
+        groups = tuple(fields[:4]), *fields[4:7], tuple(fields[7:10])
+        return Identity._make((session, last, *groups, fields[10], name))
     if frame.type == STATUS:
-        session, uptime, whole, damaged, refused, lost, reports, errors, flags, buttons = _STATUS.unpack(frame.body)
-        return Status(session, uptime, whole, damaged, refused, lost, reports, errors, Flags(flags), buttons)
+        *figures, flags, buttons = _STATUS.unpack(frame.body)
+        return Status._make((*figures, Flags(flags), buttons))
     return None
 
 

@@ -11,23 +11,12 @@ from spheremouse.output.serial.messages import VERSION
 
 PRODUCT = "spheremouse"
 CIRCUITPYTHON = (0x239A, 0x2E8A)  # USB vendors of boards with RP2040 and RP2350: Adafruit, Raspberry Pi
-ADAPTERS = {  # USB vendor and product of chips that are only a serial adapter
-    (0x10C4, 0xEA60): "CP210x",
-    (0x1A86, 0x7522): "CH340",
-    (0x1A86, 0x7523): "CH340",
-    (0x1A86, 0x55D3): "CH343",
-    (0x1A86, 0x55D4): "CH9102",
-    (0x0403, 0x6001): "FT232R",
-    (0x0403, 0x6014): "FT232H",
-    (0x0403, 0x6015): "FT231X",
-    (0x067B, 0x2303): "PL2303",
-    (0x067B, 0x23A3): "PL2303GC",
-    (0x067B, 0x23B3): "PL2303GB",
-    (0x067B, 0x23C3): "PL2303GT",
-    (0x067B, 0x23D3): "PL2303GL",
-    (0x067B, 0x23E3): "PL2303GE",
-    (0x067B, 0x23F3): "PL2303GS",
-    (0x2E8A, 0x000C): "Debug Probe",
+ADAPTERS = {  # USB products by vendor, of chips that are only a serial adapter
+    0x0403: (0x6001, 0x6014, 0x6015),  # FT232R, FT232H, FT231X
+    0x067B: (0x2303, 0x23A3, 0x23B3, 0x23C3, 0x23D3, 0x23E3, 0x23F3),  # PL2303 of all series
+    0x10C4: (0xEA60,),  # CP210x
+    0x1A86: (0x7522, 0x7523, 0x55D3, 0x55D4),  # CH340, CH343, CH9102
+    0x2E8A: (0x000C,),  # Debug Probe
 }
 
 
@@ -123,7 +112,7 @@ def find_board(identifier: str | None = None, ports: list[Any] | None = None, ad
     else:
         found = [b for b in boards if _is_spheremouse(b)]
         if not found and adapters:
-            found = [b for b in boards if _id(b) in ADAPTERS]
+            found = [b for b in boards if _is_adapter(b)]
     if len(found) == 1:
         return found[0][-1].device
     if found:
@@ -167,8 +156,8 @@ def _console_first(port: Any) -> tuple[int, str, int, str]:
     return (int("CDC2" in (port.interface or "")), number, len(port.device), port.device)
 
 
-def _id(board: list[Any]) -> tuple[int, int]:
-    return board[-1].vid, board[-1].pid
+def _is_adapter(board: list[Any]) -> bool:
+    return board[-1].pid in ADAPTERS.get(board[-1].vid, ())
 
 
 def _is_named(board: list[Any]) -> bool:
@@ -184,7 +173,7 @@ def _has_data_port(board: list[Any]) -> bool:
     """Return False for CircuitPython's console alone: a Ctrl-C in a frame's bytes would stop the program there."""
     port = board[-1]
     interface = port.interface or ""
-    if "CDC2" in interface or _id(board) in ADAPTERS:
+    if "CDC2" in interface or _is_adapter(board):
         return True
     if "CircuitPython CDC" in interface:
         return False

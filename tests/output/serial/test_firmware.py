@@ -12,7 +12,7 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
-from serial_world import Board, exchange
+from serial_world import Board, conversation
 from typer.testing import CliRunner
 
 from spheremouse.commands.firmware import app
@@ -90,39 +90,13 @@ def test_it_is_micropython(micropython):
 
 
 def test_micropython_and_cpython_answer_the_same_to_anything(micropython):
-    """Frames, damage, cuts, floods and time that passes: byte by byte the same answers."""
-    rng = np.random.default_rng(1)
     here, there = Board(), MicroPythonBoard(micropython)
     here.device._kind, here.device._board = 1, bytearray(b"desk".ljust(16, b"\0"))
-    now, position = 2**29 - 3000, np.zeros(4, dtype=int)
-    for k in range(1500):
-        now += int(rng.integers(0, 40)) + 150 * (k % 97 == 0)
-        position += rng.integers(-500, 600, 4)
-        frame = (
-            messages.motion(k, position.tolist(), int(rng.integers(0, 256))),
-            messages.hello(k, int(rng.integers(0, 4))),
-            messages.encode(messages.ASK_STATUS, k),
-            messages.encode(messages.STOP, k),
-            messages.encode(9, k),
-            messages.encode(messages.HELLO, k, bytes(4), version=2),
-            rng.bytes(200),
-            b"",
-        )[int(rng.choice(8, p=(0.7, 0.12, 0.05, 0.03, 0.02, 0.02, 0.03, 0.03)))]
-        if k % 50 == 3:
-            frame = frame[: len(frame) // 2]
-        if frame and k % 31 == 0:
-            frame = bytes([frame[0] ^ 5]) + frame[1:]
-        assert there.turn(frame, now & 0x1FFFFFFF) == here.turn(frame, now & 0x1FFFFFFF)
-        assert there.moved == here.moved
-        assert there.buttons == here.buttons
-        if k % 12 == 5:  # begin anew where the walk has left the limit of a step
-            position[:] = 0
-
-
-def test_the_sum_arrives_through_micropython(micropython):
-    world = exchange(MicroPythonBoard(micropython), 5000, 0.01)
-    assert world.short == [0, 0, 0, 0]
-    assert world.link.uncertain == [0, 0, 0, 0]
+    for ms, line, data in conversation(np.random.default_rng(1)):
+        if line == 0 and len(data) <= 128:  # one turn of the loop reads no more, and answers once
+            now = ms + 2**29 - 3000 & 0x1FFFFFFF
+            assert there.turn(data, now) + there.turn(b"", now) + there.turn(b"", now) == here.turn(data, now)
+            assert (there.moved, there.buttons) == (here.moved, here.buttons)
 
 
 def test_the_loop_allocates_nothing(micropython):
@@ -572,8 +546,8 @@ def test_the_drive_is_found_among_others(drive, tmp_path_factory, monkeypatch):
         monkeypatch.setattr(firmware, "mounted_folders", lambda: iter(paths))
 
     mount(other, loader, drive)
-    assert [d.path for d in firmware.drives()] == [drive]
-    assert firmware.boot_loader_drives() == [loader]
+    found, waiting = firmware.drives()
+    assert ([d.path for d in found], waiting) == ([drive], [loader])
     mount(drive, second)
     assert "several boards" in refusal("install")
     mount(loader)

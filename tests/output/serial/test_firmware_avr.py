@@ -1,10 +1,11 @@
 """The ATmega32U4's firmware: its protocol code compiled here, byte by byte against the Pico's."""
 
-import random
 import re
 
 import avr_board
+import numpy as np
 import pytest
+from serial_world import conversation
 
 from spheremouse.output.serial import messages
 from spheremouse.output.serial.firmware import load_protocol
@@ -90,40 +91,14 @@ class Pico:
 @pytest.mark.parametrize("seed", range(8))
 def test_the_same_bytes_as_the_pico(code, seed):
     """Whatever comes, both boards give the same answers and the same reports."""
-    rng = random.Random(seed)
-    avr, pico = avr_board.Board(code), Pico()
-    now, counters, number, sessions, kinds = 0, [0] * 4, [0, 0], [1, 2, 3, 0], set()
-    for _ in range(1500):
-        now += rng.choice([0, 0, 1, 1, 1, 2, 5, 20] if rng.random() < 0.98 else [98, 99, 100, 101])
-        line = int(rng.random() < 0.1)
-        number[line] = (number[line] + rng.choice([1] * 100 + [0, 2, 7, -1, 0x7FFF, 0x8000])) & 0xFFFF
-        data = b""
-        for _ in range(rng.choice([0, 1, 1, 1, 2])):
-            what = rng.random()
-            if what < 0.06:
-                sessions.append(rng.randrange(1, 2**32))
-                data += messages.hello(number[line], rng.choice(sessions[-3:]))
-                counters = [0] * 4
-            elif what < 0.9:
-                most = 3000 if rng.random() < 0.01 else 100
-                counters = [(c + rng.randint(-most, most)) & 0xFFFF for c in counters]
-                data += messages.motion(number[line], counters, rng.choice([0, 0, 1, 0xFF]))
-            elif what < 0.95:
-                data += messages.encode(messages.ASK_STATUS, number[line])
-            elif what < 0.97:
-                data += messages.encode(messages.STOP, number[line])
-            else:
-                body = bytes(rng.randrange(256) for _ in range(rng.choice([0, 4, 9, 60])))
-                data += messages.encode(rng.choice([0, 1, 2, 3, 4, 5, 0x82]), number[line], body, rng.choice([1, 1, 2]))
-        if rng.random() < 0.02:  # noise, a flood, a frame of any length, a cut one
-            data += rng.randbytes(rng.choice([60, 63, 64, 65, 253, 254, 255, 256, 1000])) + rng.choice([b"", b"\0"])
-        data = bytes(b if rng.random() > 0.002 else rng.randrange(256) for b in data)
+    rng, avr, pico, kinds = np.random.default_rng(seed), avr_board.Board(code), Pico(), set()
+    for now, line, data in conversation(rng):
         if rng.random() < 0.02:
-            ready, takes = rng.random() < 0.7, rng.random() < 0.9
+            ready, takes = bool(rng.random() < 0.7), bool(rng.random() < 0.9)
             avr.usb(ready, takes)
             pico.usb(ready, takes)
         if rng.random() < 0.02:
-            feature = rng.randrange(16)
+            feature = int(rng.integers(16))
             avr.multipliers(feature)
             pico.device.set_multipliers(feature)
         said = avr.turn(data, now, line)

@@ -6,24 +6,20 @@ import threading
 import time
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 import serial as pyserial
 from reporting import report
-from seats import LOOKS
 from serial.tools import list_ports
 
 from spheremouse.errors import OutputError
 from spheremouse.output import open_output
 from spheremouse.output import serial as output_module
-from spheremouse.output.counts import Counter, MotionSettings
 from spheremouse.output.serial import Serial
 from spheremouse.output.serial import ports as ports_module
 from spheremouse.output.serial.firmware import load_protocol
 from spheremouse.output.serial.messages import STOP, encode
 from spheremouse.output.serial.ports import find_board
 from spheremouse.output.third_axis import left_out
-from spheremouse.tracker import unknown
 
 pty = pytest.importorskip("pty", reason="no pseudo-terminals here")
 import termios  # noqa: E402
@@ -51,21 +47,6 @@ def refused(spec):
 def board():
     with Simulator() as simulator:
         yield simulator
-
-
-@pytest.mark.parametrize("player", LOOKS)
-def test_the_boards_mouse_follows_the_hand_on_the_top_of_the_ball(board, player):
-    """To the right and away, by a hundred counts: right and up on any screen, where y is counted downwards."""
-    ahead = np.array(LOOKS[player], dtype=float)
-    counter = Counter(MotionSettings(player=player, counts_per_radian=1000.0).matrix(None))
-    with open_output(f"serial:{board.port}") as output:
-        for hand, moved in ((np.cross(ahead, (0, 1, 0)), [100, 0]), (ahead, [100, -100])):
-            turn = 0.1 * np.cross((0, 1, 0), hand)
-            output.send(
-                counter.report(unknown(1.0)._replace(increment=np.concatenate([turn, np.zeros(3)]), confirmed=True))
-            )
-            until(lambda: output.settled)
-            assert board.moved[:2] == moved
 
 
 def test_the_mouse_moves_by_the_counts_that_are_sent(board, capsys):
@@ -125,16 +106,6 @@ def test_a_bad_line_and_resets_lose_no_more_than_is_reported():
     assert board.resets == 4
     assert 1 < found.sessions <= 5  # two resets during one stall of the computer are one
     assert 3800 - found.uncertain - found.dropped <= board.moved[0] <= 3800
-
-
-def test_a_silent_host_holds_no_button_down(board):
-    with open_output(f"serial:{board.port}") as output:
-        output.hold(1)
-        until(lambda: board.buttons == 1)
-        until(lambda: board.buttons == 0)  # a second without reports
-        output.hold(1)
-        output.send(report(1))
-        until(lambda: board.buttons == 1 and board.moved[0] == 1)
 
 
 def test_the_board_comes_back_at_another_port(tmp_path, capsys):
@@ -308,20 +279,6 @@ def test_a_board_of_another_version_that_comes_back_is_reported_once(board):
             assert "the board speaks version 2 of the protocol, this program 1; update spheremouse" in said[2]
 
 
-def test_a_board_that_restarts_all_the_time_fills_no_log():
-    with Simulator() as board:
-        said, began = [], time.monotonic()
-        output = Serial(lambda: board.port, 115200, "none", said.append)
-        while output.statistics().sessions < 100:
-            output.send(report(1))
-            board.reset()
-        output.close()
-        lasted = time.monotonic() - began
-    kinds = {"".join(c for c in line.partition(" (")[0].partition(";")[0] if not c.isdigit()) for line in said}
-    assert len(said) <= 2 * len(kinds) * (2 + lasted)
-    assert any("more like it" in line for line in said)
-
-
 # ---- refusals ----
 
 
@@ -398,80 +355,78 @@ def test_a_board_of_another_version(version, advice):
 # ---- which port ----
 
 
-def port(device, product="", vid=0x239A, pid=0x80F4, serial="E660", interface=None, location=None):
+def port(device, product="", ids=(0x239A, 0x80F4), serial="E660", interface=None, location=None):
     return SimpleNamespace(
-        device=device, product=product, vid=vid, pid=pid, serial_number=serial, interface=interface, location=location
+        device=device,
+        product=product,
+        vid=ids[0],
+        pid=ids[1],
+        serial_number=serial,
+        interface=interface,
+        location=location,
     )
 
 
-def test_the_board_is_found_by_its_product_and_the_console_is_left_alone():
-    console = port("/dev/ttyACM0", "spheremouse", interface="CircuitPython CDC control", location="1-1:1.0")
-    data = port("/dev/ttyACM1", "spheremouse", interface="CircuitPython CDC2 control", location="1-1:1.2")
-    other = port("/dev/ttyUSB0", "FT232R", 0x0403, 0x6001, "A1")
-    for ports in ([console, data, other], [other, data, console]):
-        assert find_board(None, ports) == "/dev/ttyACM1"
-    for board in (console, data):
-        board.interface = None
-    assert find_board(None, [data, console]) == "/dev/ttyACM1"
-    for board in (console, data):
-        board.location = None
-    assert find_board(None, [data, console]) == "/dev/ttyACM1"
+def ours(device, serial="S1", **more):
+    return port(device, "spheremouse", serial=serial, **more)
 
 
-def test_a_lone_adapter_is_taken_and_several_boards_are_not():
-    none = port("/dev/ttyS0", vid=None)
-    adapter = port("/dev/ttyUSB0", "USB Serial", 0x1A86, 0x7523, None, location="1-2")
-    assert find_board(None, [none, adapter]) == "/dev/ttyUSB0"
-    first, second = (port(f"/dev/ttyACM{k}", "spheremouse", serial=f"S{k}") for k in (1, 3))
-    several = r"several boards; write serial:auto,id=S1 \(/dev/ttyACM1\) or serial:auto,id=S3 \(/dev/ttyACM3\)$"
-    with pytest.raises(OutputError, match=several):
-        find_board(None, [first, second, adapter])
-    assert find_board("S3", [first, second, adapter]) == "/dev/ttyACM3"
-    with pytest.raises(OutputError, match=r"no board with id=S4 among /dev/ttyACM1"):
-        find_board("S4", [first, second])
-    with pytest.raises(OutputError, match=r"no board of ours is plugged in"):
-        find_board(None, [none])
-    with pytest.raises(OutputError, match=r"among /dev/ttyACM7; name its port"):
-        find_board(None, [port("/dev/ttyACM7", "modem")])
+NONE = port("/dev/ttyS0", ids=(None, None))
+CONSOLE = ours("/dev/ttyACM0", interface="CircuitPython CDC control", location="1-1:1.0")
+DATA = ours("/dev/ttyACM1", interface="CircuitPython CDC2 control", location="1-1:1.2")
+OTHER = ours("/dev/ttyACM3", "S3")
+ADAPTERS = [
+    port("/dev/ttyUSB0", "a make", ids, None, location="1-2")
+    for ids in ((0x1A86, 0x7523), (0x067B, 0x23A3), (0x067B, 0x2303))
+]
+ADAPTER = ADAPTERS[0]
+CLONES = [port(f"/dev/ttyUSB{k}", "CP2102", (0x10C4, 0xEA60), "0001", location=f"1-{k}") for k in (1, 4)]
+TWINS = [ours(f"/dev/ttyACM{k}", "spheremouse", ids=(0x2341, 0x8036), location=f"1-{k}:1.0") for k in (0, 1)]
+WINDOWS = [port("COM5", None, location="1-2:x.0"), port("COM6", None, location="1-2:x.2")]  # tells no names
+AVR_WINDOWS = port("COM7", None, (0x2341, 0x8036), "SPHEREMOUSE", location="1-3:x.0")
+PICO2_WINDOWS = [port(f"COM{k}", None, (0x2E8A, 0x000B), "E7", location=f"1-4:x.{k}") for k in (0, 2)]
+FRESH = port("/dev/ttyACM0", "Pico", interface="CircuitPython CDC control", location="1-1:1.0")
 
 
-def test_a_pico_on_windows_which_tells_no_names():
-    console = port("COM5", None, location="1-2:x.0")
-    data = port("COM6", None, location="1-2:x.2")
-    assert find_board(None, [data, console]) == "COM6"
-    assert find_board("E660", [console, data]) == "COM6"
-    with pytest.raises(OutputError, match="no board of ours among COM5"):
-        find_board(None, [console])  # may be a console
-    with pytest.raises(OutputError, match="no board with id=E660 among COM5"):
-        find_board("E660", [console])
-    avr = port("COM7", None, 0x2341, 0x8036, "SPHEREMOUSE", location="1-3:x.0")
-    assert find_board(None, [avr]) == "COM7"
-    pico2 = [port(f"COM{k}", None, 0x2E8A, 0x000B, "E7", location=f"1-4:x.{k}") for k in (0, 2)]
-    assert find_board(None, pico2) == "COM2"
+@pytest.mark.parametrize(
+    ("ports", "identifier", "found"),
+    [
+        ([CONSOLE, DATA, ADAPTER], None, "/dev/ttyACM1"),
+        ([ours("/dev/ttyACM0", location="1-1:1.0"), ours("/dev/ttyACM1", location="1-1:1.2")], None, "/dev/ttyACM1"),
+        ([ours("/dev/ttyACM0"), ours("/dev/ttyACM1")], None, "/dev/ttyACM1"),
+        *(([NONE, adapter], None, "/dev/ttyUSB0") for adapter in ADAPTERS),
+        ([ours("/dev/ttyACM1"), OTHER], "S3", "/dev/ttyACM3"),
+        (WINDOWS, None, "COM6"),
+        (WINDOWS, "E660", "COM6"),
+        ([AVR_WINDOWS], None, "COM7"),
+        (PICO2_WINDOWS, None, "COM2"),
+    ],
+)
+def test_the_board_is_found_by_its_product_and_its_console_is_left_alone(ports, identifier, found):
+    assert find_board(identifier, ports) == find_board(identifier, ports[::-1]) == found
 
 
-def test_the_console_of_a_fresh_board_is_not_taken_by_its_number_either():
-    fresh = port("/dev/ttyACM0", "Pico", interface="CircuitPython CDC control", location="1-1:1.0")
-    with pytest.raises(OutputError, match="no board with id=E660"):
-        find_board("E660", [fresh])
+@pytest.mark.parametrize(
+    ("ports", "identifier", "problem"),
+    [
+        ([ours("/dev/ttyACM1"), OTHER, ADAPTER], None, r"several boards; write serial:auto,id=S1 \(/dev/ttyACM1\) or "),
+        ([ours("/dev/ttyACM1"), OTHER], "S4", "no board with id=S4 among /dev/ttyACM"),
+        ([NONE], None, "no board of ours is plugged in"),
+        ([port("/dev/ttyACM7", "modem")], None, "among /dev/ttyACM7; name its port"),
+        (WINDOWS[:1], None, "no board of ours among COM5"),  # may be a console
+        (WINDOWS[:1], "E660", "no board with id=E660 among COM5"),
+        ([FRESH], "E660", "no board with id=E660"),
+        (CLONES, None, "several boards; write serial:/dev/ttyUSB1 or serial:/dev/ttyUSB4$"),
+        (TWINS, None, "write serial:/dev/ttyACM0 or serial:/dev/ttyACM1$"),
+        (TWINS, "spheremouse", "write serial:/dev/ttyACM0 or serial:/dev/ttyACM1$"),
+    ],
+)
+def test_no_board_or_several(ports, identifier, problem):
+    for order in (ports, ports[::-1]):
+        with pytest.raises(OutputError, match=problem):
+            find_board(identifier, order)
 
 
-def test_boards_with_the_same_number_are_two():
-    clones = [port(f"/dev/ttyUSB{k}", "CP2102", 0x10C4, 0xEA60, "0001", location=f"1-{k}") for k in (1, 4)]
-    with pytest.raises(OutputError, match=r"several boards; write serial:/dev/ttyUSB1 or serial:/dev/ttyUSB4$"):
-        find_board(None, clones)
-    ours = [
-        port(f"/dev/ttyACM{k}", "spheremouse", 0x2341, 0x8036, "spheremouse", location=f"1-{k}:1.0") for k in (0, 1)
-    ]
-    with pytest.raises(OutputError, match=r"write serial:/dev/ttyACM0 or serial:/dev/ttyACM1$"):
-        find_board(None, ours)
-    with pytest.raises(OutputError, match=r"write serial:/dev/ttyACM0 or serial:/dev/ttyACM1$"):
-        find_board("spheremouse", ours)
-
-
-@pytest.mark.parametrize("pid", [0x23A3, 0x2303])
-def test_adapters_of_several_makes(pid):
-    adapter = port("/dev/ttyUSB0", "USB-Serial Controller", 0x067B, pid, None, location="1-1")
-    assert find_board(None, [adapter]) == "/dev/ttyUSB0"
+def test_an_adapter_is_taken_only_if_it_may_be():
     with pytest.raises(OutputError, match="no board of ours"):
-        find_board(None, [adapter], adapters=False)
+        find_board(None, [ADAPTER], adapters=False)
