@@ -25,6 +25,7 @@ def assign_spots(
     q = np.empty((n, 2))
     glare_q = np.empty((len(glare), 3))
     pairs = np.empty((m, m))
+    spots, discs, axes = (q, area, colour, near, glare_q), (direction, angle, colours, pairs), (R, E)
     by_colour = np.zeros(max(np.max(colours), np.max(colour)) + 1, dtype=np.int64)
     for i in range(m):
         by_colour[colours[i]] += 1
@@ -59,19 +60,13 @@ def assign_spots(
             s1 = near[i1]
             if s1 > s0 and gap[s1] < 4.0 * limits[1] ** 2:
                 spent += by_colour[colour[s0]] * by_colour[colour[s1]]
-                kept = _assign_two(
-                    s0, s1, q, area, colour, direction, angle, colours, pairs, limits, pixels, min_score, glare_q,
-                    E, R, near, count, found, kept,
-                )  # fmt: skip
+                kept = _assign_two(s0, s1, spots, discs, axes, limits, pixels, min_score, count, found, kept)
             for i2 in range(i1 + 1, count):
                 s2 = near[i2]
                 if gap[s2] > 4.0 * limits[1] ** 2 or (s1 < s0 and s2 < s0):
                     continue
                 spent += by_colour[colour[s0]] * by_colour[colour[s1]] * by_colour[colour[s2]]
-                kept = _assign_three(
-                    s0, s1, s2, q, area, colour, direction, angle, colours, pairs, limits, pixels, min_score, glare_q,
-                    E, R, near, count, found, kept,
-                )  # fmt: skip
+                kept = _assign_three(s0, s1, s2, spots, discs, axes, limits, pixels, min_score, count, found, kept)
     return kept, 0
 
 
@@ -97,11 +92,11 @@ def _project_to_plane(x, y, E, q):
 
 
 @njit(cache=True, error_model="numpy")
-def _assign_three(
-    s0, s1, s2, q, area, colour, direction, angle, colours, pairs, limits, pixels, min_score, glare_q, E, R, near,
-    count, found, kept,
-):  # fmt: skip
-    m = len(direction)
+def _assign_three(s0, s1, s2, spots, discs, axes, limits, pixels, min_score, count, found, kept):
+    """Assign three spots to triples of discs."""
+    q, area, colour, _, _ = spots
+    direction, angle, colours, pairs = discs
+    R, m = axes[0], len(direction)
     d00, d01 = q[s1, 0] - q[s0, 0], q[s1, 1] - q[s0, 1]
     d10, d11 = q[s2, 0] - q[s0, 0], q[s2, 1] - q[s0, 1]
     for a in range(m):
@@ -166,20 +161,16 @@ def _assign_three(
                         continue
                     cx = q[s0, 0] - scale * _row_product(R, 0, direction, a)
                     cy = q[s0, 1] - scale * _row_product(R, 1, direction, a)
-                    kept = _keep(
-                        cx, cy, scale, R, E, q, area, colour, direction, angle, colours, pixels, min_score, glare_q,
-                        near, count, found, kept,
-                    )  # fmt: skip
+                    kept = _keep(cx, cy, scale, spots, discs, axes, pixels, min_score, count, found, kept)
     return kept
 
 
 @njit(cache=True, error_model="numpy")
-def _assign_two(
-    s0, s1, q, area, colour, direction, angle, colours, pairs, limits, pixels, min_score, glare_q, E, R, near, count,
-    found, kept,
-):  # fmt: skip
+def _assign_two(s0, s1, spots, discs, axes, limits, pixels, min_score, count, found, kept):
     """Assign two spots to pairs of discs. The area of a spot gives the angle by which its disc is turned away."""
-    m = len(direction)
+    q, area, colour, _, _ = spots
+    direction, angle, colours, pairs = discs
+    R, m = axes[0], len(direction)
     dx, dy = q[s1, 0] - q[s0, 0], q[s1, 1] - q[s0, 1]
     gap = dx * dx + dy * dy
     inner, outer = np.empty((3, 3)), np.empty((3, 3))
@@ -211,10 +202,8 @@ def _assign_two(
                 _frame(nx, ny, nz, mx, my, mz, inner)
                 _frame(ax, ay, -za, bx, by, -zb, outer)
                 R[:] = outer @ inner.T
-                kept = _keep(
-                    q[s0, 0] - scale * ax, q[s0, 1] - scale * ay, scale, R, E, q, area, colour, direction, angle,
-                    colours, pixels, min_score, glare_q, near, count, found, kept,
-                )  # fmt: skip
+                cx, cy = q[s0, 0] - scale * ax, q[s0, 1] - scale * ay
+                kept = _keep(cx, cy, scale, spots, discs, axes, pixels, min_score, count, found, kept)
     return kept
 
 
@@ -235,28 +224,10 @@ def _frame(ax, ay, az, bx, by, bz, F):
 
 
 @njit(cache=True, error_model="numpy")
-def _keep(
-    cx,
-    cy,
-    scale,
-    R,
-    E,
-    q,
-    area,
-    colour,
-    direction,
-    angle,
-    colours,
-    pixels,
-    min_score,
-    glare_q,
-    near,
-    count,
-    found,
-    kept,
-):
+def _keep(cx, cy, scale, spots, discs, axes, pixels, min_score, count, found, kept):
     """Write a pose of sufficient score to `found`, over the worst one if it is full. Return the number of poses."""
-    score, number = _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels, glare_q, near, count)
+    R, E = axes
+    score, number = _score(cx, cy, scale, R, spots, discs, pixels, count)
     if score < min_score:
         return kept
     score *= number  # two discs can agree by chance, five cannot
@@ -276,11 +247,13 @@ def _keep(
 
 
 @njit(cache=True, error_model="numpy")
-def _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels, glare_q, near, count):
+def _score(cx, cy, scale, R, spots, discs, pixels, count):
     """Return the fraction, by area, of the visible discs with a spot of their colour and size, and their number.
 
     A spot on the ball without a disc reduces the fraction. The part of a disc that glare hides does not.
     """
+    q, area, colour, near, glare_q = spots
+    direction, angle, colours, _ = discs
     found_area, expected_area, number = 0.0, 0.0, 0
     used_spots = 0  # bits of the spots that belong to a disc
     within = (0.15 * scale + pixels) ** 2

@@ -18,31 +18,26 @@ _MIN_COLOUR_FRACTION, _MAX_COLOUR_FRACTION = 2e-6, 0.25  # of the picture: a bal
 
 
 @dataclass(frozen=True, slots=True)
-class NotInView(Event):
+class BallEvent(Event):
+    """An event of one ball."""
+
+    ball: str
+
+
+class NotInView(BallEvent):
     """The tracker has not found the ball yet."""
 
-    ball: str
 
-
-@dataclass(frozen=True, slots=True)
-class BallLost(Event):
+class BallLost(BallEvent):
     """The tracker has lost the ball."""
 
-    ball: str
 
-
-@dataclass(frozen=True, slots=True)
-class BallHidden(Event):
+class BallHidden(BallEvent):
     """The ball does not show for a moment. Its pose is predicted."""
 
-    ball: str
 
-
-@dataclass(frozen=True, slots=True)
-class SecondBall(Event):
+class SecondBall(BallEvent):
     """Another ball like this one is in view, but not declared."""
-
-    ball: str
 
 
 @dataclass(frozen=True, slots=True)

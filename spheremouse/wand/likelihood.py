@@ -87,23 +87,9 @@ def bounded_fractions(fields: Fields) -> Array:
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _weigh(
-    position,
-    rotation,
-    table,
-    colour,
-    radius,
-    lens,
-    weight,
-    glare,
-    place,
-    fraction,
-    rim,
-    sigma,
-    fixed,
-    which,
-    out,
+    position, rotation, table, colour, radius, lens, weight, glare, place, fraction, rim, sigma, fixed, which, out,
     match,
-):
+):  # fmt: skip
     """Write `log_likelihood` to out, (n,), and match, (n,) or (0,). Plain loops over the points vectorise."""
     count, field_h, field_w = weight.shape
     number = len(table)

@@ -10,7 +10,7 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.build import build
 from spheremouse.wand.model import ball_model
-from spheremouse.wand.published.edges import edge_distances, log_edges
+from spheremouse.wand.published.track import edge_distances, log_edges
 from spheremouse.wand.settings import WandSettings
 from spheremouse.wand.track import begin, step
 
