@@ -3,8 +3,10 @@
 import time
 
 import numpy as np
+import pytest
 
-from spheremouse.output import Report
+from spheremouse.errors import OutputError
+from spheremouse.output import Report, open_output
 from spheremouse.output.counts import Counter, MotionSettings
 from spheremouse.tracker import unknown
 
@@ -17,6 +19,14 @@ def until(condition):
     while not condition():
         assert time.monotonic() < end, "it never came to be"
         time.sleep(0.002)
+
+
+def refused(spec):
+    """Return the one line with which an output is refused."""
+    with pytest.raises(OutputError) as e:
+        open_output(spec)
+    assert "\n" not in str(e.value)
+    return str(e.value)
 
 
 def report(

@@ -84,10 +84,3 @@ def test_several_boards_are_told(world):
     world.ports = [BOARD, {**BOARD, "device": "/dev/ttyACM9", "serial_number": "E662", "location": "1-2"}]
     with pytest.raises(OutputError, match=r"several boards.*id=E661.*id=E662"):
         open_output("auto")
-
-
-def test_arguments(world):
-    with pytest.raises(OutputError, match=r"^auto: third=rz; write third= with one of none, wheel$"):
-        open_output("auto:third=rz")
-    with pytest.raises(OutputError, match="did you mean third"):
-        open_output("auto:thrid=wheel")

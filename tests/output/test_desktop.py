@@ -7,14 +7,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from reporting import report
+from reporting import refused, report
 
 from spheremouse.errors import OutputError
-from spheremouse.output import open_output
 from spheremouse.output.desktop import Desktop
-from spheremouse.output.third_axis import NOTCH
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -60,15 +56,6 @@ def test_the_text_twin_says_what_is_done(third, counts, words):
     assert " ".join(done + ([f"scroll {pointer.scrolled:+d}"] if pointer.scrolled else [])) == words
 
 
-@given(st.lists(st.integers(-500, 500), max_size=50))
-def test_notches_follow_the_counts(turns):
-    pointer = Pointer()
-    output = Desktop(pointer, "wheel")
-    for k, z in enumerate(turns):
-        output.send(report(z=z))
-        assert abs(sum(turns[: k + 1]) - NOTCH * pointer.scrolled) < NOTCH
-
-
 def test_an_empty_motion_asks_nothing_of_the_desktop():
     pointer = Pointer()
     Desktop(pointer, "none").send(report(z=3))
@@ -80,18 +67,6 @@ def test_a_desktop_that_goes_away_is_one_line():
     pointer.error = ConnectionError("Display connection closed\nby server")
     with pytest.raises(OutputError, match=r"any more: Display connection closed by server$"):
         Desktop(pointer, "none").send(report(1))
-
-
-def refused(spec):
-    with pytest.raises(OutputError) as e:
-        open_output(spec)
-    assert "\n" not in str(e.value)
-    return str(e.value)
-
-
-def test_arguments():
-    assert refused("desktop:third=rz") == "desktop: third=rz; write third= with one of none, wheel"
-    assert "unknown key thrid; did you mean third?" in refused("desktop:thrid=wheel")
 
 
 @pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="X11 and Wayland")

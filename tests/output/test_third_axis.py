@@ -9,7 +9,7 @@ from spheremouse.output import open_output
 from spheremouse.output.desktop import Desktop
 from spheremouse.output.third_axis import VALUES, left_out, sent_as
 from spheremouse.output.uinput import UInput
-from tests.reporting import report
+from tests.reporting import refused, report
 
 SPIN = report(z=240)  # two notches
 
@@ -48,3 +48,13 @@ def test_of_a_text_of_nothing_and_of_others_outputs_nothing_is_said(tmp_path):
 def test_every_output_with_a_third_axis_is_known_here():
     """A kind of ours is either told of, or has no `third=`."""
     assert set(VALUES) == {"auto", "desktop", "serial", "uinput"} == set(outputs.KINDS) - {"text", "null"}
+
+
+@pytest.mark.parametrize(
+    ("spec", "others"), [("auto:", ""), ("desktop:", ""), ("uinput:", ", rz"), ("serial:x,", ", pan")]
+)
+def test_a_wrong_argument_is_refused_with_the_right_ones(spec, others):
+    kind = spec.partition(":")[0]
+    assert refused(f"{spec}third=whel") == f"{kind}: third=whel; write third= with one of none, wheel{others}"
+    assert "unknown key thrid; did you mean third?" in refused(f"{spec}thrid=wheel")
+    assert "'wheel' is not KEY=VALUE" in refused(f"{spec}wheel")

@@ -136,14 +136,6 @@ def shift_of(found, radius, n=3, rows=48):
     return np.sqrt(np.count_nonzero(found.binary[0][:rows]) / (n * np.pi)) - radius
 
 
-@pytest.mark.parametrize("radius", [2.0, 3.0, 5.0])
-def test_rim_shift_of_small_dark_discs(radius):
-    dark = {"dark": ColourSettings(value_max=75.0)}
-    found = colour_fields(discs_on(radius, 0.01, 0.7), dark, ("dark",), known=PictureColours(127.0, np.zeros(1)))
-    assert shift_of(found, radius) < -0.2
-    assert found.rim[0] == pytest.approx(shift_of(found, radius), abs=0.15)
-
-
 def test_rims_of_large_dark_areas_have_no_effect_on_the_rim_shift():
     """Dark furniture on a grey wall: its rims lie elsewhere than those on white."""
     dark, known = {"dark": ColourSettings(value_max=75.0)}, PictureColours(127.0, np.zeros(1))
@@ -161,28 +153,24 @@ def test_rims_of_large_dark_areas_have_no_effect_on_the_rim_shift():
     assert alone.rim[0] == 0.0  # no disc at all
 
 
-@pytest.mark.parametrize("radius", [2.0, 4.0, 12.0])
-@pytest.mark.parametrize("light", [1.0, 1.5, 3.0, 8.0])
-def test_rim_shift_of_overexposed_discs_follows_from_the_width_of_their_rims(radius, light):
-    """Light above full scale moves the rim from 0.6 px inside to 0.6 px outside."""
-    found = colour_fields(
-        discs_on(radius, light, 0.02), {"light": ColourSettings(value_min=215.0)}, ("light",),
-        known=PictureColours(140.0, np.zeros(1)),
-    )  # fmt: skip
+@pytest.mark.parametrize(
+    ("factor", "radius", "light", "ground", "within"),
+    [
+        *((1, radius, 0.01, 0.7, 0.15) for radius in (2.0, 3.0, 5.0)),
+        *((1, radius, light, 0.02, 0.2) for radius in (2.0, 4.0, 12.0) for light in (1.0, 1.5, 3.0)),
+        *((1, radius, 8.0, 0.02, 0.4) for radius in (2.0, 4.0, 12.0)),
+        *((factor, 6.0, *lights, 0.12) for factor in (2, 3) for lights in ((0.01, 0.7), (1.0, 0.02), (1.5, 0.02))),
+    ],
+)
+def test_rim_shift_of_dark_and_of_overexposed_discs(factor, radius, light, ground, within):
+    """Light above full scale moves the rim from 0.6 px inside to 0.6 px outside. px are those of a reduced picture."""
+    bounds = {"some": ColourSettings(value_min=215.0) if light > ground else ColourSettings(value_max=75.0)}
+    known = PictureColours(140.0 if light > ground else 127.0, np.zeros(1))
+    image = discs_on(radius * factor, light, ground, side=48 * factor)
+    found = colour_fields(image, bounds, ("some",), None, factor, known)
     true = shift_of(found, radius)
-    assert found.rim[0] == pytest.approx(true, abs=0.2 if light < 4.0 else 0.4)
+    assert found.rim[0] == pytest.approx(true, abs=within)
     assert np.sign(found.rim[0]) == np.sign(true)
-
-
-@pytest.mark.parametrize("factor", [1, 2, 3])
-@pytest.mark.parametrize(("light", "ground"), [(0.01, 0.7), (1.0, 0.02), (1.5, 0.02)])
-def test_rim_shift_in_a_reduced_picture_is_in_its_own_pixels(factor, light, ground):
-    radius, side = 6.0 * factor, 48 * factor
-    lit = light > ground
-    bounds = {"some": ColourSettings(value_min=215.0) if lit else ColourSettings(value_max=75.0)}
-    image = discs_on(radius, light, ground, side=side)
-    found = colour_fields(image, bounds, ("some",), None, factor, PictureColours(140.0 if lit else 127.0, np.zeros(1)))
-    assert found.rim[0] == pytest.approx(shift_of(found, radius / factor), abs=0.12)
 
 
 def test_no_rim_shift_if_brightness_does_not_separate_a_colour():

@@ -190,15 +190,6 @@ def test_a_ball_that_stops_in_a_gap_has_no_reverse_velocity():
     assert np.linalg.eigvalsh(never.covariance)[0] > 0.0
 
 
-def test_a_known_velocity_replaces_the_estimate():
-    velocity = np.array([0.1, 0.0, 0.0, 0.0, 2.0, 0.0])
-    state = with_velocity(start(), velocity, 1e-6 * np.eye(6))
-    np.testing.assert_array_equal(state.covariance[:6, :6], NOISE)
-    ahead = predict(state, 0.4, np.zeros(6))
-    np.testing.assert_allclose(ahead.position - state.position, [0.04, 0.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(log(ahead.rotation), [0.0, 0.8, 0.0], atol=1e-12)
-
-
 def test_predicted_velocity_covariance_equals_that_of_the_predicted_state():
     state = predict(start(), 0.1, ACCELERATION)
     for later in (0.15, 0.25, 0.9):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spheremouse.geometry.rotation import log
+from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Frame, Status
 from spheremouse.wand.ball import contrast_ball, led_ball
@@ -22,6 +22,7 @@ from spheremouse.wand.events import (
 )
 from spheremouse.wand.settings import ColourSettings, WandSettings
 from spheremouse.wand.start import find_spots, pose_hypotheses
+from spheremouse.wand.state import WandPose
 from spheremouse.wand.track import begin, step
 
 HAND = WandOptions(motion="hand", blur=0.008, size=(640, 480), focal=500.0, seconds=1.4, seed=3)
@@ -87,6 +88,23 @@ def test_equal_frames_and_seeds_give_equal_poses(hand):
         np.testing.assert_array_equal(a.covariance, b.covariance)
 
 
+def test_increments_add_up_to_the_motion(hand):
+    camera, balls, shots = hand
+    tracker = build(camera, balls)
+    state, found = begin(tracker, 1), []
+    for shot in shots:
+        state, estimate, _ = step(state, shot.frame, tracker)
+        found.append(estimate)
+    assert [estimate.sequence for estimate in found] == list(range(len(shots)))
+    assert all(estimate.confirmed for estimate in found)
+    turn = np.eye(3)
+    for estimate in found[1:]:
+        turn = exp(estimate.increment[:3]) @ turn
+    np.testing.assert_allclose(turn, found[-1].rotation @ found[0].rotation.T, atol=1e-9)
+    shift = np.sum([estimate.increment[3:] for estimate in found], axis=0)
+    np.testing.assert_allclose(shift, found[-1].position - found[0].position, atol=1e-12)
+
+
 @pytest.mark.parametrize("ball", [contrast_ball(), led_ball()], ids=lambda b: b.name)
 def test_balls_of_one_colour_are_tracked(ball):
     camera, balls, shots = film(replace(HAND, clutter=False, seconds=0.7, focal=700.0), ball)
@@ -94,33 +112,26 @@ def test_balls_of_one_colour_are_tracked(ball):
     assert np.all(worst(shots, poses, skip=4) < [0.006, 0.06, np.deg2rad(8)])
 
 
-def test_lost_ball_is_found_again(hand):
-    camera, balls, shots = hand
-    tracker = build(camera, balls)
-    state, _ = follow(shots[:4], tracker)
-    empty = np.full_like(shots[0].frame.image, 128)
-    for k in range(12):
-        state = step(state, Frame(empty, shots[3].frame.stamp + 0.066 * (k + 1), 100 + k), tracker).state
-        (pose,) = state.poses
-    assert pose.phase == Status.LOST
-    assert pose.position is None
-    assert isinstance(pose.event, BallLost | ColourNowhere)
-    later = [replace(s, frame=Frame(s.frame.image, s.frame.stamp + 2.0, 200 + i)) for i, s in enumerate(shots[8:14])]
-    _, poses = follow(later, tracker, state)
-    assert np.all(worst(later, poses, skip=3) < [0.006, 0.06, np.deg2rad(8)])
-
-
-def test_hidden_ball_is_predicted(hand):
+def test_a_hidden_ball_is_predicted_then_lost_and_found_again(hand):
     camera, balls, shots = hand
     tracker = build(camera, balls)
     state, poses = follow(shots[:4], tracker)
-    empty = np.full_like(shots[0].frame.image, 128)
-    state = step(state, Frame(empty, shots[3].frame.stamp + 0.066, 100), tracker).state
-    (pose,) = state.poses
-    assert pose.phase == Status.TRACKING
-    assert not pose.seen
-    assert pose.event == BallHidden("grzonka")
-    assert np.all(np.diag(pose.covariance)[:2] > np.diag(poses[-1][0].covariance)[:2])
+    (before,), empty, hidden = poses[-1], np.full_like(shots[0].frame.image, 128), list[WandPose]()
+    for k in range(12):
+        found = step(state, Frame(empty, shots[3].frame.stamp + 0.066 * (k + 1), 100 + k), tracker)
+        state = found.state
+        hidden += state.poses
+        assert not found.estimate.confirmed
+        assert not found.estimate.increment.any()
+    first, last = hidden[0], hidden[-1]
+    assert (first.phase, first.seen, first.event) == (Status.TRACKING, False, BallHidden("grzonka"))
+    assert np.all(np.diag(first.covariance)[:2] > np.diag(before.covariance)[:2])
+    assert last.phase == Status.LOST
+    assert last.position is None
+    assert isinstance(last.event, BallLost | ColourNowhere)
+    later = [replace(s, frame=Frame(s.frame.image, s.frame.stamp + 2.0, 200 + i)) for i, s in enumerate(shots[8:14])]
+    _, poses = follow(later, tracker, state)
+    assert np.all(worst(later, poses, skip=3) < [0.006, 0.06, np.deg2rad(8)])
 
 
 def test_covariance_of_a_hidden_ball_grows_by_the_random_walk():
@@ -303,17 +314,13 @@ def test_a_passing_hand_does_not_attract_the_track(seed):
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_track_recovers_from_a_card_in_both_colours_within_a_second(seed):
+    """With seed 2 it hides the ball, and a mug and books in its colours stay in view."""
     camera, balls, shots = film(replace(HAND, seed=seed, seconds=2.4, card=1.0))
     _, poses = follow(shots, build(camera, balls))
     longest, last = wrong(shots[3:], poses[3:])
     assert longest <= 5
     assert last == 0
-
-
-def test_a_ball_behind_a_card_is_hidden_and_nowhere_else():
-    """A mug and books in its colours stay in view. Every measured pose is the ball's."""
-    camera, balls, shots = film(replace(HAND, seed=2, seconds=2.4, card=1.0))
-    _, poses = follow(shots, build(camera, balls))
-    seen = [(shot, pose) for shot, pose in zip(shots, poses, strict=True) if pose[0].seen]
-    assert len(seen) < len(shots)
-    assert wrong(*zip(*seen, strict=True)) == (0, 0)
+    if seed == 2:
+        seen = [(shot, pose) for shot, pose in zip(shots, poses, strict=True) if pose[0].seen]
+        assert len(seen) < len(shots)
+        assert wrong(*zip(*seen, strict=True)) == (0, 0)
