@@ -5,8 +5,8 @@ limit the bytes of a file and the length of a line. They report each refusal as 
 and remedy in one line.
 
 To write, the functions write under a hidden name beside the place and then rename. At any moment the old file or the
-new one is there. They later remove hidden files of killed processes, once these are OLD. They write to a stream,
-device or pipe that a person named (`/dev/null`, a named pipe), and never replace it.
+new one is there. The next writing of a file removes what a killed process left of it, once that is OLD. They write to a
+stream, device or pipe that a person named (`/dev/null`, a named pipe), and never replace it.
 
 Root refuses to write into a folder that another user may change, since that user could put a link there. The user who
 called sudo counts as root.
@@ -14,6 +14,7 @@ called sudo counts as root.
 
 import contextlib
 import errno
+import glob
 import json
 import os
 import re
@@ -31,11 +32,6 @@ from typing import Any, BinaryIO, Self
 
 from spheremouse.errors import ConfigurationError, SpheremouseError
 
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None
-
 OLD = 3600.0  # s since the last write; no file of ours takes so long until it has its name
 PIPE_TIMEOUT_S = 10.0  # until the writer of a pipe has closed it
 LONGEST_LINE = 65_536  # characters of a table's line; a wand's truth of 20 balls has 6,000
@@ -45,10 +41,6 @@ _CHUNK_BYTES = 65_536
 _MAX_LINKS = 40  # in one path, as in the kernel
 _STREAMS = {"stdin": 0, "stdout": 1, "stderr": 2}
 _STREAM = re.compile(r"/dev/(stdin|stdout|stderr)|/(?:dev|proc/self)/fd/(\d{1,9})")
-_LETTERS = "abcdefghijklmnopqrstuvwxyz0123456789_"
-_RANDOM_LETTERS = 8  # 41 bits
-_HIDDEN_FILE = re.compile(rf"\.(?P<name>.+)\.[{_LETTERS}]{{{_RANDOM_LETTERS}}}\.new", re.S)
-_HIDDEN_FOLDER = re.compile(rf"\..+\.[{_LETTERS}]{{{_RANDOM_LETTERS}}}", re.S)
 
 
 # ---- read ----
@@ -170,9 +162,6 @@ class NewFile:
         self._hidden: Path | None = _hidden_name(path, ".new")
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | _OPEN_FLAGS
         descriptor = os.open(self._hidden, flags, 0o666 if self._mode is None else 0o600)
-        if fcntl is not None:
-            with contextlib.suppress(OSError):  # some file systems have no locks
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self.file: BufferedWriter = os.fdopen(descriptor, "wb")
 
     def finish(self) -> None:
@@ -189,7 +178,7 @@ class NewFile:
         self.file.close()
         os.replace(self._hidden, self._path)
         self._hidden = None
-        clear_left(self._path.parent, self._path.name)
+        _clear_left(self._path)
 
     def discard(self) -> None:
         """Remove the file, unless it has its name."""
@@ -213,32 +202,12 @@ class NewFile:
             self.discard()
 
 
-def clear_left(folder: Path, name: str | None = None) -> int:
-    """Remove the hidden files that killed processes of this user left in a folder (for `name`). Return their number.
-
-    A file that a process still writes is locked.
-    """
-    removed = 0
-    with contextlib.suppress(OSError):
-        if others_may_change(folder):
-            return 0
-        for path in list(folder.iterdir()):
-            found = _HIDDEN_FILE.fullmatch(path.name)
-            if found and name in (None, found["name"]):
-                with contextlib.suppress(OSError):
-                    removed += _remove_left_file(path)
-    return removed
-
-
-def _remove_left_file(path: Path) -> bool:
-    found = path.lstat()
-    if not (stat.S_ISREG(found.st_mode) and found.st_nlink == 1 and _is_old_and_ours(found)):
-        return False
-    if fcntl is not None:
-        with path.open("rb") as file:
-            fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
-    path.unlink()
-    return True
+def _clear_left(path: Path) -> None:
+    """Remove what killed processes left of this file, once it is OLD."""
+    for left in path.parent.glob(f".{glob.escape(path.name)}.{'?' * 8}.new"):
+        with contextlib.suppress(OSError):
+            if time.time() - left.lstat().st_mtime > OLD:
+                left.unlink()
 
 
 # ---- write whole folders ----
@@ -295,22 +264,6 @@ class NewFolder:
         else:
             with contextlib.suppress(OSError):
                 os.replace(self._old, self._place)
-
-
-def clear_left_folders(parent: Path) -> int:
-    """Remove the empty hidden folders that killed processes of this user left. Return their number.
-
-    A new folder gets its first file at once, so one that is still empty after OLD is abandoned.
-    """
-    removed = 0
-    with contextlib.suppress(OSError):
-        for left in parent.iterdir():
-            if _HIDDEN_FOLDER.fullmatch(left.name):
-                with contextlib.suppress(OSError):
-                    if _is_old_and_ours(left.lstat()):
-                        left.rmdir()  # removes an empty folder alone, and no link
-                        removed += 1
-    return removed
 
 
 # ---- refuse folders to root ----
@@ -407,8 +360,7 @@ def _open_to_write(path: Path, flags: int) -> int:
 
 def _hidden_name(path: Path, ending: str = "") -> Path:
     """Return a random name beside `path`."""
-    letters = "".join(secrets.choice(_LETTERS) for _ in range(_RANDOM_LETTERS))
-    return path.with_name(f".{path.name}.{letters}{ending}")
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}{ending}")
 
 
 def _regular(path: Path) -> os.stat_result | None:
@@ -418,8 +370,3 @@ def _regular(path: Path) -> os.stat_result | None:
     except FileNotFoundError:
         return None
     return found if stat.S_ISREG(found.st_mode) else None
-
-
-def _is_old_and_ours(found: os.stat_result) -> bool:
-    ours = not hasattr(os, "geteuid") or found.st_uid == os.geteuid()
-    return ours and time.time() - found.st_mtime > OLD

@@ -21,7 +21,7 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import TrackState, disc_map
 from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.files.disc_map import SavedMap, age, check_fits, load_map, old_path, save_map, saved_now
-from spheremouse.files.safe_files import clear_left, open_to_read, replace
+from spheremouse.files.safe_files import open_to_read, replace
 from spheremouse.geometry.rotation import Array
 
 EVERY = 60.0  # s between two looks whether the map has changed: what a power cut may cost
@@ -108,7 +108,6 @@ class MapKeeper:
         self._frame = np.eye(3)  # rotation of the run's maps into the frame of the file's
         self._aside = False
         self._writable = os.access(path.parent, os.W_OK)
-        clear_left(path.parent)
         self._state: TrackState | None = None
         self._due = time.monotonic() + every
         self._elsewhere = elsewhere

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import IO, Any
 
 from spheremouse.errors import DatasetError, SpheremouseError
-from spheremouse.files.safe_files import clear_left, clear_left_folders
 from spheremouse.session.settings.record import RecordSettings
 
 try:
@@ -47,7 +46,7 @@ def next_name(folder: Path, now: time.struct_time | None = None, suffix: str = "
 
 def tidy(folder: Path) -> int:
     """Remove what a crash left half written in the folder of recordings; how many. What is being written stays."""
-    removed = clear_left(folder) + clear_left_folders(folder)
+    removed = 0
     with contextlib.suppress(OSError):
         for left in sorted(folder.iterdir()):
             if left.name.startswith(".") and not left.is_symlink() and (left / _MARK).is_file():
