@@ -14,10 +14,10 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, create_model
+from pydantic import BaseModel, BeforeValidator, Field, create_model
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.validate import GONE, gone, nearest, validated
+from spheremouse.files.validate import GONE, Part, gone, nearest, validated
 from spheremouse.files.yaml import (
     SCHEMAS,
     Document,
@@ -95,10 +95,7 @@ def override(settings: S, assignment: str, *, label: str = "--set ") -> S:
     data: Any = value
     for part in reversed(parts):
         data = {part: data}
-    try:
-        return _applied(Document("", data, {}), settings)
-    except ConfigurationError as e:  # a single value has no line
-        raise ConfigurationError("\n".join(label + line.removeprefix(":1: ") for line in str(e).split("\n"))) from None
+    return _applied(Document(label, data), settings)
 
 
 def dump_commented(settings: Any, keys: Collection[str] | None = None) -> str:
@@ -150,8 +147,7 @@ def model_of(cls: type) -> type[BaseModel]:
         annotation = _annotation(_hints(cls)[field.name], about.get("bounds", {}), about.get("most"))
         read = BeforeValidator(functools.partial(_without_short_form, about, section))
         fields[field.name] = (Annotated[annotation, read], Field(None, description=None if section else _advice(field)))
-    config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
-    made = create_model(cls.__name__, __config__=config, **fields)
+    made = create_model(cls.__name__, __base__=Part, **fields)
     constants = {
         f.name: "the program fixes it; remove the line" for f in dataclasses.fields(cls) if f.name not in fields
     }

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, create_model
+from pydantic import Field, create_model
 
 from spheremouse.ball.device import Axes, Device, Distance
 from spheremouse.ball.rig import CODES
 from spheremouse.files.rig.models import Code
 from spheremouse.files.safe_files import read_bytes
-from spheremouse.files.validate import validated
+from spheremouse.files.validate import Part, validated
 from spheremouse.files.yaml import MAX_BYTES, SCHEMAS, Document, Problem, read_document, without_schema
 
 UNTOUCHED = "# NOT FILLED IN YET: delete this line when all below is true of your device."
@@ -33,16 +33,12 @@ Positive = Annotated[float, Field(gt=0, le=1e4)]  # m: no tape is longer
 _MOST_DISTANCES = 100  # six targets have fifteen, each may be measured several times
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class _Target(_Part):
+class _Target(Part):
     id: int = Field(ge=0, le=10**6, description="a whole number of your choice that names the target")
     code: Code = Field(description="colours inside to outside: C cyan, M magenta, Y yellow")
 
 
-class _Axes(_Part):
+class _Axes(Part):
     origin: Id
     up: Id
     plane: Id
@@ -50,14 +46,14 @@ class _Axes(_Part):
 
 _TapeDistance = create_model(
     "_TapeDistance",
-    __base__=_Part,
+    __base__=Part,
     **{"from": (Id, ...), "to": (Id, ...)},  # type: ignore[call-overload]  `from` is no name in Python
     metres=(Positive, Field(description="from centre to centre in metres, as in 0.750")),
     sigma=(Positive, Field(description="how exactly it was measured in metres; a tape held taut: 0.001")),
 )
 
 
-class _DeviceFile(_Part):
+class _DeviceFile(Part):
     targets: tuple[_Target, ...] = Field(
         min_length=_FEWEST, max_length=len(CODES), description="list of {id, code}, one for each target"
     )

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from spheremouse import __version__
 from spheremouse.ball.detect.projection import GREY, NEGATIVE, Projection, normalised
@@ -21,7 +21,7 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import MOST_DISCS, Rig
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.safe_files import write_atomically
-from spheremouse.files.validate import validated
+from spheremouse.files.validate import Part, validated
 from spheremouse.files.yaml import SCHEMAS, Document, Problem, read_document, shown, without_schema
 from spheremouse.geometry.rotation import Array
 
@@ -45,17 +45,13 @@ class SavedMap:
     version: str  # of the program that wrote it
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class _Disc(_Part):
+class _Disc(Part):
     direction: tuple[Coordinate, Coordinate, Coordinate] = Field(description="unit vector [x, y, z] in ball")
     sigma: tuple[Sigma, Sigma] = Field(description="two standard deviations in rad")
     sightings: int = Field(ge=0, lt=10**15, description="frames in which the disc was seen")
 
 
-class _MapFile(_Part):
+class _MapFile(Part):
     spheremouse: str = Field(description="version of the program that wrote the file")
     saved: str = Field(description='date and time as "2025-01-31T12:00:00+00:00"')
     ball_radius: Length = Field(description="radius of the ball in m")

@@ -25,6 +25,13 @@ def loads(text: str | bytes, *, constants: bool = False, surrogates: bool = Fals
     return data
 
 
+def tuples(value: Any) -> Any:
+    """Return the value with tuples in place of lists, as `validate.validated` expects."""
+    if isinstance(value, list):
+        return tuple(map(tuples, value))
+    return {k: tuples(v) for k, v in value.items()} if isinstance(value, dict) else value
+
+
 def said(error: ValueError) -> str:
     """Return the message of an error of `loads` in one line, without its line number."""
     words = error.msg if isinstance(error, json.JSONDecodeError) else str(error)

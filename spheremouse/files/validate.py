@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
 from spheremouse.errors import one_line
@@ -25,6 +25,19 @@ from spheremouse.files.yaml import (
 )
 
 M = TypeVar("M", bound=BaseModel)
+
+
+class Part(BaseModel):
+    """A part of a file: no conversion but of whole numbers to float, no unknown key, no NaN."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
+
+
+class Provenance(BaseModel):
+    """Date, version, photos and notes for people; the program does not read them."""
+
+    model_config = ConfigDict(extra="allow")
+
 
 GONE = "GONE"  # attribute of a model or a settings class: former keys, each with its replacement
 

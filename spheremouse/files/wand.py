@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from spheremouse.files.safe_files import write_atomically
-from spheremouse.files.validate import read_checked
+from spheremouse.files.validate import Part, Provenance, read_checked
 from spheremouse.files.yaml import SCHEMAS, Document, Problem
 from spheremouse.geometry.rotation import Array, align, log
 from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
@@ -36,11 +36,7 @@ class WandFile:
     colours: dict[str, ColourSettings]  # of every colour on the ball, and of no other
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
-
-
-class _Disc(_Part):
+class _Disc(Part):
     azimuth: float = Field(ge=-360, le=360, description="degrees about the pole, counter-clockwise from above")
     latitude: float = Field(ge=-90, le=90, description="degrees above the equator, 90 at the pole")
     diameter: Length = Field(description="straight across the disc's rim, in m")
@@ -48,7 +44,7 @@ class _Disc(_Part):
     points: Length | None = Field(None, description="m along the surface from the centre to the four outer points")
 
 
-class _Colour(_Part):
+class _Colour(Part):
     hue_min: float = Field(0.0, ge=0, le=360, description="least hue, degrees; above hue_max it passes through 0")
     hue_max: float = Field(360.0, ge=0, le=360, description="greatest hue, degrees")
     saturation_min: float = Field(0.0, ge=0, le=255, description="least saturation, 0 to 255")
@@ -57,13 +53,7 @@ class _Colour(_Part):
     value_max: float = Field(1e4, ge=0, le=1e4, description="greatest brightness where the picture's mean is 127")
 
 
-class _Provenance(BaseModel):
-    """Notes for people; the program does not read them."""
-
-    model_config = ConfigDict(extra="allow")
-
-
-class _Wand(_Part):
+class _Wand(Part):
     name: str = Field("wand", min_length=1, description="what messages call the ball")
     radius: float = Field(ge=0.005, le=1.0, description="radius of the ball in m, 0.05 for 10 cm across")
     body: Literal["white", "black"] = Field("white", description="the ball between its discs: white or black")
@@ -71,7 +61,7 @@ class _Wand(_Part):
     colours: dict[str, _Colour] = Field(
         {}, max_length=_MOST, description="bounds of each colour; `spheremouse wand colours` picks them"
     )
-    provenance: _Provenance | None = Field(None, description="where the numbers come from: a section, for people")
+    provenance: Provenance | None = Field(None, description="where the numbers come from: a section, for people")
 
 
 def load_wand(path: Path) -> WandFile:

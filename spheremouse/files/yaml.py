@@ -7,7 +7,7 @@ that no file can run code or fill the memory. A problem reads `FILE:LINE: key: w
 import re
 from codecs import BOM_UTF8
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -44,15 +44,19 @@ class Problem:
 class Document:
     """Content of a YAML text as dicts, tuples and scalars, with the line (from 1) of every key and item."""
 
-    name: str  # in messages; usually the path
+    name: str  # in messages; usually the path, or the whole start of a message if no lines are known
     data: Any
-    lines: dict[Key, int]
+    lines: dict[Key, int] = field(default_factory=dict)
 
     def line(self, key: Key) -> int:
         """Return the line of a key, or of the nearest section around it."""
         while key not in self.lines and key:
             key = key[:-1]
         return self.lines.get(key, 1)
+
+    def place(self, key: Key) -> str:
+        """Return the start of a message about a key: the name, and the line if lines are known."""
+        return f"{self.name}:{self.line(key)}: " if self.lines else self.name
 
     def error(self, problems: Sequence[Problem], more: int = 0) -> ConfigurationError:
         """Return one error with a line for each problem, in the order of the file.
@@ -61,9 +65,9 @@ class Document:
         """
         ordered = sorted(problems, key=lambda p: self.line(p.key))
         listed, more = ordered[:MAX_PROBLEMS], more + len(ordered[MAX_PROBLEMS:])
-        lines = [f"{self.name}:{self.line(p.key)}: {dotted(p.key)}{': ' if p.key else ''}{p.text}" for p in listed]
+        lines = [f"{self.place(p.key)}{dotted(p.key)}{': ' if p.key else ''}{p.text}" for p in listed]
         if more:
-            lines.append(f"{self.name}:{self.line(listed[-1].key)}: and {more} more problems from here on")
+            lines.append(f"{self.place(listed[-1].key)}and {more} more problems from here on")
         return ConfigurationError("\n".join(" ".join(line.splitlines()) for line in lines))
 
 

@@ -21,7 +21,6 @@ from spheremouse.files.dataset.format import (
     MOTION_COLUMNS,
     CameraEntry,
     Entry,
-    Number,
     Positive,
     SceneEntry,
     check_frames,
@@ -29,13 +28,13 @@ from spheremouse.files.dataset.format import (
     described,
     is_rotation,
     read_description,
-    read_json,
 )
 from spheremouse.files.dataset.stamps import Stamps, fractional, read_stamps, recorded_frames
 from spheremouse.files.dataset.write import DatasetWriter
 from spheremouse.files.rig import load_rig
 from spheremouse.files.tables import read_columns
-from spheremouse.geometry.camera import InteriorOrientation, Pose, pose_from_matrix
+from spheremouse.files.yaml import Document
+from spheremouse.geometry.camera import Pose, pose_from_matrix
 from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Frame
 
@@ -69,8 +68,8 @@ class Recording:
 
 # ---- scene.json ----
 
-_Vector = tuple[Number, Number, Number]
-_Row4 = tuple[Number, Number, Number, Number]
+_Vector = tuple[float, float, float]
+_Row4 = tuple[float, float, float, float]
 _Matrix4 = tuple[_Row4, _Row4, _Row4, _Row4]
 
 
@@ -85,7 +84,7 @@ class _Target(Entry):
 
 
 class _Scene(SceneEntry):
-    readout_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    readout_s: Annotated[float, Field(ge=0)] | None = None
     camera: CameraEntry
     ball: _Ball
     disc_radius: Positive
@@ -93,7 +92,7 @@ class _Scene(SceneEntry):
     target_radii: tuple[Positive, Positive, Positive] | None = None
     T_obj_cam: _Matrix4 | None = None
     truth_T_obj_cam: _Matrix4 | None = None  # noqa: N815
-    truth_disc_directions: list[_Vector] | None = None
+    truth_disc_directions: tuple[_Vector, ...] | None = None
 
 
 def open_dataset(path: Path | str) -> Recording:
@@ -113,7 +112,7 @@ def open_dataset(path: Path | str) -> Recording:
         fps=scene.fps,
         frames=scene.frames,
         exposure_s=scene.exposure_s,
-        pose=_pose(path / "scene.json", "truth_T_obj_cam", scene.truth_T_obj_cam),
+        pose=_pose(f"{path / 'scene.json'}: ", "truth_T_obj_cam", scene.truth_T_obj_cam),
         truth=truth,
         discs=discs,
         truth_directions=directions,
@@ -121,32 +120,21 @@ def open_dataset(path: Path | str) -> Recording:
     )
 
 
-def _read_scene(path: Path) -> _Scene:
-    content = read_json(path)
-    if isinstance(content, dict) and "wand" in content and "ball" not in content:
-        raise DatasetError(f"{path}: this is a recording of a wand; use --tracker wand")
-    scene = described(path, content, _Scene)
+def _read_scene(document: Document) -> _Scene:
+    data, n = document.data, document.name
+    if isinstance(data, dict) and "wand" in data and "ball" not in data:
+        raise DatasetError(f"{n}this is a recording of a wand; use --tracker wand")
+    scene = described(document, _Scene)
     if scene.targets and scene.target_radii is None:
-        raise DatasetError(f"{path}: target_radii: field required where there are targets")
-    if len({t.id for t in scene.targets}) < len(scene.targets) or len({t.code for t in scene.targets}) < len(
-        scene.targets
-    ):
-        raise DatasetError(f"{path}: targets: ids and codes must differ from one another")
-    _pose(path, "T_obj_cam", scene.T_obj_cam)
+        raise DatasetError(f"{n}target_radii: missing; targets need it")
+    if min(len({t.id for t in scene.targets}), len({t.code for t in scene.targets})) < len(scene.targets):
+        raise DatasetError(f"{n}targets: ids and codes must differ from one another")
+    _pose(n, "T_obj_cam", scene.T_obj_cam)
     return scene
 
 
 def _rig(scene: _Scene) -> Rig:
     """Return the rig by the keys without `truth_`."""
-    camera = InteriorOrientation(
-        scene.width,
-        scene.height,
-        scene.camera.fx,
-        scene.camera.fy,
-        scene.camera.cx,
-        scene.camera.cy,
-        np.array(scene.camera.dist, dtype=float),
-    )
     n = len(scene.targets)
     targets = Targets(
         ids=tuple(t.id for t in scene.targets),
@@ -156,7 +144,7 @@ def _rig(scene: _Scene) -> Rig:
         radii=np.array(scene.target_radii if scene.target_radii is not None else (0.0, 0.0, 0.0), dtype=float),
     )
     return Rig(
-        camera=camera,
+        camera=scene.orientation(scene.camera),
         ball=Ball(scene.ball.radius),
         targets=targets,
         disc_radius=scene.disc_radius,
@@ -186,12 +174,12 @@ def _recorded_rig(path: Path, scene: _Scene) -> Rig:
     return replace(rig, pose=replace(rig.pose, rotation=np.ascontiguousarray(T[:3, :3])))
 
 
-def _pose(path: Path, key: str, matrix: _Matrix4 | None) -> Pose | None:
+def _pose(place: str, key: str, matrix: _Matrix4 | None) -> Pose | None:
     if matrix is None:
         return None
     T = np.array(matrix, dtype=float)
     if not is_rotation(T[:3, :3]) or not np.allclose(T[3], (0.0, 0.0, 0.0, 1.0)):
-        raise DatasetError(f"{path}: {key}: not a rotation and a translation (4 x 4, last row 0 0 0 1)")
+        raise DatasetError(f"{place}{key}: not a rotation and a translation (4 x 4, last row 0 0 0 1)")
     return pose_from_matrix(T)
 
 

@@ -8,13 +8,15 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field
 
-from spheremouse.errors import DatasetError, has_control_characters
+from spheremouse.errors import ConfigurationError, DatasetError
 from spheremouse.files import plain_json
 from spheremouse.files.pictures import FRAME_PIXELS, decoded, film_images, film_size, open_film, px, read_header
 from spheremouse.files.pictures import MOST_BYTES as PICTURE_BYTES
 from spheremouse.files.safe_files import read_bytes, read_text
+from spheremouse.files.validate import Part, validated
+from spheremouse.files.yaml import Document, refuse_control_characters
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 
@@ -33,14 +35,13 @@ MOST_FRAMES = 86_400 * 120  # a day at 120 frames per second: `record` takes no 
 DISC_COLUMNS = ("frame", "disc", "u_center", "v_center", *BLOB_COLUMNS, "state")
 
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0)]
 
 
-class Entry(BaseModel):
+class Entry(Part):
     """A part of scene.json; unknown keys are ignored."""
 
-    model_config = ConfigDict(strict=True, extra="ignore")
+    model_config = ConfigDict(extra="ignore")
 
 
 class CameraEntry(Entry):
@@ -48,9 +49,9 @@ class CameraEntry(Entry):
 
     fx: Positive
     fy: Positive
-    cx: Number
-    cy: Number
-    dist: tuple[Number, Number, Number, Number, Number]
+    cx: float
+    cy: float
+    dist: tuple[float, float, float, float, float]
 
 
 def camera_description(camera: InteriorOrientation) -> dict[str, Any]:
@@ -67,16 +68,22 @@ class SceneEntry(Entry):
     height: Annotated[int, Field(gt=0)]
     fps: Positive
     frames: Annotated[int, Field(gt=0, le=MOST_FRAMES)]
-    exposure_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    exposure_s: Annotated[float, Field(ge=0)] = 0.0
+
+    def orientation(self, camera: CameraEntry) -> InteriorOrientation:
+        """Return the interior orientation of a camera with this size."""
+        c = camera
+        return InteriorOrientation(self.width, self.height, c.fx, c.fy, c.cx, c.cy, np.array(c.dist, dtype=float))
 
 
 Scene = TypeVar("Scene", bound=SceneEntry)
 
 
-def read_json(path: Path) -> Any:
+def read_json(path: Path) -> Document:
     """Read scene.json; DatasetError, with the line, if it is invalid."""
     try:
-        return plain_json.loads(read_text(path, MOST_BYTES, "scene.json"), constants=True)
+        data = plain_json.loads(read_text(path, MOST_BYTES, "scene.json"), constants=True)
+        return Document(f"{path}: ", plain_json.tuples(data))
     except FileNotFoundError:
         raise DatasetError(f"{path}: missing; a dataset needs it") from None
     except OSError as e:
@@ -88,34 +95,20 @@ def read_json(path: Path) -> Any:
         raise DatasetError(f"{path}{line}: not valid JSON ({plain_json.said(e)})") from None
 
 
-def _has_plain_texts(content: Any) -> bool:
-    """Return True if a terminal can print every text in plain data."""
-    if isinstance(content, dict):
-        return all(_has_plain_texts(key) and _has_plain_texts(value) for key, value in content.items())
-    if isinstance(content, list):
-        return all(map(_has_plain_texts, content))
-    return not isinstance(content, str) or not has_control_characters(content)
-
-
-def described(path: Path, content: Any, kind: type[Scene]) -> Scene:
-    """Return the content of scene.json as this kind of description; DatasetError names the invalid key."""
-    if isinstance(content, dict) and not _has_plain_texts(content):
-        raise DatasetError(f"{path}: has text with a control character; write it in letters, digits and signs")
+def described(document: Document, kind: type[Scene]) -> Scene:
+    """Return scene.json as this kind of description; DatasetError has a line for each invalid key."""
     try:
-        # Through JSON once more, so that lists count as tuples while "640" still does not count as a number.
-        return kind.model_validate_json(json.dumps(content))
-    except ValidationError as e:
-        first = e.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the file"
-        more = f" (and {e.error_count() - 1} more)" if e.error_count() > 1 else ""
-        raise DatasetError(f"{path}: {key}: {first['msg'][0].lower()}{first['msg'][1:]}{more}") from None
+        refuse_control_characters(document)
+        return validated(document, kind)
+    except ConfigurationError as e:
+        raise DatasetError(str(e)) from None
 
 
-def read_description(folder: Path, read: Callable[[Path], Scene]) -> Scene:
+def read_description(folder: Path, read: Callable[[Document], Scene]) -> Scene:
     """Read scene.json of a dataset by `read`; DatasetError if the folder or its images are missing."""
     if not folder.is_dir():
         raise DatasetError(f"{folder}: no such folder; a dataset is a folder with scene.json and video.mkv or frames/")
-    scene = read(folder / "scene.json")
+    scene = read(read_json(folder / "scene.json"))
     if scene.width * scene.height > FRAME_PIXELS:
         most = f"at most {FRAME_PIXELS // 1_000_000} megapixels (8K)"
         raise DatasetError(f"{folder / 'scene.json'}: width, height: {scene.width}x{scene.height}; {most} are read")

@@ -17,7 +17,6 @@ from spheremouse.files.dataset.format import (
     MATRIX_COLUMNS,
     CameraEntry,
     Entry,
-    Number,
     Positive,
     SceneEntry,
     camera_description,
@@ -30,6 +29,7 @@ from spheremouse.files.dataset.format import (
 )
 from spheremouse.files.dataset.stamps import Stamps, read_stamps, recorded_frames
 from spheremouse.files.tables import read_columns
+from spheremouse.files.yaml import Document
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, WandDisc, WandTruth, wand_disc
@@ -71,11 +71,11 @@ class WandRecording:
 
 
 class _Camera(CameraEntry):
-    dist: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    dist: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class _Disc(Entry):
-    azimuth_deg: Number
+    azimuth_deg: float
     latitude_deg: Annotated[float, Field(ge=-90, le=90)]
     diameter: Positive  # m, of the rim
     colour: Annotated[str, Field(min_length=1)]
@@ -86,35 +86,34 @@ class _Wand(Entry):
     name: str = "wand"
     radius: Positive
     body: str = "white"
-    discs: Annotated[list[_Disc], Field(min_length=1)]
+    discs: Annotated[tuple[_Disc, ...], Field(min_length=1)]
 
 
 class _Scene(SceneEntry):
     camera: _Camera
     wand: _Wand
-    wands: list[_Wand] | None = None
+    wands: tuple[_Wand, ...] | None = None
 
 
 def is_wand(path: Path | str) -> bool:
     """Is a folder a recording of a wand? False if it cannot be read."""
     try:
-        content = read_json(Path(path) / "scene.json")
+        data = read_json(Path(path) / "scene.json").data
     except DatasetError:
         return False
-    return isinstance(content, dict) and "wand" in content
+    return isinstance(data, dict) and "wand" in data
 
 
 def open_wand(path: Path | str) -> WandRecording:
     """Read and check the description of a wand dataset; DatasetError names the invalid file."""
     path = Path(path)
     scene = read_description(path, _read_scene)
-    c = scene.camera
-    wands = [scene.wand] if scene.wands is None else scene.wands
+    wands = (scene.wand,) if scene.wands is None else scene.wands
     truth = path / "truth.csv"
     return WandRecording(
         path=path,
         name=scene.name or path.name,
-        camera=InteriorOrientation(scene.width, scene.height, c.fx, c.fy, c.cx, c.cy, np.array(c.dist, dtype=float)),
+        camera=scene.orientation(scene.camera),
         balls=tuple(_ball(path / "scene.json", wand) for wand in wands),
         fps=scene.fps,
         frames=scene.frames,
@@ -124,13 +123,12 @@ def open_wand(path: Path | str) -> WandRecording:
     )
 
 
-def _read_scene(path: Path) -> _Scene:
-    content = read_json(path)
-    if isinstance(content, dict) and "wand" not in content:
-        raise DatasetError(f"{path}: no `wand` in it; this is no recording of a wand, leave --tracker wand out")
-    scene = described(path, content, _Scene)
-    if scene.wands is not None and not scene.wands:
-        raise DatasetError(f"{path}: wands: is empty; leave it out where there is one ball")
+def _read_scene(document: Document) -> _Scene:
+    if isinstance(document.data, dict) and "wand" not in document.data:
+        raise DatasetError(f"{document.name}no `wand` in it; this is no recording of a wand, leave --tracker wand out")
+    scene = described(document, _Scene)
+    if scene.wands == ():
+        raise DatasetError(f"{document.name}wands: is empty; leave it out where there is one ball")
     return scene
 
 

@@ -3,9 +3,10 @@
 from typing import Annotated, Literal, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from spheremouse.ball.rig import CODES, MOST_DISCS
+from spheremouse.files.validate import Part, Provenance
 from spheremouse.geometry.camera import MAX_SIDE
 from spheremouse.geometry.rotation import Array
 
@@ -24,10 +25,6 @@ Distortion = Annotated[float, Field(ge=-_GREATEST, le=_GREATEST)]  # of a long l
 Vector3 = tuple[Coordinate, Coordinate, Coordinate]
 Row = Annotated[tuple[Variance, ...], Field(max_length=3 * len(CODES))]
 Matrix = Annotated[tuple[Row, ...], Field(max_length=3 * len(CODES))]
-
-
-class Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
 
 
 class CameraPart(Part):
@@ -54,12 +51,6 @@ class TargetPart(Part):
     code: Code = Field(description="colours inside to outside")
     position: Vector3 = Field(description="[x, y, z] in m, obj")
     covariance: Matrix | None = Field(None, description="3 x 3 in m², where the targets are not correlated")
-
-
-class Provenance(BaseModel):
-    """Date, version, photos and notes for people; the program does not read them."""
-
-    model_config = ConfigDict(extra="allow")
 
 
 class CameraFile(Part):

@@ -112,10 +112,9 @@ def parse(line: bytes) -> Request:
         name = one_line(repr(command))
         raise BadRequestError(f"unknown command {name}; {nearest(command[:60], COMMANDS)}", id_)
     try:
-        request = validated(Document("", data, {}), _REQUESTS[command])
+        request = validated(Document("", data), _REQUESTS[command])
     except ConfigurationError as e:
-        lines = [part.removeprefix(":1: ") for part in str(e).splitlines()]
-        raise BadRequestError(f"{command}: {'; '.join(lines)}"[:500], id_) from None
+        raise BadRequestError(f"{command}: {'; '.join(str(e).splitlines())}"[:500], id_) from None
     if isinstance(request, Record) and request.stop and request.model_fields_set - {"command", "id", "stop"}:
         raise BadRequestError("record: stop goes alone; leave seconds, folder and everything out", id_)
     return request
@@ -129,16 +128,9 @@ def _read(line: bytes) -> Any:
     except UnicodeDecodeError:
         raise BadRequestError("not UTF-8 text; send one JSON object a line") from None
     try:
-        return _tuples(plain_json.loads(text))
+        return plain_json.tuples(plain_json.loads(text))
     except ValueError as e:
         raise BadRequestError(f"not JSON: {one_line(str(e))}; send one JSON object a line") from None
-
-
-def _tuples(value: Any) -> Any:
-    """Return the value with tuples in place of lists, as `validated` expects."""
-    if isinstance(value, list):
-        return tuple(map(_tuples, value))
-    return {k: _tuples(v) for k, v in value.items()} if isinstance(value, dict) else value
 
 
 def _is_id(value: Any) -> bool:

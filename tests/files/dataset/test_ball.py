@@ -2,10 +2,7 @@
 
 import csv
 import json
-import os
 import shutil
-import subprocess
-import sys
 
 import cv2
 import numpy as np
@@ -224,49 +221,31 @@ def test_a_missing_file_is_named(folder, name):
 
 
 @pytest.mark.parametrize(
-    ("key", "value"),
+    ("key", "value", "words"),
     [
-        ("width", None),
-        ("width", "64"),
-        ("width", 64.5),
-        ("width", 0),
-        ("frames", -3),
-        ("fps", 0),
-        ("fps", True),
-        ("camera.fx", None),
-        ("camera.fx", "sixty"),
-        ("camera.dist", [0.0, 0.0]),
-        ("ball.radius", -1.0),
-        ("ball", None),
-        ("disc_radius", None),
-        ("readout_s", -0.001),
-        ("readout_s", "0.01"),
-        ("exposure_s", -0.001),
-        ("target_radii", None),
-        ("targets.0.code", "MMY"),
-        ("targets.0.position", [0.0, 1.0]),
-        ("truth_T_obj_cam", [[1, 0], [0, 1]]),
-        ("truth_T_obj_cam", np.diag([2.0, 1.0, 1.0, 1.0]).tolist()),
-        ("T_obj_cam", np.diag([-1.0, 1.0, 1.0, 1.0]).tolist()),
-        ("truth_disc_directions", [[0.0, 1.0]]),
+        ("width", None, "width: missing"),
+        ("width", "64", "width: must be a whole number, is '64'"),
+        ("fps", 0, "fps: must be greater than 0, is 0"),
+        ("fps", True, "fps: must be a number, is true"),
+        ("camera.fx", np.inf, "camera.fx: must be a finite number, is inf"),
+        ("ball", None, "ball: missing"),
+        ("readout_s", -0.001, "readout_s: must be at least 0, is -0.001"),
+        ("target_radii", None, "target_radii: missing; targets need it"),
+        ("targets.0.code", "MMY", "targets[0].code: must be 'CMY', 'CYM', 'MCY', 'MYC', 'YCM' or 'YMC', is 'MMY'"),
+        ("truth_T_obj_cam", np.diag([2.0, 1.0, 1.0, 1.0]).tolist(), "truth_T_obj_cam: not a rotation"),
+        ("T_obj_cam", np.diag([-1.0, 1.0, 1.0, 1.0]).tolist(), "T_obj_cam: not a rotation"),
+        ("truth_disc_directions", [[0.0, 1.0]], "truth_disc_directions[0][2]: missing"),
+        ("name", "\x1b[31mred", "name: has a control character; write it in letters, digits and signs"),
     ],
 )
-def test_a_wrong_key_is_named(folder, key, value):
+def test_a_wrong_key_is_named(folder, key, value, words):
     spoil_scene(folder, key, value)
     with pytest.raises(DatasetError) as e:
         open_dataset(folder)
-    assert one_line(e, "scene.json", key)
+    assert one_line(e, f"scene.json: {words}")
 
 
-def test_a_name_that_could_steer_a_terminal_is_refused(folder):
-    scene = json.loads((folder / "scene.json").read_text())
-    (folder / "scene.json").write_text(json.dumps(scene | {"name": "\x1b[31mred"}))
-    with pytest.raises(DatasetError, match=r"scene\.json: has text with a control character") as e:
-        open_dataset(folder)
-    assert str(e.value).isprintable()
-
-
-@pytest.mark.parametrize("text", ["", "{", "[]", "3", '{"width": 1e999}', "\xff"], ids=repr)
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", "\xff"], ids=repr)
 def test_a_scene_that_is_none(folder, text):
     (folder / "scene.json").write_bytes(text.encode("latin-1"))
     with pytest.raises(DatasetError) as e:
@@ -393,21 +372,6 @@ def test_a_simulation_broken_off_leaves_nothing_behind(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_writer_that_is_killed_leaves_no_dataset(tmp_path):
-    code = (
-        "import os, sys; sys.path.insert(0, os.path.dirname(sys.argv[1]))\n"
-        "from test_ball import *\n"
-        "writer = DatasetWriter(sys.argv[2], scene_of()).__enter__()\n"
-        "writer.add(Frame(picture(0), 0.0, 0), *motion(0), discs_of(0))\n"
-        "os.kill(os.getpid(), 9)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code, __file__, str(tmp_path / "out")], check=False, timeout=60)
-    assert done.returncode == -9
-    assert not (tmp_path / "out").exists()
-    write(tmp_path / "out")  # and is not in the way of the next
-    assert len(list(read_frames(open_dataset(tmp_path / "out")))) == FRAMES
-
-
 def test_no_frames_are_no_dataset(tmp_path):
     with pytest.raises(DatasetError) as e:
         write(tmp_path / "out", frames=0)
@@ -443,14 +407,6 @@ def test_what_is_no_dataset_is_never_replaced(tmp_path):
     with pytest.raises(DatasetError) as e:
         write(tmp_path / "file", replace=True)
     assert one_line(e, "is a file")
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_place_without_permission_is_named(tmp_path):
-    tmp_path.chmod(0o500)
-    with pytest.raises(DatasetError) as e:
-        write(tmp_path / "out")
-    assert one_line(e, "out", "ermission")
 
 
 # ---- the reference recording ----

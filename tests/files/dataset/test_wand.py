@@ -82,34 +82,13 @@ def test_without_truth_the_rate_stamps_the_frames(folder):
     assert [f.stamp for f in read_wand_frames(recording)] == pytest.approx([0.0, 0.1, 0.2])
 
 
-def test_one_that_is_closed_early_leaves_nothing(film, tmp_path):
-    frames = write_wand(tmp_path / "half", film)
-    next(frames)
-    frames.close()
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_what_is_there_is_not_replaced_unasked(folder, film):
-    before = (folder / "truth.csv").read_bytes()
-    with pytest.raises(DatasetError, match="is not empty; name another folder or use --force"):
-        list(write_wand(folder, film))
-    assert (folder / "truth.csv").read_bytes() == before
-    list(write_wand(folder, film, replace=True))
-    assert [p.name for p in folder.parent.iterdir()] == ["wand"]
-    (folder / "letter.txt").write_text("dear")
-    with pytest.raises(DatasetError, match=r"holds letter\.txt, which is no part of a dataset"):
-        list(write_wand(folder, film, replace=True))
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"wand": None}, "scene.json: no `wand` in it"),
-        ({"wand__radius": -1.0}, "wand.radius: input should be greater than 0"),
-        ({"width": "640"}, "width: input should be a valid integer"),
-        ({"wand__discs": []}, "wand.discs: list should have at least 1 item"),
+        ({"wand__radius": -1.0}, "wand.radius: must be greater than 0, is -1.0"),
+        ({"wand__discs": []}, "wand.discs: must be a list of at least 1, is a list of 0"),
         ({"wands__0__discs__3__diameter": 0.2}, "wand.discs.3: larger than the ball of radius 0.05 m"),
-        ({"camera__fx": None}, "camera.fx: field required"),
         ({"wands": []}, "wands: is empty"),
         ({"frames": 4}, "truth.csv: 3 rows, but scene.json says 4 frames"),
     ],
@@ -122,28 +101,13 @@ def test_a_damaged_description_is_refused_in_words(folder, changes, words):
     assert str(folder) in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("frame,t", "frame,s", "line 1: no column t"),
-        ("1,0.1,", "1,later,", "line 3: t: 'later' is not a number"),
-        ("2,0.2,", "7,0.2,", "row 3: frame 7 where 2 is due"),
-        ("2,0.2,", "2,0.1,", "row 3: t does not increase"),
-        ("x_1", "x_9", "no column x_1"),
-    ],
-)
-def test_a_damaged_truth_is_refused_with_its_place(folder, old, new, words):
+def test_a_damaged_truth_is_refused_with_its_place(folder):
     table = folder / "truth.csv"
-    text = table.read_text()
-    assert old in text
-    table.write_text(text.replace(old, new, 1))
-    with pytest.raises(DatasetError) as refused:
+    whole = table.read_text()
+    table.write_text(whole.replace("x_1", "x_9", 1))
+    with pytest.raises(DatasetError, match=r"truth\.csv, line 1: no column x_1"):
         open_wand(folder)
-    assert words in str(refused.value)
-
-
-def test_a_mirror_is_no_rotation(folder):
-    table = folder / "truth.csv"
+    table.write_text(whole)
     lines = table.read_text().splitlines()
     cells = lines[2].split(",")
     cells[5:8] = [str(-float(c)) for c in cells[5:8]]
