@@ -1,21 +1,11 @@
 """Simulated films as datasets on a disk."""
 
-import csv
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from spheremouse.errors import DatasetError
-from spheremouse.files.dataset.pictures import PictureWriter
 from spheremouse.files.dataset.wand import WAND_COLUMNS, columns_of, wand_scene
-from spheremouse.files.dataset.write import (
-    DatasetWriter,
-    device_description,
-    finish_pictures,
-    refuse_to_overwrite,
-    write_scene,
-)
-from spheremouse.files.safe_files import NewFolder
+from spheremouse.files.dataset.write import DatasetFolder, DatasetWriter, device_description
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import Change, Simulation, simulate
 from spheremouse.simulate.wand.film import WandFilm, simulate_wand
@@ -81,34 +71,14 @@ def write_wand(path: Path | str, film: WandFilm, *, replace: bool = False) -> It
     Raises DatasetError where `path` is there and not empty (unless `replace`, and it holds a dataset), or cannot be
     written. An iterator that is closed early writes nothing.
     """
-    path = Path(path).absolute()
-    refuse_to_overwrite(path, replace)
-    new = NewFolder(path, DatasetError)
-    camera = film.scene.camera
-    pictures: PictureWriter | None = None
-    try:
-        folder = new.make()
-        folder.chmod(0o755)
-        pictures = PictureWriter(folder, (camera.width, camera.height), film.fps)
-        with (folder / "truth.csv").open("w", newline="", encoding="utf-8") as file:
-            rows = csv.writer(file, lineterminator="\n")
-            columns = [name for k in range(len(film.scene.balls)) for name in columns_of(k)]
-            rows.writerow([*WAND_COLUMNS[:2], *columns])
-            for shot in simulate_wand(film):
-                pictures.add(shot.frame.image)
-                numbers = [shot.frame.stamp, *_poses(shot.position, shot.rotation)]
-                rows.writerow([shot.frame.sequence, *(repr(float(x)) for x in numbers)])
-                yield shot.frame.sequence + 1
-        finish_pictures(pictures, path)
-        write_scene(folder, {**wand_scene_description(film, path.name), "frames": film.frames})
-        refuse_to_overwrite(path, replace)  # once more: another process may have come first
-        new.finish()
-    except OSError as e:
-        raise DatasetError(f"{path}: cannot be written ({e.strerror})") from None
-    finally:
-        if pictures is not None:
-            pictures.release()
-        new.discard()
+    with DatasetFolder(path, wand_scene_description(film, Path(path).absolute().name), replace=replace) as made:
+        poses = [name for k in range(len(film.scene.balls)) for name in columns_of(k)]
+        rows = made.table("truth.csv", (*WAND_COLUMNS[:2], *poses))
+        for shot in simulate_wand(film):
+            made.pictures.add(shot.frame.image)
+            numbers = [shot.frame.stamp, *_poses(shot.position, shot.rotation)]
+            rows.writerow([shot.frame.sequence, *(repr(float(x)) for x in numbers)])
+            yield shot.frame.sequence + 1
 
 
 def _poses(position: Array, rotation: Array) -> list[float]:

@@ -3,8 +3,8 @@
 import csv
 import json
 import os
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -23,22 +23,18 @@ from spheremouse.tracker import Frame
 CENTRE_COLUMNS = ("bx", "by", "bz")  # of truth.csv, where the ball leaves its place
 
 
-class DatasetWriter:
-    """Writes a dataset into a hidden folder beside `path`, which takes its name at the end.
+class DatasetFolder:
+    """A dataset in a hidden folder beside `path`, which takes its name at the end of the `with` block.
 
-    After an exception or a kill there is no dataset.
+    Add each image to `pictures`, and a row to each table. After an exception or a kill there is no dataset.
     """
 
-    def __init__(
-        self, path: Path | str, scene: dict[str, Any], *, replace: bool = False, centres: bool = False
-    ) -> None:
-        """`scene`: the content of scene.json without `frames`. `replace` allows to replace a dataset at `path`, but no
-        other files. `centres`: write the ball's centre, which moves."""
+    def __init__(self, path: Path | str, scene: Mapping[str, Any], *, replace: bool = False) -> None:
+        """`scene`: the content of scene.json without `frames`. `replace` permits to replace a dataset, and no other."""
         self._path = Path(path).absolute()
-        self._scene = scene
-        self._replace = replace
-        self._centres = centres
+        self._scene, self._replace = scene, replace
         self._size = (int(scene["width"]), int(scene["height"]))
+        self._files = ExitStack()
 
     def __enter__(self) -> Self:
         refuse_to_overwrite(self._path, self._replace)
@@ -46,16 +42,49 @@ class DatasetWriter:
         try:
             self._folder = self._new.make()
             self._folder.chmod(0o755)
-            self._pictures = PictureWriter(self._folder, self._size, float(self._scene["fps"]))
-            self._truth_file = (self._folder / "truth.csv").open("w", newline="", encoding="utf-8")
-            self._discs_file = (self._folder / "discs.csv").open("w", newline="", encoding="utf-8")
-            self._truth_rows = csv.writer(self._truth_file, lineterminator="\n")
-            self._disc_rows = csv.writer(self._discs_file, lineterminator="\n")
-            self._truth_rows.writerow((*TRUTH_COLUMNS, *CENTRE_COLUMNS) if self._centres else TRUTH_COLUMNS)
-            self._disc_rows.writerow(DISC_COLUMNS)
+            self.pictures = PictureWriter(self._folder, self._size, float(self._scene["fps"]))
         except BaseException:
             self._new.discard()
             raise
+        return self
+
+    def table(self, name: str, columns: Sequence[str]) -> Any:
+        """Return a writer of the rows of a table."""
+        return _begin_table(self._files, self._folder / name, columns)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._files.close()
+            if isinstance(error, OSError):
+                raise error
+            if error is None:
+                _finish_pictures(self.pictures, self._path)
+                _write_scene(self._folder, {**self._scene, "frames": self.pictures.written})
+                refuse_to_overwrite(self._path, self._replace)  # another process may have made it meanwhile
+                self._new.finish()
+        except OSError as e:
+            raise DatasetError(f"{self._path}: cannot be written ({e.strerror})") from None
+        finally:
+            self.pictures.release()
+            self._new.discard()
+
+
+class DatasetWriter(DatasetFolder):
+    """A dataset of the ball in its frame, with truth."""
+
+    def __init__(
+        self, path: Path | str, scene: Mapping[str, Any], *, replace: bool = False, centres: bool = False
+    ) -> None:
+        """`centres`: write the ball's centre, which moves; the others as for `DatasetFolder`."""
+        super().__init__(path, scene, replace=replace)
+        self._centres = centres
+
+    def __enter__(self) -> Self:
+        super().__enter__()
+        self._truth = self.table("truth.csv", (*TRUTH_COLUMNS, *(CENTRE_COLUMNS if self._centres else ())))
+        self._discs = self.table("discs.csv", DISC_COLUMNS)
         return self
 
     def add(self, frame: Frame, attitude: Array, rate: Array, discs: DiscTruth, centre: Array | None = None) -> None:
@@ -64,43 +93,16 @@ class DatasetWriter:
         `centre`: (3,) m in obj, of the ball, where `centres` are written.
         """
         assert frame.image.shape == (self._size[1], self._size[0], 3)
-        index = self._pictures.written
-        self._pictures.add(frame.image)
+        index = self.pictures.written
+        self.pictures.add(frame.image)
         numbers = [frame.stamp, *attitude.ravel(), *rate, *to_euler(attitude)]
         if self._centres:
             numbers += [0.0, 0.0, 0.0] if centre is None else list(centre)
-        self._truth_rows.writerow([index, *(repr(float(x)) for x in numbers)])
+        self._truth.writerow([index, *(repr(float(x)) for x in numbers)])
         for k in range(len(discs)):
-            blob = (*discs.blob_centre[k], discs.area[k])
-            self._disc_rows.writerow(
-                [
-                    index,
-                    int(discs.disc[k]),
-                    *(f"{x:.4f}" for x in discs.centre[k]),
-                    *("" if np.isnan(x) else f"{x:.4f}" for x in blob),
-                    int(discs.state[k]),
-                ]
-            )
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            self._truth_file.close()
-            self._discs_file.close()
-            if kind is None:
-                self._publish()
-        except OSError as e:
-            raise DatasetError(f"{self._path}: cannot be written ({e.strerror})") from None
-        finally:
-            self._pictures.release()
-            self._new.discard()
-
-    def _publish(self) -> None:
-        finish_pictures(self._pictures, self._path)
-        write_scene(self._folder, {**self._scene, "frames": self._pictures.written})
-        refuse_to_overwrite(self._path, self._replace)  # another process may have made it meanwhile
-        self._new.finish()
+            centre_px = (f"{x:.4f}" for x in discs.centre[k])
+            blob = ("" if np.isnan(x) else f"{x:.4f}" for x in (*discs.blob_centre[k], discs.area[k]))
+            self._discs.writerow([index, int(discs.disc[k]), *centre_px, *blob, int(discs.state[k])])
 
 
 class FilmWriter:
@@ -114,6 +116,7 @@ class FilmWriter:
         self._path, self._size = path.absolute(), size
         self._stamps: list[float] = []
         self._pictures: PictureWriter | None = None
+        self._files = ExitStack()
         refuse_to_overwrite(self._path, False)
         self._new = NewFolder(self._path, DatasetError)
         try:
@@ -125,9 +128,7 @@ class FilmWriter:
     def open(self, fps: float) -> None:
         """Choose the codec, which takes some tenths of a second; `fps`: of the video in a player."""
         self._pictures = PictureWriter(self.folder, self._size, fps, FAST, mixed=True)
-        self._file = (self.folder / "stamps.csv").open("w", newline="", encoding="utf-8")
-        self._rows = csv.writer(self._file, lineterminator="\n")
-        self._rows.writerow(STAMP_COLUMNS)
+        self._rows = _begin_table(self._files, self.folder / "stamps.csv", STAMP_COLUMNS)
 
     def add(self, frame: Frame) -> None:
         """Add a frame, grey or in colour."""
@@ -154,12 +155,12 @@ class FilmWriter:
         """
         assert self._pictures is not None
         try:
-            self._file.close()
-            finish_pictures(self._pictures, self._path)
+            self._files.close()
+            _finish_pictures(self._pictures, self._path)
             for name, text in files.items():
                 (self.folder / name).write_text(text, encoding="utf-8")
             said = {"name": self._path.name, **scene, "fps": _rate(self._stamps), "frames": self.frames}
-            write_scene(self.folder, said)
+            _write_scene(self.folder, said)
             for file in [*self.folder.rglob("*"), self.folder]:
                 _sync(file)
             self.folder.chmod(0o750)  # it may show people
@@ -173,11 +174,11 @@ class FilmWriter:
         """Remove the dataset, unless it has its name."""
         if self._pictures is not None:
             self._pictures.release()
-            self._file.close()
+            self._files.close()
         self._new.discard()
 
 
-def finish_pictures(pictures: PictureWriter, path: Path) -> None:
+def _finish_pictures(pictures: PictureWriter, path: Path) -> None:
     """Close the images of the dataset `path`; DatasetError if there are none, or they cannot be written."""
     if pictures.written == 0:
         raise DatasetError(f"{path}: nothing to write, the recording would have no frame")
@@ -187,9 +188,16 @@ def finish_pictures(pictures: PictureWriter, path: Path) -> None:
         raise DatasetError(f"{path}: {str(e).partition(': ')[2]}") from None
 
 
-def write_scene(folder: Path, scene: Mapping[str, Any]) -> None:
+def _write_scene(folder: Path, scene: Mapping[str, Any]) -> None:
     """Write scene.json."""
     (folder / "scene.json").write_text(json.dumps(scene, indent=1) + "\n", encoding="utf-8")
+
+
+def _begin_table(files: ExitStack, path: Path, columns: Sequence[str]) -> Any:
+    """Return a writer of the rows of a table; `files` closes it."""
+    rows = csv.writer(files.enter_context(path.open("w", newline="", encoding="utf-8")), lineterminator="\n")
+    rows.writerow(columns)
+    return rows
 
 
 def refuse_to_overwrite(path: Path, replace: bool) -> None:
