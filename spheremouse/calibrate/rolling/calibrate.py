@@ -20,12 +20,11 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.calibrate.rolling.adjust import adjust_rolling
 from spheremouse.calibrate.rolling.footage import Footage
-from spheremouse.calibrate.rolling.problem import RollingAdjustment
+from spheremouse.calibrate.rolling.problem import Rolling, RollingAdjustment
 from spheremouse.calibrate.rolling.sightings import TrackedRolling, provisional_pose, track_rolling
 from spheremouse.calibrate.rolling.start import RollingStart, Spots, dark_spots, start, start_rig
 from spheremouse.errors import CalibrationError, SourceError
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Frame
 
 BLOCK = 15.0  # s of rolling for a start; then two and four times as much
@@ -93,39 +92,38 @@ def solve(
     assert views.first is not None
     _check_still(views, found, camera)
     settings = Settings(discs=DiscSettings(polarity=polarity))
+
+    def adjusted(
+        rig: Rig, at: RollingStart | Rolling, seconds: float | None
+    ) -> tuple[RollingAdjustment, TrackedRolling, Rig]:
+        """Track and adjust; the rig gets the fitted size of the discs."""
+        frames = progress("tracking" if seconds is None else "first tracking", footage(seconds))
+        tracked = track_rolling(frames, rig, provisional_pose(at.direction, at.ratio), settings)
+        rolled = adjust_rolling(tracked.sightings, tracked.rolling, camera, rig.readout_sigma_s)
+        return rolled, tracked, replace(rig, disc_radius=rig.disc_radius * tracked.size)
+
     rig = replace(start_rig(found, camera), readout_s=readout[0], readout_sigma_s=readout[1])
-    whole = views.last - views.first
-    rolled, tracked, rig = _round(footage, block, rig, found.direction, found.ratio, camera, settings, progress)
+    rolled, tracked, rig = adjusted(rig, found, block)
     given = disc_angle(rolled, views)
-    if given is not None:
-        rig = replace(rig, disc_radius=given)
+    rig = rig if given is None else replace(rig, disc_radius=given)
     for _ in range(3):
         before = rolled.rolling
-        rolled, tracked, better = _round(footage, None, rig, before.direction, before.ratio, camera, settings, progress)
+        try:
+            rolled, tracked, better = adjusted(rig, before, None)
+        except CalibrationError as e:
+            if given is None:
+                raise
+            raise CalibrationError(
+                f"{e}. If it did turn: are the lengths right? By them a disc's radius is {given:.3g} of the ball's; "
+                "neither may be a diameter"
+            ) from None
         rig = better if given is None else rig
         change = abs(np.log(rolled.rolling.ratio / before.ratio)) + np.linalg.norm(
             rolled.rolling.direction - before.direction
         )
         if change < _MAX_CHANGE:
             break
-    return Solution(rolled, tracked, rig.disc_radius, views, whole)
-
-
-def _round(
-    footage: Footage,
-    seconds: float | None,
-    rig: Rig,
-    direction: Array,
-    ratio: float,
-    camera: InteriorOrientation,
-    settings: Settings,
-    progress: Progress,
-) -> tuple[RollingAdjustment, TrackedRolling, Rig]:
-    """Track and adjust; the rig gets the fitted size of the discs."""
-    frames = progress("tracking" if seconds is None else "first tracking", footage.frames(seconds))
-    tracked = track_rolling(frames, rig, provisional_pose(direction, ratio), settings)
-    rolled = adjust_rolling(tracked.sightings, tracked.rolling, camera, rig.readout_sigma_s)
-    return rolled, tracked, replace(rig, disc_radius=rig.disc_radius * tracked.size)
+    return Solution(rolled, tracked, rig.disc_radius, views, views.last - views.first)
 
 
 def _ball_found(
@@ -149,7 +147,7 @@ def _first_pass(
     found: RollingStart | None = None
     used, limit = 0.0, BLOCK
     failed: CalibrationError | None = None
-    for frame in progress("looking for the ball", footage.frames()):
+    for frame in progress("looking for the ball", footage(None)):
         if (frame.image.shape[1], frame.image.shape[0]) != (camera.width, camera.height):
             h, w = frame.image.shape[:2]
             raise SourceError(

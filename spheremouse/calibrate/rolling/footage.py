@@ -1,8 +1,7 @@
 """Frames to read several times: a recording that is opened again, or a live camera's frames in memory."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -11,35 +10,25 @@ from spheremouse.capture import open_source
 from spheremouse.errors import SourceError
 from spheremouse.tracker import Frame
 
+Footage = Callable[[float | None], Iterator[Frame]]  # frames of the first seconds, or all, any number of times
+
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]  # quick, and half the size
-COLOUR_EVERY = 0.25  # s
+_COLOUR_EVERY = 0.25  # s
 _MAX_BYTES = 1_500_000_000  # in memory
 
 
-class Footage(Protocol):
-    """Frames from the first on, any number of times."""
+def recorded(source: str, at_most: float | None) -> Footage:
+    """Return the first seconds of a source, or all, which is opened for each reading."""
 
-    def frames(self, seconds: float | None = None) -> Iterator[Frame]:
-        """Yield the frames of the first `seconds`, or all."""
-        ...
+    def frames(seconds: float | None) -> Iterator[Frame]:
+        with open_source(source) as given:
+            yield from until(iter(given), min((s for s in (seconds, at_most) if s is not None), default=None))
 
-
-@dataclass(frozen=True, slots=True)
-class RecordedFootage:
-    """A source that is opened for each reading."""
-
-    source: str
-    seconds: float | None
-
-    def frames(self, seconds: float | None = None) -> Iterator[Frame]:
-        """Yield the frames of the first `seconds`, or all."""
-        limit = min((s for s in (seconds, self.seconds) if s is not None), default=None)
-        with open_source(self.source) as given:
-            yield from until(iter(given), limit)
+    return frames
 
 
 @dataclass(slots=True)
-class BufferedFootage:
+class FrameBuffer:
     """Frames of a live camera in memory, without loss; grey but for some in colour, which targets need."""
 
     stored: list[tuple[bytes, float, int]] = field(default_factory=list)
@@ -49,7 +38,7 @@ class BufferedFootage:
     def append(self, frame: Frame) -> None:
         """Store a frame; SourceError if memory is full."""
         image = frame.image
-        if image.ndim == 3 and frame.stamp - self.coloured >= COLOUR_EVERY:
+        if image.ndim == 3 and frame.stamp - self.coloured >= _COLOUR_EVERY:
             self.coloured = frame.stamp
         elif image.ndim == 3:
             image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
@@ -59,8 +48,8 @@ class BufferedFootage:
             raise SourceError("the pictures fill the memory: take a smaller mode of the camera, or fewer --seconds")
         self.stored.append((data, frame.stamp, frame.sequence))
 
-    def frames(self, seconds: float | None = None) -> Iterator[Frame]:
-        """Yield the frames of the first `seconds`, or all."""
+    def frames(self, seconds: float | None) -> Iterator[Frame]:
+        """Yield the frames of the first seconds, or all."""
         every = (
             Frame(np.asarray(cv2.imdecode(np.frombuffer(d, np.uint8), cv2.IMREAD_UNCHANGED), np.uint8), stamp, number)
             for d, stamp, number in self.stored
@@ -69,7 +58,7 @@ class BufferedFootage:
 
 
 def until(frames: Iterator[Frame], seconds: float | None) -> Iterator[Frame]:
-    """Yield the frames of the first `seconds`, or all."""
+    """Yield the frames of the first seconds, or all."""
     first: float | None = None
     for frame in frames:
         first = frame.stamp if first is None else first

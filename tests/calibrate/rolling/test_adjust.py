@@ -1,8 +1,7 @@
 """Rolling: the ball's place, the discs and their covariances, from sightings simulated and from recordings."""
 
 import json
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -586,21 +585,16 @@ def test_bad_options_are_told_in_a_line(far26, options, said):
     assert "\n" not in str(result.exception).strip()
 
 
-@dataclass
-class Negative:
-    """A recording of a dark ball with light discs: of far26, with black and white exchanged."""
-
-    folder: Path
-
-    def frames(self, seconds=None):
-        every = (replace(f, image=255 - f.image) for f in read_frames(open_dataset(self.folder)))
-        return until(every, min(seconds or 5.0, 5.0))
-
-
 @pytest.mark.slow
 def test_light_discs_on_a_dark_ball_are_rolled_as_well(far26):
+    """A recording of a dark ball with light discs: far26 with black and white exchanged."""
     recording = open_dataset(far26)
     camera, true = recording.rig.camera, recording.pose.to_cam(np.zeros(3))
-    found = solve(Negative(far26), camera, (0.0, 0.0), lambda *_: None, lambda what, frames: frames).rolled.rolling
+
+    def negative(seconds):
+        every = (replace(f, image=255 - f.image) for f in read_frames(recording))
+        return until(every, min(seconds or 5.0, 5.0))
+
+    found = solve(negative, camera, (0.0, 0.0), lambda *_: None, lambda what, frames: frames).rolled.rolling
     assert abs(found.ratio / (np.linalg.norm(true) / 0.6) - 1.0) < 2e-3
     assert np.rad2deg(np.linalg.norm(np.cross(found.direction, true)) / np.linalg.norm(true)) < 0.03
