@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spheremouse.calibrate.rolling.normal import Eliminated, minimise
 from spheremouse.calibrate.rolling.problem import (
     GLOBAL,
     RATES,
     READOUT,
+    Eliminated,
     Rolling,
     RollingAdjustment,
     Sightings,
+    minimise,
     whitening,
 )
 from spheremouse.errors import CalibrationError

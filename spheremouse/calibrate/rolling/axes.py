@@ -1,22 +1,24 @@
 """The axes of `obj` in the camera, and the scale, which rolling leaves open.
 
-Known ring targets give them, or two gestures: the ball rolled forward and to the right. Covariances are of the rotation
-R_obj_cam with the error exp(e) R, e in `obj`, as in `Pose`.
+Ring targets give them, at known places or of known size, or two gestures: the ball rolled forward and to the right.
+Covariances are of the rotation R_obj_cam with the error exp(e) R, e in `obj`, as in `Pose`.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from spheremouse.ball.device import Device, Distance
 from spheremouse.ball.pose import Sighting, closed_form_poses, predict_targets
 from spheremouse.ball.rig import Rig
 from spheremouse.calibrate.rolling.adjust import lens_root
 from spheremouse.calibrate.rolling.problem import Rolling
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, interior_vector, unproject, with_interior
+from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array, align, exp, left_jacobian, log
 
 _MAX_CHI2_PER_DOF = 16.0  # larger for targets of another rig
@@ -24,6 +26,9 @@ _TURN_SECONDS = 0.3  # over which a rotation is taken during a gesture
 _MIN_RATE = 0.1  # rad/s; slower rotations have no direction
 _MAX_OFF_SQUARE = 20.0  # degrees of two gestures from a right angle
 _GESTURE_SIGMA = np.deg2rad(3.0)  # accuracy of a person who rolls a ball straight
+_SIZE_SIGMA = 0.005, 0.002  # relative, of printed rings: of all alike, and of each
+_RADIUS_SIGMA = 0.05, 0.02  # px, of a ring's image: of all alike, as colours run, and of each
+_CENTRE_SIGMA = 0.05  # px
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,18 +42,23 @@ class Parts:
 
 
 @dataclass(frozen=True, slots=True)
+class MeasuredTargets:
+    """Targets at places that were unknown."""
+
+    codes: tuple[str, ...]
+    position: Array  # (n, 3) m in cam
+    covariance: Array  # (3n + 3, 3n + 3) m², rad²: of those and of the axes' rotation
+    by_lens: Array  # (3n + 3, 9) the lens' part in that, as Parts.by_lens
+
+
+@dataclass(frozen=True, slots=True)
 class Axes:
     """The axes of `obj` in the camera, and the distance and targets that came with them."""
 
     rotation: Array  # (3, 3) R_obj_cam
     covariance: Array  # (3, 3) rad², obj; of targets: without the direction's part until `with_direction`
     distance: float | None = None  # m, to the ball's centre, by targets
-    distance_sigma: float = 0.0  # m
-    targets_cam: Array | None = None  # (n, 3) m in cam, of targets that were measured
-    targets_cam_covariance: Array | None = None  # (3n + 3, 3n + 3) m², rad²: of those and of the rotation
-    targets_cam_by_lens: Array | None = None  # (3n + 3, 9) the lens' part in that, as Parts.by_lens
-    misfit: float = 0.0  # of the targets, px
-    codes: tuple[str, ...] = field(default=())
+    targets: MeasuredTargets | None = None
     parts: Parts | None = None  # None: independent of the ball's place
 
 
@@ -61,16 +71,16 @@ def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling)
     """
     known = {code: k for k, code in enumerate(rig.targets.codes)}
     x, used = _fitted(sightings, rig, rolling, known)
-    J = jacobian(lambda y: _target_residuals(y, used, rig, rolling, known), x)
+
+    def residuals(x: Array = x, rig: Rig = rig, rolling: Rolling = rolling) -> Array:
+        return _target_residuals(x, used, rig, rolling, known)
+
+    J = jacobian(residuals, x)
     Q = np.linalg.inv(J.T @ J)
-    by_targets = jacobian(
-        lambda p: _target_residuals(x, used, _with_places(rig, p), rolling, known), rig.targets.position.ravel()
-    )
-    by_direction = jacobian(
-        lambda c: _target_residuals(x, used, rig, replace(rolling, direction=c), known), rolling.direction
-    )
-    by_lens = changes_by_lens(lambda c: _target_residuals(x, used, replace(rig, camera=c), rolling, known), rig.camera)
-    r = _target_residuals(x, used, rig, rolling, known)
+    by_targets = jacobian(lambda p: residuals(rig=_with_places(rig, p)), rig.targets.position.ravel())
+    by_direction = jacobian(lambda c: residuals(rolling=replace(rolling, direction=c)), rolling.direction)
+    by_lens = changes_by_lens(lambda c: residuals(rig=replace(rig, camera=c)), rig.camera)
+    r = residuals()
     shared = by_targets @ rig.targets.covariance @ by_targets.T
     weight = np.linalg.inv(np.eye(len(r)) + shared + by_lens @ by_lens.T)
     cost = float(r @ weight @ r) / (2 * len(used) - 4)
@@ -87,16 +97,7 @@ def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling)
     own = K @ (np.eye(len(r)) + shared) @ K.T * max(cost, 1.0)
     parts = Parts(own, K @ by_direction, K @ by_lens, rig.targets.covariance @ (K @ by_targets).T)
     C = own + parts.by_lens @ parts.by_lens.T
-    D = float(np.exp(x[3]))
-    return Axes(
-        exp(x[:3]),
-        C[:3, :3],
-        D,
-        D * float(np.sqrt(C[3, 3])),
-        misfit=misfit,
-        codes=tuple(s.code for s in used),
-        parts=parts,
-    )
+    return Axes(exp(x[:3]), C[:3, :3], float(np.exp(x[3])), parts=parts)
 
 
 def _fitted(
@@ -240,3 +241,113 @@ def _gesture_axis(rolling: Rolling, span: tuple[float, float], name: str) -> tup
     mean = mean / np.linalg.norm(mean)
     across = u - (u @ mean)[:, None] * mean
     return mean, float(np.sqrt(w @ np.sum(across**2, axis=1) / (2.0 * w.sum())))
+
+
+def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Device, camera: InteriorOrientation) -> Axes:
+    """Find the axes by targets of known size: the size of each image gives its distance.
+
+    `sightings` are code, centre (2,) px and radius px of the outer ring of each. Tape distances improve them. The
+    covariance includes that of the lens. Raises CalibrationError if one of the three targets of the axes is not seen.
+    """
+    ids, uv, size = _seen(sightings, device)
+    n, at = len(ids), {i: k for k, i in enumerate(ids)}
+    alike = np.stack([np.full(n, _SIZE_SIGMA[0]), _RADIUS_SIGMA[0] / size], axis=1)
+    alone = np.hypot(_SIZE_SIGMA[1], _RADIUS_SIGMA[1] / size)
+
+    def moved(x: Array, lens: InteriorOrientation = camera) -> Array:
+        """Places, (n, 3), for normalised errors x: two of all sizes, one of each size, two of each centre."""
+        sizes = size * np.exp(-(alike @ x[:2]) - alone * x[2 : 2 + n])
+        return _by_size(uv + _CENTRE_SIGMA * x[2 + n :].reshape(n, 2), sizes, at, device, lens)
+
+    taped = [d for d in device.distances if d.start in at and d.end in at]
+
+    def residuals(x: Array) -> Array:
+        p = moved(x)
+        tape = [(np.linalg.norm(p[at[d.start]] - p[at[d.end]]) - d.metres) / d.sigma for d in taped]
+        return np.asarray(np.concatenate([x, tape]), dtype=float)
+
+    x = np.zeros(2 + 3 * n)
+    if taped:
+        x = np.asarray(least_squares(residuals, x, x_scale="jac").x)
+    places = moved(x)
+    R = _axes_of(places, at, device)
+
+    def places_and_axes(y: Array, lens: InteriorOrientation = camera) -> Array:
+        there = moved(y, lens)
+        return np.concatenate([there.ravel(), log(_axes_of(there, at, device) @ R.T)])
+
+    by_x, seen_through = jacobian(places_and_axes, x), changes_by_lens(lambda c: places_and_axes(x, c), camera)
+    own, by_lens = _propagated(by_x, seen_through, residuals(x), places, taped, at)
+    joint = own + by_lens @ by_lens.T
+    codes = tuple(code for i, code in zip(device.ids, device.codes, strict=True) if i in at)
+    four = np.eye(4)[:, :3]  # rings give no distance of the ball
+    parts = Parts(four @ own[-3:, -3:] @ four.T, np.zeros((4, 3)), four @ by_lens[-3:], np.zeros((3 * n, 4)))
+    return Axes(R, joint[-3:, -3:], targets=MeasuredTargets(codes, places, joint, by_lens), parts=parts)
+
+
+def _seen(sightings: Sequence[tuple[str, Array, float]], device: Device) -> tuple[list[int], Array, Array]:
+    """Ids of the targets seen, in the order of the device, their centres, (n, 2) px, and radii, (n,) px."""
+    code_of = dict(zip(device.ids, device.codes, strict=True))
+    seen = {code: (centre, radius) for code, centre, radius in sightings}
+    a = device.axes
+    missing = [f"{i} ({code_of[i]})" for i in (a.origin, a.up, a.plane) if code_of[i] not in seen]
+    if missing:
+        raise CalibrationError(
+            f"the axes are defined by target {', '.join(missing)}, not seen by the camera: uncover and light it, "
+            "name others under `axes` in the device file, or roll two gestures (--forward, --right)"
+        )
+    ids = [i for i in device.ids if code_of[i] in seen]
+    return ids, np.array([seen[code_of[i]][0] for i in ids]), np.array([seen[code_of[i]][1] for i in ids])
+
+
+def _propagated(
+    by_x: Array, by_lens: Array, r: Array, places: Array, taped: Sequence[Distance], at: dict[int, int]
+) -> tuple[Array, Array]:
+    """Covariance of places and axes without the lens' part, (3n + 3, 3n + 3), and that part, (3n + 3, 9).
+
+    `by_x` and `by_lens` are the Jacobians of places and axes by normalised errors and by the lens. The distances
+    `taped` correct both; `r` are all residuals of the adjustment.
+    """
+    J, pull = np.eye(by_x.shape[1]), np.zeros((by_x.shape[1], 9))  # pull: of the lens, on the corrections by distances
+    for d in taped:
+        i, j = at[d.start], at[d.end]
+        along = (places[i] - places[j]) / np.linalg.norm(places[i] - places[j]) / d.sigma
+        row = along @ (by_x[3 * i : 3 * i + 3] - by_x[3 * j : 3 * j + 3])
+        J = np.vstack([J, row])
+        pull += np.outer(row, along @ (by_lens[3 * i : 3 * i + 3] - by_lens[3 * j : 3 * j + 3]))
+    factor = max(float(r @ r) / len(taped), 1.0) if taped else 1.0
+    Q = np.asarray(np.linalg.inv(J.T @ J), dtype=float)
+    return by_x @ (factor * Q) @ by_x.T, by_lens - by_x @ Q @ pull
+
+
+def _by_size(uv: Array, size: Array, at: dict[int, int], device: Device, camera: InteriorOrientation) -> Array:
+    """Places, (n, 3) m in cam, of targets seen at `uv`, (n, 2) px, as large as `size`, (n,) px, facing along Z."""
+    outer = float(device.target_radii[2])
+    xy, by_uv = unproject(uv, camera)
+    depth = outer * np.sqrt(camera.fx * camera.fy) / size
+    R = np.diag([1.0, -1.0, -1.0])
+    places = depth[:, None] * np.column_stack([xy, np.ones(len(xy))])
+    for _ in range(50):  # foreshortening depends on the axes, and the axes on the places
+        normal = np.broadcast_to(R[2], places.shape)
+        centre, shape = ellipse_to_pixel(*project_circle(places, normal, outer), camera)
+        seen = np.linalg.det(shape) ** 0.25
+        xy = xy + np.einsum("nij,nj->ni", by_uv, uv - centre)
+        depth = depth * seen / size
+        places = depth[:, None] * np.column_stack([xy, np.ones(len(xy))])
+        R = _axes_of(places, at, device)
+        if np.abs(seen / size - 1.0).max() < 1e-10:
+            break
+    return places
+
+
+def _axes_of(places: Array, at: dict[int, int], device: Device) -> Array:
+    """R_obj_cam of the three targets that define the axes, (n, 3) in cam; Z towards the camera."""
+    origin, up, plane = (places[at[i]] for i in (device.axes.origin, device.axes.up, device.axes.plane))
+    y = up - origin
+    y = y / np.linalg.norm(y)
+    z = np.cross(y, plane - origin)
+    if np.linalg.norm(z) < 1e-3 * np.linalg.norm(plane - origin):
+        raise CalibrationError("the three targets of `axes` lie in a line: name another for `plane` in the device file")
+    z = z / np.linalg.norm(z)
+    z = -z if z @ origin > 0.0 else z
+    return np.array([np.cross(y, z), y, z])

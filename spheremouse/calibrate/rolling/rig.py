@@ -1,6 +1,6 @@
 """The rig of a rolled ball: its axes by targets or gestures, its scale by lengths, targets and camera around it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,20 +11,12 @@ from spheremouse.ball.device import Device
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.pose import gather
 from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
-from spheremouse.calibrate.rolling.axes import Axes, axes_from_gestures, axes_from_targets
-from spheremouse.calibrate.rolling.axes_from_rings import axes_from_rings
+from spheremouse.calibrate.rolling.axes import Axes, axes_from_gestures, axes_from_rings, axes_from_targets
 from spheremouse.calibrate.rolling.calibrate import Solution, Views
-from spheremouse.calibrate.rolling.placement import (
-    place_camera,
-    place_targets,
-    rescale_targets,
-    target_ball_covariance,
-    with_direction,
-)
 from spheremouse.calibrate.rolling.problem import RollingAdjustment
 from spheremouse.errors import CalibrationError, PoseError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.rotation import Array, hat
 
 TAPE = 0.002  # relative error of a length that a person measures on a ball; balls are not rounder
 
@@ -82,8 +74,12 @@ class AxesFrom:
             )
 
     def find(self, rolled: RollingAdjustment, views: Views) -> tuple[Axes, str]:
-        """Return the axes and their source: targets, device or gestures."""
+        """Return the axes, with the covariance of the direction, and their source: targets, device or gestures."""
         self.check()
+        axes, source = self._found(rolled, views)
+        return with_direction(axes, rolled), source
+
+    def _found(self, rolled: RollingAdjustment, views: Views) -> tuple[Axes, str]:
         if self.gestures is not None:
             assert views.first is not None
             begin = views.first
@@ -131,7 +127,7 @@ def disc_angle(lengths: Lengths, axes: AxesFrom, rolled: RollingAdjustment, view
     """Return a disc's radius over the ball's, by lengths or targets; None if neither gives it."""
     radius = lengths.radius
     if axes.rig is not None and axes.device is None and axes.gestures is None:
-        ball = place_camera(rolled, with_direction(axes.find(rolled, views)[0], rolled))[1]
+        ball = place_camera(rolled, axes.find(rolled, views)[0])[1]
         if radius is not None and not axes.rig.scale_free:
             check_radius(radius, ball, _FIRST_ERROR)
         if radius is None or (axes.rig.scale_free and lengths.disc_radius is None):
@@ -161,7 +157,6 @@ def build_rig(solution: Solution, axes: AxesFrom, radius: float | None, exposure
     """Build the rig in the axes found; `radius` of the ball, m, if a person measured it."""
     rolled = solution.rolled
     found, source = axes.find(rolled, solution.views)
-    found = with_direction(found, rolled)
     scaled = _scaled(rolled, found, source, axes, radius)
     at_first = found.rotation @ rolled.rolling.attitude[0]
     seen = np.bincount(rolled.sightings.disc, minlength=len(rolled.rolling.discs))
@@ -215,3 +210,111 @@ def _scaled(rolled: RollingAdjustment, found: Axes, source: str, axes: AxesFrom,
         return _Scaled(pose, ball, *place_targets(found, axes.device, rolled, radius, sigma), False)
     none = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
     return _Scaled(pose, ball, none, None, given is None)
+
+
+# ---- places with their joint covariances ----
+
+
+def with_direction(axes: Axes, rolled: RollingAdjustment) -> Axes:
+    """Return the axes with the covariance of the direction added."""
+    return replace(axes, covariance=_joint(rolled, axes)[:3, :3])
+
+
+def _joint(rolled: RollingAdjustment, axes: Axes) -> Array:
+    """Covariance of axes, log distance, direction and ratio, (8, 8); all share the error of the lens."""
+    C = np.zeros((8, 8))
+    if axes.parts is None:
+        C[:3, :3], C[4:, 4:] = axes.covariance, rolled.covariance
+        return C
+    by_place = np.eye(8, 4, -4)  # of direction and ratio
+    by_place[:4, :3] = axes.parts.by_direction
+    lens = by_place @ rolled.by_lens
+    lens[:4] += axes.parts.by_lens
+    C[:4, :4] = axes.parts.own
+    return C + by_place @ (rolled.covariance - rolled.by_lens @ rolled.by_lens.T) @ by_place.T + lens @ lens.T
+
+
+def place_camera(
+    rolled: RollingAdjustment, axes: Axes, radius: float | None = None, radius_sigma: float = 0.0
+) -> tuple[Pose, Ball]:
+    """Return the camera in `obj` and the ball, with their joint covariance.
+
+    `radius`, m, is a known one; without it, the axes' distance gives the radius, and the camera's place is independent
+    of the ratio.
+    """
+    rolling = rolled.rolling
+    R, c = axes.rotation, rolling.direction
+    by_distance = radius is None
+    if radius is None:
+        assert axes.distance is not None
+        radius = axes.distance / rolling.ratio
+    P = -radius * rolling.ratio * (R @ c)
+    by = np.zeros((7, 9))  # pose and radius, of: axes, log distance, direction and ratio, radius
+    by[:3, :3], by[3:6, :3] = -hat(P), np.eye(3)
+    by[:3, 4:7] = -radius * rolling.ratio * R
+    if by_distance:
+        by[:3, 3] = P
+        by[6, 3], by[6, 7] = radius, -radius / rolling.ratio
+    else:
+        by[:3, 7] = P / rolling.ratio
+        by[:3, 8], by[6, 8] = P / radius, 1.0
+    C = np.zeros((9, 9))
+    C[:8, :8], C[8, 8] = _joint(rolled, axes), radius_sigma**2
+    C = by @ C @ by.T
+    C = 0.5 * (C + C.T)
+    with_ball = np.zeros((6, 4))
+    with_ball[:, 3] = C[:6, 6]
+    return Pose(R, P, C[:6, :6], with_ball), Ball(radius, covariance=np.diag([0.0, 0.0, 0.0, C[6, 6]]))
+
+
+def target_ball_covariance(axes: Axes, radius: float) -> Array:
+    """Return the covariance of known targets with the ball's centre and radius, (3n, 4) m²."""
+    assert axes.parts is not None
+    cross = np.zeros((len(axes.parts.with_targets), 4))
+    cross[:, 3] = radius * axes.parts.with_targets[:, 3]
+    return cross
+
+
+def rescale_targets(targets: Targets, free: Ball, ball: Ball) -> tuple[Targets, Array]:
+    """Convert targets of a free scale, in which the ball is `free`, to metres, with their covariance with the ball.
+
+    The correlation of ratio and targets is neglected, so the covariance is a little too large.
+    """
+    unit = ball.radius / free.radius
+    by_length, by_free = ball.covariance[3, 3] / ball.radius**2, free.covariance[3, 3] / free.radius**2
+    X = unit * targets.position
+    x = X.ravel()
+    C = unit**2 * targets.covariance + (by_length + by_free) * np.outer(x, x)
+    cross = np.zeros((len(x), 4))
+    cross[:, 3] = by_length * ball.radius * x
+    return replace(targets, position=X, covariance=C, radii=unit * targets.radii), cross
+
+
+def place_targets(
+    axes: Axes, device: Device, rolled: RollingAdjustment, radius: float, radius_sigma: float
+) -> tuple[Targets, Array]:
+    """Return targets measured in cam, in `obj`, and their covariance with the ball's centre and radius, (3n, 4)."""
+    found = axes.targets
+    assert found is not None
+    c, ratio, R = rolled.rolling.direction, rolled.rolling.ratio, axes.rotation
+    X = (found.position - radius * ratio * c) @ R.T
+    n = len(X)
+    by = np.zeros((3 * n, 3 * n + 3 + 5))
+    for k in range(n):
+        rows = slice(3 * k, 3 * k + 3)
+        by[rows, rows] = R
+        by[rows, 3 * n : 3 * n + 3] = -hat(X[k])
+        by[rows, 3 * n + 3 : 3 * n + 6] = -radius * ratio * R
+        by[rows, 3 * n + 6] = -radius * (R @ c)
+        by[rows, 3 * n + 7] = -ratio * (R @ c)
+    C = np.zeros((3 * n + 8, 3 * n + 8))
+    C[: 3 * n + 3, : 3 * n + 3] = found.covariance
+    C[3 * n + 3 : 3 * n + 7, 3 * n + 3 : 3 * n + 7] = rolled.covariance
+    alike = found.by_lens @ rolled.by_lens.T
+    C[: 3 * n + 3, 3 * n + 3 : 3 * n + 7], C[3 * n + 3 : 3 * n + 7, : 3 * n + 3] = alike, alike.T
+    C[-1, -1] = radius_sigma**2
+    cross = np.zeros((3 * n, 4))
+    cross[:, 3] = by[:, -1] * radius_sigma**2
+    number: dict[str, int] = dict(zip(device.codes, device.ids, strict=True))
+    ids = tuple(number[code] for code in found.codes)
+    return Targets(ids, found.codes, X, by @ C @ by.T, np.asarray(device.target_radii, dtype=float)), cross

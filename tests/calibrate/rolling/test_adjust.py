@@ -16,18 +16,16 @@ from spheremouse.ball.rig import CODES, Ball, Rig, Targets
 from spheremouse.calibrate.report.rolling import advise
 from spheremouse.calibrate.rolling.adjust import adjust_rolling
 from spheremouse.calibrate.rolling.axes import Axes as RolledAxes
-from spheremouse.calibrate.rolling.axes import axes_from_gestures, axes_from_targets
-from spheremouse.calibrate.rolling.axes_from_rings import axes_from_rings
+from spheremouse.calibrate.rolling.axes import axes_from_gestures, axes_from_rings, axes_from_targets
 from spheremouse.calibrate.rolling.calibrate import solve
 from spheremouse.calibrate.rolling.footage import until
-from spheremouse.calibrate.rolling.normal import apply_step
-from spheremouse.calibrate.rolling.placement import (
+from spheremouse.calibrate.rolling.problem import Rolling, Sightings, angular_rates, apply_step, equations_of
+from spheremouse.calibrate.rolling.rig import (
     place_camera,
     rescale_targets,
     target_ball_covariance,
     with_direction,
 )
-from spheremouse.calibrate.rolling.problem import Rolling, Sightings, angular_rates, equations_of
 from spheremouse.calibrate.rolling.start import Spots, start
 from spheremouse.capture import Stream
 from spheremouse.commands.calibrate import app
@@ -316,7 +314,7 @@ def test_targets_give_axes_and_distance():
         found = axes_from_targets(seen_targets(rig, rolling, rng), rig, rolling)
         error = log(R_OBJ_CAM @ found.rotation.T)
         nees += error @ np.linalg.solve(found.covariance, error)
-        far += ((found.distance - 2.4) / found.distance_sigma) ** 2
+        far += (found.distance / 2.4 - 1.0) ** 2 / found.parts.own[3, 3]
     assert 0.6 * 180 < nees < 1.3 * 180  # the variance factor is never below 1: a little wide
     assert 0.4 * 60 < far < 1.5 * 60
 
@@ -443,7 +441,7 @@ def test_sizes_of_targets_give_axes_within_their_sigma():
     size = np.linalg.det(shape) ** 0.25
     exact = axes_from_rings(list(zip(device.codes, uv, size, strict=True)), device, CAMERA)
     assert np.linalg.norm(log(exact.rotation @ R_OBJ_CAM.T)) < 1e-5
-    assert np.abs(exact.targets_cam - points).max() < 1e-5
+    assert np.abs(exact.targets.position - points).max() < 1e-5
     rng, nees = np.random.default_rng(3), 0.0
     for _ in range(20):
         one = size * np.exp(0.005 * rng.normal()) + 0.05 * rng.normal()
@@ -471,10 +469,10 @@ def test_the_lens_is_considered_in_sizes(taped):
     C[:2, :2] = 1.0  # fx and fy together
     plain, considered = (axes_from_rings(seen, device, replace(CAMERA, covariance=c)) for c in (0.0 * C, C))
     off = axes_from_rings(seen, device, replace(CAMERA, fx=CAMERA.fx + 1.0, fy=CAMERA.fy + 1.0))
-    moved = np.append((off.targets_cam - plain.targets_cam).ravel(), log(off.rotation @ plain.rotation.T))
-    added = considered.targets_cam_covariance - plain.targets_cam_covariance
+    moved = np.append((off.targets.position - plain.targets.position).ravel(), log(off.rotation @ plain.rotation.T))
+    added = considered.targets.covariance - plain.targets.covariance
     assert np.abs(added - np.outer(moved, moved)).max() < 0.02 * (moved @ moved)
-    assert np.allclose(considered.covariance, considered.targets_cam_covariance[-3:, -3:])
+    assert np.allclose(considered.covariance, considered.targets.covariance[-3:, -3:])
 
 
 def test_the_pose_carries_all_covariances():
