@@ -50,15 +50,33 @@ def directions_of(u, v, rig, pose):
     return (o + s[:, None] * ray) / rig.ball.radius
 
 
-def centre_of(directions, rig, pose):
-    if len(directions) == 0:
-        return np.zeros((0, 2))
+def looking_at(target, position):
+    """R_obj_cam of a camera at `position` that looks at `target`, a little rolled."""
+    z = (target - position) / np.linalg.norm(target - position)
+    x = np.cross([0.3, -1.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def to_image(points, rig, pose):
+    """OpenCV's projection of points in obj, (n, 3), in px."""
     R = pose.rotation.T
-    p = rig.ball.centre + rig.ball.radius * directions
-    uv, _ = cv2.projectPoints(
-        p[:, None], cv2.Rodrigues(R)[0], -R @ pose.position, rig.camera.matrix, rig.camera.distortion
-    )
-    return uv[:, 0]
+    points = np.asarray(points, dtype=float).reshape(-1, 1, 3)
+    if len(points) == 0:
+        return np.zeros((0, 2))
+    camera = rig.camera
+    return cv2.projectPoints(points, cv2.Rodrigues(R)[0], -R @ pose.position, camera.matrix, camera.distortion)[0][:, 0]
+
+
+def polygon_moments(p):
+    """Area and centroid of a closed polygon, (n, 2) px."""
+    q = np.roll(p, -1, axis=0)
+    cross = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
+    return abs(cross.sum()) / 2.0, ((p + q) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum())
+
+
+def centre_of(directions, rig, pose):
+    return to_image(rig.ball.centre + rig.ball.radius * directions, rig, pose)
 
 
 def ray_cast(directions, rig=RIG, pose=POSE, *, ball=BALL, ink=INK, blur=0.4):

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from ray_cast import photo, polygon_moments, ray_cast, to_image
 from scipy.linalg import block_diag
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
@@ -52,25 +53,17 @@ def rig_of(camera, position=CORNERS, codes=CODES, sigma=0.0):
 
 def seen_centroids(rig, pose, n=720):
     """Mean centroid of each target's three circles: their rims projected by OpenCV, moments of the polygons."""
-    R = pose.rotation.T
     t = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
     circle = np.stack([np.cos(t), np.sin(t), np.zeros(n)], axis=1)
-    out = []
-    for p in rig.targets.position:
-        centroids = []
-        for r in rig.targets.radii:
-            uv, _ = cv2.projectPoints(
-                (p + r * circle)[:, None],
-                cv2.Rodrigues(R)[0],
-                -R @ pose.position,
-                rig.camera.matrix,
-                rig.camera.distortion,
-            )
-            a, b = uv[:, 0], np.roll(uv[:, 0], -1, axis=0)
-            cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-            centroids.append(((a + b) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))
-        out.append(np.mean(centroids, axis=0))
-    return np.array(out)
+
+    def centroid(place, radius):
+        return polygon_moments(to_image(place + radius * circle, rig, pose))[1]
+
+    return np.array([np.mean([centroid(p, r) for r in rig.targets.radii], axis=0) for p in rig.targets.position])
+
+
+def picture_of_ball(rig, pose):
+    return photo(ray_cast(np.zeros((0, 3)), rig, pose))
 
 
 def sightings(centres, codes=CODES, sigma=SIGMA):
@@ -80,21 +73,6 @@ def sightings(centres, codes=CODES, sigma=SIGMA):
 def pose_error(found, true):
     """(6,) m, rad, in the pose's own error model."""
     return np.concatenate([found.position - true.position, log(found.rotation @ true.rotation.T)])
-
-
-def picture_of_ball(rig, pose, ball=220, room=60):
-    """Every pixel by its ray: on the ball or not."""
-    h, w = rig.camera.height, rig.camera.width
-    v, u = np.mgrid[:h, :w]
-    xy = cv2.undistortPoints(
-        np.stack([u, v], axis=-1).reshape(-1, 1, 2).astype(float), rig.camera.matrix, rig.camera.distortion
-    )[:, 0]
-    ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ pose.rotation.T
-    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    to = rig.ball.centre - pose.position
-    miss = np.sum(to * to) - (ray @ to) ** 2
-    grey = np.where((miss < rig.ball.radius**2) & (ray @ to > 0), ball, room).astype(np.uint8)
-    return np.repeat(grey.reshape(h, w, 1), 3, axis=2)
 
 
 # --- accuracy --------------------------------------------------------------------------------------------------------
@@ -108,8 +86,7 @@ def test_exact_sightings_give_the_exact_pose(view, n):
     rig = rig_of(camera, np.vstack([CORNERS, extra])[:n])
     found = resect(sightings(seen_centroids(rig, pose)), rig, picture_of_ball(rig, pose))
     error = pose_error(found.pose, pose)
-    assert np.abs(error[:3]).max() < 1e-4
-    assert np.abs(error[3:]).max() < 1e-4
+    assert np.abs(error).max() < 5e-5  # without the eccentricity, 1.5e-4 in the near view
     assert np.abs(found.residual).max() < 5e-3
     assert found.codes == CODES[:n]
     assert_allclose(predict_targets(found.pose, rig), seen_centroids(rig, pose), atol=0.01)
@@ -149,39 +126,6 @@ def test_covariance_is_the_scatter_of_poses(view):
     scatter = np.cov(errors.T)
     assert_allclose(scatter / np.outer(sd, sd), P / np.outer(sd, sd), atol=0.3)
     assert_allclose(np.mean(factors), 1.0, atol=0.25)  # chi-square with 2 degrees of freedom over 2
-
-
-def test_uncertain_targets_enlarge_the_covariance_as_their_scatter_does():
-    camera, pose = VIEWS["far"]
-    rig = rig_of(camera)
-    sigma = 5e-4
-    believed = rig_of(camera, sigma=sigma)
-    rng = np.random.default_rng(2)
-    nees = []
-    for _ in range(80):
-        moved = rig_of(camera, CORNERS + sigma * rng.normal(size=CORNERS.shape))
-        centres = seen_centroids(moved, pose, 180) + SIGMA * rng.normal(size=(4, 2))
-        found = resect(sightings(centres), believed, picture_of_ball(rig, pose) if len(nees) == 0 else BLACK)
-        if found.variance_factor < 1.0:  # residuals tell nothing of the pose's error: a fair sample
-            e = pose_error(found.pose, pose)
-            nees.append(e @ np.linalg.solve(found.pose.covariance, e))
-    assert len(nees) > 30
-    low, high = chi2.ppf([0.005, 0.995], 6 * len(nees)) / len(nees)
-    assert low < np.mean(nees) < high
-
-
-def test_misfit_enlarges_and_never_shrinks_the_covariance():
-    camera, pose = VIEWS["far"]
-    rig = rig_of(camera)
-    truth = seen_centroids(rig, pose)
-    exact = resect(sightings(truth), rig, BLACK)
-    assert exact.variance_factor < 1e-3
-    bad = truth + np.array([[0.4, 0], [-0.4, 0], [0.4, 0], [-0.4, 0]])
-    worse = resect(sightings(bad), rig, BLACK)
-    assert worse.variance_factor > 10.0
-    sd = np.sqrt(np.diag(exact.pose.covariance))
-    ratio = worse.pose.covariance / worse.variance_factor / np.outer(sd, sd)
-    assert_allclose(ratio, exact.pose.covariance / np.outer(sd, sd), atol=0.1)
 
 
 # --- what calibration leaves uncertain, in common with the ball ------------------------------------------------------
@@ -267,42 +211,6 @@ def test_a_calibrated_rig_gives_a_pose_and_directions_with_true_covariances():
     assert_allclose(np.mean(errors[:, :6] * errors[:, 6:], axis=0) / sd[:6] / sd[6], expected, atol=4.0 / np.sqrt(n))
 
 
-@views
-def test_a_wrong_scale_turns_no_direction(view):
-    """All lengths too long by the same part, by a stretched tape: camera and ball follow, the rays do not."""
-    camera, pose = VIEWS[view]
-    rig = rig_of(camera)
-    sigma = 0.01
-    grown = np.append(rig.targets.position.ravel(), rig.ball.radius)
-    C = sigma**2 * np.outer(grown, grown)
-    cross = np.hstack([np.zeros((12, 3)), C[:12, 12:]])
-    stretched = replace(
-        rig,
-        targets=replace(rig.targets, covariance=C[:12, :12]),
-        ball=replace(rig.ball, covariance=np.diag([0, 0, 0, C[12, 12]])),
-        cross_covariance=cross,
-    )
-    centres = seen_centroids(rig, pose)
-    sharp = resect(sightings(centres), rig, picture_of_ball(rig, pose))
-    found = resect(sightings(centres), stretched, picture_of_ball(rig, pose))
-    position = found.pose.position
-    assert_allclose(found.pose.ball_covariance[:3, 3], sigma**2 * rig.ball.radius * position, rtol=1e-3, atol=1e-6)
-    moved = np.append(position, np.zeros(3))
-    more = found.pose.covariance - sharp.pose.covariance
-    assert_allclose(more, sigma**2 * np.outer(moved, moved), atol=1e-3 * sigma**2 * (position @ position))
-    towards = position / np.linalg.norm(position)
-    d = towards + np.array([[0.0, 0.0, 0.0], [0.3, 0.1, 0.0], [-0.2, 0.4, 0.1]])
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
-    _, J = directions_of(d, rig, pose, stretched, found.pose)
-    turned, still = (
-        J @ considered_covariance(f.pose, r.ball) @ J.transpose(0, 2, 1) for f, r in ((found, stretched), (sharp, rig))
-    )
-    assert_allclose(turned, still, atol=0.02 * np.trace(still, axis1=1, axis2=2).max())
-    apart = replace(found.pose, ball_covariance=np.zeros((6, 4)))
-    loose = J @ considered_covariance(apart, stretched.ball) @ J.transpose(0, 2, 1)
-    assert np.trace(loose[1]) > 10.0 * np.trace(still[1])
-
-
 def test_a_common_shift_adds_to_the_pose_and_is_not_enlarged_by_residuals():
     """Least squares with the covariance Q + A M Aᵀ: the same pose, and M on top (Rao's identity), whatever misfits."""
     camera, pose = VIEWS["far"]
@@ -334,28 +242,6 @@ def test_misfit_of_uncertain_targets_is_laid_to_the_image():
     )
     fitting = resect(sightings(centres, sigma=SIGMA * component**0.5), believed, BLACK).pose.covariance
     assert_allclose(np.diag(found.pose.covariance), np.diag(fitting), rtol=0.05)
-
-
-def test_eccentricity_matters_in_the_near_view_and_is_corrected():
-    """Sightings taken for projected centres: wrong by 0.1 to 0.2 px and by more than one sigma of the pose."""
-    camera, pose = VIEWS["near"]
-    rig = rig_of(camera)
-    truth = seen_centroids(rig, pose)
-    centres = project(pose.to_cam(CORNERS), camera)[0]
-    offset = np.linalg.norm(truth - centres, axis=1)
-    assert 0.05 < offset.max() < 0.3
-    corrected = resect(sightings(truth), rig, picture_of_ball(rig, pose))
-    point_like = Rig(camera, rig.ball, Targets(*_targets(rig), radii=RADII * 1e-3), 0.02)
-    plain = resect(sightings(truth), point_like, picture_of_ball(rig, pose))
-    without, with_ = (np.linalg.norm(pose_error(f.pose, pose)[:3]) for f in (plain, corrected))
-    assert with_ < 2e-5
-    assert without > 10 * with_
-    assert without > 1.5e-4
-
-
-def _targets(rig):
-    t = rig.targets
-    return t.ids, t.codes, t.position, t.covariance
 
 
 # --- gathering views -------------------------------------------------------------------------------------------------
@@ -398,11 +284,6 @@ def test_a_brushed_target_and_a_copy():
     assert np.abs(first.centre - [100.0, 50.0]).max() < 0.05
     assert first.views == 28
     assert_allclose(copy.centre, [400.0, 50.0])
-
-
-def test_no_views_no_sightings():
-    assert gather([]) == []
-    assert gather([view_of([])]) == []
 
 
 # --- ambiguity -------------------------------------------------------------------------------------------------------
@@ -483,48 +364,31 @@ def test_a_copy_while_the_real_one_is_hidden(view):
 
 
 @views
-def test_targets_of_another_rig_are_refused(view):
+@pytest.mark.parametrize(
+    ("places", "shown"),
+    [
+        (CORNERS * [1.15, 0.85, 1.0] + [[0.05, 0, 0], [0, 0.04, 0], [0, 0, 0], [0, -0.05, 0]], range(4)),
+        *((CORNERS + np.random.default_rng(k).normal(size=(4, 3)) * [0.06, 0.06, 0.0], range(3)) for k in range(4)),
+        (CORNERS[[1, 0, 2, 3]], range(4)),
+    ],
+    ids=["another device", *["three of another device"] * 4, "exchanged codes"],
+)
+def test_targets_of_another_device_are_refused(view, places, shown):
+    """Three targets always fit some pose, but the ball is not where that pose has it."""
     camera, pose = VIEWS[view]
     rig = rig_of(camera)
-    other = rig_of(camera, CORNERS * [1.15, 0.85, 1.0] + [[0.05, 0, 0], [0, 0.04, 0], [0, 0, 0], [0, -0.05, 0]])
-    with pytest.raises(PoseError, match="another device"):
-        resect(sightings(seen_centroids(other, pose)), rig, picture_of_ball(rig, pose))
-
-
-@views
-def test_three_targets_of_another_rig_are_refused(view):
-    """Three always fit some pose: the ball is not where that pose has it."""
-    camera, pose = VIEWS[view]
-    rig = rig_of(camera)
-    picture = picture_of_ball(rig, pose)
-    rng = np.random.default_rng(5)
-    for _ in range(8):
-        other = rig_of(camera, CORNERS + rng.normal(size=CORNERS.shape) * [0.06, 0.06, 0.0])
-        with pytest.raises(PoseError):
-            resect(sightings(seen_centroids(other, pose))[:3], rig, picture)
-
-
-def test_exchanged_codes_are_refused():
-    camera, pose = VIEWS["far"]
-    rig = rig_of(camera)
-    centres = seen_centroids(rig, pose)[[1, 0, 2, 3]]
+    seen = [sightings(seen_centroids(rig_of(camera, places), pose))[k] for k in shown]
     with pytest.raises(PoseError):
-        resect(sightings(centres), rig, picture_of_ball(rig, pose))
+        resect(seen, rig, picture_of_ball(rig, pose))
 
 
-@pytest.mark.parametrize("n", [3, 4])
-def test_targets_in_a_line_are_refused_in_words(n):
-    """They leave the rotation about their line open."""
+LINE = np.stack([np.linspace(-0.3, 0.3, 4), np.zeros(4), np.full(4, 0.56)], axis=1)
+
+
+@pytest.mark.parametrize("places", [LINE[:3], LINE, np.tile(CORNERS[:1], (4, 1))], ids=["three", "four", "one place"])
+def test_targets_that_leave_a_rotation_open_are_refused(places):
     camera, pose = VIEWS["far"]
-    line = np.stack([np.linspace(-0.3, 0.3, n), np.zeros(n), np.full(n, 0.56)], axis=1)
-    rig = rig_of(camera, line)
-    with pytest.raises(PoseError):
-        resect(sightings(seen_centroids(rig, pose)), rig, picture_of_ball(rig, pose))
-
-
-def test_targets_in_one_place_are_refused_in_words():
-    camera, pose = VIEWS["far"]
-    rig = rig_of(camera, np.tile(CORNERS[:1], (4, 1)))
+    rig = rig_of(camera, places)
     with pytest.raises(PoseError):
         resect(sightings(seen_centroids(rig, pose)), rig, picture_of_ball(rig, pose))
 

@@ -82,20 +82,6 @@ def test_log_keeps_its_relative_precision_near_zero(length):
     assert_allclose(log(exp(v)), v, rtol=1e-9, atol=1e-17 if length else 0.0)
 
 
-def test_batches_are_single_rotations():
-    v = random_units(12).reshape(3, 4, 3) * np.linspace(0.0, 4.0, 12).reshape(3, 4, 1)
-    R = exp(v)
-    assert R.shape == (3, 4, 3, 3)
-    for i, j in np.ndindex(3, 4):
-        assert_allclose(R[i, j], exp(v[i, j]), atol=1e-15)
-        assert_allclose(log(R)[i, j], log(R[i, j]), atol=1e-15)
-        assert_allclose(left_jacobian(v)[i, j], left_jacobian(v[i, j]), atol=1e-15)
-        assert_allclose(from_euler(v)[i, j], from_euler(v[i, j]), atol=1e-15)
-        assert_allclose(to_euler(R)[i, j], to_euler(R[i, j]), atol=1e-15)
-        assert_allclose(euler_rate_matrix(v)[i, j], euler_rate_matrix(v[i, j]), atol=1e-15)
-        assert_allclose(tangent_basis(v)[i, j], tangent_basis(v[i, j]), atol=1e-15)
-
-
 @given(vectors(6.0))
 def test_left_jacobian_is_the_derivative_of_exp(v):
     h = 1e-6
@@ -143,11 +129,6 @@ def test_euler_rate_matrix_gives_the_angular_velocity_in_obj(a, a_dot):
     assert_allclose(euler_rate_matrix(a) @ a_dot, w, atol=1e-8)
 
 
-@given(angles)
-def test_euler_rate_matrix_loses_rank_at_90_degrees(a):
-    assert np.linalg.det(euler_rate_matrix(a)) == pytest.approx(np.cos(a[1]), abs=1e-14)
-
-
 def test_tangent_basis_is_orthonormal_everywhere():
     u = np.concatenate([random_units(500), np.eye(3), -np.eye(3), [[1.0, 0.0, -0.0], [1e-9, 0.0, -1.0]]])
     B = tangent_basis(u)
@@ -164,9 +145,3 @@ def test_align_is_scipys_align_vectors(v, seed):
     w = rng.uniform(0.1, 2.0, 8)
     assert_allclose(align(a, b), Rotation.align_vectors(b, a)[0].as_matrix(), atol=1e-9)
     assert_allclose(align(a, b, w), Rotation.align_vectors(b, a, weights=w)[0].as_matrix(), atol=1e-9)
-
-
-@given(vectors(np.pi))
-def test_align_two_directions_is_a_rotation_not_a_reflection(v):
-    a = np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0]])
-    assert_allclose(align(a, a @ exp(v).T), exp(v), atol=1e-9)

@@ -4,23 +4,14 @@ import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from ray_cast import NO_TARGETS, looking_at, polygon_moments, to_image
 
 from spheremouse.ball.detect.appearance import appearance, ball_mask, ball_outline, largest_disc
-from spheremouse.ball.rig import Ball, Rig, Targets
-from spheremouse.geometry.camera import InteriorOrientation, Pose, project
-from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
+from spheremouse.ball.rig import Ball, Rig
+from spheremouse.geometry.camera import InteriorOrientation, Pose
 
-NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
 STRONG = InteriorOrientation(1920, 1080, 1404.0, 1390.0, 967.0, 540.0, np.array([-0.4, 0.2, 2e-3, -1e-3, -0.05]))
 PLAIN = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
-
-
-def looking_at(target, position):
-    """R_obj_cam of a camera at `position` that looks at `target`, a little rolled."""
-    z = (target - position) / np.linalg.norm(target - position)
-    x = np.cross([0.3, -1.0, 0.0], z)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], axis=1)
 
 
 def device(camera, disc_radius=0.02, station=(0.5, -0.45, 1.6), centre=(0.01, -0.02, 0.005)):
@@ -29,13 +20,6 @@ def device(camera, disc_radius=0.02, station=(0.5, -0.45, 1.6), centre=(0.01, -0
         [0.35, 0.2, 0.0]
     )  # beside the ball: its image is far from the middle, where distortion is strong
     return Rig(camera, Ball(0.6, centre), NO_TARGETS, disc_radius), Pose(looking_at(aim, station), station)
-
-
-def to_image(points, rig, pose):
-    R = pose.rotation.T
-    rvec = cv2.Rodrigues(R)[0]
-    uv, _ = cv2.projectPoints(points[:, None], rvec, -R @ pose.position, rig.camera.matrix, rig.camera.distortion)
-    return uv[:, 0]
 
 
 def frame_of(direction):
@@ -51,14 +35,6 @@ def rim(direction, rig, n=720):
     t = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)[:, None]
     d = np.cos(alpha) * direction + np.sin(alpha) * (np.cos(t) * a + np.sin(t) * b)
     return rig.ball.centre + rig.ball.radius * d
-
-
-def polygon_moments(p):
-    """Area and centroid of a closed polygon, (n, 2) px."""
-    q = np.roll(p, -1, axis=0)
-    cross = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
-    area = cross.sum() / 2.0
-    return abs(area), ((p + q) * cross[:, None]).sum(axis=0) / (6.0 * area)
 
 
 def directions(rig, pose, least_margin=0.02):
@@ -86,67 +62,14 @@ def test_area_and_centroid_are_those_of_the_projected_rim(camera, disc_radius):
         area, centroid = polygon_moments(to_image(rim(d, rig), rig, pose))
         assert_allclose(seen.centroid[i], centroid, atol=0.01)
         assert_allclose(seen.area[i], area, rtol=0.02, atol=0.05)
+        offset = to_image(rim(d, rig, 90), rig, pose) - seen.centroid[i]
+        rho = np.sqrt(np.einsum("ki,ij,kj->k", offset, np.linalg.inv(seen.shape[i]), offset))
+        semi = np.sqrt(np.linalg.eigvalsh(seen.shape[i])[0])
+        assert np.abs(rho - 1.0).max() * semi < (1e-6 if camera is PLAIN else 0.3)  # px from the rim to the ellipse
     centre = to_image(rig.ball.centre + rig.ball.radius * u, rig, pose)
     assert_allclose(seen.centre, centre, atol=1e-6)
     if disc_radius > 0.01:
         assert np.linalg.norm(seen.centroid - seen.centre, axis=1).max() > 0.1  # eccentricity is not nothing
-
-
-@pytest.mark.parametrize("camera", [PLAIN, STRONG], ids=["plain", "distorted"])
-@pytest.mark.parametrize("disc_radius", [0.005, 0.05])
-def test_appearance_is_the_camera_modules_projected_circle(camera, disc_radius):
-    """The compiled arithmetic against the camera's own, disc by disc: circle in space, ellipse, lens."""
-    rig, pose = device(camera, disc_radius)
-    u = directions(rig, pose)
-    alpha = disc_radius / rig.ball.radius
-    middle = rig.ball.centre + rig.ball.radius * np.cos(alpha) * u
-    circle = project_circle(pose.to_cam(middle), u @ pose.rotation, rig.ball.radius * np.sin(alpha))
-    centroid, shape = ellipse_to_pixel(*circle, camera)
-    seen = appearance(u, rig, pose)
-    assert_allclose(seen.centroid, centroid, atol=1e-9)
-    assert_allclose(seen.shape, shape, rtol=1e-9, atol=1e-12)
-    assert_allclose(seen.area, np.pi * np.sqrt(np.linalg.det(shape)), rtol=1e-9)
-    assert_allclose(seen.centre, project(pose.to_cam(rig.ball.centre + rig.ball.radius * u), camera)[0], atol=1e-9)
-
-
-@pytest.mark.parametrize("camera", [PLAIN, STRONG], ids=["plain", "distorted"])
-def test_shape_is_that_of_the_outlines_second_moments(camera):
-    """A uniform ellipse has a quarter of its shape as covariance: of the rim's polygon, filled and sampled."""
-    rig, pose = device(camera, 0.03)
-    for d in directions(rig, pose, 0.1)[::5]:
-        seen = appearance(d[None], rig, pose)
-        outline = to_image(rim(d, rig), rig, pose)
-        radius = np.sqrt((np.arange(40) + 0.5) / 40)[:, None, None]  # rings of equal area
-        inside = (seen.centroid + radius * (outline - seen.centroid)).reshape(-1, 2)
-        # a ring's sectors are not of equal area: weigh each by its triangle
-        edge = outline - seen.centroid
-        after, before = np.roll(edge, -1, axis=0), np.roll(edge, 1, axis=0)
-        weight = np.tile(np.abs(edge[:, 0] * (after - before)[:, 1] - edge[:, 1] * (after - before)[:, 0]), 40)
-        second = 4.0 * np.cov(inside.T, aweights=weight)
-        scale = np.sqrt(np.outer(np.diag(second), np.diag(second)))
-        assert_allclose(seen.shape[0] / scale, second / scale, atol=0.005 if camera is PLAIN else 0.03)
-
-
-def test_directions_need_not_be_contiguous_nor_float64():
-    rig, pose = device(STRONG)
-    u = directions(rig, pose)
-    turned = Pose(np.asfortranarray(pose.rotation), pose.position)
-    plain, other = appearance(u, rig, pose), appearance(np.asfortranarray(u)[::2], rig, turned)
-    assert_allclose(other.centroid, plain.centroid[::2], atol=1e-12)
-    single = appearance(u.astype(np.float32), rig, pose)
-    assert_allclose(single.centroid, plain.centroid, atol=1e-3)
-
-
-@pytest.mark.parametrize("camera", [PLAIN, STRONG], ids=["plain", "distorted"])
-def test_the_rim_lies_on_the_ellipse(camera):
-    rig, pose = device(camera)
-    u = directions(rig, pose, 0.1)
-    seen = appearance(u, rig, pose)
-    for i, d in enumerate(u):
-        p = to_image(rim(d, rig, 90), rig, pose) - seen.centroid[i]
-        rho = np.sqrt(np.einsum("ki,ij,kj->k", p, np.linalg.inv(seen.shape[i]), p))
-        semi = np.sqrt(np.linalg.eigvalsh(seen.shape[i])[0])
-        assert np.abs(rho - 1.0).max() * semi < (1e-6 if camera is PLAIN else 0.15)
 
 
 def test_whole_is_where_all_of_the_rim_faces_the_camera():

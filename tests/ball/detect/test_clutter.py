@@ -73,23 +73,6 @@ def test_nests_are_those_of_every_pair(seed, ratio):
     assert more == (len(best) > MOST)
 
 
-def test_some_of_those_have_nests():
-    """What the test above compares is not nothing."""
-    counts = [len(every_pair([spots(np.random.default_rng((s, 0)), 40) for _ in range(3)], SETTINGS)) for s in range(5)]
-    assert min(counts) > 0
-
-
-def test_filled_outlines_have_the_moments_of_opencv_to_the_last_bit():
-    noise = np.random.default_rng(0).integers(0, 256, (300, 400), dtype=np.uint8)
-    mask = np.asarray(cv2.GaussianBlur(noise, (0, 0), 2.0) > 127, dtype=np.uint8)
-    outlines = [c[:, 0] for c in cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)[0]]
-    area, centre = rings._filled(outlines)
-    assert len(outlines) > 200
-    for a, c, m in zip(area, centre, map(cv2.moments, outlines), strict=True):
-        assert a == m["m00"]
-        assert a == 0.0 or (c[0], c[1]) == (m["m10"] / m["m00"], m["m01"] / m["m00"])
-
-
 def dotted(rng, height, width, n):
     image = np.full((height, width, 3), 200, np.uint8)
     for _ in range(n):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.detect.lookalikes import (
-    MASK_RADIUS_PX,
     MOVED_PX,
     StaticDistractors,
     classify_candidates,
@@ -122,14 +121,6 @@ def test_candidates_that_cannot_be_seen_again_are_forgotten():
 # --- masks -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_mask_hides_what_is_within_its_radius_only():
-    state = mask(StaticDistractors(), np.array([[100.0, 100.0]]), 0.0)
-    r = MASK_RADIUS_PX
-    uv = np.array([[100.0, 100.0], [100.0, 100.0 + 0.9 * r], [100.0 + 1.1 * r, 100.0]])
-    free, _ = unmasked(state, uv, 0.0)
-    assert free.tolist() == [False, False, True]
-
-
 def test_a_mask_lives_as_long_as_it_is_needed():
     place = np.array([[100.0, 100.0]])
     elsewhere = np.array([[300.0, 100.0]])
@@ -142,25 +133,3 @@ def test_a_mask_lives_as_long_as_it_is_needed():
     assert len(state.masks) == 0
     free, _ = unmasked(state, place, 2.0 * life)
     assert free.all()
-
-
-def test_empty_sets_pass_through():
-    nothing = np.zeros((0, 2))
-    state = StaticDistractors()
-    free, state = unmasked(state, nothing, 0.0)
-    assert len(free) == 0
-    proven, still, state = classify_candidates(state, nothing, np.zeros((0, 3)), np.eye(3), 0.0, RIG, POSE)
-    assert len(proven) == len(still) == len(state.place) == 0
-
-
-def test_two_detections_of_one_candidate_are_one():
-    uv = np.repeat(to_image(DISCS), 2, axis=0)
-    uv[1::2] += 1.0
-    state = StaticDistractors()
-    for k, R in enumerate(turn([0.0, 1.0, 0.0], 0.3, 30)):
-        uv = np.repeat(to_image(DISCS @ R.T), 2, axis=0)
-        uv[1::2] += 1.0
-        proven, still, _, state = look(state, uv, R, k * DT)
-        assert not still.any()
-    assert len(state.place) == len(uv)
-    assert proven[::2].all()

@@ -27,11 +27,6 @@ def test_the_blur_is_the_one_that_was_made(sigma):
     assert blur_of(cv2.cvtColor(picture(sigma), cv2.COLOR_GRAY2BGR)) == pytest.approx(sigma, abs=0.06)
 
 
-@pytest.mark.parametrize("sigma", [0.5, 1.0, 2.0])
-def test_noise_makes_little_of_it_sharper(sigma):
-    assert blur_of(picture(sigma, noise=4.0)) == pytest.approx(sigma, abs=0.1 + 0.1 * sigma)
-
-
 def test_a_sharp_picture_is_below_half_a_pixel_and_an_empty_one_has_none():
     assert blur_of(picture(0.0)) < 0.4
     assert np.isnan(blur_of(np.full((120, 160), 90, np.uint8)))
