@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
-from spheremouse.ball.pose import predict_targets
+from spheremouse.ball.pose import adjust_pose, predict_targets
 from spheremouse.ball.rig import Rig
-from spheremouse.geometry.camera import Pose, project
+from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
-from spheremouse.geometry.rotation import Array, exp, hat, log
+from spheremouse.geometry.rotation import Array, log
 
 _FINE = 17  # px, half width of a patch that need not be finer: larger ones are reduced to about that
 _AROUND = 1.3  # outer radii of a target that its patch reaches: the ring's edge and some of what is behind
@@ -185,13 +185,14 @@ def moved_pose(shift: Array, rig: Rig, pose: Pose, sigma: float) -> tuple[Pose, 
     which = np.flatnonzero(np.isfinite(shift[:, 0]))
     observed = predict_targets(pose, rig) + shift
     while len(which) >= 3:
-        found = _fitted(observed[which], which, rig, pose, sigma)
-        if found is None:
+        k = len(which)
+        fit = adjust_pose(pose, observed[which], which, rig, sigma**2 * np.eye(2 * k), np.zeros((3 * k, 3 * k)))
+        if fit is None:
             return None
-        new, added, residual = found
-        off = np.hypot(*residual.T)
+        off = np.hypot(*fit.residual.reshape(-1, 2).T)
         if off.max() < 5.0 * sigma:
-            return Pose(new.rotation, new.position, pose.covariance + added, pose.ball_covariance), added
+            added = fit.covariance
+            return Pose(fit.pose.rotation, fit.pose.position, pose.covariance + added, pose.ball_covariance), added
         which = np.delete(which, int(np.argmax(off)))
     return None
 
@@ -200,29 +201,6 @@ def difference(before: Pose, after: Pose) -> tuple[float, float]:
     """Return the distance of two poses in m and in rad."""
     turn = log(after.rotation @ before.rotation.T)
     return float(np.linalg.norm(after.position - before.position)), float(np.linalg.norm(turn))
-
-
-def _fitted(
-    observed: Array, which: NDArray[np.intp], rig: Rig, start: Pose, sigma: float
-) -> tuple[Pose, Array, Array] | None:
-    """Pose, covariance (6, 6) and residuals (k, 2) px of k targets `which` seen at `observed`, (k, 2) px."""
-    pose, points = start, rig.targets.position[which]
-    N, residual = np.eye(6), observed
-    for _ in range(15):
-        residual = observed - predict_targets(pose, rig)[which]
-        dc_dobj = project(pose.to_cam(points), rig.camera)[1] @ pose.rotation.T
-        A = np.concatenate([-dc_dobj, dc_dobj @ hat(points - pose.position)], axis=2)
-        N = np.einsum("nij,nik->jk", A, A)
-        try:
-            step = np.linalg.solve(N, np.einsum("nij,ni->j", A, residual))
-        except np.linalg.LinAlgError:
-            return None
-        if not np.all(np.isfinite(step)):
-            return None
-        pose = Pose(exp(step[3:]) @ pose.rotation, pose.position + step[:3])
-        if np.linalg.norm(step) < 1e-9:
-            return pose, sigma**2 * np.linalg.inv(N), residual
-    return None
 
 
 def _on_rings(watch: CameraMonitor, image: Image, which: int, shift: Array, rig: Rig, rings: RingSettings) -> Array:

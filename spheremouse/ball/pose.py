@@ -8,6 +8,7 @@ carried to the pose: a target field that is shifted against the ball shifts the 
 from dataclasses import dataclass
 from itertools import product
 from math import prod
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -18,8 +19,9 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import MOST, TargetDetections
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import PoseError
-from spheremouse.geometry.camera import Pose, project, reduced_to_pixel, unproject
-from spheremouse.geometry.conics import project_rings, project_sphere
+from spheremouse.geometry.camera import Pose, project, unproject
+from spheremouse.geometry.conics import project_rings, sphere_outline
+from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import Array, exp, hat
 from spheremouse.settings import param
 
@@ -223,51 +225,67 @@ def closed_form_poses(points: Array, xy: Array) -> list[Pose]:
     return starts
 
 
-def _adjust(pose: Pose, used: list[Sighting], which: NDArray[np.intp], rig: Rig) -> Resection | None:
-    """Gauss-Newton on the reprojection error; weights from the image and from the targets' joint covariance."""
-    observed = np.array([s.centre for s in used])
-    image = np.asarray(block_diag(*(s.covariance for s in used)), dtype=float)
-    points = rig.targets.position[which]
-    rows = (3 * which[:, None] + np.arange(3)).ravel()
-    uncertain = rig.targets.covariance[np.ix_(rows, rows)]
-    A, W, N = np.zeros((len(image), 6)), np.eye(len(image)), np.eye(6)
-    J = np.zeros((len(image), len(rows)))
-    residual = np.zeros_like(observed)
+class PoseFit(NamedTuple):
+    """A pose adjusted to k targets, from the last iteration."""
+
+    pose: Pose
+    residual: Array  # (2k,) px, measured minus predicted
+    A: Array  # (2k, 6) d_centre_d_pose
+    J: Array  # (2k, 3k) d_centre_d_targets, px/m
+    W: Array  # (2k, 2k) weights
+    covariance: Array  # (6, 6)
+
+
+def adjust_pose(
+    start: Pose, observed: Array, which: NDArray[np.intp], rig: Rig, noise: Array, targets: Array
+) -> PoseFit | None:
+    """Return the pose that minimises the reprojection error of the targets `which`, by Gauss-Newton; None without one.
+
+    `observed` (k, 2) px. The weights follow from the covariances `noise` (2k, 2k) px² of the image and `targets`
+    (3k, 3k) m² of the targets.
+    """
+    pose, points, fit = start, rig.targets.position[which], None
     for _ in range(30):
         try:
             predicted, dc_dcam = _predict(pose, rig, which)
-        except np.linalg.LinAlgError:  # so far off that a target is seen edge-on
-            return None
-        if not np.all(np.isfinite(predicted)):
-            return None
-        residual = observed - predicted
-        dc_dobj = dc_dcam @ pose.rotation.T
-        # a point in cam is R^T (X - P): dP moves it by -R^T, theta turns X - P by -theta
-        A = np.concatenate([-dc_dobj, dc_dobj @ hat(points - pose.position)], axis=2).reshape(-1, 6)
-        J = np.asarray(block_diag(*dc_dobj), dtype=float)
-        try:
-            W = np.linalg.inv(image + J @ uncertain @ J.T)
+            if not np.all(np.isfinite(predicted)):
+                return None
+            residual = (observed - predicted).ravel()
+            dc_dobj = dc_dcam @ pose.rotation.T
+            # a point in cam is R^T (X - P): dP moves it by -R^T, theta turns X - P by -theta
+            A = np.concatenate([-dc_dobj, dc_dobj @ hat(points - pose.position)], axis=2).reshape(-1, 6)
+            J = np.asarray(block_diag(*dc_dobj), dtype=float)
+            W = np.asarray(np.linalg.inv(noise + J @ targets @ J.T), dtype=float)
             N = A.T @ W @ A
-            step = np.asarray(np.linalg.solve(N, A.T @ W @ residual.ravel()), dtype=float)
-        except np.linalg.LinAlgError:
+            step = np.asarray(np.linalg.solve(N, A.T @ W @ residual), dtype=float)
+            pose = Pose(exp(step[3:]) @ pose.rotation, pose.position + step[:3])
+            fit = PoseFit(pose, residual, A, J, W, np.asarray(np.linalg.inv(N), dtype=float))
+        except np.linalg.LinAlgError:  # so far off that a target is seen edge-on, or too few targets
             return None
-        pose = Pose(exp(step[3:]) @ pose.rotation, pose.position + step[:3])
         if np.linalg.norm(step) < 1e-10:
             break
-    freedom = 2 * len(used) - 6
-    r = residual.ravel()
-    factor = float(r @ W @ r) / freedom if freedom > 0 else 1.0
-    try:
-        covariance = np.asarray(np.linalg.inv(N), dtype=float)
-    except np.linalg.LinAlgError:
+    return fit
+
+
+def _adjust(start: Pose, used: list[Sighting], which: NDArray[np.intp], rig: Rig) -> Resection | None:
+    """Return the pose from these sightings; the weights include the targets' joint covariance."""
+    observed = np.array([s.centre for s in used])
+    image = np.asarray(block_diag(*(s.covariance for s in used)), dtype=float)
+    rows = (3 * which[:, None] + np.arange(3)).ravel()
+    targets = rig.targets.covariance[np.ix_(rows, rows)]
+    fit = adjust_pose(start, observed, which, rig, image, targets)
+    if fit is None:
         return None
-    G = covariance @ A.T @ W  # error of the pose: G (noise - J error of the targets)
+    r, J, covariance = fit.residual, fit.J, fit.covariance
+    freedom = 2 * len(used) - 6
+    factor = float(r @ fit.W @ r) / freedom if freedom > 0 else 1.0
+    G = covariance @ fit.A.T @ fit.W  # error of the pose: G (noise - J error of the targets)
     if factor > 1.0:
-        component = _image_component(r, image, J @ uncertain @ J.T, freedom)
+        component = _image_component(r, image, J @ targets @ J.T, freedom)
         covariance = covariance + (component - 1.0) * G @ image @ G.T
     with_ball = np.zeros((6, 4)) if rig.cross_covariance is None else -G @ J @ rig.cross_covariance[rows]
-    pose = Pose(pose.rotation, pose.position, 0.5 * (covariance + covariance.T), with_ball)
-    return Resection(pose, tuple(s.code for s in used), observed, residual, factor)
+    pose = Pose(fit.pose.rotation, fit.pose.position, 0.5 * (covariance + covariance.T), with_ball)
+    return Resection(pose, tuple(s.code for s in used), observed, r.reshape(-1, 2), factor)
 
 
 def _image_component(r: Array, image: Array, targets: Array, freedom: int) -> float:
@@ -326,14 +344,9 @@ def _distinct(fits: list[Resection]) -> list[Resection]:
         return []
     cost = [f.variance_factor * max(2 * len(f.codes) - 6, 0) for f in full]
     scale = max(min(cost) / max(2 * most - 6, 1), 1.0)
-    kept: list[Resection] = []
     near = [k for k in sorted(range(len(full)), key=cost.__getitem__) if cost[k] - min(cost) < 16.0 * scale]
-    place = np.array([full[k].pose.position for k in near]).reshape(-1, 3)
-    while near:
-        kept.append(full[near[0]])
-        other = np.flatnonzero(np.linalg.norm(place - place[0], axis=1) > 1e-3)
-        near, place = [near[k] for k in other], place[other]
-    return kept
+    place = np.array([full[k].pose.position for k in near])
+    return [full[near[k]] for k in suppress(place, np.full(len(near), 1e-3))]
 
 
 def _by_outline(fits: list[Resection], rig: Rig, image: Image) -> Resection:
@@ -363,14 +376,10 @@ def _by_outline(fits: list[Resection], rig: Rig, image: Image) -> Resection:
 
 def _outline_score(pose: Pose, rig: Rig, grey: Image, floor: float) -> float:
     """Part of the visible outline, 0..1, that lies within 2 px of an edge running along it, steeper than `floor`."""
-    centre, shape = project_sphere(pose.to_cam(rig.ball.centre), rig.ball.radius)
-    angle = np.linspace(0.0, 2.0 * np.pi, 240, endpoint=False)
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     try:
-        outline = centre + circle @ np.linalg.cholesky(shape).T
-    except np.linalg.LinAlgError:
+        uv = sphere_outline(pose.to_cam(rig.ball.centre), rig.ball.radius, rig.camera, 240)
+    except np.linalg.LinAlgError:  # not wholly in front of the camera
         return 0.0
-    uv, _ = reduced_to_pixel(outline, rig.camera)
     tangent = np.roll(uv, -1, axis=0) - np.roll(uv, 1, axis=0)
     normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1) / np.linalg.norm(tangent, axis=1, keepdims=True)
     reach = np.arange(-8.0, 8.5, 0.5)

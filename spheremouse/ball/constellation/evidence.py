@@ -12,22 +12,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.constellation.hypotheses import MAX_STEPS, Law
 from spheremouse.geometry.matching import match
-from spheremouse.geometry.rotation import Array
-
-
-@njit(cache=True)
-def _rotate(R: Array, v: Array) -> Array:
-    """Return exp(v) R, (3, 3), for a rotation vector v, (3,), by the unit quaternion."""
-    angle = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
-    s = 0.5 if angle < 1e-8 else math.sin(angle / 2.0) / angle
-    w, x, y, z = math.cos(angle / 2.0), s * v[0], s * v[1], s * v[2]
-    out = np.empty((3, 3))
-    for k in range(3):
-        a, b, c = R[0, k], R[1, k], R[2, k]
-        out[0, k] = a - 2.0 * (y * y + z * z) * a + 2.0 * (x * y - w * z) * b + 2.0 * (x * z + w * y) * c
-        out[1, k] = b - 2.0 * (x * x + z * z) * b + 2.0 * (x * y + w * z) * a + 2.0 * (y * z - w * x) * c
-        out[2, k] = c - 2.0 * (x * x + y * y) * c + 2.0 * (x * z - w * y) * a + 2.0 * (y * z + w * x) * b
-    return out
+from spheremouse.geometry.rotation import Array, exp_into
 
 
 @njit(cache=True)
@@ -120,7 +105,7 @@ def refine_attitude(
     each seen one, (n,), the information of the attitude, (3, 3) 1/rad², and its determinant, 0 for a singular one.
     """
     column = np.full(len(seen), -1)
-    A, g, det = np.zeros((3, 3)), np.zeros(3), 0.0
+    A, g, det, turn = np.zeros((3, 3)), np.zeros(3), 0.0, np.empty((3, 3))
     for step in range(MAX_STEPS):
         p, visible = _visibility(R, known, law)
         now = match(_match_ratios(p, visible, seen, variance, first if step == 0 else 1.0, law))
@@ -128,7 +113,8 @@ def refine_attitude(
         column = now
         _normal_equations(p, column, seen, variance, A, g)
         v, det = _solve(A, g)
-        R = _rotate(R, v)
+        exp_into(v, turn)
+        R = turn @ R
         if det == 0.0 or (same and g @ v < 1e-8):  # 1e-4 standard deviations; the rest is far smaller after this step
             break
     return R, column, A, det

@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import COLOURS
+from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import Array
 from spheremouse.settings import param
 
@@ -164,27 +165,12 @@ def _spots(mask: Image, settings: RingSettings) -> Spots:
     outlines = [c[:, 0] for c in contours if len(c) >= 4 * settings.min_radius]
     if not outlines:
         return Spots((), np.zeros((0, 2)), np.zeros(0))
-    area, centre = _filled(outlines)
+    moments = [cv2.moments(outline) for outline in outlines]
+    area = np.array([m["m00"] for m in moments])
+    centre = np.array([(m["m10"], m["m01"]) for m in moments]) / np.where(area == 0.0, 1.0, area)[:, None]
     radius = np.sqrt(area / np.pi) + 0.5  # the contour runs through pixel centres: half a pixel is missing all round
     good = np.flatnonzero((radius >= settings.min_radius) & (area > 0))
     return Spots(tuple(outlines[k] for k in good), centre[good], radius[good])
-
-
-def _filled(outlines: list[Image]) -> tuple[Array, Array]:
-    """Area, (n,) px², and centroid, (n, 2) px, within closed outlines, (k, 2) px each; 0 and anything within a line.
-
-    To the last bit what `cv2.moments` says of each, by the same sums over whole numbers, for all of them at once.
-    """
-    point = np.concatenate(outlines).astype(np.int64)
-    length = np.fromiter(map(len, outlines), np.intp, len(outlines))
-    first = np.cumsum(length) - length
-    before = np.empty_like(point)
-    before[1:] = point[:-1]
-    before[first] = point[first + length - 1]
-    cross = before[:, 0] * point[:, 1] - point[:, 0] * before[:, 1]
-    area = 0.5 * np.add.reduceat(cross, first)
-    moment = (1.0 / 6.0) * np.add.reduceat(cross[:, None] * (before + point), first)
-    return np.abs(area), moment / np.where(area == 0.0, 1.0, area)[:, None]
 
 
 def _nests(
@@ -204,12 +190,8 @@ def _nests(
     misfit = _misfits(inner.radius, inmost, middle.radius, around, outer.radius, proportion)
     left = np.flatnonzero(np.isfinite(misfit))
     left = left[np.argsort(misfit[left], kind="stable")]
-    best: list[np.intp] = []
-    while len(left) and len(best) < MOST:  # a hole's outline repeats its ring's
-        best.append(left[0])
-        offset = np.linalg.norm(outer.centre[left] - outer.centre[left[0]], axis=1)
-        left = left[offset > outer.radius[left[0]]]
-    return np.array(best, dtype=np.intp), len(left) > 0
+    best = left[suppress(outer.centre[left], outer.radius[left])]  # a hole's outline repeats its ring's
+    return best[:MOST], len(best) > MOST
 
 
 def within(inside: Spots, outer: Spots, which: NDArray[np.intp], share: float, settings: RingSettings) -> _Pairs:
