@@ -53,10 +53,12 @@ def match(
     differ, and reports may be missing.
     Exit codes: 0 the two agree, 1 they do not or the ball did not move enough, 2 unusable input.
     """
+    from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.evaluate.trackball_verdict import judge, settings_of
     from spheremouse.files.safe_files import write_atomically, write_json
 
-    _check_outputs(out, force, json_file)
+    check_outputs([out], [log, stamps, config, rig, camera], force)
+    check_outputs([json_file], [out, log, stamps, config, rig, camera], True)
     plan = _plan(recording, [*(assignments or ()), *([f"tracker={tracker}"] if tracker else ())], config, rig, camera)
     found, device = _matched(recording, plan, stamps, log)
     verdict, before = judge(found), plan.configuration.motion
@@ -82,16 +84,6 @@ def match(
 
 
 # ---- input ----
-
-
-def _check_outputs(out: Path | None, force: bool, json_file: Path | None) -> None:
-    for name, path in (("--out", out), ("--json", json_file)):
-        if path is not None and not path.absolute().parent.is_dir():
-            raise ConfigurationError(f"{name}: {path.parent}: no such folder")
-        if path is not None and path.is_dir():
-            raise ConfigurationError(f"{name}: {path}: is a directory; name a file in it")
-    if out is not None and out.exists() and not force:
-        raise ConfigurationError(f"--out: {out}: exists already; choose another name, or replace it with --force")
 
 
 def _plan(recording: str, assignments: list[str], config: Path | None, rig: Path | None, camera: Path | None) -> "Plan":
@@ -194,13 +186,11 @@ def _file(settings: "MotionSettings", source: str, verdict: str) -> str:
 
 
 def _print(found: "Match", verdict: "Verdict") -> None:
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from spheremouse.commands.terminal import table_console
 
-    table = Table()
-    for name in ("", "x", "y"):
-        table.add_column(name, justify="right" if name else "left")
+    table = Table("", *(Column(name, justify="right") for name in "xy"))
     for k, axis in enumerate("XYZ"):
         cells = [f"{a:.2f} ± {s:.2f}" for a, s in zip(found.matrix[:, k], found.sigma[:, k], strict=True)]
         table.add_row(f"counts/rad about {axis} of obj{'' if found.known[k] else ', moved too little'}", *cells)
@@ -214,9 +204,7 @@ def _print(found: "Match", verdict: "Verdict") -> None:
         f"compared: {found.seconds:.1f} s, ball at {moved} rad/s RMS; {found.outliers} of {found.intervals} intervals "
         "of 0.1 s do not fit"
     )
-    print(f"verdict: {verdict.text}")
-    for note in verdict.notes:
-        print(f"  note: {note}")
+    print("\n  note: ".join((f"verdict: {verdict.text}", *verdict.notes)))
 
 
 def figures(found: "Match", verdict: "Verdict", settings: "MotionSettings | None") -> dict[str, Any]:

@@ -1,11 +1,14 @@
 """Figures of an evaluation as a table for a terminal or a page."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 from rich.table import Table
 
 from spheremouse.evaluate.metrics import MIN_AREA, MIN_AXIS
+
+_MAX_FACTOR = 1.4  # between standard deviations and errors; a film of some seconds scatters as much
 
 
 def ball_table(results: list[dict[str, Any]], title: str) -> Table:
@@ -51,6 +54,26 @@ def wand_table(results: list[dict[str, Any]]) -> Table:
     for label, value in rows:
         table.add_row(label, *(value(result) for result in every))
     return table
+
+
+def consistency(result: dict[str, Any]) -> list[str]:
+    """Return a line if standard deviations are too large by a factor, and one if any are too small."""
+    if "anees" in result:
+        values = {part: result["anees"][part] for part in ("position", "rotation", "pose")}
+    else:
+        nees = result["nees"] or {}
+        values = {part: nees[part] and nees[part] / 3.0 for part in nees} | {"disc centres": result["nis"]}
+    factors = {part: math.sqrt(value) for part, value in values.items() if value}
+    large = [f"of {part} {1.0 / f:.1f} times" for part, f in factors.items() if f < 1.0 / _MAX_FACTOR]
+    small = [f"of {part} {f:.1f} times" for part, f in factors.items() if f > _MAX_FACTOR]
+    name, lines = result["dataset"], []
+    if large:
+        lines.append(
+            f"{name}: standard deviations {', '.join(large)} larger than the errors: they are on the safe side"
+        )
+    if small:
+        lines.append(f"{name}: standard deviations {', '.join(small)} smaller than the errors: do not rely on them")
+    return lines
 
 
 def shown(value: float | None, form: str = ".3g") -> str:

@@ -5,16 +5,15 @@ at once. Wittich 2017, section 4.1.1 and eq. 175, estimates lag, one scale and o
 no meaning here, since a ball at rest sends no counts.
 
 `search_lag` regresses the counts on the rotation at every lag. `match` then estimates A, lag and drift of the clock by
-one robust regression with Cauchy's loss, so that lost reports and slip do not spoil the scale. The regression weighs
-residuals by their correlation. With independent residuals the standard deviation of the scale is four times as large.
+one robust regression with Cauchy's loss, so that lost reports and slip do not spoil the scale. The covariance accounts
+for the correlation of neighbouring residuals.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky_banded, solve_banded
 from scipy.optimize import least_squares
 
 from spheremouse.evaluate.metrics import Run, pearson
@@ -33,11 +32,10 @@ _RIVAL_DISTANCE_S = 1.0  # of the second best lag from the best
 _MAX_REPORT_GAP_S = 0.05  # between two reports of a mouse that moves
 _MIN_SIGMA_COUNTS = 0.2  # of a residual: whole counts
 _CAUCHY = 2.385  # standard deviations: 95 % efficiency for normal errors (Holland and Welsch 1977)
-_ROUNDS = 4  # of the regression and its noise
-_MAX_CORRELATION = 0.49  # of neighbours; at 0.5 the sum of the residuals would have no noise
+_ROUNDS = 3  # of the regression and its noise
 _OUTLIER_SIGMA = 5.0
 _OUTLIER_COUNTS = 3.0
-_BLOCK_ROWS = 5  # half a second
+_BLOCK_ROWS = 5  # half a second: what displaces the end of an interval, the next one takes back
 _LAG_DERIVATIVE_S = 0.03  # several reports of a coarse trackball
 _PRIOR_SCALES = 10.0  # prior standard deviation of A in units of its size: for axes without motion
 _PRIOR_CLOCK = (1e-3, 1e3)  # square root of the information of lag (1/s) and drift
@@ -264,50 +262,50 @@ class _Regression:
         p = np.zeros(8)
         p[:6] = np.linalg.solve(W.T @ W + 1e-9 * np.eye(3) * np.sum(W**2), W.T @ self.counts(p)).T.ravel()
         prior = np.append(np.full(6, 1.0 / max(_PRIOR_SCALES * float(np.linalg.norm(p)), 1e-9)), _PRIOR_CLOCK)
-        fit, whitening = self, _Whitening.of(self.rows, self.residuals(p), correlated=False)
+        sigma = self._sigma(p)
         for _ in range(_ROUNDS):
-            p = fit.minimise(p, whitening, prior)
-            fit = replace(self, rows=self.rows[self._fits(p)])
-            whitening = _Whitening.of(fit.rows, fit.residuals(p))
-        return self._describe(p, fit.covariance(p, whitening, prior))
+            p, sigma = self._minimise(p, sigma, prior), self._sigma(p)
+        return self._describe(p, self._covariance(p, sigma, prior))
 
-    def minimise(self, p: Array, whitening: "_Whitening", prior: Array) -> Array:
+    def _sigma(self, p: Array) -> Array:
+        """Return the standard deviation (2,) of the residuals of intervals with motion."""
+        return np.maximum(mad_sigma(self.residuals(p)[self._moving(p)]), _MIN_SIGMA_COUNTS)
+
+    def _moving(self, p: Array) -> NDArray[np.bool_]:
+        counts = self.counts(p)
+        return np.any((np.abs(counts - self.residuals(p)) > 0.5) | (counts != 0.0), axis=1)
+
+    def _minimise(self, p: Array, sigma: Array, prior: Array) -> Array:
         """Return the parameters of least loss; `prior` (8,) is the square root of the information without data."""
 
         def residuals(q: Array) -> Array:
-            return np.append(whitening.apply(self.residuals(q)[..., None]), prior * q)
+            return np.append(self.residuals(q) / sigma, prior * q)
 
         def jacobian(q: Array) -> Array:
-            return np.concatenate([whitening.apply(self.jacobian(q)).reshape(-1, 8), np.diag(prior)])
+            return np.concatenate([(self.jacobian(q) / sigma[:, None]).reshape(-1, 8), np.diag(prior)])
 
         jac: Any = jacobian  # SciPy's stubs take the name of a scheme alone
         return np.asarray(least_squares(residuals, p, jac, loss="cauchy", f_scale=_CAUCHY, x_scale="jac").x)
 
-    def covariance(self, p: Array, whitening: "_Whitening", prior: Array) -> Array:
+    def _covariance(self, p: Array, sigma: Array, prior: Array) -> Array:
         """Return the covariance (8, 8) by a linearised jackknife of blocks (Cameron, Gelbach, Miller 2008, CR3)."""
         n = len(self.rows) // _BLOCK_ROWS * _BLOCK_ROWS
-        u = whitening.apply(self.residuals(p)[..., None])[:n].reshape(-1, _BLOCK_ROWS, 2)
-        J = whitening.apply(self.jacobian(p))[:n].reshape(-1, _BLOCK_ROWS, 2, 8)
+        u = (self.residuals(p) / sigma)[:n].reshape(-1, 2 * _BLOCK_ROWS)
+        J = (self.jacobian(p) / sigma[:, None])[:n].reshape(-1, 2 * _BLOCK_ROWS, 8)
         w = 1.0 / (1.0 + (u / _CAUCHY) ** 2)
         curvature = np.mean((2.0 * w - 1.0) * w)  # derivative of Cauchy's influence function w u
-        blocks = curvature * np.einsum("bmki,bmkj->bij", J, J)
+        blocks = curvature * np.einsum("bmi,bmj->bij", J, J)
         information = blocks.sum(axis=0) + np.diag(prior**2)
-        score = np.einsum("bmki,bmk->bi", J, w * u)
+        score = np.einsum("bmi,bm->bi", J, w * u)
         change = np.linalg.solve(information - blocks, score[..., None])[..., 0]  # if the block is left out
         inverse = np.linalg.inv(information)
         covariance = change.T @ change + inverse @ np.diag(prior**2) @ inverse
         covariance[6, 6] += _STAMP_SIGMA_S**2
         return 0.5 * (covariance + covariance.T)
 
-    def _fits(self, p: Array) -> NDArray[np.bool_]:
-        """Return the intervals (m,) whose residuals are no outliers among those with motion."""
-        counts, residuals = self.counts(p), self.residuals(p)
-        moving = np.any((np.abs(counts - residuals) > 0.5) | (counts != 0.0), axis=1)
-        limit = np.maximum(_OUTLIER_SIGMA * mad_sigma(residuals[moving]), _OUTLIER_COUNTS)
-        return np.all(np.abs(residuals) <= limit, axis=1)
-
     def _describe(self, p: Array, covariance: Array) -> Match:
         rows, counts, residuals = self.rows, self.counts(p), self.residuals(p)
+        limit = np.maximum(_OUTLIER_SIGMA * self._sigma(p), _OUTLIER_COUNTS)
         dt = (rows.end - rows.begin)[:, None]
         rates = rows.rotation / dt
         moment = rates.T @ rates / len(rows)
@@ -325,35 +323,7 @@ class _Regression:
             rate=np.sqrt(np.diag(moment)),
             independent_rate=1.0 / np.sqrt(np.diag(np.linalg.inv(moment + 1e-12 * np.eye(3)))),
             seconds=float(dt.sum()),
-            outliers=int(np.count_nonzero(~self._fits(p))),
+            outliers=int(np.count_nonzero(np.any(np.abs(residuals) > limit, axis=1))),
             intervals=len(rows),
             peak=self.peak,
         )
-
-
-@dataclass(frozen=True, slots=True)
-class _Whitening:
-    """Noise of the residuals: what a place errs by (pixels, whole counts), the next interval takes back.
-
-    So neighbours have a correlation between -0.5 and 0. Slip raises it towards 0.
-    """
-
-    factors: tuple[Array, Array]  # (2, m) lower banded Cholesky factor of the correlation, for x and y
-    sigma: Array  # (2,)
-
-    @classmethod
-    def of(cls, rows: RotationSteps, residuals: Array, correlated: bool = True) -> "_Whitening":
-        """Estimate the noise from residuals (m, 2)."""
-        follows = rows.begin[1:] == rows.end[:-1]
-        factors: list[Array] = []
-        for e in residuals.T:
-            product = float(np.sum((e[1:] * e[:-1])[follows])) if correlated else 0.0
-            r = float(np.clip(product / max(float(e @ e), 1e-12), -_MAX_CORRELATION, 0.0))
-            band = np.stack([np.ones(len(e)), np.append(np.where(follows, r, 0.0), 0.0)])
-            factors.append(cholesky_banded(band, lower=True))
-        plain = cls((factors[0], factors[1]), np.ones(2))
-        return replace(plain, sigma=np.maximum(mad_sigma(plain.apply(residuals[..., None])[..., 0]), _MIN_SIGMA_COUNTS))
-
-    def apply(self, a: Array) -> Array:
-        """Return a (m, 2, n) with its noise made white and of variance 1."""
-        return np.stack([solve_banded((1, 0), L, a[:, k]) / self.sigma[k] for k, L in enumerate(self.factors)], axis=1)

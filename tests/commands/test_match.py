@@ -73,7 +73,7 @@ def test_the_scale_is_found_and_written_as_a_configuration(spheremouse, film, lo
     text = out.read_text()
     code, _, complaints = spheremouse("match", film, log, "--out", out)
     assert code == 2
-    assert f"{out}: exists already" in complaints
+    assert f"{out}: there already" in complaints
     assert out.read_text() == text
     assert spheremouse("match", film, log, "--out", out, "--force")[0] == 0
 
@@ -111,7 +111,7 @@ def test_unusable_input_is_one_line_and_exit_code_2(spheremouse, film, log, tmp_
         ((film, tmp_path / "no.csv"), "no such file"),
         ((tmp_path / "no", log), "no such recording"),
         ((film / "video.mkv", log), "give its rig file with --rig"),
-        ((film, log, "--out", tmp_path / "no" / "x.yaml"), "no such folder"),
+        ((film, log, "--out", tmp_path / "no" / "x.yaml"), "there is no folder"),
         ((film, log, "--set", "motion.scale_q=1"), "unknown key"),
     ):
         code, said, complaints = spheremouse("match", *words)

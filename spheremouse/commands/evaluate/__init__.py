@@ -1,6 +1,7 @@
 """`spheremouse evaluate`: run the tracker on recordings and measure it against their truth."""
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +9,26 @@ import typer
 
 from spheremouse.commands.terminal import table_console
 from spheremouse.errors import ConfigurationError
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Options of the command."""
+
+    datasets: list[Path]
+    assignments: list[str]
+    tracker: str | None
+    detector: str | None
+    pose: str  # own or known
+    config_file: Path | None
+    rig_file: Path | None
+    camera_file: Path | None
+    map_file: Path | None
+    noise: float  # grey values
+    brightness: float  # grey values
+    plot_file: Path | None
+    balls: list[Path]
+    runs: int
 
 
 def evaluate(
@@ -44,46 +65,38 @@ def evaluate(
     runs: Annotated[int, typer.Option("--runs", metavar="N", help="Wand: runs with seeds 1 to N.")] = 1,
 ) -> None:
     """Track recordings and compare with their truth."""
-    from spheremouse.commands.evaluate.ball import BallEvaluation, evaluate_balls
-    from spheremouse.commands.evaluate.wand import WandEvaluation, evaluate_wands
-    from spheremouse.evaluate.table import wand_table
+    from spheremouse.calibrate.outputs import check_outputs
+    from spheremouse.commands.evaluate.ball import evaluate_balls
+    from spheremouse.commands.evaluate.wand import evaluate_wands
     from spheremouse.files.dataset.wand import is_wand
     from spheremouse.files.safe_files import write_json
 
-    out, err = table_console(stderr=json_file == Path("-")), table_console(stderr=True)
-    if tracker == "wand" or (tracker is None and all(is_wand(path) for path in datasets)):
-        _check(pose, 0.0, datasets, json_file, None)
+    if pose not in ("own", "known"):
+        raise ConfigurationError(f"--pose: must be own or known, is {pose!r}")
+    if not 0.0 <= noise < math.inf:
+        raise ConfigurationError(f"--noise: must be 0 or more grey values, is {noise:g}")
+    if plot_file is not None and len(datasets) > 1:
+        raise ConfigurationError("--plot: draws one dataset; name one at a time")
+    check_outputs([json_file, plot_file], [config_file, rig_file, camera_file, map_file, *(balls or ())], True)
+    of_wand = tracker == "wand" or (tracker is None and all(is_wand(path) for path in datasets))
+    if of_wand:
         others = {"--detector": detector, "--rig": rig_file, "--map": map_file, "--plot": plot_file}
         others |= {"--noise": noise or None, "--brightness": brightness or None}
         for name, value in others.items():
             if value is not None:
                 raise ConfigurationError(f"{name}: does not go with --tracker wand; leave it out")
-        results, failed = evaluate_wands(
-            WandEvaluation(datasets, assignments or [], config_file, balls or [], camera_file, pose == "known", runs),
-            err,
-        )
-        if results:
-            out.print(wand_table(results))
-    else:
-        _check(pose, noise, datasets, json_file, plot_file)
-        asked = BallEvaluation(
-            *(datasets, assignments or [], tracker, detector, pose, config_file, rig_file, camera_file, map_file),
-            *(noise, brightness, plot_file),
-        )
-        results, failed = evaluate_balls(asked, out, err)
+    options = Options(
+        *(datasets, assignments or [], tracker, detector, pose, config_file, rig_file, camera_file, map_file),
+        *(noise, brightness, plot_file, balls or [], runs),
+    )
+    out, err = table_console(stderr=json_file == Path("-")), table_console(stderr=True)
+    results, failed = (evaluate_wands if of_wand else evaluate_balls)(options, out, err)
     if json_file is not None and results:
         write_json(json_file, results[0] if len(datasets) == 1 else results)
     if failed:
         raise typer.Exit(2)
 
 
-def _check(pose: str, noise: float, datasets: list[Path], json_file: Path | None, plot_file: Path | None) -> None:
-    if pose not in ("own", "known"):
-        raise ConfigurationError(f"--pose: must be own or known, is {pose!r}")
-    if not 0.0 <= noise < math.inf:
-        raise ConfigurationError(f"--noise: must be 0 or more grey values, is {noise:g}")
-    for name, path in (("--json", json_file), ("--plot", plot_file)):
-        if path is not None and not path.parent.is_dir():
-            raise ConfigurationError(f"{name}: {path.parent}: no such folder")
-    if plot_file is not None and len(datasets) > 1:
-        raise ConfigurationError("--plot: draws one dataset; name one at a time")
+def about(path: Path, message: str) -> str:
+    """Return a message that names its dataset; those of the recording itself contain its path."""
+    return message if str(path) in message else f"{path}: {message}"

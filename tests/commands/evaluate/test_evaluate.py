@@ -39,6 +39,7 @@ from spheremouse.evaluate.metrics import (
     report,
     surface_speeds,
 )
+from spheremouse.evaluate.table import consistency
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.disc_map import save_map, saved_now
 from spheremouse.geometry.camera import InteriorOrientation, Pose
@@ -370,6 +371,19 @@ def test_identified_is_the_first_frame_whose_attitude_is_absolute():
     assert figures(perfect_run(truth), Reference())["identified_from_frame"] is None
 
 
+def test_standard_deviations_that_differ_from_the_errors_are_told_by_their_factor():
+    ball = {"dataset": "d", "nees": {"attitude": 0.75, "rate": 48.0}, "nis": 1.0}
+    assert consistency(ball) == [
+        "d: standard deviations of attitude 2.0 times larger than the errors: they are on the safe side",
+        "d: standard deviations of rate 4.0 times smaller than the errors: do not rely on them",
+    ]
+    assert consistency({"dataset": "d", "nees": {"attitude": 3.0, "rate": None}, "nis": None}) == []
+    wand = {"dataset": "w", "anees": {"position": 0.25, "rotation": 1.2, "pose": None}}
+    assert [line.partition(" larger")[0] for line in consistency(wand)] == [
+        "w: standard deviations of position 2.0 times"
+    ]
+
+
 # ---- the bound ----
 
 
@@ -584,7 +598,7 @@ def test_without_truth_it_runs_all_the_same(run_command, filmed, tmp_path):
         (("--set", "tracker=wand"), "tracker: wand is for balls in a hand"),
         (("--rig", "missing.yaml"), "missing.yaml"),
         (("--camera", "missing.yaml"), "missing.yaml"),
-        (("--json", "nowhere/out.json"), "--json"),
+        (("--json", "nowhere/out.json"), "nowhere/out.json: there is no folder"),
         (("--map", "missing.yaml"), "missing.yaml"),
         (("--map", "missing.yaml", "--tracker", "ekf1"), "--map: tracker ekf1 keeps no map"),
         (("another", "--plot", "out.png"), "--plot"),

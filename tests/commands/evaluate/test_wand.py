@@ -71,4 +71,4 @@ def test_a_ball_that_is_never_found_is_a_line_with_the_reason(spheremouse, two, 
     found, out, err = figures(spheremouse, one)
     assert "one" in out
     assert found[0]["position_rmse_mm"]["x"] is None
-    assert f"{one}: no truth.csv to compare with" in err
+    assert f"{one}: no truth.csv: no errors are known" in err
