@@ -3,7 +3,7 @@
 import os
 import signal
 import sys
-from collections.abc import Iterator, MutableMapping
+from collections import UserDict
 from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 
 from spheremouse import __version__
 from spheremouse.commands import terminal
-from spheremouse.errors import SpheremouseError
+from spheremouse.errors import ConfigurationError, SpheremouseError
 
 _USERS_ERROR, _OUR_ERROR = 2, 70  # exit codes; 70 is EX_SOFTWARE of sysexits.h
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
@@ -45,34 +45,25 @@ _COMMANDS = {
 }  # fmt: skip
 
 
-class _Commands(MutableMapping[str, Any]):
-    """The commands by their names; a module is loaded when its command is wanted: most need none of the others."""
-
-    def __init__(self) -> None:
-        self._made: dict[str, Any] = {}
+class _Commands(UserDict[str, Any]):
+    """The commands by their names. A module is loaded when its command is asked for, since most need no other."""
 
     def __getitem__(self, name: str) -> Any:
-        if name not in self._made:
-            self._made[name] = _command(name, *_COMMANDS[name])
-        return self._made[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(_COMMANDS)
-
-    def __len__(self) -> int:
-        return len(_COMMANDS)
-
-    def __setitem__(self, name: str, command: Any) -> None:
-        self._made[name] = command
-
-    def __delitem__(self, name: str) -> None:
-        del self._made[name]
+        if isinstance(self.data[name], tuple):
+            self.data[name] = _command(name, *self.data[name])
+        return self.data[name]
 
 
 class _Group(TyperGroup):
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        self.commands = _Commands()
+        self.commands = _Commands(_COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command; a former one gets an error that names the present one."""
+        if cmd_name == "experiments":
+            raise ConfigurationError("experiments: is no longer a command; in a clone, run `python docs/experiments`")
+        return super().get_command(ctx, cmd_name)
 
 
 def _command(name: str, module: str, attribute: str, epilog: str) -> Any:

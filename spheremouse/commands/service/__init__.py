@@ -42,7 +42,7 @@ def install(
     program, trouble = service.executable(place)
     if trouble and not dry_run:
         raise ServiceError(trouble)
-    actions = list(service.install(place, program, _systemd_version()))
+    actions = list(service.install(place, program, service.systemd_version()))
     if dry_run:
         _would(actions)
     else:
@@ -92,10 +92,8 @@ def uninstall(
         after += [] if user else [["udevadm", "control", "--reload"]]
         _run(after, quiet=True)
     stays = service.left(place)
-    if not user and place.root == _ROOT and not stays and _users_id() is not None:
-        _run([["userdel", USER]])
-        if _groups_id() is not None:  # userdel leaves a group with members
-            _run([["groupdel", USER]])
+    if not user and place.root == _ROOT and not stays:
+        _run([["userdel", USER], ["groupdel", USER]], quiet=True)  # userdel leaves a group with members
     if stays:
         again = "" if user else f", and the user {USER}"
         typer.echo(f"kept{again}; --purge removes it, too:")
@@ -106,40 +104,19 @@ def uninstall(
 
 @app.command(epilog="Example: spheremouse service status")
 def status(user: _User = False, root: _Root = _ROOT) -> None:
-    """List each file, and whether the service runs; exit code 1 if something is missing."""
+    """Check the files, and whether the service runs; exit code 1 if something is missing."""
+    from rich.console import Console
+
+    from spheremouse.commands.doctor.computer import service_files, service_state, service_user
+    from spheremouse.commands.doctor.report import Section, show
+    from spheremouse.finding import Verdict
+
     place = _place(root, user)
-    words = {
-        "missing": "missing",
-        "ok": "ok",
-        "older": "of another version or installation",
-        "edited": "edited by hand",
-    }
-    program, trouble = service.executable(place)
-    well = runs = True
-    for name, path in place.files():
-        # a program that cannot be the service's did not place these files, so their text may differ
-        state = service.state_of(path, None if trouble else service.rendered(name, program, _systemd_version()))
-        well &= state in ("ok", "edited")
-        typer.echo(f"{path}: {words[state]}")
-    config = place.configuration / "config.yaml"
-    well &= config.exists()
-    typer.echo(f"{config}: {'there' if config.exists() else 'missing'}")
-    typer.echo(f"starts {'at login' if user else 'with the computer'}: {'yes' if place.link.is_symlink() else 'no'}")
+    findings = [service_files(place)]
     if place.root == _ROOT:
-        if not user:
-            well &= _users_id() is not None
-            typer.echo(f"user {USER}: {'there' if _users_id() is not None else 'missing'}")
-        if _booted(place):
-            shown = _output([*_systemctl(place), "is-active", UNIT]) or "unknown"
-            runs = shown == "active"
-            typer.echo(f"service: {shown}")
-        else:
-            typer.echo("service: unknown, systemd does not run here")
-    if not well:
-        typer.echo(f"to repair it: {trouble or _again(place, 'install')}")
-    elif not runs:
-        _next(place, starts=False)
-    if not (well and runs):
+        findings += [service_state(place), *([] if user else [service_user(None)])]
+    show(Section("service", tuple(findings)), Console(highlight=False, soft_wrap=False))
+    if any(f.verdict in (Verdict.WARNING, Verdict.WRONG) for f in findings):
         raise typer.Exit(1)
 
 
@@ -203,42 +180,11 @@ def _systemctl(place: Place) -> list[str]:
     return ["systemctl", "--user"] if place.user else ["systemctl"]
 
 
-def _systemd_version() -> int | None:
-    found = re.match(r"systemd (\d+)", _output(["systemctl", "--version"]))
-    return None if found is None else int(found[1])
-
-
 def _booted(place: Place) -> bool:
     """Return True if systemd runs here, as in sd_booted(3), or the user's own systemd."""
     if place.user:
         return (Path(os.environ.get("XDG_RUNTIME_DIR") or "/nowhere") / "systemd").is_dir()
     return Path("/run/systemd/system").is_dir()
-
-
-def _users_id() -> int | None:
-    import pwd
-
-    try:
-        return pwd.getpwnam(USER).pw_uid
-    except KeyError:
-        return None
-
-
-def _groups_id() -> int | None:
-    import grp
-
-    try:
-        return grp.getgrnam(USER).gr_gid
-    except KeyError:
-        return None
-
-
-def _output(command: list[str]) -> str:
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
-    return done.stdout.strip()
 
 
 def _run(commands: list[list[str]], quiet: bool = False) -> bool:
@@ -266,21 +212,17 @@ def _by_hand(place: Place, commands: list[list[str]], dry_run: bool) -> None:
         typer.echo(f"  {sudo}{shlex.join(command)}")
 
 
-def _next(place: Place, starts: bool = True) -> None:
-    """Print the next step; `starts` tells whether the service was started."""
-    rig = place.configuration / "rig.yaml"
-    log = f"journalctl {'--user ' if place.user else ''}-u {UNIT}"
+def _next(place: Place) -> None:
+    """Print the next step."""
+    rig, user = place.configuration / "rig.yaml", " --user" if place.user else ""
     if not rig.exists():
-        copy = "cp" if place.user else "sudo cp"
-        typer.echo(f"next: calibrate (`spheremouse calibrate next`), then: {copy} CABINET/rig.yaml {rig}")
-        typer.echo(f"name the camera in {place.configuration / 'config.yaml'}, then: {_start(place)}")
+        sudo = "" if place.user else "sudo "
+        typer.echo(f"next: calibrate (`spheremouse calibrate next`), then: {sudo}cp CABINET/rig.yaml {rig}")
+        start = f"{sudo}systemctl{user} start {UNIT}"
+        typer.echo(f"name the camera in {place.configuration / 'config.yaml'}, then: {start}")
     else:
-        typer.echo(f"next: {'spheremouse ctl status' if starts else _start(place)}; its log: {log}")
+        typer.echo(f"next: spheremouse ctl status; its log: journalctl{user} -u {UNIT}")
     if place.user and not os.access("/dev/uinput", os.W_OK):
         typer.echo(
             "for a mouse of this computer (uinput), your account needs rights that root must give: see docs/install.md"
         )
-
-
-def _start(place: Place) -> str:
-    return ("" if place.user else "sudo ") + shlex.join([*_systemctl(place), "start", UNIT])

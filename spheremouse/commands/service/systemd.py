@@ -9,6 +9,7 @@ import hashlib
 import os
 import re
 import shutil
+import subprocess
 import sys
 import sysconfig
 from collections.abc import Callable, Iterator
@@ -280,6 +281,16 @@ def configuration(place: Place) -> str:
     for name, path in (("@RIG@", own / "rig.yaml"), ("@MAP@", learnt / "rig.map.yaml")):
         text = text.replace(name, place.inside(path))
     return text
+
+
+def systemd_version() -> int | None:
+    """Return the version of systemd, if it is there."""
+    try:
+        done = subprocess.run(["systemctl", "--version"], capture_output=True, text=True, timeout=30, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    found = re.match(r"systemd (\d+)", done.stdout)
+    return None if found is None else int(found[1])
 
 
 def carry_out(actions: Iterator[FileAction] | list[FileAction], umask: int = 0o022) -> Iterator[str]:
