@@ -45,7 +45,7 @@ def doctor(
 
     from spheremouse.commands.doctor.examine import examine
     from spheremouse.commands.doctor.private import redactor
-    from spheremouse.commands.doctor.report import Section, data, show, summary
+    from spheremouse.commands.findings import Section, data, show, summary
     from spheremouse.errors import ConfigurationError
     from spheremouse.finding import Verdict
     from spheremouse.session.plan import Request

@@ -1,25 +1,20 @@
-"""The computer: the program, the service, and disk, memory, scheduling rights and load."""
+"""The computer: the program, and disk, memory, scheduling rights and load."""
 
 import os
 import platform
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 from spheremouse import __version__
-from spheremouse.commands.service import systemd as service
-from spheremouse.commands.service.systemd import UNIT, USER, Place
 from spheremouse.compiling import kernels_on_disk
-from spheremouse.files.access import group_of
-from spheremouse.finding import Finding, Verdict, classify, ok, unchecked, warning, wrong
+from spheremouse.finding import Finding, Verdict, classify, ok, unchecked, warning
 from spheremouse.session.process.realtime import PRIORITY
 from spheremouse.session.record.places import recordings_folder
 from spheremouse.session.settings.record import RecordSettings
 
 _MIN_MEMORY_MB = 400.0  # the daemon's 200, and as much for the compiler at its first start
 _CAP_SYS_NICE = 23
-_ASKED = ("ActiveState", "SubState", "Result", "NRestarts")
 
 # ---- program ----
 
@@ -49,98 +44,6 @@ def compiled_code() -> Finding:
         functions=total,
         folder=folder,
     )
-
-
-# ---- service ----
-
-
-def installed(node: Path | None, root: Path = Path("/")) -> list[Finding]:
-    """Check the system's service, the user's own, and the right of the service's user on the camera's `node`."""
-    places = [p for p in (Place(root), Place(root, user=True)) if os.path.lexists(p.unit)]
-    if not places:
-        advice = "to start with the computer: spheremouse service install"
-        return [ok("service", "not installed: spheremouse runs when it is started by hand", advice)]
-    found = [f for p in places for f in (service_files(p), service_state(p))]
-    if len(places) > 1:
-        advice = "remove one: spheremouse service uninstall, with --user or without"
-        found.append(warning("service", "the system's and one of your own: they fight for the camera", advice))
-    if not places[0].user and node is not None:
-        found.append(service_user(node))
-    return found
-
-
-def service_files(place: Place) -> Finding:
-    """Check the files that the service consists of, and its start with the computer."""
-    user = " --user" if place.user else ""
-    program, trouble = service.executable(place)
-    systemd = service.systemd_version()
-    states: dict[str, str] = {}
-    for name, path in place.files():
-        # a program that cannot be the service's did not place these files, so their text may differ
-        states[str(path)] = service.state_of(path, None if trouble else service.rendered(name, program, systemd))
-    config = place.configuration / "config.yaml"
-    states[str(config)] = "ok" if os.path.lexists(config) else "missing"
-    missing, older, edited = (
-        ", ".join(p for p, s in states.items() if s == state) for state in ("missing", "older", "edited")
-    )
-    name, starts = "own service files" if place.user else "service files", place.link.is_symlink()
-    text = f"{'starts' if starts else 'does not start'} {'at login' if place.user else 'with the computer'}"
-    text += f"; edited by hand: {edited}" if edited else ""
-    install = trouble or f"spheremouse service install{user}"
-    return classify(
-        name,
-        text,
-        (bool(missing), Verdict.WARNING, f"; missing: {missing}", install),
-        (bool(older), Verdict.WARNING, f"; of another version or installation: {older}", install),
-        (not starts, Verdict.WARNING, "", f"systemctl{user} enable {UNIT}"),
-    )
-
-
-def service_state(place: Place) -> Finding:
-    """Check whether the service runs."""
-    name, user = ("own service", " --user") if place.user else ("service", "")
-    told = _shown([*f"systemctl{user}".split(), "show", UNIT, f"--property={','.join(_ASKED)}"])
-    active, result = told.get("ActiveState"), told.get("Result", "success")
-    if not active:
-        return unchecked(name, "systemd does not run here, or does not answer")
-    log, restarts = f"see journalctl{user} -u {UNIT} -b", int(told.get("NRestarts") or 0)
-    rig, start = place.configuration / "rig.yaml", f"systemctl{user} start {UNIT}"
-    if not rig.exists():
-        start = f"calibrate (spheremouse calibrate next), copy rig.yaml to {rig}, then: {start}"
-    return classify(
-        name,
-        f"{active} ({told.get('SubState', '')})",
-        (active == "failed" or result != "success", Verdict.WRONG, f": {result}", log),
-        (active != "active", Verdict.WARNING, "", start),
-        (restarts > 0, Verdict.WARNING, f", restarted {restarts} times", log),
-        active=active,
-        restarts=restarts,
-    )
-
-
-def service_user(node: Path | None) -> Finding:
-    """Check the service's user, and its membership of the group of a camera's node."""
-    import grp
-    import pwd
-
-    try:
-        entry = pwd.getpwnam(USER)
-    except KeyError:
-        return wrong("service user", f"there is no user {USER}", "as root: spheremouse service install")
-    group, numbers = None if node is None else group_of(node), os.getgrouplist(USER, entry.pw_gid)
-    names = sorted(g.gr_name for g in grp.getgrall() if g.gr_gid in numbers)
-    if group is not None and group not in names:
-        advice = f"as root: usermod -aG {group} {USER}"
-        return wrong("service user", f"{USER} is not in the group {group} of {node}", advice)
-    return ok("service user", f"{USER}, in the groups {', '.join(names)}")
-
-
-def _shown(command: list[str]) -> dict[str, str]:
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=3.0, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return {}
-    return dict(line.split("=", 1) for line in done.stdout.splitlines() if "=" in line)
 
 
 # ---- computer ----

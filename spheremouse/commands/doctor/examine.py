@@ -19,7 +19,8 @@ from spheremouse.ball.rig import Rig
 from spheremouse.capture.nodes import Node, nodes
 from spheremouse.commands.doctor import camera as cameras
 from spheremouse.commands.doctor import computer, files, light, running, sight, wand
-from spheremouse.commands.doctor.report import Section
+from spheremouse.commands.findings import Section
+from spheremouse.commands.service import check as service
 from spheremouse.commands.service.systemd import Place
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.rig import with_camera
@@ -58,7 +59,7 @@ def examine(
         run = _Run(plan, usual, node, findings)
         yield from run.examine(there, status, seconds, progress)
     node = node if node is not None and node.exists() else None
-    yield Section("service", tuple(_guarded("service", computer.installed, node)))
+    yield Section("service", tuple(_guarded("service", service.installed, node)))
     progress("checking the computer")
     record = RecordSettings() if plan is None else plan.configuration.record
     checks = (

@@ -107,14 +107,14 @@ def status(user: _User = False, root: _Root = _ROOT) -> None:
     """Check the files, and whether the service runs; exit code 1 if something is missing."""
     from rich.console import Console
 
-    from spheremouse.commands.doctor.computer import service_files, service_state, service_user
-    from spheremouse.commands.doctor.report import Section, show
+    from spheremouse.commands.findings import Section, show
+    from spheremouse.commands.service.check import check_files, check_state, check_user
     from spheremouse.finding import Verdict
 
     place = _place(root, user)
-    findings = [service_files(place)]
+    findings = [check_files(place)]
     if place.root == _ROOT:
-        findings += [service_state(place), *([] if user else [service_user(None)])]
+        findings += [check_state(place), *([] if user else [check_user(None)])]
     show(Section("service", tuple(findings)), Console(highlight=False, soft_wrap=False))
     if any(f.verdict in (Verdict.WARNING, Verdict.WRONG) for f in findings):
         raise typer.Exit(1)

@@ -17,13 +17,15 @@ from typer.testing import CliRunner
 from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.ball.detect.projection import NEGATIVE
-from spheremouse.commands.doctor import camera, computer, files, light, report, running
+from spheremouse.commands import findings as report
+from spheremouse.commands.doctor import camera, computer, files, light, running
 from spheremouse.commands.doctor import doctor as command
 from spheremouse.commands.doctor import examine as doctor
 from spheremouse.commands.doctor import sight as sights
 from spheremouse.commands.doctor.camera import GRID, Controls, Footage, film
 from spheremouse.commands.doctor.private import redactor
-from spheremouse.commands.doctor.report import Section
+from spheremouse.commands.findings import Section
+from spheremouse.commands.service import check
 from spheremouse.commands.service import systemd as service
 from spheremouse.commands.service.systemd import Place
 from spheremouse.files.dataset.ball import open_dataset
@@ -620,30 +622,30 @@ def test_a_daemon_of_another_version_is_to_be_started_anew(tmp_path_factory):
 
 def test_the_service_and_what_is_missing_of_it(tmp_path, monkeypatch):
     place = Place(tmp_path)
-    assert computer.installed(None, tmp_path)[0].text.startswith("not installed")
+    assert check.installed(None, tmp_path)[0].text.startswith("not installed")
     for action in list(service.install(place, service.executable(place)[0], None)):
         action.do()
     told = {"ActiveState": "active", "SubState": "running", "Result": "success", "NRestarts": "0"}
     shown = lambda: SimpleNamespace(stdout="\n".join(f"{key}={value}" for key, value in told.items()))  # noqa: E731
-    monkeypatch.setattr(computer.subprocess, "run", lambda *_, **__: shown())
-    assert {f.verdict for f in computer.installed(None, tmp_path)} == {OK}
+    monkeypatch.setattr(check.subprocess, "run", lambda *_, **__: shown())
+    assert {f.verdict for f in check.installed(None, tmp_path)} == {OK}
     told["NRestarts"] = "4"
-    assert WARNING in {f.verdict for f in computer.installed(None, tmp_path)}
+    assert WARNING in {f.verdict for f in check.installed(None, tmp_path)}
     told |= {"ActiveState": "failed", "Result": "watchdog"}
-    (failed,) = [f for f in computer.installed(None, tmp_path) if f.verdict is WRONG]
+    (failed,) = [f for f in check.installed(None, tmp_path) if f.verdict is WRONG]
     assert "watchdog" in failed.text
     assert "journalctl -u spheremouse.service" in failed.advice
     told.clear()
     place.link.unlink()
-    found = {f.name: f for f in computer.installed(None, tmp_path)}
+    found = {f.name: f for f in check.installed(None, tmp_path)}
     assert "enable" in found["service files"].advice
     assert found["service"].verdict is UNCHECKED
     place.files()[1][1].unlink()
-    assert "missing" in computer.installed(None, tmp_path)[0].text
+    assert "missing" in check.installed(None, tmp_path)[0].text
     node = tmp_path / "video0"
     node.write_text("")
-    monkeypatch.setattr(computer, "USER", "nobody-has-this-name")
-    assert WRONG in {f.verdict for f in computer.installed(node, tmp_path)}
+    monkeypatch.setattr(check, "USER", "nobody-has-this-name")
+    assert WRONG in {f.verdict for f in check.installed(node, tmp_path)}
 
 
 def test_room_memory_and_rights(tmp_path, monkeypatch):

@@ -9,12 +9,12 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from typer.testing import CliRunner
 
-from spheremouse.commands.doctor import computer
-from spheremouse.commands.service import app
+from spheremouse.commands.service import app, check
 from spheremouse.commands.service import systemd as service
 from spheremouse.commands.service.systemd import Place
 from spheremouse.errors import ServiceError
@@ -232,7 +232,7 @@ def test_what_is_left_to_do_is_said_where_all_is_placed_and_it_does_not_run(home
     """Before the calibration to calibrate, then to start it; not to install what is there."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(home / "nowhere"))  # systemd does not run
     call("install", "--user")
-    monkeypatch.setattr(computer, "_shown", lambda _: {"ActiveState": "inactive"})
+    monkeypatch.setattr(check.subprocess, "run", lambda *_, **__: SimpleNamespace(stdout="ActiveState=inactive"))
     rig = home / ".config/spheremouse/rig.yaml"
     for expected, absent in (("calibrate", "journalctl"), ("systemctl --user start", "calibrate")):
         said = status(1, "--user")
