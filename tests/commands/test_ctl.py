@@ -79,15 +79,6 @@ def test_there_is_a_command_for_every_request():
     assert set(typer.main.get_command(cli_ctl.app).commands) == {*protocol.COMMANDS, *own}
 
 
-@pytest.mark.parametrize("command", protocol.COMMANDS)
-def test_every_help_is_short_and_has_both_options(ctl, command):
-    code, out, _ = ctl(command, "--help")
-    assert code == 0
-    assert "--json" in out
-    assert "--socket" in out
-    assert len(out.splitlines()) < 35
-
-
 def test_the_status_is_a_short_table(ctl, daemon):
     code, out, err = ctl("status")
     assert (code, err) == (0, "")
@@ -129,7 +120,8 @@ def test_the_status_as_json_is_the_plain_dict(ctl, daemon):
 
 @pytest.mark.parametrize("state", status_module.STATES)
 def test_every_state_has_a_colour(state):
-    assert said_of._COLOURS[state]
+    line = said_of.event_line({"event": "status", "state": state}, "")
+    assert any(span.style for span in line.spans)
     assert f"● {state}" in shown({"state": state})
 
 
@@ -163,8 +155,6 @@ def test_a_pause_is_seen_behind_a_worse_state():
     ("words", "reply", "said"),
     [
         (["set", "motion.scale_x=2"], {"message": "configuration applied: tracker"}, "configuration applied: tracker"),
-        (["record", "--stop"], {"folder": "/r/a", "frames": 5, "message": "/r/a: 5 frames"}, "/r/a: 5 frames"),
-        (["pause"], {"state": "paused"}, "paused; go on with: spheremouse ctl resume"),
         (["resume"], {"state": "lost"}, "resumed: lost"),
         (["stop"], {}, "the daemon ends"),
     ],
@@ -182,6 +172,8 @@ def test_the_daemons_own_words_come_first(ctl, path, words, reply, said):
         ({"output": {"spec": "null", "failed": None, "reports": 1, "unsent": 5, "ahead": [0, 0, 0]}}, "output.unsent"),
         ({"source": "v4l2:"}, "source"),
         ({"latency_ms": {"p50": "a", "p99": 1.0}}, "latency_ms.p50"),
+        ({"balls": [{"name": "a", "state": "tracking", "position_m": [1.0], "angles_deg": None, "sigma_mm": None,
+                     "sigma_deg": None}]}, "balls.0.position_m"),
         ({"recording": {"folder": "r", "frames": 1, "seconds": 1.0, "bytes": "many", "dropped": 0}}, "recording.bytes"),
     ],
 )  # fmt: skip
@@ -191,7 +183,7 @@ def test_a_status_that_is_none_of_ours_is_one_line(ctl, daemon, words, change, k
     daemon.status = daemon.status | change
     code, out, err = ctl(*words)
     assert (code, out) == (cli_ctl.NO_DAEMON, "")
-    assert f"is no status of spheremouse ({key}: Input should be a valid" in err
+    assert f"is no status of spheremouse ({key}" in err
     assert err.count("\n") == 1
 
 
@@ -224,7 +216,7 @@ def test_what_the_daemon_quotes_does_not_steer_the_terminal():
     ],
 )
 def test_times_are_said_as_people_say_them(seconds, words):
-    assert said_of._span(seconds) == words
+    assert f"● lost for {words} " in shown({"state": "lost", "since_s": seconds})
 
 
 @pytest.mark.parametrize(
@@ -349,25 +341,18 @@ def test_watching_a_daemon_that_ends_is_exit_code_3(ctl, path):
     assert "the daemon has ended" in err
 
 
-def test_an_error_of_the_connection_is_a_line(ctl, path):
-    path.mkdir()
-    code, _, err = ctl("status")
-    assert code == 3
-    assert len(err.splitlines()) == 1
-
-
 # ---- save ----
 
 
 def test_what_was_set_is_saved_into_the_daemons_file_and_its_comments_stay(ctl, daemon, tmp_path):
     file = tmp_path / "config.yaml"
     file.write_text("schema: 2\n# of the hall\nmotion: {scale_y: 3}  # steep\n")
-    daemon.status = {**daemon.status, "config": str(file), "changes": ["motion.scale_x=2", "so3.gate = 8"]}
+    daemon.status = {**daemon.status, "config": str(file), "changes": ["motion.scale_x=2", "pointer.rate = 500"]}
     code, out, err = ctl("save")
     assert (code, err) == (0, "")
-    assert out == f"{file}: saved: motion.scale_x=2, so3.gate = 8\n"
+    assert out == f"{file}: saved: motion.scale_x=2, pointer.rate = 500\n"
     assert file.read_text() == (
-        "schema: 2\n# of the hall\nmotion: {scale_x: 2.0, scale_y: 3}  # steep\nso3:\n  gate: 8.0\n"
+        "schema: 2\n# of the hall\nmotion: {scale_x: 2.0, scale_y: 3}  # steep\npointer:\n  rate: 500.0\n"
     )
     daemon.status = {**daemon.status, "changes": []}
     before = file.read_text()
@@ -449,18 +434,3 @@ def test_a_server_that_sends_a_byte_now_and_then_is_left_in_time(path, monkeypat
         assert time.monotonic() - began < 5.0
         ended.set()
         thread.join(5.0)
-
-
-def test_a_position_of_one_number_is_no_status(ctl, daemon):
-    ball = {
-        "name": "a",
-        "state": "tracking",
-        "position_m": [1.0],
-        "angles_deg": None,
-        "sigma_mm": None,
-        "sigma_deg": None,
-    }
-    daemon.status = {**daemon.status, "balls": [ball]}
-    code, out, err = ctl("status")
-    assert (code, out) == (3, "")
-    assert "position_m" in err

@@ -1,6 +1,7 @@
 """The help of every command, which is said at once: nothing that computes is loaded for it."""
 
 import json
+import re
 import subprocess
 import sys
 
@@ -34,6 +35,15 @@ def test_every_command_has_help(pages):
     asked = [words for words, *_ in pages]
     assert {"spheremouse", "spheremouse run", "spheremouse ctl status", "spheremouse calibrate device"} <= set(asked)
     assert all(code == 0 and text.startswith(f"Usage: {words} ") for words, code, text, _ in pages)
+
+
+def test_help_says_what_a_command_and_each_option_does_with_an_example_at_the_end(pages):
+    for words, _, text, _ in pages:
+        assert text.split("\n\n")[1].strip().endswith("."), words
+        options, _, epilog = text.partition("Options:")[2].rpartition("\n\n")
+        assert "spheremouse" in epilog or len(words.split()) > 2 or words.endswith("ctl"), words
+        for option in re.findall(r"\n {2}(?:-\w, )?--[^\n]+(?:\n {4,}[^\n]*)*", options):
+            assert re.search(r" {2,}\w", option), f"{words} says nothing of {option}"
 
 
 def test_help_loads_nothing_that_computes(pages):

@@ -31,8 +31,6 @@ from spheremouse.geometry.rotation import exp, log
 from spheremouse.output.counts import MotionSettings
 from spheremouse.session.timing import FrameTimes
 
-COMMANDS = ([], ["run"], ["demo"], ["simulate"], ["evaluate"], ["config"], ["map"], ["map", "show"], ["map", "compare"],
-            ["match"], ["log-mouse"])  # fmt: skip
 QUICK = ("--set", "pose.frames=2")
 
 
@@ -91,29 +89,6 @@ def video_frames(path):
         count += 1
     capture.release()
     return count
-
-
-# ---- what is offered ----
-
-
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda c: " ".join(c) or "spheremouse")
-def test_help_says_what_a_command_does_with_an_example(spheremouse, command):
-    code, out, err = spheremouse(*command, "--help")
-    assert (code, err) == (0, "")
-    assert out.startswith(f"Usage: spheremouse {' '.join(command)}".rstrip())
-    summary = out.split("\n\n")[1].strip()
-    assert summary.endswith(".")
-    assert "spheremouse " in out.split("Options:")[1]  # the example at the end
-    for option in re.findall(r"\n {2}(?:-\w, )?--[^\n]+(?:\n {4,}[^\n]*)*", out):
-        assert re.search(r" {2,}\w", option), f"says nothing: {option}"
-
-
-def test_simulate_offers_every_option_of_the_simulation(spheremouse):
-    _, out, _ = spheremouse("simulate", "--help")
-    for field in ("discs", "view", "motion", "turns", "seconds", "fps", "noise", "brightness", "blur", "readout"):
-        assert f"--{field} " in out
-    for field in ("seed", "size", "dist", "hands", "dim", "force"):
-        assert f"--{field} " in out
 
 
 def test_version(spheremouse):
@@ -385,13 +360,6 @@ def test_simulate_replaces_nothing_unasked(spheremouse, roll):
     assert code == 2
     assert err.startswith(f"spheremouse: {roll}: is not empty; ")
     assert open_dataset(roll).frames == 60
-
-
-def test_a_slip_in_the_output_ends_a_live_run_too(spheremouse, roll):
-    code, out, err = spheremouse("run", "--source", f"dataset:{roll}", "--realtime", "--output", "nonsense")
-    assert (code, out) == (2, "")
-    assert err.startswith("spheremouse: unknown output 'nonsense'; ")
-    assert err.count("\n") == 1
 
 
 def test_an_internal_error_asks_for_a_report_and_shows_its_traceback_only_on_request(spheremouse, monkeypatch):

@@ -1,9 +1,5 @@
 """`run --tracker wand` as a user meets it: on a small film with exact truth; commands in, text out."""
 
-import io
-import signal
-import subprocess
-import sys
 from dataclasses import replace
 
 import cv2
@@ -192,36 +188,6 @@ def test_held_to_its_stamps_it_tracks_the_same_ball(spheremouse, hand, tmp_path)
     assert columns(table, "x y z") == pytest.approx(truth.position[k], abs=0.05)
 
 
-def test_a_reader_that_goes_is_a_quiet_end(hand):
-    words = [*WAND, "--source", f"dataset:{hand}", "--output", "text:-"]
-    with subprocess.Popen(
-        [sys.executable, "-m", "spheremouse", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        assert process.stdout.readline().startswith(NAMES)
-        process.stdout.close()
-        err = process.stderr.read()
-        assert process.wait() == 0, err
-    assert "Error" not in err
-
-
-def test_a_signal_ends_it_and_what_was_tracked_is_told(hand):
-    words = [*WAND, "--source", f"dataset:{hand}", "--realtime", "--output", "text:-"]
-    with subprocess.Popen(
-        [sys.executable, "-m", "spheremouse", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        while not process.stdout.readline().endswith("tracking\n"):
-            assert process.poll() is None
-        process.send_signal(signal.SIGTERM)
-        _, err = process.communicate(timeout=60)
-    assert process.returncode == 0, err
-    assert "tracking: grzonka is followed" in err.splitlines()
-    assert " counts x " in err.splitlines()[-1]
-
-
 # ---- what may be wrong ----
 
 
@@ -296,15 +262,3 @@ def test_a_running_daemon_does_not_become_another_program():
     for a, b in ((after, before), (before, after)):
         with pytest.raises(ConfigurationError, match="stop this run and start again"):
             check_kinds(a, b)
-
-
-def test_the_configuration_shows_and_writes_the_wands_settings(spheremouse, tmp_path):
-    code, out, _ = spheremouse("config", "show", "--set", "tracker=wand", "--set", "wand.pointing.by=shift")
-    assert code == 0
-    assert "tracker: wand  # default: so3" in out
-    assert "    by: shift  # default: turn" in out
-    file = tmp_path / "all.yaml"
-    assert spheremouse("config", "init", file)[0] == 0
-    assert spheremouse("config", "check", file)[0] == 0
-    text = io.StringIO(file.read_text())
-    assert "wand:\n" in text.readlines()

@@ -56,20 +56,10 @@ def test_each_state_has_its_colour_except_the_two_errors():
     """A missing camera and a failed output are red, and differ in outline and sign."""
     colours = [tray.LOOKS[s].colour for s in STATES if s != "failed-output"]
     assert len(set(colours)) == len(STATES) - 1
+    assert set(tray.LOOKS) == set(STATES)
     red, red_too = tray.LOOKS["no-camera"], tray.LOOKS["failed-output"]
     assert (red.outline, red.sign) != (red_too.outline, red_too.sign)
     assert len({(look.outline, look.sign) for look in tray.LOOKS.values()}) == len(STATES)
-
-
-def test_every_state_of_the_protocol_has_a_look():
-    assert set(tray.LOOKS) == set(STATES)
-
-
-def test_outside_the_outline_the_icon_is_transparent():
-    for state in STATES:
-        alpha = np.asarray(tray.icon(state))[..., 3]
-        assert alpha[32, 32] == 255
-        assert alpha[0, 0] == 0, state
 
 
 # ---- words and menu ----
@@ -136,13 +126,6 @@ def test_without_a_daemon_the_first_line_names_the_command():
     assert tray.headline(v) == "no daemon runs; start one with `spheremouse run`"
 
 
-def test_a_status_without_paused_is_paused_in_its_state():
-    assert tray.view({"state": "paused"}).paused
-    assert not tray.view({"state": "tracking"}).paused
-    assert tray.view({"state": "no-camera", "paused": True}).paused
-    assert tray.tooltip(tray.view({"state": "tracking", "fps": 59.9})).endswith("\n60 frames/s")
-
-
 # ---- notices ----
 
 
@@ -170,10 +153,6 @@ def test_a_short_problem_is_not_shown():
         notices_of([(0, "tracking"), (10, "lost"), (20, "tracking"), (30, "lost"), (40, "tracking"), (60, "tracking")])
         == []
     )
-
-
-def test_normal_states_are_not_shown():
-    assert notices_of([(0, "starting"), (300, "searching-targets"), (600, "paused"), (900, "paused")]) == []
 
 
 def test_a_problem_that_returns_is_shown_every_five_minutes():
