@@ -19,7 +19,7 @@ _RELEASE_RATE = 2.0  # rad/s: a hand rolls a ball at 1 to 3 rad/s in ordinary pl
 _MAX_INTERVAL_RATIO = 2.5  # a longer interval misses frames; one dropped frame doubles the interval
 _DEFAULT_RADIUS = 0.6  # m, for the scale per millimetre of a ball of unknown size
 _REVERSED_HINT = (
-    "if the pointer goes the wrong way, set the player's place (motion.player), or reverse one axis (invert_{})"
+    "to reverse it: invert_{}; if both axes of the pointer are wrong, set motion.player or wand.pointing.facing"
 )
 
 Player = Literal["far-side", "camera-side", "left", "right"]
@@ -35,7 +35,32 @@ _UP = (0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class MotionSettings:
+class AxisSettings:
+    """Factor and sign of each axis of the counts."""
+
+    scale_x: float = param(
+        1.0, "-", "factor on the pointer's X, right and left", refused=_REVERSED_HINT.format("x"), **FACTOR
+    )
+    scale_y: float = param(
+        1.0, "-", "factor on the pointer's Y, up and down", refused=_REVERSED_HINT.format("y"), **FACTOR
+    )
+    scale_z: float = param(
+        1.0, "-", "factor on the third axis, the ball's spin", refused=_REVERSED_HINT.format("z"), **FACTOR
+    )
+    invert_x: bool = param(False, "-", "reverse X, for a program that expects it")
+    invert_y: bool = param(False, "-", "reverse Y, for a program that expects it")
+    invert_z: bool = param(
+        False, "-", "reverse the third axis, which is positive counter-clockwise from above, or clockwise for a wand"
+    )
+
+    def factors(self) -> Array:
+        """Return the factors with their signs, (3,)."""
+        sign = np.where([self.invert_x, self.invert_y, self.invert_z], -1.0, 1.0)
+        return np.asarray(sign * (self.scale_x, self.scale_y, self.scale_z))
+
+
+@dataclass(frozen=True, slots=True)
+class MotionSettings(AxisSettings):
     """Scale and direction of the counts."""
 
     GONE: ClassVar[dict[str, str]] = {"swap_xy": "a seat turned by 90 degrees is `player: left` or `right`"}
@@ -58,30 +83,6 @@ class MotionSettings:
         "scale per radian in place of counts_per_mm; null uses counts_per_mm, with a radius of 0.6 m if it is unknown",
         **PER_RADIAN,
     )
-    scale_x: float = param(
-        1.0,
-        "-",
-        "factor on the pointer's X (ball rolling left and right)",
-        refused=_REVERSED_HINT.format("x"),
-        **FACTOR,
-    )
-    scale_y: float = param(
-        1.0,
-        "-",
-        "factor on the pointer's Y (ball rolling towards and away)",
-        refused=_REVERSED_HINT.format("y"),
-        **FACTOR,
-    )
-    scale_z: float = param(
-        1.0,
-        "-",
-        "factor on the third axis (ball spinning about the vertical)",
-        refused="to reverse it: invert_z",
-        **FACTOR,
-    )
-    invert_x: bool = param(False, "-", "reverse X, for a program that expects it")
-    invert_y: bool = param(False, "-", "reverse Y, for a program that expects it")
-    invert_z: bool = param(False, "-", "reverse the third axis, which is positive counter-clockwise seen from above")
 
     def scale(self, radius: float | None) -> float:
         """Return counts per radian for the ball's radius (m); None: the radius is unknown."""
@@ -100,8 +101,7 @@ class MotionSettings:
 
     def matrix(self, radius: float | None) -> Array:
         """Return counts (x, y, third axis) per radian of a rotation vector in `obj`, (3, 3); `radius` as in `scale`."""
-        sign = np.where([self.invert_x, self.invert_y, self.invert_z], -1.0, 1.0)
-        return self.directions() * (sign * (self.scale_x, self.scale_y, self.scale_z) * self.scale(radius))[:, None]
+        return self.directions() * (self.factors() * self.scale(radius))[:, None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,13 +12,13 @@ import numpy as np
 
 from spheremouse.geometry.rotation import Array
 from spheremouse.output import Report
-from spheremouse.output.counts import Remainder, to_counts
-from spheremouse.settings import FACTOR, PER_RADIAN, param
+from spheremouse.output.counts import AxisSettings, Remainder, to_counts
+from spheremouse.settings import PER_RADIAN, param
 from spheremouse.tracker import Estimate, Status
 
 
 @dataclass(frozen=True, slots=True)
-class PointingSettings:
+class PointingSettings(AxisSettings):
     """Scale and direction of the counts of a hand-held ball."""
 
     by: Literal["turn", "shift"] = param(
@@ -42,12 +42,6 @@ class PointingSettings:
         "scale of shifts: 0.4 m, an easy motion of a forearm, cross a screen of 1920 px",
         **PER_RADIAN,
     )
-    scale_x: float = param(1.0, "-", "factor on the pointer's X", refused="to reverse it: invert_x", **FACTOR)
-    scale_y: float = param(1.0, "-", "factor on the pointer's Y", refused="to reverse it: invert_y", **FACTOR)
-    scale_z: float = param(1.0, "-", "factor on the third axis", refused="to reverse it: invert_z", **FACTOR)
-    invert_x: bool = param(False, "-", "reverse X")
-    invert_y: bool = param(False, "-", "reverse Y")
-    invert_z: bool = param(False, "-", "reverse the third axis")
     play: float = param(
         2.0,
         "-",
@@ -71,8 +65,7 @@ class PointingSettings:
     def matrix(self) -> Array:
         """Return counts x, y, third per rad of rotation vector, or per m of shift, in cam, (3, 3)."""
         scale = self.counts_per_radian if self.by == "turn" else self.counts_per_metre
-        sign = np.where([self.invert_x, self.invert_y, self.invert_z], -1.0, 1.0)
-        return self.directions() * (sign * (self.scale_x, self.scale_y, self.scale_z) * scale)[:, None]
+        return self.directions() * (self.factors() * scale)[:, None]
 
 
 @dataclass(frozen=True, slots=True)
