@@ -2,20 +2,14 @@
 
 import numpy as np
 import pytest
+from ball_world import DT, POSE, RIG, detected, pixels
 
 from spheremouse.ball.build import begin, build
-from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.events import Turned
-from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.track import advance
-from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp
 
-CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
-POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
-RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
-SIGMA = 0.05  # px
 TWO = np.array([[0.35, 0.2, 0.0], [-0.3, -0.35, 0.0]])
 TWO[:, 2] = np.sqrt(1.0 - np.sum(TWO**2, axis=1))
 
@@ -26,16 +20,9 @@ def events_of(places, seed):
     tracker = build(RIG, POSE, Settings())
     state, events = begin(tracker, 0.0), []
     for k in range(40):
-        uv = places(k / 30.0)
-        uv = uv + SIGMA * rng.normal(size=uv.shape)
-        seen = Detections(uv, np.tile(SIGMA**2 * np.eye(2), (len(uv), 1, 1)), np.full(len(uv), 50.0))
-        state, _, more = advance(state, k / 30.0, seen, tracker)
+        state, _, more = advance(state, k * DT, detected(places(k * DT), rng), tracker)
         events += more
     return events, state
-
-
-def pixels(directions):
-    return project(POSE.to_cam(RIG.ball.radius * directions), CAMERA)[0]
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -2,47 +2,23 @@
 
 import numpy as np
 import pytest
+from ball_world import DISCS, DT, POSE, RIG, detected, in_view, pixels
 from conftest import directions
 from numpy.testing import assert_allclose
 
 from spheremouse.ball.build import begin, build
-from spheremouse.ball.detect.detections import Detections, no_detections
+from spheremouse.ball.detect.detections import no_detections
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.phases.follow import recognised_attitude
-from spheremouse.ball.points import intersect
-from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.track import advance
-from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp, hat, log
 from spheremouse.tracker import Status
-
-CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
-POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
-RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
-SIGMA = 0.05  # px
-DISCS = directions(26, 0)
-DT = 1.0 / 30.0
 
 
 def any_attitude(rng):
     q, r = np.linalg.qr(rng.normal(size=(3, 3)))
     q *= np.sign(np.diag(r))
     return q * np.linalg.det(q)
-
-
-def pixels(p):
-    return project(POSE.to_cam(RIG.ball.radius * p), CAMERA)[0]
-
-
-def detected(uv, rng):
-    uv = uv + SIGMA * rng.normal(size=uv.shape)
-    return Detections(uv, np.tile(SIGMA**2 * np.eye(2), (len(uv), 1, 1)), np.full(len(uv), 50.0))
-
-
-def in_view(R, discs=DISCS):
-    p = discs @ R.T
-    return p[p[:, 2] > 0.35]
 
 
 def false_candidates(n, rng, spread):
@@ -160,10 +136,3 @@ def test_a_rotation_common_to_all_discs_makes_none_less_certain():
     A = -(start.basis.transpose(0, 2, 1) @ hat(discs)).reshape(-1, 3)
     turned = DiscMap(discs, known.covariance + 0.2**2 * A @ A.T, known.sightings)
     assert_allclose(begin(tracker, 0.0, known=turned).filter.map_sigma(), start.map_sigma(), rtol=1e-6)
-
-
-def test_nothing_is_recognised_without_points():
-    tracker = build(RIG, POSE, Settings())
-    state = begin(tracker, 0.0, known=saved_map(DISCS))
-    assert len(intersect(no_detections(), RIG, POSE)) == 0
-    assert recognised_attitude(state, 0.0, tracker) is None

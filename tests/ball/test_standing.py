@@ -2,39 +2,27 @@
 
 import numpy as np
 import pytest
+from ball_world import DT, MATRIX, POSE, RIG, detected, in_view, pixels
 from conftest import directions
 from reporting import counts_of
 from standing_scenes import film, judge
 
 from spheremouse.ball.build import begin, build
-from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.events import NewMap, Turned
-from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.track import advance
-from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp
-from spheremouse.output.counts import MotionSettings
 from spheremouse.tracker import Status
 
-CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
-POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
-RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
-MATRIX = MotionSettings().matrix(RIG.radius_m)  # counts per radian
-DT = 1.0 / 30.0
-SIGMA = 0.05  # px
 MIDDLE, LIMB = np.array([320.0, 240.0]), 165.0  # px, of the ball's picture
 TURN = np.array([0.8, 0.1, 0.5])  # rad/s, of the play that follows
 
 
 def seen(R, discs, spots, cover, rng):
     """Discs at attitude R that no cover, (x from, x to) px, hides, and spots before them; all on the ball's picture."""
-    p = discs @ R.T
-    uv = project(POSE.to_cam(RIG.ball.radius * p[p[:, 2] > 0.35]), CAMERA)[0]
+    uv = pixels(in_view(R, discs))
     uv = uv[(uv[:, 0] < cover[0]) | (uv[:, 0] > cover[1])]
-    uv = np.concatenate([uv, spots[np.hypot(*(spots - MIDDLE).T) < LIMB]])
-    uv = uv + SIGMA * rng.normal(size=uv.shape)
-    return Detections(uv, np.tile(SIGMA**2 * np.eye(2), (len(uv), 1, 1)), np.full(len(uv), 50.0))
+    return detected(np.concatenate([uv, spots[np.hypot(*(spots - MIDDLE).T) < LIMB]]), rng)
 
 
 def run(discs, passing, turned, seconds=8.0, seed=0):

@@ -7,48 +7,32 @@ import pytest
 from conftest import directions
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2
+from so3_world import DT, FILTER, OWN, SETTINGS, draw, follow, points_at, squared
+from so3_world import seen as directions_seen
 
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.filters.so3 import So3Filter, relocate
+from spheremouse.ball.filters.so3 import relocate
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
-from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS, So3Settings
-from spheremouse.ball.filters.so3_state import So3State, augment, consider, drop, inject, with_map
-from spheremouse.ball.points import SpherePoints
+from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
+from spheremouse.ball.filters.so3_state import consider, drop, inject, with_map
 from spheremouse.geometry.rotation import exp, log, tangent_basis
 
-RADIUS, HORIZON, DT, SIGMA = 0.6, 0.25, 1.0 / 30.0, 3e-4
-SETTINGS = So3Settings()
-FILTER = So3Filter(SETTINGS, np.array([0.0, 0.0, 1.0]), HORIZON, 0.02 / RADIUS, RADIUS)
 DISCS = directions(24, 7, 0.35)
 SPIN = np.array([2.0, -0.3, 0.2])
 
-LAST = slice(-CLONE_DIM - 2, -CLONE_DIM)  # of the newest disc in the joint covariance
-
-
-def points_at(d, rng, sigma=SIGMA):
-    """Directions d, (n, 3), in obj with noise along the surface."""
-    noise = sigma * rng.normal(size=d.shape)
-    d = d + noise - d * np.sum(noise * d, axis=1, keepdims=True)
-    d = d / np.linalg.norm(d, axis=1, keepdims=True)
-    n = len(d)
-    C = (RADIUS * sigma) ** 2 * (np.eye(3) - d[:, :, None] * d[:, None, :])
-    none = np.zeros(n)
-    return SpherePoints(RADIUS * d, C, d, C, np.zeros((n, 3, 6)), np.zeros((n, 3, 4)), none, none, np.arange(n))
-
 
 def seen(R, rng):
-    p = DISCS @ R.T
-    return points_at(p[p[:, 2] > HORIZON + 0.1], rng)
+    return points_at(directions_seen(R, DISCS), rng=rng)
 
 
 def play(state, rate, n, rng, R, before=None):
     """State and attitude after n frames from attitude R; over the first ten the rate goes from `before` to `rate`."""
-    first, rate = state.stamp, np.asarray(rate)
+    attitudes, before = [], np.asarray(rate if before is None else before)
     for k in range(1, n + 1):
-        part = 1.0 if before is None else min(k / 10.0, 1.0)
-        R = exp((part * rate + (0.0 if before is None else (1.0 - part) * np.asarray(before))) * DT) @ R
-        state = FILTER.update(FILTER.predict(state, first + k * DT), seen(R, rng))
-    return state, R
+        part = min(k / 10.0, 1.0)
+        R = exp((part * np.asarray(rate) + (1.0 - part) * before) * DT) @ R
+        attitudes.append(R)
+    return follow(FILTER, state, attitudes, state.stamp + np.arange(1, n + 1) * DT, rng, DISCS)[-1], R
 
 
 def learnt(seed=0):
@@ -57,11 +41,6 @@ def learnt(seed=0):
     state = FILTER.update(FILTER.initial(0.0, np.eye(3)), seen(np.eye(3), rng))
     state, R = play(state, [0.2, 2.0, 0.3], 110, rng, np.eye(3))
     return play(state, SPIN, 110, rng, R, [0.2, 2.0, 0.3])
-
-
-def draw(covariance, rng, n):
-    w, V = np.linalg.eigh(covariance)
-    return rng.normal(size=(n, len(w))) @ (V * np.sqrt(np.maximum(w, 0.0))).T
 
 
 # --- out of the state ------------------------------------------------------------------------------------------------
@@ -168,7 +147,6 @@ def test_attitudes_from_a_saved_map_are_as_certain_as_they_say():
     known = learnt()[0].to_map(1)
     assert known is not None
     rng = np.random.default_rng(5)
-    own = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)))
     axes = tangent_basis(DISCS)
     covariance = known.covariance[:48, :48] + 1e-7 * np.eye(48)
     runs, squares = 30, []
@@ -177,12 +155,12 @@ def test_attitudes_from_a_saved_map_are_as_certain_as_they_say():
         wrong /= np.linalg.norm(wrong, axis=1, keepdims=True)
         saved = DiscMap(wrong, covariance, np.full(24, 100))
         R = exp(rng.normal(size=3))
-        state = with_map(own.initial(0.0, np.eye(3)), saved, 1000)
-        state = relocate(state, exp(3e-3 * rng.normal(size=3)) @ R, 3e-3, own.settings, 0.0, np.zeros(3))
+        state = with_map(OWN.initial(0.0, np.eye(3)), saved, 1000)
+        state = relocate(state, exp(3e-3 * rng.normal(size=3)) @ R, 3e-3, OWN.settings, 0.0, np.zeros(3))
         for k in range(12):
-            state = own.update(own.predict(state, k * DT), seen(R, rng))
+            state = OWN.update(OWN.predict(state, k * DT), seen(R, rng))
         e = log(R @ state.attitude.T)
-        squares.append(e @ np.linalg.solve(state.joint[:3, :3], e))
+        squares.append(squared(e, state.joint[:3, :3]))
     low, high = chi2.ppf([0.025, 0.975], 3 * runs) / runs
     assert low < np.mean(squares) < high
 
@@ -216,18 +194,3 @@ def test_consider_sets_the_errors_of_pose_and_ball_and_their_correlations_to_not
     assert_array_equal(joint[KINEMATIC_DIM:READOUT, rest], 0.0)
     assert_array_equal(joint[rest, KINEMATIC_DIM:READOUT], 0.0)
     assert_array_equal(joint[np.ix_(rest, rest)], before[np.ix_(rest, rest)])  # the readout's, too
-
-
-def test_a_new_disc_in_a_saved_map_knows_what_the_attitude_does():
-    """Founded beside discs of a map: correlated with the attitude of that moment, and through it with the others."""
-    known = learnt()[0].to_map(1)
-    assert known is not None
-    state: So3State = relocate(with_map(FILTER.initial(0.0, np.eye(3)), known, 99), np.eye(3), 1e-2, SETTINGS, 0.0)
-    d = np.array([[0.1, 0.2, 1.0]]) / np.linalg.norm([0.1, 0.2, 1.0])
-    rng = np.random.default_rng(6)
-    founded = augment(state, points_at(d, rng), np.array([0]), RADIUS)
-    assert_allclose(np.sqrt(np.diag(founded.joint)[LAST]), np.hypot(1e-2, SIGMA), rtol=1e-3)
-    points = seen(np.eye(3), rng)
-    after = FILTER.update(founded, points, np.zeros(len(points), dtype=bool))
-    assert len(after.used) >= 4
-    assert np.all(np.sqrt(np.diag(after.joint)[LAST]) < 1e-3)  # what fixed the attitude fixed the disc
