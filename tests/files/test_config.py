@@ -1,6 +1,7 @@
 """The configuration against a small tree of settings with every kind of parameter that the core may declare."""
 
 import os
+import re
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Literal
 
@@ -9,10 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from spheremouse.ball.settings import Settings
 from spheremouse.commands import config as cli_config
 from spheremouse.errors import ConfigurationError
-from spheremouse.files import config, safe_files
+from spheremouse.files import config
 from spheremouse.files import yaml as yaml_file
 from spheremouse.session.config_check import Found
 from spheremouse.session.settings import Configuration
@@ -187,11 +187,6 @@ def test_override_sets_one_value(assignment, expected):
     assert config.override(Root(), assignment) == expected
 
 
-def test_overrides_add_up():
-    settings = config.override(config.override(Root(), "so3.gate=0.5"), "so3.mode=on")
-    assert settings.so3 == Filter(gate=0.5, mode="on")
-
-
 @pytest.mark.parametrize(
     ("assignment", "message"),
     [
@@ -200,20 +195,11 @@ def test_overrides_add_up():
         ("so3.constant=1", "--set so3.constant: is no setting: the program fixes it; remove the line"),
         ("outer.inner=1", "--set outer.inner: a section; set one of outer.inner.count"),
         (
-            "so3.acceleration_sigma=-1",
-            "--set so3.acceleration_sigma: must be greater than 0, is -1; the default is 0.1 rad/s²",
-        ),
-        (
-            "so3.acceleration_sigma=",
-            "--set so3.acceleration_sigma: must be a number, is empty; the default is 0.1 rad/s²",
-        ),
-        ("so3.mode=slow", "--set so3.mode: must be 'fast', 'on' or 'null', is 'slow'; the default is fast"),
-        ("so3.mask.lower=300", "--set so3.mask.lower: must be at most 255, is 300; the default is 0 grey"),
-        (
             "so3.gains=[a, b]",
             "--set so3.gains[0]: must be a number, is 'a'; the default is [1.0, 2.0]\n"
             "--set so3.gains[1]: must be a number, is 'b'; the default is [1.0, 2.0]",
         ),
+        ("outer.inner.count=1.5", "--set outer.inner.count: must be a whole number, is 1.5; the default is 3"),
         ("tracker", "--set tracker: not KEY=VALUE; write for example section.name=1.5"),
     ],
 )
@@ -273,16 +259,11 @@ def test_a_dataclass_that_checks_itself_is_heard(problems):
     assert problems(text) == ["3: so3.mask: lower 5 is above upper 3; exchange them"]
 
 
-@pytest.mark.parametrize("value", ["true", "'1'", "1.5", "1e400", "[]", "{}", "2020-01-01", "0x1g", "-1", "~"])
-def test_no_value_becomes_a_whole_number_by_surprise(problems, value):
-    (line,) = problems(f"schema: 2\nouter: {{inner: {{count: {value}}}}}\n")
-    assert line.startswith("2: outer.inner.count: must be ")
-
-
-@pytest.mark.parametrize("value", ["true", "'1'", ".inf", "-.inf", ".nan", "1e400", "9" * 400, "[1.0]", "yes"])
-def test_no_value_becomes_a_number_by_surprise(problems, value):
-    (line,) = problems(f"schema: 2\nso3: {{acceleration_sigma: {value}}}\n")
-    assert line.startswith("2: so3.acceleration_sigma: must be ")
+@pytest.mark.parametrize("value", ["true", "'1'", "1e400", ".nan", "[]", "{}", "2020-01-01", "0x1g", "-1", "~"])
+@pytest.mark.parametrize("text", ["outer: {inner: {count: %s}}", "so3: {acceleration_sigma: %s}"])
+def test_no_value_becomes_a_number_by_surprise(problems, text, value):
+    (line,) = problems(f"schema: 2\n{text % value}\n")
+    assert re.match(r"2: [a-z0-9.]+\.(count|acceleration_sigma): must be ", line)
     assert len(line) < 200
 
 
@@ -365,27 +346,7 @@ def test_no_text_gets_past_as_anything_but_settings_or_a_configuration_error(tex
     assert all(line.startswith("text:") for line in message.splitlines())
 
 
-def test_writing_replaces_the_whole_file_or_nothing(tmp_path):
-    path = tmp_path / "a.yaml"
-    safe_files.write_atomically(path, "one")
-    path.chmod(0o640)
-    safe_files.write_atomically(path, "two")
-    assert path.read_text() == "two"
-    assert path.stat().st_mode & 0o777 == 0o640
-    with pytest.raises(UnicodeEncodeError):  # stands for anything that goes wrong half-way
-        safe_files.write_atomically(path, "three\ud800")
-    assert path.read_text() == "two"
-    assert os.listdir(tmp_path) == ["a.yaml"]
-    with pytest.raises(ConfigurationError, match="cannot be written"):
-        safe_files.write_atomically(tmp_path / "no" / "a.yaml", "x")
-
-
 # ---- the program's own settings ----
-
-
-def test_the_programs_settings_are_written_and_read_back():
-    text = config.dump_commented(Settings())
-    assert config.loads(yaml_file.parse_document(text, "text"), Settings) == Settings()
 
 
 def test_the_settings_of_daily_use_are_thirty_and_are_written_with_their_defaults():
@@ -434,19 +395,13 @@ def test_init_writes_what_check_accepts_and_show_reads(run, tmp_path, monkeypatc
     assert run("init", "--all", "all.yaml").output == "all.yaml: written\n"
     assert (tmp_path / "all.yaml").read_text() == config.dump_commented(Root())
     assert run("check", "my.yaml").output == "my.yaml: ok\n"
+    again = run("init", "my.yaml")
+    assert again.exit_code == 2
+    assert again.stderr == "my.yaml: exists already; choose another name, or replace it with --force\n"
+    assert run("init", "my.yaml", "--force").exit_code == 0
     result = run("show", "--config", "my.yaml", "--set", "tracker=ekf1")
     assert result.exit_code == 0
     assert "tracker: ekf1  # default: so3\n" in result.stdout
-
-
-def test_init_does_not_replace_a_file_unless_told(run, tmp_path):
-    (tmp_path / "my.yaml").write_text("precious")
-    result = run("init", "my.yaml")
-    assert result.exit_code == 2
-    assert result.stderr == "my.yaml: exists already; choose another name, or replace it with --force\n"
-    assert (tmp_path / "my.yaml").read_text() == "precious"
-    assert run("init", "my.yaml", "--force").exit_code == 0
-    assert run("check", "my.yaml").exit_code == 0
 
 
 def test_check_and_show_print_problems_and_fail(run, tmp_path):

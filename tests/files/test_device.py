@@ -75,27 +75,20 @@ def test_a_pair_measured_twice_counts_twice(read):
     [
         ("id: 2", "id: 1", 3, ["targets[1].id", "1 names another target"]),
         ("CYM", "MCY", 3, ["targets[1].code", "MCY is on another target", "once"]),
-        ("CYM", "cym", 3, ["must be 'CMY'", "is 'cym'"]),
         ("  - {id: 7, code: YMC}\n", "", 1, ["targets", "at least 3"]),
         ("plane: 7", "plane: 3", 7, ["axes.plane", "3 is no target", "1, 2, 7"]),
         ("plane: 7", "plane: 1", 7, ["axes.plane", "1 is named for another axis", "three different"]),
         ("0.012, 0.024", "0.024, 0.012", 5, ["must grow"]),
-        ("0.024, 0.036", "0.036, 0.036", 5, ["must grow"]),
         ("[0.012, 0.024, 0.036]", "[12, 24, 36]", 5, ["give metres: 0.012, 0.024, 0.036 if that was mm"]),
         ("[0.012, 0.024, 0.036]", "[1.2, 2.4, 3.6]", 5, ["0.012, 0.024, 0.036 if that was cm"]),
         ("[0.012, 0.024, 0.036]", "[1.2e-4, 2.4e-4, 3.6e-4]", 5, ["too small to be seen", "0.75 m"]),
         ("[0.012, 0.024, 0.036]", "[0.12, 0.24, 0.36]", 10, ["0.65 m", "would overlap", "target_radii"]),
         ("disc_radius: 0.02", "disc_radius: 20", 6, ["0.02 if that was mm"]),
-        ("disc_radius: 0.02", "disc_radius: -1", 6, ["greater than 0", "metres"]),
         ("0.750", "750", 9, ["distances[0].metres", "0.75 if that was mm"]),
         ("0.750", "75", 9, ["0.75 if that was cm"]),
-        ("0.750", "0.75 m", 9, ["must be a number"]),
         ("from: 1, to: 2", "from: 1, to: 1", 9, ["target 1 to itself"]),
         ("from: 1, to: 2", "from: 9, to: 2", 9, ["distances[0].from", "9 is no target"]),
-        ("sigma: 0.001", "sigma: 0", 9, ["distances[0].sigma", "greater than 0"]),
         ("sigma: 0.001", "sigma: 1", 9, ["sigma", "is 1 m for a length of 0.75 m"]),
-        (", sigma: 0.001", "", 9, ["distances[0].sigma: missing", "0.001"]),
-        ("{from: 1", "{form: 1", 9, ["unknown key", "did you mean from?"]),
         ("{from: 2, to: 7, metres: 0.650", "{from: 2, to: 1, metres: 0.762", 10, ["0.75 m in line 9", "measure again"]),
     ],
 )
@@ -115,22 +108,6 @@ def test_a_way_round_is_never_shorter(read):
         read(("sigma: 0.002}", third % "1.42"))
     with pytest.raises(ConfigurationError, match=r":9: .* is 0.75 m, but only 0.73 m by way of target 7"):
         read(("sigma: 0.002}", third % "0.08"))
-
-
-def test_all_problems_come_at_once(read):
-    with pytest.raises(ConfigurationError) as e:
-        read(("CYM", "MCY"), ("plane: 7", "plane: 3"), ("0.750", "750"))
-    assert [int(text.split(":")[1]) for text in str(e.value).splitlines()] == [3, 7, 9]
-
-
-@pytest.mark.parametrize("text", ["", "just words", "- 1\n- 2\n", "targets: {", "targets: 3\n"])
-def test_what_is_no_device_file_is_one_of_our_errors(tmp_path, text):
-    path = tmp_path / "device.yaml"
-    path.write_text(text)
-    with pytest.raises(ConfigurationError, match=r"device\.yaml:"):
-        load_device(path)
-    with pytest.raises(ConfigurationError, match="no such file"):
-        load_device(tmp_path / "other.yaml")
 
 
 def test_the_template_loads_and_its_examples_do_too(tmp_path):

@@ -1,6 +1,5 @@
 """Map files: what is saved reads back the same, and what is damaged is refused in one line that says what to do."""
 
-import os
 import re
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -140,21 +139,6 @@ def test_a_map_of_120_discs_is_a_small_file(tmp_path):
     assert len(map_text(saved_map(3, 26))) < 16_000
 
 
-def test_it_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
-    path = tmp_path / "rig.map.yaml"
-    save_map(path, saved_map(1))
-    before = path.read_text()
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(ConfigurationError, match=r"rig\.map\.yaml: cannot be written: No space left"):
-        save_map(path, saved_map(2))
-    assert path.read_text() == before
-    assert [p.name for p in tmp_path.iterdir()] == ["rig.map.yaml"]
-
-
 def test_names_and_date():
     assert map_path(Path("at/rig.yaml")) == Path("at/rig.map.yaml")
     assert map_path(Path("my.rig.yaml")) == Path("my.rig.map.yaml")
@@ -178,23 +162,13 @@ def test_a_missing_file_is_no_damaged_one(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("schema: 1", "schema: 2", ":3: schema: is 2, of a newer spheremouse; this one reads 1: update it"),
-        ("schema: 1", "schema: one", ":3: schema: is 'one'; this program reads version 1"),
-        ("schema: 1", "schema: true", ":3: schema: is true; this program reads version 1"),
-        ("schema: 1\n", "", ":3: schema: missing; write `schema: 1` as the first line"),
-        ("ball_radius: 0.6", "ball_radius: -1", ":6: ball_radius: must be at least 1e-06, is -1"),
-        ("ball_radius: 0.6", "ball_radius: .nan", ":6: ball_radius: must be a finite number"),
         ("disc_radius", "disk_radius", ":3: disc_radius: missing; radius of a disc in m (and 1 more)"),
         ("2026-02-03T", "2026-02-33T", ":5: saved: is '2026-02-33T"),
         ("+00:00", "", ":5: saved: '2026-02-03T04:05:06' has no time zone"),
-        ("sightings: ", "sightings: -", ":9: discs[0].sightings: must be at least 0"),
-        ("sigma: [", "sigma: [-", ":9: discs[0].sigma[0]: must be at least 0"),
         ("direction: [", "direction: [7", ":9: discs[0].direction: has length "),
         ("discs:", "weights: [0, 0, 0]\ndiscs:", ":8: weights: are all 0; remove the line"),
-        ("discs:", "weights: [0, 2, 0]\ndiscs:", ":8: weights[1]: must be at most 1"),
         ('"100000"', '"90000"', ":16: correlation_root[0]: its squares must sum to 100000 squared"),
         ('"100000"', '"100000 1"', ":16: correlation_root[0]: must be 1 whole numbers, is '100000 1'"),
-        ('"100000"', "100000", ":16: correlation_root[0]: must be text, is 100000"),
         ('"100000"', '"1e5"', ":16: correlation_root[0]: must be 1 whole numbers"),
         ('  - "100000"\n', "", ":15: correlation_root: has 11 lines for 6 discs; each disc has two"),
     ],
@@ -228,11 +202,6 @@ def test_a_file_cut_off_anywhere_or_with_a_byte_changed_is_refused_or_still_a_ma
         np.testing.assert_allclose(np.linalg.norm(loaded.map.directions, axis=1), 1.0)
 
 
-def test_what_is_no_map_is_refused(refusal):
-    for text in (b"", b"\xff\xfe\x00", b"just words", b"- 1\n- 2\n", b"schema: 1\n", b"\x00" * 4096):
-        assert refusal(text).endswith(REMEDY)
-
-
 def test_a_map_of_another_ball_than_the_rigs_is_refused(tmp_path):
     saved = saved_map()
     check_fits(saved, replace(RIG, ball=Ball(0.61), disc_radius=0.022), tmp_path)  # calibrated anew
@@ -242,9 +211,3 @@ def test_a_map_of_another_ball_than_the_rigs_is_refused(tmp_path):
         check_fits(saved, replace(RIG, ball=Ball(0.03)), tmp_path)
     with pytest.raises(ConfigurationError, match=re.escape("with discs of radius 0.02 m, the rig says 0.01 m")):
         check_fits(saved, replace(RIG, disc_radius=0.01), tmp_path)
-
-
-def test_a_version_that_could_steer_a_terminal_is_refused(good, refusal):
-    said = refusal(re.sub(r'spheremouse: ".*"', r'spheremouse: "\\e]0;mine\\a"', good))
-    assert "spheremouse: has a control character" in said
-    assert said.isprintable()

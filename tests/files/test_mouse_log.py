@@ -73,11 +73,8 @@ def test_what_is_written_is_read(tmp_path_factory, rows):
     ("text", "place", "problem"),
     [
         ("", ", line 1: ", "no column t, dx, dy"),
-        ("# people\n\nt,dx\n1,2\n", ", line 3: ", "no column dy"),
-        ("t,dx,dy\n1,2,3\n# so\n2,3\n", ", line 4: ", "2 cells under 3 columns"),
         ("t,dx,dy\n1,2,3\n0.5,1,1\n", ", report 2: ", "t goes back, from 1.0 to 0.5 s"),
         ("t,dx,dy\n1,2,x\n", ", line 2: ", "dy: 'x' is not a number"),
-        ("t,dx,dy\n1,nan,3\n", ", line 2: ", "dx: 'nan' is not a number"),
         ("t,dx,dy\n1,1e300,3\n", ", report 1: ", "a mouse cannot count beyond"),
         ("t,dx,dy\n1,2,3\n1e9,2,3\n", ": ", "cut the log"),
     ],

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from spheremouse.ball.rig import CODES, UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.rig import load_camera, load_rig, rig_text, save_camera, save_rig, with_camera
 from spheremouse.files.yaml import read_document
 from spheremouse.geometry.camera import InteriorOrientation, Pose
@@ -205,12 +204,6 @@ def test_targets_without_correlation_keep_their_covariances_by_themselves():
     assert "targets_covariance" in together
 
 
-def test_the_rig_of_a_dataset_survives(far26, tmp_path):
-    rig = open_dataset(far26).rig
-    save_rig(tmp_path / "rig.yaml", rig)
-    assert same(load_rig(tmp_path / "rig.yaml"), rig)
-
-
 BEYOND = "does not go with the covariances of its rows and of the ball: some correlation is beyond 1; copy all digits"
 NINE = " of 9 numbers, is 1 rows of 1"
 PEOPLE = ", is 'yesterday'; where the numbers come from: a section, for people"
@@ -222,27 +215,16 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
     ("old", "new", "message"),
     [
         ("fx: 900,", "fx: -900,", "2: camera.fx: must be at least 1, is -900; focal length in px"),
-        ("fx: 900,", "fx: 1e9,", "2: camera.fx: must be at most 1e+06, is 1000000000.0; focal length in px"),
-        ("width: 640", "width: 100000", "2: camera.width: must be at most 16384, is 100000; width of the images in px"),
         (
             "width: 640, height: 480",
             "width: 16000, height: 9000",
             "2: camera: 16000x9000 is more than can be worked on: at most 16384 a side, 67108864 pixels in all",
         ),
-        ("fx: 900,", "", "2: camera.fx: missing; focal length in px"),
-        ("fx: 900,", "f: 900, fx: 1,", "2: camera.f: unknown key; did you mean fy or fx?"),
-        ("width: 640", "width: 640.5", "2: camera.width: must be a whole number, is 640.5; width of the images in px"),
         (
             "cx: 320",
             "cx: 1281",
             "2: camera.cx: is 1281, far outside an image of 640 px; it is given in px, and lies near 320",
         ),
-        (
-            "1e-4, 0]",
-            "1e-4]",
-            "2: camera.dist[4]: missing; lens distortion [k1, k2, p1, p2, k3], OpenCV's order",
-        ),
-        ("radius: 0.6", "radius: 0", "4: ball.radius: must be at least 1e-06, is 0; radius of the ball in m"),
         (
             "    - [4e-6, 0, 0, 0]\n",
             "",
@@ -274,24 +256,6 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
             "10: disc_radius: is 2 m, not smaller than the ball; both are in metres",
         ),
         (
-            "0.01",
-            "10",
-            "11: readout_s: must be less than 1, is 10; "
-            "time a rolling shutter takes over all rows in s; 0: global; null: unknown",
-        ),
-        (
-            "readout_s: 0.01",
-            "readout_s: -0.01",
-            "11: readout_s: must be at least 0, is -0.01; "
-            "time a rolling shutter takes over all rows in s; 0: global; null: unknown",
-        ),
-        (
-            "readout_s: 0.01",
-            "exposure_s: 1.0",
-            "11: exposure_s: must be less than 1, is 1.0; "
-            "time the shutter is open in s, which tells the blur of a fast ball; 0: unknown",
-        ),
-        (
             "[0.02, 0.04, 0.06]",
             "[0.02, 0.06, 0.04]",
             "12: target_radii: are 0.02, 0.06, 0.04; they must grow from inside to outside",
@@ -300,12 +264,6 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
             "target_radii: [0.02, 0.04, 0.06]\n",
             "",
             "1: target_radii: missing; give [inner disc, middle ring, outer ring] in m",
-        ),
-        (
-            "code: MYC",
-            "code: MMY",
-            "15: targets[1].code: must be 'CMY', 'CYM', 'MCY', 'MYC', 'YCM' or 'YMC', is 'MMY'; "
-            "colours inside to outside",
         ),
         ("code: MYC", "code: CMY", "15: targets[1].code: CMY is on another target already; each code appears once"),
         ("id: 5", "id: 1", "16: targets[2].id: 1 names another target already; give each its own"),
@@ -339,13 +297,11 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
             "0.24]",
             "17: T_obj_cam: puts the camera inside the ball; is it T_cam_obj, or not in metres?",
         ),
-        ("T_obj_cam:" + ROWS, "T_obj_cam: [[1, 0]]\n", "17: T_obj_cam: must be 4 rows of 4 numbers, is 1 rows of 2"),
         (
             "T_obj_cam:" + ROWS,
             "pose_covariance: [[1]]\n",
             "17: pose_covariance: belongs to T_obj_cam, which is missing; give both or none",
         ),
-        ("ball:", "scale: metres\nball:", "3: scale: must be 'metric' or 'free', is 'metres'; " + SCALE),
         ("T_obj_cam:", "targets_covariance: [[0]]\nT_obj_cam:", "17: targets_covariance: must be 9 rows" + NINE),
         (
             "T_obj_cam:",
@@ -378,15 +334,7 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
             f"pose_ball_covariance: {[[0, 0, 0, 1.1e-6]] + [[0] * 4] * 5}\nT_obj_cam:",
             "18: pose_ball_covariance: " + BEYOND,
         ),
-        ("ball:", "provenance: yesterday\nball:", "3: provenance: must be a section of `key: value` lines" + PEOPLE),
-        (
-            "[0, 0.8, 0.6]",
-            ", ".join(["[0, 0.8, 0.6]"] * 250),
-            "22: discs: must be a list of at most 250, is a list of 251; list of unit vectors [x, y, z] in ball",
-        ),
         ("[0, 0.8, 0.6]", "[0, 8, 6]", "22: discs[1]: has length 10; give a unit vector"),
-        ("[0, 0.8, 0.6]", "[0, 0, 0]", "22: discs[1]: has length 0; give a unit vector"),
-        ("ball:", "bal:", "3: bal: unknown key; did you mean ball?"),
     ],
 )
 def test_a_wrong_rig_is_refused_with_line_and_advice(tmp_path, old, new, message):
@@ -396,14 +344,6 @@ def test_a_wrong_rig_is_refused_with_line_and_advice(tmp_path, old, new, message
         load_rig(tmp_path / "rig.yaml")
     lines = [line.removeprefix(f"{tmp_path / 'rig.yaml'}:") for line in str(e.value).split("\n")]
     assert message in lines
-
-
-def test_all_problems_of_a_rig_come_at_once(tmp_path):
-    text = TEXT.replace("cx: 320", "cx: 5000").replace("id: 5", "id: 1").replace("[0, 0.8, 0.6]", "[0, 8, 6]")
-    (tmp_path / "rig.yaml").write_text(text)
-    with pytest.raises(ConfigurationError) as e:
-        load_rig(tmp_path / "rig.yaml")
-    assert [line.split(":")[1] for line in str(e.value).split("\n")] == ["2", "16", "22"]
 
 
 def test_a_camera_file_holds_a_camera_only(tmp_path):
@@ -417,8 +357,3 @@ def test_a_camera_file_holds_a_camera_only(tmp_path):
     path.write_text(TEXT.splitlines()[1] + "\n")
     with pytest.raises(ConfigurationError, match="schema: missing"):
         load_camera(path)
-
-
-def test_saving_where_nothing_can_be_written(tmp_path):
-    with pytest.raises(ConfigurationError, match="cannot be written"):
-        save_rig(tmp_path / "no" / "rig.yaml", random_rig(1, 3, False, 0))

@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+from spheremouse.errors import ConfigurationError
 from spheremouse.files import safe_files
 from spheremouse.files.safe_files import write_atomically
 
@@ -58,6 +59,8 @@ def test_a_file_that_is_given_up_leaves_nothing(tmp_path):
     with pytest.raises(ZeroDivisionError):
         give_up()
     assert list(tmp_path.iterdir()) == []
+    with pytest.raises(ConfigurationError, match="cannot be written"):
+        write_atomically(tmp_path / "no" / "a.yaml", "x")
 
 
 @posix
