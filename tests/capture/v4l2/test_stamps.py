@@ -201,12 +201,6 @@ def test_a_shift_holds_without_stamps_too():
     np.testing.assert_allclose(stamps, came - 0.035, rtol=0, atol=1e-9)
 
 
-def test_a_clock_that_stands_still_stops_no_stamp():
-    stamps, _ = run([(0.0, arrival(20.0))] * 5, Timing(Moment.END_OF_FRAME, 1 / FPS, 0.0))
-    assert np.all(np.diff(stamps) > 0)
-    np.testing.assert_allclose(stamps, 20.0, rtol=0, atol=1e-9)
-
-
 @given(
     st.lists(st.tuples(raws, steps, st.booleans()), min_size=1, max_size=60),
     st.sampled_from(Moment),
