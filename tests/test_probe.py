@@ -2,6 +2,7 @@
 
 import os
 import stat
+import sys
 from functools import partial
 
 import pytest
@@ -43,6 +44,14 @@ def test_cameras_are_listed_by_their_first_node_and_lasting_name(tmp_path):
     (missing,) = nodes.probe_node(tmp_path / "dev" / "video9", found)
     assert (missing.verdict, missing.passing) == (WRONG, True)
     assert nodes.nodes(tmp_path / "nowhere") == []
+    if sys.platform.startswith("linux"):
+        assert nodes.default_camera([]) == "v4l2:/dev/video0"
+        assert nodes.default_camera(found[::-1]) == f"v4l2:{tmp_path}/by-id/usb-HD-index0"
+
+
+def test_the_default_camera_of_other_systems_is_the_first_one_of_opencv(monkeypatch):
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert nodes.default_camera() == "opencv:0"
 
 
 def test_a_node_that_may_not_be_used_names_its_group_and_the_account(tmp_path, monkeypatch):

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
-from spheremouse.capture import Camera, RawFrame, Source
+from spheremouse.capture import OpenCamera, RawFrame, Source
 from spheremouse.capture.newest import Arrival, LatestFrame
 from spheremouse.errors import SourceError, SpheremouseError
 from spheremouse.tracker import Frame
@@ -94,7 +94,7 @@ class Capture(threading.Thread):
 
     def __init__(
         self,
-        open_camera: Callable[[], Camera],
+        open_camera: OpenCamera,
         latest: LatestFrame,
         say: Callable[[str], None] = lambda _: None,
         patience: float = PATIENCE,
@@ -185,7 +185,7 @@ class Capture(threading.Thread):
         """Number of times that frames resumed after they had stopped."""
         return max(0, self._streams - 1)
 
-    def reopen(self, open_camera: Callable[[], Camera]) -> None:
+    def reopen(self, open_camera: OpenCamera) -> None:
         """Replace the function that opens the camera, and reopen it."""
         self._open, self._failures, self.description = open_camera, 0, ""
         self._wakeup.set()

@@ -6,12 +6,10 @@ The kernel lists the owner in /proc/locks, so no PID file is needed that could b
 import contextlib
 import fcntl
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
-from spheremouse.capture import Camera, RawFrame
+from spheremouse.capture import Camera, OpenCamera
 from spheremouse.errors import SourceError
 
 
@@ -59,31 +57,8 @@ def holder(node: Path) -> int | None:
     return None
 
 
-class LockedCamera:
-    """A camera whose node is locked while it is open."""
-
-    def __init__(self, node: Path, open_camera: Callable[[], Camera]) -> None:
-        self._node, self._open = node, open_camera
-        self._stack = contextlib.ExitStack()
-        self._camera: Camera | None = None
-
-    def next(self, timeout: float) -> RawFrame | None:
-        """Call the camera's method of the same name."""
-        assert self._camera is not None
-        return self._camera.next(timeout)
-
-    def describe(self) -> str:
-        """Call the camera's method of the same name."""
-        return "" if self._camera is None else self._camera.describe()
-
-    def __enter__(self) -> Self:
-        with contextlib.ExitStack() as stack:
-            stack.enter_context(locked(self._node))
-            self._camera = stack.enter_context(self._open())
-            self._stack = stack.pop_all()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stack.close()
+@contextlib.contextmanager
+def locked_camera(node: Path, open_camera: OpenCamera) -> Iterator[Camera]:
+    """Open a camera whose node is locked until the end of the `with` block."""
+    with locked(node), open_camera() as camera:
+        yield camera

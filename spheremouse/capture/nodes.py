@@ -1,6 +1,7 @@
-"""Findings about sources: camera nodes, their lasting names and the rights on them, and paths of recordings."""
+"""The cameras of this computer: their nodes, lasting names and rights; and findings about paths of recordings."""
 
 import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,6 +33,34 @@ def nodes(listed: Path = _SYS, devices: Path = _DEV, by_id: Path = _BY_ID) -> li
             path = devices / entry.name
             found.append(Node(path, _text(entry / "name") or "unnamed", links.get(path.resolve())))
     return found
+
+
+def persistent_name(path: str) -> str | None:
+    """Return the name of a camera that does not depend on the order of plugging in; None if it has none."""
+    here = Path(path).resolve()
+    lasting = next((n.lasting for n in nodes() if n.path.resolve() == here), None)
+    return None if lasting is None or str(lasting) == path else str(lasting)
+
+
+def cameras_here() -> str:
+    """Return the cameras of this computer in words."""
+    found = ", ".join(f"{n.path} ({n.name})" for n in nodes())
+    return f"here: {found}" if found else "there is no camera here; plug it in"
+
+
+def default_camera(found: list[Node] | None = None) -> str:
+    """Return the source of the first camera, by its persistent name if the system has one, otherwise by its number."""
+    if not sys.platform.startswith("linux"):
+        return "opencv:0"
+    lasting = [n.lasting for n in (nodes() if found is None else found) if n.lasting is not None]
+    return f"v4l2:{lasting[0] if lasting else '/dev/video0'}"
+
+
+def in_size(source: str, size: tuple[int, int] | None) -> str:
+    """Return the source with a size, unless it already has one or is no camera."""
+    if size is None or source.partition(":")[0] not in ("v4l2", "opencv") or "width=" in source:
+        return source
+    return f"{source},width={size[0]},height={size[1]}"
 
 
 def probe_node(node: Path, found: list[Node]) -> list[Finding]:

@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 
-from spheremouse.capture import Camera, Source, open_source
+from spheremouse.capture import Camera, OpenCamera, Source, open_source
 from spheremouse.capture.fetch import Streamed
-from spheremouse.capture.lock import LockedCamera, locked
+from spheremouse.capture.lock import locked, locked_camera
 from spheremouse.capture.settings import CameraSettings
 from spheremouse.session.plan import Plan
 
@@ -17,7 +17,7 @@ def is_camera(spec: str) -> bool:
     return spec.partition(":")[0] in ("v4l2", "opencv")
 
 
-def opener(plan: Plan, open_recording: Callable[[Plan], Source], first: Source | None = None) -> Callable[[], Camera]:
+def opener(plan: Plan, open_recording: Callable[[Plan], Source], first: Source | None = None) -> OpenCamera:
     """Return a function that opens a plan's camera and locks its node. `first` is used first, if it is open."""
     waiting = [] if first is None else [first]
 
@@ -35,9 +35,9 @@ def opener(plan: Plan, open_recording: Callable[[Plan], Source], first: Source |
             source = open_recording(plan)
         return Streamed(source, plan.source)
 
-    def open_held() -> Camera:
+    def open_held() -> AbstractContextManager[Camera]:
         node = node_of(plan)  # each time: a camera that comes back may have another node
-        return open_it() if node is None else LockedCamera(node, open_it)
+        return open_it() if node is None else locked_camera(node, open_it)
 
     return open_held
 

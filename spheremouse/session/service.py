@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from spheremouse import __version__
-from spheremouse.capture import Camera
+from spheremouse.capture import OpenCamera
 from spheremouse.capture.fetch import Capture
 from spheremouse.capture.newest import LatestFrame
 from spheremouse.capture.signals import SignalHandler, on_hang_up
@@ -57,8 +57,8 @@ class Daemon:
         request: PlanRequest,
         plan: Plan,
         setup: Setup,
-        open_camera: Callable[[], Camera],
-        reopen: Callable[[Plan], Callable[[], Camera]],
+        open_camera: OpenCamera,
+        reopen: Callable[[Plan], OpenCamera],
         *,
         say: Callable[[str], None],
         show: Show = lambda _, __: None,

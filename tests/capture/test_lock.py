@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from spheremouse.capture import lock
-from spheremouse.capture.lock import LockedCamera, holder, locked
+from spheremouse.capture.lock import holder, locked, locked_camera
 from spheremouse.errors import SourceError
 
 HOLD = """
@@ -102,13 +102,13 @@ class Camera:
 def test_a_camera_holds_its_node_while_it_is_open(tmp_path):
     node, log = tmp_path / "video0", []
     node.touch()
-    with LockedCamera(node, lambda: Camera(log)) as camera:
+    with locked_camera(node, lambda: Camera(log)) as camera:
         assert camera.describe() == "a camera"
         assert camera.next(0.0) is None
         with pytest.raises(SourceError, match="in use"), locked(node):
             pass
     assert log == ["open", "closed"]
-    with pytest.raises(SourceError, match=r"^no$"), LockedCamera(node, lambda: Camera(log, fails=True)):
+    with pytest.raises(SourceError, match=r"^no$"), locked_camera(node, lambda: Camera(log, fails=True)):
         pass
     with locked(node):
         pass

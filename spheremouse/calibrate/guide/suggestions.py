@@ -17,7 +17,7 @@ from spheremouse.calibrate.guide.folder import (
     read_camera,
     read_config,
 )
-from spheremouse.capture.default_camera import default_camera, in_size
+from spheremouse.capture.nodes import default_camera, in_size
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.device import untouched
 

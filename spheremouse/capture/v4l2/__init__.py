@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.capture import Stream
-from spheremouse.capture.nodes import nodes, probe_node
+from spheremouse.capture.nodes import nodes, persistent_name, probe_node
 from spheremouse.capture.settings import CameraSettings, PixelName
 from spheremouse.capture.v4l2.pixels import Layout, bgr, luma
 from spheremouse.capture.v4l2.stamps import Arrival, Count, Moment, Stamps, Timing, correct_stamp, unwrap_count
@@ -200,7 +200,7 @@ def open_camera(argument: str, settings: CameraSettings) -> V4L2Camera:
     if not sys.platform.startswith("linux"):
         raise SourceError("v4l2: works on Linux alone; write opencv:0 for the first camera here")
     from spheremouse.capture.v4l2.controls import read_controls
-    from spheremouse.capture.v4l2.device import Device, find, persistent_name
+    from spheremouse.capture.v4l2.device import Device, find
 
     name, settings = parse(argument, settings)
     device = Device(find(name))

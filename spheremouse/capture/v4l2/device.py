@@ -38,6 +38,7 @@ from linuxpy.video.device import (
 )
 from numpy.typing import NDArray
 
+from spheremouse.capture.nodes import cameras_here
 from spheremouse.capture.settings import CameraSettings, PixelName
 from spheremouse.capture.v4l2.pixels import FORMATS, Layout
 from spheremouse.errors import SourceError
@@ -46,8 +47,6 @@ CAPTURE = BufferType.VIDEO_CAPTURE
 
 _FOURCC: dict[str, PixelName] = {"YUYV": "YUYV", "NV12": "NV12", "MJPG": "MJPG", "JPEG": "MJPG", "GREY": "GREY"}
 _SUFFICIENT_RATE = 30.0  # Hz; without a requested rate, faster formats are no better
-_NODES = Path("/sys/class/video4linux")
-_BY_ID = Path("/dev/v4l/by-id")
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,14 +95,14 @@ class Device:
             found = read_capabilities(self.fd)
         except OSError:
             os.close(self.fd)
-            raise SourceError(f"{path}: is no video device; {_cameras_here()}") from None
+            raise SourceError(f"{path}: is no video device; {cameras_here()}") from None
         names = (found.driver, found.card, found.bus_info)
         self.driver, self.card, self.bus = (name.decode(errors="replace") for name in names)
         able = Capability(found.device_caps if found.capabilities & Capability.DEVICE_CAPS else found.capabilities)
         trouble = _unsuitable(able)
         if trouble:
             os.close(self.fd)
-            raise SourceError(f"{path}: {trouble}; {_cameras_here()}")
+            raise SourceError(f"{path}: {trouble}; {cameras_here()}")
         self._maps: list[mmap.mmap] = []
         self.buffers: list[NDArray[np.uint8]] = []  # mapped, one array each
         self._streaming = False
@@ -302,40 +301,20 @@ def find(text: str) -> Path:
     """Return the node of a number or path."""
     text = text.strip()
     if not text:
-        raise SourceError(f"v4l2: needs a device; write v4l2:/dev/video0 ({_cameras_here()})")
+        raise SourceError(f"v4l2: needs a device; write v4l2:/dev/video0 ({cameras_here()})")
     return Path(f"/dev/video{text}") if text.isdecimal() else Path(text)
-
-
-def persistent_name(path: str) -> str | None:
-    """Return the name of a camera that does not depend on the order of plugging in; None if it has none."""
-    with suppress(OSError):
-        node = Path(path).resolve()
-        for link in sorted(_BY_ID.iterdir()):
-            if link.resolve() == node and str(link) != path:
-                return str(link)
-    return None
-
-
-def _cameras_here() -> str:
-    """Return the video nodes of this machine in words."""
-    found = []
-    with suppress(OSError):
-        for node in sorted(_NODES.iterdir(), key=lambda p: (len(p.name), p.name)):
-            with suppress(OSError):
-                found.append(f"/dev/{node.name} ({(node / 'name').read_text().strip()})")
-    return f"here: {', '.join(found)}" if found else "there is no camera here; plug it in"
 
 
 def _cannot_open(path: Path, error: OSError) -> str:
     if error.errno == errno.ENOENT:
-        return f"{path}: no such device; {_cameras_here()}"
+        return f"{path}: no such device; {cameras_here()}"
     if error.errno in (errno.EACCES, errno.EPERM):
         return f"{path}: may not be opened; as root: usermod -aG video USER, then log in again"
     if error.errno in (errno.ENODEV, errno.ENXIO):
         return f"{path}: the camera is gone; plug it in again"
     if error.errno == errno.EBUSY:
         return f"{path}: another program uses it; `fuser -v {path}` shows which"
-    return f"{path}: cannot be opened: {error.strerror or error}; {_cameras_here()}"
+    return f"{path}: cannot be opened: {error.strerror or error}; {cameras_here()}"
 
 
 def _unsuitable(able: Capability) -> str | None:

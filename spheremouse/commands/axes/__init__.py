@@ -44,7 +44,7 @@ def axes(
     Roll the ball to the right, roll it away from you, spin it; each time one way, and let it rest. Then the pointer
     goes right and up with your hand. With a recording, the gestures are looked for in it.
     """
-    from spheremouse.capture.default_camera import default_camera
+    from spheremouse.capture.nodes import default_camera
     from spheremouse.capture.signals import SignalHandler
     from spheremouse.commands.axes.dialogue import Dialogue
     from spheremouse.commands.run import follow, serve

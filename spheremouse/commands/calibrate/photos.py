@@ -149,7 +149,7 @@ def _opened(
 ) -> Iterator["Source"]:
     """Open the camera in the mode of the existing photos."""
     from spheremouse.capture import full_spec
-    from spheremouse.capture.default_camera import default_camera, in_size
+    from spheremouse.capture.nodes import default_camera, in_size
     from spheremouse.session.cameras import looked_through, node_of_source
 
     spec = full_spec(source or configured.source or default_camera())

@@ -58,7 +58,7 @@ def preview(
     target it prints the reason and the remedy. The file contains the whole picture, with all people in it.
     """
     from spheremouse.capture import full_spec
-    from spheremouse.capture.default_camera import default_camera
+    from spheremouse.capture.nodes import default_camera
     from spheremouse.commands.preview.show import PreviewOptions, film, pictures
 
     if every is not None and out.suffix.lower() not in _PICTURES:
