@@ -6,7 +6,7 @@ from typing import assert_never, cast
 import numpy as np
 
 from spheremouse.ball import events
-from spheremouse.ball.detect.absence import Absence, Cause
+from spheremouse.ball.detect.diagnosis import Absence, Cause
 from spheremouse.ball.detect.projection import GREY, NEGATIVE
 from spheremouse.ball.detect.refused import Bound, Refused
 from spheremouse.ball.events import BallLost, Doubt, Why

@@ -3,7 +3,7 @@
 import pytest
 
 from spheremouse.ball import events
-from spheremouse.ball.detect.absence import Absence, Cause
+from spheremouse.ball.detect.diagnosis import Absence, Cause
 from spheremouse.ball.events import BallLost, Doubt, Why
 from spheremouse.session.messages import line, no_discs, reason, why_absent, withheld
 from spheremouse.tracker import Event

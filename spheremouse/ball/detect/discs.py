@@ -20,6 +20,7 @@ from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.fit import FitSettings
 from spheremouse.ball.detect.fit_model import noise_of, smoothing_kernel
 from spheremouse.ball.detect.projection import (
+    CANDIDATES,
     GREY,
     NEGATIVE,
     Projection,
@@ -42,6 +43,10 @@ _SHOWN = 4.0  # px of the coarse picture, across a disc that its samples meet: t
 _LEARN_EVERY = 16  # frames: noise, and the size of the discs
 _MOST_ROUNDS = 3  # of the search for slivers in one picture: struts that cross the limb offer places, too
 _FINE = 14.0  # px, diameter of a disc that is found as well no finer: larger pictures are searched more coarsely
+
+_MIN_GAIN = 1.5  # least gain in information for a change: standard deviations a fifth smaller
+_FINEST = 0.25  # of the settings' sigma: so the contrast still counts when the picture has little noise
+_MIN_INFORMATION = 0.02  # discs: stains give less information
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,3 +280,30 @@ def _centroid(contour: Image) -> tuple[float, float]:
         return m["m10"] / m["m00"], m["m01"] / m["m00"]
     x, y = contour[:, 0].mean(axis=0)
     return float(x), float(y)
+
+
+def best_projection(image: Image, detector: DiscDetector, present: Projection) -> tuple[Projection, float]:
+    """Return the projection that shows the discs best, and its information in noise-free discs.
+
+    The information is that of all fits about the discs' centres. Many fits of good contrast give much information, and
+    a fit of a stain or a highlight gives little. `image` is (h, w, 3) BGR or (h, w). The `present` projection stays
+    unless another one is clearly better. Grey or its negative takes precedence over colours if it is nearly as good.
+    """
+    tried = (GREY, NEGATIVE) if image.ndim == 2 else dict.fromkeys((present, *CANDIDATES))
+    information = {p: information_of(detector.seeing(p).detect(image), detector.settings.sigma) for p in tried}
+    now, most = information.get(present, 0.0), max(information.values())
+    if most < _MIN_GAIN * now + _MIN_INFORMATION:
+        return present, now
+    first = max(information, key=information.__getitem__)
+    best = next((p for p in (GREY, NEGATIVE) if information[p] * _MIN_GAIN > most), first)
+    return best, information[best]
+
+
+def information_of(found: Detections, sigma: float) -> float:
+    """Return the information about the discs' centres, in noise-free discs.
+
+    `sigma` px is the constant standard deviation per axis that the covariances of `found` include.
+    """
+    noise = np.maximum(0.5 * np.trace(found.covariance, axis1=1, axis2=2) - sigma**2, 0.0)
+    finest = (_FINEST * sigma) ** 2
+    return float(np.sum(finest / (finest + noise)))

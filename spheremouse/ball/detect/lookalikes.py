@@ -8,6 +8,7 @@ prediction (a hand may have stopped the ball meanwhile): else the discs themselv
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -27,17 +28,36 @@ _FORGET_AFTER_S = 1.0  # a candidate not seen for so long is dropped; in ten sec
 _MASK_LIFE_S = 600.0  # a mask that hid nothing for so long is dropped; hands hide bolts for minutes
 
 
+class Candidates(NamedTuple):
+    """Spots that are not yet known to be discs or static."""
+
+    place: Array  # (t, 2) px, where last seen
+    anchor: Array  # (t, 2) px, where first seen
+    anchor_ball: Array  # (t, 3) direction in ball, were it a disc
+    seen: Array  # (t,) s
+    proven: NDArray[np.bool_]  # (t,) moved with the ball
+
+    def take(self, keep: NDArray[np.bool_]) -> "Candidates":
+        """Return the candidates in a mask, (t,)."""
+        part: Any = [column[keep] for column in self]
+        return Candidates(*part)
+
+    def joined(self, other: "Candidates") -> "Candidates":
+        """Return both."""
+        both: Any = [np.concatenate(pair) for pair in zip(self, other, strict=True)]
+        return Candidates(*both)
+
+
+_NO_CANDIDATES = Candidates(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=bool))
+
+
 @dataclass(frozen=True, slots=True)
 class StaticDistractors:
     """Masks, and candidates on their way to being one or a disc."""
 
     masks: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2) px
     mask_seen: Array = field(default_factory=lambda: np.zeros(0))  # (k,) s
-    place: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (t, 2) px, where last seen
-    anchor: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (t, 2) px, where first seen
-    anchor_ball: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (t, 3) direction in ball, were it a disc
-    seen: Array = field(default_factory=lambda: np.zeros(0))  # (t,) s
-    proven: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (t,) moved with the ball
+    candidates: Candidates = _NO_CANDIDATES
 
 
 def unmasked(state: StaticDistractors, centre: Array, stamp: float) -> tuple[NDArray[np.bool_], StaticDistractors]:
@@ -61,19 +81,8 @@ def mask(state: StaticDistractors, centre: Array, stamp: float) -> StaticDistrac
 
 def without_landmarks(state: StaticDistractors, discs: Array, disc_angle: float) -> StaticDistractors:
     """Without those that have become discs, (m, 3) unit vectors in ball, of angular radius `disc_angle` rad."""
-    return _followed(state, ~np.any(state.anchor_ball @ discs.T > np.cos(disc_angle), axis=1))
-
-
-def _followed(state: StaticDistractors, keep: NDArray[np.bool_]) -> StaticDistractors:
-    """With those candidates alone that are in a mask, (t,)."""
-    return replace(
-        state,
-        place=state.place[keep],
-        anchor=state.anchor[keep],
-        anchor_ball=state.anchor_ball[keep],
-        seen=state.seen[keep],
-        proven=state.proven[keep],
-    )
+    near = np.any(state.candidates.anchor_ball @ discs.T > np.cos(disc_angle), axis=1)
+    return replace(state, candidates=state.candidates.take(~near))
 
 
 def classify_candidates(
@@ -90,36 +99,24 @@ def classify_candidates(
     `attitude` is R_obj_ball, (3, 3), as this frame's discs have confirmed it. Returns which are proven to turn with the
     ball, (n,), which have just shown that they stand still, (n,), and the state with the latter masked.
     """
-    n = len(centre)
-    if n == 0:
-        none = np.zeros(0, dtype=bool)
-        alive = stamp - state.seen < _FORGET_AFTER_S
-        return none, none, state if alive.all() else _followed(state, alive)
-    expected = _expected(state, attitude, rig, pose)
-    track = _found(state, expected, centre)
+    candidates = state.candidates
+    expected = _expected(candidates, attitude, rig, pose)
+    track = _found(candidates, expected, centre)
     known = track >= 0
     which = track[known]
-    turns, stands = _told_apart(centre[known], state.anchor[which], expected[which])
-    proven, still = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-    proven[known] = state.proven[which] | turns
+    turns, stands = _told_apart(centre[known], candidates.anchor[which], expected[which])
+    proven, still = np.zeros(len(centre), dtype=bool), np.zeros(len(centre), dtype=bool)
+    proven[known] = (candidates.proven[which] | turns) & ~stands
     still[known] = stands
-    proven &= ~still
 
-    place, seen, known_proven = state.place.copy(), state.seen.copy(), state.proven.copy()
-    place[which], seen[which] = centre[known], stamp
-    known_proven[which] = proven[known]
+    place, seen, known_proven = candidates.place.copy(), candidates.seen.copy(), candidates.proven.copy()
+    place[which], seen[which], known_proven[which] = centre[known], stamp, proven[known]
     keep = stamp - seen < _FORGET_AFTER_S
     keep[which[stands]] = False
-    new = ~known
-    updated = replace(
-        state,
-        place=np.concatenate([place[keep], centre[new]]),
-        anchor=np.concatenate([state.anchor[keep], centre[new]]),
-        anchor_ball=np.concatenate([state.anchor_ball[keep], direction[new] @ attitude]),
-        seen=np.concatenate([seen[keep], np.full(np.count_nonzero(new), stamp)]),
-        proven=np.concatenate([known_proven[keep], np.zeros(np.count_nonzero(new), dtype=bool)]),
-    )
-    return proven, still, mask(updated, centre[still], stamp)
+    followed = candidates._replace(place=place, seen=seen, proven=known_proven).take(keep)
+    at, count = centre[~known], np.count_nonzero(~known)
+    new = Candidates(at, at, direction[~known] @ attitude, np.full(count, stamp), np.zeros(count, dtype=bool))
+    return proven, still, mask(replace(state, candidates=followed.joined(new)), centre[still], stamp)
 
 
 def _told_apart(centre: Array, first: Array, turned: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -139,22 +136,23 @@ def known_before_to_turn(
 ) -> NDArray[np.bool_]:
     """Return a mask, (n,), of `centre`, (n, 2) px: candidates proven by earlier frames, at a predicted attitude."""
     proven = np.zeros(len(centre), dtype=bool)
-    if len(state.place) == 0:
+    candidates = state.candidates
+    if len(candidates.place) == 0:
         return proven
-    track = _found(state, _expected(state, attitude, rig, pose), centre)
-    proven[track >= 0] = state.proven[track[track >= 0]]
+    track = _found(candidates, _expected(candidates, attitude, rig, pose), centre)
+    proven[track >= 0] = candidates.proven[track[track >= 0]]
     return proven
 
 
-def _expected(state: StaticDistractors, attitude: Array, rig: Rig, pose: Pose) -> Array:
+def _expected(candidates: Candidates, attitude: Array, rig: Rig, pose: Pose) -> Array:
     """Return the places, (t, 2) px, of the candidates if they were discs."""
-    turned = seen_at(state.anchor_ball @ attitude.T, rig, pose)
-    return np.where(np.isfinite(turned), turned, state.place)
+    turned = seen_at(candidates.anchor_ball @ attitude.T, rig, pose)
+    return np.where(np.isfinite(turned), turned, candidates.place)
 
 
-def _found(state: StaticDistractors, expected: Array, centre: Array) -> NDArray[np.intp]:
+def _found(candidates: Candidates, expected: Array, centre: Array) -> NDArray[np.intp]:
     """For each of `centre`, (n, 2) px, the candidate that stayed or turned there, (n,); -1 where there is none."""
-    return mutual_nearest(_distances(centre, expected, state.place))
+    return mutual_nearest(_distances(centre, expected, candidates.place))
 
 
 @njit(cache=True, error_model="numpy")

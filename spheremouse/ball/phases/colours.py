@@ -1,6 +1,6 @@
 """Choice of the colour projection in which discs are darker than the ball.
 
-Until the ball turns, the tracker repeatedly tries all candidates on one picture (detect.choice). Once three
+Until the ball turns, the tracker repeatedly tries all candidates on one picture (detect.discs). Once three
 discs are known, Fisher's discriminant of their pixels replaces the candidate if it gives more information. After that
 the projection stays the same, unless the ball is lost for 10 s.
 """
@@ -8,8 +8,7 @@ the projection stays the same, unless the ball is lost for 10 s.
 from dataclasses import replace
 from typing import Any
 
-from spheremouse.ball.detect.choice import chosen, information_of
-from spheremouse.ball.detect.discs import DiscDetector
+from spheremouse.ball.detect.discs import DiscDetector, best_projection, information_of
 from spheremouse.ball.detect.projection import fisher_projection
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.events import DiscColours
@@ -44,7 +43,7 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
     if not is_trial_due(state, frame.stamp):
         return state
     before, detector = state.colours, _adaptable(tracker)
-    projection, information = chosen(frame.image, detector, before.projection)
+    projection, information = best_projection(frame.image, detector, before.projection)
     if projection == before.projection:
         wait = min(2.0 * before.wait, _WAIT[1]) if information > _ENOUGH else _WAIT[0]
         return replace(state, colours=before._replace(tried=frame.stamp, wait=wait))

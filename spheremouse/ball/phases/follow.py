@@ -56,7 +56,9 @@ def detect_discs(
     if not isinstance(state.phase, Tracking) or state.confirmed_at != state.filter.stamp:
         return detector.detect(frame.image), state.search
     which = tracker.filter.visible(predicted)
-    known = np.concatenate([predicted.discs[which], state.lookalikes.anchor_ball])  # discs, and what may be one
+    known = np.concatenate(
+        [predicted.discs[which], state.lookalikes.candidates.anchor_ball]
+    )  # discs, and what may be one
     readout = tracker.rig.readout_s + predicted.readout
     found, search = detector.follow(frame.image, known @ predicted.attitude.T, predicted.rate, readout, state.search)
     seen_before = np.count_nonzero(predicted.missed[which] == 0)
@@ -218,7 +220,9 @@ def updated(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[
 
 def all_are_discs(state: TrackState) -> bool:
     """Return whether the frame confirms the attitude with every point, and no candidate is followed."""
-    return state.confirmed and len(state.filter.used) == len(state.points) and not len(state.lookalikes.place)
+    return (
+        state.confirmed and len(state.filter.used) == len(state.points) and not len(state.lookalikes.candidates.place)
+    )
 
 
 def classify_unmatched(

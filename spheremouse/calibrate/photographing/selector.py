@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from spheremouse.ball.detect.detections import Image
-from spheremouse.ball.detect.sharpness import blur_of
+from spheremouse.ball.detect.diagnosis import blur_of
 from spheremouse.geometry.rotation import Array
 
 MAX_MOTION = 1.0  # px between two frames; in the exposure it is a part of that

@@ -8,11 +8,10 @@ import cv2
 import numpy as np
 
 from spheremouse.ball.build import build
-from spheremouse.ball.detect.absence import why_no_disc
 from spheremouse.ball.detect.appearance import ball_outline, largest_disc
-from spheremouse.ball.detect.choice import chosen
 from spheremouse.ball.detect.detections import Detections, Image
-from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detector
+from spheremouse.ball.detect.diagnosis import why_no_disc
+from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, best_projection, disc_detector
 from spheremouse.ball.detect.projection import Projection, weights_of
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.pose import TARGET_SIGMA_PX, find_pose, gather
@@ -128,7 +127,7 @@ def in_colours(seen: Sight, views: tuple[Frame, ...]) -> Sight:
     """Return the sight with the projection that shows the discs best in most views, unless the settings fix it."""
     if seen.detector.settings.projection is not None:
         return seen
-    found = Counter(chosen(v.image, seen.detector, seen.projection)[0] for v in views)
+    found = Counter(best_projection(v.image, seen.detector, seen.projection)[0] for v in views)
     return replace(seen, detector=seen.detector.seeing(found.most_common(1)[0][0])) if found else seen
 
 

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.detect.diagnosis import blur_of
 from spheremouse.ball.detect.projection import GREY, projected
-from spheremouse.ball.detect.sharpness import blur_of
 from spheremouse.calibrate.rolling.start import Spots, dark_spots
 from spheremouse.capture.signals import SignalHandler
 from spheremouse.commands.doctor.light import brightness

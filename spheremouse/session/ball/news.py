@@ -2,7 +2,7 @@
 
 from concurrent.futures import Future
 
-from spheremouse.ball.detect.absence import Absence, why_no_disc
+from spheremouse.ball.detect.diagnosis import Absence, why_no_disc
 from spheremouse.ball.events import MotionReleased, MotionWithheld
 from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.output.rate_limited_logger import strip_digits

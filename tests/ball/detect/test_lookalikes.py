@@ -110,12 +110,12 @@ def test_noise_and_pace_change_no_verdict(noise, rate):
 
 def test_candidates_that_cannot_be_seen_again_are_forgotten():
     state = film(turn([0.0, 1.0, 0.0], 0.1, 3))[-1][3]
-    assert len(state.place) == len(DISCS) + 1
+    assert len(state.candidates.place) == len(DISCS) + 1
     nothing = np.zeros((0, 2))
     *_, state = look(state, nothing, np.eye(3), 0.1)
-    assert len(state.place) == len(DISCS) + 1
+    assert len(state.candidates.place) == len(DISCS) + 1
     *_, state = look(state, nothing, np.eye(3), FORGOTTEN_AFTER_S + 0.2)
-    assert len(state.place) == 0
+    assert len(state.candidates.place) == 0
 
 
 # --- masks -----------------------------------------------------------------------------------------------------------

@@ -6,9 +6,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from ray_cast import BALL, DISCS, INK, POSE, RIG, TRUTH, errors, match, ray_cast
 
-from spheremouse.ball.detect.choice import chosen, information_of
 from spheremouse.ball.detect.detections import Detections
-from spheremouse.ball.detect.discs import DiscSettings, disc_detector
+from spheremouse.ball.detect.discs import DiscSettings, best_projection, disc_detector, information_of
 from spheremouse.ball.detect.projection import (
     CANDIDATES,
     GREY,
@@ -108,7 +107,7 @@ def test_two_discs_are_too_few_for_fisher_and_so_are_three_that_are_aslant():
 @pytest.mark.parametrize(("light", "noise"), [(1.0, 4.0), (1.0, 0.7), (0.25, 1.5)])
 def test_the_projection_chosen_shows_every_disc(pair, light, noise):
     """In full light and in a quarter of it, with the noise of cameras: each disc, and nothing else."""
-    projection, _ = chosen(picture(pair, noise, 1, light), DETECTOR, GREY)
+    projection, _ = best_projection(picture(pair, noise, 1, light), DETECTOR, GREY)
     seen = DETECTOR.seeing(projection).detect(picture(pair, noise, 2, light))
     assert len(match(seen, TRUTH)) == len(seen) == len(DISCS)
     assert np.sqrt(np.mean(errors(seen, TRUTH) ** 2)) < 0.1
@@ -118,22 +117,22 @@ def test_the_projection_chosen_shows_every_disc(pair, light, noise):
 
 def test_black_on_white_stays_grey_and_what_is_nearly_as_good_stays():
     for seed in range(5):
-        assert chosen(picture("white-black", 4.0, seed), DETECTOR, GREY)[0] == GREY
+        assert best_projection(picture("white-black", 4.0, seed), DETECTOR, GREY)[0] == GREY
         green = normalised(np.array([0.0, 1.0, 0.0]))
-        assert chosen(picture("white-black", 4.0, seed), DETECTOR, green)[0] == green
+        assert best_projection(picture("white-black", 4.0, seed), DETECTOR, green)[0] == green
 
 
 @pairs
 def test_without_discs_nothing_is_chosen(pair):
     """Nor by what is too faint to be a disc."""
     for share in (0.0, 0.05):
-        assert chosen(picture(pair, 4.0, 3, share=share), DETECTOR, NEGATIVE)[0] == NEGATIVE
+        assert best_projection(picture(pair, 4.0, 3, share=share), DETECTOR, NEGATIVE)[0] == NEGATIVE
 
 
 def test_light_discs_are_chosen_in_grey_pictures_too():
     image = cv2.cvtColor(picture("dark-white"), cv2.COLOR_BGR2GRAY)
-    assert chosen(image, DETECTOR, GREY)[0] == NEGATIVE
-    assert chosen(cv2.bitwise_not(image), DETECTOR, NEGATIVE)[0] == GREY
+    assert best_projection(image, DETECTOR, GREY)[0] == NEGATIVE
+    assert best_projection(cv2.bitwise_not(image), DETECTOR, NEGATIVE)[0] == GREY
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -143,7 +142,7 @@ def test_a_disc_or_two_in_view_are_enough(count):
     red, white = (np.array(c, dtype=float) for c in PAIRS["red-white"])
     image = red + cover[:, :, None] * (white - red)
     noisy = np.clip(np.rint(image + 4.0 * np.random.default_rng(5).normal(size=image.shape)), 0, 255).astype(np.uint8)
-    projection, told = chosen(noisy, DETECTOR, GREY)
+    projection, told = best_projection(noisy, DETECTOR, GREY)
     assert len(match(DETECTOR.seeing(projection).detect(noisy), TRUTH[:count])) == count
     assert told > 0.05 * count
 
