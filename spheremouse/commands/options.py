@@ -8,7 +8,7 @@ import inspect
 from collections.abc import Callable
 from dataclasses import Field, fields
 from functools import wraps
-from math import isfinite
+from math import inf, isfinite
 from typing import Annotated, Any, get_args
 
 import typer
@@ -17,6 +17,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.simulate.ball.options import option_name
 
 _LARGEST = 8192  # px, a side
+_LENS = "k1,k2,p1,p2,k3"  # of at most 2: no lens bends more
 
 Command = Callable[..., None]
 
@@ -83,12 +84,12 @@ def _value(field: "Field[Any]", typed: Any) -> Any:
     unit = field.metadata["unit"]
     if typed is None or not _is_word(unit):
         return typed
-    if unit == "k1,k2,p1,p2,k3":
-        return _lens(typed)
-    example = _word(unit, field.default) or "30,30,200 for red"  # colours alone have no default
+    example = (
+        "-0.1,0,0,0,0" if unit == _LENS else _word(unit, field.default) or "30,30,200 for red"
+    )  # colours alone have no default
     if unit == "WxH":
         return parse_size(typed, field.metadata["bounds"]["ge"], example)
-    return _numbers(option_name(field.name), typed, unit.count(",") + 1, example)
+    return _numbers(option_name(field.name), typed, unit.count(",") + 1, 2.0 if unit == _LENS else inf, example)
 
 
 def parse_size(text: str, least: int, example: str) -> tuple[int, int]:
@@ -108,25 +109,13 @@ def parse_size(text: str, least: int, example: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _lens(text: str) -> tuple[float, float, float, float, float]:
-    """k1, k2, p1, p2, k3 of five numbers between commas."""
-    try:
-        k1, k2, p1, p2, k3 = (float(part) for part in text.split(","))
-        if not all(abs(k) <= 2.0 for k in (k1, k2, p1, p2, k3)):  # nan, too: no lens bends more
-            raise ValueError(text)
-    except ValueError:
-        raise ConfigurationError(
-            f"--dist {text}: write five numbers k1,k2,p1,p2,k3 from -2 to 2, as in -0.1,0,0,0,0"
-        ) from None
-    return k1, k2, p1, p2, k3
-
-
-def _numbers(option: str, text: str, n: int, example: str) -> tuple[float, ...]:
-    """`n` numbers between commas."""
+def _numbers(option: str, text: str, n: int, limit: float, example: str) -> tuple[float, ...]:
+    """Return `n` numbers between commas, of at most `limit`."""
     try:
         numbers = tuple(float(part) for part in text.split(","))
-        if len(numbers) != n or not all(isfinite(x) for x in numbers):
+        if len(numbers) != n or not all(isfinite(x) and abs(x) <= limit for x in numbers):
             raise ValueError(text)
     except ValueError:
-        raise ConfigurationError(f"{option} {text}: write {n} numbers, as in {example}") from None
+        bounds = f" from -{limit:g} to {limit:g}" if isfinite(limit) else ""
+        raise ConfigurationError(f"{option} {text}: write {n} numbers{bounds}, as in {example}") from None
     return numbers

@@ -199,8 +199,8 @@ def test_the_next_step_it_names_can_be_taken(run, picture, shot, tmp_path):
         (("--out", out), "wand.yaml: there already; name another file, or replace it with --force"),
         (("--show", own), "own.png: there already; name another file, or replace it with --force"),
         (("--show", tmp_path / "folder.colours.png"), "folder.colours.png: is a folder; name a file"),
-        (("--show", picture, "--force"), "hand.png: is another file of this very command"),
-        (("--show", own, "--out", own, "--force"), "own.png: is another file of this very command"),
+        (("--show", picture, "--force"), "hand.png: is read by this very command"),
+        (("--show", own, "--out", own, "--force"), "own.png: is read by this very command"),
     ):
         code, said = run("wand", "colours", picture, *words)
         assert (code, refused in said) == (2, True), said
@@ -208,7 +208,7 @@ def test_the_next_step_it_names_can_be_taken(run, picture, shot, tmp_path):
     overlay = tmp_path / "named.colours.png"
     picture.rename(overlay)
     code, said = run("wand", "colours", overlay, "--show", overlay)
-    assert (code, "is another file of this very command" in said) == (2, True)
+    assert (code, "is read by this very command" in said) == (2, True)
 
 
 def test_bounds_that_select_everything_are_to_be_narrowed(run, picture, tmp_path):

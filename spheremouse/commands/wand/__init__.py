@@ -77,8 +77,10 @@ def colours(
 
     Hold the ball so that discs of every colour face the camera, in the light it will be used in.
     """
-    from spheremouse.commands.wand.picture import read_picture, write_picture
+    from spheremouse.calibrate.outputs import check_outputs
+    from spheremouse.commands.wand.picture import read_picture
     from spheremouse.files.wand import WandFile, load_wand, save_wand
+    from spheremouse.session.overlay.file import write_picture
     from spheremouse.wand.ball import grzonka_ball
     from spheremouse.wand.colour import DEFAULT_COLOURS
     from spheremouse.wand.pick_colours import Circle, check_bounds, draw_selection, find_ball, pick_bounds
@@ -88,8 +90,8 @@ def colours(
     if check and out is not None:
         raise ConfigurationError("--out: does not go with --check, which picks no bounds; leave one of them out")
     show = _shown_at(picture, show)
-    _refuse(out, [picture, wand], force)
-    _refuse(show, [picture, wand, out], force or show.name.endswith(_OVERLAY))
+    check_outputs([out], [picture, wand], force)
+    check_outputs([show], [picture, wand, out], force or show.name.endswith(_OVERLAY))
     image = read_picture(picture)
     circle = None if at is None else Circle(*_circle(at))
     if check:
@@ -141,17 +143,3 @@ def _circle(text: str) -> tuple[float, float, float]:
     except ValueError:
         raise ConfigurationError(f"--at {text}: write the centre and the radius in px, as in 640,480,25") from None
     return u, v, radius
-
-
-def _refuse(path: Path | None, others: list[Path | None], replace: bool) -> None:
-    """A file is written where nothing is, or where it may `replace` that; never over one of the others."""
-    if path is None:
-        return
-    if not path.parent.is_dir():
-        raise ConfigurationError(f"{path}: there is no folder {path.parent}; make it, or name another file")
-    if path.is_dir():
-        raise ConfigurationError(f"{path}: is a folder; name a file")
-    if path.resolve() in {p.resolve() for p in others if p is not None}:
-        raise ConfigurationError(f"{path}: is another file of this very command; name another one to write")
-    if path.exists() and not replace:
-        raise ConfigurationError(f"{path}: there already; name another file, or replace it with --force")

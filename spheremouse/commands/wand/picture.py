@@ -1,15 +1,14 @@
-"""The picture that colours are picked in, and the one that shows what they select."""
+"""Read the picture in which colours are picked."""
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.files.pictures import FRAME_PIXELS, MOST_BYTES, decoded, read_header
-from spheremouse.files.safe_files import read_bytes, replace
+from spheremouse.files.safe_files import read_bytes
 
 
 def read_picture(path: Path) -> NDArray[np.uint8]:
@@ -27,11 +26,3 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
     if min(image.shape[:2]) < 32:
         raise ConfigurationError(f"{path}: is {image.shape[1]}x{image.shape[0]} px; too small to show a ball")
     return image
-
-
-def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
-    """Whole or not at all."""
-    try:
-        replace(path, cv2.imencode(".png", image)[1].tobytes())
-    except OSError as e:
-        raise ConfigurationError(f"{path}: cannot be written ({e.strerror}); name another with --show") from None

@@ -388,8 +388,8 @@ def test_force_replaces_a_set_and_only_when_the_new_one_is_whole(tmp_path, monke
     ("options", "message"),
     [
         ({"size": "big"}, "--size big: write WIDTHxHEIGHT"),
-        ({"dist": "1,2"}, "--dist 1,2: write five numbers"),
-        ({"dist": "nan,0,0,0,0"}, "--dist .*: write five numbers"),
+        ({"dist": "1,2"}, "--dist 1,2: write 5 numbers"),
+        ({"dist": "nan,0,0,0,0"}, "--dist .*: write 5 numbers"),
         ({"focal": -3.0}, "--focal -3: must be from 10"),
         ({"focal": 9000.0, "photos": 1}, "--focal 9000: no place in the room shows"),
         ({"focal": 9000.0}, "--focal 9000: the board does not fit"),
