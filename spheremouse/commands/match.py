@@ -105,7 +105,7 @@ def _matched(recording: str, plan: "Plan", stamps: Path | None, log: Path) -> "t
     trackball = read_log(log)
     if not trackball.counts.any():
         raise DatasetError(f"{log}: no motion in it; log the mouse that lies under the ball, while the ball moves")
-    run, device = _tracked(recording, plan, stamps)
+    run, device = track_recording(recording, plan, stamps)
     steps = RotationSteps.from_run(run)
     seconds = float((steps.end - steps.begin).sum())
     if seconds < MIN_COMMON_S:
@@ -122,7 +122,7 @@ def _matched(recording: str, plan: "Plan", stamps: Path | None, log: Path) -> "t
     return found, device
 
 
-def _tracked(recording: str, plan: "Plan", stamps: Path | None) -> "tuple[Run, Rig]":
+def track_recording(recording: str, plan: "Plan", stamps: Path | None) -> "tuple[Run, Rig]":
     """Track the recording. If it is cut short, keep the frames before the end."""
     from spheremouse.ball.build import build
     from spheremouse.capture import open_source

@@ -95,7 +95,7 @@ class Played:
         self._t = 0.0
         self.rest()
 
-    def _frame(self, turn, shift):
+    def frame(self, turn, shift):
         self._t += 0.05
         estimate = unknown(self._t)._replace(increment=np.concatenate([turn, shift]), confirmed=True)
         report = SimpleNamespace(counts=(0, 0, 0), estimate=estimate)
@@ -103,14 +103,14 @@ class Played:
 
     def rest(self):
         for _ in range(30):
-            self._frame(np.zeros(3), np.zeros(3))
+            self.frame(np.zeros(3), np.zeros(3))
 
     def make(self, *gestures, of="turn"):
         """A second each, and a rest."""
         for way in gestures:
             for _ in range(20):
                 part = np.array(way, dtype=float) / 20
-                self._frame(*((part, np.zeros(3)) if of == "turn" else (np.zeros(3), part)))
+                self.frame(*((part, np.zeros(3)) if of == "turn" else (np.zeros(3), part)))
             self.rest()
 
 
@@ -135,7 +135,7 @@ def test_a_gesture_that_is_under_way_when_it_is_interrupted_counts_for_nothing()
     played = Played(Configuration())
     played.make(right, away)
     for _ in range(10):
-        played._frame(spin / 10, np.zeros(3))
+        played.frame(spin / 10, np.zeros(3))
     played.stopping.asked = True  # Ctrl-C
     assert played.dialogue.conclusion() == []
     assert played.dialogue.stopped
@@ -146,13 +146,12 @@ def test_what_was_wrong_is_asked_for_again(capsys):
     right, away, spin = by_hand("left")
     played = Played(Configuration())
     for _ in range(2):
-        played.make(right)
-    assert len(played.dialogue._made) == 2  # taken for the second; no seat has it
+        played.make(right)  # the second time taken for the second gesture; no seat has it
     played.make(spin)
     assert "not understood" in capsys.readouterr().out
     assert not played.stopping.asked
     for k in range(20):  # there and most of the way back
-        played._frame(right / 10 if k < 10 else -0.8 * right / 10, np.zeros(3))
+        played.frame(right / 10 if k < 10 else -0.8 * right / 10, np.zeros(3))
     played.rest()
     assert "to and fro" in capsys.readouterr().out
     played.make(right, away, spin)

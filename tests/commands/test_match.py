@@ -46,7 +46,7 @@ def remembered():
 @pytest.fixture(autouse=True)
 def _tracked_once(monkeypatch, remembered):
     """A film is tracked once for all tests."""
-    really = cli_match._tracked
+    really = cli_match.track_recording
 
     def tracked(recording, plan, stamps):
         key = (recording, plan.configuration.pose, stamps)
@@ -54,7 +54,7 @@ def _tracked_once(monkeypatch, remembered):
             remembered[key] = really(recording, plan, stamps)
         return remembered[key]
 
-    monkeypatch.setattr(cli_match, "_tracked", tracked)
+    monkeypatch.setattr(cli_match, "track_recording", tracked)
 
 
 def test_the_scale_is_found_and_written_as_a_configuration(spheremouse, film, log, tmp_path):

@@ -30,7 +30,7 @@ from seats import LOOKS
 from spheremouse import commands as cli
 from spheremouse.commands import ctl as cli_ctl
 from spheremouse.commands import run as cli_run
-from spheremouse.errors import ControlError, SpheremouseError
+from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.geometry.rotation import log
 from spheremouse.output import uinput
@@ -541,15 +541,6 @@ def test_a_recording_replays_to_the_same_counts(cabinet):
     assert replay.wait() == 0, replay.said
     assert f"{ended['frames']} frames" in replay.said
     check("replayed", (told_at_the_end(replay), played[0], played[2]), 1.0)
-
-
-@pytest.mark.slow
-def test_a_snapshot_is_a_picture(cabinet):
-    path = Path(cabinet.told("snapshot", file="now.png")["file"])
-    assert path == cabinet.folder / "recordings" / "now.png"
-    assert path.read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(ControlError, match=r"now\.png"):  # nothing is overwritten
-        cabinet.told("snapshot", file="now.png")
 
 
 # ---- what may happen ----

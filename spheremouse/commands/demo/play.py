@@ -8,7 +8,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import typer
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from spheremouse.ball.build import build
 from spheremouse.ball.rig import Rig
@@ -53,6 +53,7 @@ _NEXT = (
     ("preview", "the picture of your own camera"),
     ("calibrate next", "the steps to your own ball, one after the other"),
 )
+_NO_IMAGE = np.zeros((0, 0), np.uint8)
 _NOISE = 4.0  # grey values: a webcam in a lit room
 
 
@@ -77,16 +78,17 @@ def play(out: Path, seconds: float, seed: int) -> None:
             rig = simulation.scene.rig()
             start = _start(frames, rig, signals)
         tracker = build(rig, start.pose, _SETTINGS)
-        tracked = _watch(replace(start, frames=signals.frames(start.frames)), tracker, out, simulation.fps, console)
-    if not tracked.history.epochs:
+        start = replace(start, frames=signals.frames(start.frames))
+        history, tally = _watch(start, tracker, out, simulation.fps, console)
+    if not history.epochs:
         raise typer.Exit(130)
-    run, truth = tracked.history.run(), film.truth()
+    run, truth = history.run(), film.truth()
     result = report(
         run, film.reference(), rig, dataset="demo", tracker="so3", frames=len(film.filmed), found=start.pose
     )
     _draw_plot(run, truth, out / "plot.png")
     print()
-    Console(file=sys.stdout, highlight=False).print(_summary(result, tracked, truth, tracker))
+    Console(file=sys.stdout, highlight=False).print(_summary(result, tally, history, truth, tracker))
     files = [(str(out / name), meaning) for name, meaning in FILES.items() if (out / name).exists()]
     _print_pairs("files:", files)
     _print_pairs("next:", [(f"{_program()} {words}", meaning) for words, meaning in _NEXT])
@@ -125,7 +127,7 @@ class _Film:
 
     def __iter__(self) -> Iterator[Frame]:
         for simulated in simulate(self._simulation):
-            self.filmed.append(replace(simulated, frame=_without_image(simulated.frame)))
+            self.filmed.append(replace(simulated, frame=replace(simulated.frame, image=_NO_IMAGE)))
             yield simulated.frame
 
     def truth(self) -> Truth:
@@ -144,22 +146,9 @@ class _Film:
         return Reference(self.truth(), discs, scene.pose, scene.disc_directions)
 
 
-@dataclass
-class _Result:
-    """Estimates of the tracker, frame by frame."""
-
-    tally: Tally = field(default_factory=Tally)
-    history: History = field(default_factory=History)
-
-    def add(self, epoch: Epoch, counts: tuple[int, int, int]) -> None:
-        """Add a frame."""
-        self.tally.add(counts, sum(epoch.seconds.values()))
-        self.history.add(epoch)
-
-
-def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Console) -> _Result:
+def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Console) -> tuple[History, Tally]:
     """Track all frames. Show the table, write motion and video, and a picture of the frame with most to see."""
-    tracked = _Result()
+    history, tally = History(), Tally()
     marks = target_marks(tracker.rig, start.pose, start.resection)
     best: tuple[float, Image | None] = (-1.0, None)
     large = Overlay(tracker, marks, scale=2)
@@ -167,7 +156,7 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
     with (
         open_output(f"text:{out / 'motion.txt'}") as motions,
         OverlayFile(out / "overlay.mp4", fps) as video,
-        StatusTable("spheremouse demo", True, tracked.tally, console) as screen,
+        StatusTable("spheremouse demo", True, tally, console) as screen,
     ):
         if start.resection is not None:
             screen.say(messages.standing(start.resection, tracker.rig))
@@ -175,18 +164,19 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
         for epoch in track(start.frames, tracker):
             report = counter.report(epoch.estimate)
             motions.send(report)
-            tracked.add(epoch, report.counts)
+            tally.add(report.counts, sum(epoch.seconds.values()))
+            history.add(epoch)
             if epoch.events:
                 screen.say(f"{epoch.frame.stamp:9.3f} s  {messages.line(epoch.events)}")
             screen.show(epoch)
-            video.add(epoch, lambda: tracked.tally.counts)
+            video.add(epoch, lambda: tally.counts)
             large.remember(epoch.state)
             interest = _interest(epoch)
             if interest > best[0]:
-                best = interest, large.draw(epoch, tracked.tally.counts)
+                best = interest, large.draw(epoch, tally.counts)
     if best[1] is not None:
         write_picture(out / "overlay.png", best[1])
-    return tracked
+    return history, tally
 
 
 def _interest(epoch: Epoch) -> float:
@@ -197,70 +187,48 @@ def _interest(epoch: Epoch) -> float:
 
 def _draw_plot(run: Run, truth: Truth, path: Path) -> None:
     kept = run.tracked
-    if len(kept) == 0:
-        return
-    at = run.frame[kept]
-    plot_run(
-        run.stamp[kept],
-        run.attitude[kept],
-        run.rate[kept],
-        truth.attitude[at],
-        truth.rate[at],
-        run.covariance[kept],
-        path,
-    )
+    if len(kept):
+        true = truth.attitude[run.frame[kept]], truth.rate[run.frame[kept]]
+        plot_run(run.stamp[kept], run.attitude[kept], run.rate[kept], *true, run.covariance[kept], path)
 
 
-def _summary(result: dict[str, Any], tracked: _Result, truth: Truth, tracker: Tracker) -> Table:
+def _summary(result: dict[str, Any], tally: Tally, history: History, truth: Truth, tracker: Tracker) -> Table:
     """Return the comparison with the truth as a table."""
-    times, pose = tracked.tally.times, result["pose_error"]
-    exact = _exact_counts(tracked, truth, tracker)
-    median = 1e3 * times.quantile(0.5)
-    position = float(np.linalg.norm(pose["position_mm"]))
-    angle = float(np.linalg.norm(pose["angle_deg"]))
+    pose, median, lost = result["pose_error"], 1e3 * tally.times.quantile(0.5), result["lost_episodes"]
+    position, angle = (float(np.linalg.norm(pose[key])) for key in ("position_mm", "angle_deg"))
     rows = [
-        ("frames tracked", f"{result['tracked']} of {result['frames']}", _lost(result["lost_episodes"])),
+        (
+            "frames tracked",
+            f"{result['tracked']} of {result['frames']}",
+            f"times lost: {lost}" if lost else "never lost",
+        ),
         ("camera pose", f"{position:.1f} mm, {angle:.3f}°", "from the true one"),
         ("attitude", _number(result["attitude_rmse_deg"]["combined"], "°"), "RMS error, three axes together"),
         ("angular velocity", _number(result["rate_rmse_deg_s"]["combined"], " °/s"), "RMS error of the vector"),
         ("surface speed", _number(result["surface_speed_r"]["combined"], "", 5), "correlation with the true one"),
-        ("counts sent", _triple(tracked.tally.counts), f"exact would be {_triple(exact)}"),
-        ("discs", _number(result["mean_discs"], " per frame", 1), _known_discs(tracked)),
+        ("counts sent", _triple(tally.counts), f"exact would be {_triple(_exact_counts(history, truth, tracker))}"),
+        ("discs", _number(result["mean_discs"], " per frame", 1), _known_discs(history)),
         ("time per frame", f"{median:.1f} ms", f"{1e3 / median:.0f} frames per second on one core"),
     ]
-    table = Table(
-        title="Against truth", title_justify="left", title_style="bold", box=None, padding=(0, 2), pad_edge=True
-    )
+    columns = Column(style="dim"), Column(style="bold", justify="right"), Column(style="dim")
+    table = Table(*columns, title="Against truth", title_justify="left", title_style="bold", box=None, padding=(0, 2))
     table.show_header = False
-    table.add_column(style="dim")
-    table.add_column(style="bold", justify="right")
-    table.add_column(style="dim")
     for row in rows:
         table.add_row(*row)
     return table
 
 
-def _exact_counts(tracked: _Result, truth: Truth, tracker: Tracker) -> tuple[int, int, int]:
+def _exact_counts(history: History, truth: Truth, tracker: Tracker) -> tuple[int, int, int]:
     """Return the integral of the true motion over the tracked frames, in counts."""
-    at = [e.frame.sequence for e in tracked.history.epochs]
+    at = [epoch.frame.sequence for epoch in history.epochs]
     matrix = _SETTINGS.motion.matrix(tracker.rig.radius_m)
-    total = np.zeros(3)
-    for a, b in pairwise(at):
-        total += matrix @ rotation_between(truth.attitude[a], truth.attitude[b])
-    x, y, z = (round(float(v)) for v in total)
+    steps = [matrix @ rotation_between(truth.attitude[a], truth.attitude[b]) for a, b in pairwise(at)]
+    x, y, z = (round(float(v)) for v in np.sum([np.zeros(3), *steps], axis=0))
     return x, y, z
 
 
-def _without_image(frame: Frame) -> Frame:
-    return replace(frame, image=np.zeros((0, 0), np.uint8))
-
-
-def _lost(episodes: int) -> str:
-    return "never lost" if episodes == 0 else f"lost {episodes} time{'s' if episodes > 1 else ''}"
-
-
-def _known_discs(tracked: _Result) -> str:
-    state = tracked.history.epochs[-1].state
+def _known_discs(history: History) -> str:
+    state = history.epochs[-1].state
     masked = len(state.lookalikes.masks)
     known = f"{len(state.filter.discs)} in the map"
     return f"{known}, {masked} object{'s' if masked > 1 else ''} like discs ignored" if masked else known
