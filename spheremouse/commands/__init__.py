@@ -18,7 +18,7 @@ from spheremouse.errors import ConfigurationError, SpheremouseError
 _USERS_ERROR, _OUR_ERROR = 2, 70  # exit codes; 70 is EX_SOFTWARE of sysexits.h
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 _COMMANDS = {
-    # name: module, function or group in it, what its help ends with
+    # name: module, function or group in it, last line of its help
     "run": ("run", "run", "Example: spheremouse run --source dataset:demo/roll --output text:-"),
     "demo": ("demo", "demo", "Example: spheremouse demo --seconds 20 --seed 2"),
     "simulate": (
@@ -46,7 +46,7 @@ _COMMANDS = {
 
 
 class _Commands(UserDict[str, Any]):
-    """The commands by their names. A module is loaded when its command is asked for, since most need no other."""
+    """The commands by their names. Each module is loaded at the first use of its command, which keeps the start fast."""
 
     def __getitem__(self, name: str) -> Any:
         if isinstance(self.data[name], tuple):
@@ -106,15 +106,15 @@ def spheremouse(
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an internal error.")] = False,
 ) -> None:
     """Watch a ball with a camera, measure how it turns, and be the mouse."""
-    global _debug  # noqa: PLW0603  read by `main` when everything else has been unwound
+    global _debug  # noqa: PLW0603  `main` reads it after the command
     _debug = debug
 
 
 def main() -> NoReturn:
-    """The entry point: runs a command and turns what it raises into a message and an exit code."""
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # what FFmpeg has to say of a file, our own errors say
+    """Run a command, and turn an exception into a message and an exit code. This is the entry point."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # our own errors name the problems of a file
     for number in (signal.SIGTERM, signal.SIGHUP) if hasattr(signal, "SIGHUP") else (signal.SIGTERM,):
-        signal.signal(number, lambda n, _: sys.exit(128 + n))  # unwinds, so that nothing is left half
+        signal.signal(number, lambda n, _: sys.exit(128 + n))  # unwinds, so no file is left half written
     try:
         with threadpool_limits(1):  # our matrices are small: threads of the linear algebra only wait for each other
             app(prog_name="spheremouse")
@@ -124,7 +124,7 @@ def main() -> NoReturn:
     except KeyboardInterrupt:
         terminal.error("interrupted")
         sys.exit(128 + signal.SIGINT)
-    except BrokenPipeError:  # whoever read us has gone
+    except BrokenPipeError:  # the reader of our output has gone
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115  until the end
         sys.exit(1)
     except Exception as e:

@@ -1,7 +1,7 @@
-"""Options from the fields of a dataclass, and what a person types as one word: sizes, lenses, lists of numbers.
+"""Make command-line options from the fields of a dataclass, and parse sizes, lenses and lists of numbers.
 
-A field is declared with `settings.param`: its meaning is the option's help, its unit the metavar. The unit of a word
-is how it is written, WxH or X,Y,Z.
+A field is declared with `settings.param`: its meaning is the option's help, its unit the metavar. The unit of a size
+or a list is its form, WxH or X,Y,Z.
 """
 
 import inspect
@@ -23,9 +23,9 @@ Command = Callable[..., None]
 
 
 def with_fields(**names: tuple[str, ...]) -> Callable[[Command], Command]:
-    """Decorator of a command: each field of the dataclass that its keyword `options` takes is an option in its place.
+    """Decorate a command: replace its keyword `options` by one option for each field of the dataclass that it takes.
 
-    `names`: of options that are called otherwise than their fields.
+    `names` has the names of options that differ from their fields.
     """
 
     def decorate(command: Command) -> Command:
@@ -53,7 +53,7 @@ def _option(field: "Field[Any]", names: tuple[str, ...]) -> inspect.Parameter:
     metavar: str | None = unit.upper()
     if _is_word(unit):
         annotation, default, metavar, bounds = str | None, _word(unit, default), unit, {}
-    elif unit.startswith("["):  # refused by who takes it, in words of its own
+    elif unit.startswith("["):  # the dataclass checks it
         annotation, metavar = str, unit
     elif unit == "-":
         kinds = (annotation, *get_args(annotation))
@@ -75,7 +75,7 @@ def _is_word(unit: str) -> bool:
 
 
 def _word(unit: str, value: Any) -> str | None:
-    """A value as it is typed."""
+    """Return a value as it is typed."""
     return None if value is None else ("x" if unit == "WxH" else ",").join(f"{part:g}" for part in value)
 
 
@@ -93,7 +93,7 @@ def _value(field: "Field[Any]", typed: Any) -> Any:
 
 
 def parse_size(text: str, least: int, example: str) -> tuple[int, int]:
-    """Width and height in px of `640x480`; ConfigurationError where a side is below `least`."""
+    """Return width and height in px of `640x480`; ConfigurationError if a side is below `least`."""
     from spheremouse.files.pictures import FRAME_PIXELS
 
     width, _, height = text.lower().partition("x")

@@ -1,4 +1,4 @@
-"""`spheremouse simulate`: a dataset with exact truth from our own renderer."""
+"""`spheremouse simulate`: render a dataset with exact truth."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -20,8 +20,8 @@ def simulate(
 ) -> None:
     """Film a simulated ball: a dataset with exact truth.
 
-    Ray-cast and anti-aliased: discs as true spherical caps, shading, highlights, struts, bolts that look like discs,
-    ring targets. 300 frames take seconds. Nothing is written unless all of it is.
+    The renderer casts rays and has discs as true spherical caps, shading, highlights, struts, bolts that look like
+    discs, and ring targets. 300 frames take seconds. The folder appears when it is complete.
     """
     from spheremouse.simulate.ball.film import prepare
     from spheremouse.simulate.to_dataset import write_simulation
@@ -36,7 +36,7 @@ def simulate(
 
 
 def written(folder: Path, frames: int, steps: Iterable[int]) -> float:
-    """Megabytes in a film's folder, once it is written in `steps`, which count its frames."""
+    """Write a film's folder in `steps`, which count its frames, and return its size in megabytes."""
     with progress_bar() as bar:
         task = bar.add_task(f"filming {folder}", total=frames)
         for done in steps:

@@ -1,4 +1,4 @@
-"""`spheremouse axes`: three gestures tell where the player stands, and the pointer goes where the hand goes."""
+"""`spheremouse axes`: find the player's place from three gestures, so that the pointer goes where the hand goes."""
 
 import os
 from contextlib import nullcontext
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def axes(
     config: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="What is understood is saved into it, comments kept; made if missing."),
+        typer.Option(metavar="FILE", help="Save the result into it and keep its comments; made if missing."),
     ] = None,
     source: Annotated[
         str | None,
@@ -37,12 +37,12 @@ def axes(
     assignments: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter of the configuration.")
     ] = None,
-    dry: Annotated[bool, typer.Option("--dry-run", help="Say what is understood, and save nothing.")] = False,
+    dry: Annotated[bool, typer.Option("--dry-run", help="Print the result, and save nothing.")] = False,
 ) -> None:
-    """Say by three gestures which way the pointer shall go.
+    """Set the pointer's directions by three gestures.
 
-    Roll the ball to the right, roll it away from you, spin it; each time one way, and let it rest. Then the pointer
-    goes right and up with your hand. With a recording, the gestures are looked for in it.
+    Roll the ball to the right, roll it away from you, and spin it. Move one way each time, and let it rest. Then the
+    pointer goes right and up with your hand. With a recording, the command searches the gestures in it.
     """
     from spheremouse.capture.nodes import default_camera
     from spheremouse.capture.signals import SignalHandler
@@ -109,7 +109,7 @@ def _told(plan: "Plan", request: "Request", config: Path) -> dict[tuple[str, ...
 
 
 def _keep(config: Path | None, values: dict[tuple[str, ...], Any], dry: bool) -> None:
-    """Write settings into the configuration, or say where they belong."""
+    """Write settings into the configuration, or print where they belong."""
     from spheremouse.files.edit import save_settings
     from spheremouse.session.settings import Configuration
 

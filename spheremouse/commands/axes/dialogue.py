@@ -16,7 +16,7 @@ from spheremouse.session.follower import FrameResult, TrackerAdapter
 from spheremouse.session.screen import Tally
 from spheremouse.session.settings import Configuration
 
-_SHIFT = 0.4  # m of a hand that are taken for a radian: a forearm does the one with as much ease as a wrist the other
+_SHIFT = 0.4  # m of a hand that count as a radian: a forearm moves so far as easily as a wrist turns by that
 _ON_TOP = "push the top of the ball, not its front or its underside, each time one way"
 _MIRRORED = "no player's right, away and counter-clockwise go together so"
 
@@ -27,18 +27,18 @@ class Asked:
 
     gestures: tuple[str, str, str]
     section: tuple[str, ...]
-    choices: tuple[tuple[str, Any, str], ...]  # a setting, its value, and of whom it is
+    choices: tuple[tuple[str, Any, str], ...]  # a setting, its value, and the player that it fits
     directions: tuple[Directions, ...]  # of each
     unit: float  # rad or m
 
     @property
     def ways(self) -> list[Array]:
-        """The gestures of each choice, (3, 3) unit vectors: along, against and along its directions."""
+        """Unit vectors (3, 3) of the gestures of each choice: along, against and along its directions."""
         return [np.array([[1.0], [-1.0], [1.0]]) * choice.axes for choice in self.directions]
 
 
 def asked_of(configuration: Configuration) -> Asked:
-    """The gestures of a ball in its frame, or in a hand."""
+    """Return the gestures of a ball in its frame, or in a hand."""
     if configuration.tracker == "wand":
         pointing, turns = configuration.wand.pointing, configuration.wand.pointing.by == "turn"
         turn = ("point the ball to the right", "point it up", "turn it clockwise, as you see it")
@@ -70,10 +70,10 @@ def asked_of(configuration: Configuration) -> Asked:
 
 
 class Dialogue:
-    """Asks for one gesture after the other, and says what it has understood: what shows a run to a person."""
+    """Asks for one gesture after the other, and prints the result. It is the view of a run."""
 
     def __init__(self, configuration: Configuration, stopping: SignalHandler, live: bool) -> None:
-        """`stopping` is asked as soon as all is understood."""
+        """Prepare; the dialogue ends the run through `stopping` as soon as it has a result."""
         self.tally, self._stopping, self._live = Tally(), stopping, live
         self._configuration, self._asked = configuration, asked_of(configuration)
         self._detector = GestureDetector(self._asked.unit)
@@ -83,15 +83,15 @@ class Dialogue:
 
     @property
     def stopped(self) -> bool:
-        """By a signal, before all was understood."""
+        """True if a signal ended it before it had a result."""
         return self._stopping.asked and self.found is None
 
     def say(self, text: str) -> None:
-        """Lines of the run."""
+        """Print lines of the run."""
         print(text, file=sys.stderr, flush=True)
 
     def show(self, made: FrameResult, follower: TrackerAdapter) -> None:
-        """Look at the motion of a frame."""
+        """Take the motion of a frame."""
         self.tally.add(made.report.counts, sum(made.seconds.values()))
         estimate = made.report.estimate
         if not estimate.confirmed or self.found is not None:
@@ -103,7 +103,7 @@ class Dialogue:
         self._take(self._detector.add(estimate.stamp, way))
 
     def conclusion(self) -> list[tuple[str, Any, Any]]:
-        """Settings by name, with their values and those before. Raises CalibrationError where too little was shown."""
+        """Return settings by name, with their new and old values. Raises CalibrationError if gestures are missing."""
         if self.stopped:
             return []
         self._take(self._detector.finish())  # a recording may end without a rest

@@ -1,4 +1,4 @@
-"""`spheremouse ctl`: ask the running daemon how it is, and tell it what to do.
+"""`spheremouse ctl`: show the state of the running daemon, and send it requests.
 
 Exit codes: 0 done, 1 the daemon refuses (its reason is on standard error), 2 wrong usage, 3 no daemon that answers.
 """
@@ -15,7 +15,7 @@ import typer
 from spheremouse.commands import terminal
 from spheremouse.errors import ControlError, printable
 
-app = typer.Typer(no_args_is_help=True, help="Ask the running daemon how it is, and tell it what to do.")
+app = typer.Typer(no_args_is_help=True, help="Show the state of the running daemon, and send it requests.")
 
 REFUSED, NO_DAEMON = 1, 3
 
@@ -141,7 +141,7 @@ def _write(file: Path, changes: list[str]) -> dict[str, Any]:
 
 
 def _file_of(status: dict[str, Any], keys: list[str]) -> Path:
-    """The configuration file of a daemon; ends with the reason where keys that stand there would not hold."""
+    """Return a daemon's configuration file. End with the reason if its command line overrides one of the keys."""
     file, given = status.get("config"), status.get("given") or ()
     if file is None or not Path(file).is_file():
         _fail(ControlError("the daemon has no configuration file; start it with --config FILE to have one"))
@@ -188,11 +188,13 @@ def snapshot(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME.png]", help="Of the picture, below the daemon's recordings; no path.")
     ] = None,
-    everything: Annotated[bool, typer.Option("--everything", help="The whole picture, with whoever is in it.")] = False,
+    everything: Annotated[
+        bool, typer.Option("--everything", help="Keep the whole picture, with all people in it.")
+    ] = False,
     as_json: _Json = False,
     socket: _Socket = None,
 ) -> None:
-    """Write the present picture to a file, with what is made of it; while targets are sought, why others are none."""
+    """Write the present picture to a file, with the results; while targets are searched, with the rejected ones."""
     _report(_ask(socket, "snapshot", file=name, everything=everything or None), as_json, "written", "file")
 
 
@@ -202,7 +204,7 @@ def watch(
     as_json: _Json = False,
     socket: _Socket = None,
 ) -> None:
-    """Print a line of status every second, and what the daemon logs, until Ctrl-C."""
+    """Print a line of status every second, and the lines of the daemon's log, until Ctrl-C."""
     from rich.console import Console
 
     from spheremouse.commands.ctl.words import event_line
@@ -219,7 +221,7 @@ def watch(
 
 @app.command()
 def stop(as_json: _Json = False, socket: _Socket = None) -> None:
-    """End the daemon; a service that systemd keeps is better stopped with systemctl."""
+    """End the daemon. Stop a service with systemctl instead."""
     _report(_ask(socket, "stop"), as_json, "the daemon ends")
 
 
@@ -232,7 +234,7 @@ def _ask(socket: Path | None, command: str, **arguments: Any) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _failing() -> Iterator[None]:
-    """A ControlError as its line and its exit code."""
+    """End with line and exit code of a ControlError."""
     try:
         yield
     except ControlError as e:
@@ -247,7 +249,7 @@ def _fail(error: ControlError) -> NoReturn:
 
 
 def _report(reply: dict[str, Any], as_json: bool, words: str, place: str | None = None) -> None:
-    """The daemon's own words, else ours; then what it wrote."""
+    """Print the daemon's message, else our words with the path that it wrote."""
     if as_json:
         _print_json(reply)
         return

@@ -1,4 +1,4 @@
-"""Status for people: a table, and one line for each event."""
+"""Format the status: a table, and one line for each event."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ _WIDEST = 2 + max(map(len, _COLOURS))
 
 
 def status_table(s: dict[str, Any]) -> Panel:
-    """A status as a short table."""
+    """Return a status as a short table."""
     rows = Table.grid(padding=(0, 2))
     rows.add_column(style="dim", min_width=8)
     rows.add_column(overflow="fold")
@@ -53,7 +53,7 @@ def status_table(s: dict[str, Any]) -> Panel:
 
 
 def event_line(event: dict[str, Any], clock: str) -> Text:
-    """An event of `watch` on one line."""
+    """Return an event of `watch` in one line."""
     if event.get("event") != "status":
         return Text.assemble((clock, "dim"), "  ", _text(event.get("text", "")))
     latency = event.get("latency_ms") or {}
@@ -104,7 +104,7 @@ def _motion(s: dict[str, Any]) -> Text:
 
 
 def _ball(ball: dict[str, Any]) -> Text:
-    """A ball in a hand: where it is, and how sure that is."""
+    """Return place and attitude of a ball in a hand, with standard deviations."""
     words = f"{ball.get('name', '')} {ball.get('state', '')}"
     place, angles, sigma, turned = (ball.get(k) for k in ("position_m", "angles_deg", "sigma_mm", "sigma_deg"))
     if place and angles and sigma and turned:
@@ -145,7 +145,7 @@ def _recording(r: dict[str, Any]) -> Text:
 
 
 def _span(seconds: Any) -> str:
-    """A time as people say it."""
+    """Return a time in a convenient unit."""
     if not isinstance(seconds, int | float):
         return "-"
     for size, limit, unit in ((1.0, 120.0, "s"), (60.0, 120.0, "min"), (3600.0, 48.0, "h")):

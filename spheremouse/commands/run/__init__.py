@@ -1,4 +1,4 @@
-"""`spheremouse run`: frames from a source, tracked, motion to an output; the one visible loop of the program."""
+"""`spheremouse run`: track the frames of a source and send the motion to an output."""
 
 import json
 import sys
@@ -23,7 +23,7 @@ def run(
         str | None,
         typer.Option(
             metavar="KIND:ARG",
-            help="Where frames come from: v4l2:DEVICE or opencv:INDEX (cameras), video:PATH, dataset:DIR or "
+            help="Source of the frames: v4l2:DEVICE or opencv:INDEX (cameras), video:PATH, dataset:DIR or "
             "synthetic[:KEY=VALUE,...].  [default: `source` of the configuration]",
         ),
     ] = None,
@@ -31,7 +31,7 @@ def run(
         list[str] | None,
         typer.Option(
             metavar="KIND:ARG",
-            help="Where motion goes: auto, uinput, serial:auto, serial:PORT, desktop, text:-, text:FILE or null.  "
+            help="Target of the motion: auto, uinput, serial:auto, serial:PORT, desktop, text:-, text:FILE or null.  "
             "[default: `output` of the configuration]",
         ),
     ] = None,
@@ -58,7 +58,7 @@ def run(
         typer.Option(
             "--map",
             metavar="FILE",
-            help="Where the map of the discs is kept from run to run. [default: beside the rig file, rig.map.yaml "
+            help="File of the map of the discs, kept from run to run. [default: beside the rig file, rig.map.yaml "
             "for rig.yaml; none for sources that bring their own rig]",
         ),
     ] = None,
@@ -68,28 +68,26 @@ def run(
         typer.Option("--set", metavar="KEY=VALUE", help="One parameter of the configuration; may be repeated."),
     ] = None,
     realtime: Annotated[
-        bool, typer.Option("--realtime", help="Hold recordings and the simulation to their stamps.")
+        bool, typer.Option("--realtime", help="Play recordings and the simulation at the pace of their stamps.")
     ] = False,
     table: Annotated[
         bool | None,
         typer.Option(
             "--table/--no-table",
-            help="A live table on standard error, or a line per second where that is no terminal. "
-            "[default: where standard error is a terminal that the output does not share]",
+            help="Show a live table on standard error, or a line per second if that is no terminal. "
+            "[default: if standard error is a terminal to which no output writes]",
         ),
     ] = None,
     overlay: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="What the tracker sees: a video of all frames (.mkv, .mp4, .avi) "
-            "or a picture of the last one (.png, .jpg). An earlier one is replaced.",
+            help="Draw the results into a video of all frames (.mkv, .mp4, .avi) or into a picture of the last one "
+            "(.png, .jpg). An earlier file is replaced.",
         ),
     ] = None,
     frames: Annotated[int | None, typer.Option(metavar="N", min=1, help="Stop after N tracked frames.")] = None,
-    verbose: Annotated[
-        bool, typer.Option("--verbose", help="Also say how the errors of the camera's pose are correlated.")
-    ] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Also print the correlations of the camera pose.")] = False,
     balls: Annotated[
         list[Path] | None,
         typer.Option(
@@ -100,23 +98,21 @@ def run(
     ] = None,
     axes: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE|-", help="Wand: the six axes as text besides the pointer; --output text: has them anyway."
-        ),
+        typer.Option(metavar="FILE|-", help="Wand: also write the six axes as text; --output text: has them anyway."),
     ] = None,
 ) -> None:
     """Track the ball and send its motion.
 
-    First the camera's pose is found from the ring targets, unless the rig knows it; then every frame is tracked.
-    With a rig file, what is learnt of the ball's discs is saved beside it: the next run knows the attitude from its
-    first frame.
+    First the program finds the camera's pose from the ring targets, unless the rig contains it. Then it tracks every
+    frame. With a rig file it saves the map of the discs beside it, so the next run knows the attitude from its first
+    frame.
 
-    With a camera, or --realtime, this is the service: nothing that becomes of camera or output ends it, the pointer
-    moves at a steady rate between frames, and `spheremouse ctl` asks and tells it. Other recordings are tracked frame
-    by frame, as fast as it goes. What changes goes to standard error. Ctrl-C ends the run.
+    With a camera, or with --realtime, it runs as a daemon: it survives failures of camera and output, moves the
+    pointer at a steady rate between frames, and takes the requests of `spheremouse ctl`. It tracks other recordings
+    frame by frame as fast as possible. It logs changes on standard error. Ctrl-C ends the run.
 
-    A ball in a hand is tracked with --tracker wand: it needs a camera file and no rig, moves the pointer as the ball
-    turns, and writes position and attitude as text.
+    --tracker wand tracks a ball in a hand. It needs a camera file and no rig, moves the pointer as the ball turns, and
+    writes position and attitude as text.
     """
     from spheremouse.session.plan import Request, check_kinds, read_plan
 
@@ -173,7 +169,7 @@ def _run(
             shown = view(plan, table, overlay, None if setup.source is None else setup.source.fps, stack, verbose)
             try:
                 failure, words = (serve if live else follow)(request, plan, setup, stopping, shown, frames)
-            except SpheremouseError as e:  # before there was anything to follow
+            except SpheremouseError as e:  # before the first frame
                 failure = e
         if shown.overlay is not None and shown.overlay.written:
             print(f"overlay: {overlay}", file=sys.stderr)
@@ -186,7 +182,7 @@ def _run(
 
 
 def _refuse_loss(overlay: Path, plan: "Plan", given: tuple[Path | None, ...]) -> None:
-    """ConfigurationError where the overlay would replace what the run reads, or writes besides."""
+    """Raise ConfigurationError if the overlay would replace another file that the run reads or writes."""
     _, _, source = plan.source.partition(":")
     kind, _, output = plan.output.partition(":")
     others = [path for path in (*given, plan.rig_path, plan.camera_path, plan.map_path) if path is not None]
@@ -201,7 +197,7 @@ def _refuse_loss(overlay: Path, plan: "Plan", given: tuple[Path | None, ...]) ->
 def serve(
     request: "Request", plan: "Plan", setup: "Setup", stopping: "SignalHandler", view: "Counting", frames: int | None
 ) -> tuple[SpheremouseError | None, tuple[str, ...]]:
-    """As a service: frames are taken when they come, and a device that fails is waited for."""
+    """Run as a daemon: take frames when they come, and wait for a device that fails. Return error and last words."""
     from spheremouse.session.cameras import opener, refuse_if_taken
     from spheremouse.session.service import Daemon
 
@@ -235,14 +231,14 @@ def serve(
 def follow(
     request: "Request", plan: "Plan", setup: "Setup", stopping: "SignalHandler", view: "Counting", frames: int | None
 ) -> tuple[SpheremouseError | None, tuple[str, ...]]:
-    """A recording: every frame, one after the other."""
+    """Track every frame of a recording, one after the other. Return error and last words."""
     from spheremouse.output.third_axis import left_out
     from spheremouse.session import offline
     from spheremouse.session.follower import here
 
     assert setup.source is not None
     failure: SpheremouseError | None = None
-    with ExitStack() as stack:  # readers of the outputs may go away: a quiet end
+    with ExitStack() as stack:  # also closed if the reader of an output has gone
         source = stack.enter_context(setup.source)
         follower = setup.follower(plan, view.say, here)
         stack.callback(follower.close)
@@ -255,7 +251,7 @@ def follow(
             offline.follow(stopping.frames(tracked), follower, sinks, view)
             failure = None if stopping.asked else follower.failure("")
         except PoseError as e:
-            failure = None if stopping.asked else e  # asked to stop: no frame came any more
+            failure = None if stopping.asked else e  # a signal ended the frames
         except SpheremouseError as e:
             failure = e
     view.tally.left_out = {"before anything could be tracked": follower.untracked}

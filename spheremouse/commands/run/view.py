@@ -19,34 +19,34 @@ from spheremouse.wand.state import WandTracker
 
 
 class Counting(offline.View, Protocol):
-    """Shows tracked frames, and knows what they come to."""
+    """Shows tracked frames, and counts them."""
 
     tally: Tally
 
 
 class View(Counting, Protocol):
-    """With an overlay, where one is wanted."""
+    """Also has the overlay, if there is one."""
 
     overlay: OverlayFile | None
 
 
 class BallView:
-    """The ball in its frame."""
+    """Shows the ball in its frame."""
 
     def __init__(
         self, plan: Plan, wanted: bool, overlay: OverlayFile | None, stack: ExitStack, verbose: bool = False
     ) -> None:
-        """`wanted` shows a table, which `stack` closes. `verbose` prints all details of the pose."""
+        """Show a table if it is `wanted`; `stack` closes it. `verbose` prints all details of the pose."""
         self.tally, self._verbose = Tally(), verbose
         self._screen = stack.enter_context(StatusTable(plan.source, wanted, self.tally))
         self.overlay = overlay
 
     def say(self, text: str) -> None:
-        """One or more lines, which stay."""
+        """Print one or more lines above the table."""
         self._screen.say(text)
 
     def show(self, made: FrameResult, follower: TrackerAdapter) -> None:
-        """Table and overlay."""
+        """Add a frame to table and overlay."""
         self.tally.add(made.report.counts, sum(made.seconds.values()))
         if self._verbose and self.tally.frames == 1 and isinstance(follower, BallFollower) and follower.resection:
             self.say(describe(follower.resection, follower.rig))
@@ -61,23 +61,23 @@ class BallView:
 
 
 class WandView:
-    """Balls in a hand."""
+    """Shows balls in a hand."""
 
     def __init__(
         self, plan: Plan, wanted: bool, overlay: OverlayFile | None, stack: ExitStack, verbose: bool = False
     ) -> None:
-        """`wanted`: lines; they are left with the `stack`."""
+        """Show lines if they are `wanted`; `stack` closes them."""
         self.tally = Tally()
         self._screen = stack.enter_context(WandStatusTable(wanted, self.tally))
         self.overlay = overlay
         self._pen: tuple[WandTracker, WandOverlay] | None = None
 
     def say(self, text: str) -> None:
-        """One or more lines, which stay."""
+        """Print one or more lines above the table."""
         self._screen.say(text)
 
     def show(self, made: FrameResult, follower: TrackerAdapter) -> None:
-        """Line and overlay."""
+        """Add a frame to lines and overlay."""
         self.tally.add(made.report.counts, sum(made.seconds.values()))
         self._screen.show(made.frame.stamp, made.epoch.poses)
         if self.overlay is not None:

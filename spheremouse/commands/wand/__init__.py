@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="A hand-held ball: film it, or pick the bounds of its colours.")
 
-_OVERLAY = ".colours.png"  # how pictures end that only `wand colours` makes: they may be replaced
+_OVERLAY = ".colours.png"  # end of the names of pictures that only `wand colours` makes: they may be replaced
 
 
 @app.command(epilog="Example: spheremouse wand simulate demo/drive --seed 1")
@@ -32,8 +32,8 @@ def simulate(
 ) -> None:
     """Film a simulated wand: a dataset with exact truth.
 
-    Ray-cast and anti-aliased: discs as true spherical caps, shading, highlights, robot or hand, a room that changes
-    with the seed. Nothing is written unless all of it is.
+    The renderer casts rays and has discs as true spherical caps, shading, highlights, a robot or a hand, and a room
+    that changes with the seed. The folder appears when it is complete.
     """
     from spheremouse.files.wand import load_wand
     from spheremouse.simulate.to_dataset import write_wand
@@ -52,14 +52,15 @@ def simulate(
 @app.command(epilog="Example: spheremouse wand colours photo.png --out wand.yaml")
 def colours(
     picture: Annotated[
-        Path, typer.Argument(metavar="PICTURE", show_default=False, help="With the ball in it; or a wand's dataset.")
+        Path,
+        typer.Argument(metavar="PICTURE", show_default=False, help="Picture with the ball in it, or a wand's dataset."),
     ],
     wand: Annotated[
         Path | None, typer.Option("--ball", metavar="FILE", help="The ball's wand file.  [default: Grzonka's ball]")
     ] = None,
     at: Annotated[
         str | None,
-        typer.Option(metavar="U,V,RADIUS", help="Where the ball is, px.  [default: it is looked for]"),
+        typer.Option(metavar="U,V,RADIUS", help="Place of the ball, px.  [default: the command searches it]"),
     ] = None,
     check: Annotated[
         bool, typer.Option("--check", help="Show what the bounds of --ball select; pick no others.")
@@ -69,11 +70,13 @@ def colours(
     ] = None,
     show: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.png", help="What they select.  [default: PICTURE.colours.png, which is replaced]"),
+        typer.Option(
+            metavar="FILE.png", help="Picture of the selection.  [default: PICTURE.colours.png, which is replaced]"
+        ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
 ) -> None:
-    """Pick the bounds that select a ball's colours, and show what they select.
+    """Pick the bounds that select a ball's colours, and draw their selection.
 
     Hold the ball so that discs of every colour face the camera, in the light it will be used in.
     """
@@ -118,7 +121,7 @@ def _shown_at(picture: Path, given: Path | None) -> Path:
 
 
 def _print(picked: "PickedBounds", narrower: bool) -> None:
-    """Print the ball's place, its bounds and their selection; `narrower`: the bounds can be the cause, too."""
+    """Print the ball's place, its bounds and their selection; with `narrower`, advise also to narrow the bounds."""
     c = picked.circle
     print(f"the ball is at {c.u:.0f}, {c.v:.0f}, radius {c.radius:.0f} px (not so? say it with --at U,V,RADIUS)")
     for name, colour in picked.colours.items():

@@ -12,7 +12,7 @@ from spheremouse.files.safe_files import read_bytes
 
 
 def read_picture(path: Path) -> NDArray[np.uint8]:
-    """A picture, (h, w, 3) BGR, or the first frame of a wand's dataset."""
+    """Return a picture, (h, w, 3) BGR, or the first frame of a wand's dataset."""
     if path.is_dir():
         return next(read_wand_frames(open_wand(path))).image
     if not path.exists():
