@@ -46,7 +46,7 @@ _COMMANDS = {
 
 
 class _Commands(UserDict[str, Any]):
-    """The commands by their names. Each module is loaded at the first use of its command, which keeps the start fast."""
+    """The commands by their names. Each module is loaded at the first use of its command."""
 
     def __getitem__(self, name: str) -> Any:
         if isinstance(self.data[name], tuple):
