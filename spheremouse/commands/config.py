@@ -5,6 +5,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
+from spheremouse.commands.options import Assignments, ConfigFile
 from spheremouse.errors import ConfigurationError, SpheremouseError
 
 app = typer.Typer(no_args_is_help=True, help="Show, check or write a configuration file.")
@@ -19,8 +20,8 @@ def root() -> type[Any]:
 
 @app.command()
 def show(
-    file: Annotated[Path | None, typer.Option("--config", metavar="FILE", help="Configuration file.")] = None,
-    assignments: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter.")] = None,
+    file: ConfigFile = None,
+    assignments: Assignments = None,
 ) -> None:
     """Print the settings in force, with the default of each one that differs from it."""
     from spheremouse.files import config

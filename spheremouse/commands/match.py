@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from spheremouse.commands.options import Assignments, CameraFile, ConfigFile, JsonFile, RigFile
 from spheremouse.errors import ConfigurationError, DatasetError, PoseError, SourceError
 
 if TYPE_CHECKING:
@@ -36,16 +37,14 @@ def match(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     tracker: Annotated[Literal["so3", "ekf1", "ekf2"] | None, typer.Option(help="Filter.")] = None,
-    config: Annotated[Path | None, typer.Option(metavar="FILE", help="Configuration file.")] = None,
-    rig: Annotated[Path | None, typer.Option(metavar="FILE", help="The device, in place of the recording's.")] = None,
-    camera: Annotated[Path | None, typer.Option(metavar="FILE", help="Interior orientation.")] = None,
+    config: ConfigFile = None,
+    rig: RigFile = None,
+    camera: CameraFile = None,
     stamps: Annotated[
         Path | None, typer.Option(metavar="FILE.csv", help="Times of a video's frames: columns frame, t (s).")
     ] = None,
-    assignments: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter.")] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints.")
-    ] = None,
+    assignments: Assignments = None,
+    json_file: JsonFile = None,
 ) -> None:
     """Estimate scale, axes and lag of a trackball from its log and a recording of the ball on it.
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import Field, fields
 from functools import wraps
 from math import inf, isfinite
+from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import typer
@@ -20,6 +21,31 @@ _LARGEST = 8192  # px, a side
 _LENS = "k1,k2,p1,p2,k3"  # of at most 2: no lens bends more
 
 Command = Callable[..., None]
+
+# ---- options that several commands have ----
+
+Assignments = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="One parameter of the configuration; may be repeated."),
+]
+Balls = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--ball", metavar="FILE", help="Wand: a ball's wand file; may be repeated.  [default: the recording's own]"
+    ),
+]
+CameraFile = Annotated[
+    Path | None, typer.Option("--camera", metavar="FILE", help="Interior orientation, in place of the rig's.")
+]
+ConfigFile = Annotated[
+    Path | None, typer.Option("--config", metavar="FILE", help="Configuration file; see `spheremouse config`.")
+]
+JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints them.")]
+RigFile = Annotated[
+    Path | None, typer.Option("--rig", metavar="FILE", help="The device as calibrated, in place of the recording's.")
+]
+
+# ---- options from the fields of a dataclass ----
 
 
 def with_fields(**names: tuple[str, ...]) -> Callable[[Command], Command]:

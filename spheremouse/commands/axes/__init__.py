@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from spheremouse.commands.options import Assignments, Balls, CameraFile, RigFile
 from spheremouse.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -24,19 +25,13 @@ def axes(
             metavar="KIND:ARG", help="Camera or recording, as of `run`.  [default: `source` of the configuration]"
         ),
     ] = None,
-    rig: Annotated[Path | None, typer.Option(metavar="FILE", help="The device as calibrated.")] = None,
-    camera: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Interior orientation, in place of the rig's.")
-    ] = None,
+    rig: RigFile = None,
+    camera: CameraFile = None,
     tracker: Annotated[
         Literal["so3", "wand"] | None, typer.Option(help="A ball in its frame, or in a hand.  [default: as configured]")
     ] = None,
-    balls: Annotated[
-        list[Path] | None, typer.Option("--ball", metavar="FILE", help="Wand: a ball's wand file.")
-    ] = None,
-    assignments: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter of the configuration.")
-    ] = None,
+    balls: Balls = None,
+    assignments: Assignments = None,
     dry: Annotated[bool, typer.Option("--dry-run", help="Print the result, and save nothing.")] = False,
 ) -> None:
     """Set the pointer's directions by three gestures.

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from spheremouse.commands.options import JsonFile
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError
 
@@ -25,9 +26,7 @@ def bench(
         int, typer.Option(metavar="N", min=0, help="Then run the tracker alone for N steps in a row. 0: none.")
     ] = _STEPS,
     no_sizes: Annotated[bool, typer.Option("--no-sizes", help="Do not measure larger pictures.")] = False,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints.")
-    ] = None,
+    json_file: JsonFile = None,
 ) -> None:
     """Measure the time per frame on one thread: beside two blob detectors, for many steps, and in larger pictures.
 

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from spheremouse.commands.options import Balls, CameraFile, RigFile
+
 
 def doctor(
     config: Annotated[
@@ -21,17 +23,12 @@ def doctor(
     output: Annotated[
         str | None, typer.Option(metavar="KIND:ARG", help="As of run.  [default: as configured, else auto]")
     ] = None,
-    rig: Annotated[Path | None, typer.Option(metavar="FILE", help="The device as calibrated.")] = None,
-    camera: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Interior orientation in place of the rig's.")
-    ] = None,
+    rig: RigFile = None,
+    camera: CameraFile = None,
     tracker: Annotated[
         str | None, typer.Option(metavar="so3|ekf1|ekf2|wand", help="As of run; wand looks for balls in a hand.")
     ] = None,
-    balls: Annotated[
-        list[Path] | None,
-        typer.Option("--ball", metavar="FILE", help="As of run, with --tracker wand; may be repeated."),
-    ] = None,
+    balls: Balls = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="As JSON for a bug report: without names, home folder, serial numbers.")
     ] = False,

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from spheremouse.commands.options import Assignments, Balls, CameraFile, JsonFile, RigFile
 from spheremouse.commands.terminal import table_console
 from spheremouse.errors import ConfigurationError
 
@@ -40,28 +41,23 @@ def evaluate(
     pose: Annotated[
         str, typer.Option(metavar="own|known", help="Camera pose: found from the images, or the true one.")
     ] = "own",
-    assignments: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter.")] = None,
+    assignments: Assignments = None,
     config_file: Annotated[
         Path | None,
         typer.Option("--config", metavar="FILE", help="Configuration file; its source, output and files do not count."),
     ] = None,
-    rig_file: Annotated[Path | None, typer.Option("--rig", metavar="FILE", help="In place of the dataset's.")] = None,
-    camera_file: Annotated[Path | None, typer.Option("--camera", metavar="FILE", help="Interior orientation.")] = None,
+    rig_file: RigFile = None,
+    camera_file: CameraFile = None,
     map_file: Annotated[
         Path | None, typer.Option("--map", metavar="FILE", help="Begin with a saved map of discs; it is not changed.")
     ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints.")
-    ] = None,
+    json_file: JsonFile = None,
     plot_file: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE.png", help="Draw one dataset's run.")
     ] = None,
     noise: Annotated[float, typer.Option(metavar="S", help="Add normal noise, grey values.")] = 0.0,
     brightness: Annotated[float, typer.Option(metavar="L", help="Add a constant, grey values.")] = 0.0,
-    balls: Annotated[
-        list[Path] | None,
-        typer.Option("--ball", metavar="FILE", help="Wand: the ball, in place of the dataset's; may be repeated."),
-    ] = None,
+    balls: Balls = None,
     runs: Annotated[int, typer.Option("--runs", metavar="N", help="Wand: runs with seeds 1 to N.")] = 1,
 ) -> None:
     """Track recordings and compare with their truth."""

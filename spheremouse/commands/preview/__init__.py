@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from spheremouse.commands.options import Assignments, ConfigFile
 from spheremouse.errors import ConfigurationError
 
 _PICTURES = (".png", ".jpg", ".jpeg")
@@ -41,15 +42,8 @@ def preview(
         Path | None,
         typer.Option(metavar="FILE", help="Report the targets that this rig has.  [default: the recording's rig]"),
     ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Configuration file with the camera's settings and the colours of targets (rings)."
-        ),
-    ] = None,
-    assignments: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter of rings.* or camera.*.")
-    ] = None,
+    config: ConfigFile = None,
+    assignments: Assignments = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
 ) -> None:
     """Show the camera's picture with ring targets, rejected targets and dark spots. Print sharpness and brightness.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from spheremouse.commands.options import Assignments, Balls, CameraFile, ConfigFile, RigFile
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 
 if TYPE_CHECKING:
@@ -42,17 +43,9 @@ def run(
             "configuration, so3]",
         ),
     ] = None,
-    config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Configuration file; see `spheremouse config`.")
-    ] = None,
-    rig: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The device as calibrated; datasets and the simulation bring their own."),
-    ] = None,
-    camera: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Interior orientation in place of the rig's: another resolution or lens."),
-    ] = None,
+    config: ConfigFile = None,
+    rig: RigFile = None,
+    camera: CameraFile = None,
     map_file: Annotated[
         Path | None,
         typer.Option(
@@ -63,10 +56,7 @@ def run(
         ),
     ] = None,
     no_map: Annotated[bool, typer.Option("--no-map", help="Begin without a saved map, and save none.")] = False,
-    assignments: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="One parameter of the configuration; may be repeated."),
-    ] = None,
+    assignments: Assignments = None,
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Play recordings and the simulation at the pace of their stamps.")
     ] = False,
@@ -88,14 +78,7 @@ def run(
     ] = None,
     frames: Annotated[int | None, typer.Option(metavar="N", min=1, help="Stop after N tracked frames.")] = None,
     verbose: Annotated[bool, typer.Option("--verbose", help="Also print the correlations of the camera pose.")] = False,
-    balls: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--ball",
-            metavar="FILE",
-            help="Wand: a ball's wand file; may be repeated.  [default: the recording's own, or Grzonka's ball]",
-        ),
-    ] = None,
+    balls: Balls = None,
     axes: Annotated[
         str | None,
         typer.Option(metavar="FILE|-", help="Wand: also write the six axes as text; --output text: has them anyway."),
