@@ -8,7 +8,8 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
+from unittest.mock import MagicMock, call
 
 import numpy as np
 import pytest
@@ -282,139 +283,98 @@ def test_the_descriptor_is_that_of_the_page(mouse):
 
 # ---- boot.py and code.py, on stand-ins for CircuitPython's modules ----
 
-
-class Everything:
-    """Notes what is called."""
-
-    def __init__(self):
-        self.calls = {}
-
-    def __getattr__(self, name):
-        return lambda *a, **k: self.calls.setdefault(name, (a, k))
+MODULES = "board busio digitalio microcontroller storage supervisor usb_cdc usb_hid usb_midi watchdog"
 
 
-def stand_in(monkeypatch, name, **members):
-    module = ModuleType(name)
-    for key, value in members.items():
-        setattr(module, key, value)
-    monkeypatch.setitem(sys.modules, name, module)
-    return module
+@pytest.fixture
+def circuitpython(mouse, monkeypatch):
+    modules = {name: MagicMock(name=name) for name in MODULES.split()}
+    for name, module in modules.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    return SimpleNamespace(**modules)
 
 
 @pytest.mark.parametrize("jumper", [False, True, None])
-def test_boot_enables_the_mouse_and_the_data_port(mouse, monkeypatch, jumper):
+def test_boot_enables_the_mouse_and_the_data_port(mouse, circuitpython, jumper):
     """A jumper on GP22 hides console and drive; there are boards without that pin."""
-    usb_hid, usb_cdc, usb_midi, supervisor, storage = (Everything() for _ in range(5))
-    devices = []
-    stand_in(monkeypatch, "usb_hid", Device=lambda **k: devices.append(k) or "device", enable=usb_hid.enable)
-    modules = {"usb_cdc": usb_cdc, "usb_midi": usb_midi, "supervisor": supervisor, "storage": storage}
-    for name, module in modules.items():
-        monkeypatch.setitem(sys.modules, name, module)
-    pin = SimpleNamespace(switch_to_input=lambda pull: setattr(pin, "value", pull == "up" and not jumper))
-    pin.deinit = lambda: None
-    stand_in(monkeypatch, "board", **({} if jumper is None else {"GP22": 22}))
-    stand_in(monkeypatch, "digitalio", DigitalInOut=lambda number: {22: pin}[number], Pull=SimpleNamespace(UP="up"))
+    c, pin = circuitpython, circuitpython.digitalio.DigitalInOut.return_value
+    pin.value = not jumper
+    if jumper is None:
+        del c.board.GP22
     runpy.run_path(str(PICO / "boot.py"))
-    assert usb_hid.calls["enable"] == ((("device",),), {})
-    assert usb_cdc.calls["enable"] == ((), {"console": not jumper, "data": True})
-    assert ("disable_usb_drive" in storage.calls) == bool(jumper)
-    assert supervisor.calls["set_usb_identification"][0][1] == "spheremouse"
-    (told,) = devices
-    assert told["report_descriptor"] == mouse.DESCRIPTOR
-    assert (told["usage_page"], told["usage"]) == (1, 2)
-    assert told["report_ids"] == (1, 2)
-    assert (told["in_report_lengths"], told["out_report_lengths"]) == ((9, 0), (0, 1))
+    c.usb_hid.enable.assert_called_once_with((c.usb_hid.Device.return_value,))
+    c.usb_cdc.enable.assert_called_once_with(console=not jumper, data=True)
+    assert c.storage.disable_usb_drive.called == bool(jumper)
+    assert pin.switch_to_input.call_args_list == ([] if jumper is None else [call(c.digitalio.Pull.UP)])
+    assert c.supervisor.set_usb_identification.call_args.args[1] == "spheremouse"
+    c.usb_hid.Device.assert_called_once_with(
+        report_descriptor=mouse.DESCRIPTOR,
+        usage_page=1,
+        usage=2,
+        report_ids=(1, 2),
+        in_report_lengths=(9, 0),
+        out_report_lengths=(0, 1),
+    )
 
 
 class EndOfTestError(Exception):
-    """The watchdog has been fed often enough."""
+    """The watchdog has been fed often enough, or the board is reset."""
 
 
-def board_modules(monkeypatch, reason="STARTUP", data=True, frames=b"", **pins):
-    """What code.py imports; the loop ends after five turns."""
-    seen = SimpleNamespace(resets=0, reports=[], out=b"", fed=0)
+def run_code(c, frames=b"", reason="STARTUP"):
+    """Run code.py for five turns of its loop; return its reports and the bytes of its answers."""
+    waiting, reports, out, port, hid = bytearray(frames), [], bytearray(), c.usb_cdc.data, MagicMock()
 
-    class Port:
-        connected, out_waiting, timeout, write_timeout = True, 0, None, None
+    def readinto(buffer):
+        n = min(len(buffer), len(waiting))
+        buffer[:n] = waiting[:n]
+        del waiting[:n]
+        port.in_waiting = len(waiting)
+        return n
 
-        def __init__(self):
-            self.waiting = frames
-
-        @property
-        def in_waiting(self):
-            return len(self.waiting)
-
-        def readinto(self, buffer):
-            part, self.waiting = self.waiting[: len(buffer)], self.waiting[len(buffer) :]
-            buffer[: len(part)] = part
-            return len(part)
-
-        def write(self, data):
-            seen.out += bytes(data)
-
-    class Dog:
-        timeout = mode = None
-
-        def feed(self):
-            assert (self.timeout, self.mode) == (5, "reset")
-            seen.fed += 1
-            if seen.fed == 5:
-                raise EndOfTestError
-
-    def reset():
-        seen.resets += 1
-        raise EndOfTestError
-
-    led = SimpleNamespace(value=False, switch_to_output=lambda value: None)
-    hid = SimpleNamespace(
-        get_last_received_report=lambda report_id: None,
-        send_report=lambda report, report_id: seen.reports.append((report_id, bytes(report))),
-    )
-    idle = SimpleNamespace(in_waiting=0, write=lambda data: None)
-    stand_in(monkeypatch, "board", board_id="raspberry_pi_pico", GP0=0, GP1=1, **pins)
-    stand_in(monkeypatch, "busio", UART=lambda *a, **k: idle)
-    stand_in(monkeypatch, "digitalio", DigitalInOut=lambda pin: led)
-    stand_in(monkeypatch, "microcontroller", watchdog=Dog(), reset=reset)
-    runtime = SimpleNamespace(autoreload=True, run_reason=reason, usb_connected=True)
-    stand_in(
-        monkeypatch, "supervisor", runtime=runtime, RunReason=SimpleNamespace(STARTUP="STARTUP"), ticks_ms=lambda: 1000
-    )
-    stand_in(monkeypatch, "usb_cdc", data=Port() if data else None)
-    stand_in(monkeypatch, "usb_hid", devices=[hid])
-    stand_in(monkeypatch, "watchdog", WatchDogMode=SimpleNamespace(RESET="reset"))
-    return seen
-
-
-def run_code():
-    runpy.run_path(str(PICO / "code.py"))
-
-
-@pytest.mark.parametrize("pins", [{"LED": 25}, {}])
-def test_code_moves_and_answers(mouse, monkeypatch, pins):
-    frames = b"\0" + messages.hello(0, 5) + messages.motion(1, (3, -4, 0, 0), 1)
-    seen = board_modules(monkeypatch, frames=frames, **pins)
+    if port is not None:
+        port.configure_mock(in_waiting=len(frames), out_waiting=0, connected=True)
+        port.readinto.side_effect, port.write.side_effect = readinto, out.extend
+    hid.get_last_received_report.return_value = None
+    hid.send_report.side_effect = lambda report, report_id: reports.append((report_id, bytes(report)))
+    c.usb_hid.devices, c.busio.UART.return_value.in_waiting = [hid], 0
+    c.board.board_id = "raspberry_pi_pico"
+    c.supervisor.RunReason.STARTUP, c.supervisor.runtime.run_reason = "STARTUP", reason
+    c.supervisor.ticks_ms.return_value = 1000
+    c.microcontroller.watchdog.feed.side_effect = [None] * 4 + [EndOfTestError]
+    c.microcontroller.reset.side_effect = EndOfTestError
     with pytest.raises(EndOfTestError):
-        run_code()
-    assert seen.reports == [(1, bytes([1, 3, 0, 0xFC, 0xFF, 0, 0, 0, 0]))]
-    identity, ack = map(messages.parse, messages.Splitter().take(seen.out))
+        runpy.run_path(str(PICO / "code.py"))
+    return reports, bytes(out)
+
+
+@pytest.mark.parametrize("led", [True, False])
+def test_code_moves_and_answers(circuitpython, led):
+    if not led:
+        del circuitpython.board.LED
+    frames = b"\0" + messages.hello(0, 5) + messages.motion(1, (3, -4, 0, 0), 1)
+    reports, out = run_code(circuitpython, frames)
+    assert reports == [(1, bytes([1, 3, 0, 0xFC, 0xFF, 0, 0, 0, 0]))]
+    identity, ack = map(messages.parse, messages.Splitter().take(out))
     assert isinstance(identity, messages.Identity)
     assert isinstance(ack, messages.Ack)
     assert (identity.board, identity.kind, identity.firmware) == ("pico", 1, firmware.version_of(PICO))
     assert ack.counters == (3, 2**16 - 4, 0, 0)
-    assert seen.resets == 0
+    assert not circuitpython.microcontroller.reset.called
+    dog = circuitpython.microcontroller.watchdog
+    assert (dog.timeout, dog.mode) == (5, circuitpython.watchdog.WatchDogMode.RESET)
 
 
-def test_code_restarts_the_whole_board_where_only_the_program_would(mouse, monkeypatch):
-    seen = board_modules(monkeypatch, reason="AUTO_RELOAD")
-    with pytest.raises(EndOfTestError):
-        run_code()
-    assert (seen.resets, seen.fed) == (1, 0)
+def test_code_restarts_the_whole_board_where_only_the_program_would(circuitpython):
+    run_code(circuitpython, reason="AUTO_RELOAD")
+    circuitpython.microcontroller.reset.assert_called_once_with()
+    assert not circuitpython.microcontroller.watchdog.feed.called
 
 
-def test_code_says_what_to_do_before_boot_has_run(mouse, monkeypatch):
-    board_modules(monkeypatch, data=False)
+def test_code_says_what_to_do_before_boot_has_run(circuitpython):
+    circuitpython.usb_cdc.data = None
     with pytest.raises(RuntimeError, match="unplug the board and plug it in again"):
-        run_code()
+        run_code(circuitpython)
 
 
 # ---- the drive ----
