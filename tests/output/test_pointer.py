@@ -86,16 +86,10 @@ def played(given_frames, settings, latency=LATENCY):
     return player
 
 
-@given(frames, st.floats(0.0, 1.0))
-def test_with_horizon_0_the_sum_is_exact_at_every_frame_and_report(given_frames, smooth):
-    player = played(given_frames, replace(EXACT, smooth=smooth))
-    truth = np.cumsum([f[0] for f in given_frames], axis=0)
-    assert all(np.array_equal(sums, truth[k]) for sums, k in zip(player.sent, player.frame, strict=True))
-
-
-@given(frames)
-def test_so_it_is_while_nothing_is_tracked(given_frames):
-    player = played([(c, r, i, False) for c, r, i, _ in given_frames], PointerSettings())
+@given(frames, st.floats(0.0, 1.0), st.booleans())
+def test_with_horizon_0_or_without_tracking_the_sum_is_exact_at_every_report(given_frames, smooth, tracked):
+    given_frames = [(counts, rate, interval, tracked) for counts, rate, interval, _ in given_frames]
+    player = played(given_frames, replace(EXACT if tracked else PointerSettings(), smooth=smooth))
     truth = np.cumsum([f[0] for f in given_frames], axis=0)
     assert all(np.array_equal(sums, truth[k]) for sums, k in zip(player.sent, player.frame, strict=True))
 
