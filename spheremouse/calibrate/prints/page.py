@@ -16,6 +16,7 @@ from spheremouse.geometry.rotation import Array
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
     from matplotlib.text import Text
 
 PAPERS = {  # mm, upright; those above a3 are for a copy shop
@@ -74,19 +75,25 @@ def pdf(pages: Sequence[Page], title: str) -> bytes:
     about = {"Title": title, "Creator": "spheremouse", "Producer": None, "CreationDate": None}
     with styled(_PDF_STYLE):
         from matplotlib.backends.backend_pdf import PdfPages
-        from matplotlib.figure import Figure
 
         with PdfPages(file, metadata=about) as book:
             for page in pages:
-                w, h = page.paper.width, page.paper.height
-                figure = Figure(figsize=(w / 25.4, h / 25.4))
-                axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0.0, w), ylim=(0.0, h))
-                axes.set_axis_off()
-                for i, shape in enumerate((*page.shapes, *_furniture(page))):
-                    shape.set_zorder(i)
-                    axes.add_artist(shape)
-                book.savefig(figure, facecolor="white")
+                book.savefig(figure_of(page), facecolor="white")
     return file.getvalue()
+
+
+def figure_of(page: Page) -> "Figure":
+    """Return a page as a figure whose data coordinates are mm of paper."""
+    from matplotlib.figure import Figure
+
+    w, h = page.paper.width, page.paper.height
+    figure = Figure(figsize=(w / 25.4, h / 25.4))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0.0, w), ylim=(0.0, h))
+    axes.set_axis_off()
+    for i, shape in enumerate((*page.shapes, *_furniture(page))):
+        shape.set_zorder(i)
+        axes.add_artist(shape)
+    return figure
 
 
 # ---- shapes, in mm ----
