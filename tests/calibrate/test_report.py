@@ -3,11 +3,11 @@
 import io
 import json
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import cv2
 import numpy as np
 import pytest
+from elements import Elements
 from experiments.kit.observations import calibrated, simulated_calibration
 from rich.console import Console
 
@@ -51,30 +51,6 @@ def decoded(data):
     picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None
     return picture.astype(float)
-
-
-class Elements(HTMLParser):
-    """All elements of a page and their words; fails where they do not nest."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.seen, self.words = [], [], []
-        self.feed(text)
-        assert self.open == []
-
-    def handle_starttag(self, tag, attrs):
-        self.seen.append((tag, dict(attrs)))
-        if tag not in {"meta", "img", "br"}:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.seen.append((tag, dict(attrs)))
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.words.append(data)
 
 
 @pytest.mark.parametrize("which", ["calibration", "free"])
@@ -128,13 +104,11 @@ def test_page_needs_nothing_beside_it_and_says_all(which, request, photos, tmp_p
     c = request.getfixturevalue(which)
     text = written(tmp_path / "r.html", c, photos)
     elements = Elements(text)
-    links = [a.get(key) for _, a in elements.seen for key in ("src", "href", "xlink:href") if a.get(key)]
-    assert all(link.startswith(("data:", "#")) for link in links)
-    tags = [tag for tag, _ in elements.seen]
-    assert tags.count("svg") == 2
-    assert tags.count("img") == 6
-    assert tags.count("script") == tags.count("link") == 0
-    words = " ".join(elements.words)
+    assert all(link.startswith(("data:", "#")) for link in elements.links)
+    assert elements.tags.count("svg") == 2
+    assert elements.tags.count("img") == 6
+    assert elements.tags.count("script") == elements.tags.count("link") == 0
+    words = elements.words
     assert all(name in words for name in names(photos))  # escaped, else they would be elements
     assert all(photo.sha256 in words for photo in photos)
     assert all(value in words for value in PROVENANCE.values())
@@ -152,7 +126,7 @@ def test_a_photo_of_which_nothing_was_used_has_no_rms(calibration, photos, tmp_p
     c = replace(calibration, measured=replace(m, used=used))
     found = device_json(c, names(photos), advise(c, names(photos)))["photos"][3]
     assert (found["points"], found["rms_px"]) == (0, None)
-    assert "nan" not in " ".join(Elements(written(tmp_path / "r.html", c, photos)).words)
+    assert "nan" not in Elements(written(tmp_path / "r.html", c, photos)).words
 
 
 def test_picture_marks_points_where_they_are_and_arrows_reach_the_prediction(calibration):

@@ -1,28 +1,14 @@
 """The template of all pages: hostile words stay words wherever they stand; what is for paper says which."""
 
 import re
-from html.parser import HTMLParser
 
 import pytest
+from elements import Elements
 from markupsafe import Markup
 
 from spheremouse.files.report.page import page, rendered
 
 HOSTILE = """<i onclick="x">'&amp;' {{ 7 * 7 }} </script></style>"""
-
-
-class Elements(HTMLParser):
-    def __init__(self, text):
-        super().__init__()
-        self.tags, self.words, self.values = [], "", []
-        self.feed(str(text))
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.values += [value for _, value in attrs]
-
-    def handle_data(self, data):
-        self.words += data
 
 
 def every_block():
