@@ -24,6 +24,7 @@ from spheremouse.files.safe_files import write_atomically
 from spheremouse.files.validate import Part, validated
 from spheremouse.files.yaml import SCHEMAS, Document, Problem, read_document, shown, without_schema
 from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.statistics import correlation
 
 _UNIT = 100_000  # of the Cholesky factor's digits: a standard deviation keeps four of them in any combination
 BALL_DIFFERS, _DISC_DIFFERS = 0.05, 0.25  # parts of a radius; less is calibration, more is another device
@@ -162,10 +163,7 @@ def _weights_line(projection: Projection) -> list[str]:
 def _factored(covariance: Array) -> tuple[Array, Array]:
     """Return standard deviations, (n,), and the lower triangular root, (n, n), of the correlations, with unit rows."""
     sigma = np.sqrt(np.diag(covariance))
-    safe = np.where(sigma > 0.0, sigma, 1.0)
-    correlation = covariance / np.outer(safe, safe)
-    np.fill_diagonal(correlation, 1.0)
-    values, vectors = np.linalg.eigh(correlation)  # Cholesky fails for a disc with zero covariance
+    values, vectors = np.linalg.eigh(correlation(covariance))  # Cholesky fails for a disc with zero covariance
     root = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T
     root *= np.where(np.diag(root) < 0.0, -1.0, 1.0)
     return sigma, root / np.linalg.norm(root, axis=1, keepdims=True)

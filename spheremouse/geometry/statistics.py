@@ -1,4 +1,4 @@
-"""Quantiles of chi-square and F, the false-alarm rate of tests, and a robust standard deviation."""
+"""Quantiles of chi-square and F, the false-alarm rate of tests, correlations, and a robust standard deviation."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,15 @@ def gate(p: float, dof: float) -> float:
 def ratio_gate(p: float, dof: float, other: float) -> float:
     """Return the p-quantile of F: of the ratio of two estimates of one variance with these degrees of freedom."""
     return float(f.ppf(p, dof, other))
+
+
+def correlation(covariance: Array) -> Array:
+    """Return the correlation matrix of a covariance, (n, n); 0 beside exact values."""
+    sigma = np.sqrt(np.diag(covariance))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    r = covariance / np.outer(scale, scale)
+    np.fill_diagonal(r, 1.0)
+    return r
 
 
 def mad_sigma(error: NDArray[np.floating]) -> Array:

@@ -6,31 +6,38 @@ beyond the variances of their corners, the covariance is enlarged.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from spheremouse.calibrate.camera.bundle import (
+    HUBER_KNEE,
     MIN_SIGMA,
     UNDETERMINED,
     BoardAdjustment,
     Bundle,
     View,
-    all_unknowns,
     camera_of,
-    masked_view,
     poses_of,
     resect_views,
     rms_of,
-    sigma_of,
-    spread_of,
+    robust_sigma,
     unknowns_of,
 )
-from spheremouse.calibrate.camera.variances import with_covariance, with_variances
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, interior_vector
-from spheremouse.geometry.rotation import Array, exp, log
+from spheremouse.geometry.least_squares.adjust import (
+    Jacobian,
+    cofactors,
+    outlier_statistic,
+    redundancy,
+    variance_factors,
+)
+from spheremouse.geometry.rotation import Array, exp, left_jacobian, log
+from spheremouse.geometry.statistics import FALSE_ALARM
 
 MIN_VIEWS = 3
 
@@ -40,6 +47,9 @@ _MAX_START_RESIDUAL = 1.0  # px
 _MIN_BOARD_ANGLE = float(np.radians(6.0))  # between boards; it shortens squares by half a per cent
 _FOLDS = 10
 _SUBSETS, _SUBSET_VIEWS = 12, 5  # calibrations from a few views, if all together do not agree
+_SIGNIFICANCE = 0.01  # chance of a contradiction between views that agree
+_DRAWS = 1000
+_ROUNDS = 6  # of removing false corners and estimating variances
 
 
 def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5) -> BoardAdjustment:
@@ -62,14 +72,14 @@ def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5
         if _parallel(views, size, free, x):
             raise CalibrationError(UNDETERMINED) from None
         raise
-    spread = spread_of(bundle, x)
+    spread = bundle.spread(x)
     used = spread <= _MAX_START_RATIO * np.median(spread)
     sigma = spread
     for _ in range(len(views)):
         part = bundle.only(used)
-        some, x[unknowns_of(used)] = with_variances(part, x[unknowns_of(used)])
+        some, x[unknowns_of(used)] = _with_variances(part, x[unknowns_of(used)])
         limit = _MAX_RESIDUAL_RATIO * max(float(np.median(some)), MIN_SIGMA)
-        sigma = sigma_of(views, bundle.size, x, used, some)
+        sigma = _all_sigmas(bundle, x, used, some)
         worst = int(np.argmax(np.where(used, sigma, 0.0)))
         again = used | (sigma <= limit)  # a view that only the coarse start rejected
         if sigma[worst] > limit and used.sum() > MIN_VIEWS:
@@ -77,7 +87,7 @@ def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5
         if np.array_equal(again, used):
             break
         used = again
-    return with_covariance(bundle, x, used, sigma)
+    return _with_covariance(bundle, x, used, sigma)
 
 
 def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
@@ -90,14 +100,15 @@ def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
     result = np.full(len(views), np.nan)
     if len(index) <= MIN_VIEWS:
         return result
-    x = all_unknowns(found)
+    x = found.unknowns()
     size = found.camera.width, found.camera.height
-    for fold in range(min(_FOLDS, len(index))) if len(index) > _FOLDS else range(len(index)):
-        out = index[fold :: min(_FOLDS, len(index))]
+    folds = min(_FOLDS, len(index))
+    for fold in range(folds):
+        out = index[fold::folds]
         rest = np.setdiff1d(index, out)
         if len(rest) < MIN_VIEWS:
             continue
-        kept = [masked_view(views[v], found.kept[v]) for v in rest.tolist()]
+        kept = [views[v].take(found.kept[v]) for v in rest.tolist()]
         bundle = Bundle(kept, size, found.free)
         mask = np.zeros(len(views), bool)
         mask[rest] = True
@@ -105,7 +116,7 @@ def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
             without = bundle.solve(x[unknowns_of(mask)], found.sigma[rest])
         except CalibrationError:
             continue
-        left = [masked_view(views[v], found.kept[v]) for v in out.tolist()]
+        left = [views[v].take(found.kept[v]) for v in out.tolist()]
         _, _, residuals = resect_views(left, camera_of(without, size))
         result[out] = [rms_of(r) for r in residuals]
     return result
@@ -149,7 +160,7 @@ def _first_adjustment(bundle: Bundle, x: Array) -> Array:
     n = len(bundle.views)
     try:
         found = bundle.solve(x, np.ones(n))
-        spread = spread_of(bundle, found)
+        spread = bundle.spread(found)
         agree = spread.max() <= _MAX_RESIDUAL_RATIO * np.median(spread) and np.median(spread) < _MAX_START_RESIDUAL
         if agree or n < _SUBSET_VIEWS:
             return found
@@ -166,8 +177,8 @@ def _first_adjustment(bundle: Bundle, x: Array) -> Array:
         except CalibrationError:
             continue
         tried = np.concatenate([y[:9], np.stack([[log(r) for r in R], t], axis=1).ravel()])
-        if np.median(spread_of(bundle, tried)) < np.median(spread):
-            found, spread = tried, spread_of(bundle, tried)
+        if np.median(bundle.spread(tried)) < np.median(spread):
+            found, spread = tried, bundle.spread(tried)
     if found is None:
         raise CalibrationError(
             "no camera explains the views together; are the photos of one camera, one zoom, one board?"
@@ -185,3 +196,152 @@ def _focals(views: Sequence[View], size: tuple[int, int]) -> Array:
     except cv2.error:
         return usual
     return np.append(usual, by_views) if 0.2 * max(size) < by_views < 20.0 * max(size) else usual
+
+
+# ---- variances ----
+
+
+def _with_variances(bundle: Bundle, x: Array) -> tuple[Array, Array]:
+    """Return robust standard deviations of a corner's coordinate in each view, (v,) px, and the unknowns."""
+    sigma = np.full(len(bundle.views), np.inf)
+    for _ in range(12):
+        before, residuals = sigma, bundle.residuals(x)
+        sigma = np.array([robust_sigma(r) for r in residuals])
+        if np.all(np.abs(sigma / before - 1.0) < 0.02):
+            break
+        x = bundle.solve(x, sigma, HUBER_KNEE)
+    return sigma, x
+
+
+def _all_sigmas(bundle: Bundle, x: Array, used: NDArray[np.bool_], some: Array) -> Array:
+    """Standard deviation of a corner's coordinate in each view, (v,) px; sets the unused views' poses in x."""
+    sigma = np.empty(len(bundle.views))
+    sigma[used] = some
+    out = np.flatnonzero(~used)
+    if len(out):
+        R, t, residuals = resect_views([bundle.views[v] for v in out.tolist()], camera_of(x, bundle.size))
+        for k, v in enumerate(out.tolist()):
+            x[9 + 6 * v : 15 + 6 * v] = np.concatenate([log(R[k]), t[k]])
+        sigma[out] = [robust_sigma(r) for r in residuals]
+    return sigma
+
+
+def _with_covariance(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: Array) -> BoardAdjustment:
+    views, index = bundle.views, np.flatnonzero(used)
+    kept = [np.ones(len(v.uv), bool) for v in views]
+    sigma, x = sigma.copy(), x.copy()
+    columns = unknowns_of(used)
+    y = x[columns]
+
+    def adjusted(y: Array) -> tuple[Bundle, Array, Array, Jacobian, Array]:
+        """The used views without false corners, their unknowns, residuals, Jacobian and cofactors."""
+        part = Bundle([views[v].take(kept[v]) for v in index.tolist()], bundle.size, bundle.free)
+        y = part.solve(y, sigma[index])
+        residual, J = part.jacobian(y, sigma[index])
+        try:
+            return part, y, residual, J, cofactors(J)
+        except np.linalg.LinAlgError:
+            raise CalibrationError(UNDETERMINED) from None
+
+    for _ in range(_ROUNDS):
+        part, y, residual, J, Q = adjusted(y)
+        rows, blocks = np.arange(len(residual)), redundancy(J, Q, 2)
+        number = np.diagonal(blocks, axis1=1, axis2=2).ravel()
+        test = outlier_statistic(residual.reshape(-1, 2), blocks)
+        false = test > chi2.isf(FALSE_ALARM / len(test), 2)  # chance to lose a good corner
+        if not false.any():
+            factors = variance_factors(residual, number, [np.isin(rows, range(g.start, g.stop)) for g in part.groups])
+            sigma[index] = np.maximum(sigma[index] * np.sqrt(factors), MIN_SIGMA)
+            if np.all(np.abs(factors - 1.0) < 0.02):
+                break
+            continue
+        # a false corner enlarges its neighbours' residuals: only the largest go at once
+        for v, group in zip(index.tolist(), part.groups, strict=True):
+            here = slice(group.start // 2, group.stop // 2)
+            bad = false[here] & (test[here] >= 0.25 * test[here].max())
+            kept[v][np.flatnonzero(kept[v])[bad]] = False
+    part, y, residual, J, Q = adjusted(y)
+    left = len(residual) - len(Q)
+    factor = max(float(residual @ residual) / left, (MIN_SIGMA / float(sigma[index].max())) ** 2)
+    N, g = _on_the_camera(J, residual / np.sqrt(factor), part.groups, int(bundle.free.sum()))
+    widening = contradiction(N, g)
+    covariance = np.zeros((9 + 6 * len(index),) * 2)
+    is_open = np.concatenate([bundle.free, np.ones(6 * len(index), bool)])
+    covariance[np.ix_(is_open, is_open)] = widening * _estimated_weights(N, part.counts) * factor * Q
+    _into_cam(covariance, y)
+    x[columns] = y
+    _all_sigmas(bundle, x, used, sigma[used])
+    camera = replace(camera_of(x, bundle.size), covariance=covariance[:9, :9].copy())
+    r, t = x[9:].reshape(-1, 2, 3).transpose(1, 0, 2)
+    residuals, sigma = bundle.residuals(x), sigma * np.sqrt(factor)
+    return BoardAdjustment(
+        camera, exp(r), t, residuals, used, tuple(kept), sigma, covariance, widening, left, bundle.free
+    )
+
+
+def _into_cam(covariance: Array, y: Array) -> None:
+    """Convert the covariance of rotation vectors to that of small rotations in cam, in place."""
+    r = y[9:].reshape(-1, 2, 3)[:, 0]
+    J = left_jacobian(r)
+    for v in range(len(r)):
+        rows = slice(9 + 6 * v, 12 + 6 * v)
+        covariance[rows] = J[v] @ covariance[rows]
+        covariance[:, rows] = covariance[:, rows] @ J[v].T
+
+
+def _on_the_camera(J: Jacobian, residual: Array, groups: Sequence[slice], nine: int) -> tuple[Array, Array]:
+    """Normal matrices, (v, 9, 9), and gradients, (v, 9), of each view by the camera's unknowns, the pose eliminated."""
+    N, g, dense = [], [], J.toarray()
+    for group in groups:
+        rows = dense[group]
+        A = rows[:, :nine]
+        B = rows[:, nine:][:, np.any(rows[:, nine:] != 0.0, axis=0)]
+        basis, _ = np.linalg.qr(B)
+        A = A - basis @ (basis.T @ A)
+        N.append(A.T @ A)
+        g.append(A.T @ residual[group])
+    return np.array(N), np.array(g)
+
+
+def _estimated_weights(N: Array, counts: NDArray[np.intp]) -> float:
+    """Factor on the variances because the views' weights are estimates (Meier 1953): 1 + 4 sum w (1 - w) / r.
+
+    w is a view's share of the information, r its redundancy.
+    """
+    nine = N.shape[1]
+    share = np.einsum("ij,vji->v", np.linalg.pinv(N.sum(axis=0), hermitian=True), N) / max(nine, 1)
+    left = np.maximum(2.0 * counts - 6.0 - nine * share, 1.0)
+    return float(1.0 + 4.0 * np.sum(share * (1.0 - share) / left))
+
+
+def contradiction(N: Array, g: Array) -> float:
+    """Return the factor on the variances for views that contradict each other; 1 if they do not significantly.
+
+    `N` (v, 9, 9) and `g` (v, 9) are the views' normal matrices and gradients at the minimum, at unit variance. Errors
+    within a view may be correlated, for example on a bent board. Then the camera without one view scatters more than
+    independent errors explain. A jackknife over views measures this scatter; random draws give the expected one.
+    """
+    nine = N.shape[1]
+    scale = 1.0 / np.sqrt(np.diagonal(np.sum(N, axis=0)))
+    normals, gradient = N * np.outer(scale, scale), g * scale
+    total = normals.sum(axis=0)
+    try:
+        without = np.linalg.inv(total - normals)
+    except np.linalg.LinAlgError:  # the other views do not determine the camera
+        return 1.0
+    rng = np.random.default_rng(0)
+    value, vector = np.linalg.eigh(normals)
+    root = vector * np.sqrt(np.maximum(value, 0.0))[:, None]
+    drawn = np.einsum("vij,dvj->dvi", root, rng.standard_normal((_DRAWS, len(normals), nine)))
+    common = np.linalg.solve(total, drawn.sum(axis=1).T).T
+    drawn -= np.einsum("vij,dj->dvi", normals, common)
+    expected = _scatter(drawn, without, total)
+    found = _scatter(gradient[None], without, total)[0]
+    significant = float(np.mean(expected >= found)) < _SIGNIFICANCE
+    return float(max(1.0, found / np.mean(expected))) if significant else 1.0
+
+
+def _scatter(gradients: Array, without: Array, total: Array) -> Array:
+    """Sum over views of the squared change, in standard deviations, without each view, (d,)."""
+    change = np.einsum("vij,dvj->dvi", without, gradients)
+    return np.einsum("dvi,ij,dvj->d", change, total, change)

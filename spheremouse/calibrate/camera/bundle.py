@@ -31,6 +31,10 @@ class View:
     points: Array  # (n, 3) m, in the board's frame
     uv: Array  # (n, 2) px
 
+    def take(self, mask: NDArray[np.bool_]) -> "View":
+        """Select corners."""
+        return View(self.points[mask], self.uv[mask])
+
 
 @dataclass(frozen=True, slots=True)
 class BoardAdjustment:
@@ -65,13 +69,10 @@ class BoardAdjustment:
         """Standard deviations of the nine, (9,)."""
         return np.sqrt(np.diag(self.camera.covariance))
 
-    def correlation(self) -> Array:
-        """Correlations of all unknowns in the order of `covariance`; 0 for those that were not estimated."""
-        s = np.sqrt(np.diag(self.covariance))
-        s = np.where(s > 0.0, s, 1.0)
-        C = self.covariance / np.outer(s, s)
-        np.fill_diagonal(C, 1.0)
-        return C
+    def unknowns(self) -> Array:
+        """The unknowns of a `Bundle`."""
+        poses = np.stack([np.array([log(R) for R in self.rotations]), self.translations], axis=1)
+        return np.concatenate([interior_vector(self.camera), poses.ravel()])
 
     def camera_positions(self) -> Array:
         """Projection centres, (v, 3) m, in the board's frame."""
@@ -188,6 +189,10 @@ class Bundle:
         residual, _ = self.evaluate(x, np.ones(len(self.views)))
         return tuple(-residual[g].reshape(-1, 2) for g in self.groups)
 
+    def spread(self, x: Array) -> Array:
+        """Return the median absolute residual of each view, (v,) px."""
+        return np.array([np.median(np.abs(r)) for r in self.residuals(x)])
+
 
 def _of_columns(jacobian: Jacobian, columns: NDArray[np.bool_]) -> Jacobian:
     return jacobian if columns.all() else sparse.csr_array(jacobian.tocsc()[:, np.flatnonzero(columns)])
@@ -202,36 +207,8 @@ def camera_of(x: Array, size: tuple[int, int]) -> InteriorOrientation:
     return with_interior(InteriorOrientation(*size, 1.0, 1.0, 0.0, 0.0), x[:9])
 
 
-def masked_view(view: View, mask: NDArray[np.bool_]) -> View:
-    return View(view.points[mask], view.uv[mask])
-
-
-def all_unknowns(found: BoardAdjustment) -> Array:
-    poses = np.stack([np.array([log(R) for R in found.rotations]), found.translations], axis=1)
-    return np.concatenate([interior_vector(found.camera), poses.ravel()])
-
-
-def sigma_of(views: Sequence[View], size: tuple[int, int], x: Array, used: NDArray[np.bool_], some: Array) -> Array:
-    """Return the standard deviation of a corner's coordinate in each view, (v,) px; set the unused views' poses in
-    x."""
-    sigma = np.empty(len(views))
-    sigma[used] = some
-    out = np.flatnonzero(~used)
-    if len(out):
-        R, t, residuals = resect_views([views[v] for v in out.tolist()], camera_of(x, size))
-        for k, v in enumerate(out.tolist()):
-            x[9 + 6 * v : 15 + 6 * v] = np.concatenate([log(R[k]), t[k]])
-        sigma[out] = [robust_sigma(r) for r in residuals]
-    return sigma
-
-
 def robust_sigma(residual: Array) -> float:
     return max(float(mad_sigma(residual.ravel())), MIN_SIGMA)
-
-
-def spread_of(bundle: Bundle, x: Array) -> Array:
-    """Return the median absolute residual of each view, (v,) px."""
-    return np.array([np.median(np.abs(r)) for r in bundle.residuals(x)])
 
 
 def poses_of(views: Sequence[View], camera: InteriorOrientation) -> Array:

@@ -18,6 +18,7 @@ from spheremouse.files.report.style import BLUE, GOLD, GRID, INK, MUTED, PAPER, 
 from spheremouse.files.safe_files import write_atomically
 from spheremouse.geometry.camera import Pose, interior_vector
 from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.statistics import correlation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -100,7 +101,7 @@ def camera_json(done: CameraCalibration) -> dict[str, Any]:
             **interior,
             "dist": camera.distortion.tolist(),
             "sigma": found.deviations.tolist(),
-            "correlation": found.correlation()[:9, :9].tolist(),
+            "correlation": correlation(camera.covariance).tolist(),
         },
         "rms_px": found.rms,
         "held_out_px": _held_out_rms(done),
@@ -192,7 +193,7 @@ def _view_rows(done: CameraCalibration) -> tuple[list[list[str]], list[bool]]:
 
 def write_camera_report(path: Path, done: CameraCalibration, provenance: Mapping[str, Any]) -> None:
     """Write the page, whole or not at all; ConfigurationError if it cannot be written."""
-    C = done.found.correlation()[:9, :9]
+    C = correlation(done.found.camera.covariance)
     strong = sorted((-abs(C[i, j]), i, j) for i in range(9) for j in range(i) if abs(C[i, j]) > _NAMED_CORRELATION)
     views, faulty = _view_rows(done)
     with styled():

@@ -22,6 +22,7 @@ from spheremouse.files.report.page import page, rendered
 from spheremouse.files.report.style import styled
 from spheremouse.files.safe_files import write_atomically
 from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.statistics import correlation
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -40,7 +41,7 @@ def device_json(c: DeviceCalibration, names: Sequence[str], advice: Sequence[Adv
             "center": c.centre.tolist(),
             "radius": c.radius,
             "sigma": dict(zip("XYZR", np.sqrt(np.diag(c.ball_covariance)).tolist(), strict=True)),
-            "correlation": _correlation(c.ball_covariance).tolist(),
+            "correlation": correlation(c.ball_covariance).tolist(),
         },
         "discs": [{"position": place, "sigma": s, "photos": seen} for place, s, seen in discs],
         "photos": [
@@ -96,15 +97,6 @@ def _sigma(c: DeviceCalibration, name: str) -> Array:
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _correlation(covariance: Array) -> Array:
-    """Correlation matrix; 0 beside exact values."""
-    sigma = np.sqrt(np.diag(covariance))
-    scale = np.where(sigma > 0.0, sigma, 1.0)
-    r = covariance / np.outer(scale, scale)
-    np.fill_diagonal(r, 1.0)
-    return r
 
 
 def _points_of_photos(c: DeviceCalibration) -> list[tuple[int, int, float | None]]:
@@ -243,7 +235,7 @@ def _headlines(c: DeviceCalibration, show: _Lengths) -> list[tuple[str, str, str
 
 
 def _ball_rows(c: DeviceCalibration, show: _Lengths) -> list[list[str]]:
-    sigma, r = np.sqrt(np.diag(c.ball_covariance)), _correlation(c.ball_covariance)
+    sigma, r = np.sqrt(np.diag(c.ball_covariance)), correlation(c.ball_covariance)
     names = ("centre X", "centre Y", "centre Z", "radius")
     return [
         [names[i], show(v), show(sigma[i]), *(f"{r[i, j]:+.3f}" if j < i else "" for j in range(3))]
@@ -291,7 +283,7 @@ def _disc_rows(c: DeviceCalibration, show: _Lengths) -> list[list[str]]:
     block, rows = c.block("discs"), []
     for i, (place, sigma, seen) in enumerate(zip(c.discs, _sigma(c, "discs"), c.sightings, strict=True)):
         here = slice(block.start + 3 * i, block.start + 3 * i + 3)
-        r = _correlation(c.covariance[here, here])
+        r = correlation(c.covariance[here, here])
         pairs = [f"{r[a, b]:+.3f}" for a, b in ((0, 1), (0, 2), (1, 2))]
         rows.append([str(i + 1), *show.each(place), *pairs, *show.each(sigma), str(int(seen))])
     return rows
