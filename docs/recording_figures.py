@@ -13,10 +13,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from spheremouse.session.ball.subject import BallSubject
+from spheremouse.session.ball.recorded import ball_subject
 from spheremouse.session.record.recorder import Recorder
-from spheremouse.session.settings import Configuration
-from spheremouse.session.settings.record import RecordSettings
+from spheremouse.session.settings import Configuration, RecordSettings
+from spheremouse.session.tracker_adapter import Subject
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame
 
@@ -30,7 +30,7 @@ def processor() -> float:
     return spent.user + spent.system
 
 
-def measured(images: list[np.ndarray], subject: BallSubject, settings: RecordSettings, folder: Path) -> str:
+def measured(images: list[np.ndarray], subject: Subject, settings: RecordSettings, folder: Path) -> str:
     """Record the images at their pace and return the cost in words."""
     recorder = Recorder(folder, subject, settings)
     recorder.ready(60.0)
@@ -58,7 +58,7 @@ def main() -> None:
         made = prepare(SimulationOptions(motion="play", seconds=0.5, fps=FPS, noise=4.0, seed=1, size=size))
         colour = [f.frame.image for f in simulate(made)]
         grey = [cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in colour]
-        subject = BallSubject(made.scene.rig(), made.scene.pose, Configuration())
+        subject = ball_subject(made.scene.rig(), made.scene.pose, Configuration())
         for kind, images in (("grey", grey), ("colour", colour)):
             for everything in (False, True):
                 settings = replace(RecordSettings(), everything=everything, megabytes=1e5, free_megabytes=0.0)

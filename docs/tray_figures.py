@@ -21,7 +21,7 @@ from spheremouse.commands.tray.view import NO_DAEMON  # noqa: E402
 from spheremouse.session.control.request_queue import PendingRequest  # noqa: E402
 from spheremouse.session.control.server import ControlServer  # noqa: E402
 from spheremouse.session.control.status import STATES  # noqa: E402
-from spheremouse.session.settings.control import ControlSettings  # noqa: E402
+from spheremouse.session.settings import ControlSettings  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"
 DARK, LIGHT = (46, 52, 54), (240, 240, 240)  # panels

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from spheremouse.session.control.server import ControlServer
-from spheremouse.session.settings.control import ControlSettings
+from spheremouse.session.settings import ControlSettings
 
 PERIOD = 1 / 250  # s
 WAYS = {

@@ -29,12 +29,11 @@ from spheremouse.errors import ControlError, OutputError, SourceError
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output import reporter
 from spheremouse.output.reporter import ReporterStatus
-from spheremouse.session import arrivals, worker
 from spheremouse.session import service as run
-from spheremouse.session.ball import follower as ball
+from spheremouse.session import timing, worker
+from spheremouse.session.ball import adapter as ball
 from spheremouse.session.control.client import Client
 from tests.daemon_world import DT, Film, RawFrame, World, left_over, matrix
-from tests.soak import resident
 
 FAULTS = {  # frames from, to
     "damaged": (1, 30),
@@ -313,7 +312,7 @@ def soak(frames: int, seed: int) -> list[str]:
     """Play so many frames; what was wrong."""
     film = Film.render()
     ball.open_output = lambda spec: cabinet.open_output(spec)  # noqa: PLW0108  it is made later
-    capture.PATIENCE = arrivals.PATIENCE = 0.3
+    capture.PATIENCE = timing.PATIENCE = 0.3
     capture.Capture.__init__.__defaults__ = (lambda _: None, 0.3)
     capture.BACK_OFF = reporter.RETRY_DELAYS = (0.005, 0.01)
     run._USELESS = 0.5
@@ -362,7 +361,7 @@ def soak(frames: int, seed: int) -> list[str]:
 
 def _figure(cabinet: Cabinet) -> tuple[int, float, int, int]:
     """Frames, MB, threads and files by now."""
-    n, memory, threads, files = cabinet.produced, resident(), threading.active_count(), _files()
+    n, memory, threads, files = cabinet.produced, timing.memory_mb(), threading.active_count(), _files()
     print(f"  after {n:8d} frames {memory:6.1f} MB, {threads} threads, {files} files open", flush=True)
     return n, memory, threads, files
 

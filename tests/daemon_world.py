@@ -21,11 +21,12 @@ from spheremouse.ball.rig import Rig
 from spheremouse.errors import DamagedFrameError, OutputError, SourceError
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.rotation import Array, log
+from spheremouse.output import OutputClosed
 from spheremouse.output.counts import MotionSettings
-from spheremouse.session.ball.setup import BallSetup
 from spheremouse.session.control.client import Client
 from spheremouse.session.plan import Request, read_plan
 from spheremouse.session.service import Daemon
+from spheremouse.session.setup import Setup
 from spheremouse.simulate.ball.profile import Gesture, Gestures
 from spheremouse.simulate.ball.render import Renderer
 from spheremouse.simulate.ball.scene import default_scene
@@ -88,13 +89,9 @@ class RawFrame:
             raise DamagedFrameError("half of it is missing")
         if self._fault == "internal":
             raise ZeroDivisionError("as if we had made a mistake")
-        image = (self._world.film.colour if colour else self._world.film.grey)[self.place]
+        image = self._world.image(self.place, colour, self._fault)
         if self._fault == "size":
             image = image[:240, :320]
-        elif self._fault == "dark":
-            image = np.zeros_like(image)
-        elif self._fault == "hidden" and colour:
-            image = cv2.cvtColor(self._world.film.grey[self.place], cv2.COLOR_GRAY2BGR)
         return Frame(np.asarray(image, dtype=np.uint8), self.stamp, self.sequence)
 
     def release(self) -> None:
@@ -106,6 +103,8 @@ class RawFrame:
 
 class World:
     """Everything outside of the daemon, and the daemon within it."""
+
+    setup = Setup()
 
     def __init__(self, film: Film, folder: Path, pace: float = 0.002) -> None:
         """`pace` s is rested between two frames, so that others get at the processor."""
@@ -119,6 +118,7 @@ class World:
         self.fault = ""  # of the frames: damaged, internal, size, dark, hidden
         self.broken = ""  # why the output cannot send
         self.gate: threading.Event | None = None  # sending hangs until it is set
+        self.closed = False  # the output's reader has gone
         # what was
         self.place, self._way, self.moves = 0, 1, 0
         self.sequence = 0
@@ -186,6 +186,15 @@ class World:
             self.out += 1
         return RawFrame(self, self.stamp, self.sequence, self.place, self.fault)
 
+    def image(self, place: int, colour: bool, fault: str) -> NDArray[np.uint8]:
+        """The picture at a place in the film, through a fault."""
+        image = (self.film.colour if colour else self.film.grey)[place]
+        if fault == "dark":
+            return np.zeros_like(image)
+        if fault == "hidden" and colour:
+            return np.asarray(cv2.cvtColor(self.film.grey[place], cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+        return image
+
     def given_back(self) -> None:
         """Of a raw frame."""
         with self._lock:
@@ -220,7 +229,12 @@ class World:
 
     # ---- the daemon ----
 
-    def start(self, assignments: tuple[str, ...] = (), watch: Callable[[Any, Any], None] | None = None) -> Daemon:
+    def start(
+        self,
+        assignments: tuple[str, ...] = (),
+        watch: Callable[[Any, Any], None] | None = None,
+        frames: int | None = None,
+    ) -> Daemon:
         """The daemon, in a thread; what is counted begins with it."""
         self.produced, self.sent, self.outputs, self.states, self.frames = 0, [], [], {}, []
         request = Request(self.config, assignments)
@@ -233,11 +247,11 @@ class World:
         self.daemon = Daemon(
             request,
             read_plan(request),
-            BallSetup(),
-            self.open_camera,
+            self.setup,
             lambda plan: self.open_camera,
-            say=self.said.append,
+            log=self.said.append,
             show=show if watch is None else watch,
+            frames=frames,
         )
         self.asked = False
         self._thread = threading.Thread(target=self._run, name="daemon")
@@ -339,6 +353,8 @@ class Sink:
             gate.wait(PATIENCE)
         if self.world.broken:
             raise OutputError(self.world.broken)
+        if self.world.closed:
+            raise OutputClosed("sink")
         self.world.sent.append(report)
 
     def describe(self, report: Any) -> str:

@@ -12,13 +12,11 @@ tracker: within 2 s of the end of a fault it tracks, and its attitude is right, 
 
 import argparse
 import math
-import os
 import sys
 import time
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Protocol
 
 import cv2
@@ -38,13 +36,14 @@ from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.output.counts import Counter as Counts
 from spheremouse.output.counts import MotionSettings
+from spheremouse.output.rate_limited_logger import strip_digits
 from spheremouse.session import messages
 from spheremouse.session.offline import initialise
+from spheremouse.session.timing import memory_mb
 from spheremouse.simulate.ball.hands import HandVisit, PlacedHand, draw_hand, place_hand
-from spheremouse.simulate.ball.profile import Gesture, Gestures
-from spheremouse.simulate.ball.render import Renderer
 from spheremouse.simulate.ball.scene import default_scene, spread_directions
 from spheremouse.tracker import Event, Frame, Status, Step
+from tests.daemon_world import Film
 
 DT = 1.0 / 30.0
 RESUMED = 2.0  # s after a fault, by the stamps, until the ball must be tracked again
@@ -100,8 +99,9 @@ class Pictures:
 
     def __init__(self, settings: Settings, rng: np.random.Generator, length: int) -> None:
         self._rng = rng
-        self._film, self._true, rig, hands = _film(length)
-        self._hands = hands
+        film = Film.render(length)
+        self._film, self._true, rig = film.colour, film.attitude, film.rig
+        self._hands = _hands()
         still = [Frame(self._film[0], k * DT, k) for k in range(3)]
         start = initialise(iter(still), rig, replace(settings, pose=replace(settings.pose, frames=3)))
         self.tracker = build(rig, start.pose, settings)
@@ -154,23 +154,11 @@ class Pictures:
         return image
 
 
-def _film(length: int) -> tuple[list[NDArray[np.uint8]], Array, Rig, list[list[PlacedHand]]]:
-    """Pictures, their attitudes (n, 3, 3), the device, and hands to lay over them."""
-    s = length * DT / 5.0  # the gestures below take 5 s
-    gestures = (
-        Gesture(0.0, 2.5 * s, (0.6, 0.0, 0.8), 2.2 * s),
-        Gesture(1.5 * s, 2.2 * s, (0.0, 1.0, 0.0), -1.5 * s),
-        Gesture(2.8 * s, 2.2 * s, (0.9746794344808964, 0.0, -0.22360679774997896), 2.0 * s),
-    )
-    profile = Gestures(gestures, 5.0 * s)
-    scene = default_scene()
-    renderer = Renderer(scene)
-    rng = np.random.default_rng(0)
-    made = [renderer.frame(profile, 5.0 * s * k / (length - 1), k, rng) for k in range(length)]
-    hand = draw_hand()
+def _hands() -> list[list[PlacedHand]]:
+    """Hands to lay over the pictures."""
+    hand, scene = draw_hand(), default_scene()
     visits = (HandVisit(0.0, 30.0, True), HandVisit(0.0, 30.0, False))
-    placed = [[p for v in visits if (p := place_hand(hand, v, scene, 0.3 + 0.1 * k)) is not None] for k in range(20)]
-    return [m.frame.image for m in made], np.array([m.attitude for m in made]), scene.rig(), placed
+    return [[p for v in visits if (p := place_hand(hand, v, scene, 0.3 + 0.1 * k)) is not None] for k in range(20)]
 
 
 def _behind(hands: list[PlacedHand], image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -327,7 +315,7 @@ class Judge:
             self.fail(frame, f"counts {self.counts} are not the integral {sent} of the rotations sent")
             self.exact = self.counts.copy()
         if events:
-            self.report.events[_kind(messages.line(events))] += 1
+            self.report.events[strip_digits(messages.line(events).partition(";")[0])] += 1
             self.history.append(f"{frame} {messages.line(events)}")
         self.report.most_discs = max(self.report.most_discs, len(f.discs))
         self.report.most_masks = max(self.report.most_masks, len(state.lookalikes.masks))
@@ -363,14 +351,6 @@ class Judge:
         )
         self.references.append(true.T @ state.filter.attitude)  # told; from here on it is to be right again
         self.good_since = None
-
-
-def _kind(event: str) -> str:
-    """An event without its numbers."""
-    text = "".join("#" if c.isdigit() else c for c in event.split(";", maxsplit=1)[0])
-    while "##" in text or "#.#" in text:
-        text = text.replace("##", "#").replace("#.#", "#")
-    return text
 
 
 def spells(faults: tuple[str, ...], frames: int, rng: np.random.Generator) -> Iterator[tuple[str | None, int]]:
@@ -429,23 +409,14 @@ def session(world: World, name: str, frames: int, seed: int, judged: bool) -> Re
             judge.look(report.frames, fault, stamp, made)
             state = made.state
         if math.isnan(settled) and report.frames > 0.3 * frames:
-            settled = resident()
-    report.growth = resident() - settled
+            settled = memory_mb()
+    report.growth = memory_mb() - settled
     if report.growth > GROWTH:
         report.failures.append(f"{name}, seed {seed}: memory grew by {report.growth:.1f} MB after the warm-up")
     if report.most_masks > MASKS:
         report.failures.append(f"{name}, seed {seed}: {report.most_masks} look-alikes masked")
     report.seconds = time.perf_counter() - began
     return report
-
-
-def resident() -> float:
-    """Resident memory of this process, MB; nan where the system does not say."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    except OSError:
-        return math.nan
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def show(report: Report) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from spheremouse.evaluate.wand import WandHistory, WandRun, followed, found_from, is_lost
 from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.geometry.rotation import Array
-from spheremouse.session.wand.offline import track_wand
+from spheremouse.session.offline import track_wand
 from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import WandBall, WandTruth, contrast_ball, grzonka_ball, led_ball
 from spheremouse.wand.build import build

@@ -17,9 +17,8 @@ def is_camera(spec: str) -> bool:
     return spec.partition(":")[0] in ("v4l2", "opencv")
 
 
-def opener(plan: Plan, open_recording: Callable[[Plan], Source], first: Source | None = None) -> OpenCamera:
-    """Return a function that opens a plan's camera and locks its node. `first` is used first, if it is open."""
-    waiting = [] if first is None else [first]
+def opener(plan: Plan, open_recording: Callable[[Plan], Source], opened: list[Source] | None = None) -> OpenCamera:
+    """Return a function that opens a plan's camera and locks its node. It takes a source that is `opened` already."""
 
     def open_it() -> Camera:
         kind, _, argument = plan.source.partition(":")
@@ -27,8 +26,8 @@ def opener(plan: Plan, open_recording: Callable[[Plan], Source], first: Source |
             from spheremouse.capture import v4l2
 
             return v4l2.open_camera(argument, plan.configuration.camera)
-        if waiting:
-            source = waiting.pop()
+        if opened:
+            source = opened.pop()
         elif is_camera(plan.source):
             source = open_source(plan.source, realtime=True)
         else:
@@ -44,9 +43,9 @@ def opener(plan: Plan, open_recording: Callable[[Plan], Source], first: Source |
 
 @contextmanager
 def looked_through(source: str, settings: CameraSettings, realtime: bool = False) -> Iterator[Source]:
-    """The frames of a source for who takes pictures, not motion; a camera is set as `settings` ask, its node held.
+    """Open a source for pictures, not for motion. A camera gets the `settings`, and its node is locked.
 
-    SourceError where another daemon has it.
+    Raises SourceError if another daemon has the camera.
     """
     kind, _, argument = source.partition(":")
     node = node_of_source(source)

@@ -1,32 +1,158 @@
 """Read a new configuration in a thread of the pool, and apply it between two frames or refuse it as a whole.
 
-A new one is read if one of its files has changed, and on `set` and `reload`. Only the worker calls the methods. Other
-threads may read the attributes.
+The reloader reads a new one if one of its files has changed, and on `set` and `reload`. Only the worker calls its
+methods. Other threads may read the attributes.
 """
 
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from spheremouse.errors import SpheremouseError
-from spheremouse.session.changes import (
-    AT_START,
-    check_read,
-    check_settable,
-    differences,
-    latest,
-    stages_of,
-    stamps_of,
-    told,
-    values,
-)
+import numpy as np
+
+from spheremouse.ball.settings import Settings
+from spheremouse.errors import ControlError, SpheremouseError
+from spheremouse.files import config
+from spheremouse.files.yaml import dotted
 from spheremouse.session.control.protocol import internal_error, refused
 from spheremouse.session.control.request_queue import PendingRequest
-from spheremouse.session.follower import Setup
 from spheremouse.session.plan import Plan, Request, check_kinds, read_plan
 from spheremouse.session.process.threads import WorkerPool
+from spheremouse.session.setup import Setup
+from spheremouse.wand.settings import WandSettings
 
-READING = "reading"  # kind of the crew's work
+AT_START = ("control", "metrics", "realtime")  # what is read at the start only
+_OF_BALL = {"motion", *Settings.__dataclass_fields__} - {"tracker"}
+_UNREAD = {  # sections and keys that a tracker in use does not read
+    "so3": {"wand", "euler"},
+    "ekf1": {"wand", "so3"},
+    "ekf2": {"wand", "so3"},
+    "wand": _OF_BALL,
+}
+
+Values = dict[str, tuple[Any, Any]]  # by key: what was in force, and what is
+
+
+def stamps_of(request: Request, plan: Plan) -> dict[Path, int]:
+    """Return the modification times of the files of a plan."""
+    found: dict[Path, int] = {}
+    for path in (request.file, plan.rig_path, plan.camera_path, *plan.ball_paths):
+        if path is not None:
+            try:
+                found[path] = path.stat().st_mtime_ns
+            except OSError:
+                found[path] = 0
+    return found
+
+
+def stages_of(plan: Plan) -> tuple[str, str]:
+    """Return the settings that select the compiled code of a plan."""
+    return plan.configuration.tracker, plan.configuration.detector
+
+
+def latest(assignments: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the last assignment to each key, in order."""
+    last = {a.partition("=")[0].strip(): k for k, a in enumerate(assignments)}
+    return tuple(a for k, a in enumerate(assignments) if last[a.partition("=")[0].strip()] == k)
+
+
+def key_of(assignment: str) -> str:
+    """Return the key of KEY=VALUE."""
+    return assignment.partition("=")[0].strip()
+
+
+def given(request: Request) -> tuple[str, ...]:
+    """Return the keys that the command line sets; no file changes them."""
+    options = {
+        "source": request.source,
+        "output": request.output,
+        "rig": request.rig,
+        "camera_file": request.camera,
+        "map": request.map or request.no_map,
+        "wand.balls": request.balls,
+    }
+    return (*(key for key, said in options.items() if said), *map(key_of, request.assignments))
+
+
+def check_settable(request: Request, assignments: tuple[str, ...]) -> None:
+    """Raise ControlError if an assignment could not take effect."""
+    keys = [key_of(a) for a in assignments]
+    late = sorted({key for key in (k.partition(".")[0] for k in keys) if key in AT_START})
+    if late:
+        raise ControlError(
+            f"{', '.join(late)}: read at the start only; write it into the configuration file and start again"
+        )
+    said = sorted(set(keys) & set(given(replace(request, assignments=()))))
+    if said:
+        raise ControlError(
+            f"{', '.join(said)}: said on the command line, which comes before what is set; start again without it"
+        )
+
+
+def check_read(plan: Plan, assignments: tuple[str, ...]) -> None:
+    """Raise ControlError if the tracker of a plan does not read an assigned key."""
+    tracker = plan.configuration.tracker
+    unread = [k for k in map(key_of, assignments) if k.partition(".")[0] in _UNREAD[tracker]]
+    if unread:
+        raise ControlError(f"{', '.join(unread)}: the tracker in use, {tracker}, does not read it; set what it reads")
+
+
+def values(before: Plan, now: Plan, assignments: tuple[str, ...]) -> Values:
+    """Return old and new value of each parameter that has changed or was assigned."""
+    a, b = ({dotted(key): value for key, value in config.parameters(plan.configuration)} for plan in (before, now))
+    asked = set(map(key_of, assignments))
+    return {key: (a[key], b[key]) for key in b if a[key] != b[key] or key in asked}
+
+
+def told(values: Values) -> str:
+    """Return the changes in words."""
+    return ", ".join(
+        f"{key} {config.to_yaml(old)} → {config.to_yaml(new)}" if old != new else f"{key} {config.to_yaml(new)} already"
+        for key, (old, new) in values.items()
+    )
+
+
+def differences(before: Plan, now: Plan) -> list[str]:
+    """Return the names of the changed sections, without those that the tracker does not read."""
+    a, b = before.configuration, now.configuration
+    if b.tracker == "wand":
+        tuned = any(getattr(a.wand, f) != getattr(b.wand, f) for f in (*WandSettings.__dataclass_fields__, "points"))
+        moved, axes = a.wand.pointing != b.wand.pointing, a.wand.axes != b.wand.axes
+    else:
+        tuned = any(getattr(a, f) != getattr(b, f) for f in Settings.__dataclass_fields__)
+        moved, axes = a.motion != b.motion, False
+    found = {
+        "tracker": tuned,
+        "source": before.source != now.source or a.camera != b.camera,
+        "output": before.output != now.output,
+        "axes": axes,
+        "rig": before.rig_path != now.rig_path
+        or not _same(before.rig, now.rig)
+        or not _same(before.camera, now.camera),
+        "map": before.map_path != now.map_path,
+        "balls": before.ball_paths != now.ball_paths or not _same(before.balls, now.balls),
+        "motion": moved,
+    }
+    for name in ("pointer", "record", *AT_START):
+        found[name] = getattr(a, name) != getattr(b, name)
+    return [name for name, other in found.items() if other]
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Compare two devices, nested dataclasses with arrays."""
+    if a is None or b is None:
+        return a is b
+    if isinstance(a, np.ndarray):
+        return np.array_equal(a, b)
+    if isinstance(a, tuple):
+        return type(a) is type(b) and len(a) == len(b) and all(map(_same, a, b))
+    if hasattr(type(a), "__dataclass_fields__"):
+        return type(a) is type(b) and all(_same(getattr(a, f), getattr(b, f)) for f in type(a).__dataclass_fields__)
+    return bool(a == b)
+
+
+READING = "reading"  # kind of the pool's work
 
 Prepare = Callable[[Plan, list[str]], Callable[[], bool]]
 
@@ -41,15 +167,15 @@ class ConfigReloader:
         setup: Setup,
         prepare: Prepare,
         *,
-        crew: WorkerPool,
-        ask: Callable[[Callable[[], None]], None],
-        say: Callable[[str], None],
+        workers: WorkerPool,
+        call: Callable[[Callable[[], None]], None],
+        log: Callable[[str], None],
     ) -> None:
         """`prepare` takes a plan and the changed sections. It raises SpheremouseError to refuse the plan, or returns
-        a function that applies it and returns True if that has ended a recording. `ask` runs a call in the worker.
+        a function that applies it and returns True if that has ended a recording. `call` runs a call in the worker.
         """
         self.request, self.plan, self._setup, self._prepare = request, plan, setup, prepare
-        self._crew, self._ask, self._say = crew, ask, say
+        self._workers, self._call, self._log = workers, call, log
         self._files = stamps_of(request, plan)
 
     @property
@@ -83,15 +209,15 @@ class ConfigReloader:
             except Exception as e:
                 error = internal_error(e)
             else:
-                self._ask(lambda: pending.attempt(lambda: self._apply(wanted, plan, files, pending, assigned)))
+                self._call(lambda: pending.attempt(lambda: self._apply(wanted, plan, files, pending, assigned)))
                 return
-            self._ask(lambda: pending.attempt(lambda: self._not_applied(error, files, pending)))
+            self._call(lambda: pending.attempt(lambda: self._not_applied(error, files, pending)))
 
-        self._crew.do(READING, read)
+        self._workers.do(READING, read)
 
     def _not_applied(self, error: str, files: dict[Path, int], pending: PendingRequest) -> None:
         self._files = files
-        self._say(f"configuration not applied: {error}")
+        self._log(f"configuration not applied: {error}")
         pending.answer(refused(error))
 
     def _apply(
@@ -120,5 +246,5 @@ class ConfigReloader:
             text += f" ({', '.join(later)}: from the next start on)"
         text += "; the recording has ended, for it is of one configuration" if ended else ""
         if changed or not pending.quiet:
-            self._say(text)
+            self._log(text)
         pending.answer({"changed": changed, "values": exact, "message": text})

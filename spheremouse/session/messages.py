@@ -1,4 +1,4 @@
-"""Sentences about the ball in its frame, made of events. No program reads them."""
+"""Sentences for people about the ball in its frame: events, missing discs, and targets."""
 
 from collections.abc import Iterable
 from typing import assert_never, cast
@@ -30,6 +30,60 @@ _Ball = (
 )
 
 
+_DOUBTS = {
+    Doubt.NO_DISC: "no disc in view",
+    Doubt.UNKNOWN: "no disc in view is where one of the map should be",
+    Doubt.ONE_DISC: "one known disc in view does not tell the turn about it",
+    Doubt.UNCERTAIN: "the discs in view do not agree on one turn of the ball",
+    Doubt.SEVERAL: "the discs in view leave more than one attitude possible",
+    Doubt.CAMERA: "the camera is moving",
+}
+
+_SHOWN = "`spheremouse ctl snapshot`, or `preview`, shows it"
+_ABSENCES = {  # reason, with a as an Absence, and remedy
+    Cause.DARK: (
+        "it is nearly black ({a.grey:.0f} of 255)",
+        "uncover the lens, light the ball, or expose longer (camera.exposure_s)",
+    ),
+    Cause.BRIGHT: (
+        "it is overexposed ({a.grey:.0f} of 255)",
+        "a shorter exposure (camera.exposure_s), less gain, or less light",
+    ),
+    Cause.BLURRED: ("the picture is blurred, by {a.size:.1f} px", "focus the lens (camera.focus), and wipe it"),
+    Cause.LIGHTER: ("{spots} like discs are lighter than the ball, not darker", "set discs.polarity to light"),
+    Cause.DARKER: ("{spots} like discs are darker than the ball, not lighter", "set discs.polarity to dark"),
+    Cause.FAINT: (
+        "{spots} like discs are faint, with a contrast of {a.contrast:.2f}",
+        "more light from the side of the camera, less gloss, or a smaller discs.contrast",
+    ),
+    Cause.SIZE: (
+        "{spots} are about {a.size:.0f} px across, and the rig's discs {a.disc:.0f} px",
+        "if these are the discs, correct disc_radius in the rig, or give the rig of this ball",
+    ),
+    Cause.SHAPE: (
+        "none of {spots} looks like a disc of {a.disc:.0f} px",
+        f"uncover the ball, light it evenly; is this the rig's ball? {_SHOWN}",
+    ),
+    Cause.PLAIN: (
+        "nothing on it stands out",
+        f"uncover the ball; does the camera see it, and are its discs on this side? {_SHOWN}",
+    ),
+}
+
+_REFUSALS = {  # reason, short enough for a picture, and remedy
+    Bound.COLOURS: ("{inside} in {outside}, no third colour", "no target, or one that is covered in part"),
+    Bound.EDGES: ("{code}: edges not clear", "focus the lens, hold the camera still, uncover all of it"),
+    Bound.CENTRE: ("{code}: not concentric", "uncover all of it; is it a print of ours?"),
+    Bound.SIZE: (
+        "{code}: too small",
+        "go nearer, choose a larger picture, or print larger targets",
+    ),
+    Bound.RATIO: ("{code}: rings out of proportion", "focus the lens; is it a print of ours?"),
+    Bound.LIGHT: ("{code}: too dark or too pale", "more light, or less glare (rings.saturation, rings.value)"),
+    Bound.HUE: ("{code}: other hues", "white light, white balance (rings.cyan, rings.magenta, rings.yellow)"),
+}
+
+
 def line(happened: Iterable[Event]) -> str:
     """Return the log line of a frame's events, each with its new state; empty if there are none."""
     return "; ".join(f"{_state(e)}{sentence(e)}" for e in happened)
@@ -51,7 +105,7 @@ def _state(event: Event) -> str:
 
 
 def sentence(event: Event) -> str:
-    """An event in words."""
+    """Return an event in words."""
     happened = cast(_Ball, event)
     match happened:
         case events.Found(discs):
@@ -66,7 +120,7 @@ def sentence(event: Event) -> str:
         case BallLost():
             return _why(happened)
         case events.MotionWithheld(doubt):
-            return f"motion withheld: {_doubt(doubt)}"
+            return f"motion withheld: {_DOUBTS[doubt]}"
         case events.MotionReleased(seconds, angle):
             return f"motion goes on: the {np.degrees(angle):.0f}° of {seconds:.1f} s are made up for at a hand's pace"
         case events.NewMap(saved=True):
@@ -94,29 +148,11 @@ def sentence(event: Event) -> str:
 
 def withheld(seconds: float, doubt: Doubt) -> str:
     """Explain why a tracked ball moves nothing, and for how long."""
-    return f"motion withheld for {seconds:.1f} s: {_doubt(doubt)}"
-
-
-def _doubt(doubt: Doubt) -> str:
-    match doubt:
-        case Doubt.NO_DISC:
-            return "no disc in view"
-        case Doubt.UNKNOWN:
-            return "no disc in view is where one of the map should be"
-        case Doubt.ONE_DISC:
-            return "one known disc in view does not tell the turn about it"
-        case Doubt.UNCERTAIN:
-            return "the discs in view do not agree on one turn of the ball"
-        case Doubt.SEVERAL:
-            return "the discs in view leave more than one attitude possible"
-        case Doubt.CAMERA:
-            return "the camera is moving"
-        case _:
-            assert_never(doubt)
+    return f"motion withheld for {seconds:.1f} s: {_DOUBTS[doubt]}"
 
 
 def no_discs(seen: int, seconds: float, absence: Absence) -> str:
-    """A ball that shows no discs, or too few, for so long: why, and what to change."""
+    """Return the reason why a ball shows no discs, or too few, since when, and the remedy."""
     found = f"only {seen} disc{'s' if seen > 1 else ''} found" if seen else "no disc found"
     problem, hint = why_absent(absence)
     return f"{found} on the ball for {seconds:.0f} s: {problem}; {hint}"
@@ -125,46 +161,8 @@ def no_discs(seen: int, seconds: float, absence: Absence) -> str:
 def why_absent(absence: Absence) -> tuple[str, str]:
     """Return the reason why no disc is found on the ball, and the remedy."""
     spots = f"{absence.spots} spot{'' if absence.spots == 1 else 's'}"
-    shown = "`spheremouse ctl snapshot`, or `preview`, shows it"
-    match absence.cause:
-        case Cause.DARK:
-            return (
-                f"it is nearly black ({absence.grey:.0f} of 255)",
-                "uncover the lens, light the ball, or expose longer (camera.exposure_s)",
-            )
-        case Cause.BRIGHT:
-            return (
-                f"it is overexposed ({absence.grey:.0f} of 255)",
-                "a shorter exposure (camera.exposure_s), less gain, or less light",
-            )
-        case Cause.BLURRED:
-            return f"the picture is blurred, by {absence.size:.1f} px", "focus the lens (camera.focus), and wipe it"
-        case Cause.LIGHTER:
-            return f"{spots} like discs are lighter than the ball, not darker", "set discs.polarity to light"
-        case Cause.DARKER:
-            return f"{spots} like discs are darker than the ball, not lighter", "set discs.polarity to dark"
-        case Cause.FAINT:
-            return (
-                f"{spots} like discs are faint, with a contrast of {absence.contrast:.2f}",
-                "more light from the side of the camera, less gloss, or a smaller discs.contrast",
-            )
-        case Cause.SIZE:
-            return (
-                f"{spots} are about {absence.size:.0f} px across, and the rig's discs {absence.disc:.0f} px",
-                "if these are the discs, correct disc_radius in the rig, or give the rig of this ball",
-            )
-        case Cause.SHAPE:
-            return (
-                f"none of {spots} looks like a disc of {absence.disc:.0f} px",
-                f"uncover the ball, light it evenly; is this the rig's ball? {shown}",
-            )
-        case Cause.PLAIN:
-            return (
-                "nothing on it stands out",
-                f"uncover the ball; does the camera see it, and are its discs on this side? {shown}",
-            )
-        case _:
-            assert_never(absence.cause)
+    problem, hint = _ABSENCES[absence.cause]
+    return problem.format(a=absence, spots=spots), hint
 
 
 def _in_colours(weights: tuple[float, float, float]) -> str:
@@ -218,42 +216,9 @@ def found(seen: Iterable[str], known: Iterable[str] | None) -> str:
 
 def refusal(refused: Refused) -> str:
     """Return the reason why a shape is no target, short enough for a picture."""
-    inside, outside = refused.code[0], refused.code[-1]
-    match refused.bound:
-        case Bound.COLOURS:
-            return f"{inside} in {outside}, no third colour"
-        case Bound.EDGES:
-            return f"{refused.code}: edges not clear"
-        case Bound.CENTRE:
-            return f"{refused.code}: not concentric"
-        case Bound.SIZE:
-            return f"{refused.code}: too small"
-        case Bound.RATIO:
-            return f"{refused.code}: rings out of proportion"
-        case Bound.LIGHT:
-            return f"{refused.code}: too dark or too pale"
-        case Bound.HUE:
-            return f"{refused.code}: other hues"
-        case _:
-            assert_never(refused.bound)
+    return _REFUSALS[refused.bound][0].format(code=refused.code, inside=refused.code[0], outside=refused.code[-1])
 
 
 def remedy(bound: Bound) -> str:
     """Return the remedy for a rejected target."""
-    match bound:
-        case Bound.COLOURS:
-            return "no target, or one that is covered in part"
-        case Bound.EDGES:
-            return "focus the lens, hold the camera still, uncover all of it"
-        case Bound.CENTRE:
-            return "uncover all of it; is it a print of ours?"
-        case Bound.SIZE:
-            return "go nearer, choose a larger picture, or print larger targets"
-        case Bound.RATIO:
-            return "focus the lens; is it a print of ours?"
-        case Bound.LIGHT:
-            return "more light, or less glare (rings.saturation, rings.value)"
-        case Bound.HUE:
-            return "white light, white balance (rings.cyan, rings.magenta, rings.yellow)"
-        case _:
-            assert_never(bound)
+    return _REFUSALS[bound][1]

@@ -1,7 +1,4 @@
-"""One run from the first frame to the last: the camera's pose from the targets, then every frame tracked.
-
-The shell's part of the use phase: it takes frames as they come and measures times. Printing is its callers' matter.
-"""
+"""Track a recording from its first frame to its last, with either tracker, and measure times."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -12,29 +9,34 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.build import begin
+from spheremouse.ball.build import begin as begin_ball
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.pose import Resection, find_pose
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Epoch, Tracker, TrackState
-from spheremouse.ball.track import step
-from spheremouse.ball.warm import warm_up
+from spheremouse.ball.track import step as step_ball
+from spheremouse.ball.warm import warm_up as warm_up_ball
 from spheremouse.compiling import told
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array
 from spheremouse.output import Output
-from spheremouse.session.follower import FrameResult, TrackerAdapter
+from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.tracker import Frame, check_size
+from spheremouse.wand.state import WandEpoch, WandState, WandTracker
+from spheremouse.wand.track import begin as begin_wand
+from spheremouse.wand.track import step as step_wand
+from spheremouse.wand.warm import warm_up as warm_up_wand
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """The end of initialisation: the pose, what it rests on, and the frames from the first that was used on."""
+    """Result of the initialisation: the pose, its resection, and the frames from the first that was used."""
 
     pose: Pose
-    resection: Resection | None  # None where the pose was known beforehand
+    resection: Resection | None  # None if the rig has the pose
     frames: Iterator[Frame]
     passed: int = 0  # frames before those
 
@@ -49,8 +51,8 @@ def initialise(
 ) -> Start:
     """Find the camera's pose in the first views that show enough targets.
 
-    A recording is tracked from the first of those views on; a live camera from where it is by then. Views that show too
-    few targets are passed over and `report`ed once; PoseError where the frames end before a pose was found.
+    The frames of a recording start with the first of those views, those of a live camera after them. `report` gets the
+    problem of views with too few targets once. Raises PoseError if the frames end before a pose was found.
     """
     if rig.pose is not None:
         return Start(rig.pose, None, frames)
@@ -85,38 +87,37 @@ def _colour(frame: Frame) -> NDArray[np.uint8]:
 def make_ready(settings: Settings, tell: Callable[[str], None] | None = None) -> None:
     """Compile the functions of tracking, or read them from disk, with progress (`compiling.told`)."""
     with told(tell):
-        warm_up(settings)
+        warm_up_ball(settings)
 
 
 class View(Protocol):
     """Displays a run."""
 
-    def say(self, text: str) -> None:
-        """One or more lines, which stay."""
+    def log(self, text: str) -> None:
+        """Print one or more lines, which stay."""
         ...
 
-    def show(self, made: FrameResult, follower: TrackerAdapter) -> None:
-        """A tracked frame, and what tracks it."""
+    def show(self, made: FrameResult, adapter: TrackerAdapter) -> None:
+        """Show a tracked frame of an adapter."""
         ...
 
 
-def follow(frames: Iterable[Frame], follower: TrackerAdapter, sinks: Sequence[Output], view: View) -> None:
+def follow(frames: Iterable[Frame], adapter: TrackerAdapter, sinks: Sequence[Output], view: View) -> None:
     """Track every frame of a recording, and log changes with the frame's stamp."""
     for frame in frames:
-        follower.check(frame)
-        made = follower.follow(frame)
+        made = adapter.follow(frame)
         if made is None:
             continue
         for sink in sinks:
             sink.send(made.report)
-        change, more = follower.take_news()
+        change, more = adapter.take_messages()
         for text in filter(None, (change, *more)):
-            view.say(f"{frame.stamp:9.3f} s  {text}")
-        view.show(made, follower)
+            view.log(f"{frame.stamp:9.3f} s  {text}")
+        view.show(made, adapter)
 
 
 def track(frames: Iterator[Frame], tracker: Tracker, known: DiscMap | None = None) -> Iterator[Epoch]:
-    """Track every frame; with a `known` map of the ball's discs the attitude is in its frame once it is recognised."""
+    """Track every frame. With a `known` map of the discs, attitudes are in its frame once the ball is recognised."""
     make_ready(tracker.settings)
     state: TrackState | None = None
     times = [0.0, 0.0, 0.0]
@@ -126,8 +127,43 @@ def track(frames: Iterator[Frame], tracker: Tracker, known: DiscMap | None = Non
 
     for frame in frames:
         check_size(frame, tracker.rig.camera)
-        state = state or begin(tracker, frame.stamp, known=known)
+        state = state or begin_ball(tracker, frame.stamp, known=known)
         times[0] = time.perf_counter()
-        state, estimate, events = step(state, frame, tracker, detected)
+        state, estimate, events = step_ball(state, frame, tracker, detected)
         times[2] = time.perf_counter()
         yield Epoch(frame, state, estimate, events, {"detect": times[1] - times[0], "filter": times[2] - times[1]})
+
+
+_NO_HUE = ("dark", "light")  # colours that grey frames show as well
+
+Known = dict[int, tuple[Array, Array]]  # position and rotation of balls, by their index
+
+
+def make_wand_ready(tell: Callable[[str], None] | None = None) -> None:
+    """Compile the functions of tracking, or read them from disk, with progress (`compiling.told`)."""
+    with told(tell):
+        warm_up_wand()
+
+
+def track_wand(
+    frames: Iterable[Frame], tracker: WandTracker, seed: int = 0, known: Known | None = None
+) -> Iterator[WandEpoch]:
+    """Track every frame; `known` has the poses of balls at the first one. The times exclude compilation."""
+    make_wand_ready()
+    state: WandState | None = None
+    for frame in frames:
+        check_wand_frame(frame, tracker)
+        state = state or begin_wand(tracker, seed, frame.stamp, known)
+        start = time.perf_counter()
+        state, estimate, _ = step_wand(state, frame, tracker)
+        yield WandEpoch(frame, state, estimate, time.perf_counter() - start)
+
+
+def check_wand_frame(frame: Frame, tracker: WandTracker) -> None:
+    """Raise SourceError if a frame has another size than the camera's, or lacks the colour that the balls need."""
+    check_size(frame, tracker.camera)
+    if frame.image.ndim == 2 and (paints := [c for c in tracker.names if c not in _NO_HUE]):
+        raise SourceError(
+            f"the frames are grey, and the ball has {' and '.join(paints)} discs: use a camera in colour, or a ball "
+            "in dark and light"
+        )

@@ -14,7 +14,7 @@ from spheremouse.output.pointer import Counts, PointerSettings, minus, plus
 from spheremouse.output.reporter import Latency, OutputThread
 from spheremouse.session.process.threads import WorkerPool, begin
 
-OUTPUT = "output"  # kind of the crew's work
+OUTPUT = "output"  # kind of the pool's work
 
 Open = Callable[[], Output]
 _NONE: Counts = (0, 0, 0)
@@ -28,13 +28,13 @@ class Outputs:
         openers: Sequence[Open],
         settings: PointerSettings,
         *,
-        say: Callable[[str], None],
-        crew: WorkerPool,
-        ask: Callable[[Callable[[], None]], None],
+        log: Callable[[str], None],
+        workers: WorkerPool,
+        call: Callable[[Callable[[], None]], None],
     ) -> None:
-        """`crew` closes what has been exchanged; `ask` takes, from any thread, what the worker is to do."""
-        self._say, self._crew, self._ask = say, crew, ask
-        self._late: list[threading.Thread] | None = []  # begun once the doors are open
+        """`workers` closes exchanged outputs; `call` has the worker run a call, from any thread."""
+        self._log, self._workers, self._call = log, workers, call
+        self._late: list[threading.Thread] | None = []  # started by `begin`
         self._paused = False
         self._given = _NONE  # sum of the counts that the pointer's output was given
         self.past: tuple[int, Counts] = (0, _NONE)  # reports and unsent counts of the pointer's outputs before this one
@@ -73,7 +73,7 @@ class Outputs:
         old, given = self.pointer, self._given
 
         def closed() -> None:
-            self._ask(lambda: self._count_past(old, given))
+            self._call(lambda: self._count_past(old, given))
 
         self.pointer, *self.others = self._next(self._all, openers, settings, closed)
         self._given = _NONE
@@ -133,7 +133,7 @@ class Outputs:
             exchange.close()
             closed()
 
-        self._crew.do(OUTPUT, retire)
+        self._workers.do(OUTPUT, retire)
         return made
 
     def _threads(
@@ -143,7 +143,7 @@ class Outputs:
         begun: list[OutputThread] = []
         try:
             for open_it in openers:
-                begun.append(OutputThread(open_it, settings, self._say, start=self._begin))
+                begun.append(OutputThread(open_it, settings, self._log, start=self._begin))
         except ControlError:
             give_up()
             for thread in begun:

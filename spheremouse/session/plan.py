@@ -4,6 +4,7 @@ It is read as a whole or not at all, so a reload never leaves the daemon between
 """
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -16,9 +17,55 @@ from spheremouse.files.dataset.format import MOST_BALLS
 from spheremouse.files.disc_map import map_path
 from spheremouse.files.registry import check
 from spheremouse.files.rig import load_camera, load_rig, with_camera
+from spheremouse.files.wand import load_wand
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.session.balls import Balls, read_balls
 from spheremouse.session.settings import Configuration
+from spheremouse.wand.ball import WandBall
+from spheremouse.wand.settings import ColourSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Balls:
+    """Balls in the order of their numbers, and the bounds of their colours."""
+
+    balls: tuple[WandBall, ...] = ()
+    colours: dict[str, ColourSettings] = field(default_factory=dict)
+
+
+def read_balls(files: Iterable[Path]) -> Balls:
+    """Read balls from wand files.
+
+    A file that is named twice stands for two equal balls. Raises ConfigurationError if a file is invalid, if balls of
+    two files share a name, or if two files differ in a colour's bounds.
+    """
+    named: dict[str, Path] = {}
+    balls: list[WandBall] = []
+    colours: dict[str, ColourSettings] = {}
+    said_by: dict[str, Path] = {}
+    for path in files:
+        file = load_wand(path)
+        name = file.ball.name
+        if name in named and not path.samefile(named[name]):  # a file that is named twice is of two equal balls
+            raise ConfigurationError(f"{path}: name: {name} is also the ball of {named[name]}; give each its own name")
+        named[name] = path
+        balls.append(file.ball)
+        for name, bounds in file.colours.items():
+            if colours.setdefault(name, bounds) != bounds:
+                raise ConfigurationError(
+                    f"{path}: colours.{name}: other bounds than in {said_by[name]}; a colour has one set of bounds, "
+                    "or another name"
+                )
+            said_by.setdefault(name, path)
+    return Balls(tuple(balls), colours)
+
+
+def told_apart(balls: tuple[WandBall, ...]) -> tuple[WandBall, ...]:
+    """Number the balls of a recording that share a name, for messages."""
+    names = [ball.name for ball in balls]
+    return tuple(
+        replace(ball, name=f"{ball.name} {names[: k + 1].count(ball.name)}") if names.count(ball.name) > 1 else ball
+        for k, ball in enumerate(balls)
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,4 @@
-"""Display of a run: a table on a terminal, else a line a second.
-
-Takes epochs as they are tracked and writes to standard error only; refreshed ten times a second at most, so that
-looking costs nothing to speak of.
-"""
+"""Display of a run on standard error: a table on a terminal, at most ten times a second, else a line a second."""
 
 import sys
 import time
@@ -23,6 +19,8 @@ from spheremouse.geometry.rotation import Array, to_euler
 from spheremouse.output.pointer import Counts, minus, plus
 from spheremouse.session.timing import FrameTimes
 from spheremouse.tracker import Status
+from spheremouse.wand.axes import axes_of
+from spheremouse.wand.state import WandPose
 
 _REFRESH = 0.1  # s between two pictures of the table
 _LINE_EVERY = 1.0  # s between two lines where there is no terminal
@@ -39,20 +37,20 @@ class Tally:
     def __init__(self) -> None:
         self.frames = 0
         self._counts: Counts = (0, 0, 0)  # of all frames
-        self.unsent: Callable[[], Counts] = lambda: (0, 0, 0)  # the part of these that the output did not get
-        self.left_out: dict[str, int] = {}  # frames of which nothing came, by what became of them
+        self.unsent: Callable[[], Counts] = lambda: (0, 0, 0)  # the part of these that was not sent
+        self.left_out: dict[str, int] = {}  # frames that were not tracked, by reason
         self.times = FrameTimes()
         self.words = ""  # further words
 
     def add(self, counts: Counts, seconds: float) -> None:
-        """One more frame: its counts, and how long it took."""
+        """Add a frame: its counts, and its time in s."""
         self.frames += 1
         self._counts = plus(self._counts, counts)
         self.times.add(seconds, time.perf_counter())
 
     @property
     def counts(self) -> Counts:
-        """Their sum, as it was sent."""
+        """Sum of the counts that were sent."""
         return minus(self._counts, self.unsent())
 
     def __str__(self) -> str:
@@ -90,12 +88,12 @@ class Screen:
         if self._live is not None:
             self._live.__exit__(kind, error, trace)
 
-    def say(self, text: str) -> None:
-        """One or more lines, as they are; they stay."""
+    def log(self, text: str) -> None:
+        """Print one or more lines, which stay."""
         self.console.print(Text(text), soft_wrap=True)
 
     def refresh(self, picture: Callable[[], RenderableType], line: Callable[[], str]) -> None:
-        """Draw one of the two, when it is time."""
+        """Draw one of the two, if the last one is old enough."""
         now = time.perf_counter()
         if not self._wanted or now < self._due:
             return
@@ -104,7 +102,7 @@ class Screen:
             self._live.update(picture(), refresh=True)
         else:
             self._due = now + _LINE_EVERY
-            self.say(line())
+            self.log(line())
 
 
 class StatusTable(Screen):
@@ -125,10 +123,10 @@ class StatusTable(Screen):
         super().__exit__(kind, error, trace)
 
     def show(self, epoch: Epoch) -> None:
-        """The newest epoch; drawn when it is time."""
+        """Set the newest epoch, and draw it if the last one is old enough."""
         self._last = epoch
         stamp = epoch.frame.stamp
-        self._rates.append((stamp, epoch.state.filter.rate))
+        self._rates.append((stamp, epoch.estimate.rate[:3]))
         while self._rates[0][0] < stamp - _HISTORY:
             self._rates.popleft()
         self.refresh(lambda: self._picture(epoch), lambda: as_line(epoch, self._tally))
@@ -138,9 +136,8 @@ class StatusTable(Screen):
 
 
 def as_line(epoch: Epoch, tally: Tally) -> str:
-    """The state in one line."""
-    state = epoch.state
-    rate = " ".join(f"{np.rad2deg(w):+.1f}" for w in state.filter.rate)
+    """Return the state in one line."""
+    rate = " ".join(f"{w:+.1f}" for w in np.degrees(epoch.estimate.rate[:3]))
     counts = " ".join(f"{n:+d}" for n in tally.counts)
     return (
         f"{epoch.frame.stamp:9.3f} s  {_status(epoch)}  rate {rate} deg/s  counts {counts}  discs {_discs(epoch)}  "
@@ -149,11 +146,11 @@ def as_line(epoch: Epoch, tally: Tally) -> str:
 
 
 def as_table(epoch: Epoch, tally: Tally, rates: Sequence[tuple[float, Array]], title: str) -> RenderableType:
-    """The state as a table of 78 columns; `rates` are stamps in s and w_obj (3,) rad/s of the last seconds."""
-    state = epoch.state
-    rate = np.rad2deg(state.filter.rate)
-    sigma = np.rad2deg(np.sqrt(np.maximum(np.diag(state.filter.covariance)[3:6], 0.0)))
-    angles = np.rad2deg(to_euler(state.filter.attitude))
+    """Return the state as a table of 78 columns; `rates` are stamps in s and w_obj (3,) rad/s of the last seconds."""
+    estimate = epoch.estimate
+    rate = np.rad2deg(estimate.rate[:3])
+    sigma = np.rad2deg(np.sqrt(np.maximum(np.diag(estimate.covariance)[6:9], 0.0)))
+    angles = np.rad2deg(to_euler(estimate.rotation))
     history = np.rad2deg(np.array([w for _, w in rates]).reshape(-1, 3))
     stamps = np.array([t for t, _ in rates])
 
@@ -166,7 +163,7 @@ def as_table(epoch: Epoch, tally: Tally, rates: Sequence[tuple[float, Array]], t
     for i, (name, colour, letter) in enumerate(_AXES):
         grid.add_row(
             Text(name, style=f"bold {colour}"),
-            Text(f"{rate[i]:+.1f} °/s", style="dim" if state.status is Status.LOST else "bold"),
+            Text(f"{rate[i]:+.1f} °/s", style="dim" if estimate.status is Status.LOST else "bold"),
             Text(f"±{sigma[i]:.2f}", style="dim"),
             Text(curve(stamps, history[:, i], epoch.frame.stamp), style=colour),
             Text(f"{letter} {angles[i]:+7.1f}°"),
@@ -183,13 +180,16 @@ def as_table(epoch: Epoch, tally: Tally, rates: Sequence[tuple[float, Array]], t
     facts.add_row("time", Text(f"{pace}; {times.rate:.0f} frames/s" if np.isfinite(times.rate) else pace))
 
     head = Text.assemble(
-        (f" {title} ", "bold"), "│ ", (f"● {_status(epoch)}", _COLOURS[state.status]), f" │ {epoch.frame.stamp:.2f} s "
+        (f" {title} ", "bold"),
+        "│ ",
+        (f"● {_status(epoch)}", _COLOURS[estimate.status]),
+        f" │ {epoch.frame.stamp:.2f} s ",
     )
     return Panel(Group(grid, Text(), facts), title=head, title_align="left", border_style="dim", width=78)
 
 
 def curve(stamps: Array, values: Array, now: float) -> str:
-    """Values, (n,) at stamps (n,) s, of the last seconds up to `now` as blocks, zero at half height."""
+    """Return values, (n,) at stamps (n,) s, of the last seconds up to `now` as blocks, zero at half height."""
     if len(values) == 0:
         return ""
     most = max(float(np.abs(values).max()), 5.0)  # deg/s; noise at rest stays flat
@@ -209,9 +209,9 @@ def _status(epoch: Epoch) -> str:
 
 
 def _discs(epoch: Epoch) -> str:
-    state = epoch.state
-    masked = len(state.lookalikes.masks)
-    text = f"{len(epoch.used)} used, {len(state.points)} seen, {len(state.filter.discs)} known"
+    n = epoch.estimate.statistics
+    masked = len(epoch.state.lookalikes.masks)
+    text = f"{n['discs_used']} used, {n['discs_seen']} seen, {n['discs_known']} known"
     return f"{text}; {masked} masked" if masked else text
 
 
@@ -220,3 +220,33 @@ def _named(pairs: Sequence[tuple[str, int]]) -> list[tuple[str, str]]:
     for name, value in pairs:
         parts += [(f"{name} ", "dim"), (f"{value:+d}".ljust(9), "bold")]
     return parts
+
+
+class WandStatusTable(Screen):
+    """Shows poses."""
+
+    def __init__(self, wanted: bool, tally: Tally, console: Console | None = None) -> None:
+        """With `wanted` False, show only messages. `tally` is not changed."""
+        super().__init__(wanted, console)
+        self._tally = tally
+
+    def show(self, stamp: float, poses: tuple[WandPose, ...]) -> None:
+        """Set the newest poses, and draw them if the last ones are old enough."""
+
+        def text() -> str:
+            return "\n".join(pose_line(stamp, pose, self._tally) for pose in poses)
+
+        self.refresh(lambda: Text(text()), text)
+
+
+def pose_line(stamp: float, pose: WandPose, tally: Tally) -> str:
+    """Return the pose of a ball in one line."""
+    where = "                                                   "
+    if pose.position is not None and pose.rotation is not None and pose.covariance is not None:
+        axes = axes_of(pose.position, pose.rotation, pose.covariance)
+        x, y, z = axes.position
+        yaw, pitch, roll = np.degrees(axes.angles)
+        where = f"x {x:+.3f} y {y:+.3f} z {z:.3f} m  yaw {yaw:+6.1f} pitch {pitch:+6.1f} roll {roll:+6.1f} deg"
+    counts = " ".join(f"{n:+d}" for n in tally.counts)
+    median = 1e3 * tally.times.recent_quantile(0.5)
+    return f"{stamp:9.3f} s  {pose.name} {pose.phase}  {where}  counts {counts}  {median:.1f} ms"

@@ -1,4 +1,4 @@
-"""The daemon: capture, worker, reporter and control socket of one run.
+"""The daemon: capture, worker, outputs and control socket of one run.
 
 The loop in `Daemon.run` is the worker's thread. It takes the newest frame, tracks it, and handles requests between two
 frames. It waits only for the next frame.
@@ -8,6 +8,8 @@ import contextlib
 import os
 import time
 from collections.abc import Callable
+from concurrent.futures import wait
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,34 +18,32 @@ from spheremouse.capture import OpenCamera
 from spheremouse.capture.fetch import Capture
 from spheremouse.capture.newest import LatestFrame
 from spheremouse.capture.signals import SignalHandler, on_hang_up
+from spheremouse.errors import ControlError
 from spheremouse.output.pointer import Counts, minus, plus
 from spheremouse.output.rate_limited_logger import RateLimitedLogger
 from spheremouse.output.third_axis import left_out
-from spheremouse.session.arrivals import Arrivals
 from spheremouse.session.cameras import held
-from spheremouse.session.changes import given
-from spheremouse.session.command_handler import CommandHandler
-from spheremouse.session.config_reloader import READING, ConfigReloader
-from spheremouse.session.control.endpoints import Endpoints
-from spheremouse.session.control.protocol import Request, refused
+from spheremouse.session.config_reloader import READING, ConfigReloader, given
+from spheremouse.session.control.protocol import Record, Request, Set, Snapshot, refused
 from spheremouse.session.control.request_queue import PendingRequest, RequestQueue
-from spheremouse.session.follower import MAP, POSE, TARGETS, FrameResult, Setup, TrackerAdapter
+from spheremouse.session.control.server import Endpoints
 from spheremouse.session.outputs import OUTPUT, Outputs
 from spheremouse.session.plan import Plan
 from spheremouse.session.plan import Request as PlanRequest
 from spheremouse.session.process import realtime
 from spheremouse.session.process.notify import Notifier
-from spheremouse.session.process.threads import WorkerPool, begin
-from spheremouse.session.process.usage import CpuShare, memory_mb
+from spheremouse.session.process.threads import WorkerPool, as_future, begin
 from spheremouse.session.record.archive import RECORDING, SNAPSHOT, Archive
 from spheremouse.session.record.places import recordings_folder, tidy
-from spheremouse.session.state_monitor import StateMonitor
-from spheremouse.session.states import State
+from spheremouse.session.setup import Setup
+from spheremouse.session.state_monitor import State, StateMonitor
+from spheremouse.session.timing import Arrivals, CpuShare, memory_mb
+from spheremouse.session.tracker_adapter import MAP, POSE, TARGETS, FrameResult, TrackerAdapter
 from spheremouse.session.worker import Worker
 
-_TICK = 0.25  # s; the longest wait for a shot
-_EVERY = 1.0  # s between two looks at files, and at what the process takes
-_COMPILING = 900.0  # s that a small computer may take for it
+_TICK = 0.25  # s; the longest wait for a frame
+_EVERY = 1.0  # s between two checks of the files, and of the memory and processor in use
+_COMPILING = 900.0  # s that a small computer may take to compile
 _USELESS = 5.0  # s of frames that cannot be used, after which the daemon opens the camera again
 
 Show = Callable[[FrameResult, TrackerAdapter], None]
@@ -57,63 +57,57 @@ class Daemon:
         request: PlanRequest,
         plan: Plan,
         setup: Setup,
-        open_camera: OpenCamera,
-        reopen: Callable[[Plan], OpenCamera],
+        camera: Callable[[Plan], OpenCamera],
         *,
-        say: Callable[[str], None],
+        log: Callable[[str], None],
         show: Show = lambda _, __: None,
         frames: int | None = None,
     ) -> None:
-        """`setup` makes what follows the ball; `reopen` gives the way to open the camera of another plan.
+        """`camera` returns the function that opens the camera of a plan.
 
-        `say` takes lines for the log, from any thread; `show` sees each tracked frame; `frames` ends the run after so
+        `log` takes lines for the log, from any thread; `show` sees each tracked frame; `frames` ends the run after so
         many of them.
         """
-        self._setup, self._reopen, self._print, self._show, self._limit = setup, reopen, say, show, frames
-        self._say = RateLimitedLogger(self._say_now)  # from any thread; of each kind one line a second
-        self._began = self._looked = self._cured = time.monotonic()
-        self._over = self._finished = False
+        self._setup, self._camera, self._print, self._show, self._limit = setup, camera, log, show, frames
+        self._log = RateLimitedLogger(self._log_now)  # from any thread; of each kind one line a second
+        self._began = self._checked_at = self._reopened_at = time.monotonic()
+        self._ending = self._finished = False
         self._cpu = CpuShare()
         self._scheduling = "usual scheduling"
         self._notifier = Notifier()
-        self._endpoints = Endpoints(self.handle, self._say)
+        self._endpoints = Endpoints(self.handle, self._log)
         self._stack = contextlib.ExitStack()
         self._stack.callback(self._endpoints.close)
         self._ring = LatestFrame()
-        self._requests = RequestQueue(self._ring.wake, self._say)
-        ask = self._requests.call
-        self._crew = WorkerPool((READING, TARGETS, POSE, MAP, OUTPUT, RECORDING, SNAPSHOT), self._say)
-        self._loader = ConfigReloader(request, plan, setup, self._prepare, crew=self._crew, ask=ask, say=self._say)
-        self._archive = Archive(self._crew, ask, self._say)
-        self._capture = Capture(open_camera, self._ring, self._say)
+        self._requests = RequestQueue(self._ring.wake, self._log)
+        call = self._requests.call
+        self._workers = WorkerPool((READING, TARGETS, POSE, MAP, OUTPUT, RECORDING, SNAPSHOT), self._log)
+        self._reloader = ConfigReloader(
+            request, plan, setup, self._prepare, workers=self._workers, call=call, log=self._log
+        )
+        self._archive = Archive(self._workers, call, self._log)
+        self._capture = Capture(camera(plan), self._ring, self._log)
         self._arrivals = Arrivals()
-        follower = setup.follower(plan, self._say, self._crew.do)
-        self._worker = Worker(follower, self._say)
-        self._outputs = Outputs(follower.outputs, plan.configuration.pointer, say=self._say, crew=self._crew, ask=ask)
+        adapter = setup.adapter(plan, self._log, self._workers.do)
+        self._worker = Worker(adapter, self._log)
+        self._outputs = Outputs(
+            adapter.outputs, plan.configuration.pointer, log=self._log, workers=self._workers, call=call
+        )
         self._counts: Counts = (0, 0, 0)  # of all frames
         self._monitor = StateMonitor(
-            self._worker, self._capture, self._arrivals, self._outputs, say=self._say, tell=self._notifier.status
-        )
-        self._commands = CommandHandler(
-            self._worker,
-            self._monitor,
-            self._loader,
-            self._archive,
-            self._crew,
-            pause=self._pause,
-            camera=lambda: self._capture.description,
-            log=self._say,
+            self._worker, self._capture, self._arrivals, self._outputs, log=self._log, notify=self._notifier.status
         )
 
     def run(self, stopping: SignalHandler) -> None:
         """Run until a signal, a `stop` request or the end of a recording."""
         try:
             with on_hang_up(self._reload):  # as other services do
-                self._crew.begin()
+                self._workers.begin()
                 self._open_endpoints()  # a daemon that is refused there has opened no output
                 self._outputs.begin()
-                self._tell_left_out(self._loader.plan)
-                if self._get_ready(stopping):
+                self._log_left_out(self._reloader.plan)
+                if self._compile(stopping):
+                    self._start()
                     self._loop(stopping)
         finally:
             self._notifier.stopping()
@@ -125,9 +119,9 @@ class Daemon:
         return self._finished
 
     @property
-    def follower(self) -> TrackerAdapter:
+    def adapter(self) -> TrackerAdapter:
         """The tracker's adapter; another one after a change of the device."""
-        return self._worker.follower
+        return self._worker.adapter
 
     @property
     def trouble(self) -> str:
@@ -146,7 +140,7 @@ class Daemon:
             "skipped": self._ring.skipped,
             "dropped": self._capture.dropped,
             "damaged": self._worker.damaged,
-            "before anything could be tracked": self.follower.untracked,
+            "before anything could be tracked": self.adapter.untracked,
         }
 
     @property
@@ -158,9 +152,9 @@ class Daemon:
     # ---- the loop ----
 
     def _loop(self, stopping: SignalHandler) -> None:
-        while not (stopping.asked or self._over):
+        while not (stopping.asked or self._ending):
             arrival = self._ring.take(_TICK)
-            self._requests.run(self._commands.handle)
+            self._requests.run(self._handle)
             now = time.monotonic()
             if arrival is not None:
                 self._arrivals.add(now)
@@ -168,10 +162,10 @@ class Daemon:
                     made = self._worker.work(arrival, colour=self._archive.wants_colour)
                     if made is not None:
                         if self._monitor.state is not State.TRACKING:
-                            self._judge(now)  # log the state before anything moves
-                        self._pass_on(made, arrival.taken)
+                            self._update_state(now)  # log the state before anything moves
+                        self._publish(made, arrival.taken)
                     elif self._worker.untracked is not None:
-                        self._archive.look(self._worker.untracked, self.follower)
+                        self._archive.look(self._worker.untracked, self.adapter)
                 finally:
                     self._worker.forget()
                     arrival.raw.release()
@@ -180,88 +174,93 @@ class Daemon:
                     raise self._capture.failure
                 self._finished = True
                 break
-            self._judge(now)
-            self._tend(now)
-            self._over |= self._outputs.ended
+            self._update_state(now)
+            self._do_periodic_work(now)
+            self._ending |= self._outputs.ended
 
-    def _pass_on(self, made: FrameResult, taken: float) -> None:
+    def _publish(self, made: FrameResult, taken: float) -> None:
         """Pass the result of a frame to all subscribers, the pointer first."""
-        # where the output has come back since this was judged, the next frame is the first one for it
+        # if the output works again since the last update of the state, the next frame is the first one for it
         self._outputs.give(made.report, taken, self._monitor.state is not State.FAILED_OUTPUT)
         self._counts = plus(self._counts, made.report.counts)
-        self._archive.keep(made, self.follower, lambda: minus(self._counts, self.unsent))
-        self._show(made, self.follower)
+        self._archive.keep(made, self.adapter, lambda: minus(self._counts, self.unsent))
+        self._show(made, self.adapter)
         if self._limit is not None and self._worker.frames >= self._limit:
-            self._over = True
+            self._ending = True
 
-    def _judge(self, now: float) -> None:
+    def _update_state(self, now: float) -> None:
         """Update the state. Without frames, stop the pointer and the requests that need one."""
         if self._monitor.update(now):
             self._outputs.rest(now)
-            self.follower.interrupted(self._monitor.reason)
+            self.adapter.interrupted(self._monitor.reason)
             self._archive.interrupted(self._monitor.reason)
 
-    def _tend(self, now: float) -> None:
+    def _do_periodic_work(self, now: float) -> None:
         """Do periodic work: watchdog, files, garbage collection."""
         capture, worker = self._capture, self._worker
         silent = self._arrivals.silent(now)
         self._notifier.progress(("attempts", capture.attempts) if silent else ("frames", worker.seen))
-        self._say.flush()
+        self._log.flush()
         self._quiet.rest(now)
-        if now - self._looked < _EVERY:
+        if now - self._checked_at < _EVERY:
             return
-        self._looked = now
+        self._checked_at = now
         self._cpu.look(now)
         worker.look()
-        self._endpoints.retry(self._loader.plan.configuration.control, now)
-        if worker.trouble and not capture.trouble and now - max(worker.good, self._cured) > _USELESS:
-            self._cured = now
+        self._endpoints.retry(self._reloader.plan.configuration.control, now)
+        if worker.trouble and not capture.trouble and now - max(worker.good, self._reopened_at) > _USELESS:
+            self._reopened_at = now
             capture.again()
-        if self._loader.outdated:
-            self._requests.run_now(PendingRequest(Request(command="reload"), quiet=True), self._loader.reload)
-        self._archive.tend()
+        if self._reloader.outdated:
+            self._requests.run_now(PendingRequest(Request(command="reload"), quiet=True), self._reloader.reload)
+        self._archive.check_limits()
 
     # ---- beginning and end ----
 
     def _open_endpoints(self) -> None:
         """Open control socket and metrics, and notify systemd."""
-        c = self._loader.plan.configuration
+        c = self._reloader.plan.configuration
         self._endpoints.open(c.control, c.metrics, self.status)
         removed = tidy(recordings_folder(c.record))
         if removed:
-            self._say(f"record: {removed} half-written by a run that was cut off, removed")
+            self._log(f"record: {removed} half-written by a run that was cut off, removed")
         self._notifier.ready()
 
-    def _get_ready(self, stopping: SignalHandler) -> bool:
-        """Compile and start the camera. Return False if a stop came before."""
-        plan = self._loader.plan
+    def _compile(self, stopping: SignalHandler) -> bool:
+        """Compile the functions of tracking while requests are handled. Return False if a stop came before."""
+        plan = self._reloader.plan
         self._monitor.starting = "the program is made ready"
         self._notifier.patience(_COMPILING)
-        self._judge(time.monotonic())
+        self._update_state(time.monotonic())
         with held(plan):  # a second daemon fails here
-            ready = self._crew.make(READING, lambda: self._setup.make_ready(plan, self._compiled))
-            while not ready.wait(_TICK):
-                self._requests.run(self._commands.handle)
-                self._judge(time.monotonic())
-                if stopping.asked or self._over:
+            compile_all = partial(self._setup.make_ready, plan, self._log_progress)
+            compiled = as_future(compile_all, partial(self._workers.do, READING))
+            while not wait([compiled], _TICK).done:
+                self._requests.run(self._handle)
+                self._update_state(time.monotonic())
+                if stopping.asked or self._ending:
                     return False
+            compiled.result()
         self._notifier.usual()
         self._monitor.starting = ""
-        self._realtime = plan.configuration.realtime == "auto"
+        return True
+
+    def _start(self) -> None:
+        """Request real-time scheduling, and start the camera."""
+        self._realtime = self._reloader.plan.configuration.realtime == "auto"
         self._scheduling = realtime.prepare(self._realtime)
         self._quiet = self._stack.enter_context(contextlib.closing(realtime.GcPause()))
         self._claim(self._outputs.pointer.native_id)
         begin(self._capture)
         self._claim(self._capture.native_id)
         self._arrivals.begin()
-        return True
 
-    def _tell_left_out(self, plan: Plan) -> None:
+    def _log_left_out(self, plan: Plan) -> None:
         if words := left_out(plan.output):
-            self._say(words)
+            self._log(words)
 
-    def _compiled(self, how_far: str) -> None:
-        self._monitor.starting = f"the program is made ready: {how_far}"
+    def _log_progress(self, progress: str) -> None:
+        self._monitor.starting = f"the program is made ready: {progress}"
 
     def _claim(self, thread: int | None) -> None:
         if self._realtime:
@@ -270,16 +269,16 @@ class Daemon:
     def _close(self) -> None:
         """Close all parts, the last one first. An error of one does not stop the others."""
         with contextlib.ExitStack() as last:
-            last.callback(self._say.flush, end=True)
+            last.callback(self._log.flush, end=True)
             last.callback(self._stack.close)
-            last.callback(self.follower.close)
+            last.callback(self.adapter.close)
             last.callback(self._archive.discard)
-            last.callback(self._crew.end, RECORDING, SNAPSHOT, MAP, OUTPUT)  # its results are not used any more
+            last.callback(self._workers.end, RECORDING, SNAPSHOT, MAP, OUTPUT)  # its results are not used any more
             last.callback(self._archive.close)
             last.callback(self._outputs.close)
             last.callback(self._capture.close)
 
-    def _say_now(self, text: str) -> None:
+    def _log_now(self, text: str) -> None:
         self._print(text)
         self._endpoints.publish(text)
 
@@ -294,7 +293,7 @@ class Daemon:
         if command == "status":
             pending.answer(self.status())
         elif command == "stop":
-            self._over = True
+            self._ending = True
             self._ring.wake()
             pending.answer({})
         elif monitor.starting and command not in ("pause", "resume"):
@@ -302,20 +301,67 @@ class Daemon:
         else:
             self._requests.put(pending)
 
+    def _handle(self, pending: PendingRequest) -> None:
+        """Answer a request in the worker's thread, at once or when a thread of the pool has done its part."""
+        request = pending.request
+        if isinstance(request, Set):
+            self._reloader.set(request.assignments, pending)
+        elif isinstance(request, Record):
+            self._record(request, pending)
+        elif isinstance(request, Snapshot):
+            frames_arrive = self._worker.unfit and self._monitor.reason == self._worker.trouble
+            if not frames_arrive:
+                self._refuse_without_camera()
+            self._archive.want_snapshot(request, self._reloader.plan.configuration, pending)
+        elif request.command == "reload":
+            self._reloader.reload(pending)
+        elif request.command == "reinit":
+            self._estimate_pose(pending)
+        else:
+            self._pause(request.command == "pause")
+            pending.answer({"state": str(self._monitor.state)})
+
+    def _record(self, request: Record, pending: PendingRequest) -> None:
+        subject = self.adapter.subject
+        if request.stop:
+            self._archive.stop(pending)
+        elif subject is None:
+            raise ControlError(f"nothing to record before the camera's pose is known: {self._monitor.reason}")
+        else:
+            settings = self._reloader.plan.configuration
+            self._archive.record(request, settings, subject, self._capture.description, pending)
+
+    def _estimate_pose(self, pending: PendingRequest) -> None:
+        """Estimate the camera's pose again, in a thread of the pool, until the client disconnects."""
+        self._refuse_without_camera()
+        if self._workers.busy(POSE):
+            raise ControlError(
+                "the camera's pose is being estimated already, for a client that has disconnected; ask again"
+            )
+        self.adapter.reinitialise(partial(self._answer_pose, pending), lambda: not pending.cancelled)
+
+    def _answer_pose(self, pending: PendingRequest, error: str | None, text: str) -> None:
+        self._log(text if error is None else f"camera pose: {error}")
+        pending.answer({"message": text} if error is None else refused(error))
+
+    def _refuse_without_camera(self) -> None:
+        if self._monitor.state is State.NO_CAMERA:
+            raise ControlError(f"there is no picture now: {self._monitor.state}: {self._monitor.reason}")
+
     def _pause(self, paused: bool) -> None:
         self._monitor.paused = "by `spheremouse ctl pause`; `resume` ends it" if paused else ""
         if paused:
             self._outputs.pause(True)
-        self._judge(time.monotonic())
+        self._update_state(time.monotonic())
         if not paused:  # log the state before anything moves
             self._outputs.pause(False)
 
     def _prepare(self, plan: Plan, changed: list[str]) -> Callable[[], bool]:
         """Prepare another plan for `ConfigReloader`."""
-        change = self.follower.prepare(plan, changed)
+        change = self.adapter.prepare(plan, changed)
         if "output" in changed:
             self._outputs.exchange(change.outputs, plan.configuration.pointer)
-            self._tell_left_out(plan)
+            self._log_left_out(plan)
             self._claim(self._outputs.pointer.native_id)
         elif "axes" in changed:
             self._outputs.exchange_others(change.outputs[1:], plan.configuration.pointer)
@@ -323,9 +369,9 @@ class Daemon:
         def apply() -> bool:
             another = not {"tracker", "motion", "rig", "balls"}.isdisjoint(changed)
             ended = another and self._archive.configuration_changes()
-            self._worker.follower = change.apply()
+            self._worker.adapter = change.apply()
             if "source" in changed:
-                self._capture.reopen(self._reopen(plan))
+                self._capture.reopen(self._camera(plan))
             if "pointer" in changed and "output" not in changed:
                 self._outputs.change(plan.configuration.pointer)
             return ended
@@ -337,7 +383,7 @@ class Daemon:
     def status(self) -> dict[str, Any]:
         """Return the status of docs/control.md, from any thread."""
         now = time.monotonic()
-        worker, plan, how = self._worker, self._loader.plan, self._monitor
+        worker, plan, how = self._worker, self._reloader.plan, self._monitor
         output, latency = self._outputs.status()
         return {
             "state": str(how.state),
@@ -347,7 +393,7 @@ class Daemon:
             "latency_ms": None if latency is None else _ms(latency.p50, latency.p99, latency.max),
             "stages_ms": {name: _ms(*quantiles) for name, quantiles in worker.stages.items()},
             "tracker": plan.configuration.tracker,
-            **self.follower.figures(how.state not in (State.STARTING, State.NO_CAMERA)),
+            **self.adapter.figures(how.state not in (State.STARTING, State.NO_CAMERA)),
             "frames": worker.frames,
             "skipped": self._ring.skipped,
             "dropped": self._capture.dropped,
@@ -361,9 +407,9 @@ class Daemon:
             "uptime_s": now - self._began,
             "version": __version__,
             "pid": os.getpid(),
-            "config": _whole(self._loader.request.file),
-            "changes": list(self._loader.request.changes),
-            "given": list(given(self._loader.request)),
+            "config": _whole(self._reloader.request.file),
+            "changes": list(self._reloader.request.changes),
+            "given": list(given(self._reloader.request)),
             "rig": _whole(plan.rig_path),
             "map": _whole(plan.map_path),
             "recording": self._archive.status(),

@@ -1,14 +1,76 @@
-"""State and reason of a run, updated at each turn of the loop, and logged when they change."""
+"""State and reason of a run. The worker updates them between two frames; changes are logged."""
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
 
 from spheremouse.capture.fetch import Capture
 from spheremouse.output.rate_limited_logger import strip_digits
-from spheremouse.session.arrivals import Arrivals
 from spheremouse.session.outputs import Outputs
-from spheremouse.session.states import Conditions, State, derive_state, news
+from spheremouse.session.timing import Arrivals
 from spheremouse.session.worker import Worker
+from spheremouse.tracker import Status
+
+
+class State(StrEnum):
+    """States of the daemon; motion is sent in `tracking` only."""
+
+    STARTING = "starting"
+    NO_CAMERA = "no-camera"
+    PAUSED = "paused"
+    SEARCHING_TARGETS = "searching-targets"
+    LOST = "lost"
+    FAILED_OUTPUT = "failed-output"
+    TRACKING = "tracking"
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """Conditions of the state. A text is a reason, and empty without trouble."""
+
+    starting: str = ""
+    camera: str = ""
+    paused: str = ""
+    targets: str = ""
+    ball: str = ""
+    output: str = ""
+    tracker: Status = Status.SEARCHING
+
+
+def derive_state(conditions: Conditions) -> tuple[State, str]:
+    """Return state and reason. The first fault on the way from the camera to the pointer counts."""
+    for state, reason in (
+        (State.STARTING, conditions.starting),
+        (State.NO_CAMERA, conditions.camera),
+        (State.PAUSED, conditions.paused),
+        (State.SEARCHING_TARGETS, conditions.targets),
+    ):
+        if reason:
+            return state, reason
+    if conditions.tracker is Status.SEARCHING:
+        return State.LOST, conditions.ball or "no disc on the ball seen yet"
+    if conditions.tracker is Status.LOST:
+        return State.LOST, conditions.ball or "the ball is not recognised"
+    if conditions.output:
+        return State.FAILED_OUTPUT, conditions.output
+    return State.TRACKING, conditions.ball or "the ball is followed"
+
+
+def log_line(before: tuple[State, str], now: tuple[State, str], event: str) -> str:
+    """Return the log line: state and reason after a change, or the tracker's event; empty if nothing has changed.
+
+    A reason whose numbers alone have changed is the same. While the ball is in view, only events are logged.
+    """
+    (old, why_before), (state, why) = before, now
+    if state is not old:
+        return f"{state}: {why}"
+    if event:
+        return event
+    if state in (State.TRACKING, State.LOST) or strip_digits(why) == strip_digits(why_before):
+        return ""
+    return f"{state}: {why}"
+
 
 _STATUS_EVERY = 20.0  # s between two lines for systemd where nothing changes
 _UNSEEN = (State.NO_CAMERA, State.SEARCHING_TARGETS, State.LOST)  # in which the ball may turn without being seen
@@ -24,39 +86,39 @@ class StateMonitor:
         arrivals: Arrivals,
         outputs: Outputs,
         *,
-        say: Callable[[str], None],
-        tell: Callable[[str], None],
+        log: Callable[[str], None],
+        notify: Callable[[str], None],
     ) -> None:
-        """`say` takes lines for the log, `tell` how it is in one line for systemd."""
+        """`log` takes lines for the log, `notify` how it is in one line for systemd."""
         self._worker, self._capture, self._arrivals, self._outputs = worker, capture, arrivals, outputs
-        self._say, self._tell, self._tell_at = say, tell, 0.0
+        self._log, self._notify, self._notify_at = log, notify, 0.0
         self.starting = "the program is being made ready"  # why nothing is tracked yet; empty once it can be
         self.paused = ""  # by what; empty while it is not
-        self._judged = time.monotonic()
-        self.state, self.reason, self.since = State.STARTING, self.starting, self._judged
+        self._updated = time.monotonic()
+        self.state, self.reason, self.since = State.STARTING, self.starting, self._updated
         self.unseen = 0.0  # s in which the ball may have turned without being seen
         self._seen_once = False
 
     def update(self, now: float) -> bool:
         """Update the state and log its changes; True if frames have just stopped."""
         if self.state in _UNSEEN and self._seen_once:
-            self.unseen += now - self._judged
-        self._judged = now
-        before, (state, reason) = (self.state, self.reason), derive_state(self._facts(now))
+            self.unseen += now - self._updated
+        self._updated = now
+        before, (state, reason) = (self.state, self.reason), derive_state(self._conditions(now))
         self._seen_once |= state is State.TRACKING
         if state is not before[0]:
             self.since = now
-        told = self._worker.follower.take_news()
-        for text in filter(None, (news(before, (state, reason), told.change), *told.more)):
-            self._say(text)
+        lines = self._worker.adapter.take_messages()
+        for text in filter(None, (log_line(before, (state, reason), lines.change), *lines.more)):
+            self._log(text)
         other = state is not before[0] or strip_digits(reason) != strip_digits(before[1])
         self.state, self.reason = state, reason
-        if other or now >= self._tell_at:
-            self._tell_at = now + _STATUS_EVERY
-            self._tell(f"{state}: {reason}; {self._arrivals.rate(now):.0f} frames/s")
+        if other or now >= self._notify_at:
+            self._notify_at = now + _STATUS_EVERY
+            self._notify(f"{state}: {reason}; {self._arrivals.rate(now):.0f} frames/s")
         return state is State.NO_CAMERA and before[0] is not state
 
-    def _facts(self, now: float) -> Conditions:
+    def _conditions(self, now: float) -> Conditions:
         worker, capture, starting = self._worker, self._capture, self.starting
         if not starting and capture.attempts <= 1 and worker.seen == 0 and capture.opening:
             starting = capture.trouble
@@ -64,8 +126,8 @@ class StateMonitor:
             starting=starting,
             camera=capture.trouble or worker.trouble or self._arrivals.trouble(now),
             paused=self.paused,
-            targets=worker.follower.waiting,
-            ball=worker.follower.reason,
+            targets=worker.adapter.waiting,
+            ball=worker.adapter.reason,
             output=self._outputs.pointer.failed or "",
-            tracker=worker.follower.status,
+            tracker=worker.adapter.status,
         )

@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 from spheremouse.capture.newest import Arrival, ContiguousBuffer
 from spheremouse.errors import DamagedFrameError, SourceError
-from spheremouse.session.follower import FrameResult, TrackerAdapter
 from spheremouse.session.timing import FrameTimes
+from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.tracker import Frame, Status
 
 _FAULTS, _FAULTS_WITHIN = 5, 60.0  # internal errors in so many s that end the process; the service manager restarts it
@@ -21,13 +21,13 @@ _DAMAGED = 1.0  # s of damaged frames alone that are reported
 class Worker:
     """Tracks raw frames."""
 
-    def __init__(self, follower: TrackerAdapter, say: Callable[[str], None]) -> None:
-        self.follower, self._say = follower, say
-        self.trouble = ""  # why no frame can be used
+    def __init__(self, adapter: TrackerAdapter, log: Callable[[str], None]) -> None:
+        self.adapter, self._log = adapter, log
+        self.trouble = ""  # reason why no frame can be used
         self.times: defaultdict[str, FrameTimes] = defaultdict(FrameTimes)  # of each stage; the worker's alone
         self.stages: dict[str, tuple[float, float]] = {}  # s: median and 99 % of each at the last look
-        self.untracked: Frame | None = None  # the one at hand, where it was decoded and not tracked
-        self.unfit = False  # frames come, and are of another kind than can be used
+        self.untracked: Frame | None = None  # the present one, if it was decoded and not tracked
+        self.unfit = False  # frames arrive that cannot be used, for example of another size
         self.frames = 0  # tracked
         self.seen = 0  # processed
         self.damaged = 0
@@ -39,19 +39,16 @@ class Worker:
     def work(self, arrival: Arrival, colour: bool = False) -> FrameResult | None:
         """Track a raw frame; in `colour`, even if tracking needs none.
 
-        None where it was not tracked: damaged, of no use, or too early. The frame of what is given, and the one that is
-        `untracked`, are good until the raw one is released: `forget` it then.
+        Return None if it was not tracked: it is damaged, cannot be used, or came too early. The frame of the result,
+        and `untracked`, are valid until the raw frame is released. Call `forget` then.
         """
         raw, begun = arrival.raw, time.monotonic()
         self.seen += 1
         self.unfit = False
         try:
-            frame = self.untracked = self._as_contiguous(raw.frame(colour or self.follower.wants_colour(raw.stamp)))
-            self.follower.check(frame)
-            decoded = time.monotonic()
-            self.trouble, self.good = "", decoded
-            before = self.follower.status
-            made = self.follower.follow(frame)
+            frame = self.untracked = self._as_contiguous(raw.frame(colour or self.adapter.wants_colour(raw.stamp)))
+            decoded, before = time.monotonic(), self.adapter.status
+            made = self.adapter.follow(frame)
         except DamagedFrameError as e:
             self.damaged += 1
             if begun - self.good > _DAMAGED:
@@ -62,6 +59,7 @@ class Worker:
             if self._too_many_faults(begun):
                 raise
         else:
+            self.trouble, self.good = "", decoded
             if made is not None:
                 self.untracked = None
                 self._count(made, before, {"wait": begun - arrival.taken, "decode": decoded - begun})
@@ -82,7 +80,7 @@ class Worker:
 
     def _count(self, made: FrameResult, before: Status, waited: dict[str, float]) -> None:
         self.frames += 1
-        if self.follower.status is Status.LOST and before is not Status.LOST:
+        if self.adapter.status is Status.LOST and before is not Status.LOST:
             self.lost += 1
         now = time.monotonic()
         for name, seconds in (*waited.items(), *made.seconds.items()):
@@ -90,7 +88,7 @@ class Worker:
 
     def _too_many_faults(self, now: float) -> bool:
         """Log an internal error and restart the tracker. Return True if there were too many."""
-        self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
-        self.follower.restart("an internal error; the ball is looked for anew")
+        self._log("internal error, please report it:\n" + traceback.format_exc().rstrip())
+        self.adapter.restart("an internal error; the ball is searched again")
         self._faults.append(now)
         return len(self._faults) == _FAULTS and now - self._faults[0] < _FAULTS_WITHIN

@@ -87,7 +87,7 @@ def test_a_camera_that_is_not_there_is_told_and_not_waited_for(tmp_path):
 
 
 class Played:
-    """Motions as a follower gives them."""
+    """Motions as a adapter gives them."""
 
     def __init__(self, configuration, live=True):
         self.stopping = SimpleNamespace(asked=False)

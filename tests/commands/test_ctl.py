@@ -25,7 +25,7 @@ from spheremouse.session.control import protocol
 from spheremouse.session.control import status as status_module
 from spheremouse.session.control.client import Client, NoDaemonError
 from spheremouse.session.control.server import ControlServer
-from spheremouse.session.settings.control import ControlSettings
+from spheremouse.session.settings import ControlSettings
 from tests.session.control.test_server import Daemon, conversations
 
 

@@ -366,7 +366,7 @@ def test_an_internal_error_asks_for_a_report_and_shows_its_traceback_only_on_req
     def broken(*_, **__):
         raise ZeroDivisionError("one\ntwo")
 
-    monkeypatch.setattr("spheremouse.session.trackers.open_source", broken)
+    monkeypatch.setattr("spheremouse.session.setup.open_source", broken)
     words = ("run", "--source", "synthetic", "--output", "null")
     code, out, err = spheremouse(*words)
     assert (code, out) == (70, "")

@@ -13,7 +13,7 @@ from spheremouse.session.control.protocol import COMMANDS, BadRequestError, enco
 from spheremouse.session.control.protocol import parse as parse_request
 from spheremouse.session.control.protocol import refused as refused_reply
 from spheremouse.session.control.server import ControlServer, Limits
-from spheremouse.session.settings.control import ControlSettings
+from spheremouse.session.settings import ControlSettings
 from tests.fuzz.fuzzing import fuzz
 from tests.fuzz.strategies import mutated, mutated_json, words
 

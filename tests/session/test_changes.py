@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from spheremouse.errors import ControlError
-from spheremouse.session.changes import check_read, check_settable, given, told, values
+from spheremouse.session.config_reloader import check_read, check_settable, given, told, values
 from spheremouse.session.plan import Request, read_plan
 
 SAID = Request(assignments=("motion.scale_x=2",), source="synthetic:", output="null", no_map=True, balls=(Path("b"),))

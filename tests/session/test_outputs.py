@@ -39,11 +39,11 @@ class Run:
 
     def __init__(self, *names):
         self.diary, self.said, self.todo = [], [], []
-        self.crew = WorkerPool((OUTPUT,), self.said.append)
-        self.crew.begin()
+        self.workers = WorkerPool((OUTPUT,), self.said.append)
+        self.workers.begin()
         self.sinks = [Sink(name, self.diary) for name in names]
         self.outputs = Outputs(
-            [s.open for s in self.sinks], EXACT, say=self.said.append, crew=self.crew, ask=self.todo.append
+            [s.open for s in self.sinks], EXACT, log=self.said.append, workers=self.workers, call=self.todo.append
         )
         self.outputs.begin()
         self.frames, self.sum = 0, np.zeros(3, int)
@@ -60,7 +60,7 @@ class Run:
 
     def close(self):
         self.outputs.close()
-        self.crew.end()
+        self.workers.end()
 
 
 @pytest.fixture

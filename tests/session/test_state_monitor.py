@@ -1,13 +1,13 @@
-"""State and reason from turn to turn, without a camera: what is said, and the time in which nobody saw the ball."""
+"""State and reason without a camera, as transcripts: conditions in, log lines out; and the time without the ball."""
 
+import re
 from types import SimpleNamespace
 
 import pytest
 
-from spheremouse.session.arrivals import Arrivals
-from spheremouse.session.follower import LogMessages
-from spheremouse.session.state_monitor import StateMonitor
-from spheremouse.session.states import State
+from spheremouse.session.state_monitor import Conditions, State, StateMonitor, derive_state, log_line
+from spheremouse.session.timing import Arrivals
+from spheremouse.session.tracker_adapter import LogMessages
 from spheremouse.tracker import Status
 
 
@@ -16,8 +16,8 @@ class Run:
 
     def __init__(self):
         self.said, self.told, self.news = [], [], LogMessages()
-        self.follower = SimpleNamespace(waiting="", reason="", status=Status.TRACKING, take_news=self.take_news)
-        self.worker = SimpleNamespace(follower=self.follower, trouble="", seen=1)
+        self.adapter = SimpleNamespace(waiting="", reason="", status=Status.TRACKING, take_messages=self.take_messages)
+        self.worker = SimpleNamespace(adapter=self.adapter, trouble="", seen=1)
         self.capture = SimpleNamespace(trouble="", attempts=1, opening=False)
         self.pointer = SimpleNamespace(failed=None)
         self.arrivals = Arrivals()
@@ -26,13 +26,13 @@ class Run:
             self.capture,
             self.arrivals,
             SimpleNamespace(pointer=self.pointer),
-            say=self.said.append,
-            tell=self.told.append,
+            log=self.said.append,
+            notify=self.told.append,
         )
         self.judgement.starting = ""
         self.begun = self.now = self.judgement.since
 
-    def take_news(self):
+    def take_messages(self):
         news, self.news = self.news, LogMessages()
         return news
 
@@ -50,22 +50,22 @@ def run():
 
 def test_the_time_in_which_nobody_saw_the_ball_is_that_between_having_seen_it(run):
     """Not before it was seen for the first time, nor where it is seen and moves nothing."""
-    run.follower.status = Status.SEARCHING
+    run.adapter.status = Status.SEARCHING
     run.after(1.0)
     run.after(1.0)
     assert (run.judgement.state, run.judgement.unseen) == (State.LOST, 0.0)
-    run.follower.status = Status.TRACKING
+    run.adapter.status = Status.TRACKING
     run.after(1.0)
     run.pointer.failed = "gone"
     run.after(1.0)
     run.after(1.0)
     assert (run.judgement.state, run.judgement.unseen) == (State.FAILED_OUTPUT, 0.0)
-    run.follower.status = Status.LOST
+    run.adapter.status = Status.LOST
     run.after(1.0)
     run.after(2.0)
     run.capture.trouble = "unplugged"
     run.after(3.0)
-    run.capture.trouble, run.follower.status = "", Status.TRACKING
+    run.capture.trouble, run.adapter.status = "", Status.TRACKING
     run.after(4.0)
     run.after(5.0)
     assert run.judgement.unseen == pytest.approx(2.0 + 3.0 + 4.0)
@@ -109,3 +109,78 @@ def test_a_camera_that_was_never_open_is_not_missing_yet(run):
     run.capture.attempts = 2
     run.after(0.1, frames=False)
     assert run.judgement.state is State.NO_CAMERA
+
+
+# ---- transcripts: conditions in, the line that is logged out ----
+
+TRANSCRIPTS = {
+    "an ordinary start": """
+        starting=compiling                             | starting: compiling
+        camera=opened targets=looked for               | no-camera: opened
+        targets=looked for                             | searching-targets: looked for
+        targets=looked for                             |
+        targets=2 of 4 found                           | searching-targets: 2 of 4 found
+        targets=1 of 4 found                           |
+        tracker=searching                                | lost: no disc on the ball seen yet
+        tracker=tracking ball=7 discs event=7 discs      | tracking: 7 discs
+        tracker=tracking ball=7 discs                    |
+        tracker=tracking ball=turns event=the ball turns | the ball turns
+    """,
+    "the cable is pulled, and put in again": """
+        tracker=tracking                                 | tracking: the ball is followed
+        tracker=tracking camera=silent for 3 s           | no-camera: silent for 3 s
+        tracker=tracking camera=silent for 4 s           |
+        tracker=tracking camera=gone                     | no-camera: gone
+        tracker=lost ball=no frame event=lost: no frame  | lost: no frame
+        tracker=lost ball=no disc event=lost: no disc    | lost: no disc
+        tracker=tracking ball=again                      | tracking: again
+    """,
+    "what is wrong first along the way is told": """
+        tracker=lost camera=gone paused=asked targets=none output=busy starting=x | starting: x
+        tracker=lost camera=gone paused=asked targets=none output=busy | no-camera: gone
+        tracker=lost paused=asked targets=none output=busy | paused: asked
+        tracker=lost targets=none output=busy            | searching-targets: none
+        tracker=lost output=busy                         | lost: the ball is not recognised
+        tracker=tracking output=busy                     | failed-output: busy
+        tracker=tracking output=still busy               | failed-output: still busy
+        tracker=tracking paused=asked output=busy        | paused: asked
+        tracker=tracking                                 | tracking: the ball is followed
+    """,
+}
+KEYS = re.compile(r"\b(starting|camera|paused|targets|ball|output|tracker|event)=")
+
+
+def conditions(line):
+    """`key=words of text key=...` as conditions, and the event."""
+    parts = KEYS.split(line)[1:]
+    found = {k: v.strip() for k, v in zip(parts[::2], parts[1::2], strict=True)}
+    event = found.pop("event", "")
+    return Conditions(**{**found, "tracker": Status(found.get("tracker", "searching"))}), event
+
+
+@pytest.mark.parametrize("name", TRANSCRIPTS)
+def test_a_transcript(name):
+    lines = [line.strip() for line in TRANSCRIPTS[name].strip().splitlines()]
+    made, before = [], (State.STARTING, "")
+    for line in lines:
+        given = line.partition("|")[0].rstrip()
+        f, event = conditions(given)
+        now = derive_state(f)
+        made.append((given, log_line(before, now, event)))
+        before = now
+    expected = [tuple(part.strip() for part in line.split("|")) for line in lines]
+    assert made == expected
+
+
+def test_every_state_is_reached():
+    said = [line.rpartition("|")[2].strip() for text in TRANSCRIPTS.values() for line in text.strip().splitlines()]
+    assert {line.partition(":")[0] for line in said} >= {str(s) for s in State}
+
+
+def test_nothing_but_tracking_says_that_the_ball_moves_the_pointer():
+    """With any trouble at all, or a ball that is not tracked, the state is another one."""
+    for trouble in ("starting", "camera", "paused", "targets", "output"):
+        assert derive_state(Conditions(**{trouble: "x"}, tracker=Status.TRACKING))[0] is not State.TRACKING
+    for status in (Status.SEARCHING, Status.LOST):
+        assert derive_state(Conditions(tracker=status))[0] is State.LOST
+    assert derive_state(Conditions(tracker=Status.TRACKING))[0] is State.TRACKING

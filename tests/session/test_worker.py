@@ -11,10 +11,10 @@ from daemon_world import DT, Film
 from spheremouse.ball.rig import Targets
 from spheremouse.capture.newest import Arrival
 from spheremouse.errors import DamagedFrameError, PoseError
-from spheremouse.session.ball.follower import BallFollower
-from spheremouse.session.follower import POSE, here
+from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.plan import Plan
 from spheremouse.session.settings import Configuration
+from spheremouse.session.tracker_adapter import POSE, here
 from spheremouse.session.worker import Worker
 from spheremouse.tracker import Frame, Status
 
@@ -57,8 +57,8 @@ class Play:
 
     def __init__(self, film, rig=None, settings=SETTINGS, do=here):
         self.said, self.k, self.film = [], 0, film
-        self.follower = BallFollower(film.rig if rig is None else rig, settings, None, self.said.append, do)
-        self.worker = Worker(self.follower, self.said.append)
+        self.adapter = BallAdapter(film.rig if rig is None else rig, settings, None, self.said.append, do)
+        self.worker = Worker(self.adapter, self.said.append)
 
     def raw_frame(self, place, **kwargs):
         self.k += 1
@@ -73,11 +73,11 @@ class Play:
 
 def test_targets_first_in_colour_then_the_ball_in_grey(film):
     play = Play(film)
-    assert play.follower.tracker is None
+    assert play.adapter.tracker is None
     assert play() is None
     assert play.asked == [True]
     assert play() is None  # the second view
-    assert play.follower.waiting == ""
+    assert play.adapter.waiting == ""
     assert play.said[0].startswith("camera pose: x ")
     made = [play(k) for k in range(24)]
     assert all(m is not None for m in made)
@@ -107,14 +107,14 @@ def test_a_frame_that_is_none_changes_nothing(film):
     play = Play(film)
     for _ in range(5):
         play()
-    state = play.follower.state
+    state = play.adapter.state
     assert play(error=DamagedFrameError("half")) is None
     assert play.worker.damaged == 1
     assert play.worker.trouble == ""  # one is nothing
     play.worker.good -= 10.0
     play(error=DamagedFrameError("half"))
     assert play.worker.trouble.startswith("nothing but damaged frames for 10 s (half)")
-    assert play.follower.state is state
+    assert play.adapter.state is state
     assert play() is not None
     assert play.worker.trouble == ""
     small = RawFrame(film.colour[0][:10], film.grey[0][:10], 9)
@@ -128,7 +128,7 @@ def test_a_fault_of_ours_begins_anew_and_five_in_a_minute_are_too_many(film):
         play()
     for k in range(4):
         assert play(error=ZeroDivisionError("as if")) is None
-        assert play.follower.state is None
+        assert play.adapter.state is None
         assert len([s for s in play.said if "Traceback" in s]) == k + 1
     assert play() is not None  # goes on with the pose it has
     play.worker._faults = type(play.worker._faults)([t - 100.0 for t in play.worker._faults], maxlen=5)
@@ -148,41 +148,39 @@ def test_a_rig_that_can_never_be_posed_is_refused(film):
 def test_views_from_before_an_interruption_are_not_mixed_with_those_after(film):
     play = Play(film)
     play()
-    play.follower.interrupted("unplugged")
+    play.adapter.interrupted("unplugged")
     assert play() is None
-    assert play.follower.tracker is None  # one view of the new two
+    assert play.adapter.tracker is None  # one view of the new two
     play()
-    assert play.follower.tracker is not None
+    assert play.adapter.tracker is not None
 
 
 def test_grey_frames_cannot_show_the_targets(film):
     play = Play(film)
     for k in range(2):
         play.worker.work(Arrival(RawFrame(film.grey[0], film.grey[0], k), 0.0))
-    assert "grey" in play.follower.waiting
+    assert "grey" in play.adapter.waiting
 
 
 def test_other_settings_from_the_next_frame_on(film):
     play = Play(film)
     play()
     play()
-    tracker = play.follower.tracker
+    tracker = play.adapter.tracker
     other = replace(SETTINGS, motion=replace(SETTINGS.motion, scale_x=2.0))
-    play.follower.prepare(plan(other), {"motion"}).apply()  # before the first frame
+    play.adapter.prepare(plan(other), {"motion"}).apply()  # before the first frame
     play()
     other = replace(SETTINGS, motion=replace(SETTINGS.motion, scale_x=4.0))
-    apply = play.follower.prepare(plan(other), {"motion"}).apply
-    assert play.follower.settings.motion.scale_x == 2.0  # nothing has changed
-    assert apply() is play.follower
+    apply = play.adapter.prepare(plan(other), {"motion"}).apply
+    assert play.adapter.settings.motion.scale_x == 2.0  # nothing has changed
+    assert apply() is play.adapter
     play()
-    assert play.follower.tracker is tracker  # a scale is not the tracker's
-    play.follower.prepare(plan(replace(other, detector="blobs")), {"tracker"}).apply()
-    assert play.follower.tracker is not tracker
-    assert play.follower.tracker is not None
-    assert np.allclose(
-        play.follower._counter.matrix, replace(SETTINGS.motion, scale_x=4.0).matrix(film.rig.ball.radius)
-    )
-    assert play.follower.settings.motion.scale_x == 4.0
+    assert play.adapter.tracker is tracker  # a scale is not the tracker's
+    play.adapter.prepare(plan(replace(other, detector="blobs")), {"tracker"}).apply()
+    assert play.adapter.tracker is not tracker
+    assert play.adapter.tracker is not None
+    assert np.allclose(play.adapter._counter.matrix, replace(SETTINGS.motion, scale_x=4.0).matrix(film.rig.ball.radius))
+    assert play.adapter.settings.motion.scale_x == 4.0
 
 
 def in_a_thread(kind, work):
@@ -195,20 +193,20 @@ def in_a_thread(kind, work):
 
 def test_a_pose_asked_for_is_answered_once_whatever_happens(film):
     play, answers = Play(film, do=in_a_thread), []
-    play.follower.reinitialise(lambda *a: answers.append(a), lambda: True)
+    play.adapter.reinitialise(lambda *a: answers.append(a), lambda: True)
     assert answers == [(None, "the pose is being looked for: the ring targets are looked for")]
     for _ in range(4):
         play()
-    play.follower.reinitialise(lambda *a: answers.append(a), lambda: True)
-    play.follower.reinitialise(lambda *a: answers.append(("second", *a)), lambda: True)
+    play.adapter.reinitialise(lambda *a: answers.append(a), lambda: True)
+    play.adapter.reinitialise(lambda *a: answers.append(("second", *a)), lambda: True)
     assert answers[1][:2] == ("second", "the camera's pose is being estimated already; wait for its end")
     play()
     assert play.asked == [True]
-    play.follower.interrupted("unplugged")
+    play.adapter.interrupted("unplugged")
     assert answers[2:] == [("unplugged; the pose before stays", "")]
     play()
-    play.follower.reinitialise(lambda *a: answers.append(a), lambda: True)
-    pose = play.follower.pose
+    play.adapter.reinitialise(lambda *a: answers.append(a), lambda: True)
+    pose = play.adapter.pose
     end = time.monotonic() + 20.0
     while len(answers) < 4:
         assert time.monotonic() < end
@@ -216,4 +214,4 @@ def test_a_pose_asked_for_is_answered_once_whatever_happens(film):
     assert answers[3][0] is None
     assert answers[3][1].startswith("camera pose: x ")
     play()
-    assert play.follower.pose is not pose
+    assert play.adapter.pose is not pose

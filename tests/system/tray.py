@@ -25,7 +25,7 @@ from spheremouse.files.rig import save_rig
 from spheremouse.session.control.client import Client
 from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.status import STATES
-from spheremouse.session.settings.control import ControlSettings
+from spheremouse.session.settings import ControlSettings
 
 NEEDS = missing() or ("" if gtk() else "needs PyGObject: python3-gi gir1.2-ayatanaappindicator3-0.1")
 pytestmark = pytest.mark.skipif(bool(NEEDS), reason=NEEDS)

@@ -17,11 +17,11 @@ from modules import insert
 
 from spheremouse.geometry.rotation import log
 from spheremouse.output.wand_mapping import PointingSettings
-from spheremouse.session import service, trackers
+from spheremouse.session import service, setup
 from spheremouse.session.control.client import Client
 from spheremouse.wand import warm
 
-IMPORTED = (service, trackers)  # once, before the forks
+IMPORTED = (service, setup)  # once, before the forks
 
 
 COUNTS = np.radians(PointingSettings().counts_per_radian)  # per degree

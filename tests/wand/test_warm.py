@@ -15,7 +15,7 @@ from spheremouse.wand.settings import WandSettings
 from spheremouse.output.wand_mapping import PointingSettings
 from spheremouse.wand.warm import warm_up
 from spheremouse.output.wand_mapping import WandMapping
-from spheremouse.session.wand.offline import track_wand
+from spheremouse.session.offline import track_wand
 
 
 def compiled():

@@ -44,10 +44,10 @@ def axes(
     from spheremouse.commands.axes.dialogue import Dialogue
     from spheremouse.commands.run import follow, serve
     from spheremouse.files.edit import check_place
-    from spheremouse.session import trackers
     from spheremouse.session.cameras import is_camera, opener
     from spheremouse.session.plan import Request, read_plan
     from spheremouse.session.process.standard_error import nonblocking_stderr
+    from spheremouse.session.setup import open_setup
 
     said = () if tracker is None else (f"tracker={tracker}",)
     there = config is not None and config.exists()
@@ -60,7 +60,7 @@ def axes(
     plan = read_plan(request)
     live = is_camera(plan.source)
     with nonblocking_stderr() if live else nullcontext(), SignalHandler() as stopping:
-        setup = trackers.setup(plan)
+        setup = open_setup(plan)
         plan = setup.planned(request, plan)
         if plan.source.startswith("v4l2:"):  # a service waits for its camera; a person gets an error
             with opener(plan, setup.open)():

@@ -12,9 +12,9 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import MotionSettings, Player
 from spheremouse.output.gestures import DirectionMatch, GestureDetector, match_directions
 from spheremouse.session.directions import Directions, of_ball, of_hand
-from spheremouse.session.follower import FrameResult, TrackerAdapter
 from spheremouse.session.screen import Tally
 from spheremouse.session.settings import Configuration
+from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 
 _SHIFT = 0.4  # m of a hand that count as a radian: a forearm moves so far as easily as a wrist turns by that
 _ON_TOP = "push the top of the ball, not its front or its underside, each time one way"
@@ -86,12 +86,12 @@ class Dialogue:
         """True if a signal ended it before it had a result."""
         return self._stopping.asked and self.found is None
 
-    def say(self, text: str) -> None:
-        """Print lines of the run."""
+    def log(self, text: str) -> None:
+        """Lines of the run."""
         print(text, file=sys.stderr, flush=True)
 
-    def show(self, made: FrameResult, follower: TrackerAdapter) -> None:
-        """Take the motion of a frame."""
+    def show(self, made: FrameResult, adapter: TrackerAdapter) -> None:
+        """Look at the motion of a frame."""
         self.tally.add(made.report.counts, sum(made.seconds.values()))
         estimate = made.report.estimate
         if not estimate.confirmed or self.found is not None:

@@ -31,7 +31,7 @@ from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.rotation import Array
 from spheremouse.session import messages
 from spheremouse.session.offline import initialise
-from spheremouse.session.process.usage import memory_mb
+from spheremouse.session.timing import memory_mb
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame, Status
 

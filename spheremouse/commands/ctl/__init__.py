@@ -49,7 +49,7 @@ def status(as_json: _Json = False, socket: _Socket = None) -> None:
 @app.command()
 def reinit(as_json: _Json = False, socket: _Socket = None) -> None:
     """Estimate a new camera pose, or search for the balls in a hand again. The pointer does not jump."""
-    _report(_ask(socket, "reinit"), as_json, "looked for anew")
+    _report(_ask(socket, "reinit"), as_json, "searched again")
 
 
 @app.command()

@@ -159,7 +159,7 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
         StatusTable("spheremouse demo", True, tally, console) as screen,
     ):
         if start.resection is not None:
-            screen.say(messages.standing(start.resection, tracker.rig))
+            screen.log(messages.standing(start.resection, tracker.rig))
         video.begin(tracker, marks)
         for epoch in track(start.frames, tracker):
             report = counter.report(epoch.estimate)
@@ -167,7 +167,7 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
             tally.add(report.counts, sum(epoch.seconds.values()))
             history.add(epoch)
             if epoch.events:
-                screen.say(f"{epoch.frame.stamp:9.3f} s  {messages.line(epoch.events)}")
+                screen.log(f"{epoch.frame.stamp:9.3f} s  {messages.line(epoch.events)}")
             screen.show(epoch)
             video.add(epoch, lambda: tally.counts)
             large.remember(epoch.state)

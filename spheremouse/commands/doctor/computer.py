@@ -11,7 +11,7 @@ from spheremouse.compiling import kernels_on_disk
 from spheremouse.finding import Finding, Verdict, classify, ok, unchecked, warning
 from spheremouse.session.process.realtime import PRIORITY
 from spheremouse.session.record.places import recordings_folder
-from spheremouse.session.settings.record import RecordSettings
+from spheremouse.session.settings import RecordSettings
 
 _MIN_MEMORY_MB = 400.0  # the daemon's 200, and as much for the compiler at its first start
 _CAP_SYS_NICE = 23

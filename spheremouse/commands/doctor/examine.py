@@ -27,8 +27,8 @@ from spheremouse.files.rig import with_camera
 from spheremouse.finding import Finding, Verdict, ok, refused, unchecked, wrong
 from spheremouse.session.cameras import is_camera, node_of
 from spheremouse.session.plan import Plan, Request, without_map
-from spheremouse.session.settings.record import RecordSettings
-from spheremouse.session.wand.setup import WandSetup, wand_setup
+from spheremouse.session.settings import RecordSettings
+from spheremouse.session.setup import Setup, open_setup
 
 _NO_CAMERA = "v4l2:"  # the source if none is named and no camera is there
 SECONDS = 2.0  # of film: sixty frames give a rate to 2 % and flicker to a percent
@@ -79,7 +79,7 @@ class _Run:
         self.live = is_camera(plan.source)
         self.of_wand = plan.configuration.tracker == "wand"
         self.footage: cameras.Footage | None = None
-        self.brought: WandSetup | None = None  # camera and balls of a recording of wands
+        self.brought: Setup | None = None  # camera and balls of a recording of wands
 
     def examine(
         self, there: list[Node], status: dict[str, Any] | None, seconds: float, progress: Progress
@@ -115,7 +115,7 @@ class _Run:
     def _film(self, seconds: float) -> Iterator[Finding]:
         """Film, and yield findings about rate, stamps and controls."""
         if self.of_wand and not self.live:
-            self.brought = wand_setup(self.plan.source, realtime=False)
+            self.brought = open_setup(self.plan)
         source = None if self.brought is None else self.brought.source
         self.footage = footage = cameras.film(self.plan, seconds, self.node, source)
         yield ok("source", footage.description)

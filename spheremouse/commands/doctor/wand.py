@@ -9,11 +9,10 @@ from spheremouse.commands.doctor.files import size
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.finding import Finding, Verdict, classify, ok, refused, unchecked, wrong
-from spheremouse.session.balls import read_balls
-from spheremouse.session.plan import Plan, Request, named_balls
+from spheremouse.session.plan import Plan, Request, named_balls, read_balls
 from spheremouse.session.settings import Configuration
+from spheremouse.session.setup import Setup
 from spheremouse.session.wand.messages import trouble_and_remedy
-from spheremouse.session.wand.setup import WandSetup
 from spheremouse.tracker import Frame, Status
 from spheremouse.wand.state import WandPose, WandTracker
 from spheremouse.wand.track import begin, step
@@ -21,11 +20,11 @@ from spheremouse.wand.track import begin, step
 _MIN_FOUND = 0.5  # of the pictures: a ball before the camera is in view in most
 
 
-def tracker_of(plan: Plan, request: Request, given: WandSetup | None) -> tuple[WandTracker | None, Finding]:
+def tracker_of(plan: Plan, request: Request, given: Setup | None) -> tuple[WandTracker | None, Finding]:
     """Return the tracker of a run; `given` is the setup of a recording."""
     try:
         balls = read_balls(named_balls(request, config.in_force(request.file, request.assignments, Configuration)))
-        tracker = (given or WandSetup()).tracker(replace(plan, balls=balls))
+        tracker = (given or Setup()).wand_tracker(replace(plan, balls=balls))
     except ConfigurationError as e:
         return None, refused("ball", e)
     told = (f"{b.name}, {2e3 * b.radius:g} mm across, {len(b.discs)} discs" for b in tracker.balls)
@@ -73,7 +72,7 @@ def _found(poses: list[WandPose]) -> Finding:
     )
 
 
-def camera_file(plan: Plan, given: WandSetup | None) -> Finding:
+def camera_file(plan: Plan, given: Setup | None) -> Finding:
     """Report the origin of the camera's interior orientation."""
     path = plan.camera_path or plan.rig_path
     if path is not None:

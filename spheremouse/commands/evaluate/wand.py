@@ -13,10 +13,10 @@ from spheremouse.evaluate.wand import WandHistory, followed, wand_report
 from spheremouse.files import config
 from spheremouse.files.dataset.wand import WandRecording, open_wand, read_wand_frames
 from spheremouse.files.rig import load_camera
-from spheremouse.session.balls import read_balls, told_apart
+from spheremouse.session.offline import Known, track_wand
+from spheremouse.session.plan import read_balls, told_apart
 from spheremouse.session.settings import Configuration
 from spheremouse.session.wand.messages import sentence
-from spheremouse.session.wand.offline import Known, track_wand
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.build import build
 from spheremouse.wand.state import WandTracker

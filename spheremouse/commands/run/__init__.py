@@ -15,8 +15,8 @@ from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 if TYPE_CHECKING:
     from spheremouse.capture.signals import SignalHandler
     from spheremouse.commands.run.view import Counting
-    from spheremouse.session.follower import Setup
     from spheremouse.session.plan import Plan, Request
+    from spheremouse.session.setup import Setup
 
 
 def run(
@@ -137,9 +137,9 @@ def _run(
     """Run from the first frame to the summary, then raise the error that ended the run."""
     from spheremouse.capture.signals import SignalHandler
     from spheremouse.commands.run.view import view
-    from spheremouse.session import trackers
     from spheremouse.session.cameras import is_camera
     from spheremouse.session.process.standard_error import nonblocking_stderr
+    from spheremouse.session.setup import open_setup
 
     live = is_camera(plan.source) or realtime
     failure: SpheremouseError | None = None
@@ -147,7 +147,7 @@ def _run(
     with nonblocking_stderr() if live else nullcontext():
         with ExitStack() as stack:
             stopping = stack.enter_context(SignalHandler())
-            setup = trackers.setup(plan, realtime)
+            setup = open_setup(plan, realtime)
             plan = setup.planned(request, plan)
             shown = view(plan, table, overlay, None if setup.source is None else setup.source.fps, stack, verbose)
             try:
@@ -185,14 +185,13 @@ def serve(
     from spheremouse.session.service import Daemon
 
     refuse_if_taken(plan)
-    first = opener(plan, setup.open, setup.source)
+    opened = [] if setup.source is None else [setup.source]
     daemon = Daemon(
         request,
         plan,
         setup,
-        first,
-        lambda other: opener(other, setup.open),
-        say=view.say,
+        lambda other: opener(other, setup.open, opened),
+        log=view.log,
         show=view.show,
         frames=frames,
     )
@@ -207,8 +206,8 @@ def serve(
         median, slow = (1e3 * seconds for seconds in daemon.latency)
         view.tally.words = f"from stamp to output {median:.1f} ms (99 %: {slow:.1f} ms)"
     if daemon.finished and failure is None and not stopping.asked:
-        failure = daemon.follower.failure(daemon.trouble)
-    return failure, daemon.follower.last_words(failed=failure is not None)
+        failure = daemon.adapter.failure(daemon.trouble)
+    return failure, daemon.adapter.last_words(failed=failure is not None)
 
 
 def follow(
@@ -217,25 +216,25 @@ def follow(
     """Track every frame of a recording, one after the other. Return error and last words."""
     from spheremouse.output.third_axis import left_out
     from spheremouse.session import offline
-    from spheremouse.session.follower import here
+    from spheremouse.session.tracker_adapter import here
 
     assert setup.source is not None
     failure: SpheremouseError | None = None
     with ExitStack() as stack:  # also closed if the reader of an output has gone
         source = stack.enter_context(setup.source)
-        follower = setup.follower(plan, view.say, here)
-        stack.callback(follower.close)
-        sinks = [stack.enter_context(open_it()) for open_it in follower.outputs]
+        adapter = setup.adapter(plan, view.log, here)
+        stack.callback(adapter.close)
+        sinks = [stack.enter_context(open_it()) for open_it in adapter.outputs]
         setup.make_ready(plan)
         if words := left_out(plan.output):
-            view.say(words)
+            view.log(words)
         try:
-            tracked = islice(setup.begin(stopping.frames(iter(source)), follower), frames)
-            offline.follow(stopping.frames(tracked), follower, sinks, view)
-            failure = None if stopping.asked else follower.failure("")
+            tracked = islice(adapter.begin(stopping.frames(iter(source))), frames)
+            offline.follow(stopping.frames(tracked), adapter, sinks, view)
+            failure = None if stopping.asked else adapter.failure("")
         except PoseError as e:
             failure = None if stopping.asked else e  # a signal ended the frames
         except SpheremouseError as e:
             failure = e
-    view.tally.left_out = {"before anything could be tracked": follower.untracked}
-    return failure, follower.last_words(failed=failure is not None)
+    view.tally.left_out = {"before anything could be tracked": adapter.untracked}
+    return failure, adapter.last_words(failed=failure is not None)

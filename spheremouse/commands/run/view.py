@@ -6,15 +6,14 @@ from typing import Protocol
 
 from spheremouse.ball.pose import describe
 from spheremouse.session import offline
-from spheremouse.session.ball.follower import BallFollower
-from spheremouse.session.follower import FrameResult, TrackerAdapter
+from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.overlay.ball import target_marks
 from spheremouse.session.overlay.file import OverlayFile
 from spheremouse.session.overlay.wand import WandOverlay
 from spheremouse.session.plan import Plan
-from spheremouse.session.screen import StatusTable, Tally
-from spheremouse.session.wand.follower import WandFollower
-from spheremouse.session.wand.screen import WandStatusTable
+from spheremouse.session.screen import StatusTable, Tally, WandStatusTable
+from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
+from spheremouse.session.wand.adapter import WandAdapter
 from spheremouse.wand.state import WandTracker
 
 
@@ -41,22 +40,22 @@ class BallView:
         self._screen = stack.enter_context(StatusTable(plan.source, wanted, self.tally))
         self.overlay = overlay
 
-    def say(self, text: str) -> None:
-        """Print one or more lines above the table."""
-        self._screen.say(text)
+    def log(self, text: str) -> None:
+        """One or more lines, which stay."""
+        self._screen.log(text)
 
-    def show(self, made: FrameResult, follower: TrackerAdapter) -> None:
-        """Add a frame to table and overlay."""
+    def show(self, made: FrameResult, adapter: TrackerAdapter) -> None:
+        """Table and overlay."""
         self.tally.add(made.report.counts, sum(made.seconds.values()))
-        if self._verbose and self.tally.frames == 1 and isinstance(follower, BallFollower) and follower.resection:
-            self.say(describe(follower.resection, follower.rig))
+        if self._verbose and self.tally.frames == 1 and isinstance(adapter, BallAdapter) and adapter.resection:
+            self.log(describe(adapter.resection, adapter.rig))
         self._screen.show(made.epoch)
         if self.overlay is not None:
-            assert isinstance(follower, BallFollower)
-            tracker = follower.tracker
+            assert isinstance(adapter, BallAdapter)
+            tracker = adapter.tracker
             assert tracker is not None
             if self.tally.frames == 1:
-                self.overlay.begin(tracker, target_marks(tracker.rig, tracker.pose, follower.resection))
+                self.overlay.begin(tracker, target_marks(tracker.rig, tracker.pose, adapter.resection))
             self.overlay.add(made.epoch, lambda: self.tally.counts)
 
 
@@ -72,19 +71,19 @@ class WandView:
         self.overlay = overlay
         self._pen: tuple[WandTracker, WandOverlay] | None = None
 
-    def say(self, text: str) -> None:
-        """Print one or more lines above the table."""
-        self._screen.say(text)
+    def log(self, text: str) -> None:
+        """One or more lines, which stay."""
+        self._screen.log(text)
 
-    def show(self, made: FrameResult, follower: TrackerAdapter) -> None:
-        """Add a frame to lines and overlay."""
+    def show(self, made: FrameResult, adapter: TrackerAdapter) -> None:
+        """Line and overlay."""
         self.tally.add(made.report.counts, sum(made.seconds.values()))
         self._screen.show(made.frame.stamp, made.epoch.poses)
         if self.overlay is not None:
-            assert isinstance(follower, WandFollower)
-            tracker = follower.tracker
+            assert isinstance(adapter, WandAdapter)
+            tracker = adapter.tracker
             if self._pen is None or self._pen[0] is not tracker:
-                self._pen = tracker, WandOverlay(tracker, follower.points, self.overlay.scale(tracker.camera.width))
+                self._pen = tracker, WandOverlay(tracker, adapter.points, self.overlay.scale(tracker.camera.width))
             _, pen = self._pen
             pen.remember(made.epoch)
             self.overlay.show(lambda: pen.draw(made.epoch, self.tally.counts))

@@ -10,8 +10,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
@@ -89,18 +87,18 @@ class MapKeeper:
         self,
         path: Path,
         rig: Rig,
-        say: Callable[[str], None],
+        log: Callable[[str], None],
         every: float = EVERY,
         elsewhere: Callable[[Callable[[], None]], None] = lambda work: work(),
     ) -> None:
-        """Load what there is; `say` takes lines for the user, always in the caller's thread.
+        """Load what there is; `log` takes lines for the user, always in the caller's thread.
 
         `elsewhere` has a thread save while the caller goes on; by default who keeps waits for it.
         """
         if not path.parent.is_dir():
             raise ConfigurationError(f"{path}: no such folder; name a place for the map with --map, or give --no-map")
         self.path = path
-        self._rig, self._say, self._every = rig, say, every
+        self._rig, self._log, self._every = rig, log, every
         loaded = open_map(path, rig) if path.exists() else None
         self.known = None if loaded is None else loaded.map  # what the run begins with
         self._saved = self.known  # what is in the file
@@ -116,16 +114,12 @@ class MapKeeper:
         self._heard: list[str] = []  # from the thread, to be said
         self._said = ""  # the last of them
         if loaded is not None:
-            say(f"map: {path}: {len(loaded.map)} discs, saved {age(loaded)}")
+            log(f"map: {path}: {len(loaded.map)} discs, saved {age(loaded)}")
         if not self._writable:
-            say(f"map: {path.parent}: not writable: what this run learns of the discs will not be kept")
+            log(f"map: {path.parent}: not writable: what this run learns of the discs will not be kept")
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Save the map, and wait until it is saved."""
         self._over = True
         now = self._now()
         if now is not None:
@@ -208,4 +202,4 @@ class MapKeeper:
 
     def _tell(self) -> None:
         while self._heard:
-            self._say(self._heard.pop(0))
+            self._log(self._heard.pop(0))

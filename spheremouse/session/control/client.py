@@ -12,7 +12,7 @@ from typing import Any, Self
 
 from spheremouse.errors import ControlError, printable
 from spheremouse.files import plain_json
-from spheremouse.session.control import places
+from spheremouse.session.control import socket_file
 from spheremouse.session.control.protocol import MAX_LINE
 from spheremouse.session.control.socket_file import peer_of
 from spheremouse.session.control.status import misfit
@@ -36,7 +36,7 @@ class Client:
 
     def __init__(self, path: Path | None = None) -> None:
         self._given = path
-        self._path = path or places.find_socket()
+        self._path = path or socket_file.find_socket()
         self._socket: socket.socket | None = None
         self._received = bytearray()
 
@@ -156,7 +156,7 @@ class Client:
     def _where(self) -> str:
         if self._given is not None or os.environ.get("SPHEREMOUSE_SOCKET"):
             return f"no daemon listens at {self._path}"
-        return f"no daemon listens at {' or '.join(str(p) for p in places.candidates())}"
+        return f"no daemon listens at {' or '.join(str(p) for p in socket_file.candidates())}"
 
     def _permission_hint(self) -> str:
         import grp  # not on every system

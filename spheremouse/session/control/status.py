@@ -134,8 +134,8 @@ class StatusReport(_Part):
 def misfit(status: dict[str, Any]) -> str | None:
     """Return the first value of a status that has the wrong type, in words; None if there is none.
 
-    Missing and null values are allowed, for older versions; unknown states, for later ones; and file names that are
-    not text.
+    Missing and null values are allowed, since older versions lack some; unknown states, since later versions have more;
+    and file names that are not text.
     """
     try:
         StatusReport.model_validate(status)

@@ -101,11 +101,11 @@ def _draw_detections(pen: "Pen", state: TrackState, tracker: Tracker, used: NDAr
 
 def _cells(epoch: Epoch, counts: tuple[int, int, int]) -> tuple[tuple[str, float], ...]:
     """Time, phase, rate, counts, discs."""
-    state = epoch.state
-    rate = "  ".join(f"{n} {np.rad2deg(v):+.1f}" for n, v in zip("XYZ", state.filter.rate, strict=True))
+    estimate, n = epoch.estimate, epoch.estimate.statistics
+    rate = "  ".join(f"{name} {v:+.1f}" for name, v in zip("XYZ", np.degrees(estimate.rate[:3]), strict=True))
     return (
-        (f"{epoch.frame.stamp:.2f} s  {state.status}", 0.012),
+        (f"{estimate.stamp:.2f} s  {estimate.status}", 0.012),
         (f"{rate} deg/s", 0.2),
         (f"counts {counts[0]:+d} {counts[1]:+d} {counts[2]:+d}", 0.55),
-        (f"discs {len(epoch.state.filter.used)} of {len(state.filter.discs)}", 0.86),
+        (f"discs {n['discs_used']} of {n['discs_known']}", 0.86),
     )

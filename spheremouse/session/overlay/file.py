@@ -24,14 +24,14 @@ class OverlayFile:
     """A picture of the last drawing, or a video of all, under its name only when it is complete. A context manager."""
 
     def __init__(self, path: Path, fps: float | None) -> None:
-        """`fps` is what a video plays at. Raises OutputError where nothing can be written there, as entering does."""
+        """`fps` is the frame rate of a video. Raises OutputError if nothing can be written there, as entering does."""
         self.path = path
         self._picture = path.suffix.lower() in _PICTURES
         self._fps = fps or 30.0
         self._video: cv2.VideoWriter | None = None
         self._overlay: Overlay | None = None
         self._last: Callable[[], Image] | None = None
-        self.written = False  # at the end, where there was anything to draw
+        self.written = False  # at the end, if there was a drawing
         if path.is_dir():
             raise OutputError(f"{path}: is a folder; name a file in it")
         if not self._picture and path.suffix.lower() not in _CODECS:
@@ -46,18 +46,18 @@ class OverlayFile:
         self._overlay = Overlay(tracker, targets, self.scale(tracker.rig.camera.width))
 
     def add(self, epoch: Epoch, counts: Callable[[], Counts]) -> None:
-        """One more epoch; `counts` gives their sum when it is drawn."""
+        """Add an epoch; `counts` returns the sum of counts when it is drawn."""
         overlay = self._overlay
         assert overlay is not None
         overlay.remember(epoch.state)
         self.show(lambda: overlay.draw(epoch, counts()))
 
     def scale(self, width: int) -> int:
-        """By how much frames of a width, px, are to be enlarged: pictures more, they are looked at on their own."""
+        """Return the enlargement of frames of a width, px. Pictures are larger than videos."""
         return max(1, round((1280 if self._picture else 640) / width))
 
     def show(self, draw: Callable[[], Image]) -> None:
-        """One more drawing: made now for a video, and only if it is the last for a picture."""
+        """Add a drawing. It is drawn now for a video, and at the end for a picture if it is the last."""
         self._last = draw
         if self._picture:
             return
@@ -90,7 +90,7 @@ class OverlayFile:
             self._new.discard()
 
     def _publish(self) -> None:
-        """OpenCV's writer reports no errors: look whether the file can be read before it gets its name."""
+        """Check that the file can be read before it gets its name, since OpenCV's writer reports no errors."""
         written = cv2.VideoCapture(str(self._part), cv2.CAP_FFMPEG)
         good = written.isOpened() and written.grab()
         written.release()
@@ -103,9 +103,9 @@ class OverlayFile:
 
 
 def write_picture(path: Path, image: Image, mode: int | None = None) -> None:
-    """Write an image under its name only when it is complete; OutputError where that fails.
+    """Write an image, which gets its name when it is complete. Raise OutputError if that fails.
 
-    `mode` is the file's, whatever the umask; without it, it is like any other file.
+    The file has the `mode`, whatever the umask. Without a mode the umask applies.
     """
     good, data = cv2.imencode(path.suffix, image)
     if not good:

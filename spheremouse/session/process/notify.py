@@ -14,7 +14,7 @@ import sdnotify
 
 
 def _interval() -> float:
-    """Seconds within which systemd wants to hear of us; infinite where it does not."""
+    """Return the watchdog's interval, s; infinite without a watchdog."""
     try:
         if int(os.environ.get("WATCHDOG_PID", os.getpid())) != os.getpid():
             return math.inf
@@ -24,7 +24,7 @@ def _interval() -> float:
 
 
 class Notifier:
-    """Talks to the service manager."""
+    """Sends notifications to the service manager."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         notifier = sdnotify.SystemdNotifier()
@@ -52,17 +52,17 @@ class Notifier:
             self._send(f"STATUS={text}".encode().decode("latin-1"))  # which sdnotify encodes as
 
     def patience(self, seconds: float) -> None:
-        """The watchdog waits so long from now on, until `usual` is called: something long has been begun."""
+        """Let the watchdog wait so long until `usual` is called, since long work begins."""
         if self.interval < math.inf:
             self._send(f"WATCHDOG_USEC={int(1e6 * seconds)}")
             self._send("WATCHDOG=1")
 
     def usual(self) -> None:
-        """The watchdog waits as the unit says again."""
+        """Let the watchdog wait as long as the unit says again."""
         self.patience(self.interval)
 
     def progress(self, token: Any) -> None:
-        """Feed the watchdog if the token is another one than at the last feed; four times an interval at most."""
+        """Feed the watchdog if the token has changed since the last feed, at most four times an interval."""
         now = self._clock()
         if token == self._token or now < self._due:
             return

@@ -38,9 +38,9 @@ def prepare(wanted: bool = True) -> str:
 
 
 def claim(thread: int | None) -> bool:
-    """Real-time scheduling for one thread by its native number, 0 for the present one; False where it is not granted.
+    """Request real-time scheduling for a thread by its native number, 0 for this one. Return False if it is refused.
 
-    Threads that it begins do not inherit it: those that write files or answer questions shall wait.
+    Threads that it starts do not inherit the class: threads that write files or answer requests must wait.
     """
     if thread is None or not sys.platform.startswith("linux"):
         return False
@@ -105,7 +105,7 @@ def _untouched(smaps: str) -> list[tuple[int, int]]:
 
 
 def _lock_memory() -> str:
-    """Pages stay in memory once they have been touched; what never is, costs nothing."""
+    """Lock each page in memory once it is used."""
     limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     if os.geteuid() != 0 and limit != resource.RLIM_INFINITY:
         return "memory not locked: the system does not grant it (LimitMEMLOCK=infinity)"
@@ -116,10 +116,10 @@ def _lock_memory() -> str:
 
 
 class GcPause:
-    """Python itself at rest while a frame is worked on: from its making until `close`.
+    """No garbage collection while a frame is tracked, from the constructor until `close`.
 
-    Garbage is collected when a frame has been sent. What is there now, libraries above all, is set aside and never
-    looked through again, so that even a whole collection takes less than a millisecond.
+    Garbage is collected when a frame has been sent. Present objects, most of them of libraries, are excluded, so that a
+    whole collection takes less than a millisecond.
     """
 
     _EVERY = 5.0  # s
@@ -133,13 +133,13 @@ class GcPause:
         gc.disable()
 
     def rest(self, now: float) -> None:
-        """There is time now: no frame waits."""
+        """Collect garbage if it is due, since no frame waits."""
         if now >= self._due:
             self._due = now + self._EVERY
             gc.collect()
 
     def close(self) -> None:
-        """As Python does it by itself."""
+        """Restore Python's own garbage collection."""
         sys.setswitchinterval(self._switch)
         gc.unfreeze()
         gc.enable()

@@ -16,15 +16,13 @@ from spheremouse.errors import ControlError, OutputError, SpheremouseError
 from spheremouse.output.pointer import Counts
 from spheremouse.session.control.protocol import Record, Snapshot, internal_error, refused
 from spheremouse.session.control.request_queue import PendingRequest
-from spheremouse.session.follower import FrameResult, TrackerAdapter
+from spheremouse.session.overlay.file import write_picture
 from spheremouse.session.overlay.pen import Image
 from spheremouse.session.process.threads import WorkerPool
-from spheremouse.session.record.places import made_folder, next_name, recordings_folder, refuse_full_disk
+from spheremouse.session.record.places import FILE, made_folder, next_name, recordings_folder, refuse_full_disk
 from spheremouse.session.record.recorder import Recorder
-from spheremouse.session.record.snapshot import snapshot
-from spheremouse.session.settings import Configuration
-from spheremouse.session.settings.record import RecordSettings
-from spheremouse.session.subject import Subject
+from spheremouse.session.settings import Configuration, RecordSettings
+from spheremouse.session.tracker_adapter import FrameResult, Subject, TrackerAdapter
 from spheremouse.tracker import Frame
 
 RECORDING, SNAPSHOT = "recording", "snapshot"  # threads of the pool
@@ -36,57 +34,57 @@ class Archive:
 
     def __init__(
         self,
-        crew: WorkerPool,
-        ask: Callable[[Callable[[], None]], None],
-        say: Callable[[str], None],
+        workers: WorkerPool,
+        call: Callable[[Callable[[], None]], None],
+        log: Callable[[str], None],
     ) -> None:
-        """`ask` has something done in the worker's thread; `say` takes lines for the log, from any thread."""
-        self._crew, self._ask, self._say = crew, ask, say
+        """`call` has the worker run a call; `log` takes lines for the log. Both may be called from any thread."""
+        self._workers, self._call, self._log = workers, call, log
         self._recorder: Recorder | None = None
-        self._made: Recorder | None = None  # by the crew, and not taken over yet
+        self._made: Recorder | None = None  # by the pool, and not taken over yet
         self._begun: tuple[PendingRequest, dict[str, Any]] | None = None  # answered at the first frame
         self._bare = False  # the recording has no frame in colour yet
         self._wanted: tuple[Path, PendingRequest, RecordSettings] | None = None  # the snapshot of the next frame
 
     @property
     def wants_colour(self) -> bool:
-        """Is the next frame needed in colour? A snapshot is; and what tracks a recording needs the targets' colours."""
+        """True if the next frame is needed in colour: for a snapshot, and for the targets in a recording."""
         return self._bare or self._wanted is not None
 
-    def keep(self, made: FrameResult, follower: TrackerAdapter, counts: Callable[[], Counts]) -> None:
-        """A tracked frame, for all that want it, and the counts sent with it; its image is copied."""
+    def keep(self, made: FrameResult, adapter: TrackerAdapter, counts: Callable[[], Counts]) -> None:
+        """Copy the image of a tracked frame for recording and snapshot; `counts` returns the sum of the sent counts."""
         self._give_up()
-        if self._recorder is not None and self._recorder.add(made.frame, follower.subject):
+        if self._recorder is not None and self._recorder.add(made.frame, adapter.subject):
             self._bare &= made.frame.image.ndim != 3
-            self._tell_first()
-        self._take_snapshot(lambda everything: follower.picture(made, counts(), everything))
+            self._answer_begun()
+        self._take_snapshot(lambda everything: adapter.picture(made, counts(), everything))
 
-    def look(self, frame: Frame, follower: TrackerAdapter) -> None:
-        """A frame that was not tracked; its image is copied."""
+    def look(self, frame: Frame, adapter: TrackerAdapter) -> None:
+        """Copy the image of a frame that was not tracked for a snapshot."""
         self._give_up()
-        self._take_snapshot(lambda everything: follower.sight(frame, everything))
+        self._take_snapshot(lambda everything: adapter.sight(frame, everything))
 
     def interrupted(self, reason: str) -> None:
         """Refuse all requests that wait for a frame, since no frames come."""
         self._give_up()
-        self._tell_first()  # it begins when they come again
+        self._answer_begun()  # it begins when they come again
         if self._wanted is not None:
             (_, pending, _), self._wanted = self._wanted, None
             pending.answer(refused(f"there is no picture now: {reason}"))
 
-    def tend(self) -> None:
+    def check_limits(self) -> None:
         """End a recording that has reached its bounds."""
         self._give_up()
         if self._recorder is not None and self._recorder.status().ended is not None:
             self._end()
 
     def close(self) -> None:
-        """End what is being recorded."""
+        """End the recording, if there is one."""
         if self._recorder is not None:
             self._end()
 
     def discard(self) -> None:
-        """Once nothing is written any more: what was begun too late for a frame."""
+        """Discard a recording that was made after the last frame. Call it when the pool has ended."""
         if self._made is not None:
             with contextlib.suppress(SpheremouseError):
                 self._made.finish(1.0)
@@ -106,13 +104,10 @@ class Archive:
     def record(
         self, request: Record, c: Configuration, subject: Subject, described: str, pending: PendingRequest
     ) -> None:
-        """Begin a recording; `described` is the camera in a line.
-
-        ControlError where one is being made.
-        """
+        """Begin a recording; `described` is the camera in a line. Raise ControlError if there is one already."""
         if self._recorder is not None:
             raise ControlError(f"recording into {self._recorder.status().folder} already; end it with record --stop")
-        if self._crew.busy(RECORDING):
+        if self._workers.busy(RECORDING):
             raise ControlError("the recording before this is still being written; ask again when it is done")
         settings = replace(
             c.record,
@@ -129,9 +124,9 @@ class Archive:
             if pending.cancelled:
                 raise _CANCELLED
             self._made = Recorder(folder, subject, settings, described)
-            self._ask(lambda: self._has_begun(told, pending))
+            self._call(lambda: self._has_begun(told, pending))
 
-        self._crew.do(RECORDING, lambda: self._answer(pending, begin))
+        self._workers.do(RECORDING, lambda: self._answer(pending, begin))
 
     def _has_begun(self, told: dict[str, Any], pending: PendingRequest) -> None:
         recorder, self._made = self._made, None
@@ -142,30 +137,30 @@ class Archive:
         self._recorder, self._bare, self._begun = recorder, True, (pending, told)
 
     def _drop(self, recorder: Recorder, pending: PendingRequest) -> None:
-        """A recording without a frame, of which nothing is left."""
+        """Remove a recording without a frame, since its client has disconnected."""
         recorder.stop()
 
         def finish() -> None:
-            with contextlib.suppress(SpheremouseError):  # it has no frame, and says so
+            with contextlib.suppress(SpheremouseError):  # the error is that it has no frame
                 recorder.finish()
             raise _CANCELLED
 
-        self._crew.do(RECORDING, lambda: self._answer(pending, finish))
+        self._workers.do(RECORDING, lambda: self._answer(pending, finish))
 
-    def _tell_first(self) -> None:
+    def _answer_begun(self) -> None:
         if self._begun is not None:
             (pending, told), self._begun = self._begun, None
-            self._say(f"record: {told['message']}")
+            self._log(f"record: {told['message']}")
             pending.answer(told)
 
     def stop(self, pending: PendingRequest) -> None:
-        """End the recording. ControlError where there is none."""
+        """End the recording. Raise ControlError if there is none."""
         if self._recorder is None:
             raise ControlError("nothing is being recorded")
         self._end(pending)
 
     def configuration_changes(self) -> bool:
-        """End what is being recorded, for a recording is of one configuration; whether there was one."""
+        """End the recording, since it is of one configuration. Return True if there was one."""
         if self._recorder is None:
             return False
         self._end()
@@ -174,20 +169,20 @@ class Archive:
     def _end(self, pending: PendingRequest | None = None) -> None:
         recorder, self._recorder, self._bare = self._recorder, None, False
         assert recorder is not None
-        self._tell_first()
+        self._answer_begun()
         recorder.stop()
 
         def finish() -> dict[str, Any]:
             try:
                 path = recorder.finish()
             except SpheremouseError as e:
-                self._say(f"record: {e}")
+                self._log(f"record: {e}")
                 raise
             status = recorder.status()
-            self._say(f"record: {status.ended}")
+            self._log(f"record: {status.ended}")
             return {"folder": str(path), "frames": status.frames, "message": status.ended}
 
-        self._crew.do(RECORDING, lambda: self._answer(pending, finish))
+        self._workers.do(RECORDING, lambda: self._answer(pending, finish))
 
     def status(self) -> dict[str, Any] | None:
         """Return the status of the recording, from any thread."""
@@ -208,7 +203,7 @@ class Archive:
         self._wanted = path, pending, replace(c.record, everything=c.record.everything or request.everything)
 
     def _take_snapshot(self, picture: Callable[[bool], Callable[[], Image]]) -> None:
-        """The one that is wanted; `picture` gives what draws it, with everything in it or not."""
+        """Draw the requested snapshot, if there is one; `picture` returns the function that draws it."""
         if self._wanted is None:
             return
         (path, pending, settings), self._wanted = self._wanted, None
@@ -220,10 +215,10 @@ class Archive:
             made_folder(path.parent, OutputError)
             refuse_full_disk(path, settings)
             snapshot(path, draw)
-            self._say(f"snapshot: {path}")
+            self._log(f"snapshot: {path}")
             return {"file": str(path)}
 
-        self._crew.do(SNAPSHOT, lambda: self._answer(pending, write))
+        self._workers.do(SNAPSHOT, lambda: self._answer(pending, write))
 
     def _answer(
         self, pending: PendingRequest | None, work: Callable[[], dict[str, Any] | None]
@@ -234,6 +229,14 @@ class Archive:
         except (SpheremouseError, OSError) as e:
             reply = refused(str(e))
         except Exception as e:
-            self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
+            self._log("internal error, please report it:\n" + traceback.format_exc().rstrip())
             reply = refused(internal_error(e))
         return None if reply is None or pending is None else partial(pending.answer, reply)
+
+
+def snapshot(path: Path, draw: Callable[[], Image]) -> Path:
+    """Draw a picture and write it. OutputError where the file is there already or cannot be written."""
+    if path.exists():
+        raise OutputError(f"{path}: is there already; give another name")
+    write_picture(path, draw(), FILE)
+    return path

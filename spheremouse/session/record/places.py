@@ -5,6 +5,7 @@ mark's lock separates the remains of a crash from a recording in progress.
 """
 
 import contextlib
+import fcntl
 import os
 import shutil
 import time
@@ -12,12 +13,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from spheremouse.errors import DatasetError, SpheremouseError
-from spheremouse.session.settings.record import RecordSettings
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None
+from spheremouse.session.settings import RecordSettings
 
 FOLDER, FILE = 0o750, 0o640  # modes
 _MARK = ".recording"  # a file in the folder of a recording that is not finished; locked while somebody writes it
@@ -35,7 +31,7 @@ def recordings_folder(settings: RecordSettings) -> Path:
 
 
 def next_name(folder: Path, now: time.struct_time | None = None, suffix: str = "") -> Path:
-    """A name in the folder that is not taken: date and time; `suffix` for a picture."""
+    """Return a free name in the folder: date and time, with the `suffix` of a picture."""
     stem = time.strftime("%Y-%m-%d-%H%M%S", time.localtime() if now is None else now)
     path, again = folder / f"{stem}{suffix}", 1
     while path.exists():
@@ -58,10 +54,7 @@ def _removed(left: Path) -> bool:
     """Remove an unfinished recording unless another process writes it."""
     try:
         with (left / _MARK).open("rb") as mark:
-            if fcntl is not None:
-                fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if fcntl is None:
-            left = left.rename(left.with_name(f"{left.name}.left"))
+            fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         return False
     shutil.rmtree(left, ignore_errors=True)
@@ -69,17 +62,12 @@ def _removed(left: Path) -> bool:
 
 
 def marked(folder: Path) -> IO[Any]:
-    """The mark of a recording that is not finished, put there locked: at no moment is it anybody else's."""
+    """Lock the mark of an unfinished recording, and move it into the folder."""
     new = folder / f"{_MARK}.new"
     try:
         mark = new.open("wb")
-        if fcntl is not None:
-            fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            new.rename(folder / _MARK)
-        else:
-            mark.close()
-            mark = (folder / _MARK).open("wb")
-            new.unlink()
+        fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        new.rename(folder / _MARK)
     except OSError as e:
         raise DatasetError(f"{folder}: cannot be written ({e.strerror})") from None
     return mark
@@ -92,7 +80,7 @@ def release(mark: IO[Any], folder: Path) -> None:
 
 
 def made_folder(folder: Path, error: type[SpheremouseError]) -> None:
-    """Make it and those above where they are missing, whatever the umask; `error` where that cannot be."""
+    """Make a folder and its missing parents, whatever the umask. Raise `error` if that fails."""
     try:
         for missing in [p for p in (*reversed(folder.parents), folder) if not p.exists()]:
             missing.mkdir(FOLDER, exist_ok=True)

@@ -1,10 +1,9 @@
-"""Records what is tracked into a dataset folder that tracks again to the last bit (docs/recording).
+"""Record tracked frames into a dataset folder. A replay of it gives the same results bit for bit (docs/recording).
 
-The worker hands over each frame it has tracked, which costs it a copy; a thread of its own writes. What is not to be
-kept is left out at that copy already. A recording ends by itself, and is there whole or not at all.
+The worker submits each tracked frame, which costs it a copy of the kept part. A thread writes the frames. A recording
+ends at its limits, and its folder appears complete or not at all.
 """
 
-import os
 import queue
 import threading
 import time
@@ -22,8 +21,8 @@ from spheremouse.files.dataset.write import FilmWriter
 from spheremouse.session.overlay.pen import Image
 from spheremouse.session.process.threads import begin
 from spheremouse.session.record.places import disk_is_full, made_folder, marked, refuse_full_disk, release
-from spheremouse.session.settings.record import RecordSettings
-from spheremouse.session.subject import Subject
+from spheremouse.session.settings import RecordSettings
+from spheremouse.session.tracker_adapter import Subject
 from spheremouse.tracker import Frame
 
 _BUFFERS = 32e6  # bytes that wait for the writer: half a second of 640x480 in colour at 60 Hz
@@ -42,12 +41,12 @@ class RecorderStatus:
     bytes: int
     dropped: int  # frames not kept because the writer was behind, or that were none
     waiting: int  # frames not written yet
-    ended: str | None  # what became of it, in words; None while it goes on
+    ended: str | None  # result in words; None while it goes on
     failed: bool  # nothing was kept
 
 
 class Recorder:
-    """A recording, from its beginning to its end. Frames given before `ready` are not part of it."""
+    """One recording. Frames that are added before `ready` are not part of it."""
 
     def __init__(
         self,
@@ -58,7 +57,7 @@ class Recorder:
         *,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`folder` must not be there, or be empty. DatasetError where it cannot be begun."""
+        """`folder` must not exist, or be empty. Raises DatasetError if the recording cannot begin."""
         if not settings.everything and not subject.parts:
             raise DatasetError("whoever holds the ball is in the picture, all of which it takes to track it: give "
                                "--everything, or set record.everything, where they know and agree")  # fmt: skip
@@ -97,14 +96,11 @@ class Recorder:
             raise
 
     def ready(self, timeout: float) -> bool:
-        """Wait until frames are taken, which is some tenths of a second after the beginning; False: not yet."""
+        """Wait until frames are taken, some tenths of a second after the beginning. Return False at the timeout."""
         return self._ready.wait(timeout)
 
     def add(self, frame: Frame, subject: Subject | None = None) -> bool:
-        """One frame that was tracked, and of what, now that it was; whether it is kept. Never waits.
-
-        Its image may be used for something else afterwards.
-        """
+        """Copy a tracked frame and its present subject, without waiting. Return True if the frame is kept."""
         if not self._open:
             return False
         if self._clock() - self._begun >= self._settings.seconds:
@@ -125,12 +121,12 @@ class Recorder:
         return True
 
     def stop(self) -> None:
-        """Take no more frames, and write those taken. Does not wait."""
+        """Take no more frames, and write those taken, without waiting."""
         self._open = False
         self._full.put(None)
 
     def finish(self, timeout: float | None = None) -> Path:
-        """Stop, wait until all is written, and say where; DatasetError where nothing was kept."""
+        """Stop, wait until all frames are written, and return the folder. Raise DatasetError if nothing was kept."""
         self.stop()
         if not self._done.wait(timeout):
             raise DatasetError(f"{self._folder}: still being written")
@@ -178,9 +174,7 @@ class Recorder:
             why = self._record()
             self._open = False
             self._bytes = self._film.size()
-            if os.name == "nt":  # where a folder with an open file in it cannot be moved
-                self._mark.close()
-            # the mark goes along: a kill until then leaves what tidy knows
+            # the mark moves with the folder: after a kill before that, `tidy` removes the folder
             self._film.finish(self._scene(), self._subject.files())
             release(self._mark, self._folder)
             lost = f", {self._dropped} dropped" if self._dropped else ""
@@ -203,7 +197,7 @@ class Recorder:
         return {**said, **self._subject.scene()}
 
     def _record(self) -> str:
-        """Write until there is a reason to end, and say it."""
+        """Write until there is a reason to end, and return it."""
         if not self._settings.everything:
             self._keep = self._subject.kept()
         self._film.open(_FPS)
@@ -236,7 +230,7 @@ class Recorder:
 
 
 class _Buffer:
-    """Room for one frame, used again and again."""
+    """Memory for one frame, which is reused."""
 
     def __init__(self, size: int) -> None:
         self._bytes = np.zeros(size, np.uint8)
@@ -244,7 +238,7 @@ class _Buffer:
         self.frame: Frame | None = None
 
     def take(self, frame: Frame, keep: Image | None, number: int) -> None:
-        """A copy of what is to be kept; `number` is that of the mask."""
+        """Copy the kept part of a frame; `number` is that of its mask."""
         shape = frame.image.shape
         image: NDArray[np.uint8] = self._bytes[: frame.image.size].reshape(shape)
         if keep is None:

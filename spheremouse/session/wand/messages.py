@@ -1,16 +1,16 @@
-"""Sentences about hand-held balls, made of events; each change of a pose is reported once."""
+"""Sentences about hand-held balls, made of events. Each change of a pose is reported once."""
 
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.session.follower import LogMessages
+from spheremouse.session.tracker_adapter import LogMessages
 from spheremouse.tracker import Event, Status
 from spheremouse.wand.events import BallHidden, BallLost, ColourEverywhere, ColourNowhere, NotInView, SecondBall
 from spheremouse.wand.state import WandPose
 
-PATIENCE = 5.0  # s of frames without a ball that was never seen, after which that is worth a word
+PATIENCE = 5.0  # s of frames without a ball that was never seen, after which that is logged
 _GREY = 3.0  # grey values by which the colours of a pixel differ, on average, in a picture without colour
 
 _Wand = NotInView | BallLost | BallHidden | SecondBall | ColourNowhere | ColourEverywhere
@@ -39,68 +39,74 @@ def trouble_and_remedy(event: Event) -> tuple[str, str]:
             return what, "narrow them with `spheremouse wand colours`"
 
 
-class Told:
-    """Log messages of changes since the last frame."""
+class WandMessages:
+    """Texts about the balls for status and log."""
 
     def __init__(self, points: int, name: str) -> None:
-        """`points` is the index of the ball that moves the pointer, `name` what it is called."""
+        """`points` is the index of the ball that moves the pointer, and `name` its name."""
         self._points = points
         self._phases: dict[int, Status] = {}
         self._events: dict[int, Event] = {}
         self._began: float | None = None
         self._complained = False
+        self._change, self._more = "", list[str]()
         self.found: set[int] = set()  # balls that have been seen
         self.why = ""  # the ball that points is not seen; empty while it is
-        self.reason = f"{name} is looked for"  # what is known of it
-        self._unseen: dict[int, str] = {}  # balls until they are found: why not, in words
+        self.reason = f"{name} is looked for"  # its state, for the status
+        self._unseen: dict[int, str] = {}  # balls until they are found: the reason, in words
 
     def interrupted(self) -> None:
         """Report all balls again when frames arrive again."""
         self._phases.clear()
         self._began = None
 
-    def frame(self, stamp: float, poses: tuple[WandPose, ...], image: NDArray[np.uint8]) -> LogMessages:
-        """Return the news of a frame's poses."""
+    def add(self, stamp: float, poses: tuple[WandPose, ...], image: NDArray[np.uint8]) -> None:
+        """Update the texts from the poses of a frame."""
         self._began = stamp if self._began is None else self._began
-        change, more = "", list[str]()
         for k, pose in enumerate(poses):
             new = self._phase(k, pose)
             if new and k == self._points:
-                change = f"{pose.phase}: {new}"
+                self._change = f"{pose.phase}: {new}"
             elif new:
-                more.append(new)
-            if self._is_news(k, pose):
-                more.append(said(pose))
+                self._more.append(new)
+            if self._is_new_event(k, pose):
+                self._more.append(problem(pose))
         pose = poses[self._points]
         self.why = "" if pose.phase is Status.TRACKING else _why(pose, image)
         self.reason = self.why or f"{pose.name} is followed"
         if pose.phase is Status.SEARCHING and not self._complained and stamp - self._began > PATIENCE:
             self._complained = True
-            more.append(f"not found for {PATIENCE:g} s: {self.why}")
-        return LogMessages(change, tuple(more))
+            self._more.append(f"not found for {PATIENCE:g} s: {self.why}")
+
+    def take(self) -> LogMessages:
+        """Return the log lines since the previous call."""
+        log = LogMessages(self._change, tuple(self._more))
+        self._change = ""
+        self._more.clear()
+        return log
 
     def never_found(self, but: int | None = None) -> tuple[str, ...]:
-        """A line for each ball that has never been seen, at the end; `but` the one of that index, told otherwise."""
+        """Return a line for each ball that was never seen, without the one of index `but`."""
         return tuple(line for k, line in self._unseen.items() if k != but and k not in self.found)
 
     def _phase(self, k: int, pose: WandPose) -> str:
         """Return the log line of a ball's new phase."""
         before, self._phases[k] = self._phases.get(k), pose.phase
         if k not in self.found:
-            self._unseen[k] = f"{pose.name} was never found: {said(pose)}"
+            self._unseen[k] = f"{pose.name} was never found: {problem(pose)}"
         match pose.phase:
             case Status.TRACKING:
                 self.found.add(k)
                 return "" if before is pose.phase else f"{pose.name} is followed"
             case Status.LOST if before is not pose.phase:
-                return said(pose)
+                return problem(pose)
             case Status.SEARCHING if before is None:
                 return f"{pose.name} is looked for"
             case _:
                 return ""
 
-    def _is_news(self, k: int, pose: WandPose) -> bool:
-        """Is it worth a word? A ball that is hidden for a moment is not."""
+    def _is_new_event(self, k: int, pose: WandPose) -> bool:
+        """Return True if the event is to be logged. A ball that is hidden for a moment is not logged."""
         if pose.event is None or pose.phase is not Status.TRACKING or not pose.seen:
             return False
         before, self._events[k] = self._events.get(k), pose.event
@@ -110,10 +116,10 @@ class Told:
 def _why(pose: WandPose, image: NDArray[np.uint8]) -> str:
     sample = image[::8, ::8].astype(np.int16)
     if sample.ndim == 3 and float(np.ptp(sample, axis=2).mean()) < _GREY:
-        return f"{said(pose)} (the frames are grey, or dark)"
-    return said(pose)
+        return f"{problem(pose)} (the frames are grey, or dark)"
+    return problem(pose)
 
 
-def said(pose: WandPose) -> str:
+def problem(pose: WandPose) -> str:
     """Return a problem of a ball; empty if there is none."""
     return "" if pose.event is None else sentence(pose.event)

@@ -15,8 +15,8 @@ from spheremouse.ball.detect.rings import MOST, TargetDetections, detect_targets
 from spheremouse.ball.pose import Sighting, find_pose, predict_targets, resect
 from spheremouse.capture.newest import Arrival
 from spheremouse.errors import PoseError
-from spheremouse.session.ball.follower import BallFollower
-from spheremouse.session.follower import here
+from spheremouse.session.ball.adapter import BallAdapter
+from spheremouse.session.tracker_adapter import here
 from spheremouse.session.worker import Worker
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.simulate.ball.scene import default_scene
@@ -236,20 +236,20 @@ def film(seconds, **options):
     return sim, frames
 
 
-def follower(rig, do):
-    return BallFollower(rig, TWO_VIEWS, None, lambda _: None, do)
+def adapter(rig, do):
+    return BallAdapter(rig, TWO_VIEWS, None, lambda _: None, do)
 
 
-def work(follower, raw):
-    return Worker(follower, lambda _: None).work(Arrival(raw, time.monotonic()))
+def work(adapter, raw):
+    return Worker(adapter, lambda _: None).work(Arrival(raw, time.monotonic()))
 
 
 def test_whole_pictures_are_looked_through_elsewhere_and_the_pose_is_that_of_here():
     sim, frames = film(0.1)
-    at_once, elsewhere = follower(sim.scene.rig(), here), Elsewhere()
+    at_once, elsewhere = adapter(sim.scene.rig(), here), Elsewhere()
     for _ in range(2):
         work(at_once, frames[0])
-    worker = follower(sim.scene.rig(), elsewhere)
+    worker = adapter(sim.scene.rig(), elsewhere)
     for _ in range(2):
         for _ in range(5):  # no frame waits, and only the first is looked through
             work(worker, frames[0])
@@ -266,7 +266,7 @@ def test_a_camera_that_was_moved_is_sought_elsewhere_while_frames_go_on(stale):
     """And where it was moved on before that was done, what was found is of the past, and it is sought again."""
     sim, frames = film(1.2, bump=0.3, bump_by=(5.0, -40.0, 20.0, 3.0, -4.0, 1.0))
     elsewhere = Elsewhere()
-    worker = follower(replace(sim.scene.rig(), pose=sim.scene.pose), elsewhere)
+    worker = adapter(replace(sim.scene.rig(), pose=sim.scene.pose), elsewhere)
     before = frames[:8]
     for raw in frames[:24]:
         assert work(worker, raw) is not None
@@ -280,5 +280,5 @@ def test_a_camera_that_was_moved_is_sought_elsewhere_while_frames_go_on(stale):
         assert np.array_equal(worker.pose.position, sim.scene.pose.position)
     else:
         work(worker, frames[24])
-        assert "camera was moved" in worker.take_news().change
+        assert "camera was moved" in worker.take_messages().change
         assert np.linalg.norm(worker.pose.position - sim.changes[0].scene.pose.position) < 5e-3

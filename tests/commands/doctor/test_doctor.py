@@ -34,7 +34,7 @@ from spheremouse.finding import Verdict, ok, warning, wrong
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.plan import Request, read_plan
-from spheremouse.session.settings.record import RecordSettings
+from spheremouse.session.settings import RecordSettings
 
 OK, WARNING, WRONG, UNCHECKED = Verdict.OK, Verdict.WARNING, Verdict.WRONG, Verdict.UNCHECKED
 FAR26_RIG = "the source brings its own"
@@ -589,7 +589,7 @@ def test_a_status_without_keys_is_no_trouble():
 def test_a_daemon_that_runs_keeps_its_camera(tmp_path_factory, monkeypatch):
     pytest.importorskip("fcntl")
     from spheremouse.session.control.server import ControlServer
-    from spheremouse.session.settings.control import ControlSettings
+    from spheremouse.session.settings import ControlSettings
 
     path = Path(tmp_path_factory.mktemp("s")) / "c"
     monkeypatch.setattr(doctor.capture, "probe", lambda spec: [])
@@ -605,7 +605,7 @@ def test_a_daemon_that_runs_keeps_its_camera(tmp_path_factory, monkeypatch):
 def test_a_daemon_of_another_version_is_to_be_started_anew(tmp_path_factory):
     pytest.importorskip("fcntl")
     from spheremouse.session.control.server import ControlServer
-    from spheremouse.session.settings.control import ControlSettings
+    from spheremouse.session.settings import ControlSettings
 
     path = Path(tmp_path_factory.mktemp("s")) / "c"
     with ControlServer(path, ControlSettings(), lambda pending: pending.answer({**STATUS, "version": "0.0.1"})):

@@ -17,7 +17,7 @@ from spheremouse.commands.tray.link import Link
 from spheremouse.commands.tray.view import NO_DAEMON, SEPARATOR, STATES, Notices, View
 from spheremouse.session.control.protocol import refused
 from spheremouse.session.control.server import ControlServer
-from spheremouse.session.settings.control import ControlSettings
+from spheremouse.session.settings import ControlSettings
 
 GROUNDS = {"dark": 40, "light": 240}
 ACTIONS = {"reinit", "pause", "resume", "record", "end-record", "quit", None}

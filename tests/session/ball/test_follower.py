@@ -9,7 +9,7 @@ from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import MotionSettings
-from spheremouse.session.ball.follower import BallFollower
+from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.film import prepare, simulate
 from spheremouse.simulate.ball.options import SimulationOptions
@@ -36,7 +36,7 @@ def watched(options, covered=(0.0, 0.0), level=170, disc=1.0):
     rig = replace(film.scene.rig(), pose=film.scene.pose)
     rig = replace(rig, disc_radius=disc * rig.disc_radius)
     settings = Configuration(discs=DiscSettings(polarity="dark"))
-    follower = BallFollower(rig, settings, None, lambda _: None)
+    adapter = BallAdapter(rig, settings, None, lambda _: None)
     matrix = MotionSettings().matrix(rig.radius_m)
     ball = ball_mask(rig, film.scene.pose) > 0
     seen = Seen([], [], np.zeros((0, 3)), np.zeros(3), 0.0, [], [])
@@ -44,15 +44,15 @@ def watched(options, covered=(0.0, 0.0), level=170, disc=1.0):
         image, stamp = filmed.frame.image.copy(), filmed.frame.stamp
         if covered[0] <= stamp < covered[1]:
             image[ball] = level
-        made = follower.follow(replace(filmed.frame, image=image))
+        made = adapter.follow(replace(filmed.frame, image=image))
         assert made is not None
-        seen.reasons.append(follower.reason)
+        seen.reasons.append(adapter.reason)
         seen.confirmed.append(made.report.estimate.confirmed)
         seen.stamps.append(stamp)
         seen.counts = np.concatenate([seen.counts, [made.report.counts]])
         seen.integral = seen.integral + matrix @ made.report.estimate.increment[:3]
         seen.fastest = max(seen.fastest, float(np.linalg.norm(filmed.rate)))
-        if line := follower.take_news().change:
+        if line := adapter.take_messages().change:
             seen.news.append((stamp, line))
     return seen, rig
 

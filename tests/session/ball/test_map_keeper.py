@@ -3,6 +3,7 @@
 import os
 import threading
 import time
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +47,7 @@ def path(tmp_path, monkeypatch):
 def run(path, *states, every=1e9):
     """A run over the states; what it said."""
     said = []
-    with MapKeeper(path, RIG, said.append, every) as keeper:
+    with closing(MapKeeper(path, RIG, said.append, every)) as keeper:
         for state in states:
             keeper.keep(state)
     assert all(line.startswith("map: ") for line in said)
@@ -63,7 +64,7 @@ def in_file(path):
 def test_a_first_run_saves_and_the_next_begins_with_it(path):
     assert run(path, State(None), State(known(BALL[:20]))) == ["20 discs saved"]
     np.testing.assert_allclose(in_file(path), BALL[:20], atol=1e-8)
-    with MapKeeper(path, RIG, lambda _: None) as keeper:
+    with closing(MapKeeper(path, RIG, lambda _: None)) as keeper:
         assert keeper.known is not None
         np.testing.assert_array_equal(keeper.known.directions, in_file(path))
         assert keeper.known.sightings.tolist() == [50] * 20
@@ -135,7 +136,7 @@ def test_a_map_that_the_run_grew_from_it_may_lose_most_of_its_discs(path):
 def test_a_file_that_was_moved_away_meanwhile_is_not_missed(path):
     save_map(path, saved_now(known(BALL), RIG))
     said = []
-    with MapKeeper(path, RIG, said.append) as keeper:
+    with closing(MapKeeper(path, RIG, said.append)) as keeper:
         path.unlink()
         keeper.keep(State(known(OTHER_BALL)))
     assert said[-1].endswith("a new map of 24 discs saved")
@@ -195,7 +196,7 @@ def test_worth_saving_is_another_disc_or_one_known_twice_as_well():
 
 def test_it_is_saved_while_the_run_goes_once_it_is_time_and_only_what_has_changed(path):
     said = []
-    with MapKeeper(path, RIG, said.append, every=0.0) as keeper:
+    with closing(MapKeeper(path, RIG, said.append, every=0.0)) as keeper:
         keep = keeper.keep
         keep(State(None))
         assert not path.exists()
@@ -206,7 +207,7 @@ def test_it_is_saved_while_the_run_goes_once_it_is_time_and_only_what_has_change
         keep(State(known(BALL[:11])))
         assert len(in_file(path)) == 11
     assert said == [f"map: {path}: 11 discs saved"]
-    with MapKeeper(path, RIG, said.append, every=1e9) as keeper:
+    with closing(MapKeeper(path, RIG, said.append, every=1e9)) as keeper:
         keeper.keep(State(known(BALL), absolute=True))
         assert len(in_file(path)) == 11  # not yet
     assert len(in_file(path)) == 26
@@ -226,7 +227,7 @@ def test_a_slow_disk_does_not_hold_up_the_frames(path, monkeypatch):
         threading.Thread(target=work).start()
 
     monkeypatch.setattr(session_map, "save_map", hang)
-    with MapKeeper(path, RIG, lambda _: None, every=0.0, elsewhere=elsewhere) as keeper:
+    with closing(MapKeeper(path, RIG, lambda _: None, every=0.0, elsewhere=elsewhere)) as keeper:
         for n in range(5, 26):
             keeper.keep(State(known(BALL[:n])))
         assert len(slow) == 1

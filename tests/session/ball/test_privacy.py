@@ -18,7 +18,7 @@ from spheremouse.errors import PoseError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
-from spheremouse.session.ball.privacy import kept, masked
+from spheremouse.session.ball.recorded import kept, masked
 from spheremouse.session.offline import initialise, track
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.simulate.ball.scene import default_scene

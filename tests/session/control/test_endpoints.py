@@ -7,9 +7,9 @@ import pytest
 
 from spheremouse.errors import ControlError
 from spheremouse.session.control.client import Client
-from spheremouse.session.control.endpoints import Endpoints
-from spheremouse.session.control.places import SOCKET
-from spheremouse.session.settings.control import ControlSettings, MetricsSettings
+from spheremouse.session.control.server import Endpoints
+from spheremouse.session.control.socket_file import SOCKET
+from spheremouse.session.settings import ControlSettings, MetricsSettings
 
 ANYWHERE, NO_METRICS = ControlSettings(), MetricsSettings()
 

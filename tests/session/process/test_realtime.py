@@ -106,7 +106,7 @@ def test_what_only_the_start_has_needed_is_given_back_and_comes_again():
     before, after, again = alone("""
 import numpy as np
 import numba
-from spheremouse.session.process.usage import memory_mb
+from spheremouse.session.timing import memory_mb
 from spheremouse.session.process import realtime
 def work():
     return numba.njit(lambda x: x + 1.0)(2.0)

@@ -1,16 +1,17 @@
-"""The crew of threads: a lane for each kind, and what happens where the system gives no thread."""
+"""The workers of threads: a lane for each kind, and what happens where the system gives no thread."""
 
 import threading
 import time
+from functools import partial
 
 import pytest
 
 from spheremouse.errors import ControlError
-from spheremouse.session.process.threads import WorkerPool, begin
+from spheremouse.session.process.threads import WorkerPool, as_future, begin
 
 
 @pytest.fixture
-def crew():
+def workers():
     said = []
     made = WorkerPool(("one", "two"), said.append)
     made.said = said
@@ -26,34 +27,33 @@ def wait_for(condition):
         time.sleep(0.001)
 
 
-def test_a_kind_waits_for_its_own_and_for_no_other(crew):
+def test_a_kind_waits_for_its_own_and_for_no_other(workers):
     gate, done = threading.Event(), []
-    crew.do("one", gate.wait)
-    crew.do("one", lambda: done.append("one"))
-    crew.do("two", lambda: done.append("two"))
+    workers.do("one", gate.wait)
+    workers.do("one", lambda: done.append("one"))
+    workers.do("two", lambda: done.append("two"))
     wait_for(lambda: done)
     assert done == ["two"]
-    assert crew.busy("one")
+    assert workers.busy("one")
     gate.set()
-    wait_for(lambda: not crew.busy("one"))
+    wait_for(lambda: not workers.busy("one"))
     assert done == ["two", "one"]
 
 
-def test_an_error_is_told_and_the_next_work_is_done(crew):
-    task = crew.make("one", lambda: 1 // 0)
+def test_an_error_is_told_and_the_next_work_is_done(workers):
     with pytest.raises(ZeroDivisionError):
-        task.wait(20.0)
-    crew.do("one", lambda: 1 // 0)
-    assert crew.make("one", lambda: None).wait(20.0)
-    wait_for(lambda: not crew.busy("one"))
-    assert "ZeroDivisionError" in crew.said[0]
+        as_future(lambda: 1 // 0, partial(workers.do, "one")).result(20.0)
+    workers.do("one", lambda: 1 // 0)
+    assert as_future(lambda: 5, partial(workers.do, "one")).result(20.0) == 5
+    wait_for(lambda: not workers.busy("one"))
+    assert "ZeroDivisionError" in workers.said[0]
 
 
-def test_what_was_given_is_done_before_the_end(crew):
+def test_what_was_given_is_done_before_the_end(workers):
     done = []
-    crew.do("one", lambda: time.sleep(0.05))
-    crew.do("one", lambda: done.append(1))
-    crew.end("one")
+    workers.do("one", lambda: time.sleep(0.05))
+    workers.do("one", lambda: done.append(1))
+    workers.end("one")
     assert done == [1]
 
 

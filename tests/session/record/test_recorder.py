@@ -1,16 +1,15 @@
 """Recordings: what was tracked comes back to the last bit, black where people are, bounded, and whole or not at all."""
 
 import json
-import os
 import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections import namedtuple
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -29,15 +28,13 @@ from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.dataset.write import FilmWriter
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
-from spheremouse.session.ball.privacy import kept, masked
-from spheremouse.session.ball.subject import BallSubject, picture
-from spheremouse.session.offline import track
+from spheremouse.session.ball.recorded import ball_subject, kept, masked, picture
+from spheremouse.session.offline import make_ready, track
 from spheremouse.session.record import recorder as module
+from spheremouse.session.record.archive import snapshot
 from spheremouse.session.record.places import next_name, recordings_folder, tidy
 from spheremouse.session.record.recorder import Recorder
-from spheremouse.session.record.snapshot import snapshot
-from spheremouse.session.settings import Configuration
-from spheremouse.session.settings.record import RecordSettings
+from spheremouse.session.settings import Configuration, RecordSettings
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.simulate.ball.scene import default_scene
 from spheremouse.tracker import Estimate, Frame, Status
@@ -75,7 +72,8 @@ def as_live(frames, colour):
 
 def record(folder, frames, rig, pose, settings=PLENTY):
     """Track the frames while they are recorded, as the worker does; what tracking said, and the folder."""
-    subject = BallSubject(rig, pose, Configuration())
+    make_ready(Settings())  # a recording of 60 s may end while a machine compiles
+    subject = ball_subject(rig, pose, Configuration())
     recorder = Recorder(folder, subject, settings, "a camera")
     assert recorder.ready(PATIENCE)
     tracker, epochs = build(rig, pose, Settings()), []
@@ -84,10 +82,26 @@ def record(folder, frames, rig, pose, settings=PLENTY):
         wait_for(lambda: recorder.status().waiting < 3)
         image = epoch.frame.image.copy()
         seen_from = current(epoch.state, tracker).pose
-        subject = subject if subject.pose is seen_from else replace(subject, pose=seen_from)
+        subject = subject if subject.view is seen_from else ball_subject(rig, seen_from, Configuration())
         assert recorder.add(replace(epoch.frame, image=image), subject)
         image[:] = 77  # the buffer goes back to the driver
     return epochs, recorder.finish(PATIENCE)
+
+
+def small(width=64, height=48):
+    scene = default_scene(width=width, height=height)
+    return scene.rig(), scene.pose
+
+
+def begin(folder, settings=EVERYTHING, device=None, **options):
+    """Return a recorder that takes frames, by default small ones."""
+    recorder = Recorder(folder, ball_subject(*(device or small()), Configuration()), settings, **options)
+    assert recorder.ready(PATIENCE)
+    return recorder
+
+
+def small_frame(k, stamp=None):
+    return Frame(np.zeros((48, 64), np.uint8), 0.1 * k if stamp is None else stamp, k)
 
 
 def wait_for(condition):
@@ -121,7 +135,7 @@ KINDS = {
 # ---- there and back ----
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["grey, targets in colour", "colour, then grey"])
 def test_a_recording_is_tracked_as_it_was_to_the_last_bit(tmp_path, kind):
     rig, pose, frames = film()
     live = as_live(frames, KINDS[kind])
@@ -149,14 +163,6 @@ def test_a_bump_is_found_again(tmp_path):
     assert_same_epochs(epochs, list(track(read_frames(recording), tracker)))
 
 
-def test_the_reference_recording_comes_back(far26, tmp_path):
-    recording = open_dataset(far26)
-    frames = [f for f, _ in zip(read_frames(recording), range(60), strict=False)]
-    epochs, folder = record(tmp_path / "made", frames, recording.rig, recording.pose)
-    made = open_dataset(folder)
-    assert_same_epochs(epochs, list(track(read_frames(made), build(made.rig, made.rig.pose, Settings()))))
-
-
 def test_device_and_pose_come_back_with_their_covariances(tmp_path):
     rig, pose, frames = film()
     _, folder = record(tmp_path / "made", frames[:2], rig, pose)
@@ -180,8 +186,7 @@ def test_whole_pictures_of_noise_come_back_bit_for_bit(tmp_path, size, kind):
     rng = np.random.default_rng(2)
     frames = [Frame(rng.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8), 0.1 * i, i) for i in range(45)]
     live = as_live(frames, KINDS[kind])
-    recorder = Recorder(tmp_path / "made", BallSubject(rig, pose, Configuration()), EVERYTHING)
-    assert recorder.ready(PATIENCE)
+    recorder = begin(tmp_path / "made", EVERYTHING, (rig, pose))
     for frame in live:
         assert recorder.add(frame)
     folder = recorder.finish(PATIENCE)
@@ -189,11 +194,6 @@ def test_whole_pictures_of_noise_come_back_bit_for_bit(tmp_path, size, kind):
     assert [(f.stamp, f.sequence) for f in again] == [(f.stamp, f.sequence) for f in live]
     assert all(np.array_equal(a.image, b.image) for a, b in zip(again, live, strict=True))
     assert json.loads((folder / "scene.json").read_text())["kept"] == "everything"
-
-
-def small(width, height):
-    scene = default_scene(width=width, height=height)
-    return scene.rig(), scene.pose
 
 
 def test_who_reads_the_video_alone_gets_the_same_luma(tmp_path):
@@ -209,17 +209,13 @@ def test_who_reads_the_video_alone_gets_the_same_luma(tmp_path):
     assert not video.read()[0]
 
 
-def test_the_clock_may_be_any(tmp_path):
+def test_stamps_of_any_clock_come_back(tmp_path):
     """Stamps that stand still, go back, or are very large come back as they are."""
-    rig, pose = small(64, 48)
     stamps = [1.7e9 + 1 / 3, 1.7e9 + 1 / 3, 5e-324, -2.0, 0.1 + 0.2, 1e300]
-    recorder = Recorder(tmp_path / "made", BallSubject(rig, pose, Configuration()), EVERYTHING)
-    assert recorder.ready(PATIENCE)
-    image = np.zeros((48, 64), np.uint8)
-    for i, stamp in enumerate(stamps):
-        assert recorder.add(Frame(image, stamp, i))
-    assert not recorder.add(Frame(image, float("nan"), 6))
-    assert not recorder.add(Frame(image[:40], 1.0, 7))
+    recorder = begin(tmp_path / "made")
+    assert all(recorder.add(small_frame(k, stamp)) for k, stamp in enumerate(stamps))
+    assert not recorder.add(small_frame(6, float("nan")))
+    assert not recorder.add(Frame(np.zeros((40, 64), np.uint8), 1.0, 7))
     folder = recorder.finish(PATIENCE)
     assert [f.stamp for f in read_frames(open_dataset(folder))] == stamps
     assert recorder.status().dropped == 2
@@ -271,8 +267,8 @@ def test_nobody_beside_the_ball_reaches_the_disk(tmp_path):
 
 def test_a_camera_that_was_moved_leaves_nothing_of_the_view_before(tmp_path):
     rig, pose, frames = film()
-    before = BallSubject(rig, pose, Configuration())
-    moved = replace(before, pose=replace(pose, position=pose.position + np.array([0.05, 0.0, 0.0])))
+    before = ball_subject(rig, pose, Configuration())
+    moved = ball_subject(rig, replace(pose, position=pose.position + np.array([0.05, 0.0, 0.0])), Configuration())
     recorder = Recorder(tmp_path / "made", before, PLENTY)
     assert recorder.ready(PATIENCE)
     white = np.full_like(frames[0].image, 255)
@@ -291,13 +287,13 @@ def test_a_camera_that_was_moved_leaves_nothing_of_the_view_before(tmp_path):
 def test_the_pose_is_that_of_the_first_frame(tmp_path, settings):
     """Between the wish to record and the first frame somebody may push the camera."""
     rig, pose, frames = film()
-    before = BallSubject(rig, pose, Configuration())
-    moved = replace(before, pose=replace(pose, position=pose.position + np.array([0.05, 0.0, 0.0])))
+    before = ball_subject(rig, pose, Configuration())
+    moved = ball_subject(rig, replace(pose, position=pose.position + np.array([0.05, 0.0, 0.0])), Configuration())
     recorder = Recorder(tmp_path / "made", before, settings)
     assert recorder.ready(PATIENCE)
     assert recorder.add(frames[0], moved)
     recording = open_dataset(recorder.finish(PATIENCE))
-    assert np.array_equal(recording.rig.pose.position, moved.pose.position)
+    assert np.array_equal(recording.rig.pose.position, moved.view.position)
     keep = moved.kept() if settings is PLENTY else None
     assert np.array_equal(next(iter(read_frames(recording))).image, masked(frames[0].image, keep))
 
@@ -315,8 +311,7 @@ def test_the_worker_never_waits(tmp_path, monkeypatch):
 
     monkeypatch.setattr(FilmWriter, "add", slow)
     rig, pose, frames = film()
-    recorder = Recorder(tmp_path / "made", BallSubject(rig, pose, Configuration()), EVERYTHING)
-    assert recorder.ready(PATIENCE)
+    recorder = begin(tmp_path / "made", EVERYTHING, (rig, pose))
     taken = [i for i in range(300) if recorder.add(Frame(frames[i % 60].image, 0.01 * i, i))]
     buffers = int(module._BUFFERS / frames[0].image.size)
     assert taken == list(range(len(taken)))
@@ -333,44 +328,38 @@ def test_the_worker_never_waits(tmp_path, monkeypatch):
     assert f"{300 - len(taken)} dropped" in recorder.status().ended
 
 
-def test_it_ends_by_itself_after_its_time(tmp_path):
-    now = [100.0]
-    rig, pose = small(64, 48)
-    recorder = Recorder(
-        tmp_path / "made",
-        BallSubject(rig, pose, Configuration()),
-        replace(EVERYTHING, seconds=5.0),
-        clock=lambda: now[0],
-    )
-    assert recorder.ready(PATIENCE)
-    image = np.zeros((48, 64), np.uint8)
-    assert recorder.add(Frame(image, 0.0, 0))
-    now[0] += 4.9
-    assert recorder.add(Frame(image, 1.0, 1))
-    now[0] += 0.2
-    assert not recorder.add(Frame(image, 2.0, 2))
-    wait_for(lambda: recorder.status().ended is not None)
-    assert "2 frames" in recorder.status().ended
-    assert "after 5 s" in recorder.status().ended
-    assert open_dataset(recorder.finish(PATIENCE)).frames == 2
-
-
-def test_it_ends_after_its_time_though_no_frame_comes_any_more(tmp_path):
-    now = [0.0]
-    rig, pose = small(64, 48)
-    recorder = Recorder(tmp_path / "made", BallSubject(rig, pose, Configuration()), EVERYTHING, clock=lambda: now[0])
-    assert recorder.ready(PATIENCE)
-    assert recorder.add(Frame(np.zeros((48, 64), np.uint8), 0.0, 0))
+@pytest.mark.parametrize("frame", [False, True], ids=["without another frame", "at the next frame"])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [({"time": 5.1}, "ended after 5 s"), ({"time": 1.0, "free": 9e7}, "100 MB are free on the disk")],
+)
+def test_it_ends_after_its_time_and_before_the_disk_is_full(tmp_path, monkeypatch, change, words, frame):
+    now = {"time": 0.0, "free": 1e9}
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=now["free"]))
+    if "free" in change and not frame:
+        pytest.skip("the disk is looked at with a frame")
+    settings = RecordSettings(seconds=5.0, free_megabytes=100.0, everything=True)
+    recorder = begin(tmp_path / "made", settings, clock=lambda: now["time"])
+    assert recorder.add(small_frame(0))
     wait_for(lambda: recorder.status().frames == 1)
-    now[0] = 61.0
+    now |= change
+    if frame:
+        recorder.add(small_frame(1))
     wait_for(lambda: recorder.status().ended is not None)
-    assert open_dataset(tmp_path / "made").frames == 1
+    assert words in recorder.status().ended
+    assert open_dataset(recorder.finish(PATIENCE)).frames == 1
+    if "free" in change:
+        with pytest.raises(DatasetError, match="100 MB are free"):
+            begin(tmp_path / "next", settings)
+    assert [p.name for p in tmp_path.iterdir()] == ["made"]
 
 
 def test_it_ends_at_its_size(tmp_path):
     """What the video's writer holds back counts: it is no larger in the end."""
     rig, pose, frames = film()
-    recorder = Recorder(tmp_path / "made", BallSubject(rig, pose, Configuration()), replace(EVERYTHING, megabytes=30.0))
+    recorder = Recorder(
+        tmp_path / "made", ball_subject(rig, pose, Configuration()), replace(EVERYTHING, megabytes=30.0)
+    )
     assert recorder.ready(PATIENCE)
     for i in range(60):
         wait_for(lambda: recorder.status().waiting < 3)
@@ -383,70 +372,31 @@ def test_it_ends_at_its_size(tmp_path):
     assert 5 < open_dataset(folder).frames < 60
 
 
-Usage = namedtuple("Usage", "total used free")
-
-
-def test_it_ends_before_the_disk_is_full(tmp_path, monkeypatch):
-    free, now = [1e9], [0.0]
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: Usage(1e12, 0, free[0]))
-    rig, pose = small(64, 48)
-    settings = RecordSettings(free_megabytes=100.0, everything=True)
-    recorder = Recorder(tmp_path / "made", BallSubject(rig, pose, Configuration()), settings, clock=lambda: now[0])
-    assert recorder.ready(PATIENCE)
-    image = np.zeros((48, 64), np.uint8)
-    recorder.add(Frame(image, 0.0, 0))
-    wait_for(lambda: recorder.status().frames == 1)
-    free[0], now[0] = 9e7, 1.0
-    recorder.add(Frame(image, 0.1, 1))
-    wait_for(lambda: recorder.status().ended is not None)
-    assert "MB are free on the disk" in recorder.status().ended
-    assert open_dataset(recorder.finish(PATIENCE)).frames == 1
-    with pytest.raises(DatasetError, match="100 MB are free"):
-        Recorder(tmp_path / "next", BallSubject(rig, pose, Configuration()), settings)
-    assert [p.name for p in tmp_path.iterdir()] == ["made"]
-
-
 # ---- whole or not at all ----
 
 
 def test_no_frame_is_no_recording(tmp_path):
-    recorder = Recorder(tmp_path / "made", BallSubject(*small(64, 48), Configuration()), PLENTY)
-    assert recorder.ready(PATIENCE)
+    recorder = begin(tmp_path / "made")
     with pytest.raises(DatasetError, match="no frame"):
         recorder.finish(PATIENCE)
     assert recorder.status().failed
     assert list(tmp_path.iterdir()) == []
-    assert not recorder.add(Frame(np.zeros((48, 64), np.uint8), 0.0, 0))
+    assert not recorder.add(small_frame(0))
 
 
-def test_what_is_there_is_not_overwritten(tmp_path):
-    rig, pose, frames = film()
-    record(tmp_path / "made", frames[:2], rig, pose)
-    with pytest.raises(DatasetError, match="not empty"):
-        Recorder(tmp_path / "made", BallSubject(rig, pose, Configuration()), PLENTY)
+@pytest.mark.parametrize(("place", "words"), [("full", "not empty"), ("file", "is a file"), ("file/made", "file")])
+def test_what_is_there_is_not_overwritten(tmp_path, place, words):
     (tmp_path / "file").write_text("")
-    with pytest.raises(DatasetError, match="is a file"):
-        Recorder(tmp_path / "file", BallSubject(rig, pose, Configuration()), PLENTY)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "made"]
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_may_not_be_written_is_named(tmp_path):
-    tmp_path.chmod(0o500)
-    with pytest.raises(DatasetError, match="ermission"):
-        Recorder(tmp_path / "made", BallSubject(*small(64, 48), Configuration()), PLENTY)
-
-
-def test_a_folder_below_a_file_is_named(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(DatasetError, match="file"):
-        Recorder(tmp_path / "file" / "made", BallSubject(*small(64, 48), Configuration()), PLENTY)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "scene.json").write_text("{}")
+    with pytest.raises(DatasetError, match=words):
+        begin(tmp_path / place)
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["file", "full", "scene.json"]
 
 
 def test_somebody_who_comes_first_is_not_overwritten(tmp_path):
     rig, pose, frames = film()
-    recorder = Recorder(tmp_path / "made", BallSubject(rig, pose, Configuration()), PLENTY)
-    assert recorder.ready(PATIENCE)
+    recorder = begin(tmp_path / "made", PLENTY, (rig, pose))
     recorder.add(frames[0])
     (tmp_path / "made").mkdir()
     (tmp_path / "made" / "scene.json").write_text("{}")
@@ -460,8 +410,7 @@ import os, resource, signal, sys
 sys.path[:0] = [os.path.dirname(sys.argv[1]), os.path.join(os.path.dirname(sys.argv[1]), "../..")]
 from pathlib import Path
 from test_recorder import *
-recorder = Recorder(Path(sys.argv[2]), BallSubject(*small(640, 480), Configuration()), EVERYTHING)
-assert recorder.ready(PATIENCE)
+recorder = begin(Path(sys.argv[2]), EVERYTHING, small(640, 480))
 def feed(n):
     rng = np.random.default_rng(0)
     for i in range(n):
@@ -515,7 +464,7 @@ def test_a_kill_leaves_no_recording_and_what_it_leaves_is_removed(tmp_path):
 
 def test_tidying_leaves_alone_what_is_being_written(tmp_path):
     rig, pose, frames = film()
-    recorder = Recorder(tmp_path / "made", BallSubject(rig, pose, Configuration()), PLENTY)
+    recorder = Recorder(tmp_path / "made", ball_subject(rig, pose, Configuration()), PLENTY)
     assert tidy(tmp_path) == 0
     assert recorder.ready(PATIENCE)
     assert recorder.add(frames[0])
@@ -530,7 +479,7 @@ def test_tidying_leaves_alone_what_is_being_written(tmp_path):
 # ---- where ----
 
 
-def test_where_recordings_go(monkeypatch, tmp_path):
+def test_recordings_go_to_the_configured_folder_or_the_state_folder(monkeypatch, tmp_path):
     assert recordings_folder(RecordSettings(folder=str(tmp_path))) == tmp_path
     monkeypatch.setenv("XDG_STATE_HOME", "/state")
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)

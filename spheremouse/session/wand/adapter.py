@@ -1,84 +1,87 @@
-"""Hand-held balls at work: each frame tracked, the pointer moved by one of them, all of their axes as text."""
+"""The tracker of hand-held balls: one of them moves the pointer, and the axes of all go to text outputs."""
 
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from spheremouse.errors import ConfigurationError, SourceError, SpheremouseError
+from spheremouse.files.dataset.format import BALL_FILES
+from spheremouse.files.dataset.wand import wand_scene
+from spheremouse.files.wand import wand_text
+from spheremouse.geometry.conics import sphere_outline
 from spheremouse.output import Output, open_output
 from spheremouse.output.axes import PoseLog
 from spheremouse.output.pointer import Counts
 from spheremouse.output.wand_mapping import WandMapping
 from spheremouse.session.directions import of_hand
-from spheremouse.session.follower import Change, FrameResult, LogMessages, TrackerAdapter
+from spheremouse.session.offline import check_wand_frame
 from spheremouse.session.overlay.pen import Image, in_blocks
+from spheremouse.session.overlay.wand import WandOverlay
 from spheremouse.session.plan import Plan
-from spheremouse.session.wand.messages import Told
-from spheremouse.session.wand.offline import check_wand_frame
-from spheremouse.session.wand.subject import WandSubject, picture
+from spheremouse.session.settings import Configuration, configuration_text
+from spheremouse.session.tracker_adapter import Change, FrameResult, LogMessages, Subject, TrackerAdapter
+from spheremouse.session.wand.messages import WandMessages
 from spheremouse.tracker import Estimate, Frame, Status
 from spheremouse.wand.axes import axes_of as six_axes
 from spheremouse.wand.state import WandEpoch, WandPose, WandState, WandTracker
 from spheremouse.wand.track import begin, step
 
 Make = Callable[[Plan], WandTracker]
+_AROUND = 1.25  # radii of the ball that a snapshot shows: as far as a pose may be off
 
 
-class WandFollower:
+class WandAdapter:
     """Frames in, motion out, for balls and their settings."""
 
     def __init__(
-        self, make: Make, plan: Plan, say: Callable[[str], None], axes: tuple[PoseLog, ...] | None = None
+        self, make: Make, plan: Plan, log: Callable[[str], None], axes: tuple[PoseLog, ...] | None = None
     ) -> None:
-        """`make` gives the tracker that a plan asks for, `axes` are those that go on. Raises ConfigurationError."""
-        self._make, self._say = make, say
+        """`make` builds the tracker of a plan; `axes` are outputs that stay open. Raises ConfigurationError."""
+        self._make, self._log = make, log
         self._hand = WandMapping(plan.configuration.wand.pointing)
         self._state: WandState | None = None
         self._poses: tuple[WandPose, ...] = ()
         self._estimate: Estimate | None = None  # of the last frame
         self._frames = 0
-        self._change, self._more = "", list[str]()
         self.waiting = ""
         self.status = Status.SEARCHING
-        self.untracked = 0  # each is
-        self._take_on(plan, make(plan), axes_of(plan) if axes is None else axes)
-        self._told = Told(self.points, self.tracker.balls[self.points].name)
+        self.untracked = 0  # each frame is tracked
+        self._set_tracker(plan, make(plan), axes_of(plan) if axes is None else axes)
+        self._messages = WandMessages(self.points, self.tracker.balls[self.points].name)
 
-    def _take_on(self, plan: Plan, tracker: WandTracker, axes: tuple[PoseLog, ...]) -> None:
+    def _set_tracker(self, plan: Plan, tracker: WandTracker, axes: tuple[PoseLog, ...]) -> None:
         self.points = plan.configuration.wand.points - 1  # index of the ball that moves the pointer
         self._plan, self.tracker, self._axes = plan, replace(tracker, points=self.points), axes
-        self.subject = WandSubject(self.tracker, plan.configuration)
+        self.subject = wand_subject(self.tracker, plan.configuration)
+        self.outputs = outputs_of(plan, axes)
 
     @property
     def reason(self) -> str:
         """State of the ball that points."""
-        return self._told.reason
-
-    @property
-    def outputs(self) -> tuple[Callable[[], Output], ...]:
-        """The pointer's, and the axes' where they go elsewhere: text outputs get the axes with the counts."""
-        return outputs_of(self._plan, self._axes)
+        return self._messages.reason
 
     def introduce(self) -> None:
-        """Say which balls are looked for."""
+        """Log the balls that are searched."""
         balls = (f"ball: {b.name}, {2e3 * b.radius:g} mm across, {len(b.discs)} discs" for b in self.tracker.balls)
-        self._say("\n".join(balls))
+        self._log("\n".join(balls))
 
     def wants_colour(self, stamp: float) -> bool:
-        """Always: it is colours that are looked for."""
+        """Return True: the balls are searched by their colours."""
         return True
 
-    def check(self, frame: Frame) -> None:
-        """Raise SourceError where a frame has another size than the camera's, or no colour."""
-        check_wand_frame(frame, self.tracker)
+    def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """Return all frames of a recording."""
+        return frames
 
     def follow(self, frame: Frame) -> FrameResult:
-        """Track the balls."""
+        """Track the balls. Raise SourceError if the frame has another size than the camera's, or no colour."""
+        check_wand_frame(frame, self.tracker)
         begun = time.perf_counter()
         state = self._state or begin(self.tracker, 0, frame.stamp)
         self._state, self._estimate, _ = step(state, frame, self.tracker)
@@ -89,34 +92,29 @@ class WandFollower:
             axes.push(frame.stamp, self._poses, self.points)
         self._frames += 1
         self.status = self._poses[self.points].phase
-        news = self._told.frame(frame.stamp, self._poses, frame.image)
-        self._change = news.change or self._change
-        self._more += news.more
+        self._messages.add(frame.stamp, self._poses, frame.image)
         return FrameResult(frame, report, {"track": epoch.seconds}, epoch)
 
-    def take_news(self) -> LogMessages:
+    def take_messages(self) -> LogMessages:
         """Return the log lines since the previous call."""
-        news = LogMessages(self._change, tuple(self._more))
-        self._change = ""
-        self._more.clear()
-        return news
+        return self._messages.take()
 
     def interrupted(self, reason: str) -> None:
-        """Nothing moves to where the ball is next seen."""
+        """Count no motion to the place where the ball is seen next."""
         self._hand.interrupted()
-        self._told.interrupted()
+        self._messages.interrupted()
 
     def restart(self, reason: str) -> None:
         """Search for all balls again."""
         self._state, self._poses, self.status = None, (), Status.SEARCHING
         self._hand.interrupted()
-        self._told.reason = reason
+        self._messages.reason = reason
 
     def prepare(self, plan: Plan, changed: Collection[str]) -> Change:
         """Prepare other parameters, with the balls tracked on; with other balls or another camera, search again."""
         axes = axes_of(plan) if {"output", "axes"} & set(changed) else self._axes
         if {"balls", "rig"} & set(changed):
-            other = WandFollower(self._make, plan, self._say, axes)
+            other = WandAdapter(self._make, plan, self._log, axes)
 
             def begin_other() -> TrackerAdapter:
                 other.introduce()
@@ -127,11 +125,11 @@ class WandFollower:
 
         def apply() -> TrackerAdapter:
             before = self.points
-            self._take_on(plan, tracker, axes)
+            self._set_tracker(plan, tracker, axes)
             if "motion" in changed or self.points != before:
                 self._hand = WandMapping(plan.configuration.wand.pointing)
             if self.points != before:
-                self._told = Told(self.points, tracker.balls[self.points].name)
+                self._messages = WandMessages(self.points, tracker.balls[self.points].name)
                 self.status = self._poses[self.points].phase if self._poses else Status.SEARCHING
             return self
 
@@ -139,9 +137,9 @@ class WandFollower:
 
     def reinitialise(self, answer: Callable[[str | None, str], None], wanted: Callable[[], bool]) -> None:
         """Search for all balls again with the next frame, in case the tracker follows something else."""
-        self.restart("looked for anew, as asked")
+        self.restart("searched again, as requested")
         names = " and ".join(ball.name for ball in self.tracker.balls)
-        answer(None, f"{names}: looked for anew")
+        answer(None, f"{names}: searched again")
 
     def figures(self, seeing: bool) -> dict[str, Any]:
         """Return the pose of each ball, and the motion of the one that points."""
@@ -154,31 +152,71 @@ class WandFollower:
         return {**none, "balls": [_figures(pose) for pose in poses]}
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
-        """The overlay of a frame, whose picture is copied; black but about the balls unless `everything`."""
+        """Return a function that draws the overlay, black except around the balls unless `everything`."""
         epoch, tracker = tracked.epoch, self.tracker
         assert isinstance(epoch, WandEpoch)
         image = epoch.frame.image.copy()
         return lambda: picture(epoch, image, tracker, self.points, counts, everything=everything)
 
     def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
-        """A frame that cannot be used, whose picture is copied; coarse unless `everything`."""
+        """Return a function that draws a frame that cannot be used; coarse unless `everything`."""
         image = frame.image.copy()
         return lambda: image if everything else in_blocks(image, np.zeros(image.shape[:2], np.uint8))
 
     def failure(self, unused: str) -> SpheremouseError | None:
-        """SourceError where the ball that points was never seen."""
-        if self.points in self._told.found:
+        """Return SourceError if the ball that points was never seen."""
+        if self.points in self._messages.found:
             return None
         frames = f"{self._frames} frame{'' if self._frames == 1 else 's'}"
-        why = f"{self._told.why} (looked for in {frames})" if self._frames else unused or "gave no frame"
+        why = f"{self._messages.why} (looked for in {frames})" if self._frames else unused or "gave no frame"
         return SourceError(f"{self._plan.source}: {why}")
 
     def last_words(self, failed: bool) -> tuple[str, ...]:
         """Return a line for each ball never seen, except the pointing one if the failure names it."""
-        return self._told.never_found(but=self.points if failed else None)
+        return self._messages.never_found(but=self.points if failed else None)
 
     def close(self) -> None:
-        """Nothing is learnt of balls."""
+        """Close nothing: there is no map of the discs."""
+
+
+def wand_subject(tracker: WandTracker, settings: Configuration) -> Subject:
+    """Return the subject of a recording: the camera, the balls, and whole pictures, since all of each is searched."""
+    camera = tracker.camera
+
+    def files() -> dict[str, str]:
+        """Return a wand file of each ball, and the configuration that names them."""
+        balls = {
+            name: wand_text(ball, {c: tracker.colours[c] for c in ball.colours})
+            for name, ball in zip(BALL_FILES, tracker.balls, strict=False)
+        }
+        wand = replace(settings.wand, balls=tuple(balls), axes=None)
+        return {**balls, "config.yaml": configuration_text(settings, wand=wand)}
+
+    return Subject(
+        camera=camera,
+        view=camera,
+        parts="",
+        kept=lambda: np.full((camera.height, camera.width), 255, dtype=np.uint8),
+        scene=lambda: wand_scene(camera, tracker.balls),
+        files=files,
+    )
+
+
+def picture(
+    epoch: WandEpoch, image: Image, tracker: WandTracker, points: int, counts: Counts, *, everything: bool = False
+) -> Image:
+    """Draw the overlay on an epoch's `image`, which is black except around the balls seen unless `everything`."""
+    if not everything:
+        keep = np.zeros(image.shape[:2], dtype=np.uint8)
+        for ball, pose in zip(tracker.balls, epoch.poses, strict=True):
+            if pose.seen and pose.position is not None and pose.position[2] > _AROUND * ball.radius:
+                around = sphere_outline(pose.position, _AROUND * ball.radius, tracker.camera)
+                cv2.fillPoly(keep, [np.rint(around[np.isfinite(around).all(axis=1)]).astype(np.int32)], 255)
+        image = np.asarray(cv2.copyTo(image, keep), dtype=np.uint8)
+    shown = replace(epoch, frame=replace(epoch.frame, image=image))
+    overlay = WandOverlay(tracker, points, max(1, round(1280 / tracker.camera.width)))
+    overlay.remember(shown)
+    return overlay.draw(shown, counts)
 
 
 def axes_of(plan: Plan) -> tuple[PoseLog, ...]:
@@ -204,7 +242,7 @@ def _place(argument: str) -> str:
 
 
 def _figures(pose: WandPose) -> dict[str, Any]:
-    """A ball as a status has it; the pose null where it is not known."""
+    """Return the status of a ball; the pose is null if it is not known."""
     known: dict[str, Any] = dict.fromkeys(("position_m", "angles_deg", "sigma_mm", "sigma_deg"))
     if pose.position is not None and pose.rotation is not None and pose.covariance is not None:
         axes = six_axes(pose.position, pose.rotation, pose.covariance)

@@ -3,22 +3,19 @@
 Another thread does any work that may take longer than a frame.
 """
 
-import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Image
-from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.events import CameraMoved
-from spheremouse.ball.pose import Resection, find_pose
+from spheremouse.ball.pose import Resection
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Epoch, Tracker, TrackState, current
 from spheremouse.ball.track import shows_targets, step, wants_colour, with_pose, with_settings
 from spheremouse.errors import PoseError, SpheremouseError
@@ -27,19 +24,40 @@ from spheremouse.output import Output, open_output
 from spheremouse.output.counts import Counter
 from spheremouse.output.pointer import Counts
 from spheremouse.session import messages
-from spheremouse.session.ball.looking import FirstPose, PoseRecovery
 from spheremouse.session.ball.map_keeper import MapKeeper
-from spheremouse.session.ball.news import BallNews
-from spheremouse.session.ball.subject import BallSubject, picture, sought
+from spheremouse.session.ball.recorded import ball_subject, picture, sought
+from spheremouse.session.ball.search import BallMessages, PoseRecovery, PoseSearch
+from spheremouse.session.control.protocol import internal_error
 from spheremouse.session.directions import of_ball
-from spheremouse.session.follower import MAP, POSE, TARGETS, Change, Do, FrameResult, LogMessages, TrackerAdapter, here
+from spheremouse.session.offline import initialise
 from spheremouse.session.plan import Plan
-from spheremouse.session.process.threads import Work
 from spheremouse.session.settings import Configuration
+from spheremouse.session.tracker_adapter import (
+    MAP,
+    POSE,
+    TARGETS,
+    Change,
+    Do,
+    FrameResult,
+    LogMessages,
+    Subject,
+    TrackerAdapter,
+    here,
+)
 from spheremouse.tracker import Estimate, Frame, Status, Step, check_size
 
+_MIN_TARGETS = 3  # for a pose
 
-class BallFollower:
+
+class _Reinitialisation(NamedTuple):
+    """A request to estimate the camera's pose again while the ball is tracked with the old one."""
+
+    search: PoseSearch
+    answer: Callable[[str | None, str], None]
+    wanted: Callable[[], bool]
+
+
+class BallAdapter:
     """Frames in, motion out, for a device and its settings."""
 
     def __init__(
@@ -47,34 +65,35 @@ class BallFollower:
         rig: Rig,
         settings: Configuration,
         keeper: MapKeeper | None,
-        say: Callable[[str], None],
+        log: Callable[[str], None],
         do: Do = here,
         given: Rig | None = None,
         outputs: tuple[Callable[[], Output], ...] = (),
     ) -> None:
         """`keeper` keeps the map of the discs; `given` is the device as the source knows it.
 
-        Raises PoseError where the camera's pose is not known and will not be found.
+        Raises PoseError if the camera's pose is unknown and the targets cannot give it.
         """
-        self.rig, self.settings, self._keeper, self.say = rig, settings, keeper, say
+        self.rig, self.settings, self._keeper, self._log = rig, settings, keeper, log
         self._do, self._given, self.outputs = do, given, outputs
         self.pose: Pose | None = None
-        self.resection: Resection | None = None  # that the first one is from
-        self.posed = 0.0  # s, time.monotonic() when the pose was found
+        self.resection: Resection | None = None  # of the first pose
+        self._posed = 0.0  # s, time.monotonic() when the pose was found
         self.state: TrackState | None = None
         self.waiting = "the ring targets are looked for"
-        self._news = BallNews(partial(do, TARGETS))
+        self.status = Status.SEARCHING
+        self._messages = BallMessages(partial(do, TARGETS))
         self.untracked = 0  # frames that came before the pose was known
         self._tracker: Tracker | None = None
-        self._subject: BallSubject | None = None
+        self._subject: Subject | None = None
         self._counter = Counter(settings.motion.matrix(rig.radius_m))
         self._estimate: Estimate | None = None  # of the last frame
         self._forget_views()
-        self._anew: _Reinitialisation | None = None
+        self._reinitialisation: _Reinitialisation | None = None
         self._detected = 0.0
         if rig.pose is not None:
-            self.stands(rig.pose, "camera pose: as the rig says")
-        elif len(rig.targets.codes) < 3:
+            self._set_camera_pose(rig.pose, "camera pose: from the rig file")
+        elif len(rig.targets.codes) < _MIN_TARGETS:
             raise PoseError("the rig has fewer than three targets and no camera pose: calibrate the device first")
 
     @property
@@ -83,74 +102,79 @@ class BallFollower:
         return self._tracker if self.state is None or self._tracker is None else current(self.state, self._tracker)
 
     @property
-    def status(self) -> Status:
-        """Status of the tracker."""
-        return Status.SEARCHING if self.state is None else self.state.status
-
-    @property
     def reason(self) -> str:
         """State of the ball, in words."""
-        return self._news.reason
+        return self._messages.reason
 
     @property
-    def subject(self) -> BallSubject | None:
-        """The device as it is seen now; another one where the camera was moved."""
+    def subject(self) -> Subject | None:
+        """The device as it is seen now."""
         tracker = self.tracker
         if tracker is None:
             return None
-        if self._subject is None or self._subject.pose is not tracker.pose:
-            self._subject = BallSubject(self.rig, tracker.pose, self.settings)
+        if self._subject is None or self._subject.view is not tracker.pose:
+            self._subject = ball_subject(self.rig, tracker.pose, self.settings)
         return self._subject
 
-    def stands(self, pose: Pose, text: str, resection: Resection | None = None) -> None:
-        """The camera's pose is known, as `text` says: all is ready. Raises PoseError where the ball is not in view."""
+    def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """Take the camera's pose from the first views with enough targets. Raise PoseError if there are none."""
+        reports = list[str]()
+        start = initialise(frames, self.rig, self.settings, report=reports.append)
+        self.untracked = start.passed
+        for report in reports:
+            self._log(f"views passed over: {report}")
+        if start.resection is not None:
+            self._set_camera_pose(start.pose, messages.standing(start.resection, self.rig), start.resection)
+        if self.rig.scale_free:
+            scale = self.settings.motion.scale(None)
+            self._log(f"the rig's scale is free: {scale:g} counts per radian (motion.counts_per_radian)")
+        return start.frames
+
+    def _set_camera_pose(self, pose: Pose, text: str, resection: Resection | None = None) -> None:
+        """Begin to track from a pose, and log `text`. Raise PoseError if the ball is not in view."""
         self._tracker = build(self.rig, pose, self.settings)
-        self.pose, self.posed, self.waiting, self.resection = pose, time.monotonic(), "", resection
-        self.say(text)
+        self.pose, self._posed, self.waiting, self.resection = pose, time.monotonic(), "", resection
+        self._log(text)
 
     def wants_colour(self, stamp: float) -> bool:
         """Return True if the targets may be searched in the frame of `stamp`."""
-        if self._tracker is None or (self._anew is not None and self._anew.hungry):
+        again = self._reinitialisation
+        if self._tracker is None or (again is not None and again.search.wants_colour):
             return True
         return self.state is None or wants_colour(self.state, stamp)
 
-    def check(self, frame: Frame) -> None:
-        """Raise SourceError where a frame has another size than the camera was calibrated for."""
-        check_size(frame, self.rig.camera)
-
     def follow(self, frame: Frame) -> FrameResult | None:
-        """Look for the targets until the camera's pose is known, then track."""
+        """Search the targets until the camera's pose is known, then track. SourceError: the frame has another size."""
+        check_size(frame, self.rig.camera)
         if self._tracker is None:
             self._look_for_targets(frame)
             return None
         return self._track(frame, self._tracker)
 
-    def take_news(self) -> LogMessages:
+    def take_messages(self) -> LogMessages:
         """Return the log lines about the ball since the previous call."""
-        return LogMessages(self._news.take())
+        return LogMessages(self._messages.take())
 
     def interrupted(self, reason: str) -> None:
         """Drop the work on past frames, since the camera may be moved meanwhile."""
         self._forget_views()
-        if self._anew is not None:
-            self._anew.give_up(f"{reason}; the pose before stays")
-            self._anew = None
+        self._cancel_reinitialisation(reason)
 
     def restart(self, reason: str) -> None:
         """Search the ball again, with the known pose."""
-        self.state = None
-        self._news.restart(reason)
+        self.state, self.status = None, Status.SEARCHING
+        self._messages.restart(reason)
         self._forget_views()
 
     def prepare(self, plan: Plan, changed: Collection[str]) -> Change:
-        """Other parameters, another map, or another device; the map is saved before another is read."""
-        settings, quiet, outputs = plan.configuration, _unsaid, outputs_of(plan)
+        """Prepare other parameters, another map, or another device; the map is saved before another is read."""
+        settings, outputs = plan.configuration, outputs_of(plan)
         rig = plan.device(self._given) if "rig" in changed else self.rig
         mapped = not {"rig", "map"}.isdisjoint(changed)
         if "rig" in changed:
-            BallFollower(rig, settings, None, quiet)
+            BallAdapter(rig, settings, None, _discard)
         if mapped and plan.map_path is not None:
-            MapKeeper(plan.map_path, rig, quiet)
+            MapKeeper(plan.map_path, rig, _discard)
         state, tracker = self.state, self._tracker
         tuned = "tracker" in changed and "rig" not in changed
         if tuned and tracker is not None and state is not None:
@@ -164,10 +188,11 @@ class BallFollower:
                 self._keeper = self._next_keeper(plan, rig)
             if "rig" in changed:
                 self.interrupted("another rig is in use now")
-                return BallFollower(rig, settings, self._keeper, self.say, self._do, self._given, outputs)
+                return BallAdapter(rig, settings, self._keeper, self._log, self._do, self._given, outputs)
             self.state, self._tracker, self._subject, self.outputs = state, tracker, None, outputs
+            self.status = Status.SEARCHING if state is None else state.status
             if settings.tracker != self.settings.tracker:
-                self._news.restart("another filter begins")
+                self._messages.restart("another filter begins")
             self.settings = settings
             self._counter.matrix = settings.motion.matrix(self.rig.radius_m)
             if tuned:
@@ -180,12 +205,13 @@ class BallFollower:
         """Estimate the camera's pose again while tracking continues with the old one."""
         if self._tracker is None:
             answer(None, f"the pose is being looked for: {self.waiting}")
-        elif len(self.rig.targets.codes) < 3:
+        elif len(self.rig.targets.codes) < _MIN_TARGETS:
             answer("the rig has fewer than three targets: its camera pose is that of the rig file", "")
-        elif self._anew is not None:
+        elif self._reinitialisation is not None:
             answer("the camera's pose is being estimated already; wait for its end", "")
         else:
-            self._anew = _Reinitialisation(self.rig, self.settings, answer, partial(self._do, POSE), wanted)
+            search = PoseSearch(self.rig, self.settings, partial(self._do, POSE))
+            self._reinitialisation = _Reinitialisation(search, answer, wanted)
 
     def figures(self, seeing: bool) -> dict[str, Any]:
         """Return the discs and the camera's pose."""
@@ -203,7 +229,7 @@ class BallFollower:
         }
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
-        """The overlay of a frame, whose picture is copied; black but for ball and targets unless `everything`."""
+        """Return a function that draws the overlay, black except for ball and targets unless `everything`."""
         epoch, tracker = tracked.epoch, self._tracker
         assert isinstance(epoch, Epoch)
         assert tracker is not None
@@ -211,22 +237,22 @@ class BallFollower:
         return lambda: picture(epoch, tracker, counts, everything=everything)
 
     def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
-        """Draw the targets in a copy of a frame; unless `everything`, the rest is coarse."""
+        """Return a function that draws the targets; unless `everything`, the rest is coarse."""
         return partial(sought, frame.image.copy(), self.rig, self.settings, everything=everything)
 
     def failure(self, unused: str) -> SpheremouseError | None:
-        """PoseError where the camera's pose was never found."""
+        """Return PoseError if the camera's pose was never found."""
         why = self.waiting if self.untracked else unused or "the source gave no frame"
         return PoseError(why) if self.waiting else None
 
     def last_words(self, failed: bool) -> tuple[str, ...]:
-        """Nothing else."""
+        """Return no further lines."""
         return ()
 
     def close(self) -> None:
         """Save the map."""
         if self._keeper is not None:
-            self._keeper.__exit__(None, None, None)
+            self._keeper.close()
 
     # ---- within ----
 
@@ -234,9 +260,9 @@ class BallFollower:
         if plan.map_path is None:
             return None
         try:
-            return MapKeeper(plan.map_path, rig, self.say, elsewhere=partial(self._do, MAP))
+            return MapKeeper(plan.map_path, rig, self._log, elsewhere=partial(self._do, MAP))
         except SpheremouseError as e:
-            self.say(f"map: {e}; going on without")
+            self._log(f"map: {e}; going on without")
             return None
 
     def _pose_figures(self) -> dict[str, Any] | None:
@@ -248,7 +274,7 @@ class BallFollower:
             "position_m": pose.position.tolist(),
             "sigma_mm": (1e3 * sigma[:3]).tolist(),
             "sigma_deg": np.degrees(sigma[3:]).tolist(),
-            "age_s": time.monotonic() - self.posed,
+            "age_s": time.monotonic() - self._posed,
         }
 
     def _target_figures(self) -> dict[str, Any] | None:
@@ -263,16 +289,16 @@ class BallFollower:
 
     def _forget_views(self) -> None:
         """Drop the views of past frames."""
-        self._first_pose = FirstPose(self.rig, self.settings, partial(self._do, TARGETS))
-        self._seeker = PoseRecovery(partial(self._do, TARGETS))
+        self._first_pose = PoseSearch(self.rig, self.settings, partial(self._do, TARGETS))
+        self._recovery = PoseRecovery(partial(self._do, TARGETS))
 
     def _look_for_targets(self, frame: Frame) -> None:
-        """One view more; the pose once there are enough, or why not."""
+        """Add a view, and set the pose once there are enough, or the reason why it is not found."""
         self.untracked += 1
         try:
             found = self._first_pose.look(frame)
             if found is not None:
-                self.stands(found.pose, messages.standing(found, self.rig), found)
+                self._set_camera_pose(found.pose, messages.standing(found, self.rig), found)
         except PoseError as e:
             self.waiting = str(e)
 
@@ -280,14 +306,14 @@ class BallFollower:
         known = None if self._keeper is None else self._keeper.known
         before = self.state or begin(tracker, frame.stamp, known=known)
         begun = self._detected = time.monotonic()
-        found = None if self._anew is None else self._anew.look(frame)
-        sought = self._seeker.found(current(before, tracker))
+        found = None if self._reinitialisation is None else self._estimate_pose(frame, self._reinitialisation)
+        sought = self._recovery.found(current(before, tracker))
         if found is not None:
             made = self._with_pose(before, frame, tracker, found)
         elif sought is not None and shows_targets(frame, tracker, sought):
             made = with_pose(before, frame, tracker, sought)
         else:
-            made = step(before, frame, tracker, self._note_detected, self._seeker)
+            made = step(before, frame, tracker, self._note_detected, self._recovery)
         seconds = {"detect": self._detected - begun, "filter": time.monotonic() - self._detected}
         self._remember(made, frame, tracker)
         epoch = Epoch(frame, made.state, made.estimate, made.events, seconds)
@@ -298,98 +324,53 @@ class BallFollower:
 
     def _with_pose(self, state: TrackState, frame: Frame, tracker: Tracker, found: Resection) -> Step[TrackState]:
         """Return the step at a new pose; at the earlier one if the new pose does not show the ball."""
-        assert self._anew is not None
-        anew, self._anew = self._anew, None
+        assert self._reinitialisation is not None
         try:
             made = with_pose(state, frame, tracker, found.pose)
         except PoseError as e:
-            anew.give_up(f"{e}; the pose before stays")
-            return step(state, frame, tracker, self._note_detected, self._seeker)
+            self._cancel_reinitialisation(str(e))
+            return step(state, frame, tracker, self._note_detected, self._recovery)
         except Exception:
-            anew.give_up("internal error; the ball is looked for anew")
+            self._cancel_reinitialisation("internal error")
             raise
-        anew.answer(None, messages.standing(found, self.rig))
+        self._reinitialisation.answer(None, messages.standing(found, self.rig))
+        self._reinitialisation = None
         asked = tuple(replace(e, asked=True) if isinstance(e, CameraMoved) else e for e in made.events)
         return made._replace(events=asked)
 
+    def _estimate_pose(self, frame: Frame, again: _Reinitialisation) -> Resection | None:
+        """Add a view for a requested estimate of the pose. Return it once there is one."""
+        if not again.wanted():
+            self._cancel_reinitialisation("given up: the client has disconnected")
+            return None
+        try:
+            return again.search.look(frame)
+        except SpheremouseError as e:
+            self._cancel_reinitialisation(str(e))
+        except Exception as e:
+            self._cancel_reinitialisation(internal_error(e))
+        return None
+
+    def _cancel_reinitialisation(self, reason: str) -> None:
+        again, self._reinitialisation = self._reinitialisation, None
+        if again is not None:
+            again.answer(f"{reason}; the pose before stays", "")
+
     def _remember(self, made: Step[TrackState], frame: Frame, tracker: Tracker) -> None:
-        self.state, self._estimate = made.state, made.estimate
-        if self._anew is not None and self._anew.over:
-            self._anew = None
+        self.state, self.status, self._estimate = made.state, made.state.status, made.estimate
         tracker = current(made.state, tracker)
-        self._news.add(made, frame, tracker)
+        self._messages.add(made, frame, tracker)
         pose = tracker.pose
         if pose is not self.pose:
-            self.pose, self.posed = pose, time.monotonic()
+            self.pose, self._posed = pose, time.monotonic()
         if self._keeper is not None:
             self._keeper.keep(made.state)
 
 
 def outputs_of(plan: Plan) -> tuple[Callable[[], Output], ...]:
-    """The one of the plan."""
+    """Return the function that opens the plan's output."""
     return (partial(open_output, plan.output),)
 
 
-def _unsaid(_: str) -> None:
-    """Log nothing for a trial."""
-
-
-class _Reinitialisation:
-    """Views for a pose, looked at in a thread of its own while the ball is tracked on."""
-
-    def __init__(
-        self,
-        rig: Rig,
-        settings: Settings,
-        answer: Callable[[str | None, str], None],
-        elsewhere: Callable[[Work], None],
-        wanted: Callable[[], bool],
-    ) -> None:
-        self._rig, self._settings, self._answer = rig, settings, answer
-        self._elsewhere, self._wanted = elsewhere, wanted
-        self.over = False  # without a pose
-        self._answering = threading.Lock()
-        self._frames: list[Frame] = []
-        self._looking = False
-        self._found: Resection | None = None
-
-    @property
-    def hungry(self) -> bool:
-        """True if another view in colour is needed."""
-        return not self._looking
-
-    def look(self, frame: Frame) -> Resection | None:
-        """One view more, or what came of them."""
-        if not self._wanted():
-            self.give_up("given up: who asked has hung up; the pose before stays")
-            return None
-        if not self._looking:
-            self._frames.append(replace(frame, image=frame.image.copy()))
-            if len(self._frames) == self._settings.pose.frames:
-                self._looking = True
-                self._elsewhere(self._estimate)
-        return self._found
-
-    def answer(self, error: str | None, text: str) -> None:
-        """Answer the request, once."""
-        if self._answering.acquire(blocking=False):
-            self._answer(error, text)
-
-    def give_up(self, error: str) -> None:
-        """There will be no pose."""
-        self.over = True
-        self.answer(error, "")
-
-    def _estimate(self) -> Callable[[], None]:
-        """Look at the views; what becomes of it, which is to be called when this is done."""
-        try:
-            if any(f.image.ndim != 3 for f in self._frames):
-                raise PoseError("the frames are grey: the ring targets need colour")
-            seen = [detect_targets(f.image, self._rig.targets.radii, self._settings.rings) for f in self._frames]
-            found = find_pose(seen, self._rig, self._frames[0].image)
-        except SpheremouseError as e:
-            return partial(self.give_up, f"{e}; the pose before stays")
-        except Exception as e:
-            what = f"internal error ({type(e).__name__}: {' '.join(str(e).split())})"
-            return partial(self.give_up, f"{what}; the pose before stays")
-        return partial(setattr, self, "_found", found)
+def _discard(_: str) -> None:
+    """Log nothing during a trial."""

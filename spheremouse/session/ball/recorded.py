@@ -1,0 +1,136 @@
+"""The ball in its frame as recordings and snapshots show it: the ball, the targets, and no people.
+
+A masked recording keeps the pixels that the tracker reads while it knows the camera's pose, so tracking it gives the
+same result bit for bit. The margins are the reach of the filters:
+
+- around the ball's outline, within the ball's bounding box, one and a half discs: the closing that estimates the
+  brightness of the ball beside a disc reaches so far;
+- in that box sixteen lines, one pixel high, from which the noise of the picture is measured;
+- around each target the patch that monitors the camera, a few pixels for a push, and the margin of the ring detector.
+
+A search of all targets by their colours, after a large bump, reads the whole picture. It does not work on a masked
+recording.
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from spheremouse.ball import camera_watch as watch
+from spheremouse.ball.build import build
+from spheremouse.ball.detect.discs import DiscDetector
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.state import Epoch, Tracker, current
+from spheremouse.files.dataset.write import device_description
+from spheremouse.files.rig import rig_text
+from spheremouse.geometry.camera import Pose
+from spheremouse.session.messages import found
+from spheremouse.session.overlay.ball import Overlay, target_marks
+from spheremouse.session.overlay.pen import Image, in_blocks
+from spheremouse.session.overlay.sight import draw_sight, sight_of
+from spheremouse.session.settings import Configuration, configuration_text
+from spheremouse.session.tracker_adapter import Subject
+
+_NOISE_LINES = 16  # by which detect.fit measures the noise
+_FIT = 4  # px of the reduced picture around a pixel of the ball: kernel of the fit, and a block cut by the outline
+_PUSHED = 3  # px of a target's reduced patch: where it is looked for in an ordinary look (watch)
+_RINGS = 6  # px, and a quarter of the patch: around a target whose rings are measured (watch)
+
+
+def kept(rig: Rig, pose: Pose, settings: Settings) -> Image:
+    """Return 255 where a recording keeps a pixel, 0 where it is black, (h, w) uint8.
+
+    It is of a device seen from a pose, by a tracker with these settings. Raises PoseError if the ball is not in view.
+    """
+    default = replace(settings, detector="default", discs=replace(settings.discs, masks=()))
+    detector = build(rig, pose, default).detector
+    assert isinstance(detector, DiscDetector)
+    mask = _around_ball(detector, clipped=settings.detector == "default")
+    for left, top, right, bottom in _target_boxes(rig, pose):
+        mask[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = 255
+    return mask
+
+
+def masked(image: Image, keep: Image | None) -> Image:
+    """Return a copy of an image, (h, w, 3) or (h, w), black where `keep`, (h, w), is 0; all of it without `keep`."""
+    return np.asarray(image.copy() if keep is None else cv2.copyTo(image, keep), dtype=np.uint8)
+
+
+def _around_ball(detector: DiscDetector, clipped: bool) -> Image:
+    """Return the ball with the reach of the disc detector; `clipped`: the detector reads nothing outside its box."""
+    f = detector.lattice.reduction
+    rows, columns = detector.window
+    closing = 2 * int(np.ceil(0.75 * detector.model.diameter / f))
+    smoothing = int(np.ceil(3.0 * detector.settings.smoothing)) + 1
+    wide = _grown(detector.model.mask, f * (closing + smoothing + 1))
+    mask = _grown(detector.model.mask, f * _FIT)
+    if clipped:
+        mask[detector.window] |= wide[detector.window]
+    else:
+        mask |= wide
+    step = max((rows.stop - rows.start) // _NOISE_LINES, 1)
+    mask[rows.start + step // 2 : rows.stop : step, columns] = 255
+    return mask
+
+
+def _grown(mask: Image, by: int) -> Image:
+    side = 2 * by + 1
+    return np.asarray(cv2.dilate(mask, np.ones((side, side), np.uint8)), dtype=np.uint8)
+
+
+def _target_boxes(rig: Rig, pose: Pose) -> list[tuple[int, int, int, int]]:
+    """Return for each monitored target the first column and row, and those after the last."""
+    watched = watch.begin(rig, pose)
+    if watched is None:
+        return []
+    boxes = []
+    for (x, y), size, reduction in zip(watched.corner, watched.size, watched.reduction, strict=True):
+        if size:
+            margin = int(_PUSHED * reduction + size // 4 + _RINGS)
+            boxes.append((int(x) - margin, int(y) - margin, int(x + size) + margin, int(y + size) + margin))
+    return boxes
+
+
+def ball_subject(rig: Rig, pose: Pose, settings: Configuration) -> Subject:
+    """Return the subject of a recording: the device, with the camera's pose to the last bit but no covariance of it."""
+    return Subject(
+        camera=rig.camera,
+        view=pose,
+        parts="the ball and the targets",
+        kept=lambda: kept(rig, pose, settings),
+        scene=lambda: {**device_description(rig), "T_obj_cam": pose.matrix().tolist()},
+        files=lambda: {
+            "rig.yaml": rig_text(replace(rig, pose=pose)),
+            "config.yaml": configuration_text(settings),
+        },
+    )
+
+
+def picture(
+    epoch: Epoch, tracker: Tracker, counts: tuple[int, int, int] = (0, 0, 0), *, everything: bool = False
+) -> Image:
+    """Draw the overlay on an epoch's picture, which is black except for ball and targets unless `everything`.
+
+    It takes some hundredths of a second, in which the epoch's image must not change. `counts` is their sum so far.
+    """
+    tracker = current(epoch.state, tracker)
+    keep = None if everything else kept(tracker.rig, tracker.pose, tracker.settings)
+    shown = replace(epoch, frame=replace(epoch.frame, image=masked(epoch.frame.image, keep)))
+    overlay = Overlay(
+        tracker, target_marks(tracker.rig, tracker.pose, None), max(1, round(1280 / tracker.rig.camera.width))
+    )
+    overlay.remember(shown.state)
+    return overlay.draw(shown, counts)
+
+
+def sought(image: Image, rig: Rig, settings: Configuration, *, everything: bool = False) -> Image:
+    """Draw the targets that are found in a picture, and the rejected candidates with the reason.
+
+    The rest is in coarse blocks, unless `everything`. It takes some tenths of a second, in which the image must not
+    change.
+    """
+    sight = sight_of(image, rig.targets.radii, rig.targets.codes, settings.rings)
+    shown = image if everything else in_blocks(image, sight.kept(image.shape[:2]))
+    return draw_sight(shown, sight, ((found(sight.targets.codes, rig.targets.codes), 0.012),))

@@ -1,0 +1,193 @@
+"""Searches that may take longer than a frame, in another thread: targets, and the reason why discs are missing.
+
+A search starts with one frame, and a later frame takes its result without waiting. If `elsewhere` runs it at once, the
+result is there at once, so the same frames give the same result.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import replace
+from typing import Generic, TypeVar
+
+from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.detect.diagnosis import Absence, why_no_disc
+from spheremouse.ball.detect.rings import TargetDetections, detect_targets
+from spheremouse.ball.events import MotionReleased, MotionWithheld
+from spheremouse.ball.pose import Resection, find_pose, gather
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.state import Tracker, TrackState
+from spheremouse.ball.track import Moved, seek_by_colour
+from spheremouse.errors import PoseError
+from spheremouse.geometry.camera import Pose
+from spheremouse.output.rate_limited_logger import strip_digits
+from spheremouse.session import messages
+from spheremouse.session.process.threads import Work, as_future
+from spheremouse.tracker import Frame, Status, Step
+
+Elsewhere = Callable[[Work], object]  # has another thread do work, in order
+T = TypeVar("T")
+
+_FEW_DISCS = 3  # with this many in view, the picture is not the cause
+_FIRST_DIAGNOSIS_S = 1.0  # without tracking: hands pass in less
+_DIAGNOSIS_INTERVAL_S = 2.0
+
+
+class _Search(Generic[T]):
+    """At most one search at a time."""
+
+    def __init__(self, elsewhere: Elsewhere) -> None:
+        self._elsewhere = elsewhere
+        self._future: Future[T] | None = None
+
+    @property
+    def idle(self) -> bool:
+        """True if no search runs and no result waits."""
+        return self._future is None
+
+    def begin(self, work: Callable[[], T]) -> None:
+        """Start a search."""
+        self._future = as_future(work, self._elsewhere)
+
+    def take(self) -> T | None:
+        """Return the result once, or raise its error; None while there is none."""
+        if self._future is None or not self._future.done():
+            return None
+        done, self._future = self._future, None
+        return done.result()
+
+
+class PoseSearch:
+    """Views for the camera's pose: the newest frame is searched for targets as soon as the one before has been."""
+
+    def __init__(self, rig: Rig, settings: Settings, elsewhere: Elsewhere) -> None:
+        self._rig, self._settings = rig, settings
+        self._search = _Search[Resection | None](elsewhere)
+        self._views: list[TargetDetections] = []
+        self._first: Image | None = None
+        self.seen: tuple[str, ...] = ()  # codes in the last complete set of views
+
+    @property
+    def wants_colour(self) -> bool:
+        """True if it takes the next frame, which must be in colour."""
+        return self._search.idle
+
+    def look(self, frame: Frame) -> Resection | None:
+        """Return the pose once there are enough views. Raise PoseError if they give none, or if the frame is grey."""
+        if self._search.idle:  # else this frame may be grey
+            self._begin(frame)
+        return self._search.take()
+
+    def _begin(self, frame: Frame) -> None:
+        if frame.image.ndim != 3:
+            self._views, self._first = [], None
+            raise PoseError("the frames are grey: the ring targets need colour; give a rig with a camera pose")
+        image = frame.image.copy()
+        first = self._first = image if self._first is None else self._first
+        self._search.begin(lambda: self._find(image, first))
+
+    def _find(self, image: Image, first: Image) -> Resection | None:
+        self._views.append(detect_targets(image, self._rig.targets.radii, self._settings.rings))
+        if len(self._views) < self._settings.pose.frames:
+            return None
+        views, self._views, self._first = self._views, [], None
+        self.seen = tuple(sorted({s.code for s in gather(views)}))
+        return find_pose(views, self._rig, first)
+
+
+class PoseRecovery:
+    """Search of the targets by their colours while the ball is tracked, after the camera was moved."""
+
+    def __init__(self, elsewhere: Elsewhere) -> None:
+        self._search = _Search[Moved | None](elsewhere)
+        self._tracker: Tracker | None = None  # in use when the search began
+
+    def __call__(self, frame: Frame, tracker: Tracker) -> Moved | None:
+        """Start `seek_by_colour`, and return its pose if it is known at once; else `found` returns it later."""
+        if not self._search.idle:
+            return None
+        kept = replace(frame, image=frame.image.copy())
+        self._tracker = tracker
+        self._search.begin(lambda: seek_by_colour(kept, tracker))
+        return self._search.take()
+
+    def found(self, tracker: Tracker | None) -> Pose | None:
+        """Return the pose that was found since, if the tracker in use is still the same."""
+        moved = self._search.take()
+        return None if moved is None or tracker is not self._tracker else moved[0].pose
+
+
+class BallMessages:
+    """Texts about the ball for status and log.
+
+    One thread calls the methods. Other threads may read `reason`.
+    """
+
+    def __init__(self, elsewhere: Elsewhere) -> None:
+        """Create the texts; `elsewhere` runs the diagnosis of a picture in another thread."""
+        self.reason = ""  # for the status: the state of the ball; empty if there is nothing to report
+        self._known, self._log = "", ""
+        self._missing = MissingDiscs(elsewhere)
+
+    def add(self, made: Step[TrackState], frame: Frame, tracker: Tracker) -> None:
+        """Update the texts from one frame and the tracker's step for it."""
+        state, events = made.state, made.events
+        lines = [messages.line(events)] if events else []
+        if lasting := [e for e in events if not isinstance(e, MotionWithheld | MotionReleased)]:
+            self._known = messages.reason(lasting)
+        missing, new = self._missing.look(state, frame, tracker)
+        if new:
+            lines.append(missing)
+        if lines:
+            self._log = "; ".join(lines)
+        withheld = state.withheld
+        if withheld is not None and withheld.announced:
+            self.reason = messages.withheld(frame.stamp - withheld.since, withheld.doubt)
+        else:
+            self.reason = missing or self._known
+
+    def restart(self, reason: str) -> None:
+        """Set `reason` when the search for the ball starts again."""
+        self.reason = self._known = reason
+
+    def take(self) -> str:
+        """Return the last log line since the previous call, and clear it; empty if there is none."""
+        log, self._log = self._log, ""
+        return log
+
+
+class MissingDiscs:
+    """Periodic diagnosis of the picture while the ball is not tracked."""
+
+    def __init__(self, elsewhere: Elsewhere) -> None:
+        self._elsewhere = elsewhere
+        self._reset()
+
+    def look(self, state: TrackState, frame: Frame, tracker: Tracker) -> tuple[str, bool]:
+        """Return the reason for the missing discs, and True if it is new.
+
+        The reason is empty while discs are in view, and until the first diagnosis is complete.
+        """
+        points, stamp = len(state.points), frame.stamp
+        if state.status is Status.TRACKING:
+            self._reset()
+            return "", False
+        since = self._since = stamp if self._since is None else min(self._since, stamp)
+        due = stamp - since >= _FIRST_DIAGNOSIS_S and not 0.0 <= stamp - self._diagnosed < _DIAGNOSIS_INTERVAL_S
+        if due and points < _FEW_DISCS and self._diagnosis.idle:
+            self._diagnosed, self._seen, image = stamp, points, frame.image.copy()
+            self._diagnosis.begin(lambda: why_no_disc(image, tracker.rig, tracker.pose, tracker.settings.discs))
+        self._absence = self._diagnosis.take() or self._absence
+        if self._absence is None or points >= _FEW_DISCS:
+            return "", False
+        before, self._problem = self._problem, messages.why_absent(self._absence)[0]
+        text = messages.no_discs(self._seen, stamp - since, self._absence)
+        return text, strip_digits(before) != strip_digits(self._problem)
+
+    def _reset(self) -> None:
+        self._since: float | None = None  # s, stamp of the first frame in which the ball was not tracked
+        self._diagnosed = -float("inf")  # s, stamp of the last frame with a diagnosis
+        self._diagnosis = _Search[Absence](self._elsewhere)
+        self._seen = 0  # discs in that frame
+        self._absence: Absence | None = None
+        self._problem = ""

@@ -1,0 +1,104 @@
+"""Setup of a run with either tracker: the source, and the device or the balls that it may bring."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from spheremouse.ball.rig import Rig
+from spheremouse.capture import Source, Stream, open_source, paced
+from spheremouse.errors import ConfigurationError, SourceError
+from spheremouse.files.dataset.wand import open_wand, read_wand_frames
+from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.session.ball.adapter import BallAdapter, outputs_of
+from spheremouse.session.ball.map_keeper import MapKeeper
+from spheremouse.session.cameras import is_camera
+from spheremouse.session.offline import make_ready, make_wand_ready
+from spheremouse.session.plan import Plan, Request, told_apart, without_map
+from spheremouse.session.tracker_adapter import MAP, Do, TrackerAdapter
+from spheremouse.session.wand.adapter import WandAdapter
+from spheremouse.wand.ball import WandBall, grzonka_ball
+from spheremouse.wand.build import build
+from spheremouse.wand.state import WandTracker
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """The open source of a run, and the device or the balls that it brings."""
+
+    source: Source | None = None  # None: a camera, which is opened again and again
+    camera: InteriorOrientation | None = None  # of a wand's recording
+    balls: tuple[WandBall, ...] = ()
+
+    @property
+    def rig(self) -> Rig | None:
+        """The device that the source brings."""
+        return None if self.source is None else self.source.rig
+
+    def planned(self, request: Request, plan: Plan) -> Plan:
+        """Return the plan without a map if the source brings its own device, unless a map was requested."""
+        own = self.rig is not None and not is_camera(plan.source)
+        return without_map(plan) if own and request.map is None and plan.configuration.map is None else plan
+
+    def open(self, plan: Plan) -> Source:
+        """Open the recording of a plan, which plays at the pace of its stamps."""
+        source = open_setup(plan, realtime=True).source
+        assert source is not None
+        return source
+
+    def make_ready(self, plan: Plan, tell: Callable[[str], None] | None = None) -> None:
+        """Compile the functions of tracking, or read them from disk, with progress (`compiling.told`)."""
+        if _is_wand(plan):
+            make_wand_ready(tell)
+        else:
+            make_ready(plan.configuration, tell)
+
+    def adapter(self, plan: Plan, log: Callable[[str], None], do: Do) -> TrackerAdapter:
+        """Return the tracker's adapter. Raise ConfigurationError or PoseError if the plan is incomplete."""
+        if _is_wand(plan):
+            made = WandAdapter(self.wand_tracker, plan, log)
+            made.introduce()
+            return made
+        rig = plan.device(self.rig)
+        keeper = None
+        if plan.map_path is not None:
+            keeper = MapKeeper(plan.map_path, rig, log, elsewhere=partial(do, MAP))
+        return BallAdapter(rig, plan.configuration, keeper, log, do, self.rig, outputs_of(plan))
+
+    def wand_tracker(self, plan: Plan) -> WandTracker:
+        """Return the tracker of the plan's balls, else of the recording's own, else of Grzonka's."""
+        settings = plan.configuration.wand
+        camera = plan.camera or (None if plan.rig is None else plan.rig.camera) or self.camera
+        if camera is None:
+            raise ConfigurationError(
+                f"{plan.source}: says nothing of the camera; give its file with --camera FILE (`spheremouse calibrate "
+                "camera` makes it)"
+            )
+        balls = plan.balls.balls or self.balls or (grzonka_ball(),)
+        if settings.points > len(balls):
+            many = "is one ball" if len(balls) == 1 else f"are {len(balls)} balls"
+            raise ConfigurationError(f"wand.points: is {settings.points}, but there {many}; balls are counted from 1")
+        return build(camera, told_apart(balls), settings, plan.balls.colours)
+
+
+def open_setup(plan: Plan, realtime: bool = False) -> Setup:
+    """Return the setup of a plan. It opens a recording; `realtime` plays it at its own pace."""
+    if is_camera(plan.source):
+        return Setup()
+    kind, _, argument = plan.source.partition(":")
+    if not _is_wand(plan) or kind not in ("synthetic", "dataset"):
+        return Setup(open_source(plan.source, realtime=realtime))
+    if kind == "synthetic":
+        raise SourceError(
+            f"{plan.source}: simulates no wand; film one with `spheremouse wand simulate DIR`, give dataset:DIR"
+        )
+    if not argument:
+        raise SourceError("dataset: needs a folder; write dataset:DIR")
+    recording = open_wand(Path(argument))
+    frames = read_wand_frames(recording)
+    stream = Stream(paced(frames) if realtime else frames, fps=recording.fps, count=recording.frames)
+    return Setup(stream, recording.camera, recording.balls)
+
+
+def _is_wand(plan: Plan) -> bool:
+    return plan.configuration.tracker == "wand"

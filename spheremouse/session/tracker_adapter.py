@@ -1,0 +1,148 @@
+"""The interface of trackers for the service and for the loop over recordings.
+
+An adapter keeps the tracker's state from frame to frame. It turns motion into reports and events into sentences, and
+gives status, recordings and snapshots their contents.
+"""
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+from spheremouse.errors import SpheremouseError
+from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.output import Output, Report
+from spheremouse.output.pointer import Counts
+from spheremouse.session.overlay.pen import Image
+from spheremouse.session.plan import Plan
+from spheremouse.session.process.threads import Work
+from spheremouse.tracker import Frame, Status
+
+Do = Callable[[str, Work], None]  # has another thread do work of a kind
+TARGETS, POSE, MAP = "targets", "pose", "map"  # kinds of work that adapters have done
+
+
+def here(_: str, work: Work) -> None:
+    """Do the work in this thread, at once. A `Do`."""
+    then = work()
+    if then is not None:
+        then()
+
+
+@dataclass(frozen=True, slots=True)
+class FrameResult:
+    """The result of a tracked frame."""
+
+    frame: Frame
+    report: Report
+    seconds: dict[str, float]  # time of each stage
+    epoch: Any  # the tracker's own record
+
+
+class LogMessages(NamedTuple):
+    """Log lines since the previous call; empty if there are none."""
+
+    change: str = ""  # of the ball that moves the pointer, with the state that it leads to
+    more: tuple[str, ...] = ()  # others
+
+
+class Change(NamedTuple):
+    """A prepared change to another plan."""
+
+    outputs: tuple[Callable[[], Output], ...]  # functions that open each output; the pointer's first
+    apply: Callable[[], "TrackerAdapter"]  # applies it, and returns the adapter from then on
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """The subject of a recording: a tracker's ball before its camera. A camera that was moved has another one."""
+
+    camera: InteriorOrientation
+    view: object  # the same object until the camera is moved
+    parts: str  # the kept part of a picture, in words; empty if the whole picture is needed
+    kept: Callable[[], Image]  # 255 where a recording keeps a pixel, else 0, (h, w) uint8; PoseError without a ball
+    scene: Callable[[], dict[str, Any]]  # contents of scene.json
+    files: Callable[[], dict[str, str]]  # other files, name and text, so that a replay tracks in the same way
+
+
+class TrackerAdapter(Protocol):
+    """One tracker on one stream of frames, called by one thread. Other threads may read the attributes."""
+
+    waiting: str  # reason why nothing can be tracked yet; empty if it can
+    status: Status  # of the ball that moves the pointer
+    untracked: int  # frames that came before anything could be tracked
+    outputs: tuple[Callable[[], Output], ...]  # functions that open each output; the pointer's first
+
+    @property
+    def reason(self) -> str:
+        """State of the ball that moves the pointer, in words."""
+        ...
+
+    @property
+    def subject(self) -> Subject | None:
+        """Subject of a recording; None while nothing can be tracked."""
+        ...
+
+    def wants_colour(self, stamp: float) -> bool:
+        """Return True if the frame of `stamp`, s, is needed in colour."""
+        ...
+
+    def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """Return the frames of a recording from the first that can be tracked, with the pose before it."""
+        ...
+
+    def follow(self, frame: Frame) -> FrameResult | None:
+        """Track a frame. Return None if it was not tracked. Raise SourceError if it cannot be used."""
+        ...
+
+    def take_messages(self) -> LogMessages:
+        """Return the log lines since the previous call."""
+        ...
+
+    def interrupted(self, reason: str) -> None:
+        """Drop the work on past frames, since no frames arrive."""
+        ...
+
+    def restart(self, reason: str) -> None:
+        """Search the ball again with the next frame."""
+        ...
+
+    def prepare(self, plan: Plan, changed: Collection[str]) -> Change:
+        """Prepare another plan, in which these sections have changed. Raise SpheremouseError to refuse it."""
+        ...
+
+    def reinitialise(self, answer: Callable[[str | None, str], None], wanted: Callable[[], bool]) -> None:
+        """Estimate the pose, or search the balls, again; call `answer` (error, text). Stop when not `wanted`."""
+        ...
+
+    def figures(self, seeing: bool) -> dict[str, Any]:
+        """Return the tracker's part of the status, from any thread."""
+        ...
+
+    def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
+        """Return a function that draws the overlay with the sum of counts, for another thread.
+
+        It is black except for the part that `subject` keeps, unless `everything`. The image is copied.
+        """
+        ...
+
+    def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
+        """Return a function that draws a frame without tracking, for another thread. The image is copied.
+
+        Unless `everything`, persons stay unrecognisable.
+        """
+        ...
+
+    def failure(self, unused: str) -> SpheremouseError | None:
+        """Return the error if no frame of the run could be tracked.
+
+        `unused` is the reason why the frames that came could not be used.
+        """
+        ...
+
+    def last_words(self, failed: bool) -> tuple[str, ...]:
+        """Return further closing lines; `failed`: the failure is reported already."""
+        ...
+
+    def close(self) -> None:
+        """Save the map of the discs, if there is one."""
+        ...

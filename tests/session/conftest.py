@@ -1,0 +1,37 @@
+"""A daemon in this process in which nothing waits long."""
+
+import threading
+
+import pytest
+
+from spheremouse.capture import fetch
+from spheremouse.output import reporter
+from spheremouse.session import service
+from spheremouse.session.process import realtime
+
+PATIENCE = 60.0  # s
+
+
+@pytest.fixture
+def quick_daemon(monkeypatch):
+    """Return a generator that yields a world of tests/daemon_world.py, and checks its laws at the end."""
+
+    def run(world, open_output):
+        monkeypatch.setattr(open_output, world.open_output)
+        monkeypatch.setattr(service, "_TICK", 0.02)
+        monkeypatch.setattr(service, "_EVERY", 0.1)
+        monkeypatch.setattr(fetch, "BACK_OFF", (0.01, 0.02))
+        monkeypatch.setattr(reporter, "RETRY_DELAYS", (0.01, 0.02))
+        monkeypatch.setattr(reporter, "MAX_QUEUE_TIME", PATIENCE)
+        monkeypatch.setattr(realtime, "_give_back", lambda: None)
+        monkeypatch.setattr(realtime, "_fold_up_code", lambda: 0)
+        threads = threading.active_count()
+        yield world
+        if world.daemon is not None:
+            world.stop()
+            if world.error is not None:
+                raise world.error
+            world.check_laws()
+            world.until(lambda: threading.active_count() <= threads, "threads end")
+
+    return run
