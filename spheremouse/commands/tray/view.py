@@ -42,29 +42,25 @@ class View:
 
 
 def view(status: dict[str, Any]) -> View:
-    """Read a status as docs/control.md has it. Missing and invalid values are ignored."""
-    state = _text(status.get("state")) or "unknown"
-    fps, paused = status.get("fps"), status.get("paused")
-    recording = status.get("recording")
+    """Read a status, whose types the client has checked. Any value may be missing or None."""
+    state, recording = _line(status.get("state") or "") or "unknown", status.get("recording")
     return View(
-        state="unknown" if state == NO_DAEMON else state,
-        reason=_text(status.get("reason")),
-        fps=float(fps) if isinstance(fps, int | float) and not isinstance(fps, bool) and 0 <= fps < 1e6 else None,
-        paused=paused if isinstance(paused, bool) else state == "paused",
-        recording=_text(recording.get("folder")) or "?" if isinstance(recording, dict) else None,
+        state=state,
+        reason=_line(status.get("reason") or ""),
+        fps=status.get("fps"),
+        paused=bool(status.get("paused", state == "paused")),
+        recording=None if recording is None else _line(recording.get("folder") or "") or "?",
     )
 
 
 def no_daemon(reason: str) -> View:
     """Return the view without a daemon. Details in brackets are removed, since they fill the menu."""
-    return View(NO_DAEMON, re.sub(r"\s*\([^()]*\)", "", _text(reason)))
+    return View(NO_DAEMON, re.sub(r"\s*\([^()]*\)", "", _line(reason)))
 
 
-def _text(value: Any) -> str:
-    """Return printable text in one line; empty for anything else."""
-    if not isinstance(value, str):
-        return ""
-    return "".join(c if c.isprintable() else " " for c in value).strip()
+def _line(text: str) -> str:
+    """Return printable text in one line."""
+    return "".join(c if c.isprintable() else " " for c in text).strip()
 
 
 # ---- words ----
@@ -113,8 +109,8 @@ def menu(v: View, note: str = "") -> tuple[Item, ...]:
         return action if v.connected else None
 
     items = [Item(headline(v))]
-    if _text(note):
-        items.append(Item(_cut(_text(note), _MAX_MENU_LINE)))
+    if _line(note):
+        items.append(Item(_cut(_line(note), _MAX_MENU_LINE)))
     items += [SEPARATOR, Item("Re-initialise camera pose", if_connected("reinit"), default=True)]
     items.append(Item("Resume", if_connected("resume")) if v.paused else Item("Pause", if_connected("pause")))
     if v.recording is None:
