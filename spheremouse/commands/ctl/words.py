@@ -88,7 +88,7 @@ def _frames(s: dict[str, Any]) -> str:
 
 
 def _latency(values: Any) -> str:
-    if not isinstance(values, dict):
+    if not values:
         return "-"
     half, most, longest = (_number(values.get(k), ".1f") for k in ("p50", "p99", "max"))
     return f"median {half} ms, 99 % {most} ms, longest {longest} ms"
@@ -114,15 +114,14 @@ def _ball(ball: dict[str, Any]) -> Text:
 
 
 def _pose(pose: Any) -> str:
-    if not isinstance(pose, dict):
+    if not pose:
         return "not known"
-    sigma = pose.get("sigma_mm") or []
-    known = [v for v in sigma if isinstance(v, int | float)]
-    return f"{_span(pose.get('age_s'))} old" + (f", within {max(known):.1f} mm (1 sigma)" if known else "")
+    sigma = pose.get("sigma_mm")
+    return f"{_span(pose.get('age_s'))} old" + (f", within {max(sigma):.1f} mm (1 sigma)" if sigma else "")
 
 
 def _output(output: Any, reason: Any) -> Text:
-    if not isinstance(output, dict):
+    if not output:
         return Text("-")
     spec = str(output.get("spec", "-"))
     text = _text(spec)
@@ -144,9 +143,9 @@ def _recording(r: dict[str, Any]) -> Text:
     return _text(f"{r.get('folder')}: {_n(r, 'frames')} frames, {_span(r.get('seconds'))}, {megabytes:.0f} MB{dropped}")
 
 
-def _span(seconds: Any) -> str:
+def _span(seconds: float | None) -> str:
     """Return a time in a convenient unit."""
-    if not isinstance(seconds, int | float):
+    if seconds is None:
         return "-"
     for size, limit, unit in ((1.0, 120.0, "s"), (60.0, 120.0, "min"), (3600.0, 48.0, "h")):
         if seconds / size < limit:
@@ -154,8 +153,8 @@ def _span(seconds: Any) -> str:
     return f"{seconds / 86400.0:.0f} days"
 
 
-def _number(value: Any, form: str) -> str:
-    return format(value, form) if isinstance(value, int | float) else "-"
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
 
 
 def _n(s: dict[str, Any], key: str) -> str:
