@@ -31,7 +31,7 @@ _NO_TRUTH = "no truth.csv: no errors are known; the table has the frames tracked
 
 
 class _Track(NamedTuple):
-    """A recording, and with what it is tracked."""
+    """A recording with the rig and the map of its run."""
 
     recording: Recording
     rig: Rig

@@ -1,7 +1,7 @@
 """Plan and carry out the changes of files that make spheremouse a service of systemd.
 
-A placed file begins with a line that has the digest of the rest. By it the program detects a file that somebody edited,
-and copies such a file before it replaces or removes it. All changes are planned as actions first.
+A placed file begins with a line that has the digest of the rest. So the program detects an edited file, and
+copies it before it replaces or removes it. All changes are planned as actions first.
 """
 
 import contextlib
@@ -205,7 +205,7 @@ def install(place: Place, program: str, systemd: int | None) -> Iterator[FileAct
         if state != "ok":
             what = "write" if state == "missing" else "update"
             yield FileAction(what, path, partial(_write, path, text))
-    if fresh and not place.link.is_symlink():  # a service that somebody disabled stays disabled
+    if fresh and not place.link.is_symlink():  # a disabled service stays disabled
         yield FileAction("enable", place.link, partial(_link, place))
     config = place.configuration / "config.yaml"
     if not config.exists():
@@ -363,7 +363,7 @@ def _copy(path: Path, free: Path) -> None:
 
 
 def _remove(path: Path) -> None:
-    """Remove a folder with its content, or a link to one; what links lead to stays."""
+    """Remove a folder with its content, or a link. Targets of links stay."""
     if path.is_symlink():
         path.unlink()
     else:
