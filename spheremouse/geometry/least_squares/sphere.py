@@ -36,7 +36,6 @@ class Sphere:
     cross_covariance: Array  # (k, 4) of adjusted observations with centre and radius
     distance: Array  # (n,) m, of the observed points from the sphere, positive outside
     out_of_round: float  # m, standard deviation of the shape beside the points' covariances; usually 0
-    chi2_per_freedom: float  # of the contradictions, before `out_of_round`
 
 
 def algebraic_sphere(points: Array) -> tuple[Array, float]:
@@ -91,7 +90,6 @@ def fit_sphere(observations: Array, covariance: Array, where: NDArray[np.intp]) 
         cross,
         np.linalg.norm(observations[where] - final.x[:3], axis=1) - final.x[3],
         float(np.sqrt(extra)),
-        first.omega / freedom if freedom else 1.0,
     )
 
 
@@ -112,9 +110,8 @@ def off_sphere(points: Array, covariance: Array, sphere: Sphere) -> NDArray[np.b
 
 @dataclass(frozen=True, slots=True)
 class _State:
-    x: Array
+    x: Array  # (4,) centre and radius, m
     step: Array  # (4,) of the last iteration
-    adjusted: Array  # (n, 3)
     w: Array  # (n,) contradictions
     A: Array  # (n, 4)
     B: Array  # (n, 3n)
@@ -124,33 +121,27 @@ class _State:
 
 
 def _adjust(points: Array, C: Array, x: Array, extra: float) -> _State:
-    adjusted = points
+    """Iterate from the unknowns x, (4,) (Wittich 2017, eq. 41-50, corrected)."""
+    n, adjusted = len(points), points
+    columns = 3 * np.arange(n)[:, None] + np.arange(3)
     for _ in range(_MAX_ITERATIONS):
-        state = _iterate(points, adjusted, C, x, extra)
-        x = state.x
-        adjusted = state.adjusted
-        if np.max(np.abs(state.step)) < _STEP_TOLERANCE * max(1.0, x[3]):
-            return state
+        offset = adjusted - x[:3]
+        length = np.linalg.norm(offset, axis=1)
+        normal = offset / length[:, None]
+        A = np.concatenate([-normal, -np.ones((n, 1))], axis=1)
+        B = np.zeros((n, 3 * n))
+        B[np.arange(n)[:, None], columns] = normal
+        w = length - x[3] + np.sum(normal * (points - adjusted), axis=1)
+        try:
+            W = cho_factor(B @ C @ B.T + extra * np.eye(n))
+            Q = np.linalg.inv(A.T @ cho_solve(W, A))
+        except np.linalg.LinAlgError:
+            break
+        step = -Q @ A.T @ cho_solve(W, w)
+        if not np.max(np.abs(step)) < 100.0 * x[3]:
+            break
+        k = -cho_solve(W, w + A @ step)
+        x, adjusted = x + step, points + (C @ (B.T @ k)).reshape(n, 3)
+        if np.max(np.abs(step)) < _STEP_TOLERANCE * max(1.0, x[3]):
+            return _State(x, step, w, A, B, W, Q, float((w + A @ step) @ -k))
     raise CalibrationError(_UNDETERMINED)
-
-
-def _iterate(points: Array, adjusted: Array, C: Array, x: Array, extra: float) -> _State:
-    """Iterate once from the unknowns x and the adjusted points (Wittich 2017, eq. 41-50, corrected)."""
-    n = len(points)
-    offset = adjusted - x[:3]
-    length = np.linalg.norm(offset, axis=1)
-    normal = offset / length[:, None]
-    A = np.concatenate([-normal, -np.ones((n, 1))], axis=1)
-    B = np.zeros((n, 3 * n))
-    B[np.arange(n)[:, None], 3 * np.arange(n)[:, None] + np.arange(3)] = normal
-    w = length - x[3] + np.sum(normal * (points - adjusted), axis=1)
-    try:
-        W = cho_factor(B @ C @ B.T + extra * np.eye(n))
-        Q = np.linalg.inv(A.T @ cho_solve(W, A))
-    except np.linalg.LinAlgError:
-        raise CalibrationError(_UNDETERMINED) from None
-    step = -Q @ A.T @ cho_solve(W, w)
-    if not np.max(np.abs(step)) < 100.0 * x[3]:
-        raise CalibrationError(_UNDETERMINED)
-    k = -cho_solve(W, w + A @ step)
-    return _State(x + step, step, points + (C @ (B.T @ k)).reshape(n, 3), w, A, B, W, Q, float((w + A @ step) @ -k))

@@ -241,15 +241,6 @@ def test_the_ellipse_is_the_blurred_one(a, b, limit):
     assert_allclose(e.sum(), truth.sum(), rtol=0.11)
 
 
-def test_smoothing_kernel_is_a_gaussian():
-    k = smoothing_kernel(0.8)
-    assert_allclose(k.sum(), 1.0, rtol=1e-6)
-    x = np.arange(-3, 4)
-    assert_allclose(np.sum(k * x), 0.0, atol=1e-6)
-    assert_allclose(np.sum(k * x**2), 0.8**2, rtol=0.02)
-    assert_allclose(smoothing_kernel(0.0), x == 0)
-
-
 # --- what is a disc --------------------------------------------------------------------------------------------------
 
 
