@@ -191,14 +191,15 @@ def test_who_gives_a_frame_and_fails_is_asked_less_and_less_often(monkeypatch):
     monkeypatch.setattr(module.time, "monotonic", lambda: clock[0])
     long = [lambda: clock.__setitem__(0, clock[0] + 10.0) or 2, SourceError("gone")]
     world = World(*[[1, SourceError("gone")]] * 8, *[[1, *long]] * 3, [])
-    capture = world.capture()
-    capture._wakeup = Bell()
+    event = threading.Event()
+    with monkeypatch.context() as made:
+        made.setattr(module.threading, "Event", Bell)
+        capture = world.capture()
     thread = threading.Thread(target=capture.run)
     thread.start()
-    thread_end = threading.Event()
     while len(waits) < 11:
-        thread_end.wait(0.001)
-    capture._over = True
+        event.wait(0.001)
+    capture.close()
     thread.join(PATIENCE)
     assert waits[:8] == [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 5.0, 5.0]
     assert waits[8:11] == [0.1, 0.1, 0.1]

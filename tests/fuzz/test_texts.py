@@ -3,12 +3,10 @@
 import contextlib
 import io
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 from hypothesis import strategies as st
 
-from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.settings import Settings
 from spheremouse.capture import open_source
 from spheremouse.files import config
@@ -50,34 +48,6 @@ def test_rig(content: str | bytes) -> None:
         if (rig.camera.width, rig.camera.height) == (640, 480):
             images = [f.image for f in film()[:2]]
         refused(lambda: use(rig, replace(Settings(), pose=replace(Settings().pose, frames=1)), images))
-
-
-@cache
-def _keys() -> list[str]:
-    return [".".join(str(k) for k in key) for key, _ in config.parameters(Settings())]
-
-
-@fuzz(
-    lambda: st.lists(
-        st.one_of(
-            st.text(max_size=30),
-            st.builds(
-                "{}={}".format, st.sampled_from(_keys()), st.one_of(words, numbers, st.lists(numbers, max_size=5))
-            ),
-        ),
-        min_size=1,
-        max_size=3,
-    ),
-)
-def test_set(assignments: list[str]) -> None:
-    chosen: Settings | None = Settings()
-    for assignment in assignments:
-        chosen = refused(lambda a=assignment, c=chosen: config.override(c, a))
-        if chosen is None:
-            return
-    image = film()[0].image
-    refused(lambda: use(known(), chosen, [f.image for f in film()[:3]]))
-    refused(lambda: detect_targets(image, known().targets.radii, chosen.rings))
 
 
 @fuzz(
