@@ -28,8 +28,9 @@ from spheremouse.files.dataset.format import (
     described,
     is_rotation,
     read_description,
+    rotations,
 )
-from spheremouse.files.dataset.stamps import Stamps, fractional, read_stamps, recorded_frames
+from spheremouse.files.dataset.frames import Stamps, fractional, read_stamps, recorded_frames
 from spheremouse.files.dataset.write import DatasetWriter
 from spheremouse.files.rig import load_rig
 from spheremouse.files.tables import read_columns
@@ -190,10 +191,7 @@ def _read_truth(path: Path, frames: int) -> Truth:
     table = read_columns(path, MOTION_COLUMNS, most=frames)
     check_frames(path, table, frames)
     check_times(path, table["t"])
-    attitude = np.stack([table.pop(c) for c in MATRIX_COLUMNS], axis=1).reshape(-1, 3, 3)
-    for i in range(frames):
-        if not is_rotation(attitude[i]):
-            raise DatasetError(f"{path}, row {i + 1}: r11..r33 is not a rotation")
+    attitude = rotations(path, table, MATRIX_COLUMNS)
     return Truth(table["t"], attitude, np.stack([table[c] for c in ("wx", "wy", "wz")], axis=1))
 
 

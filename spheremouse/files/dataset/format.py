@@ -1,20 +1,17 @@
-"""Names of files and columns of a dataset folder, and readers of its description, tables and images."""
+"""Names of files and columns of a dataset folder, and readers of its description and tables."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping
-from itertools import islice
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from spheremouse.errors import ConfigurationError, DatasetError
 from spheremouse.files import plain_json
-from spheremouse.files.pictures import FRAME_PIXELS, decoded, film_images, film_size, open_film, px, read_header
-from spheremouse.files.pictures import MOST_BYTES as PICTURE_BYTES
-from spheremouse.files.safe_files import read_bytes, read_text
+from spheremouse.files.pictures import FRAME_PIXELS
+from spheremouse.files.safe_files import read_text
 from spheremouse.files.validate import Part, validated
 from spheremouse.files.yaml import Document, refuse_control_characters
 from spheremouse.geometry.camera import InteriorOrientation
@@ -112,7 +109,7 @@ def read_description(folder: Path, read: Callable[[Document], Scene]) -> Scene:
     if scene.width * scene.height > FRAME_PIXELS:
         most = f"at most {FRAME_PIXELS // 1_000_000} megapixels (8K)"
         raise DatasetError(f"{folder / 'scene.json'}: width, height: {scene.width}x{scene.height}; {most} are read")
-    if not in_video(folder) and not (folder / "frames").is_dir():
+    if not (folder / "video.mkv").is_file() and not (folder / "frames").is_dir():
         raise DatasetError(f"{folder}: neither video.mkv nor a folder frames/ is there")
     return scene
 
@@ -135,68 +132,15 @@ def check_times(path: Path, stamp: Array) -> None:
         raise DatasetError(f"{path}, row {back[0] + 2}: t does not increase")
 
 
+def rotations(path: Path, table: dict[str, Array], columns: Sequence[str]) -> Array:
+    """Take the rotations (n, 3, 3) in nine columns, by rows, out of a table; DatasetError for the first invalid row."""
+    R = np.stack([table.pop(c) for c in columns], axis=1).reshape(-1, 3, 3)
+    for i in range(len(R)):
+        if not is_rotation(R[i]):
+            raise DatasetError(f"{path}, row {i + 1}: {columns[0]}..{columns[-1]} is not a rotation")
+    return R
+
+
 def is_rotation(R: Array) -> bool:
     """Return True if (3, 3) is a rotation, within the digits of a table."""
     return bool(np.allclose(R @ R.T, np.eye(3), atol=1e-4) and np.linalg.det(R) > 0.0)
-
-
-def in_video(folder: Path) -> bool:
-    """Return True if the images of a dataset are in a video."""
-    return (folder / "video.mkv").is_file()
-
-
-def recorded_images(folder: Path, size: tuple[int, int], frames: int) -> Iterator[NDArray[np.uint8]]:
-    """Yield this number of images in order, (h, w, 3) blue, green, red, for `size` (w, h) px.
-
-    A truncated recording yields its images and then raises DatasetError. An image of another size raises it undecoded.
-    """
-    source, images = folder / "frames", folder_images(folder, size)
-    if in_video(folder):
-        source = folder / "video.mkv"
-        images = video_images(source, size)
-    count = 0
-    for image in islice(images, frames):
-        yield image
-        count += 1
-    if count == 0:
-        raise DatasetError(f"{source}: no frame in it can be read")
-    if count < frames:
-        raise DatasetError(f"{source}: ends after {count} of {frames} frames")
-
-
-def picture_file(folder: Path, index: int) -> Path:
-    """Return the path of an image that is not in the video."""
-    return folder / "frames" / f"{index:06d}.png"
-
-
-def video_images(path: Path, size: tuple[int, int]) -> Iterator[NDArray[np.uint8]]:
-    """Yield the readable frames of a video, (h, w, 3) blue, green, red; DatasetError for another `size`."""
-    try:
-        capture = open_film(path)
-    except OSError as e:
-        raise DatasetError(f"{path}: {e.strerror or e}") from None
-    if capture is None:
-        return
-    if film_size(capture) != size:  # before anything of it is decoded
-        raise DatasetError(f"{path}: frame 0 is {px(film_size(capture))}, but scene.json says {px(size)}")
-    yield from film_images(capture)
-
-
-def folder_images(folder: Path, size: tuple[int, int]) -> Iterator[NDArray[np.uint8]]:
-    """Yield frames/000000.png, 000001.png, ... up to the first missing one, (h, w, 3)."""
-    index = 0
-    while (file := picture_file(folder, index)).is_file():
-        yield read_picture(file, size)
-        index += 1
-
-
-def read_picture(file: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Read an image file, (h, w, 3) blue, green, red; DatasetError if its header has another `size`."""
-    try:
-        data = read_bytes(file, PICTURE_BYTES, "picture")
-        header = read_header(data, FRAME_PIXELS)
-        if header.size != size:
-            raise DatasetError(f"{file}: is {px(header.size)}, but scene.json says {px(size)}")
-        return decoded(data)
-    except OSError as e:
-        raise DatasetError(f"{file}: {e.strerror or e}") from None

@@ -11,7 +11,7 @@ import numpy as np
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.errors import DatasetError
-from spheremouse.files.dataset.format import picture_file
+from spheremouse.files.dataset.frames import picture_file
 from spheremouse.files.pictures import film_images, open_film
 
 SMALL = ("FFV1", "HFYU")  # codecs in the order they are tried: half the size

@@ -23,11 +23,11 @@ from spheremouse.files.dataset.format import (
     check_frames,
     check_times,
     described,
-    is_rotation,
     read_description,
     read_json,
+    rotations,
 )
-from spheremouse.files.dataset.stamps import Stamps, read_stamps, recorded_frames
+from spheremouse.files.dataset.frames import Stamps, read_stamps, recorded_frames
 from spheremouse.files.tables import read_columns
 from spheremouse.files.yaml import Document
 from spheremouse.geometry.camera import InteriorOrientation
@@ -160,10 +160,7 @@ def _read_truths(path: Path, frames: int, balls: int) -> tuple[WandTruth, ...]:
     truths = []
     for k in range(balls):
         position, matrix = columns_of(k)[:3], columns_of(k)[3:]
-        rotation = np.stack([table.pop(c) for c in matrix], axis=1).reshape(-1, 3, 3)
-        for i in range(frames):
-            if not is_rotation(rotation[i]):
-                raise DatasetError(f"{path}, row {i + 1}: {matrix[0]}..{matrix[-1]} is not a rotation")
+        rotation = rotations(path, table, matrix)
         truths.append(WandTruth(table["t"], np.stack([table.pop(c) for c in position], axis=1), rotation))
     return tuple(truths)
 

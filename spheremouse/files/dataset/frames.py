@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -9,14 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.errors import DatasetError
-from spheremouse.files.dataset.format import (
-    STAMP_COLUMNS,
-    check_frames,
-    in_video,
-    picture_file,
-    read_picture,
-    recorded_images,
-)
+from spheremouse.files.dataset.format import STAMP_COLUMNS, check_frames
+from spheremouse.files.pictures import FRAME_PIXELS, decoded, film_images, film_size, open_film, px, read_header
+from spheremouse.files.pictures import MOST_BYTES as PICTURE_BYTES
+from spheremouse.files.safe_files import read_bytes
 from spheremouse.files.tables import read_columns
 from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Frame
@@ -59,7 +56,7 @@ def recorded_frames(
     Without `stamps` they are in colour, counted from 0, with stamps from `times`, (n,) s, or index / fps. A truncated
     recording yields its frames and then raises DatasetError.
     """
-    video = in_video(folder)
+    video = (folder / "video.mkv").is_file()
     for count, image in enumerate(recorded_images(folder, size, frames)):
         if stamps is not None:
             yield _as_recorded(folder, image, count, stamps, video)
@@ -74,3 +71,63 @@ def _as_recorded(folder: Path, image: NDArray[np.uint8], index: int, stamps: Sta
     elif in_video and (file := picture_file(folder, index)).is_file():
         image = read_picture(file, (image.shape[1], image.shape[0]))
     return Frame(image, float(stamps.stamp[index]), int(stamps.sequence[index]))
+
+
+# ---- images ----
+
+
+def recorded_images(folder: Path, size: tuple[int, int], frames: int) -> Iterator[NDArray[np.uint8]]:
+    """Yield this number of images in order, (h, w, 3) blue, green, red, for `size` (w, h) px.
+
+    A truncated recording yields its images and then raises DatasetError. An image of another size raises it undecoded.
+    """
+    source, images = folder / "frames", folder_images(folder, size)
+    if (folder / "video.mkv").is_file():
+        source = folder / "video.mkv"
+        images = video_images(source, size)
+    count = 0
+    for image in islice(images, frames):
+        yield image
+        count += 1
+    if count == 0:
+        raise DatasetError(f"{source}: no frame in it can be read")
+    if count < frames:
+        raise DatasetError(f"{source}: ends after {count} of {frames} frames")
+
+
+def picture_file(folder: Path, index: int) -> Path:
+    """Return the path of an image that is not in the video."""
+    return folder / "frames" / f"{index:06d}.png"
+
+
+def video_images(path: Path, size: tuple[int, int]) -> Iterator[NDArray[np.uint8]]:
+    """Yield the readable frames of a video, (h, w, 3) blue, green, red; DatasetError for another `size`."""
+    try:
+        capture = open_film(path)
+    except OSError as e:
+        raise DatasetError(f"{path}: {e.strerror or e}") from None
+    if capture is None:
+        return
+    if film_size(capture) != size:  # before anything of it is decoded
+        raise DatasetError(f"{path}: frame 0 is {px(film_size(capture))}, but scene.json says {px(size)}")
+    yield from film_images(capture)
+
+
+def folder_images(folder: Path, size: tuple[int, int]) -> Iterator[NDArray[np.uint8]]:
+    """Yield frames/000000.png, 000001.png, ... up to the first missing one, (h, w, 3)."""
+    index = 0
+    while (file := picture_file(folder, index)).is_file():
+        yield read_picture(file, size)
+        index += 1
+
+
+def read_picture(file: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Read an image file, (h, w, 3) blue, green, red; DatasetError if its header has another `size`."""
+    try:
+        data = read_bytes(file, PICTURE_BYTES, "picture")
+        header = read_header(data, FRAME_PIXELS)
+        if header.size != size:
+            raise DatasetError(f"{file}: is {px(header.size)}, but scene.json says {px(size)}")
+        return decoded(data)
+    except OSError as e:
+        raise DatasetError(f"{file}: {e.strerror or e}") from None
