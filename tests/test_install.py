@@ -20,7 +20,7 @@ from pathlib import Path
 
 import pytest
 
-from spheremouse.files.service import service_files
+from spheremouse.files.access import service_files
 
 SCRIPT = service_files() / "install.sh"
 KIND = f"Python {sys.version_info[0]}.{sys.version_info[1]}, {platform.machine()}\n"

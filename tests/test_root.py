@@ -22,8 +22,8 @@ from spheremouse.commands.service import app
 from spheremouse.commands.service import systemd as service
 from spheremouse.errors import ConfigurationError, ControlError, ServiceError, SpheremouseError
 from spheremouse.files import safe_files
+from spheremouse.files.access import service_files
 from spheremouse.files.safe_files import write_atomically
-from spheremouse.files.service import service_files
 from spheremouse.output import text
 from spheremouse.output.serial import firmware
 from spheremouse.session.control import socket_file

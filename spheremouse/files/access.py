@@ -1,7 +1,10 @@
-"""The rights of this account on a device node, and the service's folder."""
+"""The rights of this account on a device node, the service's folder, and the files that come with the program."""
 
 import os
 from pathlib import Path
+
+import spheremouse
+from spheremouse.errors import ServiceError
 
 STATE_FOLDER = Path("/var/lib/spheremouse")  # systemd makes it at the service's first start
 
@@ -49,3 +52,15 @@ def _groups_of(who: str) -> list[str]:
     import grp
 
     return [g.gr_name for g in grp.getgrall() if who in g.gr_mem]
+
+
+def service_files(name: str = "") -> Path:
+    """Return the folder `service/`, or a folder in it, from the repository or the installed package.
+
+    Raises ServiceError if neither has it.
+    """
+    package = Path(spheremouse.__file__).parent
+    for path in (package.parent / "service", package / "_service"):
+        if (path / "firmware").is_dir() and (path / name).is_dir():
+            return path / name
+    raise ServiceError("the files of the service and the firmware are not here; install spheremouse again")

@@ -8,7 +8,7 @@ and their numbers have a gap.
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from select import POLLIN, poll
@@ -188,11 +188,8 @@ def largest_size(argument: str, limit: tuple[int, int]) -> tuple[int, int] | Non
         return None
     from spheremouse.capture.v4l2.device import Device, find
 
-    device = Device(find(argument.partition(",")[0]))
-    try:
+    with closing(Device(find(argument.partition(",")[0]))) as device:
         return device.largest(limit)
-    finally:
-        device.close()
 
 
 def open_camera(argument: str, settings: CameraSettings) -> V4L2Camera:
@@ -240,11 +237,8 @@ def planned_size(argument: str, settings: CameraSettings) -> tuple[int, int]:
     from spheremouse.capture.v4l2.device import Device, find
 
     name, settings = parse(argument, settings)
-    device = Device(find(name))
-    try:
+    with closing(Device(find(name))) as device:
         return device.planned_size(settings)
-    finally:
-        device.close()
 
 
 def parse(argument: str, settings: CameraSettings) -> tuple[str, CameraSettings]:

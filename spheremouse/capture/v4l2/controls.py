@@ -28,6 +28,11 @@ from spheremouse.files.validate import nearest
 _MANUAL, _SHUTTER_PRIORITY = 1, 2  # values of V4L2_CID_EXPOSURE_AUTO with a known exposure
 _EXPOSURE_UNIT = 1e-4  # s, of V4L2_CID_EXPOSURE_ABSOLUTE
 _MAINS = {0: 0, 50: 1, 60: 2}  # V4L2_CID_POWER_LINE_FREQUENCY
+_MANUAL_CONTROLS = (  # setting, the control of its automatic, its own control, unit
+    ("gain", ControlID.AUTOGAIN, ControlID.GAIN, ""),
+    ("focus", ControlID.FOCUS_AUTO, ControlID.FOCUS_ABSOLUTE, ""),
+    ("white_balance", ControlID.AUTO_WHITE_BALANCE, ControlID.WHITE_BALANCE_TEMPERATURE, " K"),
+)
 _SWITCH = {"on": 1, "true": 1, "yes": 1, "off": 0, "false": 0, "no": 0}
 _INTEGER_TYPES = {
     ControlType.INTEGER,
@@ -81,16 +86,10 @@ class Controls:
             units = max(1, round(settings.exposure_s / _EXPOSURE_UNIT))
             got = self._set(ControlID.EXPOSURE_ABSOLUTE, units, "exposure_s", lambda n: f"{n * _EXPOSURE_UNIT:g} s")
             words.append(f"exposure {1e3 * got * _EXPOSURE_UNIT:g} ms")
-        if settings.gain is not None:
-            self._switch(ControlID.AUTOGAIN, 0)
-            words.append(f"gain {self._set(ControlID.GAIN, settings.gain, 'gain')}")
-        if settings.focus is not None:
-            self._switch(ControlID.FOCUS_AUTO, 0)
-            words.append(f"focus {self._set(ControlID.FOCUS_ABSOLUTE, settings.focus, 'focus')}")
-        if settings.white_balance is not None:
-            self._switch(ControlID.AUTO_WHITE_BALANCE, 0)
-            got = self._set(ControlID.WHITE_BALANCE_TEMPERATURE, settings.white_balance, "white_balance")
-            words.append(f"white balance {got} K")
+        for name, automatic, which, unit in _MANUAL_CONTROLS:
+            if (value := getattr(settings, name)) is not None:
+                self._switch(automatic, 0)
+                words.append(f"{name.replace('_', ' ')} {self._set(which, value, name)}{unit}")
         for text in settings.controls:
             name, _, value = (part.strip() for part in text.partition("="))
             control = self.find(name)

@@ -34,7 +34,7 @@ def install(
 ) -> None:
     """Copy the firmware to a board with CircuitPython (Raspberry Pi Pico and other RP2040 boards)."""
     from spheremouse.commands.firmware.board import select_drive, unremovable_file, unsupported_version
-    from spheremouse.files.service import service_files
+    from spheremouse.files.access import service_files
     from spheremouse.output.serial import firmware
     from spheremouse.output.serial.firmware import format_version
 
@@ -85,7 +85,7 @@ def check(
         other_version,
         select_drive,
     )
-    from spheremouse.files.service import service_files
+    from spheremouse.files.access import service_files
     from spheremouse.output.serial import BAUD, firmware, validate_baud
     from spheremouse.output.serial.firmware import format_version
 

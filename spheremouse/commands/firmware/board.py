@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from spheremouse.errors import OutputError
-from spheremouse.files.service import service_files
+from spheremouse.files.access import service_files
 from spheremouse.output.serial import Serial, firmware
 from spheremouse.output.serial.firmware import Drive, format_version
 from spheremouse.output.serial.messages import Flags

@@ -14,7 +14,7 @@ import typer
 from spheremouse.commands.service import systemd as service
 from spheremouse.commands.service.systemd import UNIT, USER, Place
 from spheremouse.errors import ServiceError, printable
-from spheremouse.files.service import service_files
+from spheremouse.files.access import service_files
 
 app = typer.Typer(no_args_is_help=True, help="Start with the computer: install, uninstall, status.")
 

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Literal
 
 from spheremouse.errors import ConfigurationError, ServiceError, printable
+from spheremouse.files.access import service_files
 from spheremouse.files.safe_files import open_to_read, others_may_change, replace
-from spheremouse.files.service import service_files
 
 UNIT = "spheremouse.service"
 USER = "spheremouse"  # and its group

@@ -13,8 +13,8 @@ from pathlib import Path
 from types import ModuleType
 
 from spheremouse.errors import OutputError, printable
+from spheremouse.files.access import service_files
 from spheremouse.files.safe_files import replace
-from spheremouse.files.service import service_files
 
 PICO = "firmware/pico"  # in `service/`
 FILES = ("boot.py", "mouse.py", "protocol.py", "code.py")  # code.py last, because the board runs it when it changes

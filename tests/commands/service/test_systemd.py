@@ -18,7 +18,7 @@ from spheremouse.commands.service import app, check
 from spheremouse.commands.service import systemd as service
 from spheremouse.commands.service.systemd import Place
 from spheremouse.errors import ServiceError
-from spheremouse.files.service import service_files
+from spheremouse.files.access import service_files
 
 PROGRAM = "/opt/spheremouse/current/bin/spheremouse"
 UNIT = "etc/systemd/system/spheremouse.service"

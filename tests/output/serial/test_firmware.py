@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from spheremouse.commands.firmware import app
 from spheremouse.errors import OutputError
-from spheremouse.files.service import service_files
+from spheremouse.files.access import service_files
 from spheremouse.output.serial import firmware, messages
 from spheremouse.output.serial import link as host
 
