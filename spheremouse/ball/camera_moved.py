@@ -1,17 +1,66 @@
-"""Signs that the camera was moved."""
+"""A camera that was moved: its signs in discs and targets, and its new pose."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from spheremouse.ball import camera_watch as watching
+from spheremouse.ball.build import build
 from spheremouse.ball.camera_watch import CameraMonitor
+from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.pose import find_pose, predict_targets
 from spheremouse.ball.state import Tracker, TrackState
+from spheremouse.errors import PoseError
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Frame, Status
 
 _LIVELY = 64.0  # level of the player from which a bumped camera explains as much
 _STIRRED = 8.0  # the same of a ball that hardly turns, and a camera that shakes by a few tenths of a pixel
 _RESTS = 0.2  # rad/s, below which a ball hardly turns: a pixel per frame
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
+
+
+# The tracker at another pose, and what that adds to the covariance, (6, 6); None: a new pose.
+Moved = tuple[Tracker, Array | None]
+Seek = Callable[[Frame, Tracker], Moved | None]
+
+
+class CameraCheck(NamedTuple):
+    """Result of a check of all targets."""
+
+    watch: CameraMonitor
+    moving: bool = False  # the camera has no pose yet
+    moved: Moved | None = None  # it has a new one
+
+
+def seek_by_colour(frame: Frame, tracker: Tracker) -> Moved | None:
+    """Return the tracker at the pose from the whole image; None without one, or at the same pose."""
+    rig, settings = tracker.rig, tracker.settings
+    if frame.image.ndim != 3:
+        return None
+    try:
+        seen = detect_targets(frame.image, rig.targets.radii, settings.rings)
+        pose = find_pose([seen], rig, frame.image).pose
+        shift = predict_targets(pose, rig) - predict_targets(tracker.pose, rig)
+        return (build(rig, pose, settings), None) if watching.displaced(shift, 3.0 * watching.MATCH_SIGMA_PX) else None
+    except PoseError:
+        return None
+
+
+def shows_targets(frame: Frame, tracker: Tracker, pose: Pose) -> bool:
+    """Return whether a frame shows three targets in their places at a pose that was found for an earlier frame."""
+    watch = watching.begin(tracker.rig, pose)
+    if watch is None:
+        return True  # too near the edge of the picture to be watched
+    every = np.arange(len(watch), dtype=np.intp)
+    return bool(
+        np.count_nonzero(watching.remember_targets(watch, frame.image, every, tracker.rig, tracker.settings.rings).seen)
+        >= 3
+    )
 
 
 def hidden(watch: CameraMonitor | None) -> bool:
@@ -50,3 +99,50 @@ def out_of_sight(state: TrackState, stamp: float) -> bool:
         return False
     astray = state.rebuilt is not None and int(np.count_nonzero(watch.seen)) < 3  # the last pose found shows too few
     return (astray or hidden(watch)) and not watch.tried <= stamp < watch.tried + _COLOUR_EVERY
+
+
+def check_targets(
+    before: CameraMonitor, after: TrackState | None, frame: Frame, tracker: Tracker, seek: Seek
+) -> CameraCheck:
+    """Check all targets: the camera stands, moves, or has a new pose.
+
+    `after` is the state after the frame if the camera stands, if known.
+    """
+    watch, shift = watching.target_shifts(before, frame.image)
+    on_rings = watching.on_rings(watch, frame.image, shift, tracker.rig, tracker.settings.rings)
+    moved = watching.displaced(on_rings, watching.DISPLACED_PX)
+    if moved is None:
+        moved = watching.displaced(shift, 3.0 * watching.MATCH_SIGMA_PX)
+    if moved:
+        still = watching.is_still(before.shift, shift)
+        found = (_pose_by_shifts(on_rings, shift, tracker) or seek(frame, tracker)) if still else None
+        return CameraCheck(replace(watch, shift=shift), moving=True, moved=found)
+    watch = replace(watch, shift=np.zeros((0, 2)), away=None)
+    if frame.image.ndim != 3 and not watch.asked:  # what is too little for correlation, colours may tell
+        return CameraCheck(replace(watch, asked=True))
+    watch = replace(watch, asked=False)
+    if moved is None and after is not None and out_of_sight(replace(after, watch=watch), frame.stamp):
+        watch = replace(watch, tried=frame.stamp)
+        found = seek(frame, tracker)
+        if found is not None:
+            return CameraCheck(watch, moved=found)
+    if moved is False:  # then a target out of its place was moved by itself, or is in another light
+        alone = np.flatnonzero(np.hypot(*np.nan_to_num(shift).T) > watching.DISPLACED_PX)
+        watch = watching.remember_targets(watch, frame.image, alone, tracker.rig, tracker.settings.rings)
+    return CameraCheck(watch)
+
+
+def _pose_by_shifts(on_rings: Array, shift: Array, tracker: Tracker) -> Moved | None:
+    """Return the tracker at the pose that the shifts of the targets, (n, 2) px, give; None if they give none.
+
+    The shifts are measured on the rings, or else by correlation. Also the addition to the pose's covariance, (6, 6).
+    """
+    rig, settings = tracker.rig, tracker.settings
+    for measured, sigma in ((on_rings, watching.RING_SIGMA_PX), (shift, watching.MATCH_SIGMA_PX)):
+        found = watching.moved_pose(measured, rig, tracker.pose, sigma)
+        if found is not None:
+            try:
+                return build(rig, found[0], settings), found[1]
+            except PoseError:
+                continue
+    return None

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse.ball import camera_moved
 from spheremouse.ball import camera_watch as watching
 from spheremouse.ball.build import begin, build, colours_of
+from spheremouse.ball.camera_moved import Seek, seek_by_colour
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.detect.lookalikes import StaticDistractors
-from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.events import (
     BallLost,
@@ -23,17 +24,15 @@ from spheremouse.ball.events import (
     Doubt,
     MotionReleased,
     MotionWithheld,
+    ReadoutKnown,
     TargetsHidden,
     Why,
 )
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3_state import PLACED
 from spheremouse.ball.phases import colours
-from spheremouse.ball.phases.camera_moved import hidden, out_of_sight, surprised, with_references
-from spheremouse.ball.phases.readout import learn_readout
-from spheremouse.ball.phases.recover import lost_in_a_gap
+from spheremouse.ball.phases.recover import lost_in_a_gap, lost_in_time
 from spheremouse.ball.points import intersect
-from spheremouse.ball.pose import find_pose, predict_targets
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import (
     Events,
@@ -50,30 +49,13 @@ from spheremouse.ball.state import (
     no_points,
     statistics,
 )
-from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, rotation_between
 from spheremouse.tracker import Estimate, Frame, Status, Step, check_size
 
+_READOUT_SURE = 8e-5  # s, standard deviation from which a readout is known
+_READOUT_LEAST = 2e-3  # s: less moves nothing by more than a tenth of a degree
 _MATTERS = 0.1  # s without a confirmation from which a player notices: the pointer's prediction ends there by default
-
-# The tracker at another pose, and what that adds to the covariance, (6, 6); None: a new pose.
-Moved = tuple[Tracker, Array | None]
-Seek = Callable[[Frame, Tracker], Moved | None]
-
-
-def seek_by_colour(frame: Frame, tracker: Tracker) -> Moved | None:
-    """Return the tracker at the pose from the whole image; None without one, or at the same pose."""
-    rig, settings = tracker.rig, tracker.settings
-    if frame.image.ndim != 3:
-        return None
-    try:
-        seen = detect_targets(frame.image, rig.targets.radii, settings.rings)
-        pose = find_pose([seen], rig, frame.image).pose
-        shift = predict_targets(pose, rig) - predict_targets(tracker.pose, rig)
-        return (build(rig, pose, settings), None) if watching.displaced(shift, 3.0 * watching.MATCH_SIGMA_PX) else None
-    except PoseError:
-        return None
 
 
 def step(
@@ -94,15 +76,15 @@ def step(
     if state.watch is None:
         return _stages(state, frame, tracker, detected)
     if state.watch.away is not None:
-        return _check_camera(state, None, frame, tracker, seek)
+        return _with_check(state, None, frame, tracker, seek)
     done = _stages(state, frame, tracker, detected)
-    watch = with_references(state.watch, frame, tracker)
-    watch, odd = watching.check_next_target(watch, frame.image, frame.stamp, surprised(done.state))
+    watch = camera_moved.with_references(state.watch, frame, tracker)
+    watch, odd = watching.check_next_target(watch, frame.image, frame.stamp, camera_moved.surprised(done.state))
     if watch is not done.state.watch:
         done = done._replace(state=replace(done.state, watch=watch))
-    if odd or watch.asked or out_of_sight(done.state, frame.stamp):
-        done = _check_camera(replace(state, watch=watch), done, frame, tracker, seek)
-    if state.status is Status.TRACKING and done.state.status is Status.LOST and hidden(done.state.watch):
+    if odd or watch.asked or camera_moved.out_of_sight(done.state, frame.stamp):
+        done = _with_check(replace(state, watch=watch), done, frame, tracker, seek)
+    if state.status is Status.TRACKING and done.state.status is Status.LOST and camera_moved.hidden(done.state.watch):
         return done._replace(events=(*done.events, TargetsHidden()))
     return done
 
@@ -115,7 +97,7 @@ def wants_colour(state: TrackState, stamp: float) -> bool:
     if watch is None:
         return False
     unknown = stamp >= watch.due and any(patch is None for patch in watch.patches)
-    return watch.asked or watch.away is not None or unknown or out_of_sight(state, stamp)
+    return watch.asked or watch.away is not None or unknown or camera_moved.out_of_sight(state, stamp)
 
 
 def with_pose(state: TrackState, frame: Frame, tracker: Tracker, pose: Pose) -> Step[TrackState]:
@@ -125,18 +107,6 @@ def with_pose(state: TrackState, frame: Frame, tracker: Tracker, pose: Pose) -> 
     """
     tracker = current(state, tracker)
     return _with_new_pose(state, build(tracker.rig, pose, tracker.settings), None, frame, tracker)
-
-
-def shows_targets(frame: Frame, tracker: Tracker, pose: Pose) -> bool:
-    """Return whether a frame shows three targets in their places at a pose that was found for an earlier frame."""
-    watch = watching.begin(tracker.rig, pose)
-    if watch is None:
-        return True  # too near the edge of the picture to be watched
-    every = np.arange(len(watch), dtype=np.intp)
-    return bool(
-        np.count_nonzero(watching.remember_targets(watch, frame.image, every, tracker.rig, tracker.settings.rings).seen)
-        >= 3
-    )
 
 
 def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tuple[TrackState, Tracker]:
@@ -164,58 +134,18 @@ def _stages(
     return done if done.state.colours is before else colours.told(done, before)
 
 
-def _check_camera(
+def _with_check(
     state: TrackState, done: Step[TrackState] | None, frame: Frame, tracker: Tracker, seek: Seek
 ) -> Step[TrackState]:
-    """Check all targets: the camera stands, swings, or has a new place.
-
-    `done` is the result of the frame if the camera has not moved, if known. While it swings, nothing is
-    filtered and nothing sent: the prediction of the ball waits for the pose.
-    """
+    """Process a frame in which all targets are checked; `done` is its result with a camera that stands, if known."""
     assert state.watch is not None
-    before = state.watch.shift
-    watch, shift = watching.target_shifts(state.watch, frame.image)
-    on_rings = watching.on_rings(watch, frame.image, shift, tracker.rig, tracker.settings.rings)
-    moved = watching.displaced(on_rings, watching.DISPLACED_PX)
-    if moved is None:
-        moved = watching.displaced(shift, 3.0 * watching.MATCH_SIGMA_PX)
-    if moved and watching.is_still(before, shift):
-        anew = _pose_by_shifts(on_rings, shift, tracker) or seek(frame, tracker)
-        if anew is not None:
-            return _with_new_pose(state, *anew, frame, tracker)
-    if moved:
-        return _camera_moving(replace(state, watch=replace(watch, shift=shift)), frame.stamp, tracker)
-    watch = replace(watch, shift=np.zeros((0, 2)), away=None)
-    if frame.image.ndim != 3 and not watch.asked:  # what is too little for correlation, colours may tell
-        done = done or _stages(state, frame, tracker)
-        return done._replace(state=replace(done.state, watch=replace(watch, asked=True)))
-    watch = replace(watch, asked=False)
-    if moved is None and done is not None and out_of_sight(replace(done.state, watch=watch), frame.stamp):
-        watch = replace(watch, tried=frame.stamp)
-        anew = seek(frame, tracker)
-        if anew is not None:
-            return _with_new_pose(state, *anew, frame, tracker)
-    if moved is False:  # then a target out of its place was moved by itself, or is in another light
-        alone = np.flatnonzero(np.hypot(*np.nan_to_num(shift).T) > watching.DISPLACED_PX)
-        watch = watching.remember_targets(watch, frame.image, alone, tracker.rig, tracker.settings.rings)
+    check = camera_moved.check_targets(state.watch, done.state if done else None, frame, tracker, seek)
+    if check.moved is not None:
+        return _with_new_pose(state, *check.moved, frame, tracker)
+    if check.moving:
+        return _camera_moving(replace(state, watch=check.watch), frame.stamp, tracker)
     done = done or _stages(state, frame, tracker)
-    return done._replace(state=replace(done.state, watch=watch))
-
-
-def _pose_by_shifts(on_rings: Array, shift: Array, tracker: Tracker) -> Moved | None:
-    """Return the tracker at the pose that the shifts of the targets, (n, 2) px, give; None if they give none.
-
-    The shifts are measured on the rings, or else by correlation. Also the addition to the pose's covariance, (6, 6).
-    """
-    rig, settings = tracker.rig, tracker.settings
-    for measured, sigma in ((on_rings, watching.RING_SIGMA_PX), (shift, watching.MATCH_SIGMA_PX)):
-        found = watching.moved_pose(measured, rig, tracker.pose, sigma)
-        if found is not None:
-            try:
-                return build(rig, found[0], settings), found[1]
-            except PoseError:
-                continue
-    return None
+    return done._replace(state=replace(done.state, watch=check.watch))
 
 
 def _with_new_pose(
@@ -230,7 +160,7 @@ def _with_new_pose(
     filtered = anew.method.at_new_pose(state, anew, added)
     watch = watching.begin(anew.rig, anew.pose) if anew.method.keeps_map else None
     if watch is not None:
-        watch = replace(with_references(watch, frame, anew), due=frame.stamp)
+        watch = replace(camera_moved.with_references(watch, frame, anew), due=frame.stamp)
     phase = _from_elsewhere(state.phase)
     state = replace(
         state,
@@ -304,22 +234,21 @@ def advance(
     state, gap = lost_in_a_gap(state, stamp, tracker)
     state, events = tracker.method.next_phase(state, stamp, tracker, carried)
     events = events or gap  # found again with the frame that ends it
-    state, more = _lost_in_time(state, stamp, tracker)
+    state, more = lost_in_time(state, stamp, tracker)
     events = (*more, *events)  # causes of the state come first
     if tracker.rig.readout_sigma_s > 0.0 and not state.readout_known:
-        state, more = learn_readout(state, tracker)
+        state, more = _learn_readout(state, tracker)
         events = (*events, *more)
     return _reported(state, stamp, events)
 
 
-def _lost_in_time(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Events]:
-    """Lose a ball that no frame has confirmed for `lost_after` s."""
-    after = tracker.settings.loss.lost_after
-    if state.status is not Status.TRACKING or state.confirmed or stamp - state.confirmed_at <= after:
+def _learn_readout(state: TrackState, tracker: Tracker) -> tuple[TrackState, Events]:
+    """Return an event once play has shown how long the shutter takes, if it is a rolling one."""
+    if state.filter.readout_sigma > _READOUT_SURE:
         return state, ()
-    if stamp - state.supported_at <= after:
-        return state, ()
-    return lost(state), (BallLost(Why.UNSEEN, after, len(state.points)),)
+    readout = tracker.rig.readout_s + state.filter.readout
+    state = replace(state, readout_known=True)
+    return state, () if abs(readout) < _READOUT_LEAST else (ReadoutKnown(readout),)
 
 
 def _reported(state: TrackState, stamp: float, events: Events) -> Step[TrackState]:

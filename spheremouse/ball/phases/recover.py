@@ -30,6 +30,7 @@ from spheremouse.ball.state import (
     lost,
     start_tracking,
 )
+from spheremouse.tracker import Status
 
 _SPEAKS = 4  # discs in view: fewer are no evidence against a map
 _NEW_CENTRE_AFTER_S = 5.0  # a ball off its centre for so long stays there: a new map begins about the new centre
@@ -49,6 +50,15 @@ def lost_in_a_gap(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple
     if not isinstance(state.phase, Tracking) or gap <= tracker.settings.loss.lost_after:
         return state, ()
     return lost(state), (BallLost(Why.GAP, gap),)
+
+
+def lost_in_time(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Events]:
+    """Return the ball as lost if no frame confirmed it for `loss.lost_after` s."""
+    after = tracker.settings.loss.lost_after
+    known_at = max(state.confirmed_at, state.supported_at)
+    if state.status is not Status.TRACKING or state.confirmed or stamp - known_at <= after:
+        return state, ()
+    return lost(state), (BallLost(Why.UNSEEN, after, len(state.points)),)
 
 
 def seen_since(phase: Lost, points: int, stamp: float) -> Lost:

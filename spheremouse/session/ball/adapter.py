@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spheremouse.ball.build import begin, build
+from spheremouse.ball.camera_moved import shows_targets
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.events import CameraMoved
 from spheremouse.ball.pose import Resection
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import Epoch, Tracker, TrackState, current
-from spheremouse.ball.track import shows_targets, step, wants_colour, with_pose, with_settings
+from spheremouse.ball.track import step, wants_colour, with_pose, with_settings
 from spheremouse.errors import PoseError, SpheremouseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.output import Output, open_output

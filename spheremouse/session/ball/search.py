@@ -9,6 +9,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from typing import Generic, TypeVar
 
+from spheremouse.ball.camera_moved import Moved, seek_by_colour
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.diagnosis import Absence, why_no_disc
 from spheremouse.ball.detect.rings import TargetDetections, detect_targets
@@ -17,7 +18,6 @@ from spheremouse.ball.pose import Resection, find_pose, gather
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker, TrackState
-from spheremouse.ball.track import Moved, seek_by_colour
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.output.rate_limited_logger import strip_digits
