@@ -7,12 +7,11 @@ from typing import Annotated
 import typer
 
 from spheremouse.commands.options import JsonFile
-from spheremouse.commands.terminal import progress_bar
+from spheremouse.commands.terminal import progress_bar, table_console
 from spheremouse.errors import ConfigurationError
 
 WARM_UP = 10  # frames that do not count: caches, allocator and processor clock settle
 _STEPS = 10_000  # in a row: a hundred of them are above the 99th percentile
-_TABLE_WIDTH = 100  # characters
 
 
 def bench(
@@ -32,8 +31,6 @@ def bench(
 
     The command finds the camera's pose before. Pose and the first 10 frames do not count; every other frame does.
     """
-    from rich.console import Console
-
     from spheremouse.commands.bench import measure as benchmark
     from spheremouse.commands.bench.report import notes, report, table
     from spheremouse.files.safe_files import write_atomically
@@ -60,10 +57,9 @@ def bench(
     if json_file == Path("-"):
         typer.echo(text, nl=False)
         return
-    console = Console(soft_wrap=True)
-    console.width = max(console.width, _TABLE_WIDTH)
+    console = table_console()
     console.print(table(figures))
     for line in notes(figures):
-        console.print(line, highlight=False)
+        console.print(line)
     if json_file is not None:
         write_atomically(json_file, text)

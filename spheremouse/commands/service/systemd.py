@@ -178,8 +178,7 @@ def refuse_unsafe(place: Place) -> None:
     """Raise ServiceError if a link leads out of the root, or if this is root and others may change a folder."""
     folders = [place.root, place.link.parent, place.changes.parent, place.configuration, place.state.parent]
     folders += [place.cache.parent, *(path.parent for _, path in place.files())]
-    there = (next(p for p in (folder, *folder.parents) if os.path.lexists(p)) for folder in folders)
-    for folder in dict.fromkeys(there):
+    for folder in dict.fromkeys(map(_existing, folders)):
         try:
             if not folder.resolve().is_relative_to(place.root):
                 raise ServiceError(f"{folder}: leads out of {place.root}; make it a folder there")
@@ -313,16 +312,15 @@ def carry_out(actions: Iterator[FileAction] | list[FileAction], umask: int = 0o0
 
 def may(place: Place) -> bool:
     """Return True if this account can write into the folders of the files."""
-    for _, path in place.files():
-        there = path.parent
-        while not there.exists():
-            there = there.parent
-        if not os.access(there, os.W_OK | os.X_OK):
-            return False
-    return True
+    return all(os.access(_existing(path.parent), os.W_OK | os.X_OK) for _, path in place.files())
 
 
 # ---- within ----
+
+
+def _existing(folder: Path) -> Path:
+    """Return a folder, or the nearest one above it that exists."""
+    return next(p for p in (folder, *folder.parents) if os.path.lexists(p))
 
 
 @contextlib.contextmanager
