@@ -6,7 +6,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from spheremouse.commands.options import Assignments, ConfigFile
-from spheremouse.errors import ConfigurationError, SpheremouseError
+from spheremouse.errors import SpheremouseError
 
 app = typer.Typer(no_args_is_help=True, help="Show, check or write a configuration file.")
 
@@ -64,14 +64,12 @@ def init(
     everything: Annotated[bool, typer.Option("--all", help="Write the settings for experts, too.")] = False,
 ) -> None:
     """Write a configuration file with the settings of daily use, each with meaning, unit, bounds and default."""
+    from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.files import config
     from spheremouse.files.safe_files import write_atomically
 
     try:
-        if file.is_dir():
-            raise ConfigurationError(f"{file}: is a directory; name a file in it")
-        if file.exists() and not force:
-            raise ConfigurationError(f"{file}: exists already; choose another name, or replace it with --force")
+        check_outputs([file], [], force)
         write_atomically(file, config.dump_commented(root()(), None if everything else getattr(root(), "COMMON", None)))
     except SpheremouseError as e:
         _fail(e)

@@ -397,7 +397,7 @@ def test_init_writes_what_check_accepts_and_show_reads(run, tmp_path, monkeypatc
     assert run("check", "my.yaml").output == "my.yaml: ok\n"
     again = run("init", "my.yaml")
     assert again.exit_code == 2
-    assert again.stderr == "my.yaml: exists already; choose another name, or replace it with --force\n"
+    assert again.stderr == "my.yaml: there already; name another file, or replace it with --force\n"
     assert run("init", "my.yaml", "--force").exit_code == 0
     result = run("show", "--config", "my.yaml", "--set", "tracker=ekf1")
     assert result.exit_code == 0

@@ -31,12 +31,12 @@ def bench(
 
     The command finds the camera's pose before. Pose and the first 10 frames do not count; every other frame does.
     """
+    from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.commands.bench import measure as benchmark
     from spheremouse.commands.bench.report import notes, report, table
     from spheremouse.files.safe_files import write_atomically
 
-    if json_file is not None and not json_file.parent.is_dir():
-        raise ConfigurationError(f"--json: {json_file.parent}: no such folder")
+    check_outputs([json_file], [dataset], True)
     if 0 < steps <= WARM_UP:
         raise ConfigurationError(f"--steps: {steps}: the first {WARM_UP} do not count; give more, or 0")
     film = benchmark.simulated(frames) if dataset is None else benchmark.recorded(dataset, frames)
