@@ -211,7 +211,7 @@ def measure(tracker: Tracker, truths: list[Truth], said: list[Said]) -> dict[str
         "rate_rms_deg_s": rounded(np.degrees(np.sqrt(np.mean(rate[kept] ** 2)))) if len(kept) else None,
         "rest_frames": int(resting.sum()),
         "rest_counts": int(np.abs(sent[resting]).sum()),
-        "jump_counts": rounded(largest_jump(true, sent, said)),
+        "jump_counts": rounded(largest_jump(true, sent)),
         "missing_counts": rounded(float(np.linalg.norm((true - sent).sum(axis=0)))),
         "blind_frames": blind,
         "blind_to_the_end": to_the_end,
@@ -260,15 +260,19 @@ def at_rest(truths: list[Truth]) -> Mask:
     return stamps > last + SETTLED
 
 
-def largest_jump(true: Array, sent: Array, said: list[Said]) -> float:
-    """Most counts sent with one frame that the ball did not earn, neither since the frame before nor since the last
-    frame that sent something: a tracker that makes up for a few frames it did not see does not jump."""
-    largest, owed = 0.0, np.zeros(3)
-    for earned, counts, s in zip(true, sent, said, strict=True):
-        owed = owed + earned
-        if np.any(s.estimate.increment):
-            largest = max(largest, min(float(np.linalg.norm(counts - e)) for e in (earned, owed)))
-            owed = np.zeros(3)
+def largest_jump(true: Array, sent: Array) -> float:
+    """Return the largest distance, in counts, of the counts of a frame from what the tracker could rightly send.
+
+    That lies between the ball's motion in this frame and this motion with all that is still unsent. Frames without
+    counts are left out, because the tracker withheld their motion.
+    """
+    largest, unsent = 0.0, np.zeros(3)
+    for earned, counts in zip(true, sent, strict=True):
+        over = counts - earned
+        share = np.clip(over @ unsent / max(unsent @ unsent, 1e-9), 0.0, 1.0)
+        if np.any(counts):
+            largest = max(largest, float(np.linalg.norm(over - share * unsent)))
+        unsent = unsent - over
     return largest
 
 
