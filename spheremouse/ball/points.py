@@ -49,17 +49,7 @@ class SpherePoints:
 
     def take(self, keep: NDArray[np.bool_] | NDArray[np.intp] | slice) -> "SpherePoints":
         """Return the entries of a mask, of indices or of a slice."""
-        return SpherePoints(
-            self.position[keep],
-            self.covariance[keep],
-            self.direction[keep],
-            self.image_covariance[keep],
-            self.dposition_dpose[keep],
-            self.dposition_dball[keep],
-            self.delay[keep],
-            self.row[keep],
-            self.index[keep],
-        )
+        return SpherePoints(*(getattr(self, name)[keep] for name in self.__slots__))
 
 
 def intersect(detections: Centres, rig: Rig, pose: Pose) -> SpherePoints:

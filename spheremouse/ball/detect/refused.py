@@ -80,31 +80,28 @@ def refused_targets(image: Image, radii: Array, settings: RingSettings, seen: Ta
 
 
 class _Places:
-    """Return the near misses that lie within no other one."""
+    """Near misses, none within another one or a target."""
 
     def __init__(self, seen: TargetDetections) -> None:
         self.refused: list[Refused] = []
         self._taken = list(zip(seen.centre, seen.radius, strict=True))
 
     def add(self, code: str, centre: Array, radius: float, bound: Bound) -> None:
-        """One more, unless there is something there."""
+        """Add a near miss, unless something lies there already."""
         if all(np.linalg.norm(centre - other) > max(radius, r) for other, r in self._taken):
             self._taken.append((centre, radius))
             self.refused.append(Refused(code, centre, radius, bound))
 
 
 def _widened(s: RingSettings) -> tuple[tuple[Bound, RingSettings], ...]:
-    hues = {name: (max(low - _HUES, 0), min(high + _HUES, 180)) for name, (low, high) in _hues(s).items()}
+    hues = {"cyan": s.cyan, "magenta": s.magenta, "yellow": s.yellow}
+    hues = {name: (max(low - _HUES, 0), min(high + _HUES, 180)) for name, (low, high) in hues.items()}
     pale = replace(s, saturation=(min(s.saturation[0], _PALE), 255), value=(min(s.value[0], _PALE), 255))
     return (
         (Bound.SIZE, replace(s, min_radius=min(s.min_radius, _SMALLEST))),
         (Bound.LIGHT, pale),
         (Bound.HUE, replace(s, **hues)),
     )
-
-
-def _hues(s: RingSettings) -> dict[str, tuple[int, int]]:
-    return {"cyan": s.cyan, "magenta": s.magenta, "yellow": s.yellow}
 
 
 def _without_holes(spots: Spots) -> Spots:

@@ -70,23 +70,28 @@ def test_covariance_is_honest(noise):
 # --- light -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("gain", "offset"), [(1.0, 50.0), (1.0, -25.0), (0.3, 0.0), (0.5, 60.0), (1.25, 0.0)])
-def test_brightness_and_contrast_do_not_matter(gain, offset):
-    plain = DETECTOR.detect(photo(CLEAN))
-    seen = DETECTOR.detect(photo(gain * CLEAN + offset))
-    assert len(seen) == len(plain)
-    assert np.sqrt(np.mean(errors(seen, TRUTH) ** 2)) < 0.04
-    pairs = match(seen, plain.centre)
-    assert np.abs(seen.centre[pairs[:, 0]] - plain.centre[pairs[:, 1]]).max() < 0.06
-
-
-@pytest.mark.parametrize("direction", [0.0, 1.0, 2.5])
-def test_a_slope_of_light_does_not_matter(direction):
-    """From full light to a third across the ball: the darkest ball is little brighter than the brightest disc."""
-    h, w = CLEAN.shape
-    v, u = np.mgrid[:h, :w]
+def slope(direction):
+    """In light from full to a third across the ball: the darkest ball is little brighter than the brightest disc."""
+    v, u = np.mgrid[: CLEAN.shape[0], : CLEAN.shape[1]]
     t = ((u - 320) * np.cos(direction) + (v - 240) * np.sin(direction)) / 170.0
-    seen = DETECTOR.detect(photo(CLEAN * np.clip(0.67 - 0.33 * t, 0.2, 1.2)))
+    return CLEAN * np.clip(0.67 - 0.33 * t, 0.2, 1.2)
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        CLEAN,
+        CLEAN + 50.0,
+        CLEAN - 25.0,
+        0.3 * CLEAN,
+        0.5 * CLEAN + 60.0,
+        1.25 * CLEAN,
+        *map(slope, (0.0, 1.0, 2.5)),
+    ],
+    ids=["plain", "haze", "offset", "dim", "pale", "bright", "slope across", "slope", "slope back"],
+)
+def test_light_does_not_matter(image):
+    seen = DETECTOR.detect(photo(image))
     assert len(match(seen, TRUTH)) == len(seen) == len(DISCS)
     assert np.sqrt(np.mean(errors(seen, TRUTH) ** 2)) < 0.06
 
