@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TypeVar
 
 from spheremouse import capture, output
-from spheremouse.ball.rig import Rig
 from spheremouse.errors import ConfigurationError, SourceError, SpheremouseError
 from spheremouse.files.access import STATE_FOLDER
 from spheremouse.files.disc_map import check_fits, load_map
@@ -67,7 +66,7 @@ def validate(file: Path, c: Configuration) -> Found:
 
 def _files(file: Path, c: Configuration, found: Found) -> InteriorOrientation | None:
     """Check rig, camera, map, balls and recordings. Return the calibrated camera, if one is named."""
-    rig = _read(("rig",), beside(file, c.rig), _rig, found)
+    rig = _read(("rig",), beside(file, c.rig), load_rig, found)
     camera = _read(("camera_file",), beside(file, c.camera_file), load_camera, found)
     if (path := beside(file, c.map)) is not None and _folder_there(("map",), path, found) and path.exists():
         saved = _read(("map",), path, load_map, found)
@@ -81,12 +80,6 @@ def _files(file: Path, c: Configuration, found: Found) -> InteriorOrientation | 
     if folder is not None and folder.exists() and not folder.is_dir():
         found.wrong.append(Problem(("record", "folder"), f"{folder}: is no folder; name another"))
     return camera or (None if rig is None else rig.camera)
-
-
-def _rig(path: Path) -> Rig:
-    if not path.exists():
-        raise ConfigurationError(f"{path}: no such file; calibrate (`spheremouse calibrate next`), or check the path")
-    return load_rig(path)
 
 
 def _read(key: Key, path: Path | None, read: Callable[[Path], T], found: Found) -> T | None:

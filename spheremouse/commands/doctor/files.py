@@ -15,13 +15,10 @@ from spheremouse.files.yaml import read_document
 from spheremouse.finding import Finding, Verdict, classify, ok, refusals, unchecked, warning, wrong
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.config_check import size_problem
-from spheremouse.session.plan import Plan, Request, beside, read_plan
+from spheremouse.session.plan import Plan, Request, read_plan
 from spheremouse.session.settings import Configuration
 
 _DAY = 86400.0  # s
-_CALIBRATE = (
-    "calibrate (one evening): begin with `spheremouse calibrate print`, go on with `spheremouse calibrate next`"
-)
 
 
 def usual(request: Request, status: dict[str, Any] | None) -> Request:
@@ -70,29 +67,17 @@ def read(request: Request, camera: str | None) -> tuple[Plan | None, list[Findin
     request = replace(request, assignments=(*request.assignments, "wand.balls=[]"), balls=())
     bare = replace(request, assignments=(*request.assignments, "rig=null", "camera_file=null"), rig=None, camera=None)
     attempts = [request, replace(bare, no_map=True, map=None), Request(None, (), request.source, request.output)]
-    said: set[str] = set()
     plan: Plan | None = None
     for attempt in attempts:
         try:
             plan = read_plan(_completed(attempt, camera))
             break
         except ConfigurationError as e:
-            told = [_no_rig_yet(attempt, f) for f in refusals("configuration", e)]
-            findings += [f for f in told if f.text not in said]
-            said |= {f.text for f in findings}
+            findings += [f for f in refusals("configuration", e) if f not in findings]
     if not findings:
         where = "none: built-in parameters" if request.file is None else str(request.file)
         findings.append(ok("configuration", where))
     return None if plan is None else _as_the_service(plan, request), findings
-
-
-def _no_rig_yet(request: Request, finding: Finding) -> Finding:
-    """Return a finding about a missing rig file of the configuration, which must be made first."""
-    if request.rig is None and finding.text.endswith(": no such file"):
-        rig = beside(request.file, config.in_force(request.file, request.assignments, Configuration).rig)
-        if rig is not None and finding.text == f"{rig}: no such file":
-            return wrong(finding.name, f"no rig yet: {finding.text}", f"{_CALIBRATE}; then copy rig.yaml to there")
-    return finding
 
 
 def _as_the_service(plan: Plan, request: Request) -> Plan:
@@ -117,7 +102,7 @@ def rig_file(path: Path | None, rig: Rig | None, given: Rig | None) -> Finding:
     if rig is None and given is not None:
         return ok("rig", "the source brings its own")
     if rig is None or path is None:
-        advice = f"{_CALIBRATE}; where there is one: give --rig FILE, or `rig:` in the configuration"
+        advice = "calibrate (`spheremouse calibrate next`), or give --rig FILE, or `rig:` in the configuration"
         return unchecked("rig", "no rig yet: the pictures cannot be measured", advice)
     made, how = _made(path)
     days = (datetime.now(UTC) - made).total_seconds() / _DAY

@@ -4,6 +4,7 @@ Units, frames and conventions are those of `rig` and `camera`: metres, `obj`, Op
 reader checks every value, so the core does not.
 """
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping
 from io import StringIO
@@ -14,6 +15,7 @@ import numpy as np
 from ruamel.yaml import YAML
 
 from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
+from spheremouse.errors import ConfigurationError
 from spheremouse.files.rig.checks import camera_problems, rig_problems
 from spheremouse.files.rig.models import CameraFile, CameraPart, RigFile, Vector3, matrix, of_each, targets_covariance
 from spheremouse.files.safe_files import write_atomically
@@ -25,6 +27,10 @@ from spheremouse.geometry.rotation import Array
 
 def load_rig(path: Path) -> Rig:
     """Read a rig from a file; ConfigurationError with a line for each problem."""
+    with contextlib.suppress(PermissionError, ValueError):  # which the reader reports
+        if not path.exists():
+            advice = "calibrate (`spheremouse calibrate next`), or check the path"
+            raise ConfigurationError(f"{path}: no such file; {advice}")
     document, file = read_checked(path, RigFile, "rig")
     if problems := [*camera_problems(file.camera), *rig_problems(file)]:
         raise document.error(problems)
