@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.signal import lombscargle
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import DiscSettings
@@ -159,11 +160,6 @@ def _strips(grid: Array, mask: Image | None) -> Array:
 
 
 def _power(signal: Array, t: Array, frequencies: Array) -> Array:
-    """Return the squared amplitude of the best harmonic, the mean over strips, (frequencies,)."""
-    found = np.empty(len(frequencies))
-    for i, f in enumerate(frequencies):
-        angle = 2.0 * np.pi * f * t
-        wave = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        ab = np.linalg.lstsq(wave, signal, rcond=None)[0]
-        found[i] = np.mean(np.sum(ab**2, axis=0))
-    return found
+    """Return the squared amplitude of the best harmonic (Lomb 1976), the mean over strips, (frequencies,)."""
+    powers = [lombscargle(t, strip, 2.0 * np.pi * frequencies) for strip in signal.T]
+    return 4.0 / len(t) * np.mean(powers, axis=0)
