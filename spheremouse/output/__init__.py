@@ -24,6 +24,7 @@ class Report(NamedTuple):
     counts: tuple[int, int, int]  # x, y and third axis
     rate: tuple[float, float, float]  # counts/s at its end
     estimate: Estimate
+    balls: tuple[Estimate, ...] = ()  # of all hand-held balls, the one that moves the pointer included
 
 
 def no_report(stamp: float) -> Report:

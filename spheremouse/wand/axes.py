@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spheremouse.geometry.rotation import Array, euler_rate_matrix, from_euler, to_euler
+from spheremouse.tracker import Estimate
 
 _QUARTER = 0.5 * np.pi
 _MIN_COS_PHI = 1e-6  # below, the angles are undefined
@@ -37,6 +38,12 @@ def axes_of(position: Array, rotation: Array, covariance: Array) -> Axes:
     else:
         sigma = np.full(3, np.pi)
     return Axes(position, angles, np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0)), sigma)
+
+
+def estimated_axes(estimate: Estimate) -> Axes:
+    """Return the axes of an estimate."""
+    covariance = np.roll(estimate.covariance[:6, :6], (3, 3), axis=(0, 1))  # the rotation first in an estimate
+    return axes_of(estimate.position, estimate.rotation, covariance)
 
 
 def attitude(angles: Array) -> Array:

@@ -87,6 +87,7 @@ class WandState:
 
     tracks: tuple[Track, ...]
     poses: tuple[WandPose, ...] = ()  # of each ball in the last frame
+    estimates: tuple[Estimate, ...] = ()  # of each ball in the last frame
     frames: int = 0  # since the tracker began
     last_search: float = -np.inf  # s, last search of the whole picture
     frames_since_search: int = 0

@@ -99,7 +99,7 @@ def begin(
 def step(state: WandState, frame: Frame, tracker: WandTracker, command: Array | None = None) -> Step[WandState]:
     """Track all balls through one frame.
 
-    The estimate is that of the ball `tracker.points`, and the state has the poses of all balls. `command` (6,) m/s,
+    The estimate is that of the ball `tracker.points`, and the state has those of all balls. `command` (6,) m/s,
     rad/s in cam axes is a known velocity since the last frame, for example a robot's. Equal frames and seeds give equal
     poses.
     """
@@ -129,11 +129,12 @@ def step(state: WandState, frame: Frame, tracker: WandTracker, command: Array | 
     some_missing = any(t.phase != Status.TRACKING for t in (*state.tracks, *tracks))  # now or before this frame
     if problem and (some_missing or after.colour_problem_age > _REPORT_AGE):
         poses = [replace(p, event=problem) if not p.event or p.phase != Status.TRACKING else p for p in poses]
-    k = tracker.points
-    found = estimate(state.tracks[k].measured, tracks[k], poses[k], frame.stamp, state.frames)
+    both = zip(state.tracks, tracks, poses, strict=True)
+    estimates = tuple(estimate(old.measured, new, pose, frame.stamp, state.frames) for old, new, pose in both)
     known = {pose.event for pose in state.poses}
     events = dict.fromkeys(pose.event for pose in poses if pose.event is not None and pose.event not in known)
-    return Step(replace(after, poses=tuple(poses), frames=state.frames + 1), found, tuple(events))
+    after = replace(after, poses=tuple(poses), estimates=estimates, frames=state.frames + 1)
+    return Step(after, estimates[tracker.points], tuple(events))
 
 
 def _apply_command(track: Track, command: Array) -> Track:

@@ -16,7 +16,7 @@ from spheremouse.files.dataset.wand import wand_scene
 from spheremouse.files.wand import wand_text
 from spheremouse.geometry.conics import sphere_outline
 from spheremouse.output import Output, open_output
-from spheremouse.output.axes import PoseLog
+from spheremouse.output import axes as axes_output
 from spheremouse.output.pointer import Counts
 from spheremouse.output.wand_mapping import WandMapping
 from spheremouse.session.directions import of_hand
@@ -39,10 +39,8 @@ _AROUND = 1.25  # radii of the ball that a snapshot shows: as far as a pose may 
 class WandAdapter:
     """Frames in, motion out, for balls and their settings."""
 
-    def __init__(
-        self, make: Make, plan: Plan, log: Callable[[str], None], axes: tuple[PoseLog, ...] | None = None
-    ) -> None:
-        """`make` builds the tracker of a plan; `axes` are outputs that stay open. Raises ConfigurationError."""
+    def __init__(self, make: Make, plan: Plan, log: Callable[[str], None]) -> None:
+        """`make` builds the tracker of a plan. Raises ConfigurationError."""
         self._make, self._log = make, log
         self._hand = WandMapping(plan.configuration.wand.pointing)
         self._state: WandState | None = None
@@ -52,14 +50,14 @@ class WandAdapter:
         self.waiting = ""
         self.status = Status.SEARCHING
         self.untracked = 0  # each frame is tracked
-        self._set_tracker(plan, make(plan), axes_of(plan) if axes is None else axes)
+        self._set_tracker(plan, make(plan))
         self._messages = WandMessages(self.points, self.tracker.balls[self.points].name)
 
-    def _set_tracker(self, plan: Plan, tracker: WandTracker, axes: tuple[PoseLog, ...]) -> None:
+    def _set_tracker(self, plan: Plan, tracker: WandTracker) -> None:
         self.points = plan.configuration.wand.points - 1  # index of the ball that moves the pointer
-        self._plan, self.tracker, self._axes = plan, replace(tracker, points=self.points), axes
+        self._plan, self.tracker = plan, replace(tracker, points=self.points)
         self.subject = wand_subject(self.tracker, plan.configuration)
-        self.outputs = outputs_of(plan, axes)
+        self.outputs = outputs_of(plan)
 
     @property
     def reason(self) -> str:
@@ -87,9 +85,7 @@ class WandAdapter:
         self._state, self._estimate, _ = step(state, frame, self.tracker)
         self._poses = self._state.poses
         epoch = WandEpoch(frame, self._state, self._estimate, time.perf_counter() - begun)
-        report = self._hand.report(self._estimate)
-        for axes in self._axes:
-            axes.push(frame.stamp, self._poses, self.points)
+        report = self._hand.report(self._estimate)._replace(balls=self._state.estimates)
         self._frames += 1
         self.status = self._poses[self.points].phase
         self._messages.add(frame.stamp, self._poses, frame.image)
@@ -112,20 +108,19 @@ class WandAdapter:
 
     def prepare(self, plan: Plan, changed: Collection[str]) -> Change:
         """Prepare other parameters, with the balls tracked on; with other balls or another camera, search again."""
-        axes = axes_of(plan) if {"output", "axes"} & set(changed) else self._axes
         if {"balls", "rig"} & set(changed):
-            other = WandAdapter(self._make, plan, self._log, axes)
+            other = WandAdapter(self._make, plan, self._log)
 
             def begin_other() -> TrackerAdapter:
                 other.introduce()
                 return other
 
             return Change(other.outputs, begin_other)
-        tracker = self._make(plan) if "tracker" in changed else self.tracker
+        outputs, tracker = outputs_of(plan), self._make(plan) if "tracker" in changed else self.tracker
 
         def apply() -> TrackerAdapter:
             before = self.points
-            self._set_tracker(plan, tracker, axes)
+            self._set_tracker(plan, tracker)
             if "motion" in changed or self.points != before:
                 self._hand = WandMapping(plan.configuration.wand.pointing)
             if self.points != before:
@@ -133,7 +128,7 @@ class WandAdapter:
                 self.status = self._poses[self.points].phase if self._poses else Status.SEARCHING
             return self
 
-        return Change(outputs_of(plan, axes), apply)
+        return Change(outputs, apply)
 
     def reinitialise(self, answer: Callable[[str | None, str], None], wanted: Callable[[], bool]) -> None:
         """Search for all balls again with the next frame, in case the tracker follows something else."""
@@ -219,22 +214,19 @@ def picture(
     return overlay.draw(shown, counts)
 
 
-def axes_of(plan: Plan) -> tuple[PoseLog, ...]:
-    """Return the destinations of a plan's axes. ConfigurationError if one occurs twice."""
+def outputs_of(plan: Plan) -> tuple[Callable[[], Output], ...]:
+    """Return functions that open the pointer's output and that of the axes. A text output carries both.
+
+    ConfigurationError if one occurs twice.
+    """
     kind, _, argument = plan.output.partition(":")
-    places = [argument] if kind == "text" else []
+    first = partial(axes_output.open, argument) if kind == "text" else partial(open_output, plan.output)
     further = plan.configuration.wand.axes
-    if further is not None:
-        if places and _place(argument) == _place(further):
-            raise ConfigurationError(f"--axes {further}: is the output already, which has the axes; leave it out")
-        places.append(further)
-    return tuple(map(PoseLog, places))
-
-
-def outputs_of(plan: Plan, axes: tuple[PoseLog, ...]) -> tuple[Callable[[], Output], ...]:
-    """Return functions that open the pointer's output and those of the axes. A text output carries both."""
-    opened = [a.open for a in axes]
-    return tuple(opened) if plan.output.partition(":")[0] == "text" else (partial(open_output, plan.output), *opened)
+    if further is None:
+        return (first,)
+    if kind == "text" and _place(argument) == _place(further):
+        raise ConfigurationError(f"--axes {further}: is the output already, which has the axes; leave it out")
+    return first, partial(axes_output.open, further)
 
 
 def _place(argument: str) -> str:
