@@ -38,6 +38,9 @@ class Targets:
     radii: Array  # (3,) m: inner disc, middle ring, outer ring
 
 
+NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
+
+
 @dataclass(frozen=True, slots=True)
 class Rig:
     """A device: camera, ball, frame targets, and what is known of its discs."""

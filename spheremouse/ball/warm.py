@@ -14,7 +14,7 @@ from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.appearance import appearance, ball_mask
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.rig import Ball, Rig, Targets
+from spheremouse.ball.rig import NO_TARGETS, Ball, Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker, disc_map
 from spheremouse.ball.track import step
@@ -26,8 +26,7 @@ from spheremouse.tracker import Frame
 _LENS = np.array([-0.1, 0.02, 0.0, 0.0, 0.0])
 _CAMERA = InteriorOrientation(160, 120, 160.0, 160.0, 79.5, 59.5, _LENS)
 _POSE = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 2.2]))
-_NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
-_RIG = Rig(_CAMERA, Ball(0.6), _NO_TARGETS, 0.05, 0.01, 0.005, 0.005, _POSE)
+_RIG = Rig(_CAMERA, Ball(0.6), NO_TARGETS, 0.05, 0.01, 0.005, 0.005, _POSE)
 _TURN = np.array([0.06, 0.05, 0.03])  # rad a frame
 _DT = 1.0 / 30.0
 

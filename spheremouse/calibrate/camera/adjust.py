@@ -274,9 +274,7 @@ def _with_covariance(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: A
     camera = replace(camera_of(x, bundle.size), covariance=covariance[:9, :9].copy())
     r, t = x[9:].reshape(-1, 2, 3).transpose(1, 0, 2)
     residuals, sigma = bundle.residuals(x), sigma * np.sqrt(factor)
-    return BoardAdjustment(
-        camera, exp(r), t, residuals, used, tuple(kept), sigma, covariance, widening, left, bundle.free
-    )
+    return BoardAdjustment(camera, exp(r), t, residuals, used, tuple(kept), sigma, covariance, widening, bundle.free)
 
 
 def _into_cam(covariance: Array, y: Array) -> None:

@@ -49,7 +49,6 @@ class BoardAdjustment:
     sigma: Array  # (v,) px, standard deviation of a corner's coordinate in each view
     covariance: Array  # (9 + 6 u, 9 + 6 u) of the nine, then rotation (rad, in cam) and translation of each used view
     contradiction: float  # factor on the variances for views that contradict each other; 1: they do not
-    redundancy: int
     free: NDArray[np.bool_]  # (9,) unknowns that were estimated
 
     @property

@@ -23,9 +23,9 @@ _MIN_CHECKED_DISCS = 8  # in three photos or more: four determine a sphere, as m
 _GROUPS = ("target", "disc")
 
 
-def advise(calibration: DeviceCalibration, names: Sequence[str] | None = None) -> list[Advice]:
+def advise(calibration: DeviceCalibration, names: Sequence[str]) -> list[Advice]:
     """Return a verdict, faults, and at most three plans by their gain; `names` of all photos given."""
-    found = list(_findings(calibration, _Names(calibration, names)))
+    found = list(_findings(calibration, names))
     work = best_plans(calibration)
     return [_verdict(calibration, any(a.kind == "warning" for a in found)), *found, *work]
 
@@ -89,27 +89,11 @@ def _verdict(calibration: DeviceCalibration, odd: bool) -> Advice:
 # ---- faults ----
 
 
-class _Names:
-    """Names of photos, also by their index among those used."""
-
-    def __init__(self, calibration: DeviceCalibration, names: Sequence[str] | None) -> None:
-        named = (*calibration.skipped, *calibration.doubtful)
-        last = max([*calibration.photos, *(k for k, _ in named)], default=-1)
-        self._all = [f"photo {k + 1}" for k in range(last + 1)] if names is None else list(names)
-        self._used = calibration.photos
-
-    def given(self, k: int) -> str:
-        return self._all[k]
-
-    def used(self, i: int) -> str:
-        return self._all[self._used[i]]
-
-
-def _findings(c: DeviceCalibration, names: _Names) -> Iterator[Advice]:
+def _findings(c: DeviceCalibration, names: Sequence[str]) -> Iterator[Advice]:
     for k, why in c.skipped:
-        yield Advice("warning", f"{names.given(k)} was left out: {why}.")
+        yield Advice("warning", f"{names[k]} was left out: {why}.")
     for k, why in c.doubtful:
-        yield Advice("warning", f"{names.given(k)}: only its targets were used, not its discs: {why}.")
+        yield Advice("warning", f"{names[k]}: only its targets were used, not its discs: {why}.")
     yield from _scale_findings(c)
     yield from _scatter_findings(c, names)
     if c.out_of_round > 0.0:
@@ -169,7 +153,7 @@ def _scale_findings(c: DeviceCalibration) -> Iterator[Advice]:
             yield Advice("warning", text)
 
 
-def _scatter_findings(c: DeviceCalibration, names: _Names) -> Iterator[Advice]:
+def _scatter_findings(c: DeviceCalibration, names: Sequence[str]) -> Iterator[Advice]:
     for group, factor in zip(_GROUPS, c.variance_factors, strict=True):
         if factor > _MAX_VARIANCE_FACTOR:
             text = (
@@ -183,13 +167,13 @@ def _scatter_findings(c: DeviceCalibration, names: _Names) -> Iterator[Advice]:
     false = np.bincount(c.measured.photo, ~c.measured.used, minlength=len(c.poses))
     for i in np.flatnonzero((false >= 3) & (false > 0.25 * count)):
         text = (
-            f"{names.used(int(i))}: {int(false[i])} of {count[i]} image points do not fit the other photos and were "
+            f"{names[c.photos[i]]}: {int(false[i])} of {count[i]} image points do not fit the other photos and were "
             "not used: did the ball turn before it was taken?"
         )
         yield Advice("warning", text)
 
 
-def _photo_findings(c: DeviceCalibration, names: _Names) -> Iterator[Advice]:
+def _photo_findings(c: DeviceCalibration, names: Sequence[str]) -> Iterator[Advice]:
     """Photos with larger residuals than the others (F test), and whether discs near the ball's edge explain them."""
     (ratio, freedom), (px, expected) = photo_scatter(c), photo_px(c)
     sigma = np.sqrt(0.5 * np.trace(c.problem.image.covariance, axis1=1, axis2=2))
@@ -205,13 +189,13 @@ def _photo_findings(c: DeviceCalibration, names: _Names) -> Iterator[Advice]:
         if ratio[i] > bound * others or (far_off and not len(aslant)):
             times = np.sqrt(ratio[i] / max(others, 1e-12))
             text = (
-                f"{names.used(i)} fits {times:.1f} times worse than the others ({px[i]:.3f} px off, they "
+                f"{names[c.photos[i]]} fits {times:.1f} times worse than the others ({px[i]:.3f} px off, they "
                 f"{np.sqrt(others_px):.3f} px): blurred, or something moved. Take it again, or leave it out."
             )
             yield Advice("warning", text)
         elif far_off:
             text = (
-                f"{names.used(i)} is {px[i]:.3f} px off, the others {np.sqrt(others_px):.3f} px, as it may be "
+                f"{names[c.photos[i]]} is {px[i]:.3f} px off, the others {np.sqrt(others_px):.3f} px, as it may be "
                 f"({expected[i]:.3f} px are expected): {len(aslant)} of its {len(mine)} points are discs near the "
                 f"ball's edge, so aslant that their centres are uncertain by up to {aslant.max():.2f} px, and count "
                 "for little. Nothing need be done; a photo from farther round would show them better."

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.points import directions_at
-from spheremouse.ball.rig import Ball, Rig, Targets
+from spheremouse.ball.rig import NO_TARGETS, Ball, Rig
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.least_squares.sphere import algebraic_sphere
@@ -145,8 +145,7 @@ def directions_on_ball(
 
 def ball_rig(camera: InteriorOrientation, centre: Array, radius: float, disc_radius: float) -> Rig:
     """Return a rig with camera, ball and size of the discs alone, in any frame."""
-    none = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
-    return Rig(camera, Ball(radius, centre), none, disc_radius)
+    return Rig(camera, Ball(radius, centre), NO_TARGETS, disc_radius)
 
 
 def _meeting_points(

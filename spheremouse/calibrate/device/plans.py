@@ -78,7 +78,7 @@ def best_plans(c: DeviceCalibration) -> list[Advice]:
     net = network(c)
     known = len(c.discs)
     now = sigmas(net, known)
-    plans, enough = _plans(net), ENOUGH * c.radius
+    plans, enough = [*_photo_plans(net), *_distance_plans(net)], ENOUGH * c.radius
     found: list[Advice] = []
     while len(found) < _MAX_PLANS and max(now.ball.max(), now.targets) * c.unit > _MIN_SIGMA:
         options = []
@@ -132,10 +132,6 @@ def _gain(now: Sigmas, after: Sigmas, enough: float) -> tuple[str, float]:
     if most < MIN_GAIN and now.disc > enough:  # the tracker refines discs in play: only bad ones are worth a photo
         return _DISC, now.disc / after.disc
     return next(g for g in gains if g[1] > 0.9 * most)
-
-
-def _plans(net: Network) -> list[_Plan]:
-    return [*_photo_plans(net), *_distance_plans(net)]
 
 
 def _photo_plans(net: Network) -> Iterator[_Plan]:

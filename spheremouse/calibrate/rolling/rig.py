@@ -10,7 +10,7 @@ from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect
 from spheremouse.ball.device import Device
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.pose import gather
-from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
+from spheremouse.ball.rig import NO_TARGETS, UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.calibrate.rolling.axes import Axes, axes_from_gestures, axes_from_rings, axes_from_targets
 from spheremouse.calibrate.rolling.calibrate import Solution, Views
 from spheremouse.calibrate.rolling.problem import RollingAdjustment
@@ -208,8 +208,7 @@ def _scaled(rolled: RollingAdjustment, found: Axes, source: str, axes: AxesFrom,
     if source == "device" and given is not None:
         assert axes.device is not None
         return _Scaled(pose, ball, *place_targets(found, axes.device, rolled, radius, sigma), False)
-    none = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
-    return _Scaled(pose, ball, none, None, given is None)
+    return _Scaled(pose, ball, NO_TARGETS, None, given is None)
 
 
 # ---- places with their joint covariances ----

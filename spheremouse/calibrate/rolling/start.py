@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.points import directions_at
-from spheremouse.ball.rig import Ball, Rig, Targets
+from spheremouse.ball.rig import NO_TARGETS, Ball, Rig
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.matching import mutual_nearest, suppress
@@ -52,13 +52,26 @@ class Spots:
     area: Array  # (n,) px²
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Path:
-    """A spot that was followed."""
+    """A spot that is followed, k times seen."""
 
-    frame: NDArray[np.intp]  # (k,) index of the frames it was seen in
-    centre: Array  # (k, 2) px
-    area: Array  # (k,) px²
+    frame: list[int] = field(default_factory=list)  # indices of the frames it was seen in
+    centre: list[Array] = field(default_factory=list)  # (2,) px each
+    area: list[float] = field(default_factory=list)  # px²
+
+    def add(self, k: int, seen: Spots, j: np.intp) -> None:
+        """Append the spot j of frame k."""
+        self.frame.append(k)
+        self.centre.append(seen.centre[j])
+        self.area.append(float(seen.area[j]))
+
+    def expected(self, k: int) -> Array:
+        """Return the place in frame k at a constant velocity, (2,) px."""
+        if len(self.frame) < 2:
+            return self.centre[-1]
+        way = (self.centre[-1] - self.centre[-2]) / (self.frame[-1] - self.frame[-2])
+        return self.centre[-1] + way * (k - self.frame[-1])
 
     @property
     def extent(self) -> float:
@@ -80,8 +93,6 @@ class RollingStart:
     direction: Array  # (3,) unit vector in cam, to the ball's centre
     ratio: float  # distance of the centre over the radius
     disc_angle: float  # rad, radius of a disc over that of the ball
-    misfit: float  # px, median residual between two frames
-    paths: tuple[Path, ...] = field(repr=False)  # those that moved
 
 
 def dark_spots(image: Image) -> Spots:
@@ -137,8 +148,8 @@ def _spot(contour: Image, depth: Image, largest: float) -> tuple[float, float, f
 def follow(spots: Sequence[Spots], width: int) -> list[Path]:
     """Link spots of consecutive frames that are mutual nearest neighbours of about the same size."""
     gate = _MAX_STEP * width
-    done: list[_OpenPath] = []
-    alive: list[_OpenPath] = []
+    done: list[Path] = []
+    alive: list[Path] = []
     for k, seen in enumerate(spots):
         done += [p for p in alive if k - p.frame[-1] > _MAX_GAP]
         alive = [p for p in alive if k - p.frame[-1] <= _MAX_GAP]
@@ -152,35 +163,9 @@ def follow(spots: Sequence[Spots], width: int) -> list[Path]:
         for i in np.flatnonzero(columns >= 0):
             alive[i].add(k, seen, columns[i])
         for j in np.setdiff1d(np.arange(len(seen.centre)), columns):
-            alive.append(_OpenPath([], [], []))
+            alive.append(Path())
             alive[-1].add(k, seen, j)
-    return [
-        Path(np.array(p.frame), np.array(p.centre), np.array(p.area))
-        for p in done + alive
-        if len(p.frame) >= _MIN_PATH_FRAMES
-    ]
-
-
-@dataclass(slots=True)
-class _OpenPath:
-    """A path that may continue."""
-
-    frame: list[int]
-    centre: list[Array]
-    area: list[float]
-
-    def add(self, k: int, seen: Spots, j: np.intp) -> None:
-        """Append the spot j of frame k."""
-        self.frame.append(k)
-        self.centre.append(seen.centre[j])
-        self.area.append(float(seen.area[j]))
-
-    def expected(self, k: int) -> Array:
-        """Return the place in frame k at a constant velocity, (2,) px."""
-        if len(self.frame) < 2:
-            return self.centre[-1]
-        way = (self.centre[-1] - self.centre[-2]) / (self.frame[-1] - self.frame[-2])
-        return self.centre[-1] + way * (k - self.frame[-1])
+    return [p for p in done + alive if len(p.frame) >= _MIN_PATH_FRAMES]
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,17 +197,17 @@ def start(spots: Sequence[Spots], camera: InteriorOrientation) -> RollingStart:
             "the dark spots that move do not turn as one ball about its centre: keep hands and all else that moves "
             "out of the picture, leave the camera where it is, and roll the ball on, slowly"
         )
-    direction, ratio, misfit, fitting = found
-    rig = start_rig(RollingStart(direction, ratio, 0.02, 0.0, ()), camera)
+    direction, ratio, fitting = found
+    rig = start_rig(RollingStart(direction, ratio, 0.02), camera)
     pose = Pose(np.eye(3), -direction * ratio)
-    beside = [p for p in far if len(directions_at(p.centre, rig, pose)[1]) == 0]
+    beside = [p for p in far if len(directions_at(np.array(p.centre), rig, pose)[1]) == 0]
     if len(beside) >= 4 and _turning(beside, camera) is not None:
         raise CalibrationError("two balls turn in the picture: roll one alone, and cover the other")
-    return RollingStart(direction, ratio, _disc_angle(fitting, rig, pose), misfit, tuple(fitting))
+    return RollingStart(direction, ratio, _disc_angle(fitting, rig, pose))
 
 
-def _turning(paths: Sequence[Path], camera: InteriorOrientation) -> tuple[Array, float, float, list[Path]] | None:
-    """Direction, ratio and misfit, px, of the ball that spots rotate with, and their paths; None without a ball."""
+def _turning(paths: Sequence[Path], camera: InteriorOrientation) -> tuple[Array, float, list[Path]] | None:
+    """Direction and ratio of the ball that spots rotate with, and their paths; None without a ball."""
     pairs = _pairs(paths, camera)
     if len(pairs.there) < _MIN_PAIRS:
         return None
@@ -231,18 +216,16 @@ def _turning(paths: Sequence[Path], camera: InteriorOrientation) -> tuple[Array,
     on = pairs.there & np.isfinite(residual)
     if np.count_nonzero(on) < _MIN_BALL_SHARE * np.count_nonzero(pairs.there):
         return None
-    misfit = float(np.median(residual[on]))
-    if misfit > _FIT or np.mean(residual[on] < 3.0 * _FIT) < 0.5:
+    if np.median(residual[on]) > _FIT or np.mean(residual[on] < 3.0 * _FIT) < 0.5:
         return None
     fits = pairs.there & (residual < 3.0 * _FIT)
     good, all_ = (np.bincount(pairs.path[m], minlength=len(paths)) for m in (fits, pairs.there))
-    return *_unpacked(found), misfit, [p for p, g, n in zip(paths, good, all_, strict=True) if 2 * g > n]
+    return *_unpacked(found), [p for p, g, n in zip(paths, good, all_, strict=True) if 2 * g > n]
 
 
 def start_rig(found: RollingStart, camera: InteriorOrientation) -> Rig:
     """Return a rig for the detectors: a ball of radius 1 without targets and pose."""
-    no_targets = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
-    return Rig(camera, Ball(1.0), no_targets, found.disc_angle, scale_free=True)
+    return Rig(camera, Ball(1.0), NO_TARGETS, found.disc_angle, scale_free=True)
 
 
 def _pairs(paths: Sequence[Path], camera: InteriorOrientation) -> _Pairs:
