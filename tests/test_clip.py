@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from spheremouse.commands import app
-from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.frames import read_frames
 
 CLIP = Path(__file__).parent / "data" / "far26_clip"
 # SHA-256 of the frames as OpenCV gave them for the recording itself

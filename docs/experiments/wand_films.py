@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from spheremouse.evaluate.wand import WandHistory, WandRun, followed, found_from, is_lost
-from spheremouse.files.dataset.wand import open_wand, read_wand_frames
+from spheremouse.files.dataset.frames import read_frames
+from spheremouse.files.dataset.wand import open_wand
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.offline import track_wand
 from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
@@ -169,7 +170,7 @@ def work_recording(path: Path, variant: Variant, seeds: Sequence[int]) -> dict[s
     tracker = build(recording.camera, (ball,), variant.settings)
     known = {0: (truth.position[0], truth.rotation[0])} if variant.known else None
     runs = [_Fed(lambda frames, s=seed: track_wand(frames, tracker, s, known)) for seed in seeds]
-    for frame in read_wand_frames(recording):
+    for frame in read_frames(recording):
         for fed in runs:
             fed.feed(frame)
     return {"variants": {variant.name: [_kept(fed.history.run(0), truth, ball.radius) for fed in runs]}}

@@ -5,7 +5,8 @@ from pathlib import Path
 from spheremouse.capture import Stream, paced
 from spheremouse.capture.nodes import probe_path
 from spheremouse.errors import SourceError
-from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.frames import read_frames
 from spheremouse.finding import Finding
 
 

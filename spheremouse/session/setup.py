@@ -8,7 +8,8 @@ from pathlib import Path
 from spheremouse.ball.rig import Rig
 from spheremouse.capture import Source, Stream, open_source, paced
 from spheremouse.errors import ConfigurationError, SourceError
-from spheremouse.files.dataset.wand import open_wand, read_wand_frames
+from spheremouse.files.dataset.frames import read_frames
+from spheremouse.files.dataset.wand import open_wand
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.ball.adapter import BallAdapter, outputs_of
 from spheremouse.session.ball.map_keeper import MapKeeper
@@ -95,7 +96,7 @@ def open_setup(plan: Plan, realtime: bool = False) -> Setup:
     if not argument:
         raise SourceError("dataset: needs a folder; write dataset:DIR")
     recording = open_wand(Path(argument))
-    frames = read_wand_frames(recording)
+    frames = read_frames(recording)
     stream = Stream(paced(frames) if realtime else frames, fps=recording.fps, count=recording.frames)
     return Setup(stream, recording.camera, recording.balls)
 

@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.files.dataset.frames import read_frames
+from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.session.offline import initialise, track
 from spheremouse.ball.build import build
 from spheremouse.ball.settings import Settings

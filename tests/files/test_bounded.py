@@ -95,7 +95,8 @@ from pathlib import Path
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.commands.wand.picture import read_picture
 from spheremouse.errors import SpheremouseError
-from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.files.dataset.frames import read_frames
+from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.capture import open_source
 
 def pages():

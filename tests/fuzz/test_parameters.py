@@ -24,7 +24,8 @@ from spheremouse.ball.track import step, with_settings
 from spheremouse.ball.warm import warm_up
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
-from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.frames import read_frames
 from spheremouse.output.wand_mapping import PointingState, point
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand

@@ -14,7 +14,8 @@ from spheremouse.ball.settings import Settings
 from spheremouse.calibrate.photos import image, read_photos
 from spheremouse.capture import open_source
 from spheremouse.commands.wand.picture import read_picture
-from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.frames import read_frames
 from tests.fuzz.fuzzing import file, fuzz, refused
 from tests.fuzz.scene import use
 from tests.fuzz.strategies import mutated, mutated_bytes, mutated_json

@@ -22,8 +22,9 @@ from spheremouse.ball.build import begin, build
 from spheremouse.ball.settings import LossSettings, Settings
 from spheremouse.ball.track import step
 from spheremouse.ball.warm import warm_up
-from spheremouse.files.dataset.ball import open_dataset, read_frames
-from spheremouse.files.dataset.wand import open_wand, read_wand_frames
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.frames import read_frames
+from spheremouse.files.dataset.wand import open_wand
 from spheremouse.files.rig import load_rig, rig_text, save_camera
 from spheremouse.tracker import Frame
 from spheremouse.wand import warm as wand_warm
@@ -81,7 +82,7 @@ def convert_wand(dataset: Path, folder: Path) -> None:
     tracker = build_wand(recording.camera, recording.balls)
     state = begin_wand(tracker, 1, 0.0)
     with (folder / "YUYV").open("wb") as plain:
-        for k, frame in enumerate(read_wand_frames(recording)):
+        for k, frame in enumerate(read_frames(recording)):
             yuyv = cv2.cvtColor(frame.image, cv2.COLOR_BGR2YUV_YUY2)
             plain.write(yuyv.tobytes())
             state = step_wand(state, Frame(cv2.cvtColor(yuyv, cv2.COLOR_YUV2BGR_YUY2), 0.2 * k, k), tracker).state

@@ -17,7 +17,8 @@ from spheremouse.evaluate.bound import Bound
 from spheremouse.evaluate.history import History
 from spheremouse.evaluate.metrics import Reference, Run, per_axis, report, run_bound
 from spheremouse.files import config
-from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.frames import read_frames
 from spheremouse.geometry.camera import Pose
 from spheremouse.session.offline import initialise, track
 from spheremouse.simulate.ball.degrade import degraded

@@ -27,7 +27,8 @@ from spheremouse.ball.track import step
 from spheremouse.ball.warm import warm_up
 from spheremouse.commands.bench import WARM_UP
 from spheremouse.errors import DatasetError
-from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.frames import read_frames
 from spheremouse.geometry.rotation import Array
 from spheremouse.session import messages
 from spheremouse.session.offline import initialise

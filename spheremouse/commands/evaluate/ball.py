@@ -19,7 +19,8 @@ from spheremouse.evaluate.metrics import Reference, Run, report
 from spheremouse.evaluate.plot import plot_run
 from spheremouse.evaluate.table import ball_table, consistency
 from spheremouse.files import config
-from spheremouse.files.dataset.ball import Recording, open_dataset, read_frames
+from spheremouse.files.dataset.ball import Recording, open_dataset
+from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.rig import load_camera, load_rig, with_camera
 from spheremouse.geometry.camera import Pose
 from spheremouse.session.ball.map_keeper import open_map

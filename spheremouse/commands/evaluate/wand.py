@@ -11,7 +11,8 @@ from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseErro
 from spheremouse.evaluate.table import consistency, wand_table
 from spheremouse.evaluate.wand import WandHistory, followed, wand_report
 from spheremouse.files import config
-from spheremouse.files.dataset.wand import WandRecording, open_wand, read_wand_frames
+from spheremouse.files.dataset.frames import read_frames
+from spheremouse.files.dataset.wand import WandRecording, open_wand
 from spheremouse.files.rig import load_camera
 from spheremouse.session.offline import Known, track_wand
 from spheremouse.session.plan import read_balls, told_apart
@@ -70,7 +71,7 @@ def _run(recording: WandRecording, tracker: WandTracker, seed: int, known: Known
     history = WandHistory()
     with terminal.progress_bar() as progress:
         task = progress.add_task(f"{recording.name}, seed {seed}", total=recording.frames)
-        for epoch in track_wand(read_wand_frames(recording), tracker, seed, known):
+        for epoch in track_wand(read_frames(recording), tracker, seed, known):
             history.add(epoch)
             progress.update(task, completed=len(history.stamps))
     return history

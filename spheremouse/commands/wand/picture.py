@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.dataset.wand import open_wand, read_wand_frames
+from spheremouse.files.dataset.frames import read_frames
+from spheremouse.files.dataset.wand import open_wand
 from spheremouse.files.pictures import FRAME_PIXELS, MOST_BYTES, decoded, read_header
 from spheremouse.files.safe_files import read_bytes
 
@@ -14,7 +15,7 @@ from spheremouse.files.safe_files import read_bytes
 def read_picture(path: Path) -> NDArray[np.uint8]:
     """Return a picture, (h, w, 3) BGR, or the first frame of a wand's dataset."""
     if path.is_dir():
-        return next(read_wand_frames(open_wand(path))).image
+        return next(read_frames(open_wand(path))).image
     if not path.exists():
         raise ConfigurationError(f"{path}: no such file; name a picture with the ball in it")
     try:

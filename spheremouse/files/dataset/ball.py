@@ -1,9 +1,8 @@
 """Read recordings: folders with the description of a device, the frames, and perhaps the truth.
 
-`open_dataset` and `read_frames` read one, `write.DatasetWriter` writes one. docs/datasets describes the format.
+`open_dataset` and `frames.read_frames` read one, `write.DatasetWriter` writes one. docs/datasets describes the format.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -30,41 +29,23 @@ from spheremouse.files.dataset.format import (
     read_description,
     rotations,
 )
-from spheremouse.files.dataset.frames import Stamps, fractional, read_stamps, recorded_frames
-from spheremouse.files.dataset.write import DatasetWriter
+from spheremouse.files.dataset.frames import Recorded, fractional, read_stamps
 from spheremouse.files.rig import load_rig
 from spheremouse.files.tables import read_columns
 from spheremouse.files.yaml import Document
 from spheremouse.geometry.camera import Pose, pose_from_matrix
 from spheremouse.geometry.rotation import Array
-from spheremouse.tracker import Frame
-
-__all__ = [
-    "DatasetWriter",
-    "DiscTruth",
-    "Recording",
-    "Stamps",
-    "Truth",
-    "open_dataset",
-    "read_frames",
-]
 
 
-@dataclass(frozen=True, slots=True)
-class Recording:
-    """The checked description of a dataset; `read_frames` yields its frames."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recording(Recorded):
+    """The checked description of a dataset."""
 
-    path: Path
-    name: str
     rig: Rig  # from rig.yaml, or from what scene.json knows beforehand: then all covariances are zero
-    fps: float
-    frames: int
-    exposure_s: float
     pose: Pose | None  # the true pose of the camera
     truth: Truth | None
     discs: DiscTruth | None
     truth_directions: Array | None  # (m, 3) true unit vectors to the discs, ball
-    stamps: Stamps | None = None
 
 
 # ---- scene.json ----
@@ -103,13 +84,16 @@ def open_dataset(path: Path | str) -> Recording:
     truth = _read_truth(path / "truth.csv", scene.frames) if (path / "truth.csv").exists() else None
     discs = _read_discs(path / "discs.csv", scene.frames) if (path / "discs.csv").exists() else None
     stamps = read_stamps(path, scene.frames)
+    rig = _recorded_rig(path / "rig.yaml", scene) if (path / "rig.yaml").exists() else _rig(scene)
     directions = None
     if scene.truth_disc_directions is not None:
         directions = np.array(scene.truth_disc_directions, dtype=float).reshape(-1, 3)
     return Recording(
         path=path,
         name=scene.name or path.name,
-        rig=_recorded_rig(path / "rig.yaml", scene) if (path / "rig.yaml").exists() else _rig(scene),
+        rig=rig,
+        camera=rig.camera,
+        times=None if truth is None else truth.stamp,
         fps=scene.fps,
         frames=scene.frames,
         exposure_s=scene.exposure_s,
@@ -208,18 +192,3 @@ def _read_discs(path: Path, frames: int) -> DiscTruth:
         area=table.pop("area_px"),
         state=table.pop("state").astype(np.intp),
     )
-
-
-# ---- frames ----
-
-
-def read_frames(recording: Recording) -> Iterator[Frame]:
-    """Yield the frames in order, with stamp, number and colour of the recording.
-
-    Without stamps they are in colour, counted from 0, with the times of the truth, or index / fps. A truncated
-    recording yields its frames and then raises DatasetError.
-    """
-    camera, truth = recording.rig.camera, recording.truth
-    times = None if truth is None else truth.stamp
-    size = camera.width, camera.height
-    return recorded_frames(recording.path, size, recording.frames, recording.fps, times, recording.stamps)

@@ -15,6 +15,7 @@ from spheremouse.files.pictures import FRAME_PIXELS, decoded, film_images, film_
 from spheremouse.files.pictures import MOST_BYTES as PICTURE_BYTES
 from spheremouse.files.safe_files import read_bytes
 from spheremouse.files.tables import read_columns
+from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Frame
 
@@ -48,20 +49,34 @@ def fractional(column: Array) -> bool:
     return bool(np.any((column != np.rint(column)) | (np.abs(column) > 2**53)))
 
 
-def recorded_frames(
-    folder: Path, size: tuple[int, int], frames: int, fps: float, times: Array | None, stamps: Stamps | None
-) -> Iterator[Frame]:
-    """Yield the frames in order, of `size` (w, h) px, with stamp, number and colour from `stamps`.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recorded:
+    """What every recording has; `read_frames` yields its frames."""
 
-    Without `stamps` they are in colour, counted from 0, with stamps from `times`, (n,) s, or index / fps. A truncated
+    path: Path
+    name: str
+    camera: InteriorOrientation
+    fps: float
+    frames: int
+    exposure_s: float
+    stamps: Stamps | None = None
+    times: Array | None = None  # (frames,) s, of the truth
+
+
+def read_frames(recording: Recorded) -> Iterator[Frame]:
+    """Yield the frames in order, with stamp, number and colour of the recording.
+
+    Without stamps they are in colour, counted from 0, with the times of the truth, or index / fps. A truncated
     recording yields its frames and then raises DatasetError.
     """
+    folder, stamps, times = recording.path, recording.stamps, recording.times
     video = (folder / "video.mkv").is_file()
-    for count, image in enumerate(recorded_images(folder, size, frames)):
+    size = recording.camera.width, recording.camera.height
+    for count, image in enumerate(recorded_images(folder, size, recording.frames)):
         if stamps is not None:
             yield _as_recorded(folder, image, count, stamps, video)
         else:
-            yield Frame(image, count / fps if times is None else float(times[count]), count)
+            yield Frame(image, count / recording.fps if times is None else float(times[count]), count)
 
 
 def _as_recorded(folder: Path, image: NDArray[np.uint8], index: int, stamps: Stamps, in_video: bool) -> Frame:

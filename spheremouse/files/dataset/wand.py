@@ -1,10 +1,9 @@
 """Read recordings of hand-held balls: scene.json with `wand`, the frames, and perhaps truth.csv.
 
-`open_wand` and `read_wand_frames` read one, `write_wand` writes one. docs/datasets describes the format. With several
+`open_wand` and `frames.read_frames` read one, `write_wand` writes one. docs/datasets describes the format. With several
 balls, `wands` describes all of them, the first is also `wand`, and truth.csv has columns x_1, y_1, ... of the second.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -27,11 +26,10 @@ from spheremouse.files.dataset.format import (
     read_json,
     rotations,
 )
-from spheremouse.files.dataset.frames import Stamps, read_stamps, recorded_frames
+from spheremouse.files.dataset.frames import Recorded, read_stamps
 from spheremouse.files.tables import read_columns
 from spheremouse.files.yaml import Document
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, WandDisc, WandTruth, wand_disc
 
 WAND_COLUMNS = ("frame", "t", "x", "y", "z", *MATRIX_COLUMNS)  # centre (m) and R_cam_ball by rows, in cam
@@ -42,19 +40,12 @@ _FRAME = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class WandRecording:
-    """The checked description of a wand dataset; `read_wand_frames` yields its frames."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WandRecording(Recorded):
+    """The checked description of a wand dataset."""
 
-    path: Path
-    name: str
-    camera: InteriorOrientation
     balls: tuple[WandBall, ...]  # one or more
-    fps: float
-    frames: int
-    exposure_s: float
     truths: tuple[WandTruth, ...]  # of each ball; empty where there is no truth.csv
-    stamps: Stamps | None = None
 
     @property
     def ball(self) -> WandBall:
@@ -110,6 +101,7 @@ def open_wand(path: Path | str) -> WandRecording:
     scene = read_description(path, _read_scene)
     wands = (scene.wand,) if scene.wands is None else scene.wands
     truth = path / "truth.csv"
+    truths = _read_truths(truth, scene.frames, len(wands)) if truth.exists() else ()
     return WandRecording(
         path=path,
         name=scene.name or path.name,
@@ -118,7 +110,8 @@ def open_wand(path: Path | str) -> WandRecording:
         fps=scene.fps,
         frames=scene.frames,
         exposure_s=scene.exposure_s,
-        truths=_read_truths(truth, scene.frames, len(wands)) if truth.exists() else (),
+        truths=truths,
+        times=truths[0].stamp if truths else None,
         stamps=read_stamps(path, scene.frames),
     )
 
@@ -163,20 +156,6 @@ def _read_truths(path: Path, frames: int, balls: int) -> tuple[WandTruth, ...]:
         rotation = rotations(path, table, matrix)
         truths.append(WandTruth(table["t"], np.stack([table.pop(c) for c in position], axis=1), rotation))
     return tuple(truths)
-
-
-# ---- frames ----
-
-
-def read_wand_frames(recording: WandRecording) -> Iterator[Frame]:
-    """Yield the frames in order, with the stamps and numbers of the recording, else the truth's times, or index / fps.
-
-    A truncated recording yields its frames and then raises DatasetError.
-    """
-    camera, truth = recording.camera, recording.truth
-    times = None if truth is None else truth.stamp
-    size = camera.width, camera.height
-    return recorded_frames(recording.path, size, recording.frames, recording.fps, times, recording.stamps)
 
 
 # ---- writing ----

@@ -30,7 +30,8 @@ from spheremouse.calibrate.rolling.start import Spots, start
 from spheremouse.capture import Stream
 from spheremouse.commands.calibrate import app
 from spheremouse.errors import CalibrationError
-from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.disc_map import load_map
 from spheremouse.files.rig import load_rig, save_camera, save_rig
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project

@@ -26,7 +26,8 @@ from spheremouse.commands.bench.measure import (
 )
 from spheremouse.commands.bench.report import notes, report
 from spheremouse.errors import DatasetError
-from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.frames import read_frames
 
 CLIP = Path(__file__).parents[2] / "data" / "far26_clip"
 

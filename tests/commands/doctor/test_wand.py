@@ -8,7 +8,8 @@ import pytest
 
 from spheremouse.commands.doctor import examine as doctor
 from spheremouse.commands.doctor.wand import sight
-from spheremouse.files.dataset.wand import open_wand, read_wand_frames
+from spheremouse.files.dataset.frames import read_frames
+from spheremouse.files.dataset.wand import open_wand
 from spheremouse.files.wand import save_wand
 from spheremouse.finding import Verdict
 from spheremouse.session.plan import Request
@@ -87,7 +88,7 @@ def test_what_is_not_seen_is_said_with_what_to_do(hand):
 
 def test_a_ball_that_is_seldom_seen_is_a_warning(hand):
     recording = open_wand(hand)
-    frames = list(read_wand_frames(recording))[:4]
+    frames = list(read_frames(recording))[:4]
     dark = [replace(f, image=np.full_like(f.image, 90)) for f in frames]
     views = tuple(replace(f, sequence=k, stamp=0.2 * k) for k, f in enumerate([*dark, *dark, *frames]))
     _, seen = sight(views, build(recording.camera, recording.balls))

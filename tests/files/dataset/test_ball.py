@@ -11,7 +11,8 @@ import pytest
 from spheremouse.ball.rig import UNKNOWN_READOUT
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth
 from spheremouse.errors import DatasetError
-from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.write import DatasetWriter
 from spheremouse.geometry.rotation import exp, from_euler
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate

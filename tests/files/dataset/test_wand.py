@@ -7,7 +7,8 @@ import pytest
 from conftest import datasets_dir
 
 from spheremouse.errors import DatasetError
-from spheremouse.files.dataset.wand import WandRecording, is_wand, open_wand, read_wand_frames
+from spheremouse.files.dataset.frames import read_frames
+from spheremouse.files.dataset.wand import WandRecording, is_wand, open_wand
 from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import contrast_ball, grzonka_ball
@@ -52,7 +53,7 @@ def test_the_shared_recording_opens():
         assert np.allclose(a.direction, b.direction)
         assert (a.colour, a.angle) == (b.colour, pytest.approx(b.angle))
     assert np.allclose(recording.truth.position[0], (-0.63, 0.13643240242942245, 3.8217522420438685), atol=0)
-    first = next(read_wand_frames(recording))
+    first = next(read_frames(recording))
     assert first.image.shape == (960, 1280, 3)
 
 
@@ -64,7 +65,7 @@ def test_what_is_written_comes_back_to_the_last_bit(folder, film):
         assert np.array_equal(truth.position, truly.position)
         assert np.array_equal(truth.rotation, truly.rotation)
         assert np.array_equal(truth.stamp, truly.stamp)
-    for frame, shot in zip(read_wand_frames(recording), shots, strict=True):
+    for frame, shot in zip(read_frames(recording), shots, strict=True):
         assert np.array_equal(frame.image, shot.frame.image)
         assert (frame.stamp, frame.sequence) == (shot.frame.stamp, shot.frame.sequence)
     assert recording.camera.intrinsic == film.scene.camera.intrinsic
@@ -79,7 +80,7 @@ def test_without_truth_the_rate_stamps_the_frames(folder):
     (folder / "truth.csv").unlink()
     recording = open_wand(folder)
     assert recording.truth is None
-    assert [f.stamp for f in read_wand_frames(recording)] == pytest.approx([0.0, 0.1, 0.2])
+    assert [f.stamp for f in read_frames(recording)] == pytest.approx([0.0, 0.1, 0.2])
 
 
 @pytest.mark.parametrize(
@@ -120,10 +121,10 @@ def test_a_damaged_truth_is_refused_with_its_place(folder):
 def test_a_film_cut_short_gives_what_is_there_and_says_so(folder, tmp_path):
     damage(folder, frames=3, width=320)
     with pytest.raises(DatasetError, match=r"frame 0 is 160x120, but scene\.json says 320x120"):
-        list(read_wand_frames(open_wand(folder)))
+        list(read_frames(open_wand(folder)))
     damage(folder, width=160, frames=5)
     (folder / "truth.csv").unlink()
-    frames = read_wand_frames(open_wand(folder))
+    frames = read_frames(open_wand(folder))
     assert [next(frames).sequence for _ in range(3)] == [0, 1, 2]
     with pytest.raises(DatasetError, match="ends after 3 of 5 frames"):
         next(frames)

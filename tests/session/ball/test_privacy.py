@@ -15,7 +15,8 @@ from spheremouse.ball.pose import predict_targets
 from spheremouse.ball.rig import Targets
 from spheremouse.ball.settings import Settings
 from spheremouse.errors import PoseError
-from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.frames import read_frames
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.ball.recorded import kept, masked

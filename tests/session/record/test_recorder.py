@@ -24,7 +24,8 @@ from spheremouse.ball.state import current
 from spheremouse.capture import open_source
 from spheremouse.commands import app
 from spheremouse.errors import DatasetError, OutputError
-from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.write import FilmWriter
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp

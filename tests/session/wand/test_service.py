@@ -15,7 +15,8 @@ from daemon_world import Film, World, left_over
 from scipy.spatial.transform import Rotation
 
 from spheremouse.errors import ControlError
-from spheremouse.files.dataset.wand import open_wand, read_wand_frames
+from spheremouse.files.dataset.frames import read_frames
+from spheremouse.files.dataset.wand import open_wand
 from spheremouse.files.wand import wand_text
 from spheremouse.session.control.status import StatusReport
 from spheremouse.session.plan import Request, read_plan
@@ -356,7 +357,7 @@ def test_a_recording_is_tracked_again_to_the_last_bit(world, tmp_path):
     plan = read_plan(Request(folder / "config.yaml", source=f"dataset:{folder}", output="null"))
     adapter = setup.adapter(plan, lambda _: None, lambda _, work: work())
     seen = 0
-    for frame in read_wand_frames(recording):
+    for frame in read_frames(recording):
         epoch, report = live[frame.stamp]
         assert np.array_equal(frame.image, epoch.frame.image)
         assert frame.sequence == epoch.frame.sequence

@@ -11,7 +11,8 @@ import pytest
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE
 from spheremouse.commands.simulate import simulate as film
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.frames import read_frames
 from spheremouse.geometry.camera import Pose, reduced_to_pixel
 from spheremouse.geometry.conics import project_circle, project_sphere
 from spheremouse.geometry.rotation import hat, to_euler

@@ -8,7 +8,8 @@ import pytest
 from conftest import datasets_dir
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.dataset.wand import open_wand, read_wand_frames
+from spheremouse.files.dataset.frames import read_frames
+from spheremouse.files.dataset.wand import open_wand
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import exp
 from spheremouse.simulate.wand.ball import disc_paints, label_at, paint_ball, window
@@ -237,7 +238,7 @@ def test_coloured_regions_lie_where_a_path_tracer_puts_them():
         WandScene(recording.camera, (Carried(recording.ball, Replayed(), "robot"),), indoor_light())
     )
     apart, ratio = [], []
-    for frame in read_wand_frames(recording):
+    for frame in read_frames(recording):
         if frame.sequence % 10:
             continue
         ours = renderer.picture(frame.stamp, rng())
