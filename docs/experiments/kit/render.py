@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from pandas.api.types import is_numeric_dtype
 
 from experiments.kit.job import Result, Results
 from spheremouse.files.report.style import styled
@@ -254,7 +255,7 @@ def draw(plot: Plot, canvas: Any) -> None:
         grid = canvas.subplots(len(plot.y), len(facets), sharex="col", sharey="row", squeeze=False)
     else:
         grid = canvas.subplots(1, len(plot.y), squeeze=False).T
-    for row, column in zip(grid, plot.y, strict=True):
+    for k, (row, column) in enumerate(zip(grid, plot.y, strict=True)):
         row[0].set_ylabel(column)
         for ax, facet in zip(row, facets, strict=True):
             here = plot.rows if facet is None else plot.rows[plot.rows[plot.facet] == facet]
@@ -263,9 +264,9 @@ def draw(plot: Plot, canvas: Any) -> None:
             for level in plot.levels.values():
                 ax.axhline(level, **BOUND)
             _scale(ax, plot, here[plot.x])
-            if ax is grid[0, 0] or (plot.facet and row is grid[0]):
-                ax.set_title("" if facet is None else str(facet))
-            if not plot.facet or row is grid[-1]:
+            if plot.facet and k == 0:
+                ax.set_title(str(facet), fontsize="small")
+            if not plot.facet or k == len(grid) - 1:
                 ax.set_xlabel(plot.x)
     _legend(canvas, looks, plot.levels)
 
@@ -283,11 +284,11 @@ def _looks(names: Sequence[Any]) -> dict[Any, dict[str, Any]]:
 def _curve(ax: Any, rows: pd.DataFrame, plot: Plot, column: str, look: Mapping[str, Any]) -> None:
     if rows.empty:
         return
-    found = rows.groupby(plot.x, sort=rows[plot.x].dtype != object)[column].agg(["median", "min", "max", "size"])
+    found = rows.groupby(plot.x, sort=is_numeric_dtype(rows[plot.x]))[column].agg(["median", "min", "max", "size"])
     if len(found) > 60:
         look = {**look, "marker": "", "linewidth": 0.9}
     ax.plot(found.index, found["median"], **look)
-    if found["size"].max() > 1:
+    if found["size"].max() > 1 and "marker" in look and look is not _THESIS:
         ax.fill_between(found.index, found["min"], found["max"], color=look["color"], alpha=0.15, linewidth=0)
 
 
@@ -298,11 +299,15 @@ def _scale(ax: Any, plot: Plot, values: "pd.Series[Any]") -> None:
     for letter in plot.log:
         axis = {"x": ax.xaxis, "y": ax.yaxis}[letter]
         ax.set(**{f"{letter}scale": "log"})
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+        axis.set_major_locator(
+            LogLocator(subs=(1.0,) if plot.facet and letter == "x" else (1.0, 2.0, 5.0), numticks=12)
+        )
         axis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axis.set_minor_formatter(NullFormatter())
+    if not is_numeric_dtype(values):
+        ax.tick_params(axis="x", rotation=40)
     ticks = sorted(values.unique()) if "x" in plot.log else []
-    if 0 < len(ticks) <= _MAX_TICKS:
+    if 0 < len(ticks) <= (5 if plot.facet else _MAX_TICKS):
         ax.set_xticks(ticks, [f"{x:g}" for x in ticks])
         ax.minorticks_off()
 
