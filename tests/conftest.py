@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from spheremouse import commands as cli
 from spheremouse.session.process import realtime
-from spheremouse.simulate.ball import backdrop, layers, render
+from spheremouse.simulate.ball import backdrop, render
 from spheremouse.simulate.wand import render as wand_render
 
 _SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP") if hasattr(signal, name)]
@@ -72,7 +72,7 @@ def _background_with_its_luck(camera, outdoors, clutter, rng):
 _render_backdrop, _render_background = backdrop.render_backdrop, wand_render.background
 _shared_backdrop = _shared(_backdrop, _looks)
 _shared_background = _shared(_background, lambda *args: (*args[:-1], args[-1].bit_generator.state))
-for _module in (layers, render):
+for _module in (backdrop, render):
     _module.render_backdrop = _shared_backdrop
 wand_render.background = _background_with_its_luck
 

@@ -40,7 +40,7 @@ from spheremouse.output.rate_limited_logger import strip_digits
 from spheremouse.session import messages
 from spheremouse.session.offline import initialise
 from spheremouse.session.timing import memory_mb
-from spheremouse.simulate.ball.hands import HandVisit, PlacedHand, draw_hand, place_hand
+from spheremouse.simulate.ball.events import HandVisit, PlacedHand, draw_hand, place_hand
 from spheremouse.simulate.ball.scene import default_scene, spread_directions
 from spheremouse.tracker import Event, Frame, Status, Step
 from tests.daemon_world import Film

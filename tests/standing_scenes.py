@@ -22,7 +22,7 @@ from spheremouse.geometry.camera import unproject
 from spheremouse.geometry.rotation import Array, exp
 from spheremouse.output.counts import Counter, MotionSettings
 from spheremouse.simulate.ball.backdrop import Backdrop, render_backdrop
-from spheremouse.simulate.ball.hands import PER_METRE, HandVisit, draw_hand, place_hand
+from spheremouse.simulate.ball.events import PER_METRE, HandVisit, draw_hand, place_hand
 from spheremouse.simulate.ball.profile import Gesture, Gestures
 from spheremouse.simulate.ball.render import Renderer
 from spheremouse.simulate.ball.scene import Scene, default_scene

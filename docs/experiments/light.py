@@ -28,7 +28,7 @@ from experiments.kit.render import ATTITUDE, ERRORS, RATE, Claim, Part, Plot, Ta
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.metrics import Run, attitude_error, run_bound
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.ball.degrade import degraded
+from spheremouse.simulate.ball.events import degraded
 from spheremouse.simulate.ball.film import prepare
 
 TITLE = "Noise and brightness (Wittich 2017, table 24, fig. 41)"

@@ -29,7 +29,7 @@ from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, default_scene, prepare
 from spheremouse.simulate.ball.profile import thesis
-from spheremouse.simulate.ball.stations import looking
+from spheremouse.simulate.ball.stills import looking
 from spheremouse.simulate.shapes import Sphere, Viewpoint, look
 
 TITLE = "Where to put the camera (Wittich 2017, chapter 5)"

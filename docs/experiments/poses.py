@@ -25,7 +25,7 @@ from spheremouse.ball.pose import TARGET_SIGMA_PX, Sighting, gather, predict_tar
 from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import euler_rate_matrix, exp, log, to_euler
-from spheremouse.simulate.ball.degrade import degraded
+from spheremouse.simulate.ball.events import degraded
 from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, View, default_scene
 from spheremouse.simulate.ball.profile import still
 from spheremouse.tracker import Frame

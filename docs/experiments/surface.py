@@ -26,8 +26,8 @@ from spheremouse.ball.truth import VISIBLE
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, euler_rate_matrix, fibonacci_sphere, tangent_basis, to_euler
+from spheremouse.simulate.ball.events import draw_hand, place_hand
 from spheremouse.simulate.ball.film import HandVisit, Renderer, RenderOptions, Scene, View, default_scene
-from spheremouse.simulate.ball.hands import draw_hand, place_hand
 from spheremouse.simulate.shapes import Sphere, look
 
 TITLE = "Points on the ball: covariances over the visible cap, visible area"

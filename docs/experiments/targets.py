@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from experiments.kit import film as kit
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import Claim, Part, Plot, Table, by, tidy, where
+from experiments.kit.tags import Sheet, painted, ring_sheet, tag_cells, tag_corners, tag_sheet
 from spheremouse.ball.detect.rings import TargetDetections, detect_targets
 from spheremouse.ball.pose import TARGET_SIGMA_PX, Sighting, gather, predict_targets, resect
 from spheremouse.ball.rig import CODES, Rig, Targets
@@ -29,8 +30,7 @@ from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.simulate.ball.backdrop import render_backdrop
 from spheremouse.simulate.ball.film import Scene, default_scene
-from spheremouse.simulate.ball.furniture import frame, room
-from spheremouse.simulate.ball.tags import Sheet, painted, ring_sheet, tag_cells, tag_corners, tag_sheet
+from spheremouse.simulate.ball.scene import frame, room
 
 USUAL, NUMBER = 36, 4  # mm, outer radius, and how many, as the thesis has them
 TITLE = "Targets on the frame: number, size, kind (Wittich 2017, chapter 5)"

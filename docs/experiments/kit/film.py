@@ -21,7 +21,7 @@ from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.geometry.camera import Pose
 from spheremouse.session.offline import initialise, track
-from spheremouse.simulate.ball.degrade import degraded
+from spheremouse.simulate.ball.events import degraded
 from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, simulate
 from spheremouse.tracker import Frame
 

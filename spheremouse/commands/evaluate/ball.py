@@ -26,7 +26,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.session.ball.map_keeper import open_map
 from spheremouse.session.offline import initialise, track
 from spheremouse.session.settings import Configuration
-from spheremouse.simulate.ball.degrade import degraded
+from spheremouse.simulate.ball.events import degraded
 
 _NO_TRUTH = "no truth.csv: no errors are known; the table has the frames tracked, NIS and times"
 

@@ -1,12 +1,20 @@
-"""Events of device, ball and light in a recording, each with its time."""
+"""Events of a recording, each with its time: of device, ball and light, hands before the ball, and a film made worse.
 
+Hands are drawn once, then placed where they are at a time.
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array, exp, tangent_basis
 from spheremouse.simulate.ball.scene import Scene
+from spheremouse.tracker import Frame
 
 _CANDIDATES = 48  # places looked at for a disc that is moved
 
@@ -92,3 +100,122 @@ def displaced(scene: Scene, disc: int, angle: float = 0.2) -> Scene:
     directions = scene.disc_directions.copy()
     directions[disc] = places[best]
     return replace(scene, disc_directions=directions)
+
+
+# ---- hands ----
+
+PER_METRE = 500  # pixels of the drawing
+_SCALE = 1.3  # a big hand: two of them hide about a third of the ball
+HALF_WIDTH, ABOVE, _BELOW = 0.12, 0.18, 0.75  # m, what the drawing shows around the palm
+_SKIN = np.array([112.0, 148.0, 205.0])  # grey values blue, green, red
+_SLEEVE = np.array([112.0, 70.0, 48.0])
+_PLANE_Z = 0.66  # m, obj: just in front of the ball
+
+
+@dataclass(frozen=True, slots=True)
+class HandVisit:
+    """A hand comes from below, plays on the ball and goes."""
+
+    start: float  # s
+    end: float  # s
+    right: bool  # the right hand, on the right of the ball
+    size: float = 1.0  # of the hand
+
+
+def draw_hand() -> NDArray[np.float32]:
+    """A right hand with its forearm, seen from behind it, fingers up: (h, w, 4) blue, green, red, cover 0..1.
+
+    Colours are multiplied by the cover already.
+    """
+    y, x = np.mgrid[ABOVE : -_BELOW : -1.0 / PER_METRE, -HALF_WIDTH : HALF_WIDTH : 1.0 / PER_METRE]
+    parts = [  # from, to, radius at both, m; the origin is the middle of the palm
+        (-0.016, -0.030, -0.016, 0.035, 0.031, 0.030), (0.016, -0.030, 0.016, 0.035, 0.031, 0.030),
+        (-0.036, 0.055, -0.046, 0.118, 0.0105, 0.009), (-0.012, 0.060, -0.015, 0.140, 0.011, 0.0095),
+        (0.012, 0.060, 0.015, 0.134, 0.011, 0.0095), (0.034, 0.050, 0.044, 0.105, 0.010, 0.008),
+        (-0.036, -0.025, -0.082, 0.030, 0.016, 0.011), (0.0, -0.05, 0.0, -0.30, 0.030, 0.040),
+        (0.0, -0.24, 0.0, -0.80, 0.050, 0.062),
+    ]  # fmt: skip
+    depth = np.full(x.shape, -np.inf)
+    for x0, y0, x1, y1, r0, r1 in parts:
+        dx, dy = x1 - x0, y1 - y0
+        s = np.clip(((x - x0) * dx + (y - y0) * dy) / (dx * dx + dy * dy), 0.0, 1.0)
+        radius = r0 + s * (r1 - r0)
+        depth = np.maximum(depth, radius - np.hypot(x - x0 - s * dx, y - y0 - s * dy))
+    cover = np.clip(0.5 + depth * PER_METRE, 0.0, 1.0)
+    round_edge = 0.62 + 0.38 * np.sqrt(np.clip(depth / 0.02, 0.0, 1.0))
+    sleeve = np.clip(0.5 + (-0.24 - y) * PER_METRE, 0.0, 1.0)[..., None]
+    colour = (_SKIN * (1.0 - sleeve) + _SLEEVE * sleeve) * round_edge[..., None]
+    return np.concatenate([colour * cover[..., None], cover[..., None]], axis=2).astype(np.float32)
+
+
+class PlacedHand(NamedTuple):
+    """A hand in an image: the part of it that it may touch, and its paint there."""
+
+    place: tuple[slice, slice]  # rows, columns
+    paint: NDArray[np.float32]  # (rows, columns, 4) as draw_hand
+
+
+def place_hand(hand: NDArray[np.float32], visit: HandVisit, scene: Scene, t: float) -> PlacedHand | None:
+    """The hand in the image at time `t`; None while it is away or out of sight."""
+    if not visit.start < t < visit.end:
+        return None
+    side = 1.0 if visit.right else -1.0
+    since, left = t - visit.start, visit.end - t
+    away = 1.0 - _smooth(since / 0.5) * _smooth(left / 0.5)
+    x = side * (0.13 + 0.03 * np.sin(2.1 * since))
+    y = 0.02 + 0.11 * np.sin(1.7 * since + side) - 1.2 * away
+    tilt = side * (0.10 + 0.12 * np.sin(1.3 * since))
+    scale = _SCALE * visit.size
+    right = np.array([np.cos(tilt), np.sin(tilt), 0.0]) * scale * side
+    up = np.array([-np.sin(tilt), np.cos(tilt), 0.0]) * scale
+    place = np.array([x, y, _PLANE_Z]) + hand_corners(hand) @ np.stack([right, up])
+    return hand_in_picture(hand, scene.pose.to_cam(place), scene.camera)
+
+
+def hand_corners(hand: NDArray[np.float32]) -> Array:
+    """Corners of a drawn hand, (4, 2) m right and up of its palm."""
+    return _corners(hand) / PER_METRE * (1.0, -1.0) + (-HALF_WIDTH, ABOVE)
+
+
+def _corners(hand: NDArray[np.float32]) -> NDArray[np.float32]:
+    h, w = hand.shape[:2]
+    return np.array([[0, 0], [w, 0], [0, h], [w, h]], dtype=np.float32)
+
+
+def hand_in_picture(hand: NDArray[np.float32], corners: Array, camera: InteriorOrientation) -> PlacedHand | None:
+    """A drawn hand whose corners are at (4, 3) m in `cam`; None while it is out of sight."""
+    uv = project(corners, camera)[0]
+    if not np.all(np.isfinite(uv)):
+        return None
+    limit = (camera.width, camera.height)
+    low = np.clip(np.floor(uv.min(axis=0)).astype(int) - 1, 0, limit)
+    high = np.clip(np.ceil(uv.max(axis=0)).astype(int) + 2, 0, limit)
+    if np.any(high <= low):
+        return None
+    M = cv2.getAffineTransform(_corners(hand)[:3], (uv[:3] - low).astype(np.float32))
+    paint = cv2.warpAffine(hand, M, (int(high[0] - low[0]), int(high[1] - low[1])))
+    place = (slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0])))
+    return PlacedHand(place, np.asarray(paint, dtype=np.float32))
+
+
+def _smooth(x: float) -> float:
+    x = min(max(x, 0.0), 1.0)
+    return x * x * (3.0 - 2.0 * x)
+
+
+# ---- a film made worse ----
+
+_SEED = 0  # of the noise added: the same frame gets the same noise in every run
+
+
+def degraded(frames: Iterator[Frame], noise: float, brightness: float) -> Iterator[Frame]:
+    """Frames with normal noise on every channel and a constant added (Wittich 2017, section 4.9), 8 bits again."""
+    for frame in frames:
+        if noise == 0.0 and brightness == 0.0:
+            yield frame
+            continue
+        rng = np.random.default_rng([_SEED, frame.sequence])
+        values = frame.image + np.float32(brightness)
+        if noise:
+            values += np.float32(noise) * rng.standard_normal(values.shape, dtype=np.float32)
+        yield replace(frame, image=np.clip(np.rint(values), 0, 255).astype(np.uint8))

@@ -3,16 +3,14 @@
 `SimulationOptions` says what to film, in the words of the command line; `prepare` builds it and `simulate` films it.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.simulate.ball.events import Change, Dimming, Flicker, Lift, bumped, displaced, facing
-from spheremouse.simulate.ball.furniture import BLACK, WHITE_BALL
-from spheremouse.simulate.ball.hands import HandVisit
-from spheremouse.simulate.ball.options import Motion, SimulationOptions, View, option_name
+from spheremouse.simulate.ball.events import Change, Dimming, Flicker, HandVisit, Lift, bumped, displaced, facing
+from spheremouse.simulate.ball.options import Motion, Named, SimulationOptions, View, check_signs, option_name
 from spheremouse.simulate.ball.profile import (
     TURN_SECONDS,
     Profile,
@@ -26,7 +24,7 @@ from spheremouse.simulate.ball.profile import (
     thesis,
 )
 from spheremouse.simulate.ball.render import Renderer, RenderOptions, SimulatedFrame
-from spheremouse.simulate.ball.scene import Scene, default_scene
+from spheremouse.simulate.ball.scene import BLACK, WHITE_BALL, Scene, default_scene
 from spheremouse.simulate.light import reflectance
 
 __all__ = [
@@ -70,9 +68,6 @@ class Simulation:
     def frames(self) -> int:
         """Number of frames to come."""
         return max(1, round(self.seconds * self.fps))
-
-
-Named = Callable[[str], str]
 
 
 def prepare(options: SimulationOptions, named: Named = option_name) -> Simulation:
@@ -130,21 +125,12 @@ def simulate(simulation: Simulation, renderer: Renderer | None = None) -> Iterat
 
 def _profile(options: SimulationOptions) -> Profile:
     seconds = options.seconds
-    if options.motion == "thesis":
-        return thesis()
     if options.motion == "roll":
         return roll(options.turns, seconds)
     if options.motion == "play":
         return play(20.0 if seconds is None else seconds, np.random.default_rng([options.seed, 2]))
-    if options.motion == "rest":
-        return rest()
-    if options.motion == "creep":
-        return creep()
-    if options.motion == "flick":
-        return flick()
-    if options.motion == "axes":
-        return shown_to_axes()
-    return still(10.0)
+    motions = {"thesis": thesis, "still": still, "rest": rest, "creep": creep, "flick": flick, "axes": shown_to_axes}
+    return motions[options.motion]()
 
 
 def _effects(options: SimulationOptions, seconds: float) -> RenderOptions:
@@ -210,14 +196,7 @@ def _check(options: SimulationOptions, named: Named) -> None:
         *("noise", "blur", "readout", "seed", "layout", "cover", "dim", "dim_at", "bump", "lift", "eccentric"),
         *("disc_off", "disc_moved", "flicker"),
     )
-    for name in above:
-        value = getattr(options, name)
-        if value is not None and (not value > 0 or not np.isfinite(value)):
-            raise ConfigurationError(f"{named(name)}: {value} must be above 0{'' if value <= 0 else ' and finite'}")
-    for name in from_zero:
-        value = getattr(options, name)
-        if value is not None and (not value >= 0 or not np.isfinite(value)):
-            raise ConfigurationError(f"{named(name)}: {value} must be 0 or more{'' if value < 0 else ', and finite'}")
+    check_signs(options, above, from_zero, named)
     for name in ("brightness", "dist", "bump_by", "lift_by"):
         if not np.all(np.isfinite(getattr(options, name))):
             raise ConfigurationError(f"{named(name)}: {getattr(options, name)} must be numbers")

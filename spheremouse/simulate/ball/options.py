@@ -1,13 +1,18 @@
 """Options of films and photos of the ball, in the words of the command line."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
+import numpy as np
+
+from spheremouse.errors import ConfigurationError
 from spheremouse.settings import param
 
 View = Literal["far", "near"]
 Motion = Literal["thesis", "roll", "play", "still", "rest", "creep", "flick", "axes"]
 Triple = tuple[float, float, float]
+Named = Callable[[str], str]  # a field as it is called where it came from
 
 _MOST = 99  # photos of a kind
 
@@ -84,3 +89,14 @@ class StillsOptions:
 def option_name(field: str) -> str:
     """A field as the command line has it."""
     return "--" + field.replace("_", "-")
+
+
+def check_signs(options: Any, above: Iterable[str], from_zero: Iterable[str], named: Named) -> None:
+    """Raise ConfigurationError unless fields that are set are finite, and above 0 or at least 0."""
+    for names, what in ((above, "above 0"), (from_zero, "0 or more")):
+        for name in names:
+            value = getattr(options, name)
+            if value is None or (np.isfinite(value) and (value > 0 or (value == 0 and names is from_zero))):
+                continue
+            finite = "" if value <= 0 else f"{',' if names is from_zero else ''} and finite"
+            raise ConfigurationError(f"{named(name)}: {value:g} must be {what}{finite}")

@@ -17,11 +17,9 @@ from scipy.special import ndtri
 from spheremouse.ball.truth import DiscTruth
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.ball.backdrop import Backdrop, render_backdrop
+from spheremouse.simulate.ball.backdrop import Backdrop, render_backdrop, render_layers
 from spheremouse.simulate.ball.caps import BallView, Caps, Coverage
-from spheremouse.simulate.ball.events import Dimming, Flicker, Lift
-from spheremouse.simulate.ball.hands import HandVisit, PlacedHand, draw_hand, place_hand
-from spheremouse.simulate.ball.layers import render_layers
+from spheremouse.simulate.ball.events import Dimming, Flicker, HandVisit, Lift, PlacedHand, draw_hand, place_hand
 from spheremouse.simulate.ball.profile import Profile
 from spheremouse.simulate.ball.scene import Scene
 from spheremouse.tracker import Frame

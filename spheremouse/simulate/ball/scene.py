@@ -1,7 +1,9 @@
-"""A simulated scene: camera, ball with its discs, targets, everything around, and the light.
+"""A simulated scene: camera, ball with its discs, the device's frame with its targets, a cluttered room, and the light.
 
-`default_scene` has the geometry of the reference recordings (the frame of `far26`) and the cameras of
-Wittich 2017, table 2.
+`default_scene` has the geometry of the reference recordings (the frame of `far26`) and the cameras of Wittich 2017,
+table 2. Two struts in front of the ball carry four ring targets on white cards, and bolts that look exactly like discs.
+The room holds false candidates: black dots, single coloured discs, coloured rings in wrong nestings. No ring target of
+the room is a valid one.
 """
 
 from dataclasses import dataclass
@@ -11,10 +13,170 @@ import numpy as np
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array, from_euler
-from spheremouse.simulate.ball.furniture import BLACK, LAMPS, STRIPS, WHITE_BALL, frame, room
 from spheremouse.simulate.ball.options import View
-from spheremouse.simulate.light import Lighting
-from spheremouse.simulate.shapes import Colour, Shape
+from spheremouse.simulate.light import Lamp, Lighting, Strip
+from spheremouse.simulate.shapes import Colour, Face, Ring, Shape, Sphere, box, post
+
+# Shares of light given back: blue, green, red
+INK: dict[str, Colour] = {"C": (0.74, 0.72, 0.008), "M": (0.58, 0.010, 0.72), "Y": (0.008, 0.66, 0.78)}
+PAPER: Colour = (0.74, 0.76, 0.77)
+BLACK: Colour = (0.012, 0.012, 0.012)  # discs and bolts alike
+WHITE_BALL: Colour = (0.66, 0.70, 0.72)
+_STEEL: Colour = (0.235, 0.215, 0.205)
+_WOOD: Colour = (0.07, 0.13, 0.22)
+_WALL: Colour = (0.33, 0.37, 0.36)
+_BOARDS: Colour = (0.105, 0.165, 0.235)
+
+FRONT = np.array([0.0, 0.0, 1.0])
+_FLOOR_Y, _BACK_Z, _SIDE_X, _TOP_Y = -1.15, -1.75, 2.7, 2.5
+
+STRIPS = (
+    Strip((-0.3724, -0.2764), (-0.75, 0.277), 0.5489),
+    Strip((0.2776, 0.3736), (-0.75, 0.277), 0.5489),
+)
+LAMPS = (
+    Lamp((-0.7, 2.3, 1.3), (0.6, 0.0, 0.0), (0.0, 0.10, -0.30), (21.0, 22.5, 23.5)),
+    Lamp((2.4, 0.9, 2.0), (0.0, 0.0, -0.6), (0.0, 0.7, 0.0), (3.6, 3.2, 2.8)),
+)
+
+
+def frame(targets: Targets, bolt_radius: float) -> list[Shape]:
+    """Struts, feet, cradle, bolts, and the targets on their cards."""
+    shapes: list[Shape] = []
+    for strip in STRIPS:
+        (x0, x1), (y0, y1) = strip.x, strip.y
+        x = 0.5 * (x0 + x1)
+        shapes += box((x0, y0, 0.5369), (x1, y1, 0.5609), _STEEL)
+        shapes += box((x0 + 0.01, _FLOOR_Y, 0.47), (x1 - 0.01, y0, 0.5609), _STEEL)
+        shapes += box((x0 - 0.02, _FLOOR_Y, 0.42), (x1 + 0.02, _FLOOR_Y + 0.05, 0.62), _STEEL)
+        shapes += box((x - 0.03, -0.86, -0.45), (x + 0.03, -0.80, 0.50), _STEEL)
+        for y in (0.238, -0.052, -0.302, -0.452, -0.702):
+            shapes.append(Ring(np.array([x, y, 0.5612]), FRONT, 0.0, bolt_radius, BLACK))
+    shapes += box((-0.32, -0.88, 0.49), (0.32, -0.80, 0.54), _STEEL)
+    shapes += post((0.0, -0.52, 0.0), (0.0, -0.44, 0.0), 0.425, _STEEL, sides=48)  # the cradle the ball lies in
+    for x, z in ((0.15, 0.38), (-0.15, 0.38), (0.22, -0.35), (-0.22, -0.35)):
+        shapes += post((x, _FLOOR_Y, z), (x, -0.5, z), 0.022, _STEEL)
+    for code, position in zip(targets.codes, targets.position, strict=True):
+        card = position - 0.001 * FRONT
+        half = 1.22 * targets.radii[2]
+        shapes.append(_card(card, half, half))
+        inner = 0.0
+        for colour, outer in zip(code, targets.radii, strict=True):
+            shapes.append(Ring(position, FRONT, inner, float(outer), INK[colour]))
+            inner = float(outer)
+    return shapes
+
+
+def room() -> list[Shape]:
+    """Walls, floor, shelves, posters with false candidates, a lamp and a plant."""
+    shapes = _walls()
+    shapes += _shelves()
+    shapes += _posters()
+    x, z = -1.35, -0.95  # a floor lamp
+    shapes += post((x, _FLOOR_Y, z), (x, 1.02, z), 0.018, BLACK)
+    shapes += post((x, 0.95, z), (x, 1.25, z), 0.20, (0.04, 0.42, 0.62), top_radius=0.12)
+    shapes += post((x, _FLOOR_Y, z), (x, _FLOOR_Y + 0.03, z), 0.15, BLACK, top_radius=0.14)
+    shapes += post((1.12, _FLOOR_Y, -1.1), (1.12, -0.82, -1.1), 0.13, (0.10, 0.16, 0.42), top_radius=0.17)  # a plant
+    for dx, y, dz, r in (
+        (0, -0.60, 0, 0.17),
+        (0.12, -0.44, 0.05, 0.12),
+        (-0.13, -0.46, -0.04, 0.13),
+        (0, -0.30, 0, 0.1),
+    ):
+        shapes.append(Sphere(np.array([1.12 + dx, y, -1.1 + dz]), r, (0.06, 0.20, 0.07)))
+    return shapes
+
+
+def _card(centre: Array, half_x: float, half_y: float, colour: Colour = PAPER, turn: float = 0.0) -> Face:
+    """A sheet that faces the camera, turned in its own plane."""
+    c, s = np.cos(turn), np.sin(turn)
+    right, up = np.array([c, s, 0.0]) * half_x, np.array([-s, c, 0.0]) * half_y
+    return Face(np.array([centre - right - up, centre + right - up, centre + right + up, centre - right + up]), colour)
+
+
+def _walls() -> list[Shape]:
+    x, low, top, back, front = _SIDE_X, _FLOOR_Y, _TOP_Y, _BACK_Z, 4.0
+    floor = np.array([[-x, low, back], [-x, low, front], [x, low, front], [x, low, back]])
+    shapes: list[Shape] = [
+        Face(np.roll(floor, 1, axis=0), _BOARDS, stripes=0.16),
+        Face(np.array([[-x, low, back], [x, low, back], [x, top, back], [-x, top, back]]), _WALL),
+        Face(np.array([[-x, low, back], [-x, low, front], [-x, top, front], [-x, top, back]]), (0.40, 0.38, 0.33)),
+        Face(np.array([[x, low, back], [x, low, front], [x, top, front], [x, top, back]]), (0.40, 0.38, 0.33)),
+        Face(np.array([[-x, top, back], [-x, top, front], [x, top, front], [x, top, back]]), (0.7, 0.7, 0.7)),
+        Face(np.array([[-x, low, front], [x, low, front], [x, top, front], [-x, top, front]]), (0.3, 0.3, 0.3)),
+    ]
+    shapes += box((-x, low, back), (x, low + 0.09, back + 0.02), (0.6, 0.62, 0.62))
+    return shapes
+
+
+def _shelves() -> list[Shape]:
+    """Two boards over the ball with books, boxes and balls, many in the colours of the targets."""
+    back, shapes = _BACK_Z, []
+    for y in (0.98, 1.47):
+        shapes += box((-1.7, y - 0.03, back), (1.7, y, back + 0.28), _WOOD)
+    books = (
+        (-1.62, 0.09, 0.30, INK["M"]), (-1.52, 0.06, 0.26, (0.45, 0.12, 0.06)), (-1.45, 0.10, 0.33, (0.10, 0.10, 0.11)),
+        (-1.34, 0.05, 0.27, PAPER), (-0.95, 0.16, 0.14, INK["C"]), (-0.52, 0.08, 0.31, (0.05, 0.28, 0.08)),
+        (-0.43, 0.07, 0.27, (0.03, 0.06, 0.45)), (-0.35, 0.10, 0.30, INK["Y"]), (-0.24, 0.05, 0.24, (0.35, 0.2, 0.3)),
+        (0.10, 0.22, 0.16, _WOOD), (0.42, 0.07, 0.29, INK["C"]), (0.50, 0.08, 0.32, (0.40, 0.10, 0.36)),
+        (0.59, 0.06, 0.25, PAPER), (0.95, 0.12, 0.20, (0.02, 0.25, 0.60)), (1.25, 0.08, 0.30, (0.45, 0.20, 0.04)),
+        (1.34, 0.09, 0.33, INK["M"]), (1.44, 0.06, 0.28, (0.12, 0.12, 0.13)),
+    )  # fmt: skip
+    for i, (x, width, height, colour) in enumerate(books):
+        shapes += box(
+            (x, 0.98, back + 0.03), (x + width - 0.008, 0.98 + height, back + 0.22), colour, 0.02 * (i % 3 - 1)
+        )
+        if i % 2 == 0:
+            x2 = -x - width
+            shapes += box((x2, 1.47, back + 0.04), (x2 + width, 1.47 + 0.9 * height, back + 0.2), books[-1 - i][3])
+    for x, y, r, colour in (
+        (-1.12, 0.98, 0.085, (0.40, 0.16, 0.42)), (-0.68, 0.98, 0.06, (0.05, 0.08, 0.6)), (0.80, 0.98, 0.075, INK["M"]),
+        (1.14, 0.98, 0.06, BLACK), (-0.05, 0.98, 0.05, BLACK), (0.72, 1.47, 0.08, (0.5, 0.2, 0.05)),
+    ):  # fmt: skip
+        shapes.append(Sphere(np.array([x, y + r, back + 0.15]), r, colour))
+    return shapes
+
+
+def _posters() -> list[Shape]:
+    """Sheets on the wall and the floor with shapes that resemble discs or targets."""
+    shapes: list[Shape] = []
+    z = _BACK_Z + 0.012
+
+    def sheet(centre: tuple[float, float], half: tuple[float, float], turn: float, marks: list[tuple]) -> None:
+        x, y = centre
+        shapes.append(_card(np.array([x, y, z]), half[0], half[1], PAPER, turn))
+        for dx, dy, rings in marks:
+            inner = 0.0
+            for colour, outer in rings:
+                shapes.append(Ring(np.array([x + dx, y + dy, z + 0.004]), FRONT, inner, outer, colour))
+                inner = outer
+
+    c, m, y, k, w = INK["C"], INK["M"], INK["Y"], BLACK, PAPER
+    sheet((-1.22, 0.42), (0.26, 0.20), 0.03, [  # doubles and singles
+        (-0.13, 0.07, [(m, 0.03), (c, 0.075)]),
+        (0.06, 0.09, [(y, 0.06)]),
+        (-0.05, -0.10, [(m, 0.032)]),
+        (0.15, -0.09, [(k, 0.022)]),
+    ])  # fmt: skip
+    sheet((1.22, 0.50), (0.27, 0.22), -0.04, [  # wrong nestings: a colour twice, a gap in the middle
+        (-0.12, 0.08, [(y, 0.03), (m, 0.06), (y, 0.09)]),
+        (0.13, 0.06, [(w, 0.025), (c, 0.05), (m, 0.08)]),
+        (0.10, -0.12, [(k, 0.024)]),
+        (-0.10, -0.12, [(c, 0.035), (m, 0.06), (c, 0.085)]),
+    ])  # fmt: skip
+    sheet((-1.25, -0.45), (0.25, 0.24), 0.02, [  # black dots
+        (-0.13, 0.11, [(k, 0.042)]), (0.10, 0.13, [(k, 0.030)]), (0.02, -0.02, [(k, 0.036)]),
+        (-0.12, -0.13, [(k, 0.025)]), (0.15, -0.12, [(k, 0.040)]),
+    ])  # fmt: skip
+    sheet((1.28, -0.10), (0.18, 0.20), 0.05, [  # eyes: rings of black and white
+        (-0.07, 0.04, [(k, 0.022), (w, 0.045), (k, 0.055)]), (0.07, 0.04, [(k, 0.022), (w, 0.045), (k, 0.055)]),
+        (0.0, -0.11, [(m, 0.03)]),
+    ])  # fmt: skip
+    wheel = np.array([0.86, -0.93, -0.62])  # it leans in the corner
+    for inner, outer, colour in ((0.0, 0.07, PAPER), (0.07, 0.21, BLACK)):
+        shapes.append(Ring(wheel, np.array([0.0, 0.24, 0.97]) / np.hypot(0.24, 0.97), inner, outer, colour))
+    return shapes
+
 
 # Wittich 2017, table 2: focal length (px), position (m), and omega, phi, kappa (deg) of R_obj_cam with the z axis
 # of `cam` forward; the table's angles mean the same rotation.

@@ -1,7 +1,9 @@
 """A simulated calibration evening: photos of a device and of a chessboard, with the truth behind them.
 
 `StillsOptions` says what is photographed, `prepare_stills` puts up device, lens and tripod, `photos` takes the
-pictures one by one. The device stands still; the hand-held camera goes round it, as far as the targets let it.
+pictures one by one. The device stands still; the hand-held camera goes round it, as far as the targets let it. Its
+places are those that the recipe asks of a person: the device from all sides that show three targets, the board aslant,
+near, and in every part of the picture.
 """
 
 from collections.abc import Iterator
@@ -14,16 +16,210 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.rig import Targets
 from spheremouse.errors import ConfigurationError
-from spheremouse.geometry.camera import InteriorOrientation, Pose
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.geometry.rotation import Array, exp
 from spheremouse.simulate.ball.backdrop import render_backdrop
-from spheremouse.simulate.ball.board import Board, render_board
+from spheremouse.simulate.ball.board import MIDDLE, Board, render_board
 from spheremouse.simulate.ball.caps import Caps
-from spheremouse.simulate.ball.furniture import LAMPS, STRIPS, frame, room
 from spheremouse.simulate.ball.options import StillsOptions
-from spheremouse.simulate.ball.scene import Scene, default_scene
-from spheremouse.simulate.ball.stations import board_stations, device_stations
+from spheremouse.simulate.ball.scene import LAMPS, STRIPS, Scene, default_scene, frame, room
 from spheremouse.simulate.light import Lighting
+from spheremouse.simulate.shapes import Sphere, look
+
+_AIM = np.array([0.0, -0.17, 0.0])  # m, obj: the middle of ball and frame
+_NEAREST, _FARTHEST = 1.8, 3.3  # m
+_WALLS = np.array([[-2.5, -1.0, 0.9], [2.5, 2.3, 3.8]])  # m, obj: where the room leaves space for a photographer
+_MARGIN = 6.0  # px between what must be seen and the picture's border
+_RING = 3.5  # px across the narrowest ring: pixels on both its edges mix with its neighbours'
+_CELLS = (16, 9)  # of a picture, in each of which a corner is wanted
+_CANDIDATES = 300
+_TILTS = (30.0, 45.0, 15.0, 40.0, 0.0, 35.0)  # deg
+_TURNS = (0.0, 10.0, 90.0, -25.0, 180.0, -90.0, 45.0)  # deg, about the line of sight
+_GOLDEN = 137.5  # deg between the directions of successive tilts: never twice the same
+
+# Where a careful person stands: azimuth and elevation (deg), distance (m), roll (deg).
+_STATIONS = (
+    (1.0, 6.0, 2.45, 0.0),  # front
+    (-45.0, 8.0, 2.5, 0.0),  # left
+    (46.0, 5.0, 2.45, 0.0),  # right
+    (-18.0, 36.0, 2.5, -10.0),  # high
+    (20.0, -10.0, 2.4, 3.0),  # low
+    (24.0, 26.0, 2.8, 90.0),  # rolled
+)
+_ROLLS = (0.0, -90.0, 0.0, 90.0, 0.0, 180.0)  # deg, of the photos beyond these, in turn
+
+
+# ---- around the device ----
+
+
+def device_stations(scene: Scene, n: int, rng: np.random.Generator) -> tuple[Pose, ...]:
+    """Poses for `n` photos that show the whole ball and three targets or more.
+
+    The first ones as a careful person takes them, the others as far from all before as the targets allow.
+    """
+    found = [_station(scene, station, rng) for station in _STATIONS[:n]]
+    if n > len(_STATIONS):
+        grid = [
+            (float(azimuth), float(elevation))
+            for azimuth in range(-60, 61, 6)
+            for elevation in (-14, -4, 8, 20, 32, 44)
+        ]
+        possible = [pose for azimuth, elevation in grid for pose in _standing(scene, azimuth, elevation, 2.45, 0.0)[:1]]
+        if not possible:
+            raise ConfigurationError("--photos: no other place shows three targets; take fewer photos")
+        toward = np.array([_direction(pose) for pose in possible])
+        while len(found) < n:
+            taken = np.array([_direction(pose) for pose in found])
+            # of equally remote places any; more photos than places go round again
+            lonely = np.sort(toward @ taken.T, axis=1)[:, ::-1]
+            k = int(np.argmin(lonely[:, 0] + 0.1 * lonely.mean(axis=1)))
+            x, y, z = toward[k]
+            angles = np.degrees(np.arctan2(x, z)), np.degrees(np.arcsin(y))
+            roll = _ROLLS[len(found) % len(_ROLLS)]
+            found.append(_station(scene, (*angles, rng.uniform(2.1, 2.9), roll), rng))
+    return tuple(found)
+
+
+def _direction(pose: Pose) -> Array:
+    away = pose.position - _AIM
+    return away / np.linalg.norm(away)
+
+
+def _station(scene: Scene, station: tuple[float, float, float, float], rng: np.random.Generator) -> Pose:
+    """The camera about there, by hand; nearer to the front where that shows too few targets."""
+    azimuth, elevation, distance, roll = station
+    for nearer in np.linspace(1.0, 0.0, 21):
+        dx, dy, dr = rng.normal(0.0, (1.5, 1.5, 2.0))
+        poses = _standing(scene, nearer * azimuth + dx, nearer * elevation + dy, distance, roll + dr)
+        if poses:
+            return poses[0]
+    raise ConfigurationError(
+        f"--focal {scene.camera.fx:g}: no place in the room shows the whole ball and three targets with rings of "
+        f"{_RING:g} px or more; take another focal length or a larger --size"
+    )
+
+
+def _standing(scene: Scene, azimuth: float, elevation: float, distance: float, roll: float) -> list[Pose]:
+    """The camera in that direction from the device, and so far off that it has all in view; none where it cannot."""
+    a, e = np.radians((azimuth, elevation))
+    away = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
+    for reach in np.arange(np.clip(distance, _NEAREST, _FARTHEST), _FARTHEST + 0.01, 0.1):
+        pose = looking(_AIM + reach * away, _AIM, np.radians(roll))
+        if np.all(pose.position > _WALLS[0]) and np.all(pose.position < _WALLS[1]) and _shows(scene, pose):
+            return [pose]
+    return []
+
+
+def looking(position: Array, at: Array, roll: float) -> Pose:
+    """A camera at `position` (3,) m that has `at` (3,) in its middle and is turned by `roll` rad clockwise."""
+    z = at - position
+    z /= np.linalg.norm(z)
+    x = np.cross(z, (0.0, 1.0, 0.0))
+    x /= np.linalg.norm(x)
+    y = np.cross(z, x)
+    c, s = np.cos(roll), np.sin(roll)
+    return Pose(np.stack([c * x + s * y, c * y - s * x, z], axis=1), position)
+
+
+def _shows(scene: Scene, pose: Pose) -> bool:
+    """The whole ball in the picture, and three targets of it or more, wholly, facing the camera enough."""
+    phase = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    toward = pose.position / np.linalg.norm(pose.position)
+    side = np.cross(toward, (0.2, 1.0, 0.1))
+    side /= np.linalg.norm(side)
+    circle = np.cos(phase)[:, None] * side + np.sin(phase)[:, None] * np.cross(toward, side)
+    if not np.all(in_picture(pose.to_cam(scene.ball_radius * circle), scene.camera)):
+        return False
+    return int(np.sum(_facing(scene, pose))) >= 3 and int(np.sum(seen_targets(scene, pose))) >= 3
+
+
+def seen_targets(scene: Scene, pose: Pose) -> NDArray[np.bool_]:
+    """Targets that nothing hides and whose rings are wide enough to be told apart, (n,)."""
+    shapes = [Sphere(np.zeros(3), scene.ball_radius, scene.ball_colour), *scene.surroundings]
+    view = look(shapes, pose.position, pose.rotation)
+    cam = pose.to_cam(_rims(scene))
+    _, depth = view.cast(cam[..., :2] / cam[..., 2:])
+    return _facing(scene, pose) & np.all(depth > cam[..., 2] - 1e-3, axis=1)
+
+
+def _facing(scene: Scene, pose: Pose) -> NDArray[np.bool_]:
+    """Targets in the picture and large enough, were nothing in the way, (n,)."""
+    cam = pose.to_cam(_rims(scene))
+    inside = np.all(in_picture(cam.reshape(-1, 3), scene.camera).reshape(cam.shape[:2]), axis=1)
+    away = pose.position - scene.targets.position
+    distance = np.linalg.norm(away, axis=1)
+    width = np.min(np.diff(scene.targets.radii, prepend=0.0)) * scene.camera.fx / distance
+    return inside & (width * away[:, 2] / distance > _RING)
+
+
+def _rims(scene: Scene) -> Array:
+    """Points just within the targets' outer circles, (n, 16, 3) m, obj."""
+    phase = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+    circle = np.stack([np.cos(phase), np.sin(phase), np.zeros(16)], axis=1)
+    return scene.targets.position[:, None] + 0.98 * scene.targets.radii[2] * circle
+
+
+def in_picture(points: Array, camera: InteriorOrientation) -> NDArray[np.bool_]:
+    """Points in `cam`, (n, 3), that the lens maps into the picture with some margin, (n,)."""
+    uv, _ = project(points, camera)
+    xy = points[:, :2] / points[:, 2:]
+    reached = np.sum(xy * xy, axis=1) < 0.9 * camera.fold_r2
+    border = np.array([camera.width, camera.height]) - 1.0 - _MARGIN
+    return reached & np.all((uv > _MARGIN) & (uv < border), axis=1) & (points[:, 2] > 0.0)
+
+
+# ---- before the board ----
+
+
+def board_stations(board: Board, camera: InteriorOrientation, n: int, rng: np.random.Generator) -> tuple[Pose, ...]:
+    """Poses for `n` photos of the board, all of it in the picture; together they fill it, aslant in all directions.
+
+    Of many poses that a hand might take, each photo is the one that brings most corners where few have been.
+    """
+    seen = np.zeros((_CELLS[1], _CELLS[0]))
+    found: list[Pose] = []
+    for k in range(n):
+        tilt = _TILTS[k % len(_TILTS)]
+        tries = [
+            _before_board(board, camera, tilt, _GOLDEN * k, _TURNS[k % len(_TURNS)], rng) for _ in range(_CANDIDATES)
+        ]
+        kept = [pose for pose in tries if pose is not None]
+        if not kept:
+            raise ConfigurationError(
+                f"--focal {camera.fx:g}: the board does not fit into the picture anywhere in the room; take a shorter "
+                "focal length"
+            )
+        cells = [_cells(board, camera, pose) for pose in kept]
+        best = int(np.argmax([np.sum(c / (1.0 + seen)) for c in cells]))
+        found.append(kept[best])
+        seen += cells[best]
+    return tuple(found)
+
+
+def _before_board(
+    board: Board, camera: InteriorOrientation, tilt: float, towards: float, turn: float, rng: np.random.Generator
+) -> Pose | None:
+    """A pose from which the board is seen `tilt` deg aslant, somewhere in the picture; None where it is not whole."""
+    tilt, towards, turn = np.radians([tilt + rng.normal(0.0, 2.0), towards + rng.normal(0.0, 10.0), turn])
+    away = np.array([np.sin(tilt) * np.cos(towards), np.sin(tilt) * np.sin(towards), np.cos(tilt)])
+    picture = np.array([camera.width / camera.fx, camera.height / camera.fy])  # its size at unit distance
+    reach = rng.uniform(0.8, 2.0) * np.max(board.size / picture)
+    pose = looking(MIDDLE + reach * away, MIDDLE, turn + rng.normal(0.0, 0.1))
+    # turned about the projection centre, so that the board's middle is seen elsewhere
+    x, y = rng.uniform(-0.4, 0.4, 2) * picture
+    pose = Pose(pose.rotation @ exp(np.array([y, -x, 0.0])), pose.position)
+    inside = np.all(pose.position > _WALLS[0]) and np.all(pose.position < _WALLS[1])
+    return pose if inside and np.all(in_picture(pose.to_cam(board.outline(0.5 * board.square)), camera)) else None
+
+
+def _cells(board: Board, camera: InteriorOrientation, pose: Pose) -> Array:
+    """1 for every cell of the picture that has a corner of the board in it."""
+    uv, _ = project(pose.to_cam(board.corners()), camera)
+    cell = np.floor(uv / (camera.width, camera.height) * _CELLS).astype(int)
+    cells = np.zeros((_CELLS[1], _CELLS[0]))
+    cells[cell[:, 1], cell[:, 0]] = 1.0
+    return cells
+
 
 _BLUR = 0.5  # px, standard deviation of a lens in focus
 _REFERENCE = (1920, 1080, 1404.0)  # px: width, height and focal length of a wide webcam
@@ -94,9 +290,8 @@ def device_picture(scene: Scene) -> NDArray[np.float32]:
     backdrop = render_backdrop(scene)
     covered = Caps(scene).coverage(lambda times: np.broadcast_to(np.eye(3), (len(times), 3, 3)), 0.0)
     share = np.bincount(covered.pixel, covered.share, backdrop.ball.size).reshape(backdrop.ball.shape)
-    picture = backdrop.white
-    picture += np.minimum(share, 1.0).astype(np.float32)[..., None] * (backdrop.black - backdrop.white)
-    return picture
+    dark = np.minimum(share, 1.0).astype(np.float32)[..., None]
+    return backdrop.white + dark * (backdrop.black - backdrop.white)
 
 
 def truth_of(stills: Stills) -> dict[str, Any]:

@@ -4,7 +4,7 @@
 The scene and the drive are those of Grzonka 2005, chapter 4; the hand-held motion is what a player's arm does.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,11 +13,11 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import MOST_FRAMES
-from spheremouse.simulate.ball.options import option_name
+from spheremouse.simulate.ball.options import Named, check_signs, option_name
 from spheremouse.simulate.wand.options import WandOptions
 from spheremouse.simulate.wand.path import HAND_RATE, HAND_SPEED, WandPath, drive, hand
 from spheremouse.simulate.wand.render import Carried, WandRenderer, WandScene, indoor_light, outdoor_light
-from spheremouse.simulate.wand.things import Passing
+from spheremouse.simulate.wand.room import Passing
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, WandTruth, grzonka_ball
 
@@ -56,9 +56,6 @@ class WandShot:
     frame: Frame
     position: Array  # (k, 3) m, centres of the k balls in cam
     rotation: Array  # (k, 3, 3) R_cam_ball
-
-
-Named = Callable[[str], str]
 
 
 def prepare_wand(options: WandOptions, ball: WandBall | None = None, named: Named = option_name) -> WandFilm:
@@ -171,14 +168,8 @@ def _passing_card(options: WandOptions, path: WandPath, rng: np.random.Generator
 
 
 def _check(options: WandOptions, named: Named) -> None:
-    for name in ("fps", "seconds", "speed", "rate", "focal", "distance"):
-        value = getattr(options, name)
-        if value is not None and (not value > 0.0 or not np.isfinite(value)):
-            raise ConfigurationError(f"{named(name)}: {value:g} must be above 0{'' if value <= 0 else ' and finite'}")
-    for name in ("seed", "begin", "noise", "blur", "vary"):
-        value = getattr(options, name)
-        if not value >= 0 or not np.isfinite(value):
-            raise ConfigurationError(f"{named(name)}: {value:g} must be 0 or more{'' if value < 0 else ', and finite'}")
+    above = ("fps", "seconds", "speed", "rate", "focal", "distance")
+    check_signs(options, above, ("seed", "begin", "noise", "blur", "vary"), named)
     if options.motion not in ("drive", "hand"):
         raise ConfigurationError(f"{named('motion')}: must be drive or hand, is {options.motion!r}")
     if options.light not in ("indoor", "outdoor"):

@@ -13,12 +13,22 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.ball.hands import draw_hand
+from spheremouse.simulate.ball.events import draw_hand
 from spheremouse.simulate.light import develop
 from spheremouse.simulate.wand.ball import Layer, WandLight, disc_paints, paint_ball
 from spheremouse.simulate.wand.path import WandPath, world_to_cam
-from spheremouse.simulate.wand.room import background, lay
-from spheremouse.simulate.wand.things import Passing, card, grip, hand_at, linear_hand, robot, shadow, stick
+from spheremouse.simulate.wand.room import (
+    Passing,
+    background,
+    card,
+    grip,
+    hand_at,
+    lay,
+    linear_hand,
+    robot,
+    shadow,
+    stick,
+)
 from spheremouse.wand.ball import WandBall
 
 Carrier = Literal["robot", "stick", "nothing"]

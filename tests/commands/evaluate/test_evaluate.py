@@ -45,7 +45,7 @@ from spheremouse.files.disc_map import save_map, saved_now
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import rotation_between, tangent_basis
 from spheremouse.output.counts import MotionSettings
-from spheremouse.simulate.ball.degrade import degraded
+from spheremouse.simulate.ball.events import degraded
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
 from spheremouse.simulate.to_dataset import write_simulation
 from spheremouse.tracker import Frame, Status

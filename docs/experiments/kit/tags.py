@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import project, unproject
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.ball.furniture import BLACK, FRONT, INK, PAPER
-from spheremouse.simulate.ball.scene import Scene
+from spheremouse.simulate.ball.scene import BLACK, FRONT, INK, PAPER, Scene
 from spheremouse.simulate.light import develop
 from spheremouse.simulate.shapes import Colour
 

@@ -16,12 +16,10 @@ from spheremouse.files.dataset.frames import read_frames
 from spheremouse.geometry.camera import Pose, reduced_to_pixel
 from spheremouse.geometry.conics import project_circle, project_sphere
 from spheremouse.geometry.rotation import hat, to_euler
-from spheremouse.simulate.ball.backdrop import render_backdrop
+from spheremouse.simulate.ball.backdrop import render_backdrop, render_layers
 from spheremouse.simulate.ball.caps import BallView, Caps
-from spheremouse.simulate.ball.events import Dimming, Lift, bumped, displaced, facing
+from spheremouse.simulate.ball.events import Dimming, HandVisit, Lift, bumped, displaced, facing
 from spheremouse.simulate.ball.film import MOST_FRAMES, Flicker, SimulationOptions, prepare, simulate
-from spheremouse.simulate.ball.hands import HandVisit
-from spheremouse.simulate.ball.layers import render_layers
 from spheremouse.simulate.ball.profile import creep, flick, play, rest, roll, still, thesis
 from spheremouse.simulate.ball.render import Renderer, RenderOptions
 from spheremouse.simulate.ball.scene import default_scene, spread_directions

@@ -5,13 +5,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from experiments.kit.tags import painted, ring_sheet, tag_cells, tag_corners, tag_sheet
 
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import exp
 from spheremouse.simulate.ball.backdrop import render_backdrop
-from spheremouse.simulate.ball.furniture import frame
-from spheremouse.simulate.ball.scene import default_scene
-from spheremouse.simulate.ball.tags import painted, ring_sheet, tag_cells, tag_corners, tag_sheet
+from spheremouse.simulate.ball.scene import default_scene, frame
 
 FAMILY = cv2.aruco.DICT_4X4_50
 HALF = 0.036  # m

@@ -26,8 +26,17 @@ from spheremouse.files.device import load_device
 from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.ball.board import Board, board_coverage
-from spheremouse.simulate.ball.stations import board_stations, device_stations, looking, seen_targets
-from spheremouse.simulate.ball.stills import Photo, StillsOptions, photos, prepare_stills, truth_of
+from spheremouse.simulate.ball.stills import (
+    Photo,
+    StillsOptions,
+    board_stations,
+    device_stations,
+    looking,
+    photos,
+    prepare_stills,
+    seen_targets,
+    truth_of,
+)
 
 pytestmark = pytest.mark.slow  # films of many stills
 
