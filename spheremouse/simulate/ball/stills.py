@@ -291,7 +291,7 @@ def device_picture(scene: Scene) -> NDArray[np.float32]:
     covered = Caps(scene).coverage(lambda times: np.broadcast_to(np.eye(3), (len(times), 3, 3)), 0.0)
     share = np.bincount(covered.pixel, covered.share, backdrop.ball.size).reshape(backdrop.ball.shape)
     dark = np.minimum(share, 1.0).astype(np.float32)[..., None]
-    return backdrop.white + dark * (backdrop.black - backdrop.white)
+    return np.asarray(backdrop.white + dark * (backdrop.black - backdrop.white), dtype=np.float32)
 
 
 def truth_of(stills: Stills) -> dict[str, Any]:
