@@ -172,10 +172,10 @@ def found_again(fps: float, seed: int, pictures: bool) -> Result:
             states[who] = state
             rate = float(np.linalg.norm(state.filter.rate - w))
             off[who].append((rotation_error(state, R), rate, state.status is Status.TRACKING))
-    return {who: _waited(t, off[who], end) for who in WHO}
+    return {who: waited(t, off[who], end) for who in WHO}
 
 
-def _waited(t: Array, off: "list[tuple[Array, float, bool]]", end: float) -> Result:
+def waited(t: Array, off: "list[tuple[Array, float, bool]]", end: float) -> Result:
     errors, rate, tracking = (np.array([o[k] for o in off]) for k in range(3))
     before, after = int(np.searchsorted(t, _AT)) - 1, int(np.searchsorted(t, end))
     cosine = 0.5 * (np.sum(errors * errors[before], axis=(1, 2)) - 1.0)

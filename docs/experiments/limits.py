@@ -104,7 +104,7 @@ class Trial:
 
         ramp = self.times(FASTEST / acceleration)
         high = FASTEST if len(courses) > len(ramp) else acceleration * float(ramp[len(courses) - 1])
-        return _bisected(holds, SLOWEST, high)
+        return bisected(holds, SLOWEST, high)
 
     def hardest(self, rate: float) -> float:
         """The highest even acceleration, rad/s², to `rate` rad/s at which it is followed until HOLD later; 0: none."""
@@ -113,10 +113,10 @@ class Trial:
             t = self.times(rate / acceleration + HOLD)
             return len(self.course(course_begun(self.start), SpedUp(self.axis, acceleration, rate), t)) == len(t)
 
-        return _bisected(holds, 1.0, HARDEST)
+        return bisected(holds, 1.0, HARDEST)
 
 
-def _bisected(holds: Callable[[float], bool], low: float, high: float) -> float:
+def bisected(holds: Callable[[float], bool], low: float, high: float) -> float:
     """Bisect for the value up to which a condition holds; `high` if it always holds, 0 if never."""
     if holds(high):
         return high
@@ -330,15 +330,9 @@ def _films(rows: pd.DataFrame) -> list[Part]:
         Claim(
             f"At an even rate `so3` follows {FLICK:g} °/s on every ball with every exposure tried.", ours.min() >= FLICK
         ),
-        *(
-            [
-                Claim(
-                    "Sharp pictures, taken all the way from rest, limit no more than none do.",
-                    (sharp["sharp"] >= sharp["without pictures"]).all(),
-                )
-            ]
-            if len(sharp)
-            else []
+        Claim(
+            "Sharp pictures, taken all the way from rest, limit no more than none do.",
+            (sharp["sharp"] >= sharp["without pictures"]).all(),
         ),
         Plot(
             "limits-exposure",

@@ -246,10 +246,10 @@ def mouse(run: Run, motion: Truth, assumed: float, true: float) -> dict[str, flo
         return None
     R = motion.attitude
     made = log(R[run.frame[k]] @ R[run.frame[k - 1]].transpose(0, 2, 1))
-    return _compared(surface_travel(run.rotation[k], assumed), 1e3 * true * made[:, [2, 0, 1]])
+    return pointer_errors(surface_travel(run.rotation[k], assumed), 1e3 * true * made[:, [2, 0, 1]])
 
 
-def _compared(sent: Array, made: Array) -> dict[str, float] | None:
+def pointer_errors(sent: Array, made: Array) -> dict[str, float] | None:
     """`sent` (n, 2) mm of the pointer, `made` (n, 3) mm: across, along, spin."""
     spread = np.linalg.svd(made, compute_uv=False)
     if spread[-1] <= _NARROW * spread[0]:

@@ -22,8 +22,7 @@ from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.ball.truth import VISIBLE, Truth
 from spheremouse.errors import PoseError
-from spheremouse.evaluate.bound import posterior_bound
-from spheremouse.evaluate.centres import MATCH, Sight, distances
+from spheremouse.evaluate.bound import MATCH, Sight, distances, posterior_bound
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, tangent_basis
@@ -199,7 +198,7 @@ def expected(place: Place, layouts: Sequence[int], frames: int, noise: Sequence[
     scene = scene_from(place, 0)
     for layout in layouts:
         scene = scene_from(place, layout)
-        seen = _sights(scene, motion.attitude, noise)
+        seen = sights_at(scene, motion.attitude, noise)
         discs.append(float(np.mean([len(s.disc) for s in seen])))
         limit = posterior_bound(motion, seen, scene.disc_directions, scene.rig(), scene.pose)
         squares.append([np.mean(np.trace(P[1:], axis1=1, axis2=2)) for P in (limit.attitude, limit.rate)])
@@ -213,19 +212,19 @@ def expected(place: Place, layouts: Sequence[int], frames: int, noise: Sequence[
     }
 
 
-def _sights(scene: Scene, attitude: Array, noise: Sequence[Size]) -> list[Sight]:
+def sights_at(scene: Scene, attitude: Array, noise: Sequence[Size]) -> list[Sight]:
     """The discs wholly in view at attitudes (n, 3, 3), each as certain as its size allows."""
     n, m = len(attitude), len(scene.disc_directions)
     toward = (scene.disc_directions @ attitude.transpose(0, 2, 1)).reshape(-1, 3)
     seen = appearance(toward, scene.rig(), scene.pose)
-    sigma = _sigma(seen.area, noise)
+    sigma = centre_sigma(seen.area, noise)
     row = np.flatnonzero(seen.whole & np.isfinite(sigma))
     row = row[_in_view(scene, toward[row])]
     ends = np.searchsorted(row, m * np.arange(n + 1))
     return [Sight(row[a:b] - k * m, sigma[row[a:b]]) for k, (a, b) in enumerate(pairwise(ends))]
 
 
-def _sigma(area: Array, noise: Sequence[Size]) -> Array:
+def centre_sigma(area: Array, noise: Sequence[Size]) -> Array:
     """px per axis by area, (n,) px²; inf for what is smaller than all that was found.
 
     A disc that is found every other time tells half as much.
@@ -322,16 +321,10 @@ def section(results: Results) -> list[Part]:
             "For another place, move the targets too.",
             0 < len(seen) < len(around),
         ),
-        *(
-            [
-                Table(
-                    "The bound by distance, straight before the frame",
-                    along.sort_values(["lens", "distance, m"]),
-                    ["lens"],
-                )
-            ]
-            if len(along)
-            else []
+        Table(
+            "The bound by distance, straight before the frame",
+            along.sort_values(["lens", "distance, m"]),
+            ["lens"],
         ),
         Claim(
             f"With one lens of {FOCAL:.0f} px there is a best distance; with a lens with which the ball fills the "
@@ -348,35 +341,23 @@ def section(results: Results) -> list[Part]:
             _over(tracked, "`so3`, true pose: ", "map: ").describe().loc[["min", "50%", "max"]].reset_index(),
         ),
         Table("Noise by size, as in the map", noise),
-        *(
-            [
-                Plot(
-                    "places-directions",
-                    "The bound by the direction of the camera.",
-                    rises,
-                    "azimuth, °",
-                    [ATTITUDE, RATE],
-                    "elevation, °",
-                    log="y",
-                )
-            ]
-            if len(around)
-            else []
+        Plot(
+            "places-directions",
+            "The bound by the direction of the camera.",
+            rises,
+            "azimuth, °",
+            [ATTITUDE, RATE],
+            "elevation, °",
+            log="y",
         ),
-        *(
-            [
-                Plot(
-                    "places-distances",
-                    "The bound against the distance, straight before the frame.",
-                    shown,
-                    "distance, m",
-                    [ATTITUDE, RATE],
-                    "lens",
-                    log="xy",
-                )
-            ]
-            if len(along)
-            else []
+        Plot(
+            "places-distances",
+            "The bound against the distance, straight before the frame.",
+            shown,
+            "distance, m",
+            [ATTITUDE, RATE],
+            "lens",
+            log="xy",
         ),
     ]
 

@@ -63,7 +63,7 @@ def filmed(view: View, seed: int, counts: Sequence[int]) -> Result:
     Seed 0 is the thesis' camera itself.
     """
     scene = default_scene(50, view, seed)
-    scene = scene if seed == 0 else replace(scene, pose=_strayed(scene, np.random.default_rng([seed, 1])))
+    scene = scene if seed == 0 else replace(scene, pose=strayed_pose(scene, np.random.default_rng([seed, 1])))
     rigs = {"exact": scene.rig(), "calibrated": calibrated_rig(seed, scene.camera)}
     backdrop = None
     result: Result = {}
@@ -100,7 +100,7 @@ def drawn(view: View, seeds: int) -> Result:
             Sighting(code, c + sigma * rng.standard_normal(2), sigma**2 * np.eye(2), VIEWS_USED)
             for code, c in zip(exact.targets.codes, centre, strict=True)
         ]
-        entries.append(_found(seen, calibrated_rig(seed, scene.camera), scene.pose))
+        entries.append(pose_result(seen, calibrated_rig(seed, scene.camera), scene.pose))
     return {"entries": entries}
 
 
@@ -109,7 +109,7 @@ def _films(counts: Sequence[int]) -> tuple[tuple[str, float, Sequence[int]], ...
     return ("table", NOISE, (VIEWS_USED,)), ("figure", STRONG, counts)
 
 
-def _strayed(scene: Scene, rng: np.random.Generator) -> Pose:
+def strayed_pose(scene: Scene, rng: np.random.Generator) -> Pose:
     """A camera near that of the scene which sees all targets whole."""
     rig, camera, pose = scene.rig(), scene.camera, scene.pose
     while True:
@@ -132,7 +132,9 @@ def _poses(frames: Iterable[Frame], rigs: dict[str, Rig], true: Pose, counts: Se
         views.append(detect_targets(frame.image, exact.targets.radii, settings.rings))
     assert image is not None, "there are frames"
     by_count = {
-        str(n): {name: _found(gather(views[:n]), replace(rig, pose=None), true, image) for name, rig in rigs.items()}
+        str(n): {
+            name: pose_result(gather(views[:n]), replace(rig, pose=None), true, image) for name, rig in rigs.items()
+        }
         for n in counts
     }
     return {"counts": by_count, **_centres(views, exact, true)}
@@ -151,7 +153,7 @@ def _centres(views: list[TargetDetections], rig: Rig, true: Pose) -> Result:
     }
 
 
-def _found(seen: list[Sighting], rig: Rig, true: Pose, image: Any = None) -> Result:
+def pose_result(seen: list[Sighting], rig: Rig, true: Pose, image: Any = None) -> Result:
     """A pose with its error: position in mm, omega, phi, kappa in degrees."""
     camera = rig.camera
     picture = np.zeros((camera.height, camera.width), np.uint8) if image is None else image
@@ -205,11 +207,7 @@ def section(results: Results) -> list[Part]:
         *parts,
         Table("How honest the covariances are: errors squared over covariance, 1 is honest", honest),
         Claim("No covariance is too small.", (over_six <= high).all()),
-        *(
-            [Table("far26, the shared recording of the far camera (table 21)", _beside(shared, "21"))]
-            if len(shared)
-            else []
-        ),
+        Table("far26, the shared recording of the far camera (table 21)", _beside(shared, "21")),
         Table(f"Position by the number of views, with noise of {STRONG:g} grey values", curves, ["view", "targets"]),
         Claim(
             "More views remove noise and nothing else: with calibrated targets the error stays.",

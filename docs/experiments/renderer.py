@@ -109,20 +109,20 @@ def compared(path: str, first: int, step: int) -> Result:
     for k in range(first, len(film.frames), step):
         shot = renderer.frame(profile, float(motion.stamp[k]), k, np.random.default_rng(k))
         pictures = (shot.frame.image, film.frames[k].image)
-        own, whole = _whole_in_both(shot.discs, discs.of_frame(k))
+        own, whole = whole_in_both(shot.discs, discs.of_frame(k))
         apart = [
             np.linalg.norm(a - b, axis=1) for a, b in ((own.centre, whole.centre), (own.blob_centre, whole.blob_centre))
         ]
         geometry += np.stack([*apart, np.abs(own.area / whole.area - 1.0)], axis=1).tolist()
         directions = scene.disc_directions[whole.disc] @ motion.attitude[k].T
         looks = appearance(directions, rig, scene.pose)
-        found = [_measured(detector.detect(p), whole.centre) for p in pictures]
+        found = [measured_centres(detector.detect(p), whole.centre) for p in pictures]
         radius = np.linalg.norm(_from_middle(whole.centre, rig, scene), axis=1)
         for i in range(len(whole)):
             rows.append([radius[i], whole.area[i], *whole.centre[i], *found[0][i], *found[1][i]])
         for name, picture in zip(GREY, pictures, strict=True):
-            _add_edges(edges[name], picture, looks)
-        _add_edges(edges[LINEAR], _light(pictures[1]), looks)
+            add_edges(edges[name], picture, looks)
+        add_edges(edges[LINEAR], linear_light(pictures[1]), looks)
     return {
         "frames": len(range(first, len(film.frames), step)),
         "rows": [[None if np.isnan(x) else round(float(x), 5) for x in row] for row in rows],
@@ -131,7 +131,7 @@ def compared(path: str, first: int, step: int) -> Result:
     }
 
 
-def _whole_in_both(ours: DiscTruth, theirs: DiscTruth) -> tuple[DiscTruth, DiscTruth]:
+def whole_in_both(ours: DiscTruth, theirs: DiscTruth) -> tuple[DiscTruth, DiscTruth]:
     """Discs that both say are wholly visible, as each has them."""
     keep = (theirs.state == VISIBLE) & (theirs.area >= AREAS[0][0])
     _, a, b = np.intersect1d(ours.disc, np.where(keep, theirs.disc, -1), return_indices=True)
@@ -141,7 +141,7 @@ def _whole_in_both(ours: DiscTruth, theirs: DiscTruth) -> tuple[DiscTruth, DiscT
     return own, whole
 
 
-def _measured(found: Detections, true: Array) -> Array:
+def measured_centres(found: Detections, true: Array) -> Array:
     """Centres at the discs and their claimed standard deviation, (n, 3) px; nan where there is none."""
     at = np.full((len(true), 3), np.nan)
     i, j = assign(np.linalg.norm(true[:, None] - found.centre[None], axis=2), _MATCH)
@@ -150,7 +150,7 @@ def _measured(found: Detections, true: Array) -> Array:
     return at
 
 
-def _light(picture: Any) -> Array:
+def linear_light(picture: Any) -> Array:
     """Grey values of a picture as light, 0..255: the curve of sRGB (IEC 61966-2-1) undone."""
     x = picture / 255.0
     return 255.0 * np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
@@ -181,7 +181,7 @@ def _grey(picture: Any, at: NDArray[np.intp]) -> Array:
     return picture[at[0], at[1]].astype(float).mean(axis=1)
 
 
-def _add_edges(edges: Array, picture: Any, look: Appearance) -> None:
+def add_edges(edges: Array, picture: Any, look: Appearance) -> None:
     """Adds to sums and counts (2, cells) the darkness of pixels by their distance from the edges of large discs."""
     for i in np.flatnonzero(look.whole & (look.area >= 60.0)):
         cells = _cells(look, int(i), picture.shape[:2], REACH + 1.5)
@@ -214,7 +214,7 @@ def section(results: Results) -> list[Part]:
     )
     by_area = _classes(errors, "area", [a for a, _ in AREAS], [f"{a:g} to {b:g} px²" for a, b in AREAS])
     by_place = _classes(errors, "place", RINGS[:-1], [0.5 * (a + b) for a, b in pairwise(RINGS)])
-    edges = _edges(results)
+    edges = edge_profiles(results)
     blur = pd.DataFrame(
         [[n, blur_of(edges[n]), middle_of(edges[n])] for n in edges],
         columns=["picture", "blur, px", "half way between dark and light at, px"],
@@ -258,7 +258,7 @@ def _classes(errors: pd.DataFrame, key: str, bounds: Sequence[float], names: Seq
     return found.assign(discs=values.groupby(classes, observed=True).size() // 2).reset_index()
 
 
-def _edges(results: Results) -> pd.DataFrame:
+def edge_profiles(results: Results) -> pd.DataFrame:
     """How light pixels are (0 disc, 1 ball) by their distance (px) from an edge; nan where there are none."""
     sums = {name: np.sum([r["edges"][name] for r in results.values()], axis=0) for name in (*GREY, LINEAR)}
     lights = {name: light / np.where(pixels > 0, pixels, np.nan) for name, (light, pixels) in sums.items()}

@@ -85,7 +85,7 @@ def _any_rotation(rng: np.random.Generator) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class _Sights:
+class SeenDiscs:
     """Detections of wholly visible discs in many frames, and where those discs are."""
 
     detections: Detections
@@ -99,21 +99,21 @@ def cap(view: View, frames: int, draws: int) -> Result:
     known = [_device(scene, seed) for seed in range(draws)]
     angle = _angle(detections.directions, scene)
     exact = scene.rig()
-    image = _errors(detections, exact, scene.pose)
-    total = [_errors(detections, rig, rig.pose or scene.pose) for rig in known]
+    image = surface_errors(detections, exact, scene.pose)
+    total = [surface_errors(detections, rig, rig.pose or scene.pose) for rig in known]
     rig = known[0]
     result: Result = {
         "detections": len(detections.directions),
         "bins": _bins(angle, image, total),
-        "chi_square_image": _chi_square([image]),
-        "chi_square_total": _chi_square(total),
+        "chi_square_image": chi_square([image]),
+        "chi_square_total": chi_square(total),
     }
     if view == "far":
         result["table 13"] = _five(scene, rig)
     return result
 
 
-def _sights(scene: Scene, frames: int) -> _Sights:
+def _sights(scene: Scene, frames: int) -> SeenDiscs:
     renderer, rng = Renderer(scene, RenderOptions(noise=_NOISE)), np.random.default_rng(1)
     detector = disc_detector(kit.settings_of().discs, scene.rig(), scene.pose)
     found, directions = [], []
@@ -127,7 +127,7 @@ def _sights(scene: Scene, frames: int) -> _Sights:
     joined = found[0]
     for other in found[1:]:
         joined = joined.joined(other)
-    return _Sights(joined, np.concatenate(directions))
+    return SeenDiscs(joined, np.concatenate(directions))
 
 
 def _device(scene: Scene, seed: int) -> Rig:
@@ -144,7 +144,7 @@ def _device(scene: Scene, seed: int) -> Rig:
 
 
 @dataclass(frozen=True, slots=True)
-class _Errors:
+class SurfaceErrors:
     """Along the surface, in the axes in which it is least and best known."""
 
     index: NDArray[np.intp]  # (n,) of the sights whose rays meet the ball
@@ -152,15 +152,15 @@ class _Errors:
     sigma: Array  # (n, 2) mm, as claimed
 
 
-def _errors(detections: _Sights, rig: Rig, pose: Pose) -> _Errors:
+def surface_errors(detections: SeenDiscs, rig: Rig, pose: Pose) -> SurfaceErrors:
     points = intersect(detections.detections, rig, pose)
     true = RADIUS * detections.directions[points.index]
-    variance, axes = _along_surface(points)
+    variance, axes = along_surface(points)
     off = np.einsum("nij,ni->nj", axes, points.position - true)
-    return _Errors(points.index, 1e3 * off[:, ::-1], 1e3 * np.sqrt(variance[:, ::-1]))
+    return SurfaceErrors(points.index, 1e3 * off[:, ::-1], 1e3 * np.sqrt(variance[:, ::-1]))
 
 
-def _along_surface(points: SpherePoints) -> tuple[Array, Array]:
+def along_surface(points: SpherePoints) -> tuple[Array, Array]:
     """Eigenvalues, (n, 2) m², rising, and axes, (n, 3, 2), of the covariance along the surface."""
     basis = tangent_basis(points.direction)
     flat = basis.transpose(0, 2, 1) @ points.covariance @ basis
@@ -168,7 +168,7 @@ def _along_surface(points: SpherePoints) -> tuple[Array, Array]:
     return np.maximum(variance, 0.0), basis @ vectors
 
 
-def _bins(angle: Array, image: _Errors, total: Sequence[_Errors]) -> list[Result]:
+def _bins(angle: Array, image: SurfaceErrors, total: Sequence[SurfaceErrors]) -> list[Result]:
     """RMS errors and claims by the angle from the point that faces the camera, deg."""
     found = []
     for low in np.arange(0.0, 90.0, _BIN):
@@ -185,12 +185,12 @@ def _bins(angle: Array, image: _Errors, total: Sequence[_Errors]) -> list[Result
     return found
 
 
-def _chi_square(cases: Sequence[_Errors]) -> float:
+def chi_square(cases: Sequence[SurfaceErrors]) -> float:
     """Mean over its two degrees of freedom."""
     return float(np.mean(np.concatenate([(c.error / c.sigma) ** 2 for c in cases])))
 
 
-def _seen(directions: Array, sigma: Array, rig: Rig, scene: Scene) -> SpherePoints:
+def seen_points(directions: Array, sigma: Array, rig: Rig, scene: Scene) -> SpherePoints:
     """Points of the ball at (n, 3), seen from where the camera is; centres are certain to `sigma`, (n,) px."""
     assert rig.pose is not None, "the device stands before a camera"
     centre = seen_at(directions, scene.rig(), scene.pose)
@@ -212,7 +212,7 @@ def _five(scene: Scene, rig: Rig) -> Result:
     assert rig.pose is not None, "the device stands before a camera"
     apart = replace(rig, pose=replace(rig.pose, ball_covariance=np.zeros((6, 4))))
     return {
-        name: [_described(P) for P in _seen(directions, sigma, device, scene).covariance]
+        name: [_described(P) for P in seen_points(directions, sigma, device, scene).covariance]
         for name, device in (("ours", rig), ("uncorrelated", apart), ("as the thesis", _as_the_thesis(scene)))
     }
 

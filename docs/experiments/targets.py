@@ -180,7 +180,7 @@ def _tried(
     results = {kind: _posed([_detected(kind, image, rig) for image in images], rig, scene.pose, images[0])}
     if kind == "aruco":
         middles = rig_of("aruco centres", scene, n, size)
-        seen = [_middles(_detected(kind, image, rig)) for image in images]
+        seen = [tag_middles(_detected(kind, image, rig)) for image in images]
         results["aruco centres"] = _posed(seen, middles, scene.pose, images[0])
     return {key(k, n, size, condition): r for k, r in results.items()}
 
@@ -230,7 +230,7 @@ def corners_of(kind: str, image: NDArray[np.uint8], rig: Rig, refinement: str) -
     return TargetDetections(tuple(codes), np.array(points, dtype=float).reshape(-1, 2), np.array(radii), ())
 
 
-def _middles(seen: TargetDetections) -> TargetDetections:
+def tag_middles(seen: TargetDetections) -> TargetDetections:
     """Centres of tags whose four corners are seen: where their diagonals meet."""
     codes, points, radii = [], [], []
     for first in range(0, len(seen), 4):

@@ -161,9 +161,9 @@ def section(results: Results) -> list[Part]:
         "drawn by the thesis' motion alone", "all as in the thesis", "known start"))  # fmt: skip
     speeds = pd.DataFrame([{"": name, **speed} for name, speed in timed.items()])
     return [
-        *([Table("What is asked", pd.DataFrame(verdicts(table, timed)))] if table or timed else []),
-        *([Table("Films and trackers", pd.DataFrame(map(_cells, table)), ["film"])] if table else []),
-        *([Table("Speed, one core (thesis: 1.4 fps with 350 particles, 0.37 with 5000)", speeds)] if timed else []),
+        Table("What is asked", pd.DataFrame(verdicts(table, timed))),
+        Table("Films and trackers", pd.DataFrame(map(_cells, table)), ["film"]),
+        Table("Speed, one core (thesis: 1.4 fps with 350 particles, 0.37 with 5000)", speeds),
         Claim(
             "Particles that are drawn towards the peaks of the likelihood make the difference: the thesis' motion "
             "alone loses the ball in most runs.",

@@ -126,7 +126,7 @@ def track_recording(recording: str, plan: "Plan", stamps: Path | None) -> "tuple
     from spheremouse.ball.build import build
     from spheremouse.capture import open_source
     from spheremouse.commands.terminal import progress_bar
-    from spheremouse.evaluate.history import History
+    from spheremouse.evaluate.metrics import History
     from spheremouse.session.offline import initialise, track
 
     history = History()

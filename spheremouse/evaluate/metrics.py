@@ -6,16 +6,16 @@ with rotation vectors in place of differences of Euler angles.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.rig import Rig
+from spheremouse.ball.state import Epoch
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth, Truth
-from spheremouse.evaluate.bound import Bound, posterior_bound
-from spheremouse.evaluate.centres import MATCH, distances, measured, semi_minor_axes
+from spheremouse.evaluate.bound import MATCH, Bound, distances, measured, posterior_bound, semi_minor_axes
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, log
@@ -23,6 +23,7 @@ from spheremouse.tracker import Status
 
 MIN_AREA = 12.0  # px², smaller discs are not asked for: 3.9 px across
 MIN_AXIS = 1.25  # px, semi-minor axis: below that both rims of a disc are one blur, however large the picture
+_TURNING = (0, 1, 2, 6, 7, 8)  # of an estimate's covariance: rotation and its rate
 _RANK = 1e-9  # eigenvalues below this part of the largest are none
 
 
@@ -57,6 +58,42 @@ class Reference:
     discs: DiscTruth | None = None
     pose: Pose | None = None  # of the camera
     directions: Array | None = None  # (m, 3) unit vectors to the discs, ball
+
+
+@dataclass(slots=True)
+class History:
+    """Results of a run, frame by frame, without the pictures: what `evaluate` looks at."""
+
+    epochs: list[Epoch] = field(default_factory=list)
+
+    def add(self, epoch: Epoch) -> None:
+        """One more."""
+        self.epochs.append(replace(epoch, frame=replace(epoch.frame, image=np.zeros((0, 0), np.uint8))))
+
+    def run(self) -> Run:
+        """As the metrics take it."""
+        epochs, n = self.epochs, len(self.epochs)
+        states = [e.state for e in epochs]
+        return Run(
+            frame=np.array([e.frame.sequence for e in epochs], dtype=np.intp),
+            stamp=np.array([e.frame.stamp for e in epochs], dtype=float),
+            status=tuple(s.status for s in states),
+            attitude=np.array([e.estimate.rotation for e in epochs]).reshape(n, 3, 3),
+            rate=np.array([e.estimate.rate[:3] for e in epochs]).reshape(n, 3),
+            rotation=np.array([e.estimate.increment[:3] for e in epochs]).reshape(n, 3),
+            covariance=np.array([e.estimate.covariance[np.ix_(_TURNING, _TURNING)] for e in epochs]).reshape(n, 6, 6),
+            absolute=np.array([s.absolute for s in states], dtype=bool),
+            detected=tuple(s.detections.centre for s in states),
+            used=tuple(e.used for e in epochs),
+            seconds={stage: np.array([e.seconds[stage] for e in epochs]) for stage in (epochs[0].seconds if n else ())},
+            nis=_innovations(epochs),
+        )
+
+
+def _innovations(epochs: list[Epoch]) -> Array | None:
+    """Return the normalised innovation squared of each update, (n,); None if the filter does not give it."""
+    values = [e.estimate.statistics.get("nis") for e in epochs]
+    return None if None in values else np.array(values, dtype=float)
 
 
 def report(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from spheremouse.evaluate.metrics import mean_nees
+from spheremouse.evaluate.metrics import frame_times, mean_nees
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.geometry.statistics import gate
 from spheremouse.tracker import Event
@@ -162,7 +162,7 @@ def wand_report(
         "found_from_frame": None,
         **errors([], []),
         "fps": _fps(runs),
-        "frame_us": _times(runs),
+        "frame_us": frame_times({"all": np.concatenate([run.seconds for run in runs])} if runs else {}),
     }
     if truth is None:
         return report
@@ -225,17 +225,6 @@ def _within(error: Array, covariance: Array) -> float | None:
 def _fps(runs: Sequence[WandRun]) -> float | None:
     seconds = sum(float(run.seconds.sum()) for run in runs)
     return _number(sum(len(run.seconds) for run in runs) / seconds) if seconds > 0.0 else None
-
-
-def _times(runs: Sequence[WandRun]) -> dict[str, float | None]:
-    every = np.concatenate([run.seconds for run in runs]) if runs else np.zeros(0)
-    if len(every) == 0:
-        return {"median": None, "p99": None, "max": None}
-    return {
-        "median": _number(1e6 * np.median(every)),
-        "p99": _number(1e6 * np.quantile(every, 0.99)),
-        "max": _number(1e6 * np.max(every)),
-    }
 
 
 def _number(value: Any) -> float | None:

@@ -95,10 +95,10 @@ def test_attitude_is_the_integral_of_rate():
 
 def test_bisection_finds_where_it_ends():
     for limit in (0.3, 2.0, 11.0):
-        found = limits._bisected(lambda x, limit=limit: x <= limit, 0.1, 25.0)
+        found = limits.bisected(lambda x, limit=limit: x <= limit, 0.1, 25.0)
         assert limit / limits.FINE < found <= limit
-    assert limits._bisected(lambda x: True, 0.1, 25.0) == 25.0
-    assert limits._bisected(lambda x: False, 0.1, 25.0) == 0.0
+    assert limits.bisected(lambda x: True, 0.1, 25.0) == 25.0
+    assert limits.bisected(lambda x: False, 0.1, 25.0) == 0.0
 
 
 def test_what_is_reached_is_followed_and_more_is_not(trial):
@@ -141,7 +141,7 @@ def test_so3_finds_the_ball_again_at_once_and_ekf2_not_its_attitude():
 def test_the_wait_is_counted_from_when_the_cover_goes():
     t = np.arange(1.0, 56.0) / 10.0
     off = [(np.eye(3), 0.0 if s < 2.0 or s > 3.35 else 1.0, True) for s in t]
-    found = covers._waited(t, off, 3.0)
+    found = covers.waited(t, off, 3.0)
     assert found["rate"] == {"frames": 5, "ms": pytest.approx(400.0)}
     assert found["attitude"] == {"frames": 1, "ms": pytest.approx(0.0)}
-    assert covers._waited(t, [(np.eye(3), 1.0, True)] * len(t), 3.0) == {"error": "lost before the cover came"}
+    assert covers.waited(t, [(np.eye(3), 1.0, True)] * len(t), 3.0) == {"error": "lost before the cover came"}

@@ -86,19 +86,19 @@ def test_scale_direction_spin_and_wobble_are_told_apart():
     angle = np.radians(3.0)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     A = 1.1 * np.column_stack([turn, [0.02, 0.0]])
-    found = mistakes._compared(made @ A.T, made)
+    found = mistakes.pointer_errors(made @ A.T, made)
     assert found["scale"] == pytest.approx(10.0)
     assert found["direction"] == pytest.approx(3.0)
     assert found["spin"] == pytest.approx(2.2)
     assert found["wobble"] == pytest.approx(0.0, abs=1e-9)
-    noisy = mistakes._compared(made[:, :2] + 0.05 * rng.standard_normal((400, 2)), made)
+    noisy = mistakes.pointer_errors(made[:, :2] + 0.05 * rng.standard_normal((400, 2)), made)
     assert noisy["wobble"] == pytest.approx(5.0, rel=0.1)
     assert abs(noisy["scale"]) < 1.0
 
 
 def test_axes_of_different_speed_lead_astray():
     made = np.random.default_rng(0).standard_normal((100, 3))
-    found = mistakes._compared(made[:, :2] * (1.1, 1.0 / 1.1), made)
+    found = mistakes.pointer_errors(made[:, :2] * (1.1, 1.0 / 1.1), made)
     assert found["scale"] == pytest.approx(0.0, abs=1e-9)
     k = 1.1**2
     assert found["direction"] == pytest.approx(np.degrees(np.arcsin((k - 1.0) / (k + 1.0))), rel=1e-3)
@@ -106,8 +106,8 @@ def test_axes_of_different_speed_lead_astray():
 
 def test_a_ball_that_turns_about_one_axis_tells_no_direction():
     made = np.outer(np.linspace(-1.0, 1.0, 50), [1.0, 0.0, 0.0])
-    assert mistakes._compared(made[:, :2], made) is None
-    assert mistakes._compared(np.zeros((50, 2)), np.zeros((50, 3))) is None
+    assert mistakes.pointer_errors(made[:, :2], made) is None
+    assert mistakes.pointer_errors(np.zeros((50, 2)), np.zeros((50, 3))) is None
 
 
 def test_a_scale_is_that_of_the_radius_by_which_it_was_sent(film):

@@ -25,7 +25,7 @@ def with_noise(sigma):
 def test_the_discs_in_view_are_those_that_the_renderer_shows_whole():
     scene = scene_from(Place(-30, 20, 2.2, 600.0), 3)
     renderer, times = Renderer(scene), np.linspace(0.0, 9.0, 6)
-    seen = places._sights(scene, thesis().attitude(times), with_noise(0.05))
+    seen = places.sights_at(scene, thesis().attitude(times), with_noise(0.05))
     agree = total = 0
     for k, t in enumerate(times):
         truth = renderer.frame(thesis(), float(t), k, np.random.default_rng(0)).discs
@@ -42,7 +42,7 @@ def test_the_bound_is_proportional_to_the_noise_of_centres_where_motion_is_well_
 
 
 def test_discs_that_are_seldom_found_tell_less_and_smaller_ones_nothing():
-    sigma = places._sigma(np.array([11.0, 90.0, 300.0, 5.0, np.nan]), NOISE)
+    sigma = places.centre_sigma(np.array([11.0, 90.0, 300.0, 5.0, np.nan]), NOISE)
     assert sigma[0] == pytest.approx(0.1 / np.sqrt(0.5))
     assert sigma[1:3] == pytest.approx([0.02, 0.02])
     assert np.all(np.isinf(sigma[3:]))

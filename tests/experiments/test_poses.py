@@ -31,7 +31,7 @@ def test_an_error_is_told_in_the_thesis_angles(view):
     rig, true = scene.rig(), scene.pose
     step = np.array([1e-3, -2e-3, 0.5e-3, *np.radians([0.03, -0.02, 0.04])])
     moved = Pose(from_euler(to_euler(true.rotation) + step[3:]), true.position + step[:3])
-    found = poses._found(sightings(rig, predict_targets(moved, rig)), rig, true)
+    found = poses.pose_result(sightings(rig, predict_targets(moved, rig)), rig, true)
     assert found["error"] == pytest.approx([1.0, -2.0, 0.5, 0.03, -0.02, 0.04], abs=2e-4)
 
 
@@ -40,7 +40,7 @@ def test_sigma_is_the_scatter_of_the_error():
     rig = scene.rig()
     centre = predict_targets(scene.pose, rig)
     found = [
-        poses._found(sightings(rig, centre + 0.05 * rng.standard_normal(centre.shape)), rig, scene.pose)
+        poses.pose_result(sightings(rig, centre + 0.05 * rng.standard_normal(centre.shape)), rig, scene.pose)
         for _ in range(150)
     ]
     error = np.array([f["error"] for f in found])
@@ -54,7 +54,7 @@ def test_sigma_is_the_scatter_of_the_error():
 def test_the_far_camera_has_the_correlations_of_table_21():
     scene = default_scene(1, "far")
     rig = scene.rig()
-    found = poses._found(sightings(rig, predict_targets(scene.pose, rig)), rig, scene.pose)
+    found = poses.pose_result(sightings(rig, predict_targets(scene.pose, rig)), rig, scene.pose)
     for i, row in enumerate(thesis.THESIS_TABLES["21"]["correlation"], start=1):
         assert found["correlation"][i][:i] == pytest.approx(row, abs=0.12)
 
@@ -67,7 +67,7 @@ def test_draws_are_honest_with_calibrated_targets():
 
 def test_cameras_of_seeds_differ_and_see_all_targets():
     scene = default_scene(1, "near")
-    found = [poses._strayed(scene, np.random.default_rng(seed)) for seed in range(20)]
+    found = [poses.strayed_pose(scene, np.random.default_rng(seed)) for seed in range(20)]
     for pose in found:
         centre = predict_targets(pose, scene.rig())
         assert np.all((centre > 0.0) & (centre < (640.0, 480.0)))

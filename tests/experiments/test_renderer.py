@@ -56,30 +56,31 @@ def test_the_edge_of_painted_ellipses_is_a_pixel_wide_and_in_its_place():
     directions = np.stack([0.35 * np.cos(a), 0.35 * np.sin(a), np.full(12, np.sqrt(1 - 0.35**2))], axis=1)
     look = appearance(directions, scene.rig(), scene.pose)
     sums = np.zeros((2, 50))
-    renderer._add_edges(sums, painted(look, (640, 480), 30.0, 200.0), look)
-    edge = renderer._edges({"far26-0": {"edges": dict.fromkeys((*renderer.GREY, renderer.LINEAR), sums)}})["ours"]
+    renderer.add_edges(sums, painted(look, (640, 480), 30.0, 200.0), look)
+    edges = dict.fromkeys((*renderer.GREY, renderer.LINEAR), sums)
+    edge = renderer.edge_profiles({"far26-0": {"edges": edges}})["ours"]
     assert middle_of(edge) == pytest.approx(0.0, abs=0.02)
     assert blur_of(edge) == pytest.approx(1 / np.sqrt(12), abs=0.03)
 
 
 def test_light_is_grey_without_the_curve():
-    grey = renderer._light(np.array([0.0, 188.0, 255.0]))
+    grey = renderer.linear_light(np.array([0.0, 188.0, 255.0]))
     assert grey == pytest.approx([0.0, 0.5 * 255.0, 255.0], abs=1.0)
 
 
 def test_discs_are_paired_by_their_number_where_both_show_them():
-    own, whole = renderer._whole_in_both(
+    own, whole = renderer.whole_in_both(
         truth([1, 4, 7, 9], [VISIBLE, VISIBLE, HIDDEN, VISIBLE]),
         truth([0, 4, 7, 9], [VISIBLE, VISIBLE, VISIBLE, HIDDEN]),
     )
     assert own.disc.tolist() == whole.disc.tolist() == [4]
     small = truth([4], [VISIBLE], area=5.0)
-    assert len(renderer._whole_in_both(truth([4], [VISIBLE]), small)[1]) == 0
+    assert len(renderer.whole_in_both(truth([4], [VISIBLE]), small)[1]) == 0
 
 
 def test_a_disc_without_a_detection_is_nan():
     found = renderer.Detections(np.array([[11.0, 5.0]]), np.array([0.09 * np.eye(2)]), np.array([80.0]))
-    at = renderer._measured(found, np.array([[10.0, 5.0], [40.0, 5.0]]))
+    at = renderer.measured_centres(found, np.array([[10.0, 5.0], [40.0, 5.0]]))
     assert at[0] == pytest.approx([11.0, 5.0, 0.3])
     assert np.all(np.isnan(at[1]))
 

@@ -23,8 +23,8 @@ def exact(view="far"):
 
 def test_in_the_middle_a_pixel_is_as_large_as_the_gap_says():
     scene, rig = exact()
-    points = surface._seen(np.array([[0.0, 0.0, 1.0]]), np.array([0.1]), rig, scene)
-    variance, _ = surface._along_surface(points)
+    points = surface.seen_points(np.array([[0.0, 0.0, 1.0]]), np.array([0.1]), rig, scene)
+    variance, _ = surface.along_surface(points)
     assert np.sqrt(variance) == pytest.approx(np.full((1, 2), 0.1 * (2.35 - 0.6) / 640.0))
 
 
@@ -32,8 +32,8 @@ def test_aslant_the_worst_direction_leads_to_the_limb():
     scene, rig = exact()
     a = np.radians(60.0)
     u = np.array([[np.sin(a) * 0.6, np.sin(a) * 0.8, np.cos(a)]])
-    points = surface._seen(u, np.array([0.1]), rig, scene)
-    variance, axes = surface._along_surface(points)
+    points = surface.seen_points(u, np.array([0.1]), rig, scene)
+    variance, axes = surface.along_surface(points)
     outward = np.array([np.cos(a) * 0.6, np.cos(a) * 0.8, -np.sin(a)])
     assert abs(axes[0, :, 1] @ outward) == pytest.approx(1.0, abs=1e-6)
     assert np.abs(u @ axes[0]).max() < 1e-9
@@ -52,8 +52,8 @@ def test_errors_are_in_units_of_what_is_claimed():
     u = u[u @ middle > np.cos(np.radians(50.0))]
     centre = surface.seen_at(u, scene.rig(), scene.pose) + 0.1 * rng.standard_normal((len(u), 2))
     seen = surface.Detections(centre, np.tile(0.01 * np.eye(2), (len(u), 1, 1)), np.zeros(len(u)))
-    found = surface._errors(surface._Sights(seen, u), rig, scene.pose)
-    assert surface._chi_square([found]) == pytest.approx(1.0, abs=0.1)
+    found = surface.surface_errors(surface.SeenDiscs(seen, u), rig, scene.pose)
+    assert surface.chi_square([found]) == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.parametrize(("distance", "area"), [(2.35, 1.685), (1.35, 1.257), (1e9, 2.262), (0.6, 0.0)])

@@ -33,7 +33,7 @@ def test_a_tags_centre_is_where_its_diagonals_meet_in_any_view():
     corners, middles = rig_of("aruco", scene, 4, 36), rig_of("aruco centres", scene, 4, 36)
     seen = TargetDetections(corners.targets.codes, predict_targets(scene.pose, corners), np.full(16, 12.0), ())
     # OpenCV's order goes round; the rig's does too, the other way
-    found = targets._middles(seen)
+    found = targets.tag_middles(seen)
     assert found.codes == ("0", "1", "2", "3")
     assert found.centre == pytest.approx(predict_targets(scene.pose, middles), abs=1e-6)
 

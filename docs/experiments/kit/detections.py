@@ -16,10 +16,9 @@ from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Epoch
 from spheremouse.ball.track import advance
 from spheremouse.ball.truth import VISIBLE
-from spheremouse.evaluate.bound import Bound, posterior_bound
-from spheremouse.evaluate.centres import Sight
-from spheremouse.evaluate.history import History
+from spheremouse.evaluate.bound import Bound, Sight, posterior_bound
 from spheremouse.evaluate.metrics import (
+    History,
     Reference,
     Run,
     attitude_error,

@@ -14,8 +14,7 @@ from spheremouse.ball.settings import Settings
 from spheremouse.commands import terminal
 from spheremouse.commands.evaluate import Options, about
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
-from spheremouse.evaluate.history import History
-from spheremouse.evaluate.metrics import Reference, Run, report
+from spheremouse.evaluate.metrics import History, Reference, Run, report
 from spheremouse.evaluate.plot import plot_run
 from spheremouse.evaluate.table import ball_table, consistency
 from spheremouse.files import config

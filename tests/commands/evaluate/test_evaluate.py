@@ -19,8 +19,7 @@ from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.errors import ConfigurationError
 from spheremouse.evaluate import plot
-from spheremouse.evaluate.bound import Bound, manoeuvre, posterior_bound
-from spheremouse.evaluate.centres import Sight
+from spheremouse.evaluate.bound import Bound, Sight, manoeuvre, posterior_bound
 from spheremouse.evaluate.metrics import (
     Reference,
     Run,
