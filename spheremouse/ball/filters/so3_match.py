@@ -11,7 +11,7 @@ Most functions take these arguments, inside as the tuples `body` and `seen`, sin
 import numpy as np
 from numba import njit
 
-from spheremouse.ball.filters.so3_motion import CONSIDERED_DIM, KINEMATIC_DIM, MAP_OFFSET
+from spheremouse.ball.filters.so3_motion import CONSIDERED_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.geometry.matching import match
 from spheremouse.geometry.rotation import exp_into, left_jacobian_into
 
@@ -81,27 +81,27 @@ def _disc_covariance(P, H, at, added):
 
 
 @njit(cache=True, error_model="numpy")
-def _jacobian(H, E, t, rate, seen, i, J):
-    """Write d z / d (core, considered, readout) of point i into J, (2, 20), to first order in the delay t."""
-    for a in range(2):
+def _jacobian(body, seen, i, E, H, J):
+    """Write d z / d (core, considered, readout) of point i into J, (2, 20); H, (2, 3), is `_turning_jacobian`."""
+    _, rate, acceleration, _, _ = body
+    _, _, delay, row, by_pose, by_ball, radius = seen
+    t = delay[i]
+    J[:, :3], J[:, 3:KINEMATIC_DIM] = H, 0.0
+    if t != 0.0:
+        turn, R, later = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
         for c in range(3):
-            J[a, c] = H[a, c]
-            J[a, 3 + c] = H[a, c] * t
-            J[a, 6 + c] = 0.5 * H[a, c] * t * t
-    _considered_jacobian(H, E, rate, seen, i, J[:, KINEMATIC_DIM:])
-
-
-@njit(cache=True, error_model="numpy")
-def _considered_jacobian(H, E, rate, seen, i, J):
-    """Write d z / d (pose, ball, readout) of point i into J, (2, 11)."""
-    _, _, _, row, by_pose, by_ball, radius = seen
+            turn[c] = rate[c] * t + 0.5 * acceleration[c] * t * t
+        exp_into(turn, R)
+        left_jacobian_into(turn, later)
+        J[:, :3], J[:, 3:6] = H @ R, (H @ later) * t
+        J[:, 6:KINEMATIC_DIM] = 0.5 * t * J[:, 3:6]
     for a in range(2):
         for c in range(CONSIDERED_DIM):
             value = E[c - 6, a] if 6 <= c < 9 else 0.0  # the direction counts from the centre
             for d in range(3):
                 value -= E[d, a] * (by_pose[i, d, c] if c < 6 else by_ball[i, d, c - 6])
-            J[a, c] = value / radius
-        J[a, CONSIDERED_DIM] = (H[a, 0] * rate[0] + H[a, 1] * rate[1] + H[a, 2] * rate[2]) * row[i]
+            J[a, KINEMATIC_DIM + c] = value / radius
+        J[a, READOUT] = (H[a, 0] * rate[0] + H[a, 1] * rate[1] + H[a, 2] * rate[2]) * row[i]
 
 
 @njit(cache=True, error_model="numpy")
@@ -184,7 +184,7 @@ def distances(
                 value = _squared(z0, z1, a00, a01, a11, E, noise[i])
             # most pairs are one without what is considered: then it need not be counted
             if value >= gate and cosine > _NEAR and (any_considered or before != 0.0):
-                _jacobian(H, E, before, rate, seen, i, J)
+                _jacobian(body, seen, i, E, H, J)
                 T = _full_covariance(P, J, JP, MAP_OFFSET + 2 * k, H, added)
                 value = _squared(z0, z1, T[0, 0] + curvature, T[0, 1], T[1, 1] + curvature, E, noise[i])
             out[i, m] = value
@@ -208,75 +208,34 @@ def innovation(
     Points `rows` are taken for discs `columns`. H P includes what is only considered, and the readout.
     """
     body, seen = (attitude, rate, acceleration, discs, basis), (direction, noise, delay, row, by_pose, by_ball, radius)
-    k, n = len(columns), len(P)
-    H, HP, z, S = np.empty((2 * k, KINEMATIC_DIM)), np.empty((2 * k, n)), np.empty(2 * k), np.empty((2 * k, 2 * k))
-    R, p, E, turning = np.empty((3, 3)), np.empty(3), np.empty((3, 2)), np.empty((2, 3))
+    k = len(columns)
+    R, p, E, H = np.empty((3, 3)), np.empty(3), np.empty((3, 2)), np.empty((2, 3))
+    J, z, at = np.empty((2 * k, MAP_OFFSET)), np.empty(2 * k), np.empty(2 * k, dtype=np.intp)
     axes = np.empty((k, 3, 2))
-    turn, later = np.empty(3), np.empty((3, 3))
-    considered = np.zeros((2 * k, MAP_OFFSET - KINEMATIC_DIM))
-    any_considered = False
-    for i in range(KINEMATIC_DIM, MAP_OFFSET):
-        any_considered = any_considered or P[i, i] > 0.0
     for i in range(k):
-        t = delay[rows[i]]
-        _place_and_axes(body, t, columns[i], R, p, E)
+        seen_at = direction[rows[i]]
+        _place_and_axes(body, delay[rows[i]], columns[i], R, p, E)
+        _turning_jacobian(E, p, H)
+        _jacobian(body, seen, rows[i], E, H, J[2 * i : 2 * i + 2])
         axes[i] = E
-        b = direction[rows[i]]
-        _turning_jacobian(E, p, turning)
-        before, along = turning, turning
-        if t != 0.0:
-            for c in range(3):
-                turn[c] = rate[c] * t + 0.5 * acceleration[c] * t * t
-            exp_into(turn, R)
-            left_jacobian_into(turn, later)
-            before, along = turning @ R, turning @ later
-        if any_considered:
-            _considered_jacobian(turning, E, rate, seen, rows[i], considered[2 * i : 2 * i + 2])
         for a in range(2):
-            at_z = 2 * i + a
-            z[at_z] = E[0, a] * b[0] + E[1, a] * b[1] + E[2, a] * b[2]
-            for c in range(3):
-                H[at_z, c] = before[a, c]
-                H[at_z, 3 + c] = along[a, c] * t
-                H[at_z, 6 + c] = 0.5 * along[a, c] * t * t
-            at = MAP_OFFSET + 2 * columns[i] + a
-            for j in range(n):
-                HP[at_z, j] = P[at, j] + H[at_z, 0] * P[0, j] + H[at_z, 1] * P[1, j] + H[at_z, 2] * P[2, j]
-            if t != 0.0:
-                for c in range(3, KINEMATIC_DIM):
-                    for j in range(n):
-                        HP[at_z, j] += H[at_z, c] * P[c, j]
-            if any_considered:
-                for c in range(MAP_OFFSET - KINEMATIC_DIM):
-                    if P[KINEMATIC_DIM + c, KINEMATIC_DIM + c] > 0.0:
-                        for j in range(n):
-                            HP[at_z, j] += considered[at_z, c] * P[KINEMATIC_DIM + c, j]
-    for i in range(2 * k):
-        for m in range(k):
-            for a in range(2):
-                j = 2 * m + a
-                value = HP[i, MAP_OFFSET + 2 * columns[m] + a]
-                for c in range(KINEMATIC_DIM if delay[rows[m]] != 0.0 else 3):
-                    value += HP[i, c] * H[j, c]
-                if any_considered:
-                    for c in range(MAP_OFFSET - KINEMATIC_DIM):
-                        value += HP[i, KINEMATIC_DIM + c] * considered[j, c]
-                S[i, j] = value
+            z[2 * i + a] = E[0, a] * seen_at[0] + E[1, a] * seen_at[1] + E[2, a] * seen_at[2]
+            at[2 * i + a] = MAP_OFFSET + 2 * columns[i] + a
+    HP = J @ P[:MAP_OFFSET] + P[at]
+    S = HP[:, :MAP_OFFSET].copy() @ J.T + HP[:, at]
     for i in range(k):
         for a in range(2):
+            S[2 * i + a, 2 * i + a] += curvature
             for b in range(2):
-                value = 0.0
                 for c in range(3):
                     for d in range(3):
-                        value += axes[i, c, a] * noise[rows[i], c, d] * axes[i, d, b]
-                S[2 * i + a, 2 * i + b] += value
-            S[2 * i + a, 2 * i + a] += curvature
+                        S[2 * i + a, 2 * i + b] += axes[i, c, a] * noise[rows[i], c, d] * axes[i, d, b]
     for i in range(2 * k):
         for j in range(i):
             mean = 0.5 * (S[i, j] + S[j, i])
             S[i, j] = mean
             S[j, i] = mean
-    return H, HP, z, S
+    return J[:, :KINEMATIC_DIM].copy(), HP, z, S
 
 
 @njit(cache=True, error_model="numpy")
@@ -286,37 +245,20 @@ def consistent(z, S, limit):
     The pair that contradicts the others and the prediction most is left out until none does (data snooping, Baarda
     1968, for pairs of coordinates): a look-alike beside the place of a hidden disc, above all after a gap.
     """
-    k = len(z) // 2
-    keep = np.ones(k, dtype=np.bool_)
-    left = k
-    while left > 1:
-        at = np.empty(2 * left, dtype=np.int64)
-        count = 0
-        for i in range(k):
-            if keep[i]:
-                at[count] = 2 * i
-                at[count + 1] = 2 * i + 1
-                count += 2
-        sub, part = np.empty((count, count)), np.empty(count)
-        for i in range(count):
-            part[i] = z[at[i]]
-            for j in range(count):
-                sub[i, j] = S[at[i], at[j]]
-        inverse = np.linalg.inv(sub)
+    keep = np.ones(len(z) // 2, dtype=np.bool_)
+    while np.count_nonzero(keep) > 1:
+        at = np.flatnonzero(np.repeat(keep, 2))
+        inverse = np.linalg.inv(S[at][:, at])
+        v = inverse @ z[at]
         worst, most = -1, limit
-        for i in range(left):
-            v0, v1 = 0.0, 0.0
-            for j in range(count):
-                v0 += inverse[2 * i, j] * part[j]
-                v1 += inverse[2 * i + 1, j] * part[j]
-            a, b, c = inverse[2 * i, 2 * i], inverse[2 * i, 2 * i + 1], inverse[2 * i + 1, 2 * i + 1]
-            contradiction = (c * v0 * v0 - 2.0 * b * v0 * v1 + a * v1 * v1) / (a * c - b * b)
+        for i in range(0, len(at), 2):
+            a, b, c = inverse[i, i], inverse[i, i + 1], inverse[i + 1, i + 1]
+            contradiction = (c * v[i] * v[i] - 2.0 * b * v[i] * v[i + 1] + a * v[i + 1] * v[i + 1]) / (a * c - b * b)
             if contradiction >= most:
-                worst, most = i, contradiction
+                worst, most = at[i] // 2, contradiction
         if worst < 0:
             break
-        keep[at[2 * worst] // 2] = False
-        left -= 1
+        keep[worst] = False
     return keep
 
 
