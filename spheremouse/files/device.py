@@ -14,6 +14,7 @@ from pydantic import Field, create_model
 
 from spheremouse.ball.device import Axes, Device, Distance
 from spheremouse.ball.rig import CODES
+from spheremouse.files.rig.checks import repeated_targets
 from spheremouse.files.rig.models import Code
 from spheremouse.files.safe_files import read_bytes
 from spheremouse.files.validate import Part, validated
@@ -107,12 +108,7 @@ def _distance(part: Any) -> Distance:
 
 def _problems(file: _DeviceFile, distances: Sequence[Distance]) -> Iterator[Problem]:
     ids = [t.id for t in file.targets]
-    for i, target in enumerate(file.targets):
-        if target.id in ids[:i]:
-            yield Problem(("targets", i, "id"), f"{target.id} names another target already; give each its own")
-        if target.code in (t.code for t in file.targets[:i]):
-            text = f"{target.code} is on another target already; each code may hang on the frame once only"
-            yield Problem(("targets", i, "code"), text)
+    yield from repeated_targets([(t.id, t.code) for t in file.targets])
     yield from _size_problems(file, max((d.metres for d in distances), default=0.0))
     if len(set(ids)) == len(ids):  # repeated ids are ambiguous
         yield from _axes_problems(file.axes, ids)

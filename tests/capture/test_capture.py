@@ -139,16 +139,6 @@ def test_opencv_and_ffmpeg_add_no_lines_of_their_own(film, tmp_path):
         assert (run.stdout.count("\n"), run.stderr) == (1, "")
 
 
-def test_a_container_without_a_readable_frame(tmp_path):
-    data = write_video(tmp_path / "film.avi", codec="MJPG").read_bytes()
-    head = tmp_path / "head.avi"
-    start = data.index(b"movi") + 4
-    head.write_bytes(data[:start] + bytes(len(data) - start))
-    frames, message = failing(f"video:{head}")
-    assert frames == []
-    assert "no frame that can be read" in message or "not a video" in message
-
-
 def test_a_dataset_brings_its_rig(far26):
     with open_source(f"dataset:{far26}") as source:
         assert source.rig is not None

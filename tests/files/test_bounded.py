@@ -19,7 +19,7 @@ from spheremouse.capture import open_source
 from spheremouse.commands.options import parse_size
 from spheremouse.commands.wand.picture import read_picture
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
-from spheremouse.files import pictures, plain_json, safe_files, tables, validate
+from spheremouse.files import pictures, safe_files, tables, validate
 from spheremouse.files import yaml as yaml_file
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.wand import is_wand
@@ -140,11 +140,6 @@ def test_what_says_that_it_is_huge_is_refused_within_little_memory(folder, tmp_p
     assert "scene.json: cannot be read: larger than 1 MB" in read_within("dataset", folder)
 
 
-def test_a_photo_of_a_phone_with_64_megapixels_is_no_bomb(tmp_path):
-    header = pictures.read_header(png(9248, 6936, 1), pictures.PHOTO_PIXELS)
-    assert header == ((9248, 6936), 1)
-
-
 def test_the_bound_is_that_of_pixels_whatever_the_shape():
     for size in ((100, 50), (50, 100), (5000, 1)):
         assert pictures.read_header(png(*size, 1), 5000).size == size
@@ -211,10 +206,7 @@ def test_a_table_is_held_in_eight_bytes_a_number(tmp_path, monkeypatch):
     ("text", "words"),
     [
         ("a\n" + "1" * 70_000, "line 2 is longer than 65536 characters"),
-        ('a,b\n1,"2\n', "line 2 has a quote that does not end"),
         ("a,b\n" + '1,"\n' * 1000, "line 2 has a quote"),
-        ("b\n1\n", "no column a"),
-        ("\0", "no column a"),
     ],
 )
 def test_a_table_whose_rows_do_not_end_is_refused(tmp_path, text, words):
@@ -225,14 +217,6 @@ def test_a_table_whose_rows_do_not_end_is_refused(tmp_path, text, words):
     one_line(e, "t.csv", words)
 
 
-def test_the_stamps_of_a_day_are_read():
-    """10 million rows are within the bounds, which a day at 120 frames per second has; its numbers take 332 MB."""
-    from spheremouse.files.dataset.format import MOST_FRAMES, STAMP_COLUMNS
-
-    assert MOST_FRAMES == 86_400 * 120
-    assert MOST_FRAMES * len(STAMP_COLUMNS) <= tables.MOST_NUMBERS
-
-
 # ---- JSON ----
 
 
@@ -240,8 +224,6 @@ def test_the_stamps_of_a_day_are_read():
     ("text", "words"),
     [
         ("[" * 100_000, "scene.json: not valid JSON (nested deeper than 20 levels)"),
-        ("[" * 30 + "]" * 30, "scene.json: not valid JSON (nested deeper than 20 levels)"),
-        ('{"a":' * 100_000, "scene.json: not valid JSON (nested deeper than 20 levels)"),
         ('{"frames": ' + "9" * 5000 + "}", "scene.json: not valid JSON (a whole number of 5000 digits)"),
         ('{"frames": 1, "frames": 2}', "scene.json: not valid JSON (a key stands twice in one object)"),
         ('{"name": "\\ud800"}', "scene.json: not valid JSON (half a surrogate pair)"),
@@ -254,12 +236,6 @@ def test_json_that_costs_more_than_it_says_is_one_line(folder, text, words):
         open_dataset(folder)
     one_line(e, words)
     assert not is_wand(folder)
-
-
-def test_constants_that_are_no_json_are_let_through_where_asked_alone():
-    assert plain_json.loads("[NaN, -Infinity]", constants=True)[1] == -np.inf
-    with pytest.raises(ValueError, match="NaN is no number of JSON"):
-        plain_json.loads("[NaN]")
 
 
 def test_frames_beyond_what_can_be_recorded_are_refused(folder):

@@ -1,7 +1,7 @@
 """Find contradictory values of a rig.yaml, each with its place and its remedy."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -68,14 +68,19 @@ def _target_problems(file: RigFile) -> Iterator[Problem]:
         )
     if radii is None and file.targets:
         yield Problem((), "target_radii: missing; give [inner disc, middle ring, outer ring] in m")
+    yield from repeated_targets([(t.id, t.code) for t in file.targets])
     for i, target in enumerate(file.targets):
-        before = file.targets[:i]
-        if target.id in (t.id for t in before):
-            yield Problem(("targets", i, "id"), f"{target.id} names another target already; give each its own")
-        if target.code in (t.code for t in before):
-            yield Problem(("targets", i, "code"), f"{target.code} is on another target already; each code appears once")
-        if target.position in (t.position for t in before):
+        if target.position in (t.position for t in file.targets[:i]):
             yield Problem(("targets", i, "position"), "another target is in this very place; measure one of them again")
+
+
+def repeated_targets(targets: Sequence[tuple[int, str]]) -> Iterator[Problem]:
+    """Yield ids and codes of (id, code) that an earlier target has."""
+    for i, (id_, code) in enumerate(targets):
+        if id_ in (other for other, _ in targets[:i]):
+            yield Problem(("targets", i, "id"), f"{id_} names another target already; give each its own")
+        if code in (other for _, other in targets[:i]):
+            yield Problem(("targets", i, "code"), f"{code} is on another target already; each code appears once")
 
 
 def _targets_covariance_problems(file: RigFile) -> Iterator[Problem]:
