@@ -4,10 +4,10 @@ import pytest
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
-from spheremouse.files.device import _DeviceFile
-from spheremouse.files.disc_map import _MapFile
+from spheremouse.files.device import DeviceFile
+from spheremouse.files.disc_map import MapFile
 from spheremouse.files.rig.models import CameraFile, RigFile
-from spheremouse.files.wand import _Wand
+from spheremouse.files.wand import WandModel
 from spheremouse.files.yaml import parse_document
 from spheremouse.geometry.camera import MAX_PIXELS, MAX_SIDE, too_large
 from spheremouse.session.settings import Configuration
@@ -44,9 +44,9 @@ def unbounded(schema, defs, path=""):
         config.model_of(ColourSettings),
         RigFile,
         CameraFile,
-        _MapFile,
-        _Wand,
-        _DeviceFile,
+        MapFile,
+        WandModel,
+        DeviceFile,
     ],
 )
 def test_every_number_has_a_bound_on_both_sides_and_every_list_a_greatest_length(model):

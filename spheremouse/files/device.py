@@ -54,7 +54,9 @@ _TapeDistance = create_model(
 )
 
 
-class _DeviceFile(Part):
+class DeviceFile(Part):
+    """Content of device.yaml."""
+
     targets: tuple[_Target, ...] = Field(
         min_length=_FEWEST, max_length=len(CODES), description="list of {id, code}, one for each target"
     )
@@ -75,7 +77,7 @@ def load_device(path: Path) -> Device:
     document = read_document(path)
     if not isinstance(document.data, dict) or "schema" in document.data:
         document = without_schema(document, "device")
-    file = validated(document, _DeviceFile)
+    file = validated(document, DeviceFile)
     distances = tuple(_distance(d) for d in file.distances)
     if problems := [*_problems(file, distances), *_contradictions(document, distances)]:
         raise document.error(problems)
@@ -106,7 +108,7 @@ def _distance(part: Any) -> Distance:
     return Distance(getattr(part, "from"), part.to, part.metres, part.sigma)
 
 
-def _problems(file: _DeviceFile, distances: Sequence[Distance]) -> Iterator[Problem]:
+def _problems(file: DeviceFile, distances: Sequence[Distance]) -> Iterator[Problem]:
     ids = [t.id for t in file.targets]
     yield from repeated_targets([(t.id, t.code) for t in file.targets])
     yield from _size_problems(file, max((d.metres for d in distances), default=0.0))
@@ -116,7 +118,7 @@ def _problems(file: _DeviceFile, distances: Sequence[Distance]) -> Iterator[Prob
         yield from _distance_problems(i, d, ids if len(set(ids)) == len(ids) else None, file.target_radii[2])
 
 
-def _size_problems(file: _DeviceFile, longest: float) -> Iterator[Problem]:
+def _size_problems(file: DeviceFile, longest: float) -> Iterator[Problem]:
     radii = file.target_radii
     if max(radii) > _LARGEST_PART:
         yield Problem(("target_radii",), f"are {_listed(radii)} m; give {_in_metres(radii, _LARGEST_PART)}")

@@ -52,7 +52,9 @@ class _Disc(Part):
     sightings: int = Field(ge=0, lt=10**15, description="frames in which the disc was seen")
 
 
-class _MapFile(Part):
+class MapFile(Part):
+    """Content of a map file."""
+
     spheremouse: str = Field(description="version of the program that wrote the file")
     saved: str = Field(description='date and time as "2025-01-31T12:00:00+00:00"')
     ball_radius: Length = Field(description="radius of the ball in m")
@@ -170,7 +172,7 @@ def _factored(covariance: Array) -> tuple[Array, Array]:
 
 
 def _parsed(document: Document) -> SavedMap:
-    file = validated(without_schema(document, "map"), _MapFile)
+    file = validated(without_schema(document, "map"), MapFile)
     if problems := list(_problems(file)):
         raise document.error(problems)
     directions = np.array([d.direction for d in file.discs])
@@ -187,7 +189,7 @@ def _parsed(document: Document) -> SavedMap:
     return SavedMap(disc_map, file.ball_radius, file.disc_radius, saved, file.spheremouse)
 
 
-def _problems(file: _MapFile) -> Iterator[Problem]:
+def _problems(file: MapFile) -> Iterator[Problem]:
     try:
         if datetime.fromisoformat(file.saved).tzinfo is None:
             yield Problem(("saved",), f"{shown(file.saved)} has no time zone; end it in +00:00")
@@ -216,7 +218,7 @@ def _projection(weights: tuple[float, float, float]) -> Projection:
     return next((p for p in (GREY, NEGATIVE) if np.allclose(p.weights, found.weights, rtol=0.0, atol=1e-5)), found)
 
 
-def _root(file: _MapFile) -> Array:
+def _root(file: MapFile) -> Array:
     root = np.zeros((len(file.correlation_root),) * 2)
     for i, text in enumerate(file.correlation_root):
         root[i, : i + 1] = np.array(text.split(), dtype=float) / _UNIT

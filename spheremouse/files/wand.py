@@ -53,7 +53,9 @@ class _Colour(Part):
     value_max: float = Field(1e4, ge=0, le=1e4, description="greatest brightness where the picture's mean is 127")
 
 
-class _Wand(Part):
+class WandModel(Part):
+    """Content of wand.yaml."""
+
     name: str = Field("wand", min_length=1, description="what messages call the ball")
     radius: float = Field(ge=0.005, le=1.0, description="radius of the ball in m, 0.05 for 10 cm across")
     body: Literal["white", "black"] = Field("white", description="the ball between its discs: white or black")
@@ -66,7 +68,7 @@ class _Wand(Part):
 
 def load_wand(path: Path) -> WandFile:
     """Read a ball from a file; ConfigurationError with a line for each problem."""
-    document, file = read_checked(path, _Wand, "wand")
+    document, file = read_checked(path, WandModel, "wand")
     if problems := [*_disc_problems(file), *_colour_problems(file)]:
         raise document.error(problems)
     ball = WandBall(file.name, file.radius, tuple(_disc(d, file.radius) for d in file.discs), file.body)
@@ -136,7 +138,7 @@ def _disc(disc: _Disc, radius: float) -> WandDisc:
 # ---- problems ----
 
 
-def _disc_problems(file: _Wand) -> Iterator[Problem]:
+def _disc_problems(file: WandModel) -> Iterator[Problem]:
     if len(file.discs) < _FEWEST:
         yield Problem(("discs",), f"are {len(file.discs)}; at least {_FEWEST} tell how the ball is turned")
     for i, disc in enumerate(file.discs):
@@ -148,7 +150,7 @@ def _disc_problems(file: _Wand) -> Iterator[Problem]:
             yield Problem(("discs", i, "points"), text)
 
 
-def _colour_problems(file: _Wand) -> Iterator[Problem]:
+def _colour_problems(file: WandModel) -> Iterator[Problem]:
     used = {disc.colour for disc in file.discs}
     for i, disc in enumerate(file.discs):
         if disc.colour not in file.colours and disc.colour not in DEFAULT_COLOURS:

@@ -179,7 +179,7 @@ def open(argument: str, realtime: bool) -> Stream:  # a camera is always real ti
 def stream(argument: str, settings: CameraSettings) -> Stream:
     """Open a camera with the given settings, as `open` does."""
     camera = open_camera(argument, settings)
-    return Stream(_newest(camera), live=True, fps=camera.fps, close=camera.close)
+    return Stream(newest_frames(camera), live=True, fps=camera.fps, close=camera.close)
 
 
 def largest_size(argument: str, limit: tuple[int, int]) -> tuple[int, int] | None:
@@ -274,7 +274,7 @@ def probe(argument: str) -> list[Finding]:
     return probe_node(find(argument.partition(",")[0]), nodes())
 
 
-def _newest(camera: V4L2Camera) -> Iterator[Frame]:
+def newest_frames(camera: V4L2Camera) -> Iterator[Frame]:
     """Yield the newest frame in colour, and skip the older ones."""
     damaged = 0
     while True:

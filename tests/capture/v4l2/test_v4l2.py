@@ -238,7 +238,7 @@ def test_what_a_driver_means_by_start_of_exposure(monkeypatch, tmp_path):
 
 def test_the_plain_source_gives_the_newest_frame_in_colour_and_keeps_no_buffer():
     device = Device(buffers=4)
-    frames = v4l2._newest(camera(device))
+    frames = v4l2.newest_frames(camera(device))
     for value in (1, 2, 3):
         device.push(value)
     first = next(frames)
@@ -256,7 +256,7 @@ def test_the_plain_source_gives_up_on_a_still_or_broken_camera(monkeypatch):
     monkeypatch.setattr(v4l2, "FRAME_TIMEOUT", 0.02)
     monkeypatch.setattr(v4l2, "MAX_DAMAGED", 3)
     with pytest.raises(SourceError, match=r"no frame for 0\.02 s"):
-        next(v4l2._newest(camera(Device())))
+        next(v4l2.newest_frames(camera(Device())))
     device = Device()
     dequeue = device.dequeue
 
@@ -273,7 +273,7 @@ def test_the_plain_source_gives_up_on_a_still_or_broken_camera(monkeypatch):
     )
     device.push(0, flags=LOST)
     with pytest.raises(SourceError, match="3 damaged frames in a row"):
-        next(v4l2._newest(camera(device)))
+        next(v4l2.newest_frames(camera(device)))
 
 
 # ---- names and settings ----
