@@ -24,7 +24,7 @@ from spheremouse.geometry.rotation import Array, log
 from spheremouse.output import OutputClosed
 from spheremouse.output.counts import MotionSettings
 from spheremouse.session.control.client import Client
-from spheremouse.session.plan import Request, read_plan
+from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.service import Daemon
 from spheremouse.session.setup import Setup
 from spheremouse.simulate.ball.profile import Gesture, Gestures
@@ -237,7 +237,7 @@ class World:
     ) -> Daemon:
         """The daemon, in a thread; what is counted begins with it."""
         self.produced, self.sent, self.outputs, self.states, self.frames = 0, [], [], {}, []
-        request = Request(self.config, assignments)
+        overrides = CommandLineOverrides(self.config, assignments)
 
         def show(made: Any, _: Any) -> None:
             assert self.daemon is not None
@@ -245,8 +245,8 @@ class World:
             self.frames.append(made.report.counts)
 
         self.daemon = Daemon(
-            request,
-            read_plan(request),
+            overrides,
+            read_run_config(overrides),
             self.setup,
             lambda plan: self.open_camera,
             log=self.said.append,

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spheremouse.session.plan import read_balls
+from spheremouse.session.run_config import read_balls
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Status
 from spheremouse.wand.build import build

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from spheremouse.evaluate.trackball import Match
     from spheremouse.evaluate.trackball_verdict import Verdict
     from spheremouse.output.counts import MotionSettings
-    from spheremouse.session.plan import Plan
+    from spheremouse.session.run_config import RunConfig
     from spheremouse.tracker import Frame
 
 _NO_MATCH = 1  # exit code
@@ -85,18 +85,22 @@ def match(
 # ---- input ----
 
 
-def _plan(recording: str, assignments: list[str], config: Path | None, rig: Path | None, camera: Path | None) -> "Plan":
-    from spheremouse.session.plan import Request, read_plan
+def _plan(
+    recording: str, assignments: list[str], config: Path | None, rig: Path | None, camera: Path | None
+) -> "RunConfig":
+    from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 
     if not Path(recording).exists() and ":" not in recording:
         raise SourceError(f"{recording}: no such recording; name a dataset folder or a video")
-    plan = read_plan(Request(config, tuple(assignments), recording, "null", rig, camera, no_map=True))
+    plan = read_run_config(
+        CommandLineOverrides(config, tuple(assignments), recording, "null", rig, camera, no_map=True)
+    )
     if plan.configuration.tracker == "wand":
         raise ConfigurationError("tracker: wand is for balls in a hand; --tracker so3 is for one on a trackball")
     return plan
 
 
-def _matched(recording: str, plan: "Plan", stamps: Path | None, log: Path) -> "tuple[Match, Rig]":
+def _matched(recording: str, plan: "RunConfig", stamps: Path | None, log: Path) -> "tuple[Match, Rig]":
     """Track the recording and match it with the log; DatasetError if one of them has too little."""
     from spheremouse.evaluate.trackball import MIN_COMMON_S, RotationSteps, match
     from spheremouse.files.mouse_log import read_log
@@ -121,7 +125,7 @@ def _matched(recording: str, plan: "Plan", stamps: Path | None, log: Path) -> "t
     return found, device
 
 
-def track_recording(recording: str, plan: "Plan", stamps: Path | None) -> "tuple[Run, Rig]":
+def track_recording(recording: str, plan: "RunConfig", stamps: Path | None) -> "tuple[Run, Rig]":
     """Track the recording. If it is cut short, keep the frames before the end."""
     from spheremouse.ball.build import build
     from spheremouse.capture import open_source

@@ -9,7 +9,7 @@ from spheremouse.capture import Camera, OpenCamera, Source, open_source
 from spheremouse.capture.fetch import Streamed
 from spheremouse.capture.lock import locked, locked_camera
 from spheremouse.capture.settings import CameraSettings
-from spheremouse.session.plan import Plan
+from spheremouse.session.run_config import RunConfig
 
 
 def is_camera(spec: str) -> bool:
@@ -17,7 +17,9 @@ def is_camera(spec: str) -> bool:
     return spec.partition(":")[0] in ("v4l2", "opencv")
 
 
-def opener(plan: Plan, open_recording: Callable[[Plan], Source], opened: list[Source] | None = None) -> OpenCamera:
+def opener(
+    plan: RunConfig, open_recording: Callable[[RunConfig], Source], opened: list[Source] | None = None
+) -> OpenCamera:
     """Return a function that opens a plan's camera and locks its node. It takes a source that is `opened` already."""
 
     def open_it() -> Camera:
@@ -60,19 +62,19 @@ def looked_through(source: str, settings: CameraSettings, realtime: bool = False
             yield stream
 
 
-def refuse_if_taken(plan: Plan) -> None:
+def refuse_if_taken(plan: RunConfig) -> None:
     """Raise SourceError if another daemon has the camera."""
     with held(plan):
         pass
 
 
-def held(plan: Plan) -> AbstractContextManager[None]:
+def held(plan: RunConfig) -> AbstractContextManager[None]:
     """Lock the camera's node before it is opened. SourceError if another daemon has it."""
     node = node_of(plan)
     return nullcontext() if node is None else locked(node)
 
 
-def node_of(plan: Plan) -> Path | None:
+def node_of(plan: RunConfig) -> Path | None:
     """Return the device node of a plan's camera, on Linux."""
     return node_of_source(plan.source)
 

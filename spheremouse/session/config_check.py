@@ -19,7 +19,7 @@ from spheremouse.files.wand import load_wand
 from spheremouse.files.yaml import Key, Problem
 from spheremouse.finding import Finding, Verdict
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.session.plan import beside
+from spheremouse.session.run_config import beside
 from spheremouse.session.settings import Configuration
 
 T = TypeVar("T")

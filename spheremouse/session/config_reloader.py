@@ -17,8 +17,8 @@ from spheremouse.files import config
 from spheremouse.files.yaml import dotted
 from spheremouse.session.control.protocol import internal_error, refused
 from spheremouse.session.control.request_queue import PendingRequest
-from spheremouse.session.plan import Plan, Request, check_kinds, read_plan
 from spheremouse.session.process.threads import WorkerPool
+from spheremouse.session.run_config import CommandLineOverrides, RunConfig, check_kinds, read_run_config
 from spheremouse.session.setup import Setup
 from spheremouse.wand.settings import WandSettings
 
@@ -34,10 +34,10 @@ _UNREAD = {  # sections and keys that a tracker in use does not read
 Values = dict[str, tuple[Any, Any]]  # by key: what was in force, and what is
 
 
-def stamps_of(request: Request, plan: Plan) -> dict[Path, int]:
+def stamps_of(overrides: CommandLineOverrides, plan: RunConfig) -> dict[Path, int]:
     """Return the modification times of the files of a plan."""
     found: dict[Path, int] = {}
-    for path in (request.file, plan.rig_path, plan.camera_path, *plan.ball_paths):
+    for path in (overrides.file, plan.rig_path, plan.camera_path, *plan.ball_paths):
         if path is not None:
             try:
                 found[path] = path.stat().st_mtime_ns
@@ -46,7 +46,7 @@ def stamps_of(request: Request, plan: Plan) -> dict[Path, int]:
     return found
 
 
-def stages_of(plan: Plan) -> tuple[str, str]:
+def stages_of(plan: RunConfig) -> tuple[str, str]:
     """Return the settings that select the compiled code of a plan."""
     return plan.configuration.tracker, plan.configuration.detector
 
@@ -62,20 +62,20 @@ def key_of(assignment: str) -> str:
     return assignment.partition("=")[0].strip()
 
 
-def given(request: Request) -> tuple[str, ...]:
+def given(overrides: CommandLineOverrides) -> tuple[str, ...]:
     """Return the keys that the command line sets; no file changes them."""
     options = {
-        "source": request.source,
-        "output": request.output,
-        "rig": request.rig,
-        "camera_file": request.camera,
-        "map": request.map or request.no_map,
-        "wand.balls": request.balls,
+        "source": overrides.source,
+        "output": overrides.output,
+        "rig": overrides.rig,
+        "camera_file": overrides.camera,
+        "map": overrides.map or overrides.no_map,
+        "wand.balls": overrides.balls,
     }
-    return (*(key for key, said in options.items() if said), *map(key_of, request.assignments))
+    return (*(key for key, said in options.items() if said), *map(key_of, overrides.assignments))
 
 
-def check_settable(request: Request, assignments: tuple[str, ...]) -> None:
+def check_settable(overrides: CommandLineOverrides, assignments: tuple[str, ...]) -> None:
     """Raise ControlError if an assignment could not take effect."""
     keys = [key_of(a) for a in assignments]
     late = sorted({key for key in (k.partition(".")[0] for k in keys) if key in AT_START})
@@ -83,14 +83,14 @@ def check_settable(request: Request, assignments: tuple[str, ...]) -> None:
         raise ControlError(
             f"{', '.join(late)}: read at the start only; write it into the configuration file and start again"
         )
-    said = sorted(set(keys) & set(given(replace(request, assignments=()))))
+    said = sorted(set(keys) & set(given(replace(overrides, assignments=()))))
     if said:
         raise ControlError(
             f"{', '.join(said)}: said on the command line, which comes before what is set; start again without it"
         )
 
 
-def check_read(plan: Plan, assignments: tuple[str, ...]) -> None:
+def check_read(plan: RunConfig, assignments: tuple[str, ...]) -> None:
     """Raise ControlError if the tracker of a plan does not read an assigned key."""
     tracker = plan.configuration.tracker
     unread = [k for k in map(key_of, assignments) if k.partition(".")[0] in _UNREAD[tracker]]
@@ -98,7 +98,7 @@ def check_read(plan: Plan, assignments: tuple[str, ...]) -> None:
         raise ControlError(f"{', '.join(unread)}: the tracker in use, {tracker}, does not read it; set what it reads")
 
 
-def values(before: Plan, now: Plan, assignments: tuple[str, ...]) -> Values:
+def values(before: RunConfig, now: RunConfig, assignments: tuple[str, ...]) -> Values:
     """Return old and new value of each parameter that has changed or was assigned."""
     a, b = ({dotted(key): value for key, value in config.parameters(plan.configuration)} for plan in (before, now))
     asked = set(map(key_of, assignments))
@@ -113,7 +113,7 @@ def told(values: Values) -> str:
     )
 
 
-def differences(before: Plan, now: Plan) -> list[str]:
+def differences(before: RunConfig, now: RunConfig) -> list[str]:
     """Return the names of the changed sections, without those that the tracker does not read."""
     a, b = before.configuration, now.configuration
     if b.tracker == "wand":
@@ -154,7 +154,7 @@ def _same(a: Any, b: Any) -> bool:
 
 READING = "reading"  # kind of the pool's work
 
-Prepare = Callable[[Plan, list[str]], Callable[[], bool]]
+Prepare = Callable[[RunConfig, list[str]], Callable[[], bool]]
 
 
 class ConfigReloader:
@@ -162,8 +162,8 @@ class ConfigReloader:
 
     def __init__(
         self,
-        request: Request,
-        plan: Plan,
+        overrides: CommandLineOverrides,
+        plan: RunConfig,
         setup: Setup,
         prepare: Prepare,
         *,
@@ -174,32 +174,32 @@ class ConfigReloader:
         """`prepare` takes a plan and the changed sections. It raises SpheremouseError to refuse the plan, or returns
         a function that applies it and returns True if that has ended a recording. `call` runs a call in the worker.
         """
-        self.request, self.plan, self._setup, self._prepare = request, plan, setup, prepare
+        self.overrides, self.plan, self._setup, self._prepare = overrides, plan, setup, prepare
         self._workers, self._call, self._log = workers, call, log
-        self._files = stamps_of(request, plan)
+        self._files = stamps_of(overrides, plan)
 
     @property
     def outdated(self) -> bool:
         """Return True if a file has been written since it was read."""
-        return self._files != stamps_of(self.request, self.plan)
+        return self._files != stamps_of(self.overrides, self.plan)
 
     def set(self, assignments: tuple[str, ...], pending: PendingRequest) -> None:
         """Change parameters, KEY=VALUE. ControlError if one could not take effect."""
-        check_settable(self.request, assignments)
-        wanted = replace(self.request, changes=latest((*self.request.changes, *assignments)))
+        check_settable(self.overrides, assignments)
+        wanted = replace(self.overrides, changes=latest((*self.overrides.changes, *assignments)))
         self._load(wanted, pending, assignments)
 
     def reload(self, pending: PendingRequest) -> None:
         """Read all files again, and drop the values of `set`."""
-        self._load(replace(self.request, changes=()), pending)
+        self._load(replace(self.overrides, changes=()), pending)
 
-    def _load(self, wanted: Request, pending: PendingRequest, assigned: tuple[str, ...] = ()) -> None:
+    def _load(self, wanted: CommandLineOverrides, pending: PendingRequest, assigned: tuple[str, ...] = ()) -> None:
         before = self.plan
 
         def read() -> None:
             files = stamps_of(wanted, before)
             try:
-                plan = self._setup.planned(wanted, read_plan(wanted))
+                plan = self._setup.planned(wanted, read_run_config(wanted))
                 check_kinds(plan, before)
                 check_read(plan, assigned)
                 if stages_of(plan) != stages_of(before):
@@ -221,7 +221,12 @@ class ConfigReloader:
         pending.answer(refused(error))
 
     def _apply(
-        self, wanted: Request, plan: Plan, files: dict[Path, int], pending: PendingRequest, assigned: tuple[str, ...]
+        self,
+        wanted: CommandLineOverrides,
+        plan: RunConfig,
+        files: dict[Path, int],
+        pending: PendingRequest,
+        assigned: tuple[str, ...],
     ) -> None:
         """Apply a plan, and log the changes that need a restart."""
         if pending.cancelled:
@@ -234,7 +239,7 @@ class ConfigReloader:
             self._not_applied(str(e), files, pending)
             return
         # Nothing from here on is refused.
-        self.request, self.plan, self._files = wanted, plan, stamps_of(wanted, plan)
+        self.overrides, self.plan, self._files = wanted, plan, stamps_of(wanted, plan)
         for path, stamp in files.items():
             if path in self._files:
                 self._files[path] = stamp  # the time of reading: a later write counts as a change

@@ -28,13 +28,12 @@ from spheremouse.session.control.protocol import Record, Request, Set, Snapshot,
 from spheremouse.session.control.request_queue import PendingRequest, RequestQueue
 from spheremouse.session.control.server import Endpoints
 from spheremouse.session.outputs import OUTPUT, Outputs
-from spheremouse.session.plan import Plan
-from spheremouse.session.plan import Request as PlanRequest
 from spheremouse.session.process import realtime
 from spheremouse.session.process.notify import Notifier
 from spheremouse.session.process.threads import WorkerPool, as_future, begin
 from spheremouse.session.record.archive import RECORDING, SNAPSHOT, Archive
 from spheremouse.session.record.places import recordings_folder, tidy
+from spheremouse.session.run_config import CommandLineOverrides, RunConfig
 from spheremouse.session.setup import Setup
 from spheremouse.session.state_monitor import State, StateMonitor
 from spheremouse.session.timing import Arrivals, CpuShare, memory_mb
@@ -54,10 +53,10 @@ class Daemon:
 
     def __init__(
         self,
-        request: PlanRequest,
-        plan: Plan,
+        overrides: CommandLineOverrides,
+        plan: RunConfig,
         setup: Setup,
-        camera: Callable[[Plan], OpenCamera],
+        camera: Callable[[RunConfig], OpenCamera],
         *,
         log: Callable[[str], None],
         show: Show = lambda _, __: None,
@@ -83,7 +82,7 @@ class Daemon:
         call = self._requests.call
         self._workers = WorkerPool((READING, TARGETS, POSE, MAP, OUTPUT, RECORDING, SNAPSHOT), self._log)
         self._reloader = ConfigReloader(
-            request, plan, setup, self._prepare, workers=self._workers, call=call, log=self._log
+            overrides, plan, setup, self._prepare, workers=self._workers, call=call, log=self._log
         )
         self._archive = Archive(self._workers, call, self._log)
         self._capture = Capture(camera(plan), self._ring, self._log)
@@ -255,7 +254,7 @@ class Daemon:
         self._claim(self._capture.native_id)
         self._arrivals.begin()
 
-    def _log_left_out(self, plan: Plan) -> None:
+    def _log_left_out(self, plan: RunConfig) -> None:
         if words := left_out(plan.output):
             self._log(words)
 
@@ -356,7 +355,7 @@ class Daemon:
         if not paused:  # log the state before anything moves
             self._outputs.pause(False)
 
-    def _prepare(self, plan: Plan, changed: list[str]) -> Callable[[], bool]:
+    def _prepare(self, plan: RunConfig, changed: list[str]) -> Callable[[], bool]:
         """Prepare another plan for `ConfigReloader`."""
         change = self.adapter.prepare(plan, changed)
         if "output" in changed:
@@ -407,9 +406,9 @@ class Daemon:
             "uptime_s": now - self._began,
             "version": __version__,
             "pid": os.getpid(),
-            "config": _whole(self._reloader.request.file),
-            "changes": list(self._reloader.request.changes),
-            "given": list(given(self._reloader.request)),
+            "config": _whole(self._reloader.overrides.file),
+            "changes": list(self._reloader.overrides.changes),
+            "given": list(given(self._reloader.overrides)),
             "rig": _whole(plan.rig_path),
             "map": _whole(plan.map_path),
             "recording": self._archive.status(),

@@ -15,7 +15,7 @@ from spheremouse.session.ball.adapter import BallAdapter, outputs_of
 from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.cameras import is_camera
 from spheremouse.session.offline import make_ready, make_wand_ready
-from spheremouse.session.plan import Plan, Request, told_apart, without_map
+from spheremouse.session.run_config import CommandLineOverrides, RunConfig, told_apart, without_map
 from spheremouse.session.tracker_adapter import MAP, Do, TrackerAdapter
 from spheremouse.session.wand.adapter import WandAdapter
 from spheremouse.wand.ball import WandBall, grzonka_ball
@@ -36,25 +36,25 @@ class Setup:
         """The device that the source brings."""
         return None if self.source is None else self.source.rig
 
-    def planned(self, request: Request, plan: Plan) -> Plan:
+    def planned(self, overrides: CommandLineOverrides, plan: RunConfig) -> RunConfig:
         """Return the plan without a map if the source brings its own device, unless a map was requested."""
         own = self.rig is not None and not is_camera(plan.source)
-        return without_map(plan) if own and request.map is None and plan.configuration.map is None else plan
+        return without_map(plan) if own and overrides.map is None and plan.configuration.map is None else plan
 
-    def open(self, plan: Plan) -> Source:
+    def open(self, plan: RunConfig) -> Source:
         """Open the recording of a plan, which plays at the pace of its stamps."""
         source = open_setup(plan, realtime=True).source
         assert source is not None
         return source
 
-    def make_ready(self, plan: Plan, tell: Callable[[str], None] | None = None) -> None:
+    def make_ready(self, plan: RunConfig, tell: Callable[[str], None] | None = None) -> None:
         """Compile the functions of tracking, or read them from disk, with progress (`compiling.told`)."""
         if _is_wand(plan):
             make_wand_ready(tell)
         else:
             make_ready(plan.configuration, tell)
 
-    def adapter(self, plan: Plan, log: Callable[[str], None], do: Do) -> TrackerAdapter:
+    def adapter(self, plan: RunConfig, log: Callable[[str], None], do: Do) -> TrackerAdapter:
         """Return the tracker's adapter. Raise ConfigurationError or PoseError if the plan is incomplete."""
         if _is_wand(plan):
             made = WandAdapter(self.wand_tracker, plan, log)
@@ -66,7 +66,7 @@ class Setup:
             keeper = MapKeeper(plan.map_path, rig, log, elsewhere=partial(do, MAP))
         return BallAdapter(rig, plan.configuration, keeper, log, do, self.rig, outputs_of(plan))
 
-    def wand_tracker(self, plan: Plan) -> WandTracker:
+    def wand_tracker(self, plan: RunConfig) -> WandTracker:
         """Return the tracker of the plan's balls, else of the recording's own, else of Grzonka's."""
         settings = plan.configuration.wand
         camera = plan.camera or (None if plan.rig is None else plan.rig.camera) or self.camera
@@ -82,7 +82,7 @@ class Setup:
         return build(camera, told_apart(balls), settings, plan.balls.colours)
 
 
-def open_setup(plan: Plan, realtime: bool = False) -> Setup:
+def open_setup(plan: RunConfig, realtime: bool = False) -> Setup:
     """Return the setup of a plan. It opens a recording; `realtime` plays it at its own pace."""
     if is_camera(plan.source):
         return Setup()
@@ -101,5 +101,5 @@ def open_setup(plan: Plan, realtime: bool = False) -> Setup:
     return Setup(stream, recording.camera, recording.balls)
 
 
-def _is_wand(plan: Plan) -> bool:
+def _is_wand(plan: RunConfig) -> bool:
     return plan.configuration.tracker == "wand"

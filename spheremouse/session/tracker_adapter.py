@@ -13,8 +13,8 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.output import Output, Report
 from spheremouse.output.pointer import Counts
 from spheremouse.session.overlay.pen import Image
-from spheremouse.session.plan import Plan
 from spheremouse.session.process.threads import Work
+from spheremouse.session.run_config import RunConfig
 from spheremouse.tracker import Frame, Status
 
 Do = Callable[[str, Work], None]  # has another thread do work of a kind
@@ -106,7 +106,7 @@ class TrackerAdapter(Protocol):
         """Search the ball again with the next frame."""
         ...
 
-    def prepare(self, plan: Plan, changed: Collection[str]) -> Change:
+    def prepare(self, plan: RunConfig, changed: Collection[str]) -> Change:
         """Prepare another plan, in which these sections have changed. Raise SpheremouseError to refuse it."""
         ...
 

@@ -9,7 +9,7 @@ import pytest
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.wand import load_wand, save_wand, symmetry, wand_text
 from spheremouse.geometry.rotation import exp
-from spheremouse.session.plan import read_balls
+from spheremouse.session.run_config import read_balls
 from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball, led_ball, wand_disc
 from spheremouse.wand.colour import DEFAULT_COLOURS
 from spheremouse.wand.settings import ColourSettings

@@ -6,14 +6,16 @@ import pytest
 
 from spheremouse.errors import ControlError
 from spheremouse.session.config_reloader import check_read, check_settable, given, told, values
-from spheremouse.session.plan import Request, read_plan
+from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 
-SAID = Request(assignments=("motion.scale_x=2",), source="synthetic:", output="null", no_map=True, balls=(Path("b"),))
+SAID = CommandLineOverrides(
+    assignments=("motion.scale_x=2",), source="synthetic:", output="null", no_map=True, balls=(Path("b"),)
+)
 
 
 def test_what_the_command_line_said_is_known_by_its_keys():
     assert set(given(SAID)) == {"source", "output", "map", "wand.balls", "motion.scale_x"}
-    assert given(Request()) == ()
+    assert given(CommandLineOverrides()) == ()
 
 
 @pytest.mark.parametrize(
@@ -45,16 +47,20 @@ def test_what_set_may_change_though_the_command_line_said_it():
     ],
 )
 def test_what_nothing_reads_is_refused(tracker, unread, read):
-    plan = read_plan(Request(assignments=(f"tracker={tracker}",), source="synthetic:", output="null"))
+    plan = read_run_config(
+        CommandLineOverrides(assignments=(f"tracker={tracker}",), source="synthetic:", output="null")
+    )
     check_read(plan, (f"{read}=1", f"tracker={tracker}"))
     with pytest.raises(ControlError, match=f"{unread}: the tracker in use, {tracker}, does not read it"):
         check_read(plan, (f"{read}=1", f"{unread}=1"))
 
 
 def test_values_are_of_what_differs_and_of_what_was_assigned():
-    before = read_plan(Request(source="synthetic:", output="null"))
-    now = read_plan(
-        Request(assignments=("motion.scale_x=2", "discs.polarity=light"), source="synthetic:", output="null")
+    before = read_run_config(CommandLineOverrides(source="synthetic:", output="null"))
+    now = read_run_config(
+        CommandLineOverrides(
+            assignments=("motion.scale_x=2", "discs.polarity=light"), source="synthetic:", output="null"
+        )
     )
     found = values(before, now, ("motion.scale_y=1",))
     assert found == {"motion.scale_x": (1.0, 2.0), "motion.scale_y": (1.0, 1.0), "discs.polarity": ("auto", "light")}

@@ -147,7 +147,7 @@ def test_nothing_is_opened_that_a_run_opens(checked, tmp_path, monkeypatch):
 
 
 def test_it_looks_where_a_run_would(checked, tmp_path, monkeypatch):
-    """Paths are relative to the file, as in `session.plan`."""
+    """Paths are relative to the file, as in `session.run_config`."""
     checked("rig: rig.yaml")
     monkeypatch.chdir("/")
     file = tmp_path / "c.yaml"

@@ -34,8 +34,8 @@ from spheremouse.session import config_reloader as loader_module
 from spheremouse.session import service as run_module
 from spheremouse.session import timing as timing_module
 from spheremouse.session.control.client import Client
-from spheremouse.session.plan import Request, read_plan
 from spheremouse.session.process import realtime
+from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.setup import Setup
 from tests.session.control.test_server import conversations
 
@@ -449,10 +449,10 @@ def test_an_error_of_ours_while_reading_is_said_and_the_next_reload_works(playin
     def wrong(_):
         raise ZeroDivisionError("as if")
 
-    right = loader_module.read_plan
-    monkeypatch.setattr(loader_module, "read_plan", wrong)
+    right = loader_module.read_run_config
+    monkeypatch.setattr(loader_module, "read_run_config", wrong)
     assert "internal error" in refused(playing, "reload")
-    monkeypatch.setattr(loader_module, "read_plan", right)
+    monkeypatch.setattr(loader_module, "read_run_config", right)
     assert ask(playing, "reload")["changed"] == []
 
 
@@ -680,14 +680,14 @@ def _try(world, command):
 
 
 def test_a_set_whose_client_has_disconnected_is_not_applied(hearing, monkeypatch):
-    world, read, hold, reading = hearing, loader_module.read_plan, threading.Event(), threading.Event()
+    world, read, hold, reading = hearing, loader_module.read_run_config, threading.Event(), threading.Event()
 
     def slowly(wanted):
         reading.set()
         hold.wait(PATIENCE)
         return read(wanted)
 
-    monkeypatch.setattr(loader_module, "read_plan", slowly)
+    monkeypatch.setattr(loader_module, "read_run_config", slowly)
     ask_and_disconnect(world, "set", reading.is_set, assignments=["motion.scale_y=3"])
     for _ in range(20):
         ask_and_disconnect(world, "set", assignments=["motion.scale_y=4"])
@@ -1062,9 +1062,9 @@ def test_who_is_refused_has_emptied_no_file(playing, tmp_path):
     """A second run with the same configuration finds the socket taken before it opens its output."""
     path = tmp_path / "out.txt"
     path.write_text("what the first run has written\n")
-    request = Request(playing.config, output=f"text:{path}")
+    overrides = CommandLineOverrides(playing.config, output=f"text:{path}")
     other = run_module.Daemon(
-        request, read_plan(request), Setup(), lambda _: playing.open_camera, log=lambda _: None
+        overrides, read_run_config(overrides), Setup(), lambda _: playing.open_camera, log=lambda _: None
     )  # fmt: skip
     with pytest.raises(ControlError, match="another daemon listens there"):
         other.run(playing)

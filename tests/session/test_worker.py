@@ -12,7 +12,7 @@ from spheremouse.ball.rig import Targets
 from spheremouse.capture.newest import Arrival
 from spheremouse.errors import DamagedFrameError, PoseError
 from spheremouse.session.ball.adapter import BallAdapter
-from spheremouse.session.plan import Plan
+from spheremouse.session.run_config import RunConfig
 from spheremouse.session.settings import Configuration
 from spheremouse.session.tracker_adapter import POSE, here
 from spheremouse.session.worker import Worker
@@ -20,7 +20,7 @@ from spheremouse.tracker import Frame, Status
 
 
 def plan(configuration):
-    return Plan(configuration, "film:", "null", None, None, None, None, None)
+    return RunConfig(configuration, "film:", "null", None, None, None, None, None)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from spheremouse.commands.options import Assignments, Balls, CameraFile, RigFile
 from spheremouse.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from spheremouse.session.plan import Plan, Request
+    from spheremouse.session.run_config import CommandLineOverrides, RunConfig
 
 
 def axes(
@@ -45,8 +45,8 @@ def axes(
     from spheremouse.commands.run import follow, serve
     from spheremouse.files.edit import check_place
     from spheremouse.session.cameras import is_camera, opener
-    from spheremouse.session.plan import Request, read_plan
     from spheremouse.session.process.standard_error import nonblocking_stderr
+    from spheremouse.session.run_config import CommandLineOverrides, read_run_config
     from spheremouse.session.setup import open_setup
 
     said = () if tracker is None else (f"tracker={tracker}",)
@@ -56,17 +56,19 @@ def axes(
         if not os.access(config.parent, os.W_OK) or (there and not os.access(config, os.W_OK)):
             raise ConfigurationError(f"{config}: this account may not write it; use sudo, or only look with --dry-run")
     file, told = config if there else None, (*(assignments or ()), *said)
-    request = Request(file, told, source, "null", rig, camera, None, no_map=True, balls=tuple(balls or ()))
-    plan = read_plan(request)
+    overrides = CommandLineOverrides(
+        file, told, source, "null", rig, camera, None, no_map=True, balls=tuple(balls or ())
+    )
+    plan = read_run_config(overrides)
     live = is_camera(plan.source)
     with nonblocking_stderr() if live else nullcontext(), SignalHandler() as stopping:
         setup = open_setup(plan)
-        plan = setup.planned(request, plan)
+        plan = setup.planned(overrides, plan)
         if plan.source.startswith("v4l2:"):  # a service waits for its camera; a person gets an error
             with opener(plan, setup.open)():
                 pass
         dialogue = Dialogue(plan.configuration, stopping, live)
-        failure, _ = (serve if live else follow)(request, plan, setup, stopping, dialogue, None)
+        failure, _ = (serve if live else follow)(overrides, plan, setup, stopping, dialogue, None)
     if dialogue.found is None and failure is not None:
         raise failure
     values = dialogue.conclusion()
@@ -74,7 +76,7 @@ def axes(
         raise KeyboardInterrupt
     for key, value, before in values:
         print(f"{key}: {_shown(value)} ({'as it was' if value == before else f'was {_shown(before)}'})")
-    kept = {} if config is None else _told(plan, request, config)
+    kept = {} if config is None else _told(plan, overrides, config)
     kept |= {tuple(key.split(".")): value for key, value, _ in values}
     _keep(config, kept, dry)
     if config is not None and not (dry or there or ("source",) in kept):
@@ -85,7 +87,7 @@ def _shown(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _told(plan: "Plan", request: "Request", config: Path) -> dict[tuple[str, ...], Any]:
+def _told(plan: "RunConfig", overrides: "CommandLineOverrides", config: Path) -> dict[tuple[str, ...], Any]:
     """Return the command line's values that the configuration lacks, so that `run --config` needs nothing else."""
     from spheremouse.files.config import assigned
     from spheremouse.files.yaml import read_document
@@ -93,12 +95,12 @@ def _told(plan: "Plan", request: "Request", config: Path) -> dict[tuple[str, ...
 
     beside = config.parent
     said: dict[tuple[str, ...], Any] = {("source",): plan.source} if is_camera(plan.source) else {}
-    said |= assigned(plan.configuration, request.assignments)
-    for key, path in (("rig", request.rig), ("camera_file", request.camera)):
+    said |= assigned(plan.configuration, overrides.assignments)
+    for key, path in (("rig", overrides.rig), ("camera_file", overrides.camera)):
         if path is not None:
             said[key,] = os.path.relpath(path, beside)
-    if request.balls:
-        said["wand", "balls"] = tuple(os.path.relpath(path, beside) for path in request.balls)
+    if overrides.balls:
+        said["wand", "balls"] = tuple(os.path.relpath(path, beside) for path in overrides.balls)
     there = read_document(config).lines if config.exists() else {}
     return {key: value for key, value in said.items() if key not in there}
 

@@ -45,17 +45,17 @@ def doctor(
     from spheremouse.commands.findings import Section, data, show, summary
     from spheremouse.errors import ConfigurationError
     from spheremouse.finding import Verdict
-    from spheremouse.session.plan import Request
+    from spheremouse.session.run_config import CommandLineOverrides
 
     if balls and tracker != "wand":
         raise ConfigurationError("--ball: goes with --tracker wand; add that, or leave it out")
     assignments = [] if tracker is None else [f"tracker={tracker}"]
     assignments += [f"wand.balls={json.dumps([str(path.absolute()) for path in balls])}"] if balls else []
-    request = Request(config, tuple(assignments), source, output, rig, camera)
+    overrides = CommandLineOverrides(config, tuple(assignments), source, output, rig, camera)
     console = Console(highlight=False, soft_wrap=False)
     sections: list[Section] = []
     with _waiting(quiet=as_json) as progress:
-        for section in examine(request, progress=progress):
+        for section in examine(overrides, progress=progress):
             sections.append(section)
             if not as_json:
                 show(section, console)

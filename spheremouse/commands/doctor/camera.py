@@ -18,7 +18,7 @@ from spheremouse.capture.lock import locked
 from spheremouse.errors import DamagedFrameError, SourceError, SpheremouseError
 from spheremouse.finding import Finding, Verdict, classify, unchecked, wrong
 from spheremouse.geometry.rotation import Array
-from spheremouse.session.plan import Plan
+from spheremouse.session.run_config import RunConfig
 from spheremouse.tracker import Frame
 
 GRID = (24, 16)  # rows and columns: fine enough for the bands of a rolling shutter, which are three or four
@@ -152,7 +152,7 @@ class Footage:
         return width, height
 
 
-def film(plan: Plan, seconds: float, node: Path | None, source: Source | None = None) -> Footage:
+def film(plan: RunConfig, seconds: float, node: Path | None, source: Source | None = None) -> Footage:
     """Film a source, which may be open already. SourceError if no frame comes."""
     kind, _, argument = plan.source.partition(":")
     with contextlib.ExitStack() as stack:

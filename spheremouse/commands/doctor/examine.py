@@ -26,7 +26,7 @@ from spheremouse.errors import SpheremouseError
 from spheremouse.files.rig import with_camera
 from spheremouse.finding import Finding, Verdict, ok, refused, unchecked, wrong
 from spheremouse.session.cameras import is_camera, node_of
-from spheremouse.session.plan import Plan, Request, without_map
+from spheremouse.session.run_config import CommandLineOverrides, RunConfig, without_map
 from spheremouse.session.settings import RecordSettings
 from spheremouse.session.setup import Setup, open_setup
 
@@ -37,7 +37,11 @@ Progress = Callable[[str], None]
 
 
 def examine(
-    request: Request, *, seconds: float = SECONDS, socket: Path | None = None, progress: Progress = lambda _: None
+    overrides: CommandLineOverrides,
+    *,
+    seconds: float = SECONDS,
+    socket: Path | None = None,
+    progress: Progress = lambda _: None,
 ) -> Iterator[Section]:
     """Yield each section when it is done. `progress` takes a line about the step in progress."""
     progress("checking the program")
@@ -49,7 +53,7 @@ def examine(
     status, told = running.ask(socket)
     yield Section("daemon", (told, *(_guarded("state", running.check, status) if status else ())))
     there = nodes()
-    usual = files.usual(request, status)
+    usual = files.usual(overrides, status)
     plan, findings = files.read(usual, f"v4l2:{there[0].lasting or there[0].path}" if there else None)
     node = None
     if plan is None:
@@ -74,8 +78,10 @@ def examine(
 class _Run:
     """Examines configuration, camera, picture and output of a plan."""
 
-    def __init__(self, plan: Plan, request: Request, node: Path | None, findings: list[Finding]) -> None:
-        self.plan, self.request, self.node, self.findings = plan, request, node, findings
+    def __init__(
+        self, plan: RunConfig, overrides: CommandLineOverrides, node: Path | None, findings: list[Finding]
+    ) -> None:
+        self.plan, self.overrides, self.node, self.findings = plan, overrides, node, findings
         self.live = is_camera(plan.source)
         self.of_wand = plan.configuration.tracker == "wand"
         self.footage: cameras.Footage | None = None
@@ -99,7 +105,7 @@ class _Run:
             progress(f"looking for {'the ball' if self.of_wand else 'targets and discs'}")
             if findings := tuple(picture(self.footage)):
                 yield Section("picture", findings)
-        if self.live or self.request.output or self.plan.configuration.output:
+        if self.live or self.overrides.output or self.plan.configuration.output:
             findings = tuple(_guarded("output", output.probe, self.plan.output))
         else:
             advice = "give --output KIND:ARG to have it looked at"
@@ -129,7 +135,7 @@ class _Run:
         self.findings += _guarded("camera file", wand.camera_file, self.plan, self.brought)
         if self.findings[-1].verdict is not Verdict.OK:
             return lambda _: iter(())
-        tracker, found = _pair("ball", wand.tracker_of, self.plan, self.request, self.brought)
+        tracker, found = _pair("ball", wand.tracker_of, self.plan, self.overrides, self.brought)
         self.findings.append(found)
         if tracker is None:
             return lambda _: iter(())

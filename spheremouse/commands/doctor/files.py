@@ -15,29 +15,29 @@ from spheremouse.files.yaml import read_document
 from spheremouse.finding import Finding, Verdict, classify, ok, refusals, unchecked, warning, wrong
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.config_check import size_problem
-from spheremouse.session.plan import Plan, Request, read_plan
+from spheremouse.session.run_config import CommandLineOverrides, RunConfig, read_run_config
 from spheremouse.session.settings import Configuration
 
 _DAY = 86400.0  # s
 
 
-def usual(request: Request, status: dict[str, Any] | None) -> Request:
+def usual(overrides: CommandLineOverrides, status: dict[str, Any] | None) -> CommandLineOverrides:
     """Return the request. If it names nothing, return that of the running daemon, else that of the service."""
-    if request != Request():
-        return request
+    if overrides != CommandLineOverrides():
+        return overrides
     if status is not None:
         return _of_daemon(status)
     places = [Place(user=u).configuration / "config.yaml" for u in (False, True)]
-    return replace(request, file=next((p for p in places if os.access(p, os.R_OK)), None))
+    return replace(overrides, file=next((p for p in places if os.access(p, os.R_OK)), None))
 
 
-def service_state(request: Request) -> Path | None:
+def service_state(overrides: CommandLineOverrides) -> Path | None:
     """Return the folder of map and recordings, if the configuration is that of the system's service."""
     place = Place()
-    return place.state if request.file == place.configuration / "config.yaml" else None
+    return place.state if overrides.file == place.configuration / "config.yaml" else None
 
 
-def _of_daemon(status: dict[str, Any]) -> Request:
+def _of_daemon(status: dict[str, Any]) -> CommandLineOverrides:
     """Return the request of a daemon from its status."""
 
     def place(key: str) -> Path | None:
@@ -53,47 +53,55 @@ def _of_daemon(status: dict[str, Any]) -> Request:
         return (status.get(key) or {}).get("spec")
 
     kept = place("map")
-    return Request(
+    return CommandLineOverrides(
         place("config"), (), spec("source"), spec("output"), place("rig"), None, kept, kept is None and "map" in status
     )
 
 
-def read(request: Request, camera: str | None) -> tuple[Plan | None, list[Finding]]:
+def read(overrides: CommandLineOverrides, camera: str | None) -> tuple[RunConfig | None, list[Finding]]:
     """Return as much of the plan as can be read, and the problems. `camera` is the source if none is named.
 
     Hand-held balls are not read here: they have a finding of their own.
     """
     findings: list[Finding] = []
-    request = replace(request, assignments=(*request.assignments, "wand.balls=[]"), balls=())
-    bare = replace(request, assignments=(*request.assignments, "rig=null", "camera_file=null"), rig=None, camera=None)
-    attempts = [request, replace(bare, no_map=True, map=None), Request(None, (), request.source, request.output)]
-    plan: Plan | None = None
+    overrides = replace(overrides, assignments=(*overrides.assignments, "wand.balls=[]"), balls=())
+    bare = replace(
+        overrides, assignments=(*overrides.assignments, "rig=null", "camera_file=null"), rig=None, camera=None
+    )
+    attempts = [
+        overrides,
+        replace(bare, no_map=True, map=None),
+        CommandLineOverrides(None, (), overrides.source, overrides.output),
+    ]
+    plan: RunConfig | None = None
     for attempt in attempts:
         try:
-            plan = read_plan(_completed(attempt, camera))
+            plan = read_run_config(_completed(attempt, camera))
             break
         except ConfigurationError as e:
             findings += [f for f in refusals("configuration", e) if f not in findings]
     if not findings:
-        where = "none: built-in parameters" if request.file is None else str(request.file)
+        where = "none: built-in parameters" if overrides.file is None else str(overrides.file)
         findings.append(ok("configuration", where))
-    return None if plan is None else _as_the_service(plan, request), findings
+    return None if plan is None else _as_the_service(plan, overrides), findings
 
 
-def _as_the_service(plan: Plan, request: Request) -> Plan:
+def _as_the_service(plan: RunConfig, overrides: CommandLineOverrides) -> RunConfig:
     """Return the plan with the service's own map folder: the service may not write beside the rig."""
-    state = service_state(request)
+    state = service_state(overrides)
     usual_map = None if plan.rig_path is None else map_path(plan.rig_path)
     if state is None or usual_map is None or plan.map_path != usual_map:
         return plan
     return replace(plan, map_path=state / usual_map.name)
 
 
-def _completed(request: Request, camera: str | None) -> Request:
+def _completed(overrides: CommandLineOverrides, camera: str | None) -> CommandLineOverrides:
     """Return the request with a source and an output, which a plan needs."""
-    c = config.in_force(request.file, request.assignments, Configuration)
+    c = config.in_force(overrides.file, overrides.assignments, Configuration)
     return replace(
-        request, source=request.source or c.source or camera or "v4l2:", output=request.output or c.output or "auto"
+        overrides,
+        source=overrides.source or c.source or camera or "v4l2:",
+        output=overrides.output or c.output or "auto",
     )
 
 

@@ -9,7 +9,7 @@ from spheremouse.commands.doctor.files import size
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.finding import Finding, Verdict, classify, ok, refused, unchecked, wrong
-from spheremouse.session.plan import Plan, Request, named_balls, read_balls
+from spheremouse.session.run_config import CommandLineOverrides, RunConfig, named_balls, read_balls
 from spheremouse.session.settings import Configuration
 from spheremouse.session.setup import Setup
 from spheremouse.session.wand.messages import trouble_and_remedy
@@ -20,10 +20,14 @@ from spheremouse.wand.track import begin, step
 _MIN_FOUND = 0.5  # of the pictures: a ball before the camera is in view in most
 
 
-def tracker_of(plan: Plan, request: Request, given: Setup | None) -> tuple[WandTracker | None, Finding]:
+def tracker_of(
+    plan: RunConfig, overrides: CommandLineOverrides, given: Setup | None
+) -> tuple[WandTracker | None, Finding]:
     """Return the tracker of a run; `given` is the setup of a recording."""
     try:
-        balls = read_balls(named_balls(request, config.in_force(request.file, request.assignments, Configuration)))
+        balls = read_balls(
+            named_balls(overrides, config.in_force(overrides.file, overrides.assignments, Configuration))
+        )
         tracker = (given or Setup()).wand_tracker(replace(plan, balls=balls))
     except ConfigurationError as e:
         return None, refused("ball", e)
@@ -72,7 +76,7 @@ def _found(poses: list[WandPose]) -> Finding:
     )
 
 
-def camera_file(plan: Plan, given: Setup | None) -> Finding:
+def camera_file(plan: RunConfig, given: Setup | None) -> Finding:
     """Report the origin of the camera's interior orientation."""
     path = plan.camera_path or plan.rig_path
     if path is not None:

@@ -15,7 +15,7 @@ from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import WandRecording, open_wand
 from spheremouse.files.rig import load_camera
 from spheremouse.session.offline import Known, track_wand
-from spheremouse.session.plan import read_balls, told_apart
+from spheremouse.session.run_config import read_balls, told_apart
 from spheremouse.session.settings import Configuration
 from spheremouse.session.wand.messages import sentence
 from spheremouse.wand.ball import WandBall

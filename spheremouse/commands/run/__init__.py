@@ -15,7 +15,7 @@ from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 if TYPE_CHECKING:
     from spheremouse.capture.signals import SignalHandler
     from spheremouse.commands.run.view import Counting
-    from spheremouse.session.plan import Plan, Request
+    from spheremouse.session.run_config import CommandLineOverrides, RunConfig
     from spheremouse.session.setup import Setup
 
 
@@ -97,27 +97,27 @@ def run(
     --tracker wand tracks a ball in a hand. It needs a camera file and no rig, moves the pointer as the ball turns, and
     writes position and attitude as text.
     """
-    from spheremouse.session.plan import Request, check_kinds, read_plan
+    from spheremouse.session.run_config import CommandLineOverrides, check_kinds, read_run_config
 
     if output is not None and len(output) > 1:
         raise ConfigurationError(f"--output: given {len(output)} times; motion goes to one place, choose one")
     to = output[0] if output else None
     said = [] if tracker is None else [f"tracker={tracker}"]
     said += [] if axes is None else [f"wand.axes={json.dumps(axes)}"]
-    request = Request(
+    overrides = CommandLineOverrides(
         config, (*(assignments or ()), *said), source, to, rig, camera, map_file, no_map, tuple(balls or ())
     )
-    plan = read_plan(request)
+    plan = read_run_config(overrides)
     check_kinds(plan)
     if overlay is not None:
         _refuse_loss(overlay, plan, (config, rig, camera, map_file, *(balls or ())))
     for name, value in (("--ball", balls), ("--axes", axes)):
         if value and plan.configuration.tracker != "wand":
             raise ConfigurationError(f"{name}: goes with --tracker wand; add that, or leave it out")
-    _run(request, plan, realtime, _has_terminal(plan) if table is None else table, overlay, frames, verbose)
+    _run(overrides, plan, realtime, _has_terminal(plan) if table is None else table, overlay, frames, verbose)
 
 
-def _has_terminal(plan: "Plan") -> bool:
+def _has_terminal(plan: "RunConfig") -> bool:
     """Return True if standard error is a terminal to which no output writes."""
     configuration = plan.configuration
     on_output = configuration.tracker == "wand" and configuration.wand.axes == "-"
@@ -126,8 +126,8 @@ def _has_terminal(plan: "Plan") -> bool:
 
 
 def _run(
-    request: "Request",
-    plan: "Plan",
+    overrides: "CommandLineOverrides",
+    plan: "RunConfig",
     realtime: bool,
     table: bool,
     overlay: Path | None,
@@ -148,10 +148,10 @@ def _run(
         with ExitStack() as stack:
             stopping = stack.enter_context(SignalHandler())
             setup = open_setup(plan, realtime)
-            plan = setup.planned(request, plan)
+            plan = setup.planned(overrides, plan)
             shown = view(plan, table, overlay, None if setup.source is None else setup.source.fps, stack, verbose)
             try:
-                failure, words = (serve if live else follow)(request, plan, setup, stopping, shown, frames)
+                failure, words = (serve if live else follow)(overrides, plan, setup, stopping, shown, frames)
             except SpheremouseError as e:  # before the first frame
                 failure = e
         if shown.overlay is not None and shown.overlay.written:
@@ -164,7 +164,7 @@ def _run(
             raise failure
 
 
-def _refuse_loss(overlay: Path, plan: "Plan", given: tuple[Path | None, ...]) -> None:
+def _refuse_loss(overlay: Path, plan: "RunConfig", given: tuple[Path | None, ...]) -> None:
     """Raise ConfigurationError if the overlay would replace another file that the run reads or writes."""
     _, _, source = plan.source.partition(":")
     kind, _, output = plan.output.partition(":")
@@ -178,7 +178,12 @@ def _refuse_loss(overlay: Path, plan: "Plan", given: tuple[Path | None, ...]) ->
 
 
 def serve(
-    request: "Request", plan: "Plan", setup: "Setup", stopping: "SignalHandler", view: "Counting", frames: int | None
+    overrides: "CommandLineOverrides",
+    plan: "RunConfig",
+    setup: "Setup",
+    stopping: "SignalHandler",
+    view: "Counting",
+    frames: int | None,
 ) -> tuple[SpheremouseError | None, tuple[str, ...]]:
     """Run as a daemon: take frames when they come, and wait for a device that fails. Return error and last words."""
     from spheremouse.session.cameras import opener, refuse_if_taken
@@ -187,7 +192,7 @@ def serve(
     refuse_if_taken(plan)
     opened = [] if setup.source is None else [setup.source]
     daemon = Daemon(
-        request,
+        overrides,
         plan,
         setup,
         lambda other: opener(other, setup.open, opened),
@@ -211,7 +216,12 @@ def serve(
 
 
 def follow(
-    request: "Request", plan: "Plan", setup: "Setup", stopping: "SignalHandler", view: "Counting", frames: int | None
+    overrides: "CommandLineOverrides",
+    plan: "RunConfig",
+    setup: "Setup",
+    stopping: "SignalHandler",
+    view: "Counting",
+    frames: int | None,
 ) -> tuple[SpheremouseError | None, tuple[str, ...]]:
     """Track every frame of a recording, one after the other. Return error and last words."""
     from spheremouse.output.third_axis import left_out

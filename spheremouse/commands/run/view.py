@@ -10,7 +10,7 @@ from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.overlay.ball import target_marks
 from spheremouse.session.overlay.file import OverlayFile
 from spheremouse.session.overlay.wand import WandOverlay
-from spheremouse.session.plan import Plan
+from spheremouse.session.run_config import RunConfig
 from spheremouse.session.screen import StatusTable, Tally, WandStatusTable
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.session.wand.adapter import WandAdapter
@@ -33,7 +33,7 @@ class BallView:
     """Shows the ball in its frame."""
 
     def __init__(
-        self, plan: Plan, wanted: bool, overlay: OverlayFile | None, stack: ExitStack, verbose: bool = False
+        self, plan: RunConfig, wanted: bool, overlay: OverlayFile | None, stack: ExitStack, verbose: bool = False
     ) -> None:
         """Show a table if it is `wanted`; `stack` closes it. `verbose` prints all details of the pose."""
         self.tally, self._verbose = Tally(), verbose
@@ -63,7 +63,7 @@ class WandView:
     """Shows balls in a hand."""
 
     def __init__(
-        self, plan: Plan, wanted: bool, overlay: OverlayFile | None, stack: ExitStack, verbose: bool = False
+        self, plan: RunConfig, wanted: bool, overlay: OverlayFile | None, stack: ExitStack, verbose: bool = False
     ) -> None:
         """Show lines if they are `wanted`; `stack` closes them."""
         self.tally = Tally()
@@ -89,7 +89,9 @@ class WandView:
             self.overlay.show(lambda: pen.draw(made.epoch, self.tally.counts))
 
 
-def view(plan: Plan, wanted: bool, overlay: Path | None, fps: float | None, stack: ExitStack, verbose: bool) -> View:
+def view(
+    plan: RunConfig, wanted: bool, overlay: Path | None, fps: float | None, stack: ExitStack, verbose: bool
+) -> View:
     """Return the view of a run; `fps` is the frame rate of its video."""
     file = None if overlay is None else stack.enter_context(OverlayFile(overlay, fps))
     kind = WandView if plan.configuration.tracker == "wand" else BallView

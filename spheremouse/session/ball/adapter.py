@@ -31,7 +31,7 @@ from spheremouse.session.ball.search import BallMessages, PoseRecovery, PoseSear
 from spheremouse.session.control.protocol import internal_error
 from spheremouse.session.directions import of_ball
 from spheremouse.session.offline import initialise
-from spheremouse.session.plan import Plan
+from spheremouse.session.run_config import RunConfig
 from spheremouse.session.settings import Configuration
 from spheremouse.session.tracker_adapter import (
     MAP,
@@ -167,7 +167,7 @@ class BallAdapter:
         self._messages.restart(reason)
         self._forget_views()
 
-    def prepare(self, plan: Plan, changed: Collection[str]) -> Change:
+    def prepare(self, plan: RunConfig, changed: Collection[str]) -> Change:
         """Prepare other parameters, another map, or another device; the map is saved before another is read."""
         settings, outputs = plan.configuration, outputs_of(plan)
         rig = plan.device(self._given) if "rig" in changed else self.rig
@@ -257,7 +257,7 @@ class BallAdapter:
 
     # ---- within ----
 
-    def _next_keeper(self, plan: Plan, rig: Rig) -> MapKeeper | None:
+    def _next_keeper(self, plan: RunConfig, rig: Rig) -> MapKeeper | None:
         if plan.map_path is None:
             return None
         try:
@@ -368,7 +368,7 @@ class BallAdapter:
             self._keeper.keep(made.state)
 
 
-def outputs_of(plan: Plan) -> tuple[Callable[[], Output], ...]:
+def outputs_of(plan: RunConfig) -> tuple[Callable[[], Output], ...]:
     """Return the function that opens the plan's output."""
     return (partial(open_output, plan.output),)
 

@@ -23,7 +23,7 @@ from spheremouse.session.directions import of_hand
 from spheremouse.session.offline import check_wand_frame
 from spheremouse.session.overlay.pen import Image, in_blocks
 from spheremouse.session.overlay.wand import WandOverlay
-from spheremouse.session.plan import Plan
+from spheremouse.session.run_config import RunConfig
 from spheremouse.session.settings import Configuration, configuration_text
 from spheremouse.session.tracker_adapter import Change, FrameResult, LogMessages, Subject, TrackerAdapter
 from spheremouse.session.wand.messages import WandMessages
@@ -32,14 +32,14 @@ from spheremouse.wand.axes import axes_of as six_axes
 from spheremouse.wand.state import WandEpoch, WandPose, WandState, WandTracker
 from spheremouse.wand.track import begin, step
 
-Make = Callable[[Plan], WandTracker]
+Make = Callable[[RunConfig], WandTracker]
 _AROUND = 1.25  # radii of the ball that a snapshot shows: as far as a pose may be off
 
 
 class WandAdapter:
     """Frames in, motion out, for balls and their settings."""
 
-    def __init__(self, make: Make, plan: Plan, log: Callable[[str], None]) -> None:
+    def __init__(self, make: Make, plan: RunConfig, log: Callable[[str], None]) -> None:
         """`make` builds the tracker of a plan. Raises ConfigurationError."""
         self._make, self._log = make, log
         self._hand = WandMapping(plan.configuration.wand.pointing)
@@ -53,7 +53,7 @@ class WandAdapter:
         self._set_tracker(plan, make(plan))
         self._messages = WandMessages(self.points, self.tracker.balls[self.points].name)
 
-    def _set_tracker(self, plan: Plan, tracker: WandTracker) -> None:
+    def _set_tracker(self, plan: RunConfig, tracker: WandTracker) -> None:
         self.points = plan.configuration.wand.points - 1  # index of the ball that moves the pointer
         self._plan, self.tracker = plan, replace(tracker, points=self.points)
         self.subject = wand_subject(self.tracker, plan.configuration)
@@ -106,7 +106,7 @@ class WandAdapter:
         self._hand.interrupted()
         self._messages.reason = reason
 
-    def prepare(self, plan: Plan, changed: Collection[str]) -> Change:
+    def prepare(self, plan: RunConfig, changed: Collection[str]) -> Change:
         """Prepare other parameters, with the balls tracked on; with other balls or another camera, search again."""
         if {"balls", "rig"} & set(changed):
             other = WandAdapter(self._make, plan, self._log)
@@ -214,7 +214,7 @@ def picture(
     return overlay.draw(shown, counts)
 
 
-def outputs_of(plan: Plan) -> tuple[Callable[[], Output], ...]:
+def outputs_of(plan: RunConfig) -> tuple[Callable[[], Output], ...]:
     """Return functions that open the pointer's output and that of the axes. A text output carries both.
 
     ConfigurationError if one occurs twice.

@@ -33,17 +33,17 @@ from spheremouse.files.rig import load_rig, save_rig
 from spheremouse.finding import Verdict, ok, warning, wrong
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import exp
-from spheremouse.session.plan import Request, read_plan
+from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.settings import RecordSettings
 
 OK, WARNING, WRONG, UNCHECKED = Verdict.OK, Verdict.WARNING, Verdict.WRONG, Verdict.UNCHECKED
 FAR26_RIG = "the source brings its own"
 
 
-def examined(**request):
+def examined(**overrides):
     """Findings by subject and name; names that occur twice in lists."""
     found = {}
-    for section in doctor.examine(Request(**request), seconds=1.0):
+    for section in doctor.examine(CommandLineOverrides(**overrides), seconds=1.0):
         for f in section.findings:
             found.setdefault((section.subject, f.name), []).append(f)
     return found
@@ -56,7 +56,7 @@ def one(found, subject, name):
 
 def film_of(options, seconds, size="[512,384]"):
     spec = f"synthetic:seconds={seconds + 0.1},size={size},{options}"
-    return film(read_plan(Request(source=spec, output="null")), seconds, None)
+    return film(read_run_config(CommandLineOverrides(source=spec, output="null")), seconds, None)
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def seen(good):
     """The camera's pose from the targets of that film, and what sees discs."""
     footage = good
     rig = footage.rig
-    settings = read_plan(Request(source="null", output="null")).configuration
+    settings = read_run_config(CommandLineOverrides(source="null", output="null")).configuration
     pose, _ = sights.targets(footage.views, rig, settings)
     return sights.sight(rig, pose, settings)[0]
 
@@ -106,13 +106,13 @@ def test_the_reference_recording_is_well_and_the_discs_are_those_of_its_truth(fa
 
 def test_before_there_is_a_rig_it_says_how_to_begin(tmp_path):
     """Nothing named; then a configuration as it is placed, whose rig comes later."""
-    plan, _ = files.read(Request(), None)
+    plan, _ = files.read(CommandLineOverrides(), None)
     said = files.rig_file(plan.rig_path, plan.rig, None)
     assert (said.verdict, said.text.partition(":")[0]) == (UNCHECKED, "no rig yet")
     assert "`spheremouse calibrate next`" in said.advice
     config = tmp_path / "config.yaml"
     config.write_text("schema: 2\nsource: synthetic\nrig: rig.yaml\n")
-    plan, (said,) = files.read(Request(config), None)
+    plan, (said,) = files.read(CommandLineOverrides(config), None)
     assert (said.verdict, said.text) == (WRONG, f"{tmp_path}/rig.yaml: no such file")
     assert "`spheremouse calibrate next`" in said.advice
 
@@ -146,7 +146,7 @@ def test_a_configuration_that_cannot_be_read_is_told_with_its_line_and_the_rest_
 def test_each_problem_of_a_file_is_a_line_with_its_advice(tmp_path):
     config = tmp_path / "config.yaml"
     config.write_text("schema: 2\ndiscs:\n  contrast: much\n  contrst: 1\nrig: gone.yaml\n")
-    _, found = files.read(Request(config, source="null", output="null"), None)
+    _, found = files.read(CommandLineOverrides(config, source="null", output="null"), None)
     assert [f.text.partition(": ")[0] for f in found] == [f"{config}:3", f"{config}:4"]
     assert all(str(config) not in f.advice for f in found)
     assert [f.verdict for f in found] == [WRONG, WRONG]
@@ -354,7 +354,7 @@ def test_blur_is_a_matter_of_how_long_the_shutter_is_open(seen):
 
 
 def test_targets_that_moved_against_the_rig_are_told(far26):
-    plan = read_plan(Request(source=f"dataset:{far26}", output="null"))
+    plan = read_run_config(CommandLineOverrides(source=f"dataset:{far26}", output="null"))
     footage = film(plan, 0.5, None)
     rig, settings = footage.rig, plan.configuration
     assert rig is not None
@@ -380,7 +380,7 @@ def test_targets_that_moved_against_the_rig_are_told(far26):
 
 
 def test_discs_that_are_too_small_or_a_covered_ball_are_told(far26):
-    plan = read_plan(Request(source=f"dataset:{far26}", output="null"))
+    plan = read_run_config(CommandLineOverrides(source=f"dataset:{far26}", output="null"))
     footage = film(plan, 0.2, None)
     rig, settings = footage.rig, plan.configuration
     assert rig is not None
@@ -487,14 +487,14 @@ def test_the_rig_and_its_age(tmp_path, far26):
 
 def test_without_a_word_the_daemons_or_the_services_configuration_is_looked_at(tmp_path):
     config = Place(tmp_path).configuration / "config.yaml"
-    assert files.usual(Request(), None) == Request()
+    assert files.usual(CommandLineOverrides(), None) == CommandLineOverrides()
     config.parent.mkdir(parents=True)
     config.write_text("schema: 2\n")
-    assert files.usual(Request(), None).file == config
+    assert files.usual(CommandLineOverrides(), None).file == config
     other = tmp_path / "other.yaml"
     other.write_text("schema: 2\n")
-    assert files.usual(Request(), {"config": str(other)}).file == other
-    assert files.usual(Request(source="null"), {"config": str(other)}).file is None
+    assert files.usual(CommandLineOverrides(), {"config": str(other)}).file == other
+    assert files.usual(CommandLineOverrides(source="null"), {"config": str(other)}).file is None
 
 
 def test_what_the_daemon_was_told_on_its_command_line_is_looked_at(tmp_path, monkeypatch):
@@ -512,13 +512,13 @@ def test_what_the_daemon_was_told_on_its_command_line_is_looked_at(tmp_path, mon
         "map": None,
         **{k: STATUS[k] for k in ("source", "output")},
     }
-    asked = files.usual(Request(), told)
+    asked = files.usual(CommandLineOverrides(), told)
     assert (asked.file, asked.source, asked.output) == (None, "v4l2:/dev/video7", "uinput")
     assert asked.no_map
     if Path("/proc/self/cwd").exists():
         assert asked.rig == cabinet.resolve() / "rig.yaml"
-    assert files.usual(Request(), {**told, "pid": 0}).rig == Path("rig.yaml")
-    assert files.usual(Request(), {**told, "rig": "/r.yaml", "map": "/m.yaml"}) == Request(
+    assert files.usual(CommandLineOverrides(), {**told, "pid": 0}).rig == Path("rig.yaml")
+    assert files.usual(CommandLineOverrides(), {**told, "rig": "/r.yaml", "map": "/m.yaml"}) == CommandLineOverrides(
         None, (), "v4l2:/dev/video7", "uinput", Path("/r.yaml"), None, Path("/m.yaml")
     )
 
@@ -540,7 +540,7 @@ def test_map_and_recordings_of_the_service_are_where_the_service_keeps_them(tmp_
 
 
 def map_read(config):
-    plan, found = files.read(Request(config), None)
+    plan, found = files.read(CommandLineOverrides(config), None)
     assert [f.verdict for f in found] == [OK]
     assert plan is not None
     return plan.map_path
@@ -591,7 +591,10 @@ def test_a_daemon_that_runs_keeps_its_camera(tmp_path_factory, monkeypatch):
     monkeypatch.setattr(doctor.capture, "probe", lambda spec: [])
     monkeypatch.setattr(camera, "film", lambda *_: pytest.fail("the camera was opened"))
     with ControlServer(path, ControlSettings(), lambda pending: pending.answer(dict(STATUS))):
-        sections = {s.subject: s.findings for s in doctor.examine(Request(source="v4l2:7", output="null"), socket=path)}
+        sections = {
+            s.subject: s.findings
+            for s in doctor.examine(CommandLineOverrides(source="v4l2:7", output="null"), socket=path)
+        }
     (told,) = [f for f in sections["camera"] if f.name == "film"]
     assert told.verdict is UNCHECKED
     assert "stop" in told.advice

@@ -12,7 +12,7 @@ from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import open_wand
 from spheremouse.files.wand import save_wand
 from spheremouse.finding import Verdict
-from spheremouse.session.plan import Request
+from spheremouse.session.run_config import CommandLineOverrides
 from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.tracker import Frame
@@ -29,12 +29,12 @@ def hand(tmp_path_factory):
     return path
 
 
-def examined(request):
-    return {f.name: f for s in doctor.examine(request, seconds=1.0) for f in s.findings}
+def examined(overrides):
+    return {f.name: f for s in doctor.examine(overrides, seconds=1.0) for f in s.findings}
 
 
 def test_a_ball_that_is_in_view_is_found_and_its_distance_told(hand):
-    found = examined(Request(None, ("tracker=wand",), f"dataset:{hand}"))
+    found = examined(CommandLineOverrides(None, ("tracker=wand",), f"dataset:{hand}"))
     assert found["camera file"].text == "the source brings its own"
     assert found["ball"].text == "grzonka, 100 mm across, 8 discs"
     assert found["sight"].verdict is Verdict.OK
@@ -44,12 +44,12 @@ def test_a_ball_that_is_in_view_is_found_and_its_distance_told(hand):
 
 
 def test_a_camera_without_a_file_and_a_ball_file_that_is_missing_are_lines(hand, tmp_path):
-    found = examined(Request(None, ("tracker=wand",)))
+    found = examined(CommandLineOverrides(None, ("tracker=wand",)))
     assert found["camera file"].verdict is Verdict.UNCHECKED
     assert "give --camera FILE" in found["camera file"].advice
     file = tmp_path / "config.yaml"
     file.write_text("schema: 2\ntracker: wand\nwand: {balls: [mine.yaml]}\n")
-    found = examined(Request(file, (), f"dataset:{hand}"))
+    found = examined(CommandLineOverrides(file, (), f"dataset:{hand}"))
     assert found["ball"].verdict is Verdict.WRONG
     assert "mine.yaml: no such file" in found["ball"].text
     assert "sight" not in found

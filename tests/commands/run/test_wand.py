@@ -12,7 +12,7 @@ from spheremouse.files.dataset.wand import open_wand
 from spheremouse.files.rig import save_camera
 from spheremouse.files.wand import save_wand
 from spheremouse.output.axes import HEADER, NAMES
-from spheremouse.session.plan import Request, check_kinds, read_plan
+from spheremouse.session.run_config import CommandLineOverrides, check_kinds, read_run_config
 from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.axes import UPRIGHT
@@ -257,7 +257,9 @@ def test_a_film_without_the_ball_ends_in_words(spheremouse, camera, tmp_path):
 
 def test_a_running_daemon_does_not_become_another_program():
     """`ctl reload` and `ctl set` go through this."""
-    before, after = (read_plan(Request(None, (f"tracker={t}",), "opencv:0", "null")) for t in ("so3", "wand"))
+    before, after = (
+        read_run_config(CommandLineOverrides(None, (f"tracker={t}",), "opencv:0", "null")) for t in ("so3", "wand")
+    )
     check_kinds(after)
     for a, b in ((after, before), (before, after)):
         with pytest.raises(ConfigurationError, match="stop this run and start again"):

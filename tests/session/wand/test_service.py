@@ -19,7 +19,7 @@ from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import open_wand
 from spheremouse.files.wand import wand_text
 from spheremouse.session.control.status import StatusReport
-from spheremouse.session.plan import Request, read_plan
+from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.setup import Setup
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.events import SecondBall
@@ -354,7 +354,7 @@ def test_a_recording_is_tracked_again_to_the_last_bit(world, tmp_path):
     recording = open_wand(folder)
     live = {e.frame.stamp: (e, r) for e, r in world.frames}
     setup = Setup(camera=recording.camera)
-    plan = read_plan(Request(folder / "config.yaml", source=f"dataset:{folder}", output="null"))
+    plan = read_run_config(CommandLineOverrides(folder / "config.yaml", source=f"dataset:{folder}", output="null"))
     adapter = setup.adapter(plan, lambda _: None, lambda _, work: work())
     seen = 0
     for frame in read_frames(recording):

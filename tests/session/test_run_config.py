@@ -8,7 +8,7 @@ import pytest
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.rig import rig_text
-from spheremouse.session.plan import Plan, Request, read_plan, without_map
+from spheremouse.session.run_config import CommandLineOverrides, RunConfig, read_run_config, without_map
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.scene import default_scene
 
@@ -28,7 +28,7 @@ def folder(tmp_path, rig):
 
 def test_the_configuration_says_it_all(folder, rig, monkeypatch):
     monkeypatch.chdir("/")  # its paths are relative to itself
-    plan = read_plan(Request(folder / "config.yaml"))
+    plan = read_run_config(CommandLineOverrides(folder / "config.yaml"))
     assert (plan.source, plan.output) == ("v4l2:/dev/video9", "uinput")
     assert (plan.rig_path, plan.map_path) == (folder / "rig.yaml", folder / "rig.map.yaml")
     assert plan.device(None).ball.radius == rig.ball.radius
@@ -39,7 +39,7 @@ def test_the_command_line_comes_first(folder):
     other = folder / "sub"
     other.mkdir()
     (other / "r.yaml").write_text((folder / "rig.yaml").read_text())
-    request = Request(
+    overrides = CommandLineOverrides(
         folder / "config.yaml",
         ("motion.scale_x=2", "motion.scale_x=3"),
         "opencv:0",
@@ -47,7 +47,7 @@ def test_the_command_line_comes_first(folder):
         other / "r.yaml",
         map=other / "m.yaml",
     )
-    plan = read_plan(request)
+    plan = read_run_config(overrides)
     assert (plan.source, plan.output, plan.rig_path, plan.map_path) == (
         "opencv:0", "null", other / "r.yaml", other / "m.yaml",
     )  # fmt: skip
@@ -55,7 +55,7 @@ def test_the_command_line_comes_first(folder):
 
 
 def test_without_a_file_the_defaults_hold():
-    plan = read_plan(Request(source="opencv:0", output="null"))
+    plan = read_run_config(CommandLineOverrides(source="opencv:0", output="null"))
     assert plan.configuration == Configuration()
     assert (plan.rig, plan.rig_path, plan.map_path) == (None, None, None)
     with pytest.raises(ConfigurationError, match="--rig FILE"):
@@ -77,7 +77,7 @@ def test_without_a_file_the_defaults_hold():
 )
 def test_what_is_wrong_is_said(folder, change, message):
     with pytest.raises(ConfigurationError, match=message):
-        read_plan(replace(Request(folder / "config.yaml"), **change))
+        read_run_config(replace(CommandLineOverrides(folder / "config.yaml"), **change))
 
 
 def test_a_mistake_in_any_file_is_said_with_its_line(folder):
@@ -86,30 +86,32 @@ def test_a_mistake_in_any_file_is_said_with_its_line(folder):
         good = path.read_text()
         path.write_text(good + "nonsense: 1\n")
         with pytest.raises(ConfigurationError, match=rf"{path.name}:{good.count(chr(10)) + 1}: nonsense"):
-            read_plan(Request(config))
+            read_run_config(CommandLineOverrides(config))
         path.write_text(good)
 
 
 def test_where_the_map_is_kept(folder, monkeypatch):
     config = folder / "config.yaml"
-    assert read_plan(Request(config, no_map=True)).map_path is None
-    assert read_plan(Request(config, ("tracker=ekf2",))).map_path is None
-    assert read_plan(Request(config, ("map=../m.yaml",))).map_path == folder / "../m.yaml"
-    recordings = read_plan(Request(config, ("record.folder=seen",))).configuration.record.folder
+    assert read_run_config(CommandLineOverrides(config, no_map=True)).map_path is None
+    assert read_run_config(CommandLineOverrides(config, ("tracker=ekf2",))).map_path is None
+    assert read_run_config(CommandLineOverrides(config, ("map=../m.yaml",))).map_path == folder / "../m.yaml"
+    recordings = read_run_config(CommandLineOverrides(config, ("record.folder=seen",))).configuration.record.folder
     assert recordings == str(folder / "seen")
     state = folder / "state"
     monkeypatch.setenv("STATE_DIRECTORY", f"{state}:/elsewhere")
-    assert read_plan(Request(config)).map_path == folder / "rig.map.yaml"  # beside the rig where that may be written
+    assert (
+        read_run_config(CommandLineOverrides(config)).map_path == folder / "rig.map.yaml"
+    )  # beside the rig where that may be written
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    assert read_plan(Request(config)).map_path == state / "rig.map.yaml"
-    assert without_map(read_plan(Request(config))).map_path is None
+    assert read_run_config(CommandLineOverrides(config)).map_path == state / "rig.map.yaml"
+    assert without_map(read_run_config(CommandLineOverrides(config))).map_path is None
 
 
 def test_the_camera_file_takes_the_place_of_the_rigs(folder, rig):
     text = (folder / "rig.yaml").read_text()
     camera = text[text.index("camera:") : text.index("ball:")]
     (folder / "camera.yaml").write_text("schema: 1\n" + camera.replace("width: 640", "width: 641"))
-    plan = read_plan(Request(folder / "config.yaml", ("camera_file=camera.yaml",)))
-    assert isinstance(plan, Plan)
+    plan = read_run_config(CommandLineOverrides(folder / "config.yaml", ("camera_file=camera.yaml",)))
+    assert isinstance(plan, RunConfig)
     assert plan.device(None).camera.width == 641
     assert plan.device(None).ball.radius == rig.ball.radius

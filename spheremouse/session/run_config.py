@@ -69,7 +69,7 @@ def told_apart(balls: tuple[WandBall, ...]) -> tuple[WandBall, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class CommandLineOverrides:
     """Settings of the command line; None leaves a setting to the configuration file."""
 
     file: Path | None = None  # the configuration
@@ -85,7 +85,7 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class RunConfig:
     """The checked configuration and its files."""
 
     configuration: Configuration
@@ -107,14 +107,14 @@ class Plan:
         return rig if self.camera is None else with_camera(rig, self.camera)
 
 
-def read_plan(request: Request) -> Plan:
+def read_run_config(overrides: CommandLineOverrides) -> RunConfig:
     """Read everything that a request names. Raises ConfigurationError, with file and line where there is one."""
-    c = config.in_force(request.file, request.assignments, Configuration)
-    for change in request.changes:
+    c = config.in_force(overrides.file, overrides.assignments, Configuration)
+    for change in overrides.changes:
         c = config.override(c, change, label="")
     if c.record.folder is not None:
-        c = replace(c, record=replace(c.record, folder=str(beside(request.file, c.record.folder))))
-    source, output = request.source or c.source, request.output or c.output
+        c = replace(c, record=replace(c.record, folder=str(beside(overrides.file, c.record.folder))))
+    source, output = overrides.source or c.source, overrides.output or c.output
     source = None if source is None else sources.full_spec(source)
     if output is None and c.tracker == "wand" and c.wand.axes is not None:
         output = "null"
@@ -127,28 +127,28 @@ def read_plan(request: Request) -> Plan:
             "no output: give --output, for example uinput or text:-, or `output:` in --config FILE "
             '(in quotes, "null", where motion is to go nowhere)'
         )
-    if request.map is not None and request.no_map:
+    if overrides.map is not None and overrides.no_map:
         raise ConfigurationError("--map and --no-map: give one of the two")
-    given_map = request.map or beside(request.file, c.map)
-    if given_map is not None and c.tracker != "so3" and not request.no_map:
-        where, left = ("--map", "--map") if request.map is not None else (f"{request.file}: map", "it")
+    given_map = overrides.map or beside(overrides.file, c.map)
+    if given_map is not None and c.tracker != "so3" and not overrides.no_map:
+        where, left = ("--map", "--map") if overrides.map is not None else (f"{overrides.file}: map", "it")
         raise ConfigurationError(f"{where}: tracker {c.tracker} keeps no map; use so3, or leave {left} out")
-    rig_path = request.rig or beside(request.file, c.rig)
-    camera_path = request.camera or beside(request.file, c.camera_file)
+    rig_path = overrides.rig or beside(overrides.file, c.rig)
+    camera_path = overrides.camera or beside(overrides.file, c.camera_file)
     rig = None if rig_path is None else load_rig(rig_path)
     camera = None if camera_path is None else load_camera(camera_path)
-    if request.no_map or c.tracker != "so3":
+    if overrides.no_map or c.tracker != "so3":
         map_file = None
     else:
         map_file = given_map or (None if rig_path is None else _usual_map(rig_path))
-    ball_paths = named_balls(request, c) if c.tracker == "wand" else ()
+    ball_paths = named_balls(overrides, c) if c.tracker == "wand" else ()
     if len(ball_paths) > MOST_BALLS:
         raise ConfigurationError(f"--ball: given {len(ball_paths)} times; at most {MOST_BALLS} balls are tracked")
     balls = read_balls(ball_paths)
-    return Plan(c, source, output, rig, rig_path, camera, camera_path, map_file, balls, ball_paths)
+    return RunConfig(c, source, output, rig, rig_path, camera, camera_path, map_file, balls, ball_paths)
 
 
-def check_kinds(plan: Plan, before: Plan | None = None) -> None:
+def check_kinds(plan: RunConfig, before: RunConfig | None = None) -> None:
     """Refuse a source or output of no known kind, or with a slip in its argument, where it is another than `before`.
 
     A device that is missing may come, a slip will not mend itself. Nor does a run change between a ball in its frame
@@ -164,7 +164,7 @@ def check_kinds(plan: Plan, before: Plan | None = None) -> None:
         check(outputs, "output", plan.output, OutputError)
 
 
-def without_map(plan: Plan) -> Plan:
+def without_map(plan: RunConfig) -> RunConfig:
     """Return the plan without a map, for a source with its own rig, unless a map was requested."""
     return replace(plan, map_path=None)
 
@@ -177,9 +177,9 @@ def beside(file: Path | None, name: str | None) -> Path | None:
     return path if file is None else file.parent / path
 
 
-def named_balls(request: Request, c: Configuration) -> tuple[Path, ...]:
+def named_balls(overrides: CommandLineOverrides, c: Configuration) -> tuple[Path, ...]:
     """Return the wand files of the command line, else those of the configuration."""
-    return request.balls or tuple(path for name in c.wand.balls if (path := beside(request.file, name)) is not None)
+    return overrides.balls or tuple(path for name in c.wand.balls if (path := beside(overrides.file, name)) is not None)
 
 
 def _usual_map(rig_path: Path) -> Path:
