@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.events import NewMap, Recognised
-from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker, TrackState
@@ -298,9 +297,7 @@ class Judge:
             estimate.rate,
             estimate.covariance,
         )
-        if not all(np.all(np.isfinite(n)) for n in numbers) or (
-            isinstance(f, So3State) and not np.all(np.isfinite(f.joint))
-        ):
+        if not all(np.all(np.isfinite(n)) for n in (*numbers, getattr(f, "joint", 0.0))):
             self.fail(frame, "a number that is not finite")
         if np.abs(f.attitude @ f.attitude.T - np.eye(3)).max() > 1e-9:
             self.fail(frame, "the attitude is no rotation")

@@ -13,6 +13,7 @@ recording.
 """
 
 from dataclasses import replace
+from typing import cast
 
 import cv2
 import numpy as np
@@ -45,8 +46,7 @@ def kept(rig: Rig, pose: Pose, settings: Settings) -> Image:
     It is of a device seen from a pose, by a tracker with these settings. Raises PoseError if the ball is not in view.
     """
     default = replace(settings, detector="default", discs=replace(settings.discs, masks=()))
-    detector = build(rig, pose, default).detector
-    assert isinstance(detector, DiscDetector)
+    detector = cast(DiscDetector, build(rig, pose, default).detector)  # that of "default"
     mask = _around_ball(detector, clipped=settings.detector == "default")
     for left, top, right, bottom in _target_boxes(rig, pose):
         mask[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = 255

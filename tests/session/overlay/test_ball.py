@@ -10,7 +10,6 @@ import pytest
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.appearance import ball_outline
-from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Epoch, lost
 from spheremouse.ball.track import step
@@ -103,7 +102,6 @@ def test_contours_are_drawn_as_the_detector_found_them():
 def test_older_epochs_are_smaller_and_fainter_and_gone_in_the_end():
     tracker, epoch = list(epochs(640, 480, frames=2))[-1]
     state = epoch.state
-    assert isinstance(state.filter, So3State)
     overlay = Overlay(tracker)
     red = []
     for _ in range(17):
