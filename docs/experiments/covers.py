@@ -195,7 +195,7 @@ def waited(t: Array, off: "list[tuple[Array, float, bool]]", end: float) -> Resu
 
 
 def section(results: Results) -> list[Part]:
-    """How much may be hidden, and how long it takes afterwards."""
+    """Return the hidden shares at the loss of the ball, and the times until it is found again."""
     hidden = tidy(
         {
             "discs": int(discs),

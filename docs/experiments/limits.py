@@ -235,7 +235,7 @@ def _follows(trial: Trial, course: Course, t: Array, attitudes: Array, pictures:
 
 
 def section(results: Results) -> list[Part]:
-    """How fast and how suddenly a ball may turn, with blur and without."""
+    """Return the highest rates and accelerations, with blur and without."""
     parts = [part(rows) for part, rows in ((_speeds, _speed_rows(results)), (_films, _film_rows(results))) if len(rows)]
     return [each for part in parts for each in part]
 

@@ -259,7 +259,7 @@ def _classes(errors: pd.DataFrame, key: str, bounds: Sequence[float], names: Seq
 
 
 def edge_profiles(results: Results) -> pd.DataFrame:
-    """How light pixels are (0 disc, 1 ball) by their distance (px) from an edge; nan where there are none."""
+    """Lightness of pixels (0 disc, 1 ball) by their distance (px) from an edge; nan where there are none."""
     sums = {name: np.sum([r["edges"][name] for r in results.values()], axis=0) for name in (*GREY, LINEAR)}
     lights = {name: light / np.where(pixels > 0, pixels, np.nan) for name, (light, pixels) in sums.items()}
     return pd.DataFrame(lights, index=(np.arange(round(2 * REACH / STEP)) + 0.5) * STEP - REACH)
@@ -277,7 +277,7 @@ def blur_of(edge: "pd.Series[float]") -> float:
 
 
 def middle_of(edge: "pd.Series[float]") -> float:
-    """Where an edge crosses one half, px; nan where it does not."""
+    """Place at which an edge crosses one half, px; nan if it does not."""
     edge = edge.dropna()
     x, y = edge.index.to_numpy(float), edge.to_numpy()
     cross = np.flatnonzero((y[:-1] < 0.5) & (y[1:] >= 0.5))

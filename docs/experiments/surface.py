@@ -369,7 +369,7 @@ def section(results: Results) -> list[Part]:
 
 
 def _table_13(found: Result) -> list[Part]:
-    """The places of table 13, each by the thesis and by what the points are made with."""
+    """The places of table 13, by the thesis and by each choice of pose and ball."""
     records = []
     for k, (place, correlation, sigma) in enumerate(TABLE_13):
         described = {name: (of[k]["correlation"], of[k]["sigma"]) for name, of in found.items()}

@@ -22,7 +22,7 @@ from spheremouse.geometry.rotation import log
 
 TITLE = "The hand-held ball (Grzonka 2005, chapter 4)"
 SPEEDS = "speeds"
-_ENOUGH, _SOME = 20, 6  # runs, to judge 19 or 18 of them; to judge what none may do
+_ENOUGH, _SOME = 20, 6  # runs for a judgement; with a distractor, which no run may follow
 _LIMITS = {"x": 10.0, "y": 40.0, "z": 100.0, "rotation": 4.0}  # mm, °, of the 95th percentile
 _METHODS = {"ours": "known start", "thesis' method": "all as in the thesis"}
 
@@ -83,7 +83,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """What is asked of a film with a variant; `judge` gives our figure and whether it is good."""
+    """A demand on a film with a variant; `judge` returns our figure and whether it is good."""
 
     film: str
     variant: str
@@ -152,7 +152,7 @@ DEMANDS = (
 
 
 def section(results: Results) -> list[Part]:
-    """What is asked and reached, the films with their trackers, and the speeds."""
+    """Return the demands with our figures, the films with their trackers, and the speeds."""
     timed = results.get(SPEEDS, {})
     table = rows({key: result for key, result in results.items() if key != SPEEDS})
     drive = {row.variant: row for row in table if row.film.name in ("drive", "drive-many")}
@@ -161,7 +161,7 @@ def section(results: Results) -> list[Part]:
         "drawn by the thesis' motion alone", "all as in the thesis", "known start"))  # fmt: skip
     speeds = pd.DataFrame([{"": name, **speed} for name, speed in timed.items()])
     return [
-        Table("What is asked", pd.DataFrame(verdicts(table, timed))),
+        Table("Demands, the thesis and ours", pd.DataFrame(verdicts(table, timed))),
         Table("Films and trackers", pd.DataFrame(map(_cells, table)), ["film"]),
         Table("Speed, one core (thesis: 1.4 fps with 350 particles, 0.37 with 5000)", speeds),
         Claim(
@@ -175,7 +175,7 @@ def section(results: Results) -> list[Part]:
 
 
 def rows(results: Results) -> list[Row]:
-    """What is known of each film and variant, and of the shared recording; `results` by the jobs' keys."""
+    """Sum up the runs of each film and variant, and of the shared recording; `results` by the jobs' keys."""
     found = []
     for film in wand.films(False):
         of_film = [results[key] for seed in film.seeds if (key := wand.Job(film, seed).key) in results]
@@ -195,7 +195,7 @@ def _row(film: wand.Film, variant: wand.Variant, kept: Sequence[Result]) -> Row:
 
 
 def verdicts(table: Sequence[Row], timed: Result) -> list[dict[str, str]]:
-    """What is asked of the films and speeds that there are, the thesis' figure, ours, and whether it is reached."""
+    """Judge the films and speeds that there are: the demand, the thesis' figure, ours, and whether it is reached."""
     by_name = {(row.film.name, row.variant): row for row in table if row.runs}
     found = []
     for demand in DEMANDS:
@@ -208,7 +208,7 @@ def verdicts(table: Sequence[Row], timed: Result) -> list[dict[str, str]]:
             fps, thesis = timed[speed.name]["fps"], "–" if speed.thesis is None else f"{speed.thesis:g} fps"
             found.append((f"{speed.name}: ≥ {speed.least:g} fps", thesis, f"{fps:.0f} fps", fps >= speed.least))
     words = {None: "not judged", True: "yes", False: "no"}
-    return [{"asked": a, "thesis": t, "ours": o, "reached": words[good]} for a, t, o, good in found]
+    return [{"demand": a, "thesis": t, "ours": o, "reached": words[good]} for a, t, o, good in found]
 
 
 def _cells(row: Row) -> dict[str, Any]:

@@ -6,7 +6,7 @@ filtering") along the true trajectory: the angular acceleration is a first-order
 one over the whole film, the discs are at unknown places, the ball's attitude in the first frame is the reference.
 A filter may go below it where the motion is of several kinds, as rest is before play.
 
-What was measured are sights: detections of true discs, with centre errors by size.
+A `Sight` is the measurement of a frame: detections of true discs, with centre errors by size.
 """
 
 from collections.abc import Iterable, Sequence

@@ -43,7 +43,7 @@ def test_a_shared_recording_has_rows_of_its_own(tmp_path):
     assert len(kept["index"]) == 6
     (row,) = wand.rows({job.key: result})
     assert (row.film.name, row.variant, row.runs, row.lost) == ("wand_drive", "350, known start", 1, 0)
-    verdicts = {v["asked"]: v["reached"] for v in wand.verdicts([row], {})}
+    verdicts = {v["demand"]: v["reached"] for v in wand.verdicts([row], {})}
     assert verdicts["350 particles: runs kept, all, shared recording"] == "not judged"
     assert set(verdicts.values()) == {"yes", "not judged"}
 

@@ -1,9 +1,9 @@
 """Everything in a wand's picture but the ball: floor, wall and objects, drawn once, and what moves beside the ball.
 
 Flat faces, farther ones first, drawn finely and averaged down. A red mug and a blue book stand in every room (the
-single-coloured things that Grzonka 2005, section 4.3, found harmless). Nothing here is known to a tracker. What moves
-is a robot or a stick under the ball, a hand, a card in its colours. Each is a function of the pose it belongs to and
-gives layers to paint.
+single-coloured things that Grzonka 2005, section 4.3, found harmless). Nothing here is known to a tracker. A robot
+or a stick under the ball, a hand, and a card in its colours move. Each is a function of the pose it belongs to and
+returns layers to paint.
 """
 
 from collections.abc import Sequence
