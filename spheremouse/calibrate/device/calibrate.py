@@ -146,7 +146,7 @@ def _measured_discs(
 
     In `photos` they are darker than the ball, for any setting of their colours.
     """
-    settings = replace(settings, polarity="dark", weights=())
+    settings = replace(settings, polarity="dark")
     block, K, R = result.solution.block, result.sphere.centre, result.sphere.radius
     rig = ball_rig(block.camera, K, R, device.disc_radius)
     seen = [

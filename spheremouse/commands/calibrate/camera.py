@@ -6,7 +6,8 @@ from typing import Annotated
 import typer
 
 from spheremouse.calibrate.outputs import check_outputs, copyable, note
-from spheremouse.commands.calibrate.options import Force, Json, Report
+from spheremouse.commands.calibrate.options import Corners, Dictionary, Force, Marker, Report, Square
+from spheremouse.commands.options import JsonFile
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
 from spheremouse.files.safe_files import write_json
@@ -21,30 +22,16 @@ def camera(
     photos: Annotated[
         list[Path] | None, typer.Argument(metavar="PHOTOS...", help="Photos of the board, or their folder.")
     ] = None,
-    board: Annotated[
-        str | None,
-        typer.Option(
-            metavar="CxR", help="Inner corners along and down: one less than squares.  [default: as board.yaml says]"
-        ),
-    ] = None,
-    square: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LENGTH", help="Side of a square, measured on the print, as in 86mm.  [default: as board.yaml says]"
-        ),
-    ] = None,
-    marker: Annotated[
-        str | None, typer.Option(metavar="LENGTH", help="Side of a marker, as in 60mm: it is a ChArUco board.")
-    ] = None,
-    dictionary: Annotated[
-        str | None, typer.Option(metavar="NAME", help="ChArUco markers, as printed on the board.")
-    ] = None,
+    board: Corners = None,
+    square: Square = None,
+    marker: Marker = None,
+    dictionary: Dictionary = None,
     distortion: Annotated[
         int, typer.Option(metavar="0|2|4|5", help="Terms of the lens: k1 k2, also p1 p2, also k3.")
     ] = _ALL_TERMS,
     out: Annotated[Path, typer.Option(metavar="FILE", help="The camera file to write.")] = Path("camera.yaml"),
     report: Report = None,
-    json_file: Json = None,
+    json_file: JsonFile = None,
     force: Force = False,
 ) -> None:
     """Find focal lengths, principal point and lens distortion from photos of a chessboard or ChArUco board.

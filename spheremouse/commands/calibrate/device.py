@@ -9,7 +9,8 @@ import typer
 
 from spheremouse import __version__
 from spheremouse.calibrate.outputs import check_outputs, copyable, note, sha256
-from spheremouse.commands.calibrate.options import Force, Json, Report
+from spheremouse.commands.calibrate.options import Force, Report
+from spheremouse.commands.options import JsonFile
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
 from spheremouse.files.safe_files import write_json
@@ -40,7 +41,7 @@ def device(
         "rig.yaml"
     ),
     report: Report = None,
-    json_file: Json = None,
+    json_file: JsonFile = None,
     config: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Configuration: colours of targets (rings), discs.")
     ] = None,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from spheremouse.commands.calibrate.options import Corners, Dictionary, Marker, Square
 from spheremouse.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -35,16 +36,10 @@ def photos(
         str | None,
         typer.Option(metavar="KIND:ARG", help="The camera, as `run --source`.  [default: as configured; the first]"),
     ] = None,
-    board: Annotated[
-        str | None, typer.Option(metavar="CxR", help="Inner corners of the board.  [default: as printed]")
-    ] = None,
-    square: Annotated[
-        str | None, typer.Option(metavar="LENGTH", help="Side of a square, measured.  [default: as printed]")
-    ] = None,
-    marker: Annotated[
-        str | None, typer.Option(metavar="LENGTH", help="Side of a marker: it is a ChArUco board.")
-    ] = None,
-    dictionary: Annotated[str | None, typer.Option(metavar="NAME", help="ChArUco markers, as printed.")] = None,
+    board: Corners = None,
+    square: Square = None,
+    marker: Marker = None,
+    dictionary: Dictionary = None,
     config: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Camera's controls, colours of targets.  [default: FOLDER/config.yaml]"),

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from spheremouse.calibrate.outputs import check_outputs
-from spheremouse.commands.calibrate.options import Force, Json
+from spheremouse.commands.calibrate.options import Force
+from spheremouse.commands.options import JsonFile
 from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.files.safe_files import write_json
 
@@ -50,7 +51,7 @@ def rolling(
         str | None, typer.Option(metavar="LENGTH", help="Radius of a disc, as in 20mm; needs a radius of the ball.")
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="The rig file to write.")] = None,
-    json_file: Json = None,
+    json_file: JsonFile = None,
     force: Force = False,
 ) -> None:
     """Calibrate by a minute of rolling the ball before a fixed camera, without photos and tape measure.

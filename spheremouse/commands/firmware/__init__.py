@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from spheremouse.calibrate.outputs import check_outputs
-from spheremouse.commands.calibrate.options import Force, Json
+from spheremouse.commands.calibrate.options import Force
+from spheremouse.commands.options import JsonFile
 from spheremouse.errors import ConfigurationError, OutputError
 from spheremouse.files.safe_files import write_json
 
@@ -73,7 +74,7 @@ def check(
     baud: Annotated[
         int | None, typer.Option(metavar="N", help="Speed of a plain serial line.  [default: 115200]")
     ] = None,
-    json_file: Json = None,
+    json_file: JsonFile = None,
     force: Force = False,
 ) -> None:
     """Compare the firmware on the board's drive, the one that runs, and the one of this program."""
@@ -181,7 +182,7 @@ def measure(
     seconds: Annotated[float, typer.Option(metavar="S", min=0.1, max=3600.0, help="Duration.")] = 10.0,
     damage: _Damage = 0.0,
     baud: _Baud = None,
-    json_file: Json = None,
+    json_file: JsonFile = None,
     force: Force = False,
 ) -> None:
     """Measure the time of sending to a simulated board, which runs in its own process. The time includes it."""
