@@ -28,7 +28,7 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import Truth
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.metrics import Run, surface_travel
-from spheremouse.geometry.conics import project_sphere
+from spheremouse.geometry.camera import project_sphere
 from spheremouse.geometry.rotation import Array, log
 
 TITLE = "A calibration that is wrong (Wittich 2017, chapter 5)"

@@ -17,8 +17,7 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.ball.pose import adjust_pose, predict_targets
 from spheremouse.ball.rig import Rig
-from spheremouse.geometry.camera import Pose
-from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
+from spheremouse.geometry.camera import Pose, ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array, log
 
 _FINE = 17  # px, half width of a patch that need not be finer: larger ones are reduced to about that

@@ -19,8 +19,7 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import MOST, TargetDetections
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import PoseError
-from spheremouse.geometry.camera import Pose, project, unproject
-from spheremouse.geometry.conics import project_rings, sphere_outline
+from spheremouse.geometry.camera import Pose, project, project_rings, sphere_outline, unproject
 from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import Array, exp, hat
 from spheremouse.settings import param

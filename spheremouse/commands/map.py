@@ -24,7 +24,7 @@ def show(file: Annotated[Path, typer.Argument(metavar="FILE", show_default=False
     import numpy as np
     from rich.table import Table
 
-    from spheremouse.ball.compare_maps import variances
+    from spheremouse.ball.disc_map import variances
     from spheremouse.files.disc_map import age, load_map
 
     saved = load_map(file)
@@ -57,7 +57,7 @@ def compare_(
     import numpy as np
     from rich.table import Table
 
-    from spheremouse.ball.compare_maps import compare, in_words
+    from spheremouse.ball.disc_map import compare, in_words
     from spheremouse.files.disc_map import BALL_DIFFERS, load_map
     from spheremouse.geometry.rotation import log
 

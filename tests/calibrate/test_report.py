@@ -15,7 +15,7 @@ from spheremouse.calibrate.device.advice import advise
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.calibrate.report.device import device_json, print_device, write_device_report
 from spheremouse.calibrate.report.device_figures import arrow_scale, photo_picture
-from spheremouse.geometry.conics import ellipse_to_pixel, project_sphere
+from spheremouse.geometry.camera import ellipse_to_pixel, project_sphere
 
 PROVENANCE = {"made_by": "spheremouse 9.9, calibrate device", "date": "2026-01-02T03:04:05+00:00", "camera": "c.yaml"}
 

@@ -20,8 +20,7 @@ import pytest
 from conftest import directions
 
 from spheremouse import commands as cli
-from spheremouse.ball.compare_maps import compare
-from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.disc_map import DiscMap, compare
 from spheremouse.capture.signals import SignalHandler
 from spheremouse.commands.demo import play as demo
 from spheremouse.files.dataset.ball import open_dataset

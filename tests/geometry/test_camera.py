@@ -12,10 +12,11 @@ from spheremouse.geometry.camera import (
     interior_jacobian,
     pose_from_matrix,
     project,
+    project_circle,
+    project_sphere,
     reduced_to_pixel,
     unproject,
 )
-from spheremouse.geometry.conics import project_circle, project_sphere
 from spheremouse.geometry.rotation import exp, tangent_basis
 
 STRONG = np.array([-0.49, 0.3, -1e-4, -1e-4, -0.11])

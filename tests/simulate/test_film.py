@@ -13,8 +13,7 @@ from spheremouse.commands.simulate import simulate as film
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
-from spheremouse.geometry.camera import Pose, reduced_to_pixel
-from spheremouse.geometry.conics import project_circle, project_sphere
+from spheremouse.geometry.camera import Pose, project_circle, project_sphere, reduced_to_pixel
 from spheremouse.geometry.rotation import hat, to_euler
 from spheremouse.simulate.ball.backdrop import render_backdrop, render_layers
 from spheremouse.simulate.ball.caps import BallView, Caps

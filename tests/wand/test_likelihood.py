@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse.geometry.camera import InteriorOrientation, project
-from spheremouse.geometry.conics import project_sphere
+from spheremouse.geometry.camera import InteriorOrientation, project, project_sphere
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand import limb

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import Rig, view_of
-from spheremouse.geometry.camera import Pose, distorted
-from spheremouse.geometry.conics import sphere_outline
+from spheremouse.geometry.camera import Pose, distorted, sphere_outline
 from spheremouse.geometry.rotation import Array
 
 _CORNERS = 24  # of the polygon that stands for a distorted outline

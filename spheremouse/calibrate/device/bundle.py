@@ -20,9 +20,9 @@ from spheremouse.geometry.camera import (
     interior_jacobian,
     interior_vector,
     project,
+    project_rings,
     with_interior,
 )
-from spheremouse.geometry.conics import project_rings
 from spheremouse.geometry.least_squares.adjust import Adjusted, Jacobian, adjust, cofactors
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian
 

@@ -17,8 +17,15 @@ from spheremouse.ball.rig import Rig
 from spheremouse.calibrate.rolling.adjust import lens_root
 from spheremouse.calibrate.rolling.problem import Rolling
 from spheremouse.errors import CalibrationError
-from spheremouse.geometry.camera import InteriorOrientation, Pose, interior_vector, unproject, with_interior
-from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
+from spheremouse.geometry.camera import (
+    InteriorOrientation,
+    Pose,
+    ellipse_to_pixel,
+    interior_vector,
+    project_circle,
+    unproject,
+    with_interior,
+)
 from spheremouse.geometry.rotation import Array, align, exp, left_jacobian, log
 
 _MAX_CHI2_PER_DOF = 16.0  # larger for targets of another rig

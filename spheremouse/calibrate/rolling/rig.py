@@ -5,10 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spheremouse.ball.compare_maps import turned
 from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.ball.device import Device
-from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.disc_map import DiscMap, turned
 from spheremouse.ball.pose import gather
 from spheremouse.ball.rig import NO_TARGETS, UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.calibrate.rolling.axes import Axes, axes_from_gestures, axes_from_rings, axes_from_targets

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from spheremouse.ball.compare_maps import compare, compare_at, in_words, turned, variances
-from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.disc_map import DiscMap, compare, compare_at, in_words, turned, variances
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import TrackState, disc_map
 from spheremouse.errors import ConfigurationError, SpheremouseError

@@ -15,8 +15,7 @@ from spheremouse.ball.points import directions_at
 from spheremouse.ball.pose import Resection, predict_targets
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import Epoch, Tracker, TrackState, current
-from spheremouse.geometry.camera import Pose
-from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
+from spheremouse.geometry.camera import Pose, ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.overlay.pen import EPOCHS, WHITE, Image, Mark, Pen, canvas_of
 from spheremouse.tracker import Status

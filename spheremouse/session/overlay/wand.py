@@ -8,8 +8,7 @@ from collections import deque
 
 import numpy as np
 
-from spheremouse.geometry.camera import InteriorOrientation, project
-from spheremouse.geometry.conics import sphere_outline
+from spheremouse.geometry.camera import InteriorOrientation, project, sphere_outline
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.session.overlay.pen import GREEN, SHADOW, WHITE, Colour, Image, Pen, canvas_of
 from spheremouse.tracker import Status

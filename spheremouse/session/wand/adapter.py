@@ -14,7 +14,7 @@ from spheremouse.errors import ConfigurationError, SourceError, SpheremouseError
 from spheremouse.files.dataset.format import BALL_FILES
 from spheremouse.files.dataset.wand import wand_scene
 from spheremouse.files.wand import wand_text
-from spheremouse.geometry.conics import sphere_outline
+from spheremouse.geometry.camera import sphere_outline
 from spheremouse.output import Output, open_output
 from spheremouse.output import axes as axes_output
 from spheremouse.output.pointer import Counts

@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.geometry.camera import reduced_to_pixel, unproject
-from spheremouse.geometry.conics import project_sphere
+from spheremouse.geometry.camera import project_sphere, reduced_to_pixel, unproject
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.light import develop

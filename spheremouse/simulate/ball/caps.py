@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth
-from spheremouse.geometry.camera import project, reduced_to_pixel, unproject
-from spheremouse.geometry.conics import project_sphere
+from spheremouse.geometry.camera import project, project_sphere, reduced_to_pixel, unproject
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.simulate.ball.scene import Scene
 

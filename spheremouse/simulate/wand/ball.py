@@ -12,8 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.geometry.camera import InteriorOrientation, undistorted
-from spheremouse.geometry.conics import ellipse_to_pixel, project_sphere
+from spheremouse.geometry.camera import InteriorOrientation, ellipse_to_pixel, project_sphere, undistorted
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.light import reflectance
 from spheremouse.wand.ball import WandBall

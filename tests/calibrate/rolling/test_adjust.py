@@ -34,8 +34,7 @@ from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.disc_map import load_map
 from spheremouse.files.rig import load_rig, save_camera, save_rig
-from spheremouse.geometry.camera import InteriorOrientation, Pose, project
-from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
+from spheremouse.geometry.camera import InteriorOrientation, Pose, ellipse_to_pixel, project, project_circle
 from spheremouse.geometry.rotation import align, exp, hat, log, tangent_basis
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 642.0, 322.0, 237.0, np.array([-0.2, 0.08, 1e-3, -5e-4, 0.0]))

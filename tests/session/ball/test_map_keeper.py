@@ -11,8 +11,7 @@ import pytest
 from conftest import directions
 from scipy.spatial.transform import Rotation
 
-from spheremouse.ball.compare_maps import turned
-from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.disc_map import DiscMap, turned
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.disc_map import load_map, save_map, saved_now

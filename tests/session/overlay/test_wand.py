@@ -10,8 +10,7 @@ from typer.testing import CliRunner
 from spheremouse.commands import app
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.wand import save_wand
-from spheremouse.geometry.camera import InteriorOrientation, unproject
-from spheremouse.geometry.conics import sphere_outline
+from spheremouse.geometry.camera import InteriorOrientation, sphere_outline, unproject
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.overlay.pen import GREEN, WHITE
 from spheremouse.session.overlay.wand import WandOverlay, pin, rims

@@ -5,8 +5,7 @@ import pytest
 from conftest import directions
 from scipy.spatial.transform import Rotation
 
-from spheremouse.ball.compare_maps import compare, compare_at, in_words, turned
-from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.disc_map import DiscMap, compare, compare_at, in_words, turned
 from spheremouse.geometry.rotation import tangent_basis
 
 SIGMA = 1e-3
