@@ -58,12 +58,8 @@ def shift_of(points: SpherePoints, delay: Array, discs: KnownDiscs, radius: floa
     """
     if len(points) < 4 or len(discs.directions) < 4:
         return None
-    distance = np.arccos(np.clip(points.direction @ discs.attitude @ discs.directions.T, -1.0, 1.0))
-    pair = mutual_nearest(np.where(distance < reach, distance, np.inf))
-    if np.count_nonzero(pair >= 0) < 4:
-        return None
     try:
-        fields = _shift(points.direction, points.image_covariance, points.dposition_dball, delay, pair, discs, radius)
+        fields = _shift(points.direction, points.image_covariance, points.dposition_dball, delay, discs, radius, reach)
     except np.linalg.LinAlgError:  # discs found in one place alone: no direction of a shift can be told from a turn
         return None
     offset = CentreOffset(*fields)
@@ -90,9 +86,13 @@ def averaged(mean: float, found: CentreOffset, dt: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _shift(seen, noise, by_ball, delay, pair, discs, radius) -> tuple[Any, ...]:
-    """Return the fields of CentreOffset. `pair` (n,) has the disc of each point, or -1."""
+def _shift(seen, noise, by_ball, delay, discs, radius, reach) -> tuple[Any, ...]:
+    """Return the fields of CentreOffset; nan with fewer than four pairs."""
     expected = discs.directions @ discs.attitude.T
+    cosine = seen @ expected.T
+    pair = mutual_nearest(np.where(cosine > np.cos(reach), 1.0 - cosine, np.inf))
+    if np.count_nonzero(pair >= 0) < 4:
+        return 0, np.zeros(3), np.nan, np.nan, np.nan, np.nan
     rate = discs.rate
     N, right, total, pairs = np.zeros((6, 6)), np.zeros(6), 0.0, 0
     A, C, z = np.zeros((3, 6)), np.empty((3, 3)), np.empty(3)

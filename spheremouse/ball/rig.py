@@ -113,13 +113,13 @@ def view_of(rig: Rig, pose: Pose) -> BallView:
     """Return the view of a rig's ball from a camera at `pose`."""
     ball, camera = rig.ball, rig.camera
     return BallView(
-        np.ascontiguousarray(ball.centre, dtype=np.float64),
-        float(ball.radius),
-        float(rig.disc_radius / ball.radius),
-        np.ascontiguousarray(pose.rotation, dtype=np.float64),
-        np.ascontiguousarray(pose.position, dtype=np.float64),
+        ball.centre,
+        ball.radius,
+        rig.disc_radius / ball.radius,
+        np.ascontiguousarray(pose.rotation),
+        pose.position,
         camera.intrinsic,
-        np.ascontiguousarray(camera.distortion, dtype=np.float64),
+        camera.distortion,
         camera.fold_r2,
         camera.height,
     )

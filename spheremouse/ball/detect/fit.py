@@ -71,17 +71,18 @@ class FitSettings(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def measure(image, mask, place, shape, path, noise, weights, fit, size_known):
+def measure(image, mask, place, shape, path, noise, weights, fit, contrast, size_known):
     """Fit n discs expected at `place`, (n, 2) px, with `shape`, (n, 2, 2) px², in an image (h, w, c) of uint8.
 
     `mask` (h, w) is not 0 on the ball, `path` (n, 7) is how each disc moves during the exposure (`moving_ellipse_of`),
-    `noise` is that of a pixel, `weights` (c,) are those of the projection, and `fit` is a FitSettings. Returns Fits,
-    and the size that all discs share, fitted over expected. First the size is free, which tells discs from other
-    things, and the size all discs share. Then it is held at that, so that a disc cut by a strut is seen as cut, not as
-    smaller. If fewer than three discs tell the size, it is held at 1 and the result is 0. If `size_known` is not 0, the
-    size is held at that from the beginning.
+    `noise` is that of a pixel, `weights` (c,) are those of the projection, and `fit` is a FitSettings. `contrast` is
+    the least contrast over the light of the lighter of disc and ball. Returns Fits, and the size that all discs share,
+    fitted over expected. First the size is free, which tells discs from other things, and the size all discs share.
+    Then it is held at that, so that a disc cut by a strut is seen as cut, not as smaller. If fewer than three discs
+    tell the size, it is held at 1 and the result is 0. If `size_known` is not 0, the size is held at that from the
+    beginning.
     """
-    kernel, blur, contrast, size_tolerance = fit.kernel, fit.blur, fit.contrast, fit.size_tolerance
+    kernel, blur, size_tolerance = fit.kernel, fit.blur, fit.size_tolerance
     rim_least, sigma = fit.rim, fit.sigma
     noise = np.float32(noise)
     n = len(place)

@@ -100,6 +100,9 @@ def classify_candidates(
     ball, (n,), which have just shown that they stand still, (n,), and the state with the latter masked.
     """
     candidates = state.candidates
+    if len(centre) == 0:  # a frequent case: only the time passes
+        none, alive = np.zeros(0, dtype=bool), stamp - candidates.seen < _FORGET_AFTER_S
+        return none, none, state if alive.all() else replace(state, candidates=candidates.take(alive))
     expected = _expected(candidates, attitude, rig, pose)
     track = _found(candidates, expected, centre)
     known = track >= 0

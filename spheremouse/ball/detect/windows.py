@@ -64,8 +64,6 @@ def measure_discs(
     if len(directions) == 0:
         return no_detections(), size
     weights = weights_of(model.fit.projection, image.shape[2])
-    if len(places) == 0:
-        model = model._replace(fit=model.fit._replace(contrast=_EXPECTED * model.fit.contrast))
     directions, places = np.ascontiguousarray(directions), np.ascontiguousarray(places)
     centre, covariance, area, told = _measure_discs(image, directions, model, noise, weights, places, motion, size)
     return Detections(centre, covariance, area), told
@@ -103,7 +101,8 @@ def _measure_discs(image, directions, model, noise, weights, places, motion, siz
             k += 1
     index = index[:k]
     start = (places if len(places) else centroid)[index]
-    fits, told = measure(image, model.mask, start, shape[index], path[index], noise, weights, model.fit, size)
+    contrast = model.fit.contrast * (1.0 if len(places) else _EXPECTED)
+    fits, told = measure(image, model.mask, start, shape[index], path[index], noise, weights, model.fit, contrast, size)
     found = fits.centroid - (centroid[index] - centre[index])  # the eccentricity
     ok = np.flatnonzero(fits.ok)
     best = ok[np.argsort(-fits.rim[ok], kind="mergesort")]

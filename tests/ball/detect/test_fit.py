@@ -70,7 +70,7 @@ def fits_of(image, places, shape, noise=0.5, *, mask=None, settings=SETTINGS, pa
     mask = np.full(image.shape[:2], 255, np.uint8) if mask is None else mask
     path = np.zeros((len(places), 7)) if path is None else path
     shapes = np.repeat(shape[None], len(places), axis=0)
-    return measure(image, mask, places, shapes, path, noise, ONE, settings, 0.0)[0]
+    return measure(image, mask, places, shapes, path, noise, ONE, settings, settings.contrast, 0.0)[0]
 
 
 def off_centre(rng, n, minor, ratio, noise=0.3):
