@@ -221,8 +221,16 @@ def innovation(
         for a in range(2):
             z[2 * i + a] = E[0, a] * seen_at[0] + E[1, a] * seen_at[1] + E[2, a] * seen_at[2]
             at[2 * i + a] = MAP_OFFSET + 2 * columns[i] + a
-    HP = J @ P[:MAP_OFFSET] + P[at]
-    S = HP[:, :MAP_OFFSET].copy() @ J.T + HP[:, at]
+    HP, S = P[at], np.empty((2 * k, 2 * k))
+    for i in range(2 * k):
+        for c in range(MAP_OFFSET):
+            if J[i, c] != 0.0 and P[c, c] > 0.0:  # most are zero: a product of matrices takes longer
+                for j in range(len(P)):
+                    HP[i, j] += J[i, c] * P[c, j]
+        for j in range(2 * k):
+            S[i, j] = HP[i, at[j]]
+            for c in range(MAP_OFFSET):
+                S[i, j] += HP[i, c] * J[j, c]
     for i in range(k):
         for a in range(2):
             S[2 * i + a, 2 * i + a] += curvature
