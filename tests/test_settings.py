@@ -73,7 +73,7 @@ def test_the_defaults_lie_within_their_bounds():
         (f"wand.balls={['a'] * 9}", "must be a list of at most 8, is a list of 9"),
         ("wand.particles=1000000", "must be at most 5000"),
         ("pose.frames=100000", "must be at most 100"),
-        ("blobs.min_area=400", "blobs: min_area: 400 is above max_area, 300"),
+        ("blobs.area=[400, 300]", "blobs: area: give [F_min, F_max]; 400 is above 300"),
         ("rings.cyan=[105, 75]", "rings: cyan: 105 is above 75"),
         ("discs.masks=[[10, 0, 5, 5]]", "discs: masks: give [left, top, right, bottom]"),
         ("camera.size=[16384, 16384]", "camera: size: 16384x16384 is more than can be worked on"),
@@ -91,7 +91,7 @@ def test_what_would_not_work_is_refused_in_one_line(assignment, says):
     [
         ("so3.gate", "the program fixes it; remove the line"),
         ("blobs.masks", "the program fixes it; remove the line"),
-        ("discs.weights", "the tracker finds the colours by itself; remove the line"),
+        ("blobs.min_area", "write area: [F_min, F_max]"),
         ("wand.likelihood", "choose it by `method`: product, edges or rims"),
         ("motion.swap_xy", "a seat turned by 90 degrees is `player: left` or `right`"),
     ],

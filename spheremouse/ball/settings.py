@@ -31,8 +31,9 @@ class LossSettings:
 class BlobSettings:
     """The published detector's bounds on a blob, which depend on camera and ball."""
 
-    min_area: float = param(40.0, "px²", "least area of a contour, F_min", **AREA)
-    max_area: float = param(300.0, "px²", "largest area of a contour, F_max", **AREA)
+    GONE: ClassVar[dict[str, str]] = dict.fromkeys(("min_area", "max_area"), "write area: [F_min, F_max]")
+
+    area: tuple[float, float] = param((40.0, 300.0), "px²", "bounds of a contour's area, F_min and F_max", **AREA)
     # As published (table 4); no settings.
     masks: int = 10  # M, number of masks: grey 0 to 120
     mask_step: int = 10  # u_M, grey values between masks
@@ -40,8 +41,9 @@ class BlobSettings:
     convexity: float = 0.95  # q_min, least area over area of the convex hull
 
     def __post_init__(self) -> None:
-        if self.min_area > self.max_area:
-            raise ValueError(f"min_area: {self.min_area:g} is above max_area, {self.max_area:g}: no blob has both")
+        least, largest = self.area
+        if least > largest:
+            raise ValueError(f"area: give [F_min, F_max]; {least:g} is above {largest:g}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ import pytest
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.discs import DiscSettings
-from spheremouse.ball.detect.projection import GREY, NEGATIVE
+from spheremouse.ball.detect.projection import GREY, NEGATIVE, normalised
 from spheremouse.ball.events import DiscColours
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracking, disc_map
@@ -126,10 +126,10 @@ def test_the_map_keeps_the_colours_and_another_ball_finds_its_own(pair):
 
 
 def test_settings_fix_the_colours_and_a_change_of_them_is_followed():
-    sim, frames = film("white-black", seconds=1.0)
-    fixed = Settings(discs=DiscSettings(polarity="dark"))
+    sim, frames = film("red-blue", seconds=1.0)
+    fixed = Settings(discs=DiscSettings(weights=(-0.5, 0.0, 0.5)))
     states, events, *_ = run(sim, frames, fixed)
-    assert {s.colours.projection for s in states} == {GREY}
+    assert {s.colours.projection for s in states} == {normalised(np.array([-0.5, 0.0, 0.5]))}
     assert not any(isinstance(e, DiscColours) for e in events)
     assert worst(states, frames) < np.radians(0.1)
     tracker = build(sim.scene.rig(), sim.scene.pose, fixed)

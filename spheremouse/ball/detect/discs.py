@@ -9,7 +9,7 @@ measured in a window of its own, and the whole picture is left alone.
 """
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -24,6 +24,7 @@ from spheremouse.ball.detect.projection import (
     GREY,
     NEGATIVE,
     Projection,
+    normalised,
     offset_of,
     projected,
     sample_weights_of,
@@ -53,10 +54,16 @@ _MIN_INFORMATION = 0.02  # discs: stains give less information
 class DiscSettings:
     """Appearance of discs, beyond their geometry."""
 
-    GONE: ClassVar[dict[str, str]] = {"weights": "the tracker finds the colours by itself; remove the line"}
-
     polarity: Literal["auto", "dark", "light"] = param(
-        "auto", "-", "discs darker or lighter than the ball; auto finds that, and the colours that tell them apart"
+        "auto", "-", "discs are darker or lighter than the ball; auto finds this, and the colours that separate them"
+    )
+    weights: tuple[float, ...] = param(
+        (),
+        "-",
+        "[blue, green, red]: weights of a sum of colours in which discs are darker than the ball; [] uses polarity",
+        ge=-1,
+        le=1,
+        most=3,
     )
     contrast: float = param(
         0.25,
@@ -82,6 +89,10 @@ class DiscSettings:
     rim: float = 0.7  # least part of a disc's rim that must fit; with a fifth hidden, a cut still passes for a rim
 
     def __post_init__(self) -> None:
+        if self.weights and (len(self.weights) != 3 or not any(self.weights)):
+            raise ValueError("weights: give [blue, green, red], one of them not 0, or [] to use polarity")
+        if self.weights and self.polarity != "auto":
+            raise ValueError("weights: they decide which discs are darker: set polarity to auto, or weights to []")
         for left, top, right, bottom in self.masks:
             if left > right or top > bottom:
                 raise ValueError("masks: give [left, top, right, bottom], left not above right, top not above bottom")
@@ -89,6 +100,8 @@ class DiscSettings:
     @property
     def projection(self) -> Projection | None:
         """The projection of colours that is set; None: it is to be found."""
+        if self.weights:
+            return normalised(np.array(self.weights))
         return {"auto": None, "dark": GREY, "light": NEGATIVE}[self.polarity]
 
 

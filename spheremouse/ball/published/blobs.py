@@ -53,7 +53,8 @@ class BlobDetector:
     def _blob(self, contour: Image) -> tuple[float, tuple[float, float], Image] | None:
         """Area, centroid and outline of a contour that passes eq. 97, 98 and the bound on convexity."""
         area = cv2.contourArea(contour)
-        if not self.settings.min_area <= area <= self.settings.max_area:
+        least, largest = self.settings.area
+        if not least <= area <= largest:
             return None
         if area < self.settings.convexity * cv2.contourArea(cv2.convexHull(contour)):
             return None

@@ -118,7 +118,7 @@ def _check_radius(found: Callable[[float], BundleResult], device: Device) -> Non
 def dark_spots(grey: Image, seen: TargetDetections, share: float) -> Detections:
     """Detect dark spots that may be discs of `share` of the targets' radius, at any distance and slant."""
     face = np.pi * (float(np.median(seen.radius)) * share) ** 2
-    detector = BlobDetector(BlobSettings(masks=24, min_area=max(0.1 * face, 12.0), max_area=4.0 * face))
+    detector = BlobDetector(BlobSettings(masks=24, area=(max(0.1 * face, 12.0), 4.0 * face)))
     return detector.detect(grey)
 
 
@@ -146,7 +146,7 @@ def _measured_discs(
 
     In `photos` they are darker than the ball, for any setting of their colours.
     """
-    settings = replace(settings, polarity="dark")
+    settings = replace(settings, polarity="dark", weights=())
     block, K, R = result.solution.block, result.sphere.centre, result.sphere.radius
     rig = ball_rig(block.camera, K, R, device.disc_radius)
     seen = [

@@ -160,3 +160,7 @@ def test_the_settings_fix_the_projection():
     assert DiscSettings().projection is None
     assert DiscSettings(polarity="dark").projection == GREY
     assert DiscSettings(polarity="light").projection == NEGATIVE
+    assert DiscSettings(weights=(-1.0, 0.0, 1.0)).projection == normalised(np.array([-1.0, 0.0, 1.0]))
+    for wrong in ({"weights": (1.0, 0.0)}, {"weights": (0.0, 0.0, 0.0)}, {"weights": (0, 1, 0), "polarity": "light"}):
+        with pytest.raises(ValueError, match=r"^weights: "):
+            DiscSettings(**wrong)
