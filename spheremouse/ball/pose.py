@@ -28,8 +28,8 @@ TARGET_SIGMA_PX = 0.05  # standard deviation of a centre in one view that no ave
 _MIN_SEEN_SHARE = 0.3  # of the views; a target seen in fewer is left out
 _CHOICES = 250  # of one copy of each target that are tried: each is a resection of its own and takes milliseconds
 _CROWDED = (
-    f"the picture shows more that looks like targets than is looked at ({MOST} of a kind): cover or move what is "
-    "colourful, or narrow the hues (rings.cyan, rings.magenta, rings.yellow)"
+    f"the picture has more shapes like targets than the search examines ({MOST} of a kind): cover or remove "
+    "colourful objects, or narrow the hues (rings.cyan, rings.magenta, rings.yellow)"
 )
 _STRANGE = "{} seen, which the rig does not have: correct its codes, or give the rig of this device"
 
@@ -41,8 +41,8 @@ class PoseSettings:
     frames: int = param(
         30,
         "frames",
-        "views averaged at the start: a second of video (Wittich 2017, section 3.4); a hundred are below what no "
-        "averaging removes, and are kept meanwhile",
+        "views averaged at the start: a second of video (Wittich 2017, section 3.4). The tracker keeps them meanwhile. "
+        "More than a hundred improve nothing, because systematic errors dominate",
         ge=1,
         le=100,
     )
@@ -318,7 +318,7 @@ def _possible(pose: Pose, rig: Rig, which: NDArray[np.intp]) -> bool:
 def _refuse_many(seen: dict[str, list[Sighting]], choices: int) -> None:
     if choices > _CHOICES:
         copies = ", ".join(f"{len(options)} of {code}" for code, options in seen.items() if len(options) > 1)
-        raise PoseError(f"too many copies of targets in the picture to tell which are the rig's ({copies}): cover them")
+        raise PoseError(f"the picture has too many copies of the rig's targets ({copies}): cover the copies")
 
 
 def _settled(fits: list[Resection]) -> bool:
@@ -367,8 +367,8 @@ def _by_outline(fits: list[Resection], rig: Rig, image: Image) -> Resection:
     if best < 0.3 or second > 0.7 * best:
         seen = fits[0].codes
         raise PoseError(
-            f"{len(fits)} camera positions fit the targets {', '.join(seen)} and the ball's outline does not tell them "
-            "apart: uncover a fourth target, or the edge of the ball"
+            f"{len(fits)} camera positions fit the targets {', '.join(seen)} and the ball's outline does not decide "
+            "between them: uncover a fourth target, or the edge of the ball"
         )
     return fits[int(order[0])]
 

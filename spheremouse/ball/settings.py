@@ -18,7 +18,10 @@ class LossSettings:
         0.3, "s", "unconfirmed for so long the prediction is a guess: hand passes are shorter, rolls change", **SECONDS
     )
     reset_after: float = param(
-        1.0, "s", "discs in view, yet not recognised for so long: a new map is begun at the last attitude", **SECONDS
+        1.0,
+        "s",
+        "discs are in view, but not recognised for this time: the tracker begins a new map at the last attitude",
+        **SECONDS,
     )
     # Not a setting: rad/s, 1150 °/s. No hand turns the ball faster; a faster rate means wrong pairs or a bumped camera.
     fastest: float = 20.0

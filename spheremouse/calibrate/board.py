@@ -38,7 +38,7 @@ def parse_length(text: str) -> float:
     """Return the metres of `86mm`, `8.6 cm`, `0.086m` or `3.4in`; CalibrationError without a unit."""
     text = str(text).strip()
     if re.fullmatch(_NUMBER, text):
-        raise CalibrationError(f"{text} of what? give the length with its unit, as in {text}mm or {text}cm")
+        raise CalibrationError(f"{text}: a length needs its unit, as in {text}mm or {text}cm")
     parts = re.fullmatch(rf"({_NUMBER})\s*([A-Za-z]+)", text)
     if not parts:
         comma = "a point, not a comma, and " if "," in text else ""

@@ -65,7 +65,7 @@ class Streamed:
         if frame is not None:
             return Fetched(frame)
         if self.live:
-            raise SourceError(f"{self._name}: gives no more frames")
+            raise SourceError(f"{self._name}: delivers no more frames")
         raise EndOfSource
 
     def _is_late(self, frame: Frame) -> bool:

@@ -69,13 +69,13 @@ def probe_node(node: Path, found: list[Node]) -> list[Finding]:
     if not os.path.exists(node):
         named = " or ".join(f"v4l2:{n.lasting or n.path}" for n in found)
         others = f", or name the one there is: {named}" if named else ""
-        return [absent("camera", f"{node} is not there", f"plug it in{others}")]
+        return [absent("camera", f"{node} does not exist", f"plug it in{others}")]
     camera = ok("camera", str(node))
     if here is not None and here.lasting is not None and node == here.path:
         camera = warning(
             "camera",
             f"{node} is a number, which may go to another camera at the next start",
-            f"name it by what stays: source: v4l2:{here.lasting}",
+            f"use its permanent name: source: v4l2:{here.lasting}",
         )
     problem = access_problem(node)
     access = (
@@ -90,7 +90,7 @@ def probe_path(path: Path) -> Finding:
         return ok("source", str(path))
     if path.is_absolute():
         return wrong("source", f"{path}: not there", "check the path")
-    return absent("source", f"{path}: not there, seen from this folder", "check the path")
+    return absent("source", f"{path}: does not exist in this folder", "check the path")
 
 
 def _text(path: Path) -> str:

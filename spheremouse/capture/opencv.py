@@ -72,7 +72,7 @@ def read_frames(capture: cv2.VideoCapture, index: str) -> Iterator[Frame]:
             image = capture.retrieve()[1] if grabbed else None
         if image is None:
             raise SourceError(
-                f"opencv:{index}: the camera gives no more frames after {sequence}; is it plugged in, "
+                f"opencv:{index}: the camera delivers no frame after {sequence}; is it plugged in, "
                 "and does another program use it?"
             )
         yield Frame(np.asarray(image, dtype=np.uint8), stamp, sequence)

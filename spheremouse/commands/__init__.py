@@ -131,6 +131,6 @@ def main() -> NoReturn:
         if _debug:
             raise
         what = " ".join(f"{type(e).__name__}: {e}".split())
-        terminal.error(f"internal error, please report it with what `spheremouse --debug ...` prints: {what}")
+        terminal.error(f"internal error, please report it with the output of `spheremouse --debug ...`: {what}")
         sys.exit(_OUR_ERROR)
     sys.exit(0)

@@ -49,7 +49,7 @@ def summary(sections: Sequence[Section]) -> Text:
     every = [f.verdict for s in sections for f in s.findings]
     bad, poor = every.count(Verdict.WRONG), every.count(Verdict.WARNING)
     if bad:
-        return Text(f"{bad} wrong, {_counted(poor)}: mend what is wrong first, from above", style="bold red")
+        return Text(f"{bad} wrong, {_counted(poor)}: mend the faults first, from the top", style="bold red")
     if poor:
         return Text(f"nothing wrong, {_counted(poor)}", style="bold yellow")
     return Text("all is well", style="bold green")

@@ -37,7 +37,7 @@ def log_mouse(
     from spheremouse.files.mouse_log import MAX_REPORTS, LogFile
 
     if not sys.platform.startswith("linux"):
-        raise SourceError("log-mouse: works on Linux alone, whose event devices it reads")
+        raise SourceError("log-mouse: works on Linux alone, because it reads event devices")
     mouse = choose(device, mice())
     with SignalHandler() as signals, Listener(mouse, grab) as listener:
         with LogFile(out, f"device {mouse.name}", force) as file:

@@ -21,11 +21,11 @@ def access_problem(path: Path) -> tuple[str, str] | None:
         )
     if group in _groups_of(who):
         return (
-            f"{path} is for the group {group}, of which {who} is, but not yet in this session",
+            f"{path} belongs to the group {group}, and {who} is a member only from the next login on",
             "log out and in again",
         )
     return (
-        f"{path} is for the group {group}, of which {who} is not",
+        f"{path} belongs to the group {group}, and {who} is no member",
         f"as root: usermod -aG {group} {who}, then log in again",
     )
 

@@ -200,7 +200,7 @@ def _listed(values: Sequence[float]) -> str:
 
 _TEMPLATE = f"""\
 {UNTOUCHED}
-# What you know of the device and measured with a tape. All lengths in metres: 750 mm is 0.750, 12 mm is 0.012.
+# Your measurements of the device. All lengths in metres: 750 mm is 0.750, 12 mm is 0.012.
 # Read by `spheremouse calibrate device PHOTOS... --device device.yaml`.
 schema: {SCHEMAS["device"]}
 

@@ -114,8 +114,8 @@ def check_fits(saved: SavedMap, rig: Rig, path: Path) -> None:
     ):
         if abs(there - here) > most * here:
             raise ConfigurationError(
-                f"{path}: was made with {what} of radius {there:g} m, the rig says {here:g} m: name this device's map "
-                "with --map, or move the file away, and a new one is made as the ball turns"
+                f"{path}: was made with {what} of radius {there:g} m, the rig has {here:g} m: name this device's map "
+                "with --map, or move the file away, and the tracker creates a new one as the ball turns"
             )
 
 

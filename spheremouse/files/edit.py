@@ -35,7 +35,7 @@ def save_settings(path: Path, values: Mapping[tuple[str, ...], Any], root: type[
         document = parse_document(text, str(path))
         config.loads(document, root)
         if document.data != wanted:
-            raise ConfigurationError(f"{path}: cannot be written by the program; change it by hand, it is as it was")
+            raise ConfigurationError(f"{path}: the program cannot edit it and left it unchanged; edit it by hand")
         if mark + text.encode() != raw or not path.exists():
             replace(path, mark + text.encode())
     except OSError as e:

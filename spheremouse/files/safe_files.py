@@ -341,7 +341,9 @@ def _read_pipe(descriptor: int, max_bytes: int) -> bytes:
     data, end = bytearray(), time.monotonic() + PIPE_TIMEOUT_S
     while len(data) <= max_bytes:
         if not select.select([descriptor], [], [], max(0.0, end - time.monotonic()))[0]:
-            raise OSError(errno.ETIMEDOUT, f"a pipe whose writer has not ended in {PIPE_TIMEOUT_S:g} s; name a file")
+            raise OSError(
+                errno.ETIMEDOUT, f"the writer of the pipe did not end within {PIPE_TIMEOUT_S:g} s; name a file"
+            )
         chunk = os.read(descriptor, _CHUNK_BYTES)
         if not chunk:
             break

@@ -56,7 +56,7 @@ class _Colour(Part):
 class WandModel(Part):
     """Content of wand.yaml."""
 
-    name: str = Field("wand", min_length=1, description="what messages call the ball")
+    name: str = Field("wand", min_length=1, description="name of the ball in messages")
     radius: float = Field(ge=0.005, le=1.0, description="radius of the ball in m, 0.05 for 10 cm across")
     body: Literal["white", "black"] = Field("white", description="the ball between its discs: white or black")
     discs: tuple[_Disc, ...] = Field(max_length=_MOST, description="list of {azimuth, latitude, diameter, colour}")
@@ -114,7 +114,7 @@ def wand_text(
             f"points: {_short(ball.radius * disc.points_angle)}}}"
         )
     if colours:
-        lines.append("colours:  # brightness (value) is that of a picture whose mean is 127")
+        lines.append("colours:  # brightness (value) of a picture with a mean of 127")
         for name, colour in colours.items():
             bounds = ", ".join(f"{f.name}: {_short(getattr(colour, f.name))}" for f in fields(colour))
             lines.append(f"  {name}: {{{bounds}}}")
@@ -140,7 +140,7 @@ def _disc(disc: _Disc, radius: float) -> WandDisc:
 
 def _disc_problems(file: WandModel) -> Iterator[Problem]:
     if len(file.discs) < _FEWEST:
-        yield Problem(("discs",), f"are {len(file.discs)}; at least {_FEWEST} tell how the ball is turned")
+        yield Problem(("discs",), f"are {len(file.discs)}; an attitude needs at least {_FEWEST}")
     for i, disc in enumerate(file.discs):
         if disc.diameter >= 2.0 * file.radius:
             text = f"is {disc.diameter:g} m, on a ball {2.0 * file.radius:g} m across; both are in metres"

@@ -120,7 +120,7 @@ def parse_document(text: str, name: str) -> Document:
         # ruamel.yaml raises these on some malformed texts
         raise ConfigurationError(f"{name}:1: not readable as YAML ({type(e).__name__}: {one_line(str(e))})") from None
     if root is None:
-        raise ConfigurationError(f"{name}:1: empty; the first line says its `schema`")
+        raise ConfigurationError(f"{name}:1: empty; the first line must have its `schema`")
     lines: dict[Key, int] = {(): root.start_mark.line + 1}
     problems: list[Problem] = []
     data = _plain(root, (), lines, problems)

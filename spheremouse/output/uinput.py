@@ -111,7 +111,7 @@ def _obstacle(node: Path) -> tuple[str, str] | None:
     if not _has_evdev():
         return "needs Linux and the Python package evdev", "use another output: desktop, serial:auto"
     if not node.exists():
-        return f"{node} is not there", "as root: modprobe uinput"
+        return f"{node} does not exist", "as root: modprobe uinput"
     return access_problem(node)
 
 

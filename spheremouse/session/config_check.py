@@ -138,7 +138,7 @@ def _camera_size(argument: str, c: Configuration, found: Found) -> tuple[Size | 
             v4l2.planned_size(argument.partition(",")[0], replace(c.camera, size=None, format="auto"))
             found.wrong.append(Problem(key, str(e)))
         except SourceError:
-            found.now.append(Problem(("source",), f"not there now, or not to be opened: {e}"))
+            found.now.append(Problem(("source",), f"does not exist now, or cannot be opened: {e}"))
     return asked.size, key
 
 

@@ -86,7 +86,7 @@ def check_settable(overrides: CommandLineOverrides, assignments: tuple[str, ...]
     said = sorted(set(keys) & set(given(replace(overrides, assignments=()))))
     if said:
         raise ControlError(
-            f"{', '.join(said)}: said on the command line, which comes before what is set; start again without it"
+            f"{', '.join(said)}: set on the command line, which overrides it; start again without that option"
         )
 
 
@@ -95,7 +95,7 @@ def check_read(plan: RunConfig, assignments: tuple[str, ...]) -> None:
     tracker = plan.configuration.tracker
     unread = [k for k in map(key_of, assignments) if k.partition(".")[0] in _UNREAD[tracker]]
     if unread:
-        raise ControlError(f"{', '.join(unread)}: the tracker in use, {tracker}, does not read it; set what it reads")
+        raise ControlError(f"{', '.join(unread)}: the tracker in use, {tracker}, does not read this setting")
 
 
 def values(before: RunConfig, now: RunConfig, assignments: tuple[str, ...]) -> Values:

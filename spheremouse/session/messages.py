@@ -33,7 +33,7 @@ _Ball = (
 _DOUBTS = {
     Doubt.NO_DISC: "no disc in view",
     Doubt.UNKNOWN: "no disc in view is where one of the map should be",
-    Doubt.ONE_DISC: "one known disc in view does not tell the turn about it",
+    Doubt.ONE_DISC: "one known disc in view does not determine the rotation about it",
     Doubt.UNCERTAIN: "the discs in view do not agree on one turn of the ball",
     Doubt.SEVERAL: "the discs in view leave more than one attitude possible",
     Doubt.CAMERA: "the camera is moving",
@@ -124,22 +124,22 @@ def sentence(event: Event) -> str:
         case events.MotionReleased(seconds, angle):
             return f"motion goes on: the {np.degrees(angle):.0f}° of {seconds:.1f} s are made up for at a hand's pace"
         case events.NewMap(saved=True):
-            return "the saved map does not fit: another ball, or its discs were moved; a new map is begun"
+            return "the saved map does not fit: another ball, or its discs were moved; the tracker begins a new map"
         case events.NewMap():
-            again = "attitude reset to the last one known, a new map begun; unseen motion not counted"
+            again = "a new map begins at the last known attitude; motion that the camera did not see is not counted"
             return f"tracking again: {again}"
         case events.OutOfRound():
             why = "it is out of round, the camera was moved, or the rig is wrong"
             return f"the discs do not fit a ball that turns about its centre: {why}"
         case events.ReadoutKnown(readout):
             return (
-                f"rolling shutter: {1e3 * readout:.1f} ms for all rows (say readout_s: {readout:.4f} in the rig file)"
+                f"rolling shutter: {1e3 * readout:.1f} ms for all rows (set readout_s: {readout:.4f} in the rig file)"
             )
         case events.DiscColours(weights):
             return _in_colours(weights)
         case events.CameraMoved(path, turn, asked):
             moved = "" if asked else "the camera was moved: "
-            return f"{moved}pose estimated anew ({1e3 * path:.1f} mm, {np.degrees(turn):.2f}°)"
+            return f"{moved}new pose ({1e3 * path:.1f} mm, {np.degrees(turn):.2f}°)"
         case events.TargetsHidden():
             return "the targets are out of sight: if the camera was moved, initialise again"
         case _:

@@ -103,7 +103,9 @@ class RunConfig:
         """Return the calibrated device; `given` is that of the source."""
         rig = self.rig or given
         if rig is None:
-            raise ConfigurationError(f"{self.source}: says nothing of the device; give its rig file with --rig FILE")
+            raise ConfigurationError(
+                f"{self.source}: has no description of the device; give its rig file with --rig FILE"
+            )
         return rig if self.camera is None else with_camera(rig, self.camera)
 
 

@@ -24,7 +24,7 @@ class ControlSettings:
     group: str | None = param(
         None,
         "-",
-        "group whose members may use the socket and so steer the pointer (mode 0660); null allows root and the "
+        "group with access to the socket, and so to the pointer (mode 0660); null allows root and the "
         "daemon's own user (0600)",
     )
     # Not a setting: connections of each user at a time. A person, a tray and a monitor need one each.

@@ -72,8 +72,8 @@ class Setup:
         camera = plan.camera or (None if plan.rig is None else plan.rig.camera) or self.camera
         if camera is None:
             raise ConfigurationError(
-                f"{plan.source}: says nothing of the camera; give its file with --camera FILE (`spheremouse calibrate "
-                "camera` makes it)"
+                f"{plan.source}: has no description of the camera; give its file with --camera FILE "
+                "(`spheremouse calibrate camera` makes it)"
             )
         balls = plan.balls.balls or self.balls or (grzonka_ball(),)
         if settings.points > len(balls):

@@ -100,7 +100,9 @@ def check_bounds(
         outside[name] = float(np.mean(binary[~ball] > 0)) if not ball.all() else 0.0
         fraction = float(np.mean(binary > 0))
         if not np.any(binary[ball]):
-            raise ConfigurationError(f"{name}: the bounds select nothing on the ball; pick them from this picture anew")
+            raise ConfigurationError(
+                f"{name}: the bounds select nothing on the ball; pick them again from this picture"
+            )
         if fraction > _MAX_FRACTION:
             raise ConfigurationError(f"{name}: the bounds select {100 * fraction:.0f} % of the picture; {remedy}")
     return PickedBounds(circle, colours, inside, outside)
@@ -156,7 +158,7 @@ def find_ball(image: NDArray[np.uint8], ball: WandBall) -> Circle:
         raise ConfigurationError(
             f"no ball with {' and '.join(ball.colours)} discs on {ball.body} is in view; "
             f"{_advice(image, threshold)}turn two discs of each colour to the camera, "
-            "or say where it is with --at U,V,RADIUS (px)"
+            "or give its place with --at U,V,RADIUS (px)"
         )
     return Circle((best.u + 0.5) / scale - 0.5, (best.v + 0.5) / scale - 0.5, best.radius / scale)
 

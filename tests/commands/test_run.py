@@ -143,7 +143,8 @@ def test_a_rig_file_serves_a_bare_video_and_a_camera_file_replaces_its_camera(sp
     code, out, err = spheremouse(*source)
     assert (code, out) == (2, "")
     assert (
-        err == f"spheremouse: video:{roll}/video.mkv: says nothing of the device; give its rig file with --rig FILE\n"
+        err
+        == f"spheremouse: video:{roll}/video.mkv: has no description of the device; give its rig file with --rig FILE\n"
     )
     code, out, _ = spheremouse(*source, "--rig", tmp_path / "rig.yaml", "--frames", "3")
     assert (code, len(motions(out))) == (0, 3)

@@ -189,7 +189,7 @@ def test_no_more_of_a_table_is_read_than_the_scene_has_frames(folder):
     (folder / "stamps.csv").write_text("frame,t,sequence,colour\n" + "0,0,0,0\n" * 4 + "no row\n" * 1_000_000)
     with pytest.raises(DatasetError) as e:
         open_dataset(folder)
-    one_line(e, "stamps.csv: more than 3 rows, but scene.json says 3 frames")
+    one_line(e, "stamps.csv: more than 3 rows, but scene.json has 3 frames")
 
 
 def test_a_table_is_held_in_eight_bytes_a_number(tmp_path, monkeypatch):

@@ -31,16 +31,18 @@ SENTENCES = {
     ),
     events.MotionWithheld(Doubt.NO_DISC): "motion withheld: no disc in view",
     events.MotionWithheld(Doubt.UNKNOWN): "motion withheld: no disc in view is where one of the map should be",
-    events.MotionWithheld(Doubt.ONE_DISC): ("motion withheld: one known disc in view does not tell the turn about it"),
+    events.MotionWithheld(Doubt.ONE_DISC): (
+        "motion withheld: one known disc in view does not determine the rotation about it"
+    ),
     events.MotionWithheld(Doubt.UNCERTAIN): ("motion withheld: the discs in view do not agree on one turn of the ball"),
     events.MotionWithheld(Doubt.SEVERAL): "motion withheld: the discs in view leave more than one attitude possible",
     events.MotionWithheld(Doubt.CAMERA): "motion withheld: the camera is moving",
     events.MotionReleased(0.23, 0.6): "motion goes on: the 34° of 0.2 s are made up for at a hand's pace",
     events.NewMap(): (
-        "tracking again: attitude reset to the last one known, a new map begun; unseen motion not counted"
+        "tracking again: a new map begins at the last known attitude; motion that the camera did not see is not counted"
     ),
     events.NewMap(saved=True): (
-        "the saved map does not fit: another ball, or its discs were moved; a new map is begun"
+        "the saved map does not fit: another ball, or its discs were moved; the tracker begins a new map"
     ),
     events.OutOfRound(): (
         "the discs do not fit a ball that turns about its centre: it is out of round, the camera was moved, or the rig "
@@ -52,8 +54,8 @@ SENTENCES = {
     events.DiscColours((-0.5, 0.0, 0.5)): (
         "the discs differ from the ball in colour (weights of blue, green, red: [-0.50, 0.00, 0.50])"
     ),
-    events.CameraMoved(0.0028, 0.0042): "the camera was moved: pose estimated anew (2.8 mm, 0.24°)",
-    events.CameraMoved(0.0028, 0.0042, asked=True): "pose estimated anew (2.8 mm, 0.24°)",
+    events.CameraMoved(0.0028, 0.0042): "the camera was moved: new pose (2.8 mm, 0.24°)",
+    events.CameraMoved(0.0028, 0.0042, asked=True): "new pose (2.8 mm, 0.24°)",
     events.TargetsHidden(): "the targets are out of sight: if the camera was moved, initialise again",
 }
 
@@ -72,7 +74,7 @@ def test_every_event_has_words_and_every_reason_to_be_lost():
 
 def test_motion_withheld_now_is_told_with_its_time():
     assert withheld(0.42, Doubt.ONE_DISC) == (
-        "motion withheld for 0.4 s: one known disc in view does not tell the turn about it"
+        "motion withheld for 0.4 s: one known disc in view does not determine the rotation about it"
     )
 
 

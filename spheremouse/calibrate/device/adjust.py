@@ -334,9 +334,7 @@ def _undetermined_disc(error: np.linalg.LinAlgError, problem: Problem, kept: NDA
     columns = columns_of(problem, int(problem.image.photo.max()) + 1, len(kept))
     column = int(columns.free[error.args[0]]) - int(columns.point(0)[0])
     if column < 0:
-        raise CalibrationError(
-            "a photo's pose is not fixed by what it shows: leave photos with few targets out"
-        ) from None
+        raise CalibrationError("a photo does not determine its pose: leave out photos with few targets") from None
     if column < 3 * problem.targets:
         raise CalibrationError("the photos do not fix the targets: take them from places further apart") from None
     return int(kept[column // 3])
@@ -346,7 +344,7 @@ def _require_targets(kept: NDArray[np.intp], device: Device) -> None:
     lost = [c for i, c in enumerate(device.codes) if i not in kept]
     if lost:
         raise CalibrationError(
-            f"target {', '.join(lost)} is not where the photos before say: it, or another, was moved between photos"
+            f"target {', '.join(lost)} does not fit the earlier photos: this or another target was moved between photos"
         )
 
 

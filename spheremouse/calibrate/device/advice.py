@@ -98,9 +98,9 @@ def _findings(c: DeviceCalibration, names: Sequence[str]) -> Iterator[Advice]:
     yield from _scatter_findings(c, names)
     if c.out_of_round > 0.0:
         text = (
-            f"The ball is out of round, or its discs do not lie flat: they stand {length(c.out_of_round, c)} off a "
-            "sphere (standard deviation) beyond what measuring explains. The radius is that of the best sphere, and "
-            "its uncertainty has this in it."
+            f"The ball is out of round, or its discs do not lie flat: they are {length(c.out_of_round, c)} off a "
+            "sphere (standard deviation), more than the measurements explain. The radius is that of the best sphere. "
+            "Its uncertainty includes this."
         )
         yield Advice("warning" if c.out_of_round > ENOUGH * c.radius else "note", text)
     often = int(np.count_nonzero(c.sightings >= 3))
@@ -127,7 +127,7 @@ def _scale_findings(c: DeviceCalibration) -> Iterator[Advice]:
     if abs(off) > _MAX_RING_ERROR:
         text = (
             f"The rings look {100.0 * abs(off):.0f} % {'larger' if off > 0 else 'smaller'} in the photos than "
-            "device.yaml says: `target_radii` or the distances are wrong (mm for cm? diameter for radius? the "
+            "in device.yaml: `target_radii` or the distances are wrong (mm for cm? diameter for radius? the "
             "printer's scale?). The result rests on the distances."
         )
         yield Advice("warning", text)
@@ -148,7 +148,7 @@ def _scale_findings(c: DeviceCalibration) -> Iterator[Advice]:
         if ratio > gate(1.0 - FALSE_ALARM, freedom) / freedom:
             text = (
                 f"The distances contradict each other {np.sqrt(ratio):.1f} times as much as their sigma allows: "
-                "measure them again, or give larger sigmas in device.yaml; until then the radius is worse than it says."
+                "measure them again, or give larger sigmas in device.yaml. Until then the radius is worse than stated."
             )
             yield Advice("warning", text)
 

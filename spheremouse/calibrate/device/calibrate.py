@@ -110,7 +110,7 @@ def _check_radius(found: Callable[[float], BundleResult], device: Device) -> Non
         except CalibrationError:
             continue
         raise CalibrationError(
-            f"{n} discs are seen on the ball, but {what} as large as disc_radius says ({device.disc_radius:g} m): "
+            f"{n} discs are seen on the ball, but {what} as large as disc_radius states ({device.disc_radius:g} m): "
             "give their radius, not the diameter, in metres"
         ) from None
 

@@ -135,7 +135,7 @@ def _board_step(folder: Path, board: Photos, overtaken: bool, left_out: frozense
         "Print the board at 100 %, glue it on something flat and stiff, and stand before the camera. From now on, "
         "change neither its zoom nor its focus.",
         "Tilt the board by 30 to 45 degrees to each side, come near and go far, and reach all corners of the picture. "
-        "The program takes each photo by itself, and shows what is missing. Give the measured square with --square:",
+        "The program takes each photo by itself and lists the missing views. Give the measured square with --square:",
     )
     own = ((f"Or put {BOARD_ENOUGH} to {BOARD_MOST} sharp photos of the whole board into {board.folder}.", ""),)
     if n < 3:
@@ -189,7 +189,7 @@ def _device_step(folder: Path, photos: Photos, overtaken: bool, otherwise: tuple
     todo = (
         "Wedge the ball so that it cannot turn, and touch nothing until the last photo. Keep zoom and focus.",
         "Carry the camera round the device: front, both sides, above and below. Keep three targets or more in view, "
-        "and as much of the ball as possible. The program takes each photo by itself, and shows what is missing:",
+        "and as much of the ball as possible. The program takes each photo by itself and lists the missing views:",
     )
     take = suggestions.photos_command(folder, "device")
     if n < 2:
@@ -229,7 +229,7 @@ def _axes_step(folder: Path) -> Step:
     if player is not None:
         return Step("axes", "done", f"player: {shown(player)}")
     show = "The film shows it:" if practice_film(folder) else "Stand where the player stands, and make three gestures:"
-    found = f"{path.name} does not say where the player stands" if path.exists() else "not asked yet"
+    found = f"{path.name} does not have the player's place" if path.exists() else "not asked yet"
     return Step("axes", "next", found, (f"Which way is right? {show}",), suggestions.axes_command(folder / RIG_FILE))
 
 
@@ -257,7 +257,7 @@ def _service_step(folder: Path, services: Sequence[Path]) -> Step:
     if served:
         return Step("service", "done", f"{served[0] / RIG_FILE} is this calibration")
     config = services[0] / CONFIG_FILE
-    todo = ("All is calibrated. Try it; `spheremouse ctl watch` in another terminal shows what the ball does:",)
+    todo = ("All is calibrated. Try it; `spheremouse ctl watch` in another terminal shows the ball's motion:",)
     try_first = "If the pointer goes where the ball goes, install the service, which starts with the computer:"
     copy_settings = f"Copy source, camera and motion from {folder / CONFIG_FILE} into {config}. Then start it:"
     install = (

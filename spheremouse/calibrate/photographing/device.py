@@ -77,7 +77,7 @@ class DeviceSelector:
     def check(self, picture: Image) -> FrameCheck:
         """Check the next frame."""
         if picture.ndim == 2:
-            raise CalibrationError("the camera gives grey pictures, and the targets are told apart by their colours")
+            raise CalibrationError("the camera gives grey pictures, but the targets differ only in colour")
         found = detect_targets(picture, self._device.target_radii, self._rings)
         moved = self._motion.update(found.codes, found.centre)
         fault = self._fault(found)

@@ -173,7 +173,9 @@ def charuco(board: Board, square: float) -> Pattern:
     markers = columns * rows // 2
     label = next((name for name, n in _DICTIONARIES if n >= markers), None)
     if label is None:
-        raise CalibrationError(f"--board {board.columns}x{board.rows}: needs {markers} markers; 1000 can be told apart")
+        raise CalibrationError(
+            f"--board {board.columns}x{board.rows}: needs {markers} markers, but there are 1000 codes"
+        )
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{label.upper()}"))
     marker = MARKER_SHARE * square
     laid = cv2.aruco.CharucoBoard((columns, rows), square, marker, dictionary)

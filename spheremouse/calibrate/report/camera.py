@@ -80,8 +80,8 @@ def _value_advice(done: CameraCalibration) -> Iterator[tuple[str, str]]:
         yield "note", f"{text}, and `--distortion 4` would do."
     if found.contradiction > 1.0:
         text = (
-            "The views contradict each other more than their corners say; all standard deviations were made "
-            f"{np.sqrt(found.contradiction):.1f} times larger. Is the board flat, and did it stand still?"
+            "The views contradict each other more than the errors of their corners explain. So all standard deviations "
+            f"are {np.sqrt(found.contradiction):.1f} times larger. Is the board flat, and did it stand still?"
         )
         yield "note", text + ("" if found.free.all() else " Or does the lens need more terms (`--distortion 5`)?")
     dropped = int(sum((~k).sum() for k, u in zip(found.kept, found.used, strict=True) if u))

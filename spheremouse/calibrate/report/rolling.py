@@ -17,7 +17,7 @@ _MAX_UNSEEN = 0.1  # of the ball's surface
 _MAX_STEP = 0.5  # rad between frames; more is a gap
 _VISIBLE = 0.85  # of the angle to the limb
 _SOURCES = {
-    "targets": "targets whose positions are known",
+    "targets": "targets with known positions",
     "device": "the sizes of the targets",
     "gestures": "the ball rolled forward and right",
 }

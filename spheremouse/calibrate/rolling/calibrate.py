@@ -196,5 +196,5 @@ def _check_still(views: Views, found: RollingStart, camera: InteriorOrientation)
         if np.linalg.norm(middle) > _MAX_SHIFT and alike > 0.5:
             raise CalibrationError(
                 f"the camera was moved by {np.linalg.norm(middle):.1f} px within {stamp - begin:.1f} s: fix it, and "
-                "roll again, or take what was before with --seconds"
+                "roll again, or use the time before it with --seconds"
             )

@@ -69,7 +69,7 @@ class AxesFrom:
         if not self.known:
             raise CalibrationError(
                 "the direction of up is unknown: give --device device.yaml or --rig rig.yaml if targets are in view, "
-                "or roll the ball forward, then right, and say when with --forward A:B --right A:B"
+                "or roll the ball forward, then right, and give the times with --forward A:B --right A:B"
             )
 
     def find(self, rolled: RollingAdjustment, views: Views) -> tuple[Axes, str]:

@@ -148,7 +148,7 @@ class Dialogue:
             return
         what = f"not understood: {_MIRRORED} (off by {off}); {_ON_TOP}"
         if not self._live:
-            raise CalibrationError(f"{what}; if it was so, the rig's Y points down: calibrate the device anew")
+            raise CalibrationError(f"{what}; if you did this, the rig's Y points down: calibrate the device again")
         print(f"{what}; again, from the first one", flush=True)
         self._made.clear()
         self._ask()

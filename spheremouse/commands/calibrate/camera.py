@@ -48,7 +48,7 @@ def camera(
     from spheremouse.files.rig import save_camera
 
     if not photos:
-        raise CalibrationError(f"which photos, of which board? {EXAMPLE[0].lower()}{EXAMPLE[1:]}")
+        raise CalibrationError(f"the command needs photos and a board. {EXAMPLE[0].lower()}{EXAMPLE[1:]}")
     folder = photos[0] if photos[0].is_dir() else photos[0].parent
     if square is None and not (folder.parent / NAME).is_file():
         raise CalibrationError(
@@ -62,7 +62,7 @@ def camera(
     page = report or out.with_suffix(".html")
     check_outputs([out, page, json_file], photos, force)
     if square is None:
-        note(f"the board as its board.yaml says: {' '.join(chosen.options)}")
+        note(f"the board, from its board.yaml: {' '.join(chosen.options)}")
     found = read_photos(photos, note)
     with progress_bar() as bar:
         task = bar.add_task("", total=2 * len(found))

@@ -85,8 +85,8 @@ def device(
     advice = advise(calibration, names)
     if calibration.rms_px > DOUBTFUL_RMS:
         note(
-            f"the photos are {calibration.rms_px:.2f} px off, ten times what sharp ones are: is {camera_file} of this "
-            "camera, mode and focus?"
+            f"the photos are {calibration.rms_px:.2f} px off, ten times more than sharp photos: is {camera_file} of "
+            "this camera, mode and focus?"
         )
     rig = calibration.rig()
     provenance = _provenance(found, calibration, device_file, camera_file, advice)

@@ -36,7 +36,7 @@ def init(
         typer.echo(f"{path}: there already, kept as it is (--force replaces it)")
     else:
         write_atomically(path, device_template())
-        typer.echo(f"{path}: written; open it in an editor: it says what to measure")
+        typer.echo(f"{path}: written; open it in an editor and enter your measurements")
     typer.echo(f"{folder / 'board'}, {folder / 'device'}: photos of the board and of the device go here")
     typer.echo("To print board, targets and discs: spheremouse calibrate print")
     typer.echo(f"The next step, now and at any time: {next_command(folder)}")

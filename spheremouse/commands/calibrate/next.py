@@ -23,7 +23,7 @@ _STYLES = {"done": "green", "too few": "yellow", "not needed": "dim", "next": "b
 
 def next_(
     folder: Annotated[
-        Path | None, typer.Argument(metavar="[FOLDER]", help="What `calibrate init` made.  [default: cabinet]")
+        Path | None, typer.Argument(metavar="[FOLDER]", help="Folder from `calibrate init`.  [default: cabinet]")
     ] = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write the steps as JSON; - prints them instead.")

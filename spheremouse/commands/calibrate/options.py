@@ -17,13 +17,13 @@ Corners = Annotated[
     typer.Option(
         "--board",
         metavar="CxR",
-        help="Inner corners along and down: one less than squares.  [default: as board.yaml says]",
+        help="Inner corners along and down: one less than squares.  [default: from board.yaml]",
     ),
 ]
 Square = Annotated[
     str | None,
     typer.Option(
-        metavar="LENGTH", help="Side of a square, measured on the print, as in 86mm.  [default: as board.yaml says]"
+        metavar="LENGTH", help="Side of a square, measured on the print, as in 86mm.  [default: from board.yaml]"
     ),
 ]
 Marker = Annotated[

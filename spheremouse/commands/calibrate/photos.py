@@ -30,7 +30,7 @@ def photos(
         typer.Option("--for", help="Photos of the board, for the camera; or of the device.", show_default=False),
     ],
     folder: Annotated[
-        Path | None, typer.Argument(metavar="[FOLDER]", help="What `calibrate init` made.  [default: cabinet]")
+        Path | None, typer.Argument(metavar="[FOLDER]", help="Folder from `calibrate init`.  [default: cabinet]")
     ] = None,
     source: Annotated[
         str | None,

@@ -134,7 +134,7 @@ def _write(folder: Path, made: dict[str, bytes], force: bool) -> None:
         if differ and not force:
             other = f" (and {len(differ) - 1} more)" if len(differ) > 1 else ""
             raise CalibrationError(
-                f"{folder / differ[0]}{other}: differs from what would be written; use --force or another --out"
+                f"{folder / differ[0]}{other}: exists with other contents; use --force or another --out"
             )
         for name, data in made.items():
             replace(folder / name, data)

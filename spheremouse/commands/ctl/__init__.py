@@ -147,7 +147,7 @@ def _file_of(status: dict[str, Any], keys: list[str]) -> Path:
         _fail(ControlError("the daemon has no configuration file; start it with --config FILE to have one"))
     said = [key for key in keys if key in given]
     if said:
-        words = f"{', '.join(said)}: said on the daemon's command line, which comes before the file; leave it out there"
+        words = f"{', '.join(said)}: set on the daemon's command line, which overrides the file; leave it out there"
         _fail(ControlError(words))
     return Path(file)
 

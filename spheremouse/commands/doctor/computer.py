@@ -74,7 +74,7 @@ def memory(listed: Path = Path("/proc/meminfo")) -> Finding:
     """Check the free memory."""
     free_kb = _proc_value(listed, "MemAvailable")
     if free_kb is None:
-        return unchecked("memory", "this system does not say")
+        return unchecked("memory", "this system does not report it")
     free = int(free_kb) * 1024 / 1e6
     wanted = f", {_MIN_MEMORY_MB:.0f} are wanted"
     return classify(
@@ -109,12 +109,12 @@ def scheduling(service: bool, status: Path = Path("/proc/self/status")) -> Findi
 def load() -> Finding:
     """Compare the number of busy programs with that of the cores."""
     if not hasattr(os, "getloadavg"):
-        return unchecked("load", "this system does not say")
+        return unchecked("load", "this system does not report it")
     cores, now = os.cpu_count() or 1, os.getloadavg()[0]
     return classify(
         "load",
         f"{now:.1f} programs busy on {cores} core{'' if cores == 1 else 's'}",
-        (now > cores, Verdict.WARNING, "", "end what is not needed: `top` shows it"),
+        (now > cores, Verdict.WARNING, "", "end other programs: `top` lists them"),
         load=round(now, 2),
         cores=cores,
     )

@@ -192,7 +192,7 @@ def _cameras(there: list[Node], live: bool) -> Finding:
         listed = "; ".join(f"{n.path} ({n.name}){f' = {n.lasting}' if n.lasting else ''}" for n in there)
         return ok("cameras", listed, cameras=[str(n.lasting or n.path) for n in there])
     if not live:
-        return ok("cameras", "there is none, and this source needs none")
+        return ok("cameras", "no camera, and this source needs none")
     if not sys.platform.startswith("linux"):
         return unchecked("cameras", "this system does not list them by name")
     return wrong("cameras", "there is no camera", "plug a webcam in (docs/camera.md: which one); see `dmesg`")

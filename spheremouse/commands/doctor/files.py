@@ -140,7 +140,7 @@ def map_of(path: Path | None, rig: Rig | None) -> Finding:
         none = "none is kept for this source"
         return ok("map", none if rig is not None else "none yet: it is learnt once there is a rig file")
     if not path.exists():
-        return ok("map", f"{path}: not there yet; it is made as the ball turns")
+        return ok("map", f"{path}: does not exist yet; the tracker creates it as the ball turns")
     try:
         saved = load_map(path)
         if rig is not None:

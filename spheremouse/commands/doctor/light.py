@@ -75,14 +75,14 @@ def flicker(footage: Footage, mask: Image | None, settings: DiscSettings) -> Fin
     """Check for grey values that oscillate with the mains. Bands as dark as a faint disc are a warning."""
     interval, _ = steadiness(footage.stamps, footage.sequence)
     if len(footage.stamps) < 20 or interval <= 0.0:
-        return unchecked("flicker", "too few frames to tell")
+        return unchecked("flicker", "too few frames for this check")
     found, hidden = search(footage.grid, footage.stamps, footage.sequence, mask)
     fps = f"at {1 / interval:.4g} frames/s"
     if len(hidden) == len(_LAMPS_HZ):
         return unchecked("flicker", f"{fps} lamps of 50 and 60 Hz mains stand still or look alike")
     real = [f for f in found if f.chance < _MAX_CHANCE and f.depth > _MIN_DEPTH]
     if not real:
-        blind = "".join(f"; {lamp / 2:g} Hz mains cannot be told {fps}" for lamp in hidden)
+        blind = "".join(f"; {lamp / 2:g} Hz mains flicker is invisible {fps}" for lamp in hidden)
         return ok("flicker", f"none seen{blind}", hidden_hz=list(hidden))
     worst = max(real, key=lambda f: f.depth)
     mains = worst.lamp / 2.0

@@ -36,7 +36,7 @@ def evaluate_wands(options: Options, out: Console, err: Console) -> tuple[list[d
     recordings = [open_wand(path) for path in options.datasets]
     for recording in recordings:
         if options.pose == "known" and recording.truth is None:
-            raise DatasetError(f"{recording.path}: no truth.csv, whose first pose --pose known takes")
+            raise DatasetError(f"{recording.path}: no truth.csv; --pose known needs its first pose")
     results: list[dict[str, Any]] = []
     failed = False
     for recording in recordings:

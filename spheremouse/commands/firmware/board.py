@@ -96,7 +96,7 @@ def other_version(runs: firmware.Version, ours: firmware.Version, kind: int) -> 
         return f"firmware {format_version(runs)} runs, which is newer than this program; update spheremouse"
     remedy = {
         1: "pull the board and plug it in again, or run `spheremouse firmware install`",
-        2: "load the new one as docs/microcontroller.md says for the ATmega32U4 (make upload)",
+        2: "load the new one (make upload; docs/microcontroller.md, ATmega32U4)",
     }.get(kind, "start it again")
     return f"firmware {format_version(runs)} runs; {remedy}"
 

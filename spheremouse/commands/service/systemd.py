@@ -134,7 +134,7 @@ def executable(place: Place) -> tuple[str, str]:
     scripts = [prefix / "bin", *(Path(sysconfig.get_path("scripts", scheme)) for scheme in _schemes())]
     path = next((p for folder in scripts if (p := folder / "spheremouse").exists()), prefix / "bin" / "spheremouse")
     if not path.exists():
-        return str(path), f"{path} is not there; install spheremouse into a virtual environment: service/install.sh"
+        return str(path), f"{path} does not exist; install spheremouse into a virtual environment: service/install.sh"
     if place.root != Path("/") and path.is_relative_to(place.root):
         path = Path(place.inside(path))
     if re.search(r"[^\w./+~@:=-]", str(path)):
@@ -165,10 +165,10 @@ def _unseen(path: Path) -> str:
         how = "sudo bash service/install.sh, in the release's folder, which puts it into /opt/spheremouse"
         if "pipx" in path.resolve().parts:
             how = "sudo PIPX_HOME=/opt/pipx PIPX_BIN_DIR=/usr/local/bin pipx install, and the file or name as before"
-        return f"the system's service has a user of its own, who does not see {path}; install it for all: {how}; {own}"
+        return f"the service's own user cannot read {path}; install it for all: {how}; {own}"
     if str(python).startswith(hidden):
         return (
-            f"the system's service has a user of its own, who does not see the Python of {path.parent}, {python}; make "
+            f"the service's own user cannot read the Python of {path.parent}, {python}; make "
             f"that environment with the system's: /usr/bin/python3 -m venv; {own}"
         )
     return ""
@@ -184,7 +184,8 @@ def refuse_unsafe(place: Place) -> None:
                 raise ServiceError(f"{folder}: leads out of {place.root}; make it a folder there")
             if others_may_change(folder):
                 raise ServiceError(
-                    f"{folder}: others than root may change what is in it; make it root's alone, or do it as its owner"
+                    f"{folder}: users other than root can change its contents; let only root write there, "
+                    "or run the command as its owner"
                 )
         except OSError as e:
             raise ServiceError(f"{folder}: cannot be examined: {e.strerror or e}") from None

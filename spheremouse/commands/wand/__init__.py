@@ -63,7 +63,7 @@ def colours(
         typer.Option(metavar="U,V,RADIUS", help="Place of the ball, px.  [default: the command searches it]"),
     ] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Show what the bounds of --ball select; pick no others.")
+        bool, typer.Option("--check", help="Show the pixels that the bounds of --ball select; pick no others.")
     ] = False,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the ball with its bounds.  [default: print them]")
@@ -103,7 +103,7 @@ def colours(
         picked = pick_bounds(image, given.ball, circle)
     write_picture(show, draw_selection(image, picked))
     _print(picked, narrower=check)
-    print(f"{show}: what they select")
+    print(f"{show}: the selected pixels")
     if out is not None:
         save_wand(out, given.ball, picked.colours, {"colours_from": picture.name})
         print(f"{out}: the ball with these bounds")
@@ -123,7 +123,7 @@ def _shown_at(picture: Path, given: Path | None) -> Path:
 def _print(picked: "PickedBounds", narrower: bool) -> None:
     """Print the ball's place, its bounds and their selection; with `narrower`, advise also to narrow the bounds."""
     c = picked.circle
-    print(f"the ball is at {c.u:.0f}, {c.v:.0f}, radius {c.radius:.0f} px (not so? say it with --at U,V,RADIUS)")
+    print(f"the ball is at {c.u:.0f}, {c.v:.0f}, radius {c.radius:.0f} px (if this is wrong, give --at U,V,RADIUS)")
     for name, colour in picked.colours.items():
         bounds = ", ".join(f"{f.name} {getattr(colour, f.name):g}" for f in fields(colour) if _tells(colour, f.name))
         print(f"{name}: {bounds}")

@@ -149,7 +149,7 @@ def _recorded_rig(path: Path, scene: _Scene) -> Rig:
     if (rig.camera.width, rig.camera.height) != (scene.width, scene.height):
         raise DatasetError(
             f"{path}: is for pictures of {rig.camera.width}x{rig.camera.height}, "
-            f"but scene.json says {scene.width}x{scene.height}"
+            f"but scene.json has {scene.width}x{scene.height}"
         )
     if rig.pose is None or scene.T_obj_cam is None:
         return rig

@@ -119,7 +119,7 @@ def check_frames(path: Path, table: Mapping[str, Array], frames: int) -> None:
     number = table["frame"]
     if len(number) != frames:
         rows = f"more than {frames}" if len(number) > frames else len(number)  # those that are more are not read
-        raise DatasetError(f"{path}: {rows} rows, but scene.json says {frames} frames")
+        raise DatasetError(f"{path}: {rows} rows, but scene.json has {frames} frames")
     wrong = np.flatnonzero(number != np.arange(frames))
     if len(wrong):
         raise DatasetError(f"{path}, row {wrong[0] + 1}: frame {number[wrong[0]]:g} where {wrong[0]} is due")

@@ -124,7 +124,7 @@ def video_images(path: Path, size: tuple[int, int]) -> Iterator[NDArray[np.uint8
     if capture is None:
         return
     if film_size(capture) != size:  # before anything of it is decoded
-        raise DatasetError(f"{path}: frame 0 is {px(film_size(capture))}, but scene.json says {px(size)}")
+        raise DatasetError(f"{path}: frame 0 is {px(film_size(capture))}, but scene.json has {px(size)}")
     yield from film_images(capture)
 
 
@@ -142,7 +142,7 @@ def read_picture(file: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
         data = read_bytes(file, PICTURE_BYTES, "picture")
         header = read_header(data, FRAME_PIXELS)
         if header.size != size:
-            raise DatasetError(f"{file}: is {px(header.size)}, but scene.json says {px(size)}")
+            raise DatasetError(f"{file}: is {px(header.size)}, but scene.json has {px(size)}")
         return decoded(data)
     except OSError as e:
         raise DatasetError(f"{file}: {e.strerror or e}") from None

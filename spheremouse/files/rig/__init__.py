@@ -85,7 +85,7 @@ def rig_text(rig: Rig, provenance: Mapping[str, Any] | None = None) -> str:
         f"# A device as calibrated. {units}; obj: ball centre, X right, Y up, Z towards the camera.",
         f"schema: {SCHEMAS['rig']}",
         *_provenance_text(provenance).splitlines(),
-        *(["scale: free  # nobody measured a length: counts are per radian"] if rig.scale_free else []),
+        *(["scale: free  # without a measured length, counts are per radian"] if rig.scale_free else []),
         _camera_text(rig.camera).rstrip(),
         "ball:",
         f"  radius: {float(rig.ball.radius)!r}",

@@ -59,7 +59,7 @@ class CameraFile(Part):
 
 
 class RigFile(CameraFile):
-    ball: BallPart = Field(description="radius of the ball, and what else is known of it")
+    ball: BallPart = Field(description="radius of the ball, and its covariance")
     scale: Literal["metric", "free"] = Field(
         "metric", description="metric: lengths are in m; free: in a unit of their own, such as the ball's radius"
     )
@@ -68,7 +68,7 @@ class RigFile(CameraFile):
         None, ge=0, lt=1, description="time a rolling shutter takes over all rows in s; 0: global; null: unknown"
     )
     exposure_s: float = Field(
-        0.0, ge=0, lt=1, description="time the shutter is open in s, which tells the blur of a fast ball; 0: unknown"
+        0.0, ge=0, lt=1, description="exposure time in s, for the blur of a fast ball; 0: unknown"
     )
     target_radii: tuple[Length, Length, Length] | None = Field(
         None, description="[inner disc, middle ring, outer ring] in m"

@@ -358,10 +358,12 @@ def probe(argument: str) -> list[Finding]:
         return [absent("serial board", text, advice)]
     if os.name == "posix":
         if not port.exists():
-            return [absent("serial board", f"{port} is not there", "plug the board in, or name its port: serial:auto")]
+            return [
+                absent("serial board", f"{port} does not exist", "plug the board in, or name its port: serial:auto")
+            ]
         if problem := access_problem(port):
             return [absent("serial board", *problem)]
-    return [ok("serial board", f"at {port}; `spheremouse firmware check` asks it")]
+    return [ok("serial board", f"at {port}; check it with `spheremouse firmware check`")]
 
 
 def _three(counts: Iterable[int]) -> tuple[int, int, int]:

@@ -57,7 +57,7 @@ class Measured:
                 times = f"median {q['median']:.0f} µs, 99 % {q['p99']:.0f} µs, worst {q['max']:.0f} µs"
             text.append(f"{name:22} {times}")
         if (share := found["latency_share_of_250_Hz"]) is not None:
-            bound = f"(asked for: {100 * _MAX_SHARE:.0f} % at most)"
+            bound = f"(limit: {100 * _MAX_SHARE:.0f} % at most)"
             text.append(f"median latency {100 * share:.1f} % of a 250 Hz interval {bound}")
         return [*text, f"line: {self.line}"]
 

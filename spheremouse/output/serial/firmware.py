@@ -149,7 +149,9 @@ def copy(source: Path, target: Path, names: list[str]) -> None:
                 "write-protected, pull the board, plug it in again and repeat"
             ) from None
         if _bytes(target / name) != data:
-            raise OutputError(f"{target / name}: not what was written; pull the board, plug it in again and repeat")
+            raise OutputError(
+                f"{target / name}: differs from the written data; unplug the board, plug it in again and repeat"
+            )
 
 
 def _sync(path: Path) -> None:

@@ -185,7 +185,7 @@ def version_mismatch(version: int) -> str:
     advice = (
         "update spheremouse"
         if version > VERSION
-        else "load this program's firmware: `spheremouse firmware install`, or as docs/microcontroller.md says"
+        else "load this program's firmware: `spheremouse firmware install`, or docs/microcontroller.md"
     )
     return f"the board speaks version {version} of the protocol, this program {VERSION}; {advice}"
 

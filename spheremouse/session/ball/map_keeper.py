@@ -57,7 +57,7 @@ def succession(saved: DiscMap | None, now: DiscMap, *, absolute: bool) -> Succes
         return Succession(now, as_is, False, "")
     found = here if here.same_ball else compare(saved, now)
     if len(now) < (_HALF if found is None else _AS_GOOD) * len(saved):
-        text = f"stays as it was, with {len(saved)} discs; this run did not recognise it, and knew {len(now)} discs"
+        text = f"stays unchanged, with {len(saved)} discs; this run did not recognise it, and knew {len(now)} discs"
         return Succession(None, as_is, False, text)
     if found is None:
         text = f"another ball, or its discs were moved: a new map of {len(now)} discs saved"
@@ -65,7 +65,7 @@ def succession(saved: DiscMap | None, now: DiscMap, *, absolute: bool) -> Succes
     if found is here:
         return Succession(now, as_is, False, "")
     back = found.rotation.T
-    text = f"the same ball, mapped anew: brought into the frame it had, {in_words(found)}"
+    text = f"the same ball with a new map, turned into its earlier axes, {in_words(found)}"
     return Succession(turned(now, back), back, True, text)
 
 
@@ -115,7 +115,7 @@ class MapKeeper:
         if loaded is not None:
             log(f"map: {path}: {len(loaded.map)} discs, saved {age(loaded)}")
         if not self._writable:
-            log(f"map: {path.parent}: not writable: what this run learns of the discs will not be kept")
+            log(f"map: {path.parent}: not writable: the daemon cannot save this run's map")
 
     def close(self) -> None:
         """Save the map, and wait until it is saved."""

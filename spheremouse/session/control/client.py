@@ -71,7 +71,7 @@ class Client:
         given = {k: v for k, v in arguments.items() if v is not None}
         reply = self._exchange({"command": command, **given}, _TIMEOUTS.get(command, _TIMEOUT))
         if reply.pop("ok", None) is not True:
-            raise RefusedError(printable(str(reply.get("error", "the daemon refuses and does not say why"))))
+            raise RefusedError(printable(str(reply.get("error", "the daemon refuses without a reason"))))
         return self._status(reply) if command == "status" else reply
 
     def watch(self, interval: float = 1.0) -> Iterator[dict[str, Any]]:

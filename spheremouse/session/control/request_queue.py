@@ -17,8 +17,8 @@ _LOAD_REST = 0.1  # s between two readings of the configuration, which hold the 
 _STOP = "record --stop"
 _ALREADY = {
     "snapshot": "a snapshot is being written already",
-    "record": "a recording is being begun already",
-    _STOP: "the recording is being ended already",
+    "record": "a recording is already starting",
+    _STOP: "the recording is already ending",
     "reinit": "the camera's pose is being estimated already",
 }
 

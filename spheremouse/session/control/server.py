@@ -327,7 +327,8 @@ def _check_rights(trusted: bool, request: Request) -> None:
         key = assignment.partition("=")[0].strip()
         if any(key == place or key.startswith(place + ".") for place in PLACES):
             raise BadRequestError(
-                f"set: {key[:60]} says what the daemon opens; only its own user and root may set it", request.id
+                f"set: {key[:60]} names a file or device that the daemon opens; only its own user and root may set it",
+                request.id,
             )
 
 

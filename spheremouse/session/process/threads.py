@@ -22,8 +22,8 @@ def begin(thread: threading.Thread) -> None:
         thread.start()
     except RuntimeError:  # what CPython raises for any reason
         raise ControlError(
-            "no thread to be had: the system's limit of tasks is reached; end other programs of this user, or raise "
-            "TasksMax of the unit (`ulimit -u` by hand)"
+            "the system refuses a new thread, as its limit of tasks is reached; end other programs of this user, or "
+            "raise TasksMax of the unit (`ulimit -u` by hand)"
         ) from None
 
 

@@ -59,8 +59,10 @@ class Recorder:
     ) -> None:
         """`folder` must not exist, or be empty. Raises DatasetError if the recording cannot begin."""
         if not settings.everything and not subject.parts:
-            raise DatasetError("whoever holds the ball is in the picture, all of which it takes to track it: give "
-                               "--everything, or set record.everything, where they know and agree")  # fmt: skip
+            raise DatasetError(
+                "a recording of a hand-held ball needs whole pictures, with the person in them: with consent, give "
+                "--everything, or set record.everything"
+            )
         self._subject, self._settings, self._clock = subject, settings, clock
         self._folder, self._camera_line = folder.absolute(), camera_line
         made_folder(self._folder.parent, DatasetError)

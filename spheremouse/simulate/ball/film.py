@@ -205,9 +205,7 @@ def _check(options: SimulationOptions, named: Named) -> None:
     if options.fps > _MOST_FPS:
         raise ConfigurationError(f"{named('fps')}: {options.fps:g} Hz must not be above {_MOST_FPS:g} Hz")
     if options.flicker > 1.0:
-        raise ConfigurationError(
-            f"{named('flicker')}: {options.flicker:g} must not be above 1: light has no more to lose"
-        )
+        raise ConfigurationError(f"{named('flicker')}: {options.flicker:g} must be at most 1, no light at all")
     for name, value in (("blur", options.blur), ("readout", options.readout)):
         if value > 1.0 / options.fps:
             raise ConfigurationError(f"{named(name)}: {value:g} s is longer than a frame at {options.fps:g} Hz")
@@ -216,7 +214,7 @@ def _check(options: SimulationOptions, named: Named) -> None:
         if colour is not None and not all(0.0 <= c <= 255.0 for c in colour):
             raise ConfigurationError(f"{named(name)}: {colour} must be blue, green and red, each from 0 to 255")
     if options.dim_at is not None and options.dim is None:
-        raise ConfigurationError(f"{named('dim_at')}: says when; {named('dim')} must say by what factor")
+        raise ConfigurationError(f"{named('dim_at')} needs {named('dim')}, the factor")
     if np.linalg.norm(options.lift_by) + options.eccentric > 200.0:
         name = "eccentric" if options.eccentric > 100.0 else "lift_by"
         raise ConfigurationError(f"{named(name)}: the ball must stay within 200 mm of its place")

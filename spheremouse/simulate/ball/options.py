@@ -28,7 +28,7 @@ class SimulationOptions:
         "-",
         "What the ball does; roll goes through phi = 90 degrees. rest, creep and flick first show the ball from all "
         "sides for 8 s: then it lies still, or turns by 0.05 deg/s for a minute, or is flicked at 400 deg/s, stopped "
-        "within 50 ms and flicked back. axes: what `spheremouse axes` asks for.",
+        "within 50 ms and flicked back. axes: the gestures of `spheremouse axes`.",
     )
     turns: float = param(20.0, "-", "Turns of --motion roll.")
     seconds: float | None = param(None, "s", "Length in s.  [default: as long as the motion takes]")

@@ -168,7 +168,7 @@ def test_a_calibration_from_nothing_to_the_mouse(tmp_path, monkeypatch):
     assert shlex.split(step.command)[:6] == ["spheremouse", "axes", "--config", config, "--rig", rig]
     configuration.write_text("schema: 2\n# rig: other.yaml\n")
     step = next_of(folder)
-    assert (step.name, step.found) == ("axes", "config.yaml does not say where the player stands")
+    assert (step.name, step.found) == ("axes", "config.yaml does not have the player's place")
     assert shlex.split(step.command)[:6] == ["spheremouse", "axes", "--config", config, "--rig", rig]
     configuration.write_text("schema: 2\nsource: v4l2:/dev/video7\n")  # as `photos` leaves it
     assert shlex.split(next_of(folder).command) == ["spheremouse", "axes", "--config", config, "--rig", rig]

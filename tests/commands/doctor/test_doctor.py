@@ -228,7 +228,7 @@ def test_a_terminal_without_colour_or_unicode_is_told_the_same_words():
     assert "\x1b" not in text
     for words in ("+ ok", "! warning", "X wrong", "-> mend it"):
         assert words in text
-    assert str(report.summary([section])) == "1 wrong, 1 warning: mend what is wrong first, from above"
+    assert str(report.summary([section])) == "1 wrong, 1 warning: mend the faults first, from the top"
 
 
 class _Ascii(StringIO):

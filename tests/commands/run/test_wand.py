@@ -204,7 +204,7 @@ def test_what_does_not_go_together_is_refused(spheremouse, hand, camera, tmp_pat
     video = ("--source", f"video:{hand / 'video.mkv'}", "--output", "null")
     for words, reason in (
         ((*source, "--output", "null", "--ball", "nix.yaml"), "nix.yaml: no such file; check the path"),
-        (video, f"video:{hand / 'video.mkv'}: says nothing of the camera; give its file with --camera FILE"),
+        (video, f"video:{hand / 'video.mkv'}: has no description of the camera; give its file with --camera FILE"),
         ((*source, "--output", "text:-", "--axes", "-"), "--axes -: is the output already"),
         (source, "no output: give --output"),
         (("--source", "synthetic", "--output", "null"), "synthetic: simulates no wand; film one with"),

@@ -91,7 +91,7 @@ def test_without_truth_the_rate_stamps_the_frames(folder):
         ({"wand__discs": []}, "wand.discs: must be a list of at least 1, is a list of 0"),
         ({"wands__0__discs__3__diameter": 0.2}, "wand.discs.3: larger than the ball of radius 0.05 m"),
         ({"wands": []}, "wands: is empty"),
-        ({"frames": 4}, "truth.csv: 3 rows, but scene.json says 4 frames"),
+        ({"frames": 4}, "truth.csv: 3 rows, but scene.json has 4 frames"),
     ],
 )
 def test_a_damaged_description_is_refused_in_words(folder, changes, words):

@@ -110,7 +110,7 @@ def test_the_same_ball_in_another_frame_is_brought_into_the_frame_it_had(path):
     old = path.with_name("rig.map.old.yaml")
     said = run(path, State(known(BALL[1:] @ R.T)))
     assert said[1:] == [
-        "the same ball, mapped anew: brought into the frame it had, 25 discs stayed, 1 gone; "
+        "the same ball with a new map, turned into its earlier axes, 25 discs stayed, 1 gone; "
         f"the map before is kept in {old}"
     ]
     np.testing.assert_allclose(in_file(path), BALL[1:], atol=1e-6)
@@ -157,7 +157,7 @@ def test_a_run_that_begins_its_map_anew_half_way_keeps_the_frame_of_its_first_ha
     states = [State(known(BALL)), State(known(BALL[:8] @ R.T)), State(known(BALL @ R.T))]
     said = run(path, *states, every=0.0)
     np.testing.assert_allclose(in_file(path), BALL, atol=1e-6)
-    assert said[-1].startswith("the same ball, mapped anew: brought into the frame it had, 26 discs stayed; ")
+    assert said[-1].startswith("the same ball with a new map, turned into its earlier axes, 26 discs stayed; ")
 
 
 def test_a_new_balls_map_grows_in_its_own_frame_and_the_old_map_is_set_aside_once(path):
@@ -255,7 +255,7 @@ def test_a_folder_that_cannot_be_written_is_told_at_the_start(path, monkeypatch)
     said = run(path, State(known(BALL[1:]), absolute=True), every=0.0)
     assert said == [
         "26 discs, saved just now",
-        f"map: {path.parent}: not writable: what this run learns of the discs will not be kept",
+        f"map: {path.parent}: not writable: the daemon cannot save this run's map",
     ]
     assert path.read_bytes() == before
 

@@ -139,7 +139,7 @@ class Daemon:
             case protocol.Set(assignments=what):
                 names = sorted({a.partition(".")[0] for a in what})
                 if any(a.startswith("source=") for a in what):
-                    words = "source: said on the command line, which comes before what is set; start again without it"
+                    words = "source: set on the command line, which overrides it; start again without that option"
                     raise ControlError(words)
                 values = {k: [1.0, float(v)] for k, _, v in (a.partition("=") for a in what)}
                 told = ", ".join(f"{k} {old} → {new}" for k, (old, new) in values.items())
@@ -609,7 +609,10 @@ def test_members_may_set_parameters_but_not_what_the_daemon_opens(serve, path, m
     ):
         reply = wire.ask(json.dumps({"command": "set", "assignments": ["motion.scale_x=3", assignment]}) + "\n")
         key = assignment.partition("=")[0].strip()
-        assert reply["error"] == f"set: {key} says what the daemon opens; only its own user and root may set it"
+        assert (
+            reply["error"]
+            == f"set: {key} names a file or device that the daemon opens; only its own user and root may set it"
+        )
     assert asked == [("motion.scale_x=2",)]
     as_peer(monkeypatch, os.geteuid())
     assert Wire(path).ask('{"command": "set", "assignments": ["output=null"]}\n') == {"ok": True}

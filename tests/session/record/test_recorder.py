@@ -503,7 +503,7 @@ def test_names_are_dates_and_never_taken(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda t: t[:-1], "2 rows, but scene.json says 3"),
+        (lambda t: t[:-1], "2 rows, but scene.json has 3"),
         (lambda t: [t[0], t[2], t[1], t[3]], "frame 1 where 0 is due"),
         (lambda t: [*t[:2], t[2].replace(",1,", ",1.5,"), t[3]], "whole number"),
         (lambda t: [*t[:3], t[3][:-1] + "2"], "colour must be 0 or 1"),

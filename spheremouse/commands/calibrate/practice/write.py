@@ -27,7 +27,7 @@ def device_of(dataset: Path) -> DeviceShape:
     recording = open_dataset(dataset)
     rig, directions = recording.rig, recording.truth_directions
     if directions is None:
-        raise CalibrationError(f"{dataset}: scene.json says nothing of the discs' places (truth_disc_directions)")
+        raise CalibrationError(f"{dataset}: scene.json lacks the discs' places (truth_disc_directions)")
     if len(rig.targets.ids) < 3:
         raise CalibrationError(
             f"{dataset}: {len(rig.targets.ids)} ring targets in scene.json; photos of a device need 3 or more"
@@ -64,7 +64,7 @@ def device_yaml(stills: Stills) -> str:
     """Return a device.yaml with tape distances, whose errors are random."""
     scene, targets = stills.scene, stills.scene.targets
     rng = np.random.default_rng([stills.seed, 5])
-    lines = ["# what a person knows of the device and measured with a tape", "targets:"]
+    lines = ["# measurements of the device with a tape", "targets:"]
     lines += [f"  - {{id: {i}, code: {code}}}" for i, code in zip(targets.ids, targets.codes, strict=True)]
     inner, middle, outer = targets.radii
     lines.append(f"target_radii: [{inner:g}, {middle:g}, {outer:g}]  # m, inner disc, middle ring, outer ring")
