@@ -1,4 +1,4 @@
-"""Run simulated scenarios, each with one disturbance, and print a Markdown table.
+"""Run simulated scenarios, most with one disturbance, and print a Markdown table.
 
     python docs/scenarios.py [NAME ...] [--long] [--pose own] [--set KEY=VALUE] [--json FILE] [--write]
 
@@ -277,8 +277,10 @@ def largest_jump(true: Array, sent: Array) -> float:
 
 
 def longest_blind(truths: list[Truth], good: Mask) -> tuple[int, bool]:
-    """Frames in a row with IN_VIEW discs or more and no right attitude, at worst, once it was known; and whether that
-    went on to the end. A frame with fewer discs in view ends no such row and does not count."""
+    """Return the longest run of frames without a right attitude after the first with one, and True if it ends the film.
+
+    The run counts the frames with at least IN_VIEW discs in view. Frames with fewer neither count nor end it.
+    """
     worst = now = 0
     first = int(np.argmax(good)) if np.any(good) else 0
     for truth, right in zip(truths[first:], good[first:], strict=True):
@@ -337,6 +339,8 @@ def main() -> None:
             parser.error(f"no scenario {name!r}; there are {', '.join(SCENARIOS)}")
     if args.write and args.names:
         parser.error("--write replaces the whole table: name no scenario")
+    if args.write and (args.set or args.pose != "known"):
+        parser.error("--write: the table holds for default settings and the true pose; omit --set and --pose own")
     settings = Settings()
     try:
         for assignment in args.set:
