@@ -207,7 +207,7 @@ def axes_from_gestures(rolling: Rolling, forward: tuple[float, float], right: tu
     if abs(off) > _MAX_OFF_SQUARE:
         raise CalibrationError(
             f"`forward` and `right` are {90.0 - abs(off):.0f}° apart and not 90°: roll the ball straight away from "
-            "you, then straight to the right, and look up the times again"
+            "the camera, then straight to the right, and look up the times again"
         )
     sigma = np.maximum(np.hypot(spread, 0.5 * np.deg2rad(abs(off))), _GESTURE_SIGMA)
     R = align(np.stack([x, z]), np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), 1.0 / sigma**2)

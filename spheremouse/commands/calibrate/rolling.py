@@ -40,9 +40,11 @@ def rolling(
         float | None, typer.Option(metavar="S", min=3.0, help="Use the first S seconds.  [default: all; live: 60]")
     ] = None,
     forward: Annotated[
-        str | None, typer.Option(metavar="A:B", help="From A to B s the ball rolls forward, away from the player.")
+        str | None, typer.Option(metavar="A:B", help="From A to B s the ball's top rolls away from the camera.")
     ] = None,
-    right: Annotated[str | None, typer.Option(metavar="A:B", help="From A to B s the ball rolls to the right.")] = None,
+    right: Annotated[
+        str | None, typer.Option(metavar="A:B", help="From A to B s its top rolls to the right, seen from the camera.")
+    ] = None,
     radius: Annotated[str | None, typer.Option(metavar="LENGTH", help="Radius of the ball, as in 0.6m.")] = None,
     circumference: Annotated[
         str | None, typer.Option(metavar="LENGTH", help="Circumference by a tape around the ball, as in 3770mm.")
@@ -151,8 +153,8 @@ def _film(source: str, seconds: float, ask: bool) -> tuple["FrameBuffer", Any]:
     buffer, spans = FrameBuffer(), []
     parts = [("roll the ball slowly in all directions, so that all sides come by", seconds)]
     if ask:
-        parts += [("now FORWARD: roll the ball straight away from you, on and on", _GESTURE_SECONDS)]
-        parts += [("now RIGHT: roll the ball straight to the right, on and on", _GESTURE_SECONDS)]
+        parts += [("now FORWARD: roll the ball's top straight away from the camera, on and on", _GESTURE_SECONDS)]
+        parts += [("now RIGHT: roll its top straight to the right, seen from the camera, on and on", _GESTURE_SECONDS)]
     with SignalHandler() as stopping, open_source(source) as stream:
         frames = stopping.frames(iter(stream))
         for k, (text, length) in enumerate(parts):
