@@ -163,7 +163,7 @@ def fine(trials: int, maps: dict[str, Callable[[int], np.ndarray]]) -> str:
         ("4 discs, 1 false", 0.1, 4, 1),
         ("20 % missing, 1 false", 0.1, 0.8, 1),
         ("50 % missing, 5 false", 0.1, 0.5, 5),
-        ("all, 10 static look-alikes", np.rad2deg(0.003), 1.0, 10),
+        ("all, 10 false", np.rad2deg(0.003), 1.0, 10),
     ]
     rows = []
     for name, known in maps.items():
