@@ -270,7 +270,7 @@ def test_no_value_becomes_a_number_by_surprise(problems, text, value):
 @pytest.mark.parametrize(
     ("text", "start"),
     [
-        ("", "1: empty; the first line says its `schema`"),
+        ("", "1: empty; the first line must have its `schema`"),
         ("# only a comment\n", "1: empty;"),
         ("so3: {}\n", "1: schema: missing;"),
         ("schema: 3\n", "1: schema: is 3, of a newer spheremouse; this one reads 2"),

@@ -155,7 +155,7 @@ def test_an_inch_is_an_inch():
     ("text", "words"),
     [
         ("86", "86mm or 86cm"),
-        ("0.086", "with its unit"),
+        ("0.086", "needs its unit"),
         ("86km", "'km' is not a unit"),
         ("8,6cm", "a point, not a comma"),
         ("mm", "no length"),

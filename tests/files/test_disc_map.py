@@ -206,7 +206,7 @@ def test_a_map_of_another_ball_than_the_rigs_is_refused(tmp_path):
     saved = saved_map()
     check_fits(saved, replace(RIG, ball=Ball(0.61), disc_radius=0.022), tmp_path)  # calibrated anew
     with pytest.raises(
-        ConfigurationError, match=re.escape("was made with a ball of radius 0.6 m, the rig says 0.03 m: name this")
+        ConfigurationError, match=re.escape("was made with a ball of radius 0.6 m, the rig has 0.03 m: name this")
     ):
         check_fits(saved, replace(RIG, ball=Ball(0.03)), tmp_path)
     with pytest.raises(ConfigurationError, match=re.escape("with discs of radius 0.02 m, the rig says 0.01 m")):

@@ -185,7 +185,7 @@ def test_the_numbers_are_the_kernels():
 def test_the_mouse_where_it_cannot_be_made():
     if os.path.exists("/dev/uinput"):
         pytest.skip("/dev/uinput is here; tests/system uses it")
-    assert refused("uinput") == "uinput: /dev/uinput is not there; as root: modprobe uinput"
+    assert refused("uinput") == "uinput: /dev/uinput does not exist; as root: modprobe uinput"
 
 
 # ---- all ----

@@ -21,8 +21,8 @@ def test_what_the_command_line_said_is_known_by_its_keys():
 @pytest.mark.parametrize(
     ("assignment", "why"),
     [
-        ("source=v4l2:0", "source: said on the command line"),
-        ("map=a.yaml", "map: said on the command line"),
+        ("source=v4l2:0", "source: set on the command line"),
+        ("map=a.yaml", "map: set on the command line"),
         ("metrics.port=9", "metrics: read at the start only"),
         ("realtime=off", "realtime: read at the start only"),
     ],
@@ -51,7 +51,7 @@ def test_what_nothing_reads_is_refused(tracker, unread, read):
         CommandLineOverrides(assignments=(f"tracker={tracker}",), source="synthetic:", output="null")
     )
     check_read(plan, (f"{read}=1", f"tracker={tracker}"))
-    with pytest.raises(ControlError, match=f"{unread}: the tracker in use, {tracker}, does not read it"):
+    with pytest.raises(ControlError, match=f"{unread}: the tracker in use, {tracker}, does not read this setting"):
         check_read(plan, (f"{read}=1", f"{unread}=1"))
 
 

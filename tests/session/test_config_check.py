@@ -89,12 +89,12 @@ def test_what_may_be_missing_only_now_is_a_warning(checked, tmp_path):
         "c.yaml:2: source: warning: does not exist now, or cannot be opened: /dev/video97: no such"
     )
     assert said[2].startswith("c.yaml:3: output: warning: ")
-    assert said[2].endswith("uinput is not there; as root: modprobe uinput")
+    assert said[2].endswith("uinput does not exist; as root: modprobe uinput")
     code, said = checked("source: dataset:demo/none", "output: serial:/dev/ttyACM97")
     assert code == 0
     assert [line.partition("warning: ")[2].partition(";")[0] for line in said[1:]] == [
         "demo/none: not there, seen from this folder",
-        "/dev/ttyACM97 is not there",
+        "/dev/ttyACM97 does not exist",
     ]
 
 

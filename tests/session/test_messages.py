@@ -48,7 +48,7 @@ SENTENCES = {
         "the discs do not fit a ball that turns about its centre: it is out of round, the camera was moved, or the rig "
         "is wrong"
     ),
-    events.ReadoutKnown(0.0299): "rolling shutter: 29.9 ms for all rows (say readout_s: 0.0299 in the rig file)",
+    events.ReadoutKnown(0.0299): "rolling shutter: 29.9 ms for all rows (set readout_s: 0.0299 in the rig file)",
     events.DiscColours((0.114, 0.587, 0.299)): "the discs are darker than the ball",
     events.DiscColours((-0.114, -0.587, -0.299)): "the discs are lighter than the ball",
     events.DiscColours((-0.5, 0.0, 0.5)): (

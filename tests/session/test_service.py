@@ -576,7 +576,7 @@ def test_a_snapshot_of_pictures_of_another_size(playing):
 @pytest.mark.parametrize(
     ("assignment", "why"),
     [
-        ("wand.particles=300", "the tracker in use, so3, does not read it"),
+        ("wand.particles=300", "the tracker in use, so3, does not read this setting"),
         ("control.group=nobody", "read at the start only"),
     ],
 )

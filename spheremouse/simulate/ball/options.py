@@ -1,10 +1,9 @@
 """Options of films and photos of the ball, in the words of the command line."""
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Literal
-
-import numpy as np
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.settings import param
@@ -96,7 +95,7 @@ def check_signs(options: Any, above: Iterable[str], from_zero: Iterable[str], na
     for names, what in ((above, "above 0"), (from_zero, "0 or more")):
         for name in names:
             value = getattr(options, name)
-            if value is None or (np.isfinite(value) and (value > 0 or (value == 0 and names is from_zero))):
+            if value is None or (math.isfinite(value) and (value > 0 or (value == 0 and names is from_zero))):
                 continue
             finite = "" if value <= 0 else f"{',' if names is from_zero else ''} and finite"
             raise ConfigurationError(f"{named(name)}: {value:g} must be {what}{finite}")

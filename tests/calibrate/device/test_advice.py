@@ -219,7 +219,7 @@ def test_a_photo_whose_discs_are_aslant_is_told_as_it_may_be_and_no_other():
 
 def test_a_ball_out_of_round_is_told_with_its_figure(good):
     assert not any("out of round" in t for t in said(good))
-    assert any(re.search(r"out of round.*stand [234]\.\d mm off", t) for t in said(calibrated(ROUND, bulge=0.0035)))
+    assert any(re.search(r"out of round.*are [234]\.\d mm off", t) for t in said(calibrated(ROUND, bulge=0.0035)))
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ def test_photos_are_taken_until_they_are_enough_and_the_next_command_works(tmp_p
     camera = load_camera(folder / "camera.yaml")
     assert camera.fx == pytest.approx(CAMERA.fx, rel=0.02)
     result = run(folder / "board", "--out", folder / "again.yaml", command="camera")  # the board is remembered here too
-    assert "as its board.yaml says: --board 9x6 --square 30mm" in result.stderr
+    assert "from its board.yaml: --board 9x6 --square 30mm" in result.stderr
     assert load_camera(folder / "again.yaml").fx == camera.fx
     assert not (folder / "config.yaml").exists()  # a film is no camera to come back to
 

@@ -120,7 +120,7 @@ def test_a_damaged_truth_is_refused_with_its_place(folder):
 
 def test_a_film_cut_short_gives_what_is_there_and_says_so(folder, tmp_path):
     damage(folder, frames=3, width=320)
-    with pytest.raises(DatasetError, match=r"frame 0 is 160x120, but scene\.json says 320x120"):
+    with pytest.raises(DatasetError, match=r"frame 0 is 160x120, but scene\.json has 320x120"):
         list(read_frames(open_wand(folder)))
     damage(folder, width=160, frames=5)
     (folder / "truth.csv").unlink()

@@ -147,7 +147,7 @@ def test_a_poor_map_never_replaces_a_good_one_that_it_did_not_grow_from(path, fe
     save_map(path, saved_now(known(BALL), RIG))
     before = path.read_bytes()
     (text,) = run(path, State(known(few)), every=0.0)[1:]
-    assert text == f"stays as it was, with 26 discs; this run did not recognise it, and knew {len(few)} discs"
+    assert text == f"stays unchanged, with 26 discs; this run did not recognise it, and knew {len(few)} discs"
     assert path.read_bytes() == before
     assert os.listdir(path.parent) == ["rig.map.yaml"]
 
