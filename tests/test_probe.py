@@ -64,7 +64,7 @@ def test_a_node_that_may_not_be_used_names_its_group_and_the_account(tmp_path, m
     monkeypatch.setattr(access.os, "access", lambda path, mode: False)
     monkeypatch.setattr(access, "_groups_of", lambda who: [])
     assert access.access_problem(node) == (
-        f"{node} is for the group video, of which ada is not",
+        f"{node} belongs to the group video, and ada is no member",
         "as root: usermod -aG video ada, then log in again",
     )
     monkeypatch.setattr(access, "_groups_of", lambda who: ["video"])

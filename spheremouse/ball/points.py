@@ -5,7 +5,7 @@ adjustment per disc; both give the same covariance (tests/ball/test_points.py).
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from numba import njit
@@ -23,11 +23,6 @@ class Centres(Protocol):
     def centre(self) -> Array: ...  # (n, 2) px
     @property
     def covariance(self) -> Array: ...  # (n, 2, 2) px²
-
-
-class _Pixels(NamedTuple):
-    centre: Array
-    covariance: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +70,25 @@ def intersect(detections: Centres, rig: Rig, pose: Pose) -> SpherePoints:
 
 def directions_at(uv: Array, rig: Rig, pose: Pose) -> tuple[Array, NDArray[np.intp]]:
     """Return the directions, (k, 3) unit vectors in obj, of the points seen at pixels (n, 2), and their k indices."""
-    uv = np.ascontiguousarray(uv, dtype=np.float64)
-    points = intersect(_Pixels(uv, np.zeros((len(uv), 2, 2))), rig, pose)
-    return points.direction, points.index
+    return directions_in(np.ascontiguousarray(uv, dtype=np.float64), view_of(rig, pose))
+
+
+@njit(cache=True, error_model="numpy")
+def directions_in(uv, view):
+    """Return the result of `directions_at` for pixels, (n, 2), in the BallView `view`."""
+    n = len(uv)
+    xy, dxy_duv = np.empty((n, 2)), np.empty((n, 2, 2))
+    unprojected(uv, view.intrinsic, view.distortion, view.fold_r2, xy, dxy_duv)
+    direction, index, ray = np.empty((n, 3)), np.empty(n, dtype=np.intp), np.empty(3)
+    met = 0
+    for i in range(n):
+        s = _first_hit(xy[i], view, ray)
+        if np.isfinite(s):
+            for j in range(3):
+                direction[met, j] = (view.position[j] + s * ray[j] - view.centre[j]) / view.radius
+            index[met] = i
+            met += 1
+    return direction[:met], index[:met]
 
 
 @njit(cache=True, error_model="numpy")

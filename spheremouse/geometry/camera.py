@@ -55,8 +55,8 @@ class InteriorOrientation:
 
         Beyond this radius a pixel has a second solution, which is not its ray.
         """
-        k1, k2, _, _, k3 = self.distortion
-        return _fold_r2(float(k1), float(k2), float(k3))
+        k1, k2, _, _, k3 = self.distortion.tolist()
+        return _fold_r2(k1, k2, k3)
 
 
 @cache

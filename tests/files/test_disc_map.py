@@ -209,5 +209,5 @@ def test_a_map_of_another_ball_than_the_rigs_is_refused(tmp_path):
         ConfigurationError, match=re.escape("was made with a ball of radius 0.6 m, the rig has 0.03 m: name this")
     ):
         check_fits(saved, replace(RIG, ball=Ball(0.03)), tmp_path)
-    with pytest.raises(ConfigurationError, match=re.escape("with discs of radius 0.02 m, the rig says 0.01 m")):
+    with pytest.raises(ConfigurationError, match=re.escape("with discs of radius 0.02 m, the rig has 0.01 m")):
         check_fits(saved, replace(RIG, disc_radius=0.01), tmp_path)

@@ -93,7 +93,7 @@ def test_what_may_be_missing_only_now_is_a_warning(checked, tmp_path):
     code, said = checked("source: dataset:demo/none", "output: serial:/dev/ttyACM97")
     assert code == 0
     assert [line.partition("warning: ")[2].partition(";")[0] for line in said[1:]] == [
-        "demo/none: not there, seen from this folder",
+        "demo/none: does not exist in this folder",
         "/dev/ttyACM97 does not exist",
     ]
 

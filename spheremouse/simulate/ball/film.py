@@ -214,7 +214,7 @@ def _check(options: SimulationOptions, named: Named) -> None:
         if colour is not None and not all(0.0 <= c <= 255.0 for c in colour):
             raise ConfigurationError(f"{named(name)}: {colour} must be blue, green and red, each from 0 to 255")
     if options.dim_at is not None and options.dim is None:
-        raise ConfigurationError(f"{named('dim_at')} needs {named('dim')}, the factor")
+        raise ConfigurationError(f"{named('dim_at')}: needs {named('dim')}, the factor")
     if np.linalg.norm(options.lift_by) + options.eccentric > 200.0:
         name = "eccentric" if options.eccentric > 100.0 else "lift_by"
         raise ConfigurationError(f"{named(name)}: the ball must stay within 200 mm of its place")
