@@ -1,10 +1,10 @@
-"""Posterior Cramer-Rao bound: how well any filter can know attitude and rate from the discs that were measured.
+"""Posterior Cramer-Rao bound: least error of attitude and rate that any filter can have with the discs measured.
 
 The recursion of Tichavsky, Muravchik, Nehorai 1998 ("Posterior Cramer-Rao bounds for discrete-time nonlinear
-filtering") along the true trajectory: the angular acceleration is a first-order Gauss-Markov process (Singer 1970,
-"Estimating optimal tracking filter performance for manned maneuvering targets") as strong and as lasting as the true
-one over the whole film, the discs are at unknown places, the ball's attitude in the first frame is the reference.
-A filter may go below it where the motion is of several kinds, as rest is before play.
+filtering") along the true trajectory. The angular acceleration is a first-order Gauss-Markov process (Singer 1970,
+"Estimating optimal tracking filter performance for manned maneuvering targets"). Its variance and correlation are those
+of the true motion over the whole film. The places of the discs are unknown, and the attitude in the first frame is the
+reference. A filter may have less error if the motion changes its kind, for example from rest to play.
 
 A `Sight` is the measurement of a frame: detections of true discs, with centre errors by size.
 """
@@ -32,16 +32,16 @@ _LEAST = 20  # centres of a size class: their RMS is good to a tenth where error
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """Discs measured in a frame."""
+    """Detections of k true discs in one frame."""
 
     disc: NDArray[np.intp]  # (k,) index of the disc
     sigma: Array  # (k,) px, standard deviation of its centre per axis
 
 
 def semi_minor_axes(centre: Array, rig: Rig, pose: Pose) -> Array:
-    """Semi-minor axes, (n,) px, of the images of discs whose centres project to pixels (n, 2).
+    """Return the semi-minor axes, (n,) px, of the images of discs whose centres project to the pixels `centre` (n, 2).
 
-    nan for a disc that the limb cuts, and for a pixel beside the ball.
+    They are nan if the limb cuts the disc, or if the pixel is not on the ball.
     """
     axes = np.full(len(centre), np.nan)
     directions, index = directions_at(centre, rig, pose)
@@ -51,15 +51,16 @@ def semi_minor_axes(centre: Array, rig: Rig, pose: Pose) -> Array:
 
 
 def distances(a: Array, b: Array) -> Array:
-    """px, (n, m), between points (n, 2) and (m, 2)."""
+    """Return the distances, (n, m) px, between points (n, 2) and (m, 2)."""
     return np.linalg.norm(a[:, None] - b[None], axis=2)
 
 
 def measured(frames: Iterable[int], detected: Iterable[Array], truth: DiscTruth) -> list[Sight]:
-    """Detections of the true discs in each frame, with the noise that such centres have in these frames.
+    """Return one `Sight` for each of `frames`: its detected true discs, with the noise of their centres.
 
-    `detected` (k, 2) px by frame. The noise of a class is the RMS of its errors, systematic ones included: classes are
-    whole discs by octaves of their area, and those that something cuts.
+    `frames` are indices into the recording, and `detected` has the centres, (k, 2) px, of each of them. The noise is
+    the RMS error of all discs of the same class, systematic errors included. Classes are octaves of the area for whole
+    discs, and one class for cut discs.
     """
     rows: list[DiscTruth] = []
     errors = [np.zeros((0, 2))]
@@ -77,10 +78,10 @@ def measured(frames: Iterable[int], detected: Iterable[Array], truth: DiscTruth)
 
 
 def _by_class(area: Array, square: Array) -> Array:
-    """Root of the mean of `square` over centres of the same class; areas (n,) px², nan: something cuts them.
+    """Return the standard deviation of each centre, (n,) px: the RMS over its class of squared errors `square`, (n,).
 
-    An octave with too few goes with the next larger one, the largest with the next smaller. What is cut is a class of
-    its own; where too few are, they are no better than the worst of the others.
+    `area` (n,) px² is nan for cut discs, which are one class. Octaves with fewer than 20 centres join the next larger
+    one, the largest the next smaller. Fewer than 20 cut discs get at least the largest value of the others.
     """
     whole = np.isfinite(area)
     octave = np.floor(np.log2(np.maximum(np.where(whole, area, 1.0), 1.0)))
@@ -115,7 +116,7 @@ _FREE = 9  # unknowns that are not a disc's
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """Least covariances, one per frame, given that frame and all before it."""
+    """Least covariances of a filter, one per frame, given that frame and all before it."""
 
     attitude: Array  # (n, 3, 3) rad², rotation error in obj; zero in the first frame
     rate: Array  # (n, 3, 3) rad²/s², obj
@@ -134,7 +135,7 @@ class Manoeuvre:
 
 
 def manoeuvre(motion: Truth) -> Manoeuvre:
-    """Return the model of a true motion of n >= 2 frames, from its rates; white if it reverses in every frame."""
+    """Return the model of a true motion of n >= 2 frames, from its rates. A negative correlation becomes 0."""
     a = np.diff(motion.rate, axis=0) / np.diff(motion.stamp)[:, None]
     total, next_to = np.sum(a**2, axis=0), np.sum(a[1:] * a[:-1], axis=0)  # next_to <= total, by Cauchy and Schwarz
     lasting = np.maximum(np.divide(next_to, total, out=np.zeros(3), where=total > 0.0), 0.0)
@@ -142,12 +143,12 @@ def manoeuvre(motion: Truth) -> Manoeuvre:
 
 
 def posterior_bound(motion: Truth, sights: Sequence[Sight], directions: Array, rig: Rig, pose: Pose) -> Bound:
-    """The bound for n frames of true motion and of what was measured in each of them.
+    """Return the bound for n frames of true motion, with the measurements `sights` of each frame.
 
-    `directions` (m, 3) unit vectors in `ball`, `pose` the true one. The state is (rotation error, rate, acceleration,
-    two tangent coordinates of each disc seen so far). The recursion is carried in covariance form,
-    (F J^-1 F^T + Q)^-1 + H^T R^-1 H by Woodbury's identity, since the first attitude is known exactly and has no
-    finite information. A disc's first sight enters as the limit of an infinite prior.
+    `directions` (m, 3) are unit vectors to the discs in `ball`, and `pose` is the true one. The state is (rotation
+    error, rate, acceleration, two tangent coordinates of each disc seen so far). The recursion is carried in covariance
+    form, (F J^-1 F^T + Q)^-1 + H^T R^-1 H by Woodbury's identity, since the first attitude is known exactly and has no
+    finite information. A disc's first detection enters as the limit of an infinite prior.
     """
     model = manoeuvre(motion)
     basis = tangent_basis(directions)
@@ -168,7 +169,7 @@ def posterior_bound(motion: Truth, sights: Sequence[Sight], directions: Array, r
 
 
 def _predicted(P: Array, motion: Truth, k: int, model: Manoeuvre) -> Array:
-    """Covariance before frame k: F P F^T + Q."""
+    """Return the covariance predicted for frame k >= 1, F P F^T + Q, from that of the frame before."""
     dt = motion.stamp[k] - motion.stamp[k - 1]
     turn = log(motion.attitude[k] @ motion.attitude[k - 1].T)
     F = np.eye(_FREE)
@@ -185,7 +186,10 @@ def _predicted(P: Array, motion: Truth, k: int, model: Manoeuvre) -> Array:
 
 
 def _jacobians(R: Array, directions: Array, basis: Array, rig: Rig, pose: Pose) -> tuple[Array, Array]:
-    """Return the Jacobians of the projected centres: by rotation error, (k, 2, 3), and place, (k, 2, 2), px/rad."""
+    """Return the Jacobians of the projected centres by rotation error, (k, 2, 3), and place, (k, 2, 2), px/rad.
+
+    `R` is R_obj_ball, `directions` (k, 3) are the discs in `ball`, and `basis` (k, 3, 2) their tangents.
+    """
     arm = rig.ball.radius * directions @ R.T
     _, duv_dcam = project(pose.to_cam(rig.ball.centre + arm), rig.camera)
     duv = duv_dcam @ pose.rotation.T
@@ -193,7 +197,10 @@ def _jacobians(R: Array, directions: Array, basis: Array, rig: Rig, pose: Pose) 
 
 
 def _measured(P: Array, on_attitude: Array, on_disc: Array, place: NDArray[np.intp], sigma: Array) -> Array:
-    """Covariance after discs already in the state were measured, (k,) px per axis."""
+    """Return the covariance after k discs of the state were measured, with `sigma` (k,) px per axis.
+
+    `on_attitude` and `on_disc` are from `_jacobians`; `place` (k,) is the index of a disc's coordinates in the state.
+    """
     k = len(place)
     H = np.zeros((k, 2, len(P)))
     H[:, :, :3] = on_attitude
@@ -206,7 +213,10 @@ def _measured(P: Array, on_attitude: Array, on_disc: Array, place: NDArray[np.in
 
 
 def _augmented(P: Array, on_attitude: Array, on_disc: Array, sigma: Array) -> Array:
-    """Covariance with discs seen for the first time: their places follow from the attitude and what was measured."""
+    """Return the covariance with k discs added that are seen for the first time, with `sigma` (k,) px per axis.
+
+    Their places follow from the attitude and the measurement. The Jacobians are from `_jacobians`.
+    """
     k, n = len(on_disc), len(P)
     inverse = np.linalg.inv(on_disc)
     G = np.zeros((2 * k, n))

@@ -1,8 +1,8 @@
-"""The metrics of `evaluate --json`: a run and the truth of its recording in, numbers out (docs/datasets).
+"""Compute the metrics of `evaluate --json` from a run and the truth of its recording (docs/datasets).
 
-Errors are measured over the frames that were tracked, in the axes of `obj`; how many those are stands beside them.
-What a tracker or a recording does not have is None, never 0 and never nan. Definitions: Wittich 2017, section 4.1.2,
-with rotation vectors in place of differences of Euler angles.
+Errors are over the tracked frames, in the axes of `obj`; the report has the number of these frames. A value that
+tracker or recording cannot give is None, never 0 and never nan. Definitions: Wittich 2017, section 4.1.2, with rotation
+vectors in place of differences of Euler angles.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ _RANK = 1e-9  # eigenvalues below this part of the largest are none
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Results of a tracker, one entry per frame it was given."""
+    """Results of a tracker, one entry for each of the n frames that it was given."""
 
     frame: NDArray[np.intp]  # (n,) index into the recording
     stamp: Array  # (n,) s
@@ -52,7 +52,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The truth of a recording, as far as it says."""
+    """The truth of a recording; None for parts that it does not contain."""
 
     motion: Truth | None = None
     discs: DiscTruth | None = None
@@ -62,16 +62,16 @@ class Reference:
 
 @dataclass(slots=True)
 class History:
-    """Results of a run, frame by frame, without the pictures: what `evaluate` looks at."""
+    """Results of a run, frame by frame, without the pictures, as `evaluate` collects them."""
 
     epochs: list[Epoch] = field(default_factory=list)
 
     def add(self, epoch: Epoch) -> None:
-        """One more."""
+        """Add a frame's results, without its image."""
         self.epochs.append(replace(epoch, frame=replace(epoch.frame, image=np.zeros((0, 0), np.uint8))))
 
     def run(self) -> Run:
-        """As the metrics take it."""
+        """Return the results as arrays for the metrics."""
         epochs, n = self.epochs, len(self.epochs)
         states = [e.state for e in epochs]
         return Run(
@@ -91,7 +91,7 @@ class History:
 
 
 def _innovations(epochs: list[Epoch]) -> Array | None:
-    """Return the normalised innovation squared of each update, (n,); None if the filter does not give it."""
+    """Return the normalised innovation squared of each update, (n,); None if the filter does not report it."""
     values = [e.estimate.statistics.get("nis") for e in epochs]
     return None if None in values else np.array(values, dtype=float)
 
@@ -99,9 +99,10 @@ def _innovations(epochs: list[Epoch]) -> Array | None:
 def report(
     run: Run, reference: Reference, rig: Rig, *, dataset: str, tracker: str, frames: int, found: Pose | None
 ) -> dict[str, Any]:
-    """All metrics of one run as `evaluate --json` writes them.
+    """Return all metrics of one run as `evaluate --json` writes them.
 
-    `frames` is the length of the recording, `found` the camera's pose where it was found from the images.
+    `dataset` and `tracker` are names for the report, and `frames` is the length of the recording. `found` is the
+    camera's pose if it was estimated from the images; None if it was given.
     """
     kept = run.tracked
     motion = reference.motion
@@ -149,21 +150,20 @@ def report(
 
 
 def attitude_error(estimate: Array, truth: Array) -> Array:
-    """Rotation vectors in `obj`, (n, 3) rad, of R_est R_true^T relative to the first frame; both (n, 3, 3) R_obj_ball.
+    """Return the error rotation vectors in `obj`, (n, 3) rad, relative to the first frame; both (n, 3, 3) R_obj_ball.
 
-    `ball` of the estimate is `obj` at its own first frame, that of the truth another frame fixed to the ball: M with
-    R_est = R_true M is no error. It is taken from the first frame, M = R_true0^T R_est0, so that the error is
-    log(R_est R_est0^T R_true0 R_true^T).
+    The frames `ball` of estimate and truth differ by a constant rotation M, R_est = R_true M, which is no error. The
+    first frame gives it, M = R_true0^T R_est0, so the error is log(R_est R_est0^T R_true0 R_true^T).
     """
     M = truth[0].T @ estimate[0]
     return log(estimate @ (truth @ M).transpose(0, 2, 1))
 
 
 def surface_speeds(run: Run, truth: Truth, radius: float) -> tuple[Array, Array]:
-    """Mouse motion per second, sent and true, (k, 2) mm/s of ball surface each; `radius` m.
+    """Return the mouse's speed as sent and the true one, (k, 2) mm/s of ball surface each; `radius` m.
 
-    Of frames that follow a tracked one and are tracked: the rotation sent since, and that which the ball really made,
-    over the time between (Wittich 2017, section 4.1.1: motion over the time it took).
+    There is one row for each tracked frame whose previous frame was tracked too. It has the rotation sent with it, and
+    the true rotation of the ball, divided by the time step (Wittich 2017, section 4.1.1).
     """
     k = run.tracked
     k = k[np.isin(k - 1, k)]
@@ -174,15 +174,19 @@ def surface_speeds(run: Run, truth: Truth, radius: float) -> tuple[Array, Array]
 
 
 def surface_travel(rotation: Array, radius: float) -> Array:
-    """Travel (d_x, -d_z) of the touching point in mm, (n, 2), for rotation vectors, (n, 3) rad in obj; `radius` m.
+    """Return the travel (d_x, -d_z) of the lowest point in mm, (n, 2), for rotation vectors, (n, 3) rad in obj.
 
-    The point C = (0, -R, 0) travels d = rho x C = (R rho_z, 0, -R rho_x) (Wittich 2017, eq. 172-174, along the arc).
+    `radius` is R in m. The point C = (0, -R, 0) travels d = rho x C = (R rho_z, 0, -R rho_x), along the arc (Wittich
+    2017, eq. 172-174).
     """
     return 1000.0 * radius * rotation[:, [2, 0]]
 
 
 def per_axis(error: Array | None, axes: str) -> dict[str, float | None]:
-    """RMS of (n, len(axes)) errors per axis and combined: sqrt(mean(x² + y² + z²)) (Wittich 2017, eq. 176-177)."""
+    """Return the RMS of errors, (n, len(axes)), for each letter of `axes`, and combined: sqrt(mean(x² + y² + z²)).
+
+    All are None without errors. Wittich 2017, eq. 176-177.
+    """
     if error is None or len(error) == 0:
         return dict.fromkeys([*axes, "combined"])
     square = np.mean(error**2, axis=0)
@@ -191,9 +195,9 @@ def per_axis(error: Array | None, axes: str) -> dict[str, float | None]:
 
 
 def correlation(estimate: Array | None, truth: Array | None) -> dict[str, float | None]:
-    """Pearson's r of (n, 2) speeds per axis, and combined: of x and y taken as one series of 2n values.
+    """Return Pearson's r of (n, 2) speeds for x, y, and combined: x and y as one series of 2n values.
 
-    The thesis gives one figure for both axes without saying how it combines them (section 4.1).
+    All are None without speeds. The thesis gives one figure for both axes and no definition of it (section 4.1).
     """
     if estimate is None or truth is None:
         return {"x": None, "y": None, "combined": None}
@@ -205,16 +209,17 @@ def correlation(estimate: Array | None, truth: Array | None) -> dict[str, float 
 
 
 def pearson(a: Array, b: Array) -> float | None:
-    """Correlation coefficient of two series; None where one of them does not vary."""
+    """Return the correlation coefficient of two series (n,); None if one of them does not vary."""
     a, b = a - np.mean(a), b - np.mean(b)
     norm = np.sqrt((a @ a) * (b @ b))
     return _number(a @ b / norm) if norm > 0.0 else None
 
 
 def mean_nees(error: Array, covariance: Array) -> float | None:
-    """Mean of e^T P^-1 e over (n, k) errors with (n, k, k) covariances: k for a filter that knows what it knows.
+    """Return the mean of e^T P^-1 e over errors e (n, k) with covariances P (n, k, k); k if the covariances are right.
 
-    Singular covariances (Euler angles at phi = +-90 deg) are inverted where they have rank.
+    None without errors, or if a value is not finite. Singular covariances (Euler angles at phi = +-90 deg) have the
+    pseudoinverse.
     """
     if len(error) == 0 or not (np.all(np.isfinite(error)) and np.all(np.isfinite(covariance))):
         return None
@@ -223,10 +228,10 @@ def mean_nees(error: Array, covariance: Array) -> float | None:
 
 
 def mean_nis(run: Run) -> float | None:
-    """Innovations squared in units of their covariance, per degree of freedom: 1 for a filter that knows its noise.
+    """Return the mean normalised innovation squared per degree of freedom; 1 if the filter's noise is right.
 
-    The one check of a covariance that takes no truth. Over the tracked frames whose discs were known before: each disc
-    used has two degrees of freedom, and the one that is founded has none.
+    It needs no truth. It is over the tracked frames with an innovation, and each disc used has two degrees of freedom.
+    None if the filter reports none.
     """
     if run.nis is None:
         return None
@@ -244,7 +249,7 @@ def lost_episodes(status: Sequence[Status]) -> int:
 
 
 def identified_from(run: Run) -> int | None:
-    """Index into the recording of the first frame whose attitude is in the frame of a saved map."""
+    """Return the index into the recording of the first frame with its attitude in a saved map's frame; None if none."""
     absolute = np.flatnonzero(run.absolute)
     return int(run.frame[absolute[0]]) if len(absolute) else None
 
@@ -253,25 +258,28 @@ def identified_from(run: Run) -> int | None:
 
 
 def mean_discs(run: Run) -> float | None:
-    """Discs that took part in the filter's update, mean over the tracked frames.
+    """Return the number of discs in the filter's update, the mean over the tracked frames; None without such frames.
 
-    Comparable with the mean number of stored markers of Wittich 2017, tables 20 and 23: there a disc not seen is
-    forgotten, so that what is stored is what was used and what was new (5.2 and 0.1 on `far26`). A filter with a map
-    that lasts stores more than it sees, which says nothing of how well it sees.
+    It is comparable with the mean number of stored markers of Wittich 2017, tables 20 and 23. That filter forgets discs
+    that it does not see, so it stores those used and those new (5.2 and 0.1 on `far26`). The size of a lasting map
+    would not be comparable.
     """
     kept = run.tracked
     return float(np.mean([len(run.used[i]) for i in kept])) if len(kept) else None
 
 
 def detection_quality(run: Run, truth: DiscTruth, semi_minor: Array | None = None) -> dict[str, float | None]:
-    """Detections against the true discs, over all frames that the tracker was given.
+    """Compare detections with the true discs, over all frames that the tracker was given.
 
-    recall: share of the wholly visible discs of at least MIN_AREA px² that have a detection within MATCH px of the
-    true centre, each detection counted for one disc. false_share: share of the points that the filter used that are
-    farther than that from the centre of every disc that is not hidden. centre_rms_px: per axis, over the discs found.
-    The same for discs of at least 15 px² (recall_15) and 60 px² (centre_rms_60_px): larger than the slivers.
-    recall_axis: of wholly visible discs whose `semi_minor` axis, (k,) px for the rows of `truth`, is at least MIN_AXIS:
-    the same discs at any size of the picture. None without `semi_minor`.
+    - recall: fraction of the wholly visible discs of at least MIN_AREA px² with a detection within MATCH px of the true
+      centre. Each detection counts for one disc.
+    - false_share: fraction of the points used by the filter that are farther than MATCH px from every disc in view.
+    - centre_rms_px: RMS error of the centre per axis, over the discs found.
+    - recall_15 and centre_rms_60_px: the same for discs of at least 15 and 60 px².
+    - recall_axis: recall of discs with a `semi_minor` axis, (k,) px for the rows of `truth`, of at least MIN_AXIS.
+      These are the same discs at any size of the picture. None without `semi_minor`.
+
+    A value without discs or points is None.
     """
     wanted = found = points = false = 0
     offsets: list[Array] = [np.zeros((0, 2))]
@@ -302,7 +310,7 @@ def detection_quality(run: Run, truth: DiscTruth, semi_minor: Array | None = Non
 
 
 def _recall(run: Run, truth: DiscTruth, asked: NDArray[np.bool_]) -> float | None:
-    """Share of the wholly visible discs among the rows `asked`, (k,), that have a detection within MATCH px."""
+    """Return the recall of the wholly visible discs among the rows `asked`, (k,), of `truth`; None without any."""
     wanted = found = 0
     for frame, detected in zip(run.frame, run.detected, strict=True):
         centre = truth.centre[asked & (truth.frame == frame) & (truth.state == VISIBLE)]
@@ -311,9 +319,9 @@ def _recall(run: Run, truth: DiscTruth, asked: NDArray[np.bool_]) -> float | Non
 
 
 def pose_error(found: Pose, true: Pose) -> dict[str, list[float | None]]:
-    """Estimate minus truth of the camera's pose in the axes of `obj`, with the standard deviations it was given.
+    """Return the error of the camera's pose, `found` less `true`, in the axes of `obj`, and its standard deviations.
 
-    Position in mm, rotation vector of R_est R_true^T in degrees: the error model of `camera.Pose`.
+    Position in mm, rotation vector of R_est R_true^T in degrees, as in the error model of `camera.Pose`.
     """
     sigma = np.sqrt(np.diag(found.covariance))
     return {
@@ -325,7 +333,10 @@ def pose_error(found: Pose, true: Pose) -> dict[str, list[float | None]]:
 
 
 def frame_times(seconds: dict[str, Array]) -> dict[str, float | None]:
-    """Time per frame in microseconds, all stages together."""
+    """Return median, p99 and maximum of the time per frame in microseconds, all stages together.
+
+    `seconds` has the times, (n,) s, of each stage. All are None without frames.
+    """
     total = 1e6 * np.sum(list(seconds.values()), axis=0) if seconds else np.zeros(0)
     if len(total) == 0:
         return {"median": None, "p99": None, "max": None}
@@ -336,9 +347,10 @@ def frame_times(seconds: dict[str, Array]) -> dict[str, float | None]:
 
 
 def bound_ratio(attitude: Array | None, rate: Array | None, bound: Bound | None) -> dict[str, float | None]:
-    """RMS error over the posterior Cramer-Rao bound, combined over axes; 1 is as good as the pixels allow.
+    """Return the RMS errors of attitude and rate over the posterior Cramer-Rao bound; 1 is the best possible.
 
-    Over the tracked frames but the first: there the attitude is known by definition and of the rate nothing.
+    The axes are combined. The first tracked frame is left out, since its attitude defines the reference and its rate is
+    unknown. None if errors or bound are missing.
     """
     if attitude is None or rate is None or bound is None:
         return {"attitude": None, "rate": None}
@@ -353,9 +365,10 @@ def _ratio(error: Array, covariance: Array) -> float | None:
 
 
 def run_bound(run: Run, reference: Reference, rig: Rig) -> Bound | None:
-    """The bound at the tracked frames, for the discs that this run detected and centres as good as its own.
+    """Return the bound at the tracked frames, for the discs that this run detected, with the errors of its centres.
 
-    None where the recording does not say all it takes, and with a saved map, which knows more than the frames say.
+    None if the recording lacks truth for it, with fewer than three tracked frames, or if the run used a saved map. Such
+    a map has more information than the frames.
     """
     motion, discs, pose = reference.motion, reference.discs, reference.pose
     kept = run.tracked
@@ -378,7 +391,7 @@ def run_bound(run: Run, reference: Reference, rig: Rig) -> Bound | None:
 
 
 def _number(x: Any) -> float | None:
-    """A plain number, or None where there is none."""
+    """Return a float; None if x is not finite."""
     return float(x) if np.isfinite(x) else None
 
 

@@ -1,4 +1,4 @@
-"""A run as a picture: attitude and rate, estimate against truth, and below them the errors with what the filter claims.
+"""Plot a run: estimate and true attitude and rate, and below them the errors with the filter's ±3 sigma.
 
 Needs matplotlib, which is loaded when something is drawn.
 """
@@ -35,9 +35,9 @@ def plot_run(
     """Draw n tracked frames to an image file.
 
     `stamps` (n,) s; `attitude` and `truth_attitude` (n, 3, 3) R_obj_ball; `rate` and `truth_rate` (n, 3) rad/s in
-    `obj`; `covariance` (n, 6, 6) of rotation error and rate. Attitudes are shown as rotation vectors from the first
-    frame, errors as in `metrics`, with the band of three standard deviations that the filter claims. Raises
-    ConfigurationError where the file cannot be written.
+    `obj`; `covariance` (n, 6, 6) of rotation error and rate. Attitudes are drawn as rotation vectors from the first
+    frame. Errors are those of `metrics`, with bands of ±3 of the filter's standard deviations. The suffix of `path`
+    sets the format, `.png` if there is none. Raises ConfigurationError if the file cannot be written.
     """
     t = np.asarray(stamps, dtype=float)
     gap = _gaps(t)[:, None]
@@ -82,7 +82,10 @@ def _save(figure: "Figure", path: Path) -> None:
 
 
 def _draw_curves(axes: "Axes", t: Array, estimate: Array, truth: Array, label: str) -> None:
-    """Truth as a broad pale line, the estimate as a thin one in it: what shows beside is error."""
+    """Draw truth (broad, pale) and estimate (thin), (n, 3), against `t` (n,) s, with one colour for each axis.
+
+    `label` names the quantity and its unit.
+    """
     for i, colour in enumerate(_COLOURS):
         axes.plot(t, truth[:, i], color=colour, alpha=0.28, linewidth=4.0, solid_capstyle="round")
         axes.plot(t, estimate[:, i], color=colour, linewidth=1.1)
@@ -103,7 +106,10 @@ def _draw_curves(axes: "Axes", t: Array, estimate: Array, truth: Array, label: s
 
 
 def _draw_errors(column: "np.ndarray[Any, Any]", t: Array, error: Array, sigma: Array, unit: str) -> None:
-    """One narrow panel per axis, all to one scale that shows every error and the usual band."""
+    """Draw error and ±3 sigma, (n, 3) in `unit`, against `t` (n,) s, in one panel of `column` (3,) for each axis.
+
+    All panels have one scale. It shows every error and ±3 times the largest median sigma; wider bands are cut off.
+    """
     claim = 3.0 * float(np.max(np.nanmedian(sigma, axis=0)))
     limit = max(1.1 * float(np.nanmax(np.abs(error))), 1.3 * claim, 1e-9)
     for i, axes in enumerate(column):
@@ -126,13 +132,16 @@ def _quiet(axes: "Axes") -> None:
 
 
 def _gaps(t: Array) -> Array:
-    """0 or, after a pause, nan, (n,): what added to a curve breaks it there."""
+    """Return nan for frames after a step above 2.5 median steps, else 0, (n,). Added to a curve, it breaks it there."""
     step = np.diff(t, prepend=t[:1])
     usual = np.median(step[1:]) if len(t) > 1 else 0.0
     return np.where(step > 2.5 * usual, np.nan, 0.0) if usual > 0.0 else np.zeros(len(t))
 
 
 def _unbroken(vectors: Array) -> Array:
-    """Rotation vectors, (n, 3), broken by nan where they jump: v and v - 2 pi v/|v| are the same rotation."""
+    """Return rotation vectors, (n, 3), with nan where they jump by more than pi.
+
+    v and v - 2 pi v/|v| are the same rotation, so a jump is no motion.
+    """
     jump = np.linalg.norm(np.diff(vectors, axis=0, prepend=vectors[:1]), axis=1) > np.pi
     return np.where(jump[:, None], np.nan, vectors)

@@ -1,4 +1,4 @@
-"""Figures of an evaluation as a table for a terminal or a page."""
+"""Show the metrics of evaluations as a table for a terminal or a page."""
 
 import math
 from collections.abc import Callable
@@ -12,7 +12,7 @@ _MAX_FACTOR = 1.4  # between standard deviations and errors; a film of some seco
 
 
 def ball_table(results: list[dict[str, Any]], title: str) -> Table:
-    """The reports on balls in their frames side by side."""
+    """Return the reports of `metrics.report` as a table with one column for each recording."""
     table = Table(title=title, caption="in brackets: about or along x, y, z of obj", title_justify="left")
     table.add_column("")
     for result in results:
@@ -23,7 +23,7 @@ def ball_table(results: list[dict[str, Any]], title: str) -> Table:
 
 
 def wand_table(results: list[dict[str, Any]]) -> Table:
-    """Return the rows of balls in hands."""
+    """Return the reports of `wand.wand_report` as a table with one column for each ball."""
     every = [r for result in results for r in (result, *result.get("more_balls", []))]
     table = Table(title="wand", caption="x right, y down, z away from the camera", title_justify="left")
     table.add_column("")
@@ -57,7 +57,10 @@ def wand_table(results: list[dict[str, Any]]) -> Table:
 
 
 def consistency(result: dict[str, Any]) -> list[str]:
-    """Return a line if standard deviations are too large by a factor, and one if any are too small."""
+    """Return a line if standard deviations are over 1.4 times the errors, and one if errors are as much larger.
+
+    `result` is a report of either tracker. Parts without a figure do not count.
+    """
     if "anees" in result:
         values = {part: result["anees"][part] for part in ("position", "rotation", "pose")}
     else:
@@ -77,18 +80,18 @@ def consistency(result: dict[str, Any]) -> list[str]:
 
 
 def shown(value: float | None, form: str = ".3g") -> str:
-    """A number, or a dash."""
+    """Return a number formatted by `form`, or a dash for None."""
     return "–" if value is None else format(value, form)
 
 
 def axes(part: dict[str, float | None], form: str = ".3g", scale: float = 1.0) -> str:
-    """x, y and z, or a dash."""
+    """Return the values "x", "y", "z" of `part` times `scale`, each formatted by `form`, or a dash for None."""
     values = [part[a] for a in "xyz"]
     return "  ".join("–" if v is None else format(scale * v, form) for v in values)
 
 
 def _combined(part: dict[str, float | None], form: str = ".3g") -> str:
-    """Combined first, then each axis."""
+    """Return the value "combined" of `part`, then those of its axes in brackets; a dash if it is None."""
     if part["combined"] is None:
         return "–"
     return f"{shown(part['combined'], form)} ({' '.join(shown(part[a], form) for a in 'xyz' if a in part)})"

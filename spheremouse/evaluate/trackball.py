@@ -1,4 +1,4 @@
-"""Estimate scale, axes and lag of a trackball under the ball: rotation of the ball and the mouse's log in, `Match` out.
+"""Estimate scale, axes and lag of a trackball under the ball, from the ball's rotation and the log of the trackball.
 
 Counts between two times are A times the rotation of the ball between them. A (2, 3) in counts/rad holds scale and axes
 at once. Wittich 2017, section 4.1.1 and eq. 175, estimates lag, one scale and one offset for each axis. An offset has
@@ -46,7 +46,7 @@ _MAX_RELATIVE_SIGMA = 0.1  # of a column of A that counts as known
 
 @dataclass(frozen=True, slots=True)
 class RotationSteps:
-    """Rotation of the ball from one frame to the next."""
+    """Rotation of the ball in n intervals, from one frame to the next or joined from several."""
 
     begin: Array  # (n,) s
     end: Array  # (n,) s
@@ -60,7 +60,7 @@ class RotationSteps:
 
     @classmethod
     def from_run(cls, run: Run) -> "RotationSteps":
-        """Return the steps between neighbouring frames that were both tracked."""
+        """Return the steps between neighbouring tracked frames, except those with a gap or a stamp that goes back."""
         k = run.tracked
         k = k[np.isin(k - 1, k)]
         step = run.stamp[k] - run.stamp[k - 1]
@@ -70,7 +70,7 @@ class RotationSteps:
 
 @dataclass(frozen=True, slots=True)
 class CountPath:
-    """Sum of the counts as a function of the log's time."""
+    """Sum of the counts since the log's begin as a piecewise linear function of the log's time."""
 
     time: Array  # (m,) s
     sums: Array  # (m, 2) counts
@@ -78,7 +78,7 @@ class CountPath:
 
     @classmethod
     def from_log(cls, log: MouseLog) -> "CountPath":
-        """Spread each report's counts over the time since the last one, or over the usual interval if that is less."""
+        """Spread each report's counts over the time since the last one, or over the median interval if that is less."""
         t, sums, steps = log.stamp, np.cumsum(log.counts, axis=0), np.diff(log.stamp)
         usual = steps[(steps > 0.0) & (steps < _MAX_REPORT_GAP_S)]
         interval = float(np.median(usual)) if len(usual) else _MAX_REPORT_GAP_S
@@ -88,15 +88,15 @@ class CountPath:
         return cls(time, np.insert(sums, rest + 1, sums[rest], axis=0), np.stack([t[lost], t[lost + 1]], axis=1))
 
     def at(self, t: Array) -> Array:
-        """Return the sums at times t (...), (..., 2)."""
+        """Return the sums, (..., 2), at times t (...) of the log."""
         return np.stack([np.interp(t, self.time, self.sums[:, k]) for k in range(2)], axis=-1)
 
     def between(self, begin: Array, end: Array) -> Array:
-        """Return the counts from `begin` to `end` (...), (..., 2)."""
+        """Return the counts, (..., 2), from `begin` to `end`, (...) s of the log."""
         return self.at(end) - self.at(begin)
 
     def covers(self, begin: Array, end: Array) -> NDArray[np.bool_]:
-        """Return whether the log has all reports from `begin` to `end` (...)."""
+        """Return True where the log has all reports from `begin` to `end`, (...) s of the log."""
         known = (begin >= self.time[0]) & (end <= self.time[-1])
         gap = np.searchsorted(self.gaps[:, 1], begin, side="right")  # the first that ends later
         return known & (np.append(self.gaps[:, 0], np.inf)[gap] >= end)
@@ -154,7 +154,11 @@ class Match:
 
 
 def match(steps: RotationSteps, log: MouseLog) -> Match | None:
-    """Return the regression; None if the two share less than three seconds, or one of them has no motion."""
+    """Return the regression of `log` on `steps`.
+
+    None if the two share less than three seconds, if one has no motion, or if fewer than 1.5 s remain without lost
+    reports.
+    """
     if len(steps) == 0 or len(log) < 2 or not np.any(log.counts):
         return None
     path, rows = CountPath.from_log(log), _most_motion(_intervals(steps))
@@ -168,7 +172,7 @@ def match(steps: RotationSteps, log: MouseLog) -> Match | None:
 
 
 def _intervals(steps: RotationSteps) -> RotationSteps:
-    """Join steps to intervals of about 0.1 s. Drop the shorter rest where the tracker was lost."""
+    """Join steps to intervals of about 0.1 s. Drop rests shorter than half of that, where the tracker was lost."""
     joined = np.concatenate([[False], steps.begin[1:] == steps.end[:-1]])
     first = np.flatnonzero(~joined)[np.cumsum(~joined) - 1]
     last = np.append(np.flatnonzero(~joined)[1:], len(steps))[np.cumsum(~joined) - 1] - 1
@@ -183,7 +187,7 @@ def _intervals(steps: RotationSteps) -> RotationSteps:
 
 
 def _most_motion(rows: RotationSteps) -> RotationSteps:
-    """Return the two minutes with most motion."""
+    """Return the rows of the two minutes with the largest sum of squared rotations."""
     sums = np.concatenate([[0.0], np.cumsum(np.sum(rows.rotation**2, axis=1))])
     last = np.searchsorted(rows.end, rows.begin + _MAX_COMPARED_S, side="right")
     k = int(np.argmax(sums[last] - sums[: len(rows)])) if len(rows) else 0
@@ -191,7 +195,7 @@ def _most_motion(rows: RotationSteps) -> RotationSteps:
 
 
 def search_lag(rows: RotationSteps, path: CountPath) -> LagPeak | None:
-    """Return the most likely lag; None if no lag has three seconds of motion in common.
+    """Return the most likely lag of `path` after `rows`; None if no lag has three seconds of motion in common.
 
     Each lag is weighed by the time that the two share: a short overlap correlates well by chance.
     """
@@ -211,7 +215,10 @@ def search_lag(rows: RotationSteps, path: CountPath) -> LagPeak | None:
 
 
 def _likelihoods(rows: RotationSteps, path: CountPath, lags: Array) -> Array:
-    """Return the logarithms of the likelihood ratios at lags (n,); 0 if too little is in common."""
+    """Return the logarithms, (n,), of the likelihood ratios of a relation and none, at lags (n,) s.
+
+    It is 0 if rows and log have too little in common at a lag.
+    """
     W = rows.rotation
     begin, end = rows.begin + lags[:, None], rows.end + lags[:, None]
     known = path.covers(begin, end).astype(float)
@@ -238,17 +245,17 @@ class _Regression:
     middle: float  # s
 
     def counts(self, p: Array, delay: float = 0.0) -> Array:
-        """Return the counts (m, 2) of each interval, read `delay` later."""
+        """Return the counts (m, 2) of each of m intervals with the lag and drift of p, plus `delay` s."""
         times = np.stack([self.rows.begin, self.rows.end])
         times = times + (self.peak.lag + p[6] + delay) + p[7] * (times - self.middle)
         return self.path.between(times[0], times[1])
 
     def residuals(self, p: Array) -> Array:
-        """Return counts less expected counts (m, 2)."""
+        """Return the counts less those that A predicts, (m, 2)."""
         return self.counts(p) - self.rows.rotation @ p[:6].reshape(2, 3).T
 
     def jacobian(self, p: Array) -> Array:
-        """Return the derivatives (m, 2, 8) of the residuals."""
+        """Return the derivatives (m, 2, 8) of the residuals by p."""
         h, rows = _LAG_DERIVATIVE_S, self.rows
         J = np.zeros((len(rows), 2, 8))
         J[:, 0, :3] = J[:, 1, 3:6] = -rows.rotation
@@ -257,7 +264,7 @@ class _Regression:
         return J
 
     def solve(self) -> Match:
-        """Return the robust estimate."""
+        """Return the robust estimate with its covariance."""
         W = self.rows.rotation
         p = np.zeros(8)
         p[:6] = np.linalg.solve(W.T @ W + 1e-9 * np.eye(3) * np.sum(W**2), W.T @ self.counts(p)).T.ravel()
@@ -268,7 +275,7 @@ class _Regression:
         return self._describe(p, self._covariance(p, sigma, prior))
 
     def _sigma(self, p: Array) -> Array:
-        """Return the standard deviation (2,) of the residuals of intervals with motion."""
+        """Return the robust standard deviation (2,) of the residuals, in counts, over intervals with motion."""
         return np.maximum(mad_sigma(self.residuals(p)[self._moving(p)]), _MIN_SIGMA_COUNTS)
 
     def _moving(self, p: Array) -> NDArray[np.bool_]:

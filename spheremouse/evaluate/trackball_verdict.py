@@ -20,7 +20,7 @@ _ADVICE = ("roll the ball towards you and away", "spin it about the vertical", "
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The outcome of a match."""
+    """The assessment of a match for a person."""
 
     usable: bool  # scale and axes
     text: str  # one sentence
@@ -28,7 +28,7 @@ class Verdict:
 
 
 def judge(match: Match) -> Verdict:
-    """Return the verdict on a match."""
+    """Return the verdict on a match: unusable with the reason, or usable with notes."""
     problem = _problem(match)
     if problem is not None:
         return Verdict(False, problem)
@@ -92,7 +92,7 @@ def _time_notes(match: Match) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class TrackballAxes:
-    """Directions of the trackball's axes: the part that settings can express, and the rest."""
+    """Scales and directions of the trackball's axes. Settings can express swap and signs, but not `turn`."""
 
     swapped: bool
     scale: tuple[float, float]  # counts/rad of x and y, with their signs
@@ -103,7 +103,7 @@ class TrackballAxes:
 
 
 def axes_of(match: Match) -> TrackballAxes:
-    """Return the axes of a match."""
+    """Split the matrix of a match into swap, scales, turn and point of contact."""
     A, S = match.matrix, match.sigma
     swapped = bool(A[0, 0] ** 2 + A[1, 2] ** 2 > A[0, 2] ** 2 + A[1, 0] ** 2)
     x, y = (0, 2) if swapped else (2, 0)
@@ -146,8 +146,8 @@ def _axis_notes(match: Match) -> list[str]:
 def settings_of(match: Match, radius: float | None, before: MotionSettings) -> MotionSettings:
     """Return settings that move x and y of the pointer as the trackball did; the third axis stays as in `before`.
 
-    `radius` is the ball's in m, or None for a rig of free scale: then the scale is per radian. Both axes get one scale
-    if they differ by no more than twice their standard deviation.
+    `radius` is the ball's in m. If it is None, as for a rig of free scale, the scale is per radian. Both axes get one
+    scale if they differ by no more than twice the standard deviation of their difference.
     """
     axes = axes_of(match)
     x, y = abs(axes.scale[0]), abs(axes.scale[1])
@@ -170,7 +170,7 @@ def settings_of(match: Match, radius: float | None, before: MotionSettings) -> M
 
 
 def _player(axes: TrackballAxes) -> tuple[Player, bool]:
-    """Return where a player stands to whose hand the trackball's x belongs, and whether y is reversed for them."""
+    """Return the player's place for which x of the trackball is right, and True if its y is reversed there."""
     seats: tuple[Player, Player] = ("left", "right") if axes.swapped else ("far-side", "camera-side")
     player = seats[axes.scale[0] < 0.0]
     y = MotionSettings(player=player).directions()[1]

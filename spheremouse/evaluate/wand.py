@@ -1,7 +1,8 @@
-"""The metrics of `evaluate --tracker wand`: runs of the particle filter and the truth of a recording in, numbers out.
+"""Compute the metrics of `evaluate --tracker wand` from runs of the particle filter and the truth of a recording.
 
-Errors are those of the poses the tracker gave, in the camera's axes: of the centre, and the angle of the rotation
-R_est R_true^T. What a run or a recording does not have is None. Compared with Grzonka 2005, chapter 4.
+Errors are over the frames with a pose, in the camera's axes: that of the centre, and the angle of the rotation
+R_est R_true^T. A value that run or recording cannot give is None. The experiments compare them with Grzonka 2005,
+chapter 4.
 """
 
 from collections.abc import Sequence
@@ -29,7 +30,7 @@ _FAR, _NEVER = 1.0, 1e6  # m: an arm's length and more, which is another ball; a
 
 @dataclass(frozen=True, slots=True)
 class WandRun:
-    """Results of a tracker, one entry per frame it was given; what it did not find is nan."""
+    """Results of a tracker for one ball, one entry per frame that it was given; nan in frames without a pose."""
 
     stamp: Array  # (n,) s
     position: Array  # (n, 3) m, centre in cam
@@ -39,17 +40,17 @@ class WandRun:
 
     @property
     def found(self) -> NDArray[np.bool_]:
-        """(n,) the tracker gave a pose."""
+        """True for frames with a pose, (n,)."""
         return np.asarray(np.isfinite(self.position).all(axis=1))
 
 
 def position_error(run: WandRun, truth: WandTruth) -> Array:
-    """(n, 3) m, estimate less truth in cam; nan where there is no estimate."""
+    """Return estimate less truth of the centre, (n, 3) m in cam; nan in frames without an estimate."""
     return run.position - truth.position[: len(run.stamp)]
 
 
 def rotation_error(run: WandRun, truth: WandTruth) -> Array:
-    """Rotation vectors, (n, 3) rad in cam, of R_est R_true^T; nan where there is no estimate."""
+    """Return the rotation vectors of R_est R_true^T, (n, 3) rad in cam; nan in frames without an estimate."""
     error = np.full((len(run.stamp), 3), np.nan)
     k = np.flatnonzero(run.found)
     error[k] = log(run.rotation[k] @ truth.rotation[k].transpose(0, 2, 1))
@@ -59,7 +60,7 @@ def rotation_error(run: WandRun, truth: WandTruth) -> Array:
 def followed(
     runs: Sequence[WandRun], balls: Sequence[WandBall], truths: Sequence[WandTruth], filmed: Sequence[WandBall]
 ) -> list[WandTruth | None]:
-    """Return the truth for each run: `runs` are of `balls`, `truths` those of the `filmed` balls.
+    """Return the truth for each run. `runs` are those of the tracker's `balls`, `truths` those of the `filmed` balls.
 
     Equal balls get their numbers in the order of detection, so positions assign runs to balls. Among filmed balls of
     its description, the assignment has the least sum of mean distances over all frames. A frame without a pose, or more
@@ -77,7 +78,7 @@ def followed(
 
 
 def alike(a: WandBall, b: WandBall) -> bool:
-    """Do two balls look the same? Their names do not count, nor the order of their discs."""
+    """Return True if two balls look the same. Their names and the order of their discs do not count."""
     if (a.body, len(a.discs)) != (b.body, len(b.discs)) or abs(a.radius - b.radius) > _ALIKE:
         return False
     left = list(b.discs)
@@ -96,13 +97,16 @@ def alike(a: WandBall, b: WandBall) -> bool:
 
 
 def _distance(run: WandRun, truth: WandTruth) -> float:
-    """m, the mean over the frames, each no more than `_FAR`."""
+    """Return the mean distance of the centres, m; frames above `_FAR` or without a pose count as `_FAR`."""
     distance = np.linalg.norm(position_error(run, truth), axis=1)
     return float(np.mean(np.fmin(distance, _FAR))) if len(distance) else _FAR
 
 
 def off(run: WandRun, truth: WandTruth, radius: float) -> NDArray[np.bool_]:
-    """(n,) no pose, or one beside the ball by more than its radius (m) across the line of sight, or wrongly turned."""
+    """Return True for frames, (n,), without a pose or with a wrong one.
+
+    A pose is wrong if it is off by more than `radius` m across the line of sight, or by more than 45° in rotation.
+    """
     error = np.nan_to_num(position_error(run, truth), nan=np.inf)
     sight = truth.position[: len(run.stamp)]
     sight = sight / np.linalg.norm(sight, axis=1, keepdims=True)
@@ -115,7 +119,10 @@ def off(run: WandRun, truth: WandTruth, radius: float) -> NDArray[np.bool_]:
 
 
 def is_lost(run: WandRun, truth: WandTruth, radius: float) -> bool:
-    """Return True if the run lost the ball: never found, off for over 1 s (and two frames), or off at the end."""
+    """Return True if the run lost the ball: it was never right, wrong for over 1 s and two frames, or wrong at the end.
+
+    `radius` as in `off`. Frames before the first right pose do not count.
+    """
     wrong = off(run, truth, radius)
     if wrong.all() or (len(wrong) and wrong[-1]):
         return True
@@ -132,7 +139,7 @@ def is_lost(run: WandRun, truth: WandTruth, radius: float) -> bool:
 
 
 def found_from(run: WandRun, truth: WandTruth, radius: float) -> int | None:
-    """The first frame whose pose is right; None if there is none."""
+    """Return the index of the first frame whose pose is right; None if there is none. `radius` as in `off`."""
     right = np.flatnonzero(~off(run, truth, radius))
     return int(right[0]) if len(right) else None
 
@@ -145,11 +152,12 @@ def wand_report(
     frames: int,
     radius: float,
 ) -> dict[str, Any]:
-    """All metrics of one or several runs over a recording (other seeds), as `evaluate --json` writes them.
+    """Return all metrics of runs over one recording, each with another seed or ball, as `evaluate --json` writes them.
 
-    `truth`: of the ball, or of each run its own (`followed`). Errors are over the frames in which the tracker gave a
-    pose, of all runs; 95th percentiles of absolute values.
-    `fps` is frames per second of the tracker's own time, which hides neither the first frame nor a search.
+    `truth` is that of the ball, or one for each run (`followed`). `dataset` is the name in the report, `frames` the
+    length of the recording, and `radius` (m) the ball's. Errors are over all frames with a pose of all runs, and
+    percentiles are of absolute values. `fps` is frames per second of the tracker's own time, with first frame and
+    searches.
     """
     tracked = [int(run.found.sum()) for run in runs]
     report: dict[str, Any] = {
@@ -175,11 +183,11 @@ def wand_report(
 
 
 def errors(runs: Sequence[WandRun], truths: Sequence[WandTruth]) -> dict[str, Any]:
-    """Errors of runs, each with its own truth, taken together; and whether covariances say how large they are.
+    """Return the errors of runs, each with its own truth, taken together, and two checks of their covariances.
 
-    `anees`: mean of e^T P^-1 e per degree of freedom: 1 where the filter knows what it knows, above 1 where it
-    believes too much; few frames that are far off rule it. `within_95`: share of the frames whose e^T P^-1 e is below
-    the 95 % quantile of chi² with 6 degrees of freedom, 0.95 where all is well.
+    `anees` is the mean of e^T P^-1 e per degree of freedom: 1 if the covariances are right, above 1 if they are too
+    small. A few frames with large errors dominate it. `within_95` is the fraction of frames with e^T P^-1 e below the
+    95 % quantile of chi² with 6 degrees of freedom. It is 0.95 if the covariances are right.
     """
     position, turned, covariance = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros((0, 6, 6))]
     for run, truth in zip(runs, truths, strict=True):
@@ -233,20 +241,20 @@ def _number(value: Any) -> float | None:
 
 @dataclass(slots=True)
 class WandHistory:
-    """Results of a run, without the pictures."""
+    """Results of a run, frame by frame, without the pictures."""
 
     stamps: list[float] = field(default_factory=list)
     poses: list[tuple[WandPose, ...]] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
 
     def add(self, epoch: WandEpoch) -> None:
-        """One more."""
+        """Add the results of a frame."""
         self.stamps.append(epoch.frame.stamp)
         self.poses.append(epoch.poses)
         self.seconds.append(epoch.seconds)
 
     def run(self, ball: int = 0) -> WandRun:
-        """Return the run of one ball for the metrics."""
+        """Collect the results of ball number `ball`; nan in frames without its pose."""
         n = len(self.stamps)
         position, rotation = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
         covariance = np.full((n, 6, 6), np.nan)
@@ -257,7 +265,10 @@ class WandHistory:
         return WandRun(np.array(self.stamps), position, rotation, covariance, np.array(self.seconds))
 
     def events(self) -> list[tuple[int, Event]]:
-        """Events that the tracker told, each once in a row, with the frame it began in."""
+        """Return (frame index, event) for each event of the tracker in the frame where it begins.
+
+        An event that the frame before has for any ball is left out.
+        """
         found: list[tuple[int, Event]] = []
         for i, poses in enumerate(self.poses):
             before = {p.event for p in self.poses[i - 1]} if i else set()
