@@ -28,7 +28,7 @@ M = TypeVar("M", bound=BaseModel)
 
 
 class Part(BaseModel):
-    """A part of a file: no conversion but of whole numbers to float, no unknown key, no NaN."""
+    """Base of models of a file's sections. Only whole numbers convert, to float. Unknown keys and NaN are errors."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
 
@@ -43,7 +43,10 @@ GONE = "GONE"  # attribute of a model or a settings class: former keys, each wit
 
 
 def read_checked(path: Path, model: type[M], kind: str) -> tuple[Document, M]:
-    """Read a file of this kind; return the document without `schema`, and the model instance."""
+    """Read a file of this `kind`, a key of `SCHEMAS`. Return the document without `schema`, and the model instance.
+
+    Raises ConfigurationError with the file's problems.
+    """
     document = without_schema(read_document(path), kind)
     return document, validated(document, model)
 
@@ -58,7 +61,7 @@ def validated(document: Document, model: type[M]) -> M:
 
 
 def nearest(word: str, names: Sequence[str]) -> str:
-    """Return advice on an unknown name: the nearest known names, or all of them."""
+    """Return advice on an unknown name: up to three nearest `names`, else all, or the command that lists them."""
     close = difflib.get_close_matches(word, names, n=3, cutoff=0.6)
     if not close:  # perhaps the section is wrong
         close = [n for n in names if n.rpartition(".")[2] == word.rpartition(".")[2]][:3]
@@ -70,13 +73,13 @@ def nearest(word: str, names: Sequence[str]) -> str:
 
 
 def gone(key: Key, model: type[BaseModel]) -> str:
-    """Return the replacement of a former key in words; empty if there was no such key."""
+    """Return the problem text with the replacement of a former key of `model`; empty if there was no such key."""
     instead = getattr(_model_at(key[:-1], model), GONE, {}).get(key[-1])
     return f"is no setting: {instead}" if instead else ""
 
 
 def _problems(error: ValidationError, document: Document, model: type[BaseModel]) -> tuple[list[Problem], int]:
-    """Return pydantic's first errors by line, in the user's words, and the number of the others.
+    """Return pydantic's errors as problems sorted by line, at most MAX_PROBLEMS, and the number of the others.
 
     Several errors about one key (a union's branches) become one.
     """
@@ -100,7 +103,10 @@ def _worded(key: Key, complaints: Sequence[Any], data: Any, model: type[BaseMode
 
 
 def _within(loc: tuple[int | str, ...], data: Any, *, missing: bool) -> Key:
-    """Return the part of pydantic's location that exists in the data; unions add names of their branches."""
+    """Return the key of pydantic's location `loc`, without the names of a union's branches, which are not in the data.
+
+    A `missing` or unknown key is kept at the end.
+    """
     key: list[int | str] = []
     for i, part in enumerate(loc):
         there = (isinstance(data, dict) and part in data) or (
@@ -173,7 +179,7 @@ def _advice_on_name(word: str, parent: Key, model: type[BaseModel]) -> str:
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the models in an annotation, through Optional and Annotated."""
+    """Yield the models in an annotation, also within Optional, unions and Annotated, but not in tuples."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     elif get_origin(annotation) is not tuple:
