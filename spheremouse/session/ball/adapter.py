@@ -59,7 +59,7 @@ class _Reinitialisation(NamedTuple):
 
 
 class BallAdapter:
-    """Frames in, motion out, for a device and its settings."""
+    """Tracker adapter of the ball in its frame, for one device and its settings."""
 
     def __init__(
         self,
@@ -71,9 +71,11 @@ class BallAdapter:
         given: Rig | None = None,
         outputs: tuple[Callable[[], Output], ...] = (),
     ) -> None:
-        """`keeper` keeps the map of the discs; `given` is the device as the source knows it.
+        """Create the adapter, which tracks at once if the rig has the camera's pose.
 
-        Raises PoseError if the camera's pose is unknown and the targets cannot give it.
+        `keeper` saves the map of the discs; None saves none. `log` prints a line. `do` has another thread do work.
+        `given` is the rig of the source, if it has one. `outputs` open each output, the pointer's first. Raises
+        PoseError if the rig has neither the camera's pose nor three targets, or if the ball is not in view.
         """
         self.rig, self.settings, self._keeper, self._log = rig, settings, keeper, log
         self._do, self._given, self.outputs = do, given, outputs
@@ -104,12 +106,12 @@ class BallAdapter:
 
     @property
     def reason(self) -> str:
-        """State of the ball, in words."""
+        """State of the ball in words; empty if there is nothing to report."""
         return self._messages.reason
 
     @property
     def subject(self) -> Subject | None:
-        """The device as it is seen now."""
+        """The device as the camera sees it now; None while the camera's pose is not known."""
         tracker = self.tracker
         if tracker is None:
             return None
@@ -118,7 +120,10 @@ class BallAdapter:
         return self._subject
 
     def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
-        """Take the camera's pose from the first views with enough targets. Raise PoseError if there are none."""
+        """Take the camera's pose from the first frames with enough targets, and return the frames to track.
+
+        Raises PoseError if no frames show enough targets.
+        """
         reports = list[str]()
         start = initialise(frames, self.rig, self.settings, report=reports.append)
         self.untracked = start.passed
@@ -132,7 +137,10 @@ class BallAdapter:
         return start.frames
 
     def _set_camera_pose(self, pose: Pose, text: str, resection: Resection | None = None) -> None:
-        """Begin to track from a pose, and log `text`. Raise PoseError if the ball is not in view."""
+        """Set the pose and its tracker, and log `text`. `resection` is the estimate from targets, if there was one.
+
+        Raises PoseError if the ball is not in view.
+        """
         self._tracker = build(self.rig, pose, self.settings)
         self.pose, self._posed, self.waiting, self.resection = pose, time.monotonic(), "", resection
         self._log(text)
@@ -145,7 +153,10 @@ class BallAdapter:
         return self.state is None or wants_colour(self.state, stamp)
 
     def follow(self, frame: Frame) -> FrameResult | None:
-        """Search the targets until the camera's pose is known, then track. SourceError: the frame has another size."""
+        """Search the targets until the camera's pose is known, and return None. Then track the frame.
+
+        Raises SourceError if the frame has another size than the camera.
+        """
         check_size(frame, self.rig.camera)
         if self._tracker is None:
             self._look_for_targets(frame)
@@ -157,18 +168,25 @@ class BallAdapter:
         return LogMessages(self._messages.take())
 
     def interrupted(self, reason: str) -> None:
-        """Drop the work on past frames, since the camera may be moved meanwhile."""
+        """Drop the work on past frames, since the camera may be moved meanwhile.
+
+        A requested estimate of the pose is answered with `reason`.
+        """
         self._forget_views()
         self._cancel_reinitialisation(reason)
 
     def restart(self, reason: str) -> None:
-        """Search the ball again, with the known pose."""
+        """Search the ball again, with the known camera pose. `reason` is the state in words until the ball is found."""
         self.state, self.status = None, Status.SEARCHING
         self._messages.restart(reason)
         self._forget_views()
 
     def prepare(self, plan: RunConfig, changed: Collection[str]) -> Change:
-        """Prepare other parameters, another map, or another device; the map is saved before another is read."""
+        """Prepare other settings, another map or another device; `changed` are the names of the plan's changed parts.
+
+        `apply` saves the map before it reads another. Raises SpheremouseError, and changes nothing, if the plan is
+        invalid.
+        """
         settings, outputs = plan.configuration, outputs_of(plan)
         rig = plan.device(self._given) if "rig" in changed else self.rig
         mapped = not {"rig", "map"}.isdisjoint(changed)
@@ -203,7 +221,10 @@ class BallAdapter:
         return Change(outputs, apply)
 
     def reinitialise(self, answer: Callable[[str | None, str], None], wanted: Callable[[], bool]) -> None:
-        """Estimate the camera's pose again while tracking continues with the old one."""
+        """Estimate the camera's pose again while tracking continues with the old one.
+
+        At the end, calls `answer` with an error (or None) and a text. Gives up if `wanted` returns False.
+        """
         if self._tracker is None:
             answer(None, f"the pose is being looked for: {self.waiting}")
         elif len(self.rig.targets.codes) < _MIN_TARGETS:
@@ -215,7 +236,10 @@ class BallAdapter:
             self._reinitialisation = _Reinitialisation(search, answer, wanted)
 
     def figures(self, seeing: bool) -> dict[str, Any]:
-        """Return the discs and the camera's pose."""
+        """Return the tracker's part of the status: discs, motion, camera pose and targets.
+
+        `seeing` is False if no frames arrive. Then discs used are 0 and motion is None.
+        """
         estimate = self._estimate
         found = {} if estimate is None else estimate.statistics
         tracking = seeing and self.status is Status.TRACKING
@@ -230,7 +254,10 @@ class BallAdapter:
         }
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
-        """Return a function that draws the overlay, black except for ball and targets unless `everything`."""
+        """Return a function that draws the overlay for a tracked frame with the sum of `counts`.
+
+        It is black except for ball and targets, unless `everything`. The image is copied.
+        """
         epoch, tracker = tracked.epoch, self._tracker
         assert isinstance(epoch, Epoch)
         assert tracker is not None
@@ -238,20 +265,23 @@ class BallAdapter:
         return lambda: picture(epoch, tracker, counts, everything=everything)
 
     def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
-        """Return a function that draws the targets; unless `everything`, the rest is coarse."""
+        """Return a function that draws a frame with its targets; unless `everything`, the rest is in coarse blocks."""
         return partial(sought, frame.image.copy(), self.rig, self.settings, everything=everything)
 
     def failure(self, unused: str) -> SpheremouseError | None:
-        """Return PoseError if the camera's pose was never found."""
+        """Return PoseError if the camera's pose was never found, else None.
+
+        `unused` is the reason why the source's frames could not be used, or empty.
+        """
         why = self.waiting if self.untracked else unused or "the source gave no frame"
         return PoseError(why) if self.waiting else None
 
     def last_words(self, failed: bool) -> tuple[str, ...]:
-        """Return no further lines."""
+        """Return no closing lines: the map's own line comes when it is saved."""
         return ()
 
     def close(self) -> None:
-        """Save the map."""
+        """Save the map, if one is kept, and wait for it."""
         if self._keeper is not None:
             self._keeper.close()
 
@@ -289,12 +319,12 @@ class BallAdapter:
         }
 
     def _forget_views(self) -> None:
-        """Drop the views of past frames."""
+        """Drop the views of past frames, and the results of searches that run."""
         self._first_pose = PoseSearch(self.rig, self.settings, partial(self._do, TARGETS))
         self._recovery = PoseRecovery(partial(self._do, TARGETS))
 
     def _look_for_targets(self, frame: Frame) -> None:
-        """Add a view, and set the pose once there are enough, or the reason why it is not found."""
+        """Add a view. Once there are enough, set the pose, or `waiting` to the reason why it was not found."""
         self.untracked += 1
         try:
             found = self._first_pose.look(frame)
@@ -324,7 +354,10 @@ class BallAdapter:
         self._detected = time.monotonic()
 
     def _with_pose(self, state: TrackState, frame: Frame, tracker: Tracker, found: Resection) -> Step[TrackState]:
-        """Return the step at a new pose; at the earlier one if the new pose does not show the ball."""
+        """Return the step at the requested new pose `found`, or at the earlier one if the ball is not in view from it.
+
+        The client gets its answer.
+        """
         assert self._reinitialisation is not None
         try:
             made = with_pose(state, frame, tracker, found.pose)
@@ -340,7 +373,7 @@ class BallAdapter:
         return made._replace(events=asked)
 
     def _estimate_pose(self, frame: Frame, again: _Reinitialisation) -> Resection | None:
-        """Add a view for a requested estimate of the pose. Return it once there is one."""
+        """Add a view for a requested estimate of the pose. Return the estimate once there is one, else None."""
         if not again.wanted():
             self._cancel_reinitialisation("given up: the client has disconnected")
             return None

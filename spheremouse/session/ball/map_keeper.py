@@ -1,7 +1,7 @@
-"""The map of discs over a run: loaded at its start, saved while it goes and at its end, beside the rig.
+"""Load the map of discs at a run's start, and save it during the run and at its end, beside the rig.
 
-What replaces what is decided by `succession` from the maps alone; the keeper does it, where frames must not wait for it
-in a thread that it is given: a memory card may take a second to write, and the next frame comes in thirty milliseconds.
+`succession` chooses the map to save from the maps alone. The keeper saves it in another thread if frames must not wait,
+because a memory card may take a second to write.
 """
 
 import os
@@ -27,7 +27,7 @@ _HALF = 0.5  # the same of another ball's map: a cover with a few dark spots is 
 
 
 def open_map(path: Path, rig: Rig) -> SavedMap:
-    """The map in a file, which must belong to the device; ConfigurationError says what to do."""
+    """Return the map in a file. Raise ConfigurationError if it cannot be read or does not fit the rig."""
     saved = load_map(path)
     check_fits(saved, rig, path)
     return saved
@@ -35,7 +35,7 @@ def open_map(path: Path, rig: Rig) -> SavedMap:
 
 @dataclass(frozen=True, slots=True)
 class Succession:
-    """The fate of a saved map."""
+    """The decision about a saved map: replace it or keep it."""
 
     map: DiscMap | None  # to be saved, in the frame of the saved one if it is the same ball; None: the saved one stays
     rotation: Array  # (3, 3) that brought the run's map there: saved ~ run's directions @ rotation.T
@@ -44,10 +44,11 @@ class Succession:
 
 
 def succession(saved: DiscMap | None, now: DiscMap, *, absolute: bool) -> Succession:
-    """Choose the map to save; `now` is the run's, `absolute`: it grew out of the saved one.
+    """Choose the map to save from the `saved` one (None: there is none) and the run's map `now`.
 
-    A run that did not recognise the saved map has one of its own. Of the same ball, it is brought into the frame of the
-    saved one, so that the attitude means the same for the device's life. Of another ball, it takes its place.
+    `absolute` is True if the run recognised the saved map and extended it. Otherwise the run has a map of its own. If
+    it is of the same ball, it is rotated into the frame of the saved one, so that attitudes stay comparable. If it is
+    of another ball, it replaces the saved one. A map with too few discs replaces nothing.
     """
     as_is = np.eye(3)
     if saved is None:
@@ -70,7 +71,7 @@ def succession(saved: DiscMap | None, now: DiscMap, *, absolute: bool) -> Succes
 
 
 def changed(saved: DiscMap | None, now: DiscMap) -> bool:
-    """Return True if the map has a new disc, or one known twice as well."""
+    """Return True if `now` has other discs than `saved`, or one with less than half its standard deviation."""
     if saved is None:
         return True
     there = compare_at(saved, now, np.eye(3))
@@ -90,9 +91,11 @@ class MapKeeper:
         every: float = EVERY,
         elsewhere: Callable[[Callable[[], None]], None] = lambda work: work(),
     ) -> None:
-        """Load what there is; `log` takes lines for the user, always in the caller's thread.
+        """Load the map in `path`, if the file exists. `log` prints a line, always in the caller's thread.
 
-        `elsewhere` has a thread save while the caller goes on; by default who keeps waits for it.
+        `every` is the time between two checks for changes, s. `elsewhere` has another thread save; by default the
+        caller waits. Raises ConfigurationError if the folder does not exist, or if the map is unreadable or of another
+        rig.
         """
         if not path.parent.is_dir():
             raise ConfigurationError(f"{path}: no such folder; name a place for the map with --map, or give --no-map")
@@ -129,7 +132,7 @@ class MapKeeper:
         self._tell()
 
     def keep(self, state: TrackState) -> None:
-        """The newest state; saved when it is time and it has something new."""
+        """Take the newest state, and save its map if `every` seconds have passed and the map has changed."""
         self._state = state
         self._tell()
         clock = time.monotonic()
@@ -142,7 +145,7 @@ class MapKeeper:
             self._elsewhere(lambda: self._save_meanwhile(*now))
 
     def _now(self) -> tuple[DiscMap, bool] | None:
-        """The run's map, and whether it grew out of the one it began with."""
+        """Return the run's map, and True if it extends the saved one; None if there is nothing to save."""
         if self._state is None or not self._writable:
             return None
         found = disc_map(self._state)
@@ -192,7 +195,7 @@ class MapKeeper:
         return saved if self._first is None else f"{saved}: {in_words(compare_at(self._first, self._saved, np.eye(3)))}"
 
     def _set_aside(self) -> Path:
-        """The map the run began with, under another name; the file itself stays until it is replaced whole."""
+        """Copy the map's file to another name and return that. The file itself stays until it is replaced whole."""
         old = old_path(self.path)
         with open_to_read(self.path) as file:
             replace(old, file.read())

@@ -1,4 +1,4 @@
-"""The ball in its frame as recordings and snapshots show it: the ball, the targets, and no people.
+"""Mask the pictures of recordings and snapshots so that they show the ball and the targets, and no people.
 
 A masked recording keeps the pixels that the tracker reads while it knows the camera's pose, so tracking it gives the
 same result bit for bit. The margins are the reach of the filters:
@@ -41,9 +41,9 @@ _RINGS = 6  # px, and a quarter of the patch: around a target whose rings are me
 
 
 def kept(rig: Rig, pose: Pose, settings: Settings) -> Image:
-    """Return 255 where a recording keeps a pixel, 0 where it is black, (h, w) uint8.
+    """Return the mask of a recording, (h, w) uint8: 255 for pixels that it keeps, 0 for black ones.
 
-    It is of a device seen from a pose, by a tracker with these settings. Raises PoseError if the ball is not in view.
+    It holds for a camera pose and a tracker with these settings. Raises PoseError if the ball is not in view.
     """
     default = replace(settings, detector="default", discs=replace(settings.discs, masks=()))
     detector = cast(DiscDetector, build(rig, pose, default).detector)  # that of "default"
@@ -54,12 +54,12 @@ def kept(rig: Rig, pose: Pose, settings: Settings) -> Image:
 
 
 def masked(image: Image, keep: Image | None) -> Image:
-    """Return a copy of an image, (h, w, 3) or (h, w), black where `keep`, (h, w), is 0; all of it without `keep`."""
+    """Return a copy of an image, (h, w, 3) or (h, w), that is black where `keep`, (h, w), is 0. None keeps all."""
     return np.asarray(image.copy() if keep is None else cv2.copyTo(image, keep), dtype=np.uint8)
 
 
 def _around_ball(detector: DiscDetector, clipped: bool) -> Image:
-    """Return the ball with the reach of the disc detector; `clipped`: the detector reads nothing outside its box."""
+    """Return a mask, (h, w), of pixels that the disc detector reads; `clipped`: it reads none outside its window."""
     f = detector.lattice.reduction
     rows, columns = detector.window
     closing = 2 * int(np.ceil(0.75 * detector.model.diameter / f))
@@ -81,7 +81,7 @@ def _grown(mask: Image, by: int) -> Image:
 
 
 def _target_boxes(rig: Rig, pose: Pose) -> list[tuple[int, int, int, int]]:
-    """Return for each monitored target the first column and row, and those after the last."""
+    """Return the box (left, top, right, bottom) in px of each monitored target; right and bottom are exclusive."""
     watched = watch.begin(rig, pose)
     if watched is None:
         return []
@@ -94,7 +94,7 @@ def _target_boxes(rig: Rig, pose: Pose) -> list[tuple[int, int, int, int]]:
 
 
 def ball_subject(rig: Rig, pose: Pose, settings: Configuration) -> Subject:
-    """Return the subject of a recording: the device, with the camera's pose to the last bit but no covariance of it."""
+    """Return the subject of a recording: the device with the camera's pose to the last bit, but not its covariance."""
     return Subject(
         camera=rig.camera,
         view=pose,
@@ -113,7 +113,8 @@ def picture(
 ) -> Image:
     """Draw the overlay on an epoch's picture, which is black except for ball and targets unless `everything`.
 
-    It takes some hundredths of a second, in which the epoch's image must not change. `counts` is their sum so far.
+    `counts` are the sums of x, y and the third axis so far. Drawing takes some hundredths of a second, in which the
+    epoch's image must not change.
     """
     tracker = current(epoch.state, tracker)
     keep = None if everything else kept(tracker.rig, tracker.pose, tracker.settings)

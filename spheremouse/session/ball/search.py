@@ -1,7 +1,7 @@
-"""Searches that may take longer than a frame, in another thread: targets, and the reason why discs are missing.
+"""Searches that may take longer than a frame, in another thread: for targets, and for the reason of missing discs.
 
-A search starts with one frame, and a later frame takes its result without waiting. If `elsewhere` runs it at once, the
-result is there at once, so the same frames give the same result.
+A search starts with one frame, and a later frame takes its result without waiting. If `elsewhere` runs the work in the
+caller's thread, the result is there at once, so the same frames give the same result.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ _DIAGNOSIS_INTERVAL_S = 2.0
 
 
 class _Search(Generic[T]):
-    """At most one search at a time."""
+    """Runs at most one search at a time, and holds its result until it is taken."""
 
     def __init__(self, elsewhere: Elsewhere) -> None:
         self._elsewhere = elsewhere
@@ -46,11 +46,11 @@ class _Search(Generic[T]):
         return self._future is None
 
     def begin(self, work: Callable[[], T]) -> None:
-        """Start a search."""
+        """Start a search; `work` returns its result."""
         self._future = as_future(work, self._elsewhere)
 
     def take(self) -> T | None:
-        """Return the result once, or raise its error; None while there is none."""
+        """Return the result once and clear it, or raise the search's error; None while there is none."""
         if self._future is None or not self._future.done():
             return None
         done, self._future = self._future, None
@@ -58,7 +58,7 @@ class _Search(Generic[T]):
 
 
 class PoseSearch:
-    """Views for the camera's pose: the newest frame is searched for targets as soon as the one before has been."""
+    """Estimates the camera's pose from targets in several frames. It skips frames that come while a search runs."""
 
     def __init__(self, rig: Rig, settings: Settings, elsewhere: Elsewhere) -> None:
         self._rig, self._settings = rig, settings
@@ -69,11 +69,14 @@ class PoseSearch:
 
     @property
     def wants_colour(self) -> bool:
-        """True if it takes the next frame, which must be in colour."""
+        """True if the next frame is searched, so that it must be in colour."""
         return self._search.idle
 
     def look(self, frame: Frame) -> Resection | None:
-        """Return the pose once there are enough views. Raise PoseError if they give none, or if the frame is grey."""
+        """Search a frame if no search runs. Return the pose once there are enough views, else None.
+
+        Raises PoseError if the views give no pose, or if the frame is grey.
+        """
         if self._search.idle:  # else this frame may be grey
             self._begin(frame)
         return self._search.take()
@@ -96,14 +99,17 @@ class PoseSearch:
 
 
 class PoseRecovery:
-    """Search of the targets by their colours while the ball is tracked, after the camera was moved."""
+    """Searches the targets by their colours after the camera was moved, while the ball is tracked."""
 
     def __init__(self, elsewhere: Elsewhere) -> None:
         self._search = _Search[Moved | None](elsewhere)
         self._tracker: Tracker | None = None  # in use when the search began
 
     def __call__(self, frame: Frame, tracker: Tracker) -> Moved | None:
-        """Start `seek_by_colour`, and return its pose if it is known at once; else `found` returns it later."""
+        """Start `seek_by_colour`, unless a search runs. Return its result if it is there at once, else None.
+
+        Otherwise `found` returns the pose later.
+        """
         if not self._search.idle:
             return None
         kept = replace(frame, image=frame.image.copy())
@@ -112,13 +118,13 @@ class PoseRecovery:
         return self._search.take()
 
     def found(self, tracker: Tracker | None) -> Pose | None:
-        """Return the pose that was found since, if the tracker in use is still the same."""
+        """Return the pose of a complete search; None if there is none, or if it began with another tracker."""
         moved = self._search.take()
         return None if moved is None or tracker is not self._tracker else moved[0].pose
 
 
 class BallMessages:
-    """Texts about the ball for status and log.
+    """Creates the texts about the ball for status and log.
 
     One thread calls the methods. Other threads may read `reason`.
     """
@@ -147,7 +153,7 @@ class BallMessages:
             self.reason = missing or self._known
 
     def restart(self, reason: str) -> None:
-        """Set `reason` when the search for the ball starts again."""
+        """Set `reason` to this text, since the search for the ball starts again."""
         self.reason = self._known = reason
 
     def take(self) -> str:
@@ -157,16 +163,16 @@ class BallMessages:
 
 
 class MissingDiscs:
-    """Periodic diagnosis of the picture while the ball is not tracked."""
+    """Finds the reason for missing discs in the picture, every 2 s while the ball is not tracked."""
 
     def __init__(self, elsewhere: Elsewhere) -> None:
         self._elsewhere = elsewhere
         self._reset()
 
     def look(self, state: TrackState, frame: Frame, tracker: Tracker) -> tuple[str, bool]:
-        """Return the reason for the missing discs, and True if it is new.
+        """Return the reason for the missing discs as text, and True if it differs from the last one.
 
-        The reason is empty while discs are in view, and until the first diagnosis is complete.
+        It is empty while the ball is tracked or three discs are in view, and until the first diagnosis is complete.
         """
         points, stamp = len(state.points), frame.stamp
         if state.status is Status.TRACKING:
