@@ -1,7 +1,7 @@
-"""Does the ball turn about its centre? The points of a frame and the discs known in, how far the centre is off out.
+"""Estimate the offset of the ball's centre from the points of one frame and the known discs.
 
-A ball that is lifted off its bearings, or out of round, shows its discs where no rotation takes them; a shift of its
-centre on top may explain them. Least squares on rotation and shift together, from the directions of one frame's discs.
+A ball that is lifted off its bearings, or out of round, shows its discs where no rotation takes them. A shift of its
+centre may explain them. Least squares estimate rotation and shift together.
 """
 
 from dataclasses import dataclass
@@ -67,27 +67,36 @@ def shift_of(points: SpherePoints, delay: Array, discs: KnownDiscs, radius: floa
 
 
 def is_off(found: CentreOffset, radius: float, lifted: float, out_of_round: bool = False) -> bool:
-    """Is the centre off its place, and is that all that is wrong? A ball out of round has a centre that goes round."""
+    """Return True if the centre is off its place and the shift explains the residuals.
+
+    `lifted` is the least offset in radii. A ball out of round has a centre that goes round, so it needs three times
+    that.
+    """
     least = (_ROUND if out_of_round else 1.0) * lifted * radius
     far = found.distance > least and found.mahalanobis > _MIN_MAHALANOBIS
     return far and found.chi2_with_offset < _EXPLAINED * found.chi2_rotation
 
 
 def fits(found: CentreOffset, radius: float, lifted: float) -> bool:
-    """Return whether the discs fit a rotation about the centre."""
+    """Return True if the discs fit a rotation about the centre; `lifted` as in `is_off`."""
     far = found.distance > 0.5 * lifted * radius and found.mahalanobis > 0.5 * _MIN_MAHALANOBIS
     return not far and found.chi2_rotation < _MOST
 
 
 def averaged(mean: float, found: CentreOffset, dt: float) -> float:
-    """The mean chi-square per degree of freedom, `dt` s later."""
+    """Return the running mean of the chi-square per degree of freedom after a frame that is `dt` s later."""
     keep = np.exp(-max(dt, 0.0) / _MEAN_TIME_S)
     return float(keep * mean + (1.0 - keep) * min(found.chi2_rotation, _MOST))
 
 
 @njit(cache=True, error_model="numpy")
 def _shift(seen, noise, by_ball, delay, discs, radius, reach) -> tuple[Any, ...]:
-    """Return the fields of CentreOffset; nan with fewer than four pairs."""
+    """Return the fields of CentreOffset; nan with fewer than four pairs.
+
+    `seen` (n, 3) are the points' directions, `noise` (n, 3, 3) m² their covariances. `by_ball` (n, 3, 4) are the
+    Jacobians of the points by the ball's centre and radius. For the others see `shift_of`. Raises LinAlgError if
+    the equations are singular, as with discs in one place.
+    """
     expected = discs.directions @ discs.attitude.T
     cosine = seen @ expected.T
     pair = mutual_nearest(np.where(cosine > np.cos(reach), 1.0 - cosine, np.inf))

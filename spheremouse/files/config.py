@@ -242,9 +242,9 @@ def _is_section(cls: type, field: "dataclasses.Field[Any]") -> bool:
 
 
 def _ordered(cls: type) -> list["dataclasses.Field[Any]"]:
-    """Return the settings of a class, sections last, so that YAML reads top-down.
+    """Return the fields of a settings class in the order of a YAML file: settings first, then sections.
 
-    A field that is neither a section nor made by `settings.param` is a constant of the code.
+    A field that is neither a section nor made by `settings.param` is a constant of the code and left out.
     """
     found = [f for f in dataclasses.fields(cls) if f.metadata or _is_section(cls, f)]
     return sorted(found, key=lambda f: _is_section(cls, f))

@@ -140,6 +140,10 @@ def _full(package: ModuleType, spec: str) -> str:
 
 
 def _loaded(entry: EntryPoint, what: str, error: type[SpheremouseError]) -> ModuleType:
+    """Return the module of a plug-in. Raise `error` if it cannot be loaded or has no function `open`.
+
+    `what` is the kind of plug-in in the message, for example "output".
+    """
     whose = f"{what} {entry.name}: the plug-in {entry.value}"
     try:
         module = entry.load()

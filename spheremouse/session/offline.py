@@ -103,7 +103,10 @@ class View(Protocol):
 
 
 def follow(frames: Iterable[Frame], adapter: TrackerAdapter, sinks: Sequence[Output], view: View) -> None:
-    """Track every frame of a recording, and log changes with the frame's stamp."""
+    """Track every frame of a recording, send each report to all `sinks`, and display the frame in `view`.
+
+    `view` also logs changes, with the frame's stamp. Frames for which the adapter returns None are skipped.
+    """
     for frame in frames:
         made = adapter.follow(frame)
         if made is None:

@@ -119,7 +119,10 @@ def _strange(views: TargetViews, block: Block, device: Device, camera: InteriorO
 
 
 def _scaled(views: TargetViews, block: Block, device: Device) -> tuple[Block, TargetViews]:
-    """Scale by the distances, if there are any; DistanceError for one that differs far from the others."""
+    """Return poses, points and depths scaled by the median ratio of the measured distances to those in `block`.
+
+    Without measured distances, nothing changes. Raises DistanceError if a ratio is too far from the median.
+    """
     if not device.distances:
         return block, views
     ratio = np.array([d.metres for d in device.distances]) / distances(device, block.points)

@@ -155,7 +155,10 @@ def sigmas(net: Network, known: int) -> Sigmas:
 
 
 def visible_targets(net: Network, pose: Pose) -> NDArray[np.bool_]:
-    """Return True for targets in a photo from a pose, (n,): within the slant, in the picture, not behind the ball."""
+    """Return True for targets in a photo from a pose, (n,): in the picture, not behind the ball, and not too oblique.
+
+    The line of sight must be within 70° of the targets' normal.
+    """
     points = net.targets
     away = pose.position - points
     distance = np.linalg.norm(away, axis=1)

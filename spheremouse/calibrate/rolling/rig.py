@@ -219,7 +219,11 @@ def with_direction(axes: Axes, rolled: RollingAdjustment) -> Axes:
 
 
 def _joint(rolled: RollingAdjustment, axes: Axes) -> Array:
-    """Covariance of axes, log distance, direction and ratio, (8, 8); all share the error of the lens."""
+    """Return the covariance, (8, 8), of axes (3), log distance (1), direction (3) and ratio (1).
+
+    If `axes.parts` is None, it is block-diagonal, and the distance has no variance. Else all share the error of the
+    lens.
+    """
     C = np.zeros((8, 8))
     if axes.parts is None:
         C[:3, :3], C[4:, 4:] = axes.covariance, rolled.covariance

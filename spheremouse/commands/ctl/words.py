@@ -53,7 +53,7 @@ def status_table(s: dict[str, Any]) -> Panel:
 
 
 def event_line(event: dict[str, Any], clock: str) -> Text:
-    """Return an event of `watch` in one line."""
+    """Return an event of `watch` in one line that begins with `clock`, the time as text."""
     if event.get("event") != "status":
         return Text.assemble((clock, "dim"), "  ", _text(event.get("text", "")))
     latency = event.get("latency_ms") or {}

@@ -143,7 +143,11 @@ def _times(stamps: Array, interval: float) -> Array:
 
 
 def _strips(grid: Array, mask: Image | None) -> Array:
-    """Return the grey of strips of rows relative to their mean, without slow changes, (n, strips)."""
+    """Return the grey of strips of rows over n frames, (n, strips), relative to their mean over time.
+
+    `grid` (n, rows, columns) has the mean grey values of cells of the pictures. Cells that are not within `mask`, the
+    ball in the picture, do not count; None: all count. A fitted parabola in time is subtracted.
+    """
     n, rows, columns = grid.shape
     weight = np.ones((rows, columns))
     if mask is not None:

@@ -94,7 +94,7 @@ def expected_residual(rig: Rig, pose: Pose, sigma: float) -> float:
 
 
 def sight(rig: Rig, pose: Pose, settings: Settings) -> tuple[Sight | None, Finding]:
-    """Return the detector, and a finding about the ball and the size of its discs."""
+    """Return pose and detector, None if the ball is not in view, and a finding about the size of ball and discs."""
     try:
         build(rig, pose, settings)
         detector = disc_detector(settings.discs, rig, pose)

@@ -298,6 +298,7 @@ class Serial:
             port.close()  # may wait for seconds
 
     def _log_changes(self) -> None:
+        """Log the link's notices and each change since the last call: another protocol, the board, its USB state."""
         self._log.flush()
         link, port = self._link, self._port
         while link.notices:

@@ -40,9 +40,10 @@ def socket_path(configured: str | None) -> Path:
 
 
 def find_socket() -> Path:
-    """Return the socket for a client: $SPHEREMOUSE_SOCKET, else the user's daemon, else the system's.
+    """Return the path of the daemon's socket for a client.
 
-    Of several, it is the first that answers, else the first that exists.
+    If $SPHEREMOUSE_SOCKET is set, that is the path, unchecked. Otherwise it is the first of `candidates` that answers,
+    else the first that exists, else the first.
     """
     given = os.environ.get("SPHEREMOUSE_SOCKET")
     if given:
@@ -53,7 +54,10 @@ def find_socket() -> Path:
 
 
 def candidates() -> Iterator[Path]:
-    """Yield the usual paths of a daemon's socket."""
+    """Yield the paths where a daemon's socket may be: in $RUNTIME_DIRECTORY, the user's folder and the system's.
+
+    The first is there if the variable is set, the second unless another user made that folder.
+    """
     given = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
     if given:  # the service started us, for example to reload it
         yield Path(given) / SOCKET

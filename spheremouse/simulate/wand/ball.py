@@ -171,6 +171,10 @@ def _shade(n, centre, albedo, lit, lamps, weight, pixel):
 
 @njit(cache=True, error_model="numpy")
 def _paint(pose, directions, cosines, paints, lit, lamps, lens, left, top, fine, weight, out):
+    """Add the picture of one pose times `weight` to `out` (h, w, 4), whose first pixel is (left, top).
+
+    A pixel gets one ray, or fine² rays if an edge runs through it.
+    """
     h, w = out.shape[:2]
     corner = np.empty((h + 1, w + 1), dtype=np.int64)
     normal = np.empty(3)
