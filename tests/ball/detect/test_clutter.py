@@ -194,7 +194,7 @@ def test_copies_of_every_target_are_told_from_the_real_ones():
 
 def test_more_copies_than_can_be_tried_are_refused():
     rig, _, made = sightings(10)
-    with pytest.raises(PoseError, match=r"too many copies of targets .*10 of .*cover them"):
+    with pytest.raises(PoseError, match=r"too many copies of .*targets .*10 of .*cover the copies"):
         resect(made, rig, np.zeros((480, 640), np.uint8))
 
 
@@ -203,7 +203,7 @@ def test_a_crowded_picture_is_why_targets_are_missing(crowded):
     view = TargetDetections((), np.zeros((0, 2)), np.zeros(0), (), crowded)
     with pytest.raises(PoseError) as refused:
         find_pose([view], default_scene().rig(), np.zeros((480, 640), np.uint8))
-    assert ("cover or move what is colourful, or narrow the hues" in str(refused.value)) == crowded
+    assert ("cover or remove colourful objects, or narrow the hues" in str(refused.value)) == crowded
 
 
 # --- the worker ------------------------------------------------------------------------------------------------------
