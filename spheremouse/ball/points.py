@@ -63,7 +63,6 @@ def intersect(detections: Centres, rig: Rig, pose: Pose) -> SpherePoints:
             pose.covariance,
             rig.ball.covariance,
             pose.ball_covariance,
-            bool(np.any(pose.ball_covariance)),
         )
     )
 
@@ -112,10 +111,10 @@ def _first_hit(xy, view, ray):
 
 
 @njit(cache=True, error_model="numpy")
-def _intersect(centre, noise, view, readout, pose_covariance, ball_covariance, cross_covariance, correlated):
+def _intersect(centre, noise, view, readout, pose_covariance, ball_covariance, cross_covariance):
     """Return the fields of SpherePoints for the rays that meet the ball."""
     rotation, P, K, R = view.rotation, view.position, view.centre, view.radius
-    n = len(centre)
+    n, correlated = len(centre), cross_covariance.any()
     xy, dxy_duv = np.empty((n, 2)), np.empty((n, 2, 2))
     unprojected(centre, view.intrinsic, view.distortion, view.fold_r2, xy, dxy_duv)
     position, covariance, direction = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3))

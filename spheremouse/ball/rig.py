@@ -109,8 +109,20 @@ class BallView(NamedTuple):
     height: int  # px
 
 
+_latest_view: tuple[Rig | None, Pose | None, BallView | None] = (None, None, None)  # each frame asks for the same
+
+
 def view_of(rig: Rig, pose: Pose) -> BallView:
     """Return the view of a rig's ball from a camera at `pose`."""
+    global _latest_view  # noqa: PLW0603 - replaced as a whole, so any thread may
+    last_rig, last_pose, view = _latest_view
+    if view is None or last_rig is not rig or last_pose is not pose:
+        view = _view_of(rig, pose)
+        _latest_view = rig, pose, view
+    return view
+
+
+def _view_of(rig: Rig, pose: Pose) -> BallView:
     ball, camera = rig.ball, rig.camera
     return BallView(
         ball.centre,

@@ -87,7 +87,7 @@ class So3Filter:
         last = min(dt, 0.5 * PERSISTENCE_S)
         usual = prior_of_levels(s.levels)
         weights = state.weights if len(state.weights) else usual
-        density = 2.0 * variances(s)[0] / PERSISTENCE_S
+        density = 2.0 * variances(s.acceleration_sigma, s.levels)[0] / PERSISTENCE_S
         attitude, rate, acceleration, joint = state.attitude, state.rate, state.acceleration, state.joint
         if dt > last:
             density_of_all = density * float(weights @ squared_levels(s.levels))
@@ -190,7 +190,7 @@ class So3Filter:
         first = self._pair(state, points, self._expected(state))
         if first.plain and first.innovation and (first.complete or not self._pairs_if_livelier(state, points, first)):
             corrected, dx, _ = self._corrected(state, first.innovation, first.rows)
-            if abs(dx[:3]).max() <= _LINEAR:
+            if max(abs(dx[0]), abs(dx[1]), abs(dx[2])) <= _LINEAR:
                 return first, corrected
         return self.nearest_pairs(state, points, first), None
 
@@ -340,7 +340,7 @@ class So3Filter:
         self, state: So3State, innovation: Innovation, rows: NDArray[np.intp]
     ) -> tuple[So3State, Array, float]:
         """Return the state after one correction by the points `rows`, the correction, and the log likelihood."""
-        steps = state.interval, PERSISTENCE_S, variances(self.settings)
+        steps = state.interval, PERSISTENCE_S, variances(self.settings.acceleration_sigma, self.settings.levels)
         joint, weights, dx, log_likelihood, nis, level = kernel.correct(
             state.joint, *innovation, state.rate, state.acceleration, steps, self._level_probabilities(state)
         )

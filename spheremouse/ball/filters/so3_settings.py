@@ -45,9 +45,9 @@ def squared_levels(levels: tuple[float, ...]) -> Array:
 
 
 @cache
-def variances(settings: So3Settings) -> Array:
+def variances(acceleration_sigma: float, levels: tuple[float, ...]) -> Array:
     """Return the variance of the angular acceleration at each level, (l,) (rad/s²)² per axis."""
-    return np.square(settings.acceleration_sigma * np.array(settings.levels))
+    return np.square(acceleration_sigma * np.array(levels))
 
 
 @cache
@@ -59,4 +59,4 @@ def prior_of_levels(levels: tuple[float, ...]) -> Array:
 
 def usual_acceleration(settings: So3Settings) -> float:
     """Standard deviation per axis, rad/s², before anything is seen: the levels' mean square."""
-    return float(np.sqrt(variances(settings) @ prior_of_levels(settings.levels)))
+    return float(np.sqrt(variances(settings.acceleration_sigma, settings.levels) @ prior_of_levels(settings.levels)))
