@@ -130,7 +130,7 @@ def _roff(text: str) -> str:
 
 
 def completion(shell: str) -> str:
-    """What a shell reads to complete commands and options; it asks the program itself for the words."""
+    """Return the completion script of a shell. It gets the words from the program itself."""
     from typer.testing import CliRunner
 
     from spheremouse.commands import app

@@ -2,7 +2,7 @@
 
     python docs/tray_figures.py
 
-Writes docs/images/tray-*.png. The daemon is a control socket that says what it is told. Needs what tests/system/tray.py
+Writes docs/images/tray-*.png. A control socket with given states stands in for the daemon. Needs what tests/system/tray.py
 needs, PyGObject included.
 """
 
@@ -28,7 +28,7 @@ DARK, LIGHT = (46, 52, 54), (240, 240, 240)  # panels
 
 
 def main() -> None:
-    """All pictures anew: each icon on a dark panel and on a light one, and the menu."""
+    """Write all pictures: each icon on a dark panel and on a light one, and the menu."""
     if missing():
         sys.exit(f"tray_figures.py: {missing()}")
     if not gtk():
@@ -43,7 +43,7 @@ def main() -> None:
 
 
 def pictures(ground: tuple[int, int, int], *, menu: bool = False) -> dict[str, Image.Image]:
-    """The tray on a panel of this colour, by state; also of the menu, into a file, where that is asked for."""
+    """Return pictures of the tray on a panel of this colour, by state. With `menu`, write one of the menu to a file."""
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         desk = Desktop(stack, folder, ground)

@@ -1,10 +1,11 @@
-"""Does the camera still stand where it stood? Small windows of the image in, the shift of each ring target out.
+"""Check whether the camera has moved, by the shifts of the ring targets in the image.
 
-What a target looked like when the pose was found is kept; looked for again within a few pixels it says, by normalised
-correlation, whether it is hidden or where it is now. What is wrong with rig and pose is wrong after a bump as before,
-so the shifts alone say how the camera moved: a resection relative to the pose before (Gauss-Newton, as Wittich 2017,
-section 2.4.3). They are measured on the rings' edges where the picture has colour and light enough, to a hundredth of a
-pixel; else by correlation, to a tenth, since what lies behind a target shifts otherwise.
+The monitor keeps a patch of each target from the frame that gave the pose. It searches the patch again within a few
+pixels by normalised correlation, and finds the target's new place, or that something hides it. The errors of rig and
+pose are the same before and after a bump. So the shifts alone give the camera's motion, by a resection relative to the
+pose before (Gauss-Newton, as Wittich 2017, section 2.4.3). With enough colour and light the shifts come from the rings'
+edges, good to a hundredth of a pixel. Otherwise they come from the correlation, good to a tenth, because the background
+of a target shifts by another amount.
 """
 
 from dataclasses import dataclass, field, replace

@@ -151,11 +151,11 @@ def _with_check(
 def _with_new_pose(
     state: TrackState, anew: Tracker, added: Array | None, frame: Frame, tracker: Tracker
 ) -> Step[TrackState]:
-    """The frame with the camera where it is now: the ball knows nothing of the bump, so nothing jumps.
+    """Process a frame after the camera has moved. The ball's attitude and rate stay, so the pointer does not jump.
 
-    What lies in the picture, look-alikes and candidates, is forgotten, and how well the ball turned about its centre:
-    a new pose is a new claim of where that is. The pose's error stays what it was, and so does
-    what the map has taken up of it; `added`, (6, 6), comes on top. None: the pose owes nothing to the one before.
+    The tracker forgets look-alikes and candidates, because they have other places in the picture. It also forgets the
+    ball's eccentricity, because a new pose changes the ball's apparent centre. The covariance of the pose stays, with
+    the map's share of it, and grows by `added`, (6, 6). With None the new pose is independent of the old one.
     """
     filtered = anew.method.at_new_pose(state, anew, added)
     watch = watching.begin(anew.rig, anew.pose) if anew.method.keeps_map else None

@@ -1,6 +1,6 @@
 """A film that is looked at once and filtered any number of times: what a detector saw, in; a run and its errors, out.
 
-For the classic filters, whose detector looks at whole pictures: what they see does not depend on what they know.
+This serves the classic filters. Their detector searches whole pictures, so its results do not depend on the filter.
 """
 
 from dataclasses import dataclass, fields, replace

@@ -1,7 +1,7 @@
 """Jobs of an experiment. They return plain data, from which a section of the page follows.
 
 A module of this package is an experiment: it has `jobs(request)`. A job names a function of that module, which runs in
-a process of its own with the job's parameters and returns what JSON can hold.
+a process of its own with the job's parameters and returns plain data for JSON.
 """
 
 import json

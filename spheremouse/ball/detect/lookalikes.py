@@ -1,10 +1,10 @@
 """Separation of discs from static distractors: spots that stand still while the ball turns.
 
-Bolts, their shadows, a player's buttons pass every test of shape. Each candidate's place is followed from where it was
-first seen; the ball's rotation says where a disc would be by now. Only what moved with the ball may found a disc, and
-what stayed is remembered as a mask in the image, for as long as the camera stands.
-All this holds while the ball's attitude is right: judge by an attitude that the frame itself confirms, never by a
-prediction (a hand may have stopped the ball meanwhile): else the discs themselves would be masked.
+Bolts, their shadows and a player's buttons pass every test of shape. The tracker follows each candidate from its first
+place, and compares it with the place to which the ball's rotation would have carried a disc. A spot that moved with the
+ball can become a disc. A spot that stayed becomes a mask in the image for as long as the camera stands.
+This needs the right attitude, so use one that the frame itself confirms, never a prediction. If a hand had stopped the
+ball meanwhile, a prediction would mask the discs themselves.
 """
 
 from dataclasses import dataclass, field, replace

@@ -21,7 +21,7 @@ from spheremouse.geometry.rotation import Array, exp_into
 
 
 class DiscModel(NamedTuple):
-    """What a detector knows of discs, camera and ball while the camera stands, for compiled code."""
+    """Discs, camera and ball of a detector for one camera pose, for compiled code."""
 
     ball: BallView
     mask: Image  # (h, w) 255 on the ball, a little within its outline

@@ -51,7 +51,7 @@ def fractional(column: Array) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recorded:
-    """What every recording has; `read_frames` yields its frames."""
+    """Fields of every recording. `read_frames` yields its frames."""
 
     path: Path
     name: str

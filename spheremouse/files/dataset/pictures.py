@@ -16,7 +16,7 @@ from spheremouse.files.pictures import film_images, open_film
 
 SMALL = ("FFV1", "HFYU")  # codecs in the order they are tried: half the size
 FAST = ("HFYU", "FFV1")  # or a sixth of the time
-GREY = ("FFV1",)  # what else OpenCV writes in grey comes back otherwise
+GREY = ("FFV1",)  # OpenCV reads back other grey values from the other codecs
 
 
 def lossless_codec(folder: Path, size: tuple[int, int], codecs: tuple[str, ...], colour: bool) -> str | None:

@@ -21,7 +21,7 @@ from spheremouse.files.disc_map import SavedMap, age, check_fits, load_map, old_
 from spheremouse.files.safe_files import open_to_read, replace
 from spheremouse.geometry.rotation import Array
 
-EVERY = 60.0  # s between two looks whether the map has changed: what a power cut may cost
+EVERY = 60.0  # s between two checks for a changed map; a power cut can cost as much
 _AS_GOOD = 0.8  # part of the saved discs that a map of the same ball must know to take their place
 _HALF = 0.5  # the same of another ball's map: a cover with a few dark spots is no ball
 

@@ -1,7 +1,7 @@
 """The control socket's server: one thread with an asyncio loop. Its clients cannot slow the tracker.
 
-A client has one request under way at a time. All clients together are limited in what they can make this thread do
-(`Limits`): it shares the interpreter with the tracker. `asyncio.start_unix_server` reads and accepts as fast as clients
+A client has one request under way at a time. `Limits` bounds the work of this thread for all clients together, because
+it shares the interpreter with the tracker. `asyncio.start_unix_server` reads and accepts as fast as clients
 send, so the loop's socket functions are used directly.
 """
 

@@ -73,10 +73,10 @@ def _fold_up_code() -> int:
 
 
 def _give_back() -> None:
-    """Pages of program libraries that only the start has needed, the compiler's above all: a third of the memory.
+    """Release memory that only the start needed, above all the compiler's: a third of the total.
 
-    What is needed after all comes back from the page cache when it is touched. Only views of a file in which nothing
-    was written: the others' pages would be lost. (MADV_PAGEOUT asks for the right to write to the file.)
+    The kernel reads a page again from the page cache when the program touches it. This covers only unchanged views of
+    files, because changed pages would be lost. (MADV_PAGEOUT needs the right to write to the file.)
     """
     gc.collect()
     libc = ctypes.CDLL(None, use_errno=True)

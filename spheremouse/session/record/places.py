@@ -41,7 +41,7 @@ def next_name(folder: Path, now: time.struct_time | None = None, suffix: str = "
 
 
 def tidy(folder: Path) -> int:
-    """Remove what a crash left half written in the folder of recordings; how many. What is being written stays."""
+    """Remove what a crash left half written in the folder of recordings; return their number. Files in use stay."""
     removed = 0
     with contextlib.suppress(OSError):
         for left in sorted(folder.iterdir()):

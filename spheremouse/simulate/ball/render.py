@@ -1,8 +1,8 @@
 """Frames of a simulated scene, each with its exact truth.
 
-What stands still is rendered once (`backdrop`); a frame mixes in the discs (`caps`), averaged over the exposure, row
-by row where the shutter rolls, then hands, light and noise. Mixing is done in grey values, as a camera with a linear
-response would. While nothing moves, only light and noise are new.
+The renderer draws the still parts of the scene once (`backdrop`). Each frame mixes in the discs (`caps`), averaged over
+the exposure and row by row with a rolling shutter, then hands, light and noise. It mixes grey values, like a camera
+with a linear response. While nothing moves, only light and noise are new.
 """
 
 from collections.abc import Sequence
