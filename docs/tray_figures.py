@@ -2,8 +2,8 @@
 
     python docs/tray_figures.py
 
-Writes docs/images/tray-*.png. A control socket with given states stands in for the daemon. Needs what tests/system/tray.py
-needs, PyGObject included.
+Writes docs/images/tray-*.png. A control socket with given states stands in for the daemon. It has the requirements of
+tests/system/tray.py, PyGObject included.
 """
 
 import contextlib
