@@ -195,7 +195,7 @@ def test_a_folder_that_others_may_change_is_refused(root, own, nobody, folder, w
         own(path.parent)
     before = sorted(root.rglob("*"))
     for command in (["install"], ["uninstall", "--purge"]):
-        with pytest.raises(ServiceError, match=r"others than root may change|leads out of"):
+        with pytest.raises(ServiceError, match=r"users other than root can change|leads out of"):
             CliRunner().invoke(app, [*command, "--root", str(root / "image")], catch_exceptions=False)
     assert sorted(root.rglob("*")) == before
 

@@ -21,7 +21,7 @@ def test_what_is_written_is_read(tmp_path, board):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("square: 20", "20 of what"),
+        ("square: 20", "20: a length needs its unit"),
         ("square: 20mm\nboard: 11\n", "board.yaml:2: board"),
         ("size: 3\n", "size: is not known here"),
         ("- 1\n", "must be lines"),

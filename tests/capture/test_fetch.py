@@ -288,7 +288,7 @@ def test_a_live_source_never_ends(start):
     capture.start()
     until(lambda: len(opened) > 1)
     assert not capture.finished
-    assert "gives no more frames" in capture.trouble or capture.trouble == ""
+    assert "delivers no more frames" in capture.trouble or capture.trouble == ""
     capture.close()
 
 

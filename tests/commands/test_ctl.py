@@ -407,7 +407,7 @@ def test_set_and_save_in_one_and_what_the_command_line_said_is_refused_before_it
     daemon.asked.clear()
     code, out, err = ctl("set", "motion.scale_y=2", "--save")
     assert (code, out) == (1, "")
-    assert err.startswith("spheremouse: motion.scale_y: said on the daemon's command line, which comes before the file")
+    assert err.startswith("spheremouse: motion.scale_y: set on the daemon's command line, which overrides the file")
     assert [request.command for request in daemon.asked] == ["status"]
 
 

@@ -344,7 +344,7 @@ def test_a_slip_is_answered_in_one_line(spheremouse, roll, empty_folder, words, 
     [
         (["--size", "640"], "--size 640: write WIDTHxHEIGHT in px"),
         (["--dist", "1,2"], "--dist 1,2: write 5 numbers from -2 to 2, as in -0.1,0,0,0,0"),
-        (["--fps", "0"], "--fps: 0.0 must be above 0"),
+        (["--fps", "0"], "--fps: 0 must be above 0"),
         (["--blur", "1"], "--blur: 1 s is longer than a frame"),
     ],
     ids=lambda p: p[0] if isinstance(p, list) else "",

@@ -110,7 +110,7 @@ def test_where_a_thread_is_missing_those_before_stay_and_no_other_is_opened(run,
 
     def begin(thread):
         if begun:
-            raise ControlError("no thread to be had")
+            raise ControlError("refuses a new thread")
         begun.append(thread)
         thread.start()
 

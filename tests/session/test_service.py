@@ -1039,9 +1039,9 @@ def test_without_another_thread_to_be_had_only_what_needs_one_fails(film):
     try:
         daemon.until("tracking:")
         assert Path(daemon.ask("snapshot")["file"]).exists()
-        with pytest.raises(ControlError, match="no thread to be had: the system's limit of tasks"):
+        with pytest.raises(ControlError, match="refuses a new thread, as its limit of tasks"):
             daemon.ask("record")
-        with pytest.raises(ControlError, match="no thread to be had"):
+        with pytest.raises(ControlError, match="refuses a new thread"):
             daemon.ask("set", assignments=["output=text:/dev/null"])
         assert daemon.ask("status")["output"]["spec"] == "null"
         assert daemon.ask("reload")["changed"] == []

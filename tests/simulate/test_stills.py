@@ -420,7 +420,7 @@ def test_like_needs_targets_and_discs(far26, monkeypatch):
     rig = recording.rig
     few = replace(rig.targets, ids=rig.targets.ids[:2])
     for changed, message in (
-        (replace(recording, truth_directions=None), "nothing of the discs' places"),
+        (replace(recording, truth_directions=None), "scene.json lacks the discs' places"),
         (replace(recording, rig=replace(rig, targets=few)), "2 ring targets"),
     ):
         monkeypatch.setattr(shell, "open_dataset", lambda path, changed=changed: changed)

@@ -135,7 +135,7 @@ def test_photos_of_the_device_are_not_taken_for_a_board_of_another_size(tmp_path
 
 
 def test_without_photos_it_asks_for_them_first():
-    assert "which photos, of which board? example: spheremouse calibrate camera board/ --board" in refused()
+    assert "the command needs photos and a board. example: spheremouse calibrate camera board/ --board" in refused()
 
 
 def test_what_comes_next_is_there(made, folder):

@@ -299,7 +299,7 @@ def test_a_program_that_the_service_cannot_reach_is_told_and_how_to_install_it_f
     monkeypatch.setattr(Path, "exists", lambda path: True)
     path, why = service.executable(Place())
     assert path == f"{folder}/bin/spheremouse"
-    assert "user of its own" in why
+    assert "own user cannot read" in why
     assert how in why
     assert why.endswith("make it your own service: spheremouse service install --user")
     assert service.executable(Place(user=True)) == (f"{folder}/bin/spheremouse", "")
@@ -310,7 +310,7 @@ def test_a_python_in_a_home_folder_is_told(monkeypatch):
     monkeypatch.setattr(sys, "prefix", "/opt/venv")
     monkeypatch.setattr(sys, "executable", "/home/a/.pyenv/bin/python3.12")
     monkeypatch.setattr(Path, "exists", lambda path: True)
-    assert "does not see the Python of /opt/venv/bin, /home/a/.pyenv/bin/python3.12" in service.executable(Place())[1]
+    assert "cannot read the Python of /opt/venv/bin, /home/a/.pyenv/bin/python3.12" in service.executable(Place())[1]
     monkeypatch.setattr(sys, "executable", "/usr/bin/python3.12")
     assert service.executable(Place()) == ("/opt/venv/bin/spheremouse", "")
 
@@ -321,7 +321,7 @@ def test_a_folder_closed_to_others_is_told(monkeypatch, tmp_path):
     tmp_path.chmod(0o750)
     monkeypatch.setattr(service, "_UNREACHABLE", ())  # which this folder may be in
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
-    assert "user of its own" in service.executable(Place())[1]
+    assert "own user cannot read" in service.executable(Place())[1]
 
 
 def test_status_and_dry_run_work_wherever_the_program_lies(root, monkeypatch):

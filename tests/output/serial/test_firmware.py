@@ -575,7 +575,7 @@ def test_a_check_over_a_bad_line(simulated):
     ("runs", "kind", "advice"),
     [
         ((0, 9, 0), 1, "pull the board and plug it in again, or run `spheremouse firmware install`"),
-        ((0, 9, 0), 2, "load the new one as docs/microcontroller.md says for the ATmega32U4"),
+        ((0, 9, 0), 2, "load the new one (make upload; docs/microcontroller.md, ATmega32U4)"),
         ((1, 1, 0), 1, "newer than this program; update spheremouse"),
     ],
 )

@@ -934,7 +934,7 @@ def test_the_client_sees_the_daemon_end(path):
         (b"", "has ended or disconnected"),
         (b'{"ok": true', "has ended or disconnected"),
         (b'{"ok": false, "error": "\\u001b[2Jgone"}\n', "\N{REPLACEMENT CHARACTER}\\[2Jgone"),
-        (b'{"ok": 1}\n', "does not say why"),
+        (b'{"ok": 1}\n', "refuses without a reason"),
         (b'{"ok": true, "discs": 1.5}\n', r"is no status of spheremouse \(discs: Input should be a valid integer"),
         (b'{"ok": true, "frames": ' + b"9" * 5000 + b"}\n", "is no daemon of spheremouse"),
     ],

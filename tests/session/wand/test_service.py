@@ -307,10 +307,10 @@ def test_without_another_thread_no_output_is_changed(playing, monkeypatch):
     playing.until(lambda: len(rows(path)) > 3, "axes")
 
     def none(_):
-        raise ControlError("no thread to be had")
+        raise ControlError("refuses a new thread")
 
     monkeypatch.setattr("spheremouse.session.outputs.begin", none)
-    with pytest.raises(ControlError, match="no thread"):
+    with pytest.raises(ControlError, match="refuses a new thread"):
         playing.client.ask("set", assignments=[f"wand.axes={other}"])
     n = len(rows(path))
     playing.until(lambda: len(rows(path)) > n + 5, "axes")
@@ -333,7 +333,7 @@ def test_a_complaint_is_said_with_the_frame_that_finds_the_ball(world, monkeypat
 
 
 def test_a_recording_shows_who_holds_the_ball_and_so_has_to_be_asked_for_in_whole(playing):
-    with pytest.raises(ControlError, match=r"whoever holds the ball is in the picture.*--everything"):
+    with pytest.raises(ControlError, match=r"with the person in them.*--everything"):
         playing.client.ask("record")
     assert not (playing.folder / "recordings").exists() or not list((playing.folder / "recordings").iterdir())
 
