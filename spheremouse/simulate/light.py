@@ -1,7 +1,7 @@
-"""Light on a simulated scene: what the camera sees of a point, as a grey value per channel.
+"""Light on a simulated scene: the grey value of a point in the camera, per channel.
 
-Two rectangular lamps (form factor of a polygon, Lambert 1760), light from all round, soft shadows of the ball and the
-struts, a glossy coat on the ball (Schlick 1994). It is there to be plausible, and smooth; no truth depends on it.
+The model has two rectangular lamps (form factor of a polygon, Lambert 1760), ambient light, soft shadows of the ball
+and the struts, and a glossy coat on the ball (Schlick 1994). It is plausible and smooth; no truth depends on it.
 """
 
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ class Lighting:
     ball_radius: float  # m
 
     def on_room(self, points: Array, normals: Array) -> Array:
-        """Light that falls on points of the room, (n, 3); the ball and the struts stand in its way."""
+        """Return the light on points of the room, (n, 3). The ball and the struts block a part of it."""
         towards = -points
         distance = _length(towards)
         facing = _dot(normals, towards) / distance
@@ -131,7 +131,7 @@ def develop(light: Array) -> Array:
 
 
 def reflectance(colour: Colour) -> Colour:
-    """Share of light given back by what is painted in a colour of the screen: blue, green, red, 0..255 (sRGB)."""
+    """Return the reflectance of a surface painted in a screen colour: blue, green, red, 0..255 (sRGB)."""
     x = np.array(colour) / 255.0
     b, g, r = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
     return float(b), float(g), float(r)

@@ -1,9 +1,9 @@
 """Constant parts of all frames, rendered once: the scene with a plain ball, and with one that is all disc.
 
-A frame is then a mixture of the two, by the share of each pixel that the discs cover. A ball that leaves its place, as
-when it is lifted off its bearings, is put together from layers: the ball alone, the room without it and what stands
-before it. The ball's picture then follows its outline, by a shift and a scale: shade and gloss travel with it, which no
-truth depends on. Discs are not in these pictures; `caps` puts them exactly where they are.
+A frame is a mixture of the two, weighted by the fraction of each pixel that the discs cover. If the ball leaves its
+place, for example lifted off its bearings, three layers are combined: the ball alone, the room without it, and the
+objects before it. The ball's picture then follows its outline by a shift and a scale. Shade and gloss move with it; no
+truth depends on them. These pictures have no discs. `caps` adds the discs at their exact places.
 """
 
 from dataclasses import dataclass, replace
@@ -119,7 +119,7 @@ def _mixed(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], dep
 
 
 def _colours(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], depth: Array) -> tuple[Array, Array]:
-    """Grey values of what rays see, (n, 3), with a white and with a black ball; black where they see nothing."""
+    """Return the grey values at rays, (n, 3), with a white and with a black ball. A ray that hits nothing is black."""
     light, gloss = np.zeros((len(xy), 3)), np.zeros((len(xy), 3))
     albedo = np.zeros((len(xy), 3))
     on_ball = np.flatnonzero(ids == 0)

@@ -1,7 +1,7 @@
 """A chessboard in a room, and its picture: black squares on white card, anti-aliased through the lens.
 
-The share of a pixel that is black is that of a half plane where one edge crosses, of a product of two near a corner:
-edges are straight within a part of a pixel. What is behind the board is out of focus and rendered coarsely.
+If one edge crosses a pixel, the black fraction is that of a half plane. Near a corner it is that of a product of two.
+Edges are taken as straight within a part of a pixel. The scene behind the board is out of focus and rendered coarsely.
 """
 
 from dataclasses import dataclass, replace

@@ -35,7 +35,7 @@ class Coverage(NamedTuple):
 
 
 class BallView(NamedTuple):
-    """Shares of each pixel that the ball fills: together they say what is hidden."""
+    """Fractions of each pixel that the ball fills. Their difference gives the hidden part."""
 
     shown: NDArray[np.float32]  # (h, w) as it is seen
     alone: NDArray[np.float32]  # (h, w) were nothing in front of it
@@ -108,7 +108,7 @@ class Caps:
         return Coverage((v * self.scene.camera.width + u)[keep], disc[keep], share[keep])
 
     def truth(self, attitude_at: AttitudeAt, t: float, frame: int, covered: Coverage, view: BallView) -> DiscTruth:
-        """The discs whose centres are on the near side at time `t`, each at the time of its own rows.
+        """Return the discs with centres on the near side at time `t`, each at the time of its own rows.
 
         `covered` is the coverage at that time.
         """

@@ -41,7 +41,7 @@ class Flicker:
     mains: float = 50.0  # Hz
 
     def at(self, t: Array, exposure: float) -> Array:
-        """Factor on what is exposed around times `t` for `exposure` s: the mean over that time."""
+        """Return the mean brightness factor of exposures of `exposure` s centred on times `t`."""
         f = 2.0 * self.mains
         return 1.0 + self.depth * np.sinc(f * exposure) * np.cos(2.0 * np.pi * f * t)
 
@@ -183,7 +183,7 @@ def _corners(hand: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def hand_in_picture(hand: NDArray[np.float32], corners: Array, camera: InteriorOrientation) -> PlacedHand | None:
-    """A drawn hand whose corners are at (4, 3) m in `cam`; None while it is out of sight."""
+    """Place a drawn hand in the picture, with its corners at (4, 3) m in `cam`. Return None if it is out of sight."""
     uv = project(corners, camera)[0]
     if not np.all(np.isfinite(uv)):
         return None

@@ -1,6 +1,6 @@
 """A simulated camera films a simulated ball: frames and exact truth, without files, clocks or a graphics card.
 
-`SimulationOptions` says what to film, in the words of the command line; `prepare` builds it and `simulate` films it.
+`SimulationOptions` has the options of the command line. `prepare` builds the scene, and `simulate` films it.
 """
 
 from collections.abc import Iterator
@@ -71,9 +71,9 @@ class Simulation:
 
 
 def prepare(options: SimulationOptions, named: Named = option_name) -> Simulation:
-    """Scene, motion and effects of some options; ConfigurationError where they make no sense.
+    """Return scene, motion and effects for the options. Raise ConfigurationError if they are invalid.
 
-    `named` says how a field is called where it came from.
+    `named` returns the name of a field in its source, for example its command-line option.
     """
     _check(options, named)
     if options.seconds is not None:
@@ -165,7 +165,7 @@ def _effects(options: SimulationOptions, seconds: float) -> RenderOptions:
 
 
 def _changes(options: SimulationOptions, scene: Scene, profile: Profile, named: Named) -> tuple[Change, ...]:
-    """Changes of the scene, by time, each from what the one before has left."""
+    """Return the changes of the scene in order of time. Each starts from the scene after the previous one."""
     times = {"bump": options.bump, "disc off": options.disc_off, "disc moved": options.disc_moved}
     changes: list[Change] = []
     for what, time in sorted(((w, t) for w, t in times.items() if t is not None), key=lambda item: item[1]):

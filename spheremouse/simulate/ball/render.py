@@ -50,7 +50,7 @@ class RenderOptions:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedFrame:
-    """A frame with what really happened."""
+    """A frame with its ground truth."""
 
     frame: Frame
     attitude: Array  # (3, 3) R_obj_ball at the stamp
@@ -69,7 +69,7 @@ class _Set(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """The last frame's discs and ball, to be used again while the ball stands."""
+    """The last frame's discs and ball, reused while the ball does not move."""
 
     attitude: Array  # (3, 3) R_obj_ball
     centre: Array  # (3,) m
@@ -83,7 +83,7 @@ class Renderer:
     """Renders frames of one scene; making it takes a few seconds, a frame takes milliseconds."""
 
     def __init__(self, scene: Scene, options: RenderOptions | None = None, backdrop: Backdrop | None = None) -> None:
-        """`backdrop`: that of another renderer whose scene looks the same without discs; it saves the seconds."""
+        """`backdrop` may come from another renderer if both scenes look the same without discs. This saves seconds."""
         self.scene = scene
         self.options = RenderOptions() if options is None else options
         self.backdrop = render_backdrop(scene) if backdrop is None else backdrop

@@ -1,9 +1,9 @@
-"""A simulated calibration evening: photos of a device and of a chessboard, with the truth behind them.
+"""Simulated calibration photos of a device and of a chessboard, with their ground truth.
 
-`StillsOptions` says what is photographed, `prepare_stills` puts up device, lens and tripod, `photos` takes the
-pictures one by one. The device stands still; the hand-held camera goes round it, as far as the targets let it. Its
-places are those that the recipe asks of a person: the device from all sides that show three targets, the board aslant,
-near, and in every part of the picture.
+`StillsOptions` selects the subjects. `prepare_stills` builds device, lens and tripod, and `photos` takes the pictures
+one by one. The device does not move. The hand-held camera moves round it, as far as the targets are in view. It takes
+the views of the written instructions: the device from all sides that show three targets, and the board aslant, near,
+and in every part of the picture.
 """
 
 from collections.abc import Iterator
@@ -134,7 +134,7 @@ def _shows(scene: Scene, pose: Pose) -> bool:
 
 
 def seen_targets(scene: Scene, pose: Pose) -> NDArray[np.bool_]:
-    """Targets that nothing hides and whose rings are wide enough to be told apart, (n,)."""
+    """Return True, (n,), for targets that nothing hides and that have rings wide enough to be resolved."""
     shapes = [Sphere(np.zeros(3), scene.ball_radius, scene.ball_colour), *scene.surroundings]
     view = look(shapes, pose.position, pose.rotation)
     cam = pose.to_cam(_rims(scene))
@@ -230,7 +230,7 @@ _BOLT = 0.525  # radii of a disc: as in the reference recordings
 
 @dataclass(frozen=True, slots=True)
 class DeviceShape:
-    """A device that is to be photographed in place of the default one."""
+    """The device to photograph in place of the default one."""
 
     ball_radius: float  # m
     disc_radius: float  # m, along the ball's surface

@@ -1,8 +1,8 @@
-"""A simulated trackball under the ball: how the ball turns in, the log of a mouse out (what `log-mouse` writes).
+"""A simulated trackball under the ball. It converts the ball's rotation to a mouse log, in the format of `log-mouse`.
 
-Its reports come unevenly, late by an unknown lag, on a clock of their own, in whole counts and only while there are
-some; it may slip where the ball is jerked, and reports get lost. Wittich 2017, section 4.1.1 and figure 28, which
-recorded a real one.
+Its reports come at uneven times, late by an unknown lag, with stamps of a separate clock. They have whole counts, and
+there is no report without counts. The sensor may slip when the ball is jerked, and reports get lost. Source: Wittich
+2017, section 4.1.1 and figure 28, a recording of a real trackball.
 """
 
 from collections.abc import Callable

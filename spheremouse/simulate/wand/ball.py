@@ -1,7 +1,7 @@
-"""Rays cast at a hand-held ball: what a camera sees of its discs as true spherical caps, anti-aliased, in any light.
+"""Ray casting of a hand-held ball. Its discs are true spherical caps, anti-aliased, in any light.
 
-One ray per pixel where ball and discs are plain, many where an edge runs through; averaged over the exposure. It owes
-nothing to the projection that the particle filter uses: rays go out here, points come in there.
+A pixel gets one ray on a plain part of ball or disc, and many rays on an edge. The result is averaged over the
+exposure. The code is independent of the particle filter's projection: it casts rays, and the filter projects points.
 """
 
 from collections.abc import Sequence
@@ -110,7 +110,7 @@ def paint_ball(
 def label_at(
     uv: Array, centre: Array, rotation: Array, ball: WandBall, camera: InteriorOrientation
 ) -> NDArray[np.int64]:
-    """Labels of what rays through pixels (n, 2) meet, (n,): -1 nothing, 0 the body, k + 1 the k-th disc."""
+    """Return the labels, (n,), of the surfaces at pixels (n, 2): -1 nothing, 0 the body, k + 1 the k-th disc."""
     directions = np.array([d.direction for d in ball.discs]).reshape(-1, 3)
     cosines = np.cos([d.angle for d in ball.discs]).reshape(-1)
     found, normal = np.empty(len(uv), dtype=np.int64), np.empty(3)
@@ -171,7 +171,7 @@ def _shade(n, centre, albedo, lit, lamps, weight, pixel):
 
 @njit(cache=True, error_model="numpy")
 def _paint(pose, directions, cosines, paints, lit, lamps, lens, left, top, fine, weight, out):
-    """Add the picture of one pose times `weight` to `out` (h, w, 4), whose first pixel is (left, top).
+    """Add the picture of one pose times `weight` to `out` (h, w, 4), with the first pixel at (left, top).
 
     A pixel gets one ray, or fine² rays if an edge runs through it.
     """

@@ -1,7 +1,7 @@
 """A simulated camera films a wand: frames and exact truth, without files or clocks.
 
-`WandOptions` says what to film, in the words of the command line; `prepare_wand` builds it, `simulate_wand` films it.
-The scene and the drive are those of Grzonka 2005, chapter 4; the hand-held motion is what a player's arm does.
+`WandOptions` has the options of the command line. `prepare_wand` builds the scene, and `simulate_wand` films it.
+The scene and the drive are those of Grzonka 2005, chapter 4. The hand-held motion is that of a player's arm.
 """
 
 from collections.abc import Iterator
@@ -51,7 +51,7 @@ class WandFilm:
 
 @dataclass(frozen=True, slots=True)
 class WandShot:
-    """A frame with what really happened."""
+    """A frame with its ground truth."""
 
     frame: Frame
     position: Array  # (k, 3) m, centres of the k balls in cam
@@ -59,9 +59,9 @@ class WandShot:
 
 
 def prepare_wand(options: WandOptions, ball: WandBall | None = None, named: Named = option_name) -> WandFilm:
-    """Scene and motion of some options; ConfigurationError where they make no sense.
+    """Return scene and motion for the options. Raise ConfigurationError if they are invalid.
 
-    `ball`: another than Grzonka's. `named` says how a field is called where it came from.
+    `ball` replaces Grzonka's. `named` returns the name of a field in its source, for example its command-line option.
     """
     _check(options, named)
     ball = grzonka_ball() if ball is None else ball
@@ -111,7 +111,7 @@ def simulate_wand(film: WandFilm, renderer: WandRenderer | None = None) -> Itera
 
 
 def _paths(options: WandOptions) -> list[WandPath]:
-    """One per ball; that of the first does not depend on what the others do."""
+    """Return one path per ball. The first path does not depend on the others."""
     found: list[WandPath] = []
     for k in range(options.balls):
         rng = np.random.default_rng([options.seed, 14, k])

@@ -1,8 +1,8 @@
 """Motion of a wand: the robot's drive of Grzonka 2005, chapter 4, and a ball on a stick in a hand.
 
 A path gives poses of the ball in `cam` at any times. World here is the level frame at the camera: x right, y down, z
-forward. The drive is stop, turn and go at constant speeds; the hand is a sum of slow sinusoids whose largest speed
-and largest turning rate are those asked for.
+forward. The drive stops, turns and moves at constant speeds. The hand's motion is a sum of slow sinusoids, scaled to
+the requested maximum speed and turning rate.
 """
 
 from dataclasses import dataclass, field

@@ -1,7 +1,7 @@
-"""Frames of a hand-held ball or a ball on a robot: a still background, drawn once, and what moves painted over it.
+"""Frames of a hand-held ball or a ball on a robot: moving objects painted over a background that is drawn once.
 
-Only windows with moving objects are painted again. Light is mixed linearly, blurred as by a lens, then turned
-into grey values; sensor noise comes last.
+Only windows with moving objects are painted again. Light is mixed linearly, blurred as by a lens, then converted to
+grey values. Sensor noise is added last.
 """
 
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ _SPARE = 64  # px by which the noise is larger than the picture: each frame take
 
 @dataclass(frozen=True, slots=True)
 class Carried:
-    """A ball, where it goes, and what carries it."""
+    """A ball, its path, and the robot or hand that carries it."""
 
     ball: WandBall
     path: WandPath
@@ -128,7 +128,7 @@ class WandRenderer:
         return image if self._noise is None else self._noisy(image, rng)
 
     def _layers(self, t: float) -> list[Layer]:
-        """Layers of what moves, farther things first."""
+        """Return the layers of the moving objects, farther ones first."""
         found: list[tuple[float, list[Layer | None]]] = []
         camera, light = self.scene.camera, self._brightness
         for carried, paints in zip(self.scene.balls, self._paints, strict=True):

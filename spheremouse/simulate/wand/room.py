@@ -1,8 +1,8 @@
-"""Everything in a wand's picture but the ball: floor, wall and objects, drawn once, and what moves beside the ball.
+"""All parts of a wand's picture but the ball: floor, wall and objects, drawn once, and the other moving objects.
 
-Flat faces, farther ones first, drawn finely and averaged down. A red mug and a blue book stand in every room (the
-single-coloured things that Grzonka 2005, section 4.3, found harmless). Nothing here is known to a tracker. A robot
-or a stick under the ball, a hand, and a card in its colours move. Each is a function of the pose it belongs to and
+Flat faces are drawn finely, farther ones first, and averaged down. A red mug and a blue book are in every room.
+Grzonka 2005, section 4.3, found such single-coloured objects harmless. A tracker has no model of these objects. A robot
+or a stick under the ball, a hand, and a card in the ball's colours move. Each has a function that takes its pose and
 returns layers to paint.
 """
 
@@ -73,7 +73,7 @@ def _averaged(drawn: NDArray[np.uint8], lights: NDArray[np.float32], w: int, h: 
 def background(
     camera: InteriorOrientation, outdoors: bool, clutter: bool, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Everything but what moves, (h, w, 3) linear light."""
+    """Draw all objects that do not move, (h, w, 3) linear light."""
     picture = _ground(camera, outdoors, rng)
     things = _outdoors(rng) if outdoors else _indoors(rng)
     things += _lines()
@@ -88,7 +88,7 @@ def background(
 
 
 def lay(picture: NDArray[np.float32], layer: Layer, origin: tuple[int, int] = (0, 0)) -> None:
-    """Paint a layer over a part of the picture whose first pixel is at `origin`, as far as it reaches."""
+    """Paint a layer over a part of the picture that has its first pixel at `origin`. Clip the layer to that part."""
     x, y = layer.place[0] - origin[0], layer.place[1] - origin[1]
     h, w = layer.paint.shape[:2]
     x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + w, picture.shape[1]), min(y + h, picture.shape[0])
@@ -319,7 +319,7 @@ def grip(centre: Array, rotation: Array, radius: float) -> tuple[Array, Array]:
 def hand_at(
     drawing: NDArray[np.float32], palm: Array, fingers: Array, camera: InteriorOrientation, light: float
 ) -> Layer | None:
-    """A hand, as `linear_hand` gives it, whose palm is at (3,) m in cam; `fingers` (3,) is where they point to."""
+    """Place a hand from `linear_hand`, with its palm at (3,) m in cam. `fingers` (3,) is their direction."""
     up = fingers / np.linalg.norm(fingers) * (1.0, 1.0, 0.0)
     up = up / np.linalg.norm(up) if np.linalg.norm(up) > 0.1 else np.array([0.0, -1.0, 0.0])
     right = np.array([-up[1], up[0], 0.0])
@@ -332,7 +332,7 @@ def hand_at(
 
 
 def linear_hand(drawing: NDArray[np.float32]) -> NDArray[np.float32]:
-    """`draw_hand` of `hands`, whose colours are grey values of the screen, as light; its blue sleeve made grey.
+    """Convert a drawing of `hands.draw_hand` from screen grey values to linear light, and its blue sleeve to grey.
 
     A passing object has one colour of the ball only.
     """
@@ -345,7 +345,7 @@ def linear_hand(drawing: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def card(centre: Array, colours: tuple[str, ...], camera: InteriorOrientation, light: float) -> Layer | None:
-    """A white card that faces the camera with discs in a ball's colours, laid out like a ball's: what takes it in."""
+    """Draw a distractor: a white card that faces the camera, with discs in the colours and layout of a ball."""
     square = _CARD * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=float)
     faces = [(square + centre, _dimmed("white", light))]
     circle = np.stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros_like(_ROUND)], axis=-1)
