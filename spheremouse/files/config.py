@@ -1,7 +1,7 @@
 """Read a configuration file into settings, and write settings as YAML.
 
-The settings dataclasses are the schema; their fields (`settings.param`) have unit, meaning and bounds. A file holds
-only what differs from the defaults. `override` applies one `--set KEY=VALUE`.
+The settings dataclasses are the schema. Their fields (`settings.param`) have unit, meaning and bounds. A file has only
+the values that differ from the defaults. `override` applies one `--set KEY=VALUE`.
 """
 
 import dataclasses

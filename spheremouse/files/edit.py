@@ -74,7 +74,7 @@ def _with(text: str, key: tuple[str, ...], value: Any) -> str:
 def _inserted(
     text: str, node: MappingNode | None, key: tuple[str, ...], value: Any, indent: str, after: int | None, end: str
 ) -> str:
-    """Return the text with a new key and the sections it needs, in the section `node` whose own key ends at `after`."""
+    """Return the text with a new key and its sections, in the section `node`. The key of `node` ends at `after`."""
     if node is not None and node.flow_style:
         inner = config.to_yaml(value)
         for name in reversed(key[1:]):
@@ -90,7 +90,7 @@ def _inserted(
 
 
 def _copied(value: Any) -> Any:
-    """Return plain data whose sections may be changed; lists stay tuples."""
+    """Return a copy of plain data with mutable sections. Lists stay tuples."""
     if isinstance(value, dict):
         return {k: _copied(v) for k, v in value.items()}
     return tuple(_copied(v) for v in value) if isinstance(value, tuple) else value

@@ -1,7 +1,7 @@
 """Decode images and films only after their header shows that they fit into memory.
 
-A few bytes can claim an image of any size, and decoders believe them: 3 MB of PNG become 6 GB. Each function raises an
-OSError, whose `strerror` gives problem and remedy in one line, before it takes that memory.
+A header of a few bytes can declare any image size, and decoders allocate it. For example, 3 MB of PNG become 6 GB. Each
+function raises an OSError before it allocates that memory. The error's `strerror` has problem and remedy in one line.
 """
 
 import errno
@@ -36,7 +36,7 @@ class Header(NamedTuple):
 
 
 def decoded(data: bytes, *, upright: bool = False) -> NDArray[np.uint8]:
-    """Decode a file whose header was checked: (h, w, 3) blue, green, red, as stored or `upright`."""
+    """Decode a file after a check of its header: (h, w, 3) blue, green, red, as stored or `upright`."""
     turned = 0 if upright else cv2.IMREAD_IGNORE_ORIENTATION
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | turned)

@@ -14,7 +14,7 @@ def loads(text: str | bytes, *, constants: bool = False, surrogates: bool = Fals
     """Return the data of a JSON text.
 
     `constants` allows NaN and Infinity, which `json.dumps` writes. `surrogates` allows half a surrogate pair, which
-    stands for a byte of a file's name. Raises json.JSONDecodeError, with the line, for invalid JSON, else ValueError.
+    encodes a byte of a file's name. Raises json.JSONDecodeError, with the line, for invalid JSON, else ValueError.
     """
     constant = None if constants else _no_constant
     try:

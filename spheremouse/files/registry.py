@@ -21,10 +21,10 @@ _REMEDY = "update it, or uninstall it"
 
 
 def resolve(package: ModuleType, what: str, spec: str, error: type[SpheremouseError]) -> tuple[ModuleType, str]:
-    """Return module and argument of `KIND:ARGUMENT`, a source or an output as `what` says.
+    """Return module and argument of `KIND:ARGUMENT`. `what` is the kind of plug-in, "source" or "output".
 
-    A package may complete a shorter form by its function `full_spec`. Raises `error` with the known kinds if there is
-    no such kind, or with the name of a plug-in that cannot be used.
+    A package may complete a shorter form by its function `full_spec`. If there is no such kind, `error` is raised with
+    the known kinds. If a plug-in cannot be used, `error` is raised with its name.
     """
     kind, _, argument = _full(package, spec).partition(":")
     if kind in package.KINDS:
@@ -95,7 +95,7 @@ class _Blame(NamedTuple):
 
 
 class _PlugIn:
-    """An opened plug-in whose exceptions name it."""
+    """An opened plug-in. Its exceptions contain its name."""
 
     def __init__(self, plugin: Any, blame: _Blame) -> None:
         self._plugin, self._blame = plugin, blame

@@ -1,12 +1,12 @@
 """Read files of strangers with limits, and write files and folders whole or not at all.
 
 To read, open a regular file, or a pipe if the caller allows one (`/dev/stdin`, `<(...)` of a shell). The functions
-limit the bytes of a file and the length of a line. They report each refusal as an OSError whose `strerror` has problem
+limit the bytes of a file and the length of a line. They report each refusal as an OSError. Its `strerror` has problem
 and remedy in one line.
 
 To write, the functions write under a hidden name beside the place and then rename. At any moment the old file or the
-new one is there. The next writing of a file removes what a killed process left of it, once that is OLD. They write to a
-stream, device or pipe that a person named (`/dev/null`, a named pipe), and never replace it.
+new one is there. If a killed process left a hidden file, the next write of that file removes it when it is OLD. The
+functions write to a stream, device or pipe that a user gives (`/dev/null`, a named pipe), and never replace it.
 
 Root refuses to write into a folder that another user may change, since that user could put a link there. The user who
 called sudo counts as root.
@@ -111,9 +111,9 @@ def is_stream(path: Path) -> bool:
 
 
 def replace(path: Path, data: bytes, mode: int | None = None) -> None:
-    """Put a file of this content at `path` in place of what is there; raise OSError if that fails.
+    """Write a file at `path` and replace an old one. Raise OSError if that fails.
 
-    Without a `mode`, the new file takes mode and owner of the old one; without an old one the umask decides.
+    Without a `mode`, the new file takes mode and owner of the old one. Without an old file the umask sets the mode.
     """
     try:
         with NewFile(path, mode) as new:
@@ -203,7 +203,7 @@ class NewFile:
 
 
 def _clear_left(path: Path) -> None:
-    """Remove what killed processes left of this file, once it is OLD."""
+    """Remove the hidden files that killed processes left beside this file, if they are OLD."""
     for left in path.parent.glob(f".{glob.escape(path.name)}.{'?' * 8}.new"):
         with contextlib.suppress(OSError):
             if time.time() - left.lstat().st_mtime > OLD:
@@ -216,8 +216,8 @@ def _clear_left(path: Path) -> None:
 class NewFolder:
     """A folder under a hidden name beside its place.
 
-    `make` makes it, `finish` gives it its name, `discard` removes it. Write below `path`. A signal may end the program
-    at any step, so call `make` inside the `try` whose `finally` discards.
+    `make` makes it, `finish` renames it to its place, `discard` removes it. Write below `path`. A signal may end the
+    program at any step, so call `make` inside a `try` statement and `discard` in its `finally`.
     """
 
     def __init__(self, path: Path, error: type[SpheremouseError]) -> None:

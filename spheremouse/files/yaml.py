@@ -1,7 +1,7 @@
 """Read a YAML text as plain data with line numbers, and report problems by line.
 
 Plain data are mappings, lists, text, numbers, true, false and null. The reader refuses tags, anchors and aliases, so
-that no file can run code or fill the memory. A problem reads `FILE:LINE: key: what is wrong; what to do`.
+that no file can run code or fill the memory. A message has the form `FILE:LINE: key: problem; remedy`.
 """
 
 import re

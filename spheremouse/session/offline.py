@@ -85,7 +85,7 @@ def _colour(frame: Frame) -> NDArray[np.uint8]:
 
 
 def make_ready(settings: Settings, tell: Callable[[str], None] | None = None) -> None:
-    """Compile the functions of tracking, or read them from disk, with progress (`compiling.told`)."""
+    """Compile the functions of tracking, or read them from disk. `compiling.told` reports the progress."""
     with told(tell):
         warm_up_ball(settings)
 
@@ -143,7 +143,7 @@ Known = dict[int, tuple[Array, Array]]  # position and rotation of balls, by the
 
 
 def make_wand_ready(tell: Callable[[str], None] | None = None) -> None:
-    """Compile the functions of tracking, or read them from disk, with progress (`compiling.told`)."""
+    """Compile the functions of tracking, or read them from disk. `compiling.told` reports the progress."""
     with told(tell):
         warm_up_wand()
 

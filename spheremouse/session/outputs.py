@@ -103,7 +103,7 @@ class Outputs:
         return "; ".join(filter(None, (thread.failed for thread in self._all))) or None
 
     def status(self) -> tuple[dict[str, Any], Latency | None]:
-        """Sums of the run, as docs/control.md says, and the latency."""
+        """Return the sums of the run, as defined in docs/control.md, and the latency."""
         report, (reports, unsent) = self.pointer.status(), self.past
         sums = {
             "failed": self.troubles,

@@ -35,8 +35,8 @@ class Balls:
 def read_balls(files: Iterable[Path]) -> Balls:
     """Read balls from wand files.
 
-    A file that is named twice stands for two equal balls. Raises ConfigurationError if a file is invalid, if balls of
-    two files share a name, or if two files differ in a colour's bounds.
+    If a file is given twice, there are two equal balls. Raises ConfigurationError if a file is invalid, if balls of two
+    files share a name, or if two files differ in a colour's bounds.
     """
     named: dict[str, Path] = {}
     balls: list[WandBall] = []

@@ -48,7 +48,7 @@ class Setup:
         return source
 
     def make_ready(self, plan: RunConfig, tell: Callable[[str], None] | None = None) -> None:
-        """Compile the functions of tracking, or read them from disk, with progress (`compiling.told`)."""
+        """Compile the functions of tracking, or read them from disk. `compiling.told` reports the progress."""
         if _is_wand(plan):
             make_wand_ready(tell)
         else:

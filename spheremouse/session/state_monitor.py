@@ -60,7 +60,7 @@ def derive_state(conditions: Conditions) -> tuple[State, str]:
 def log_line(before: tuple[State, str], now: tuple[State, str], event: str) -> str:
     """Return the log line: state and reason after a change, or the tracker's event; empty if nothing has changed.
 
-    A reason whose numbers alone have changed is the same. While the ball is in view, only events are logged.
+    Reasons that differ in their numbers alone count as equal. While the ball is in view, only events are logged.
     """
     (old, why_before), (state, why) = before, now
     if state is not old:

@@ -26,6 +26,6 @@ def styled(*over: str | Mapping[str, Any]) -> Iterator[None]:
 
 
 def round_number(most: float) -> float:
-    """The largest 1, 2 or 5 times a power of ten that is not above `most`: by what a figure magnifies."""
+    """Return the largest 1, 2 or 5 times a power of ten up to `most`, for the magnification of a figure."""
     power = 10.0 ** math.floor(math.log10(most))
     return power * max(step for step in (1.0, 2.0, 5.0) if step * power <= most * (1.0 + 1e-9))

@@ -1,6 +1,6 @@
-"""Drawings as `<svg>` elements of a page: figures of matplotlib, whose colours follow the reader's screen, and others.
+"""Drawings as `<svg>` elements of a page: figures of matplotlib, with colours that follow the page's theme, and others.
 
-What handouts draw is put together of elements, since matplotlib need not be there for them.
+Handouts build their drawings from elements, since they must work without matplotlib.
 """
 
 import io
@@ -30,7 +30,7 @@ _VARIABLES = {
 
 
 def of_figure(figure: "Figure", label: str) -> Markup:
-    """A figure whose colours are variables of the page; `label` is what a screen reader says."""
+    """Return a figure with variables of the page as its colours. `label` is the text for a screen reader."""
     file = io.StringIO()
     with styled({"svg.fonttype": "none"}):  # words stay words
         figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
@@ -43,7 +43,7 @@ def of_figure(figure: "Figure", label: str) -> Markup:
 
 
 def drawing(width: float, height: float, label: str, parts: Iterable[Markup], class_: str = "drawing") -> Markup:
-    """An `<svg>` of so many units, x to the right and y down; `label` is what a screen reader says."""
+    """Return an `<svg>` of this size in units, x to the right and y down. `label` is the text for a screen reader."""
     inside = Markup("\n").join(("", *parts))
     return element("svg", inside, class_=class_, viewBox=f"0 0 {width:g} {height:g}", role="img", aria_label=label)
 

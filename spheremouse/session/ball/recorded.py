@@ -1,11 +1,11 @@
 """Mask the pictures of recordings and snapshots so that they show the ball and the targets, and no people.
 
-A masked recording keeps the pixels that the tracker reads while it knows the camera's pose, so tracking it gives the
-same result bit for bit. The margins are the reach of the filters:
+A masked recording keeps the pixels that the tracker reads while it has the camera's pose. Tracking it therefore gives
+the same result bit for bit. The margins are the reach of the filters:
 
-- around the ball's outline, within the ball's bounding box, one and a half discs: the closing that estimates the
-  brightness of the ball beside a disc reaches so far;
-- in that box sixteen lines, one pixel high, from which the noise of the picture is measured;
+- around the ball's outline, within the ball's bounding box, one and a half discs: the reach of the closing that
+  estimates the brightness of the ball beside a disc;
+- in that box sixteen lines, one pixel high, for measuring the noise of the picture;
 - around each target the patch that monitors the camera, a few pixels for a push, and the margin of the ring detector.
 
 A search of all targets by their colours, after a large bump, reads the whole picture. It does not work on a masked

@@ -1,4 +1,4 @@
-"""The status report and its parts. A client checks the types of what it receives."""
+"""The status report and its parts. A client checks the types of the values that it receives."""
 
 from typing import Annotated, Any, Literal
 

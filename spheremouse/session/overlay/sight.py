@@ -23,7 +23,7 @@ _AROUND = 1.6  # radii: as far from the rings as those of `Pen.target`
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """Targets in a colour picture, and what is nearly one; none in a grey one."""
+    """Targets and rejected candidates in a colour picture. A grey picture has none."""
 
     targets: TargetDetections
     refused: tuple[Refused, ...]
@@ -35,7 +35,7 @@ class Sight:
         return tuple(sorted(set(self.targets.codes) - set(self.codes or self.targets.codes)))
 
     def kept(self, shape: tuple[int, int]) -> Image:
-        """255 about what has a target's three colours, 0 elsewhere, (h, w) uint8."""
+        """Return a mask, (h, w) uint8: 255 around objects with a target's three colours, 0 elsewhere."""
         keep = np.zeros(shape, np.uint8)
         places = list(zip(self.targets.centre, self.targets.radius, strict=True))
         for (u, v), radius in places + [(r.centre, r.radius) for r in self.refused if r.bound is not Bound.COLOURS]:
@@ -60,7 +60,10 @@ def draw_sight(
     words: tuple[tuple[str, float], ...],
     spots: tuple[Array, Array] = (np.zeros((0, 2)), np.zeros(0)),
 ) -> Image:
-    """The image with what is seen; `spots` are centres (n, 2) px and areas (n,) px²; `words` as `Pen.caption` has."""
+    """Draw the detections into a copy of the image.
+
+    `spots` are centres (n, 2) px and areas (n,) px². `words` are as in `Pen.caption`.
+    """
     scale = max(1, round(1280 / image.shape[1]))
     canvas = canvas_of(image, scale)
     pen = Pen(canvas, scale)

@@ -52,13 +52,13 @@ class Notifier:
             self._send(f"STATUS={text}".encode().decode("latin-1"))  # which sdnotify encodes as
 
     def patience(self, seconds: float) -> None:
-        """Let the watchdog wait so long until `usual` is called, since long work begins."""
+        """Set the watchdog's timeout before long work. It holds until a call of `usual`."""
         if self.interval < math.inf:
             self._send(f"WATCHDOG_USEC={int(1e6 * seconds)}")
             self._send("WATCHDOG=1")
 
     def usual(self) -> None:
-        """Let the watchdog wait as long as the unit says again."""
+        """Restore the watchdog's timeout of the unit file."""
         self.patience(self.interval)
 
     def progress(self, token: Any) -> None:

@@ -1,7 +1,7 @@
 """Write to standard error without waiting: texts enter a short queue, and a thread writes them.
 
-A closed pipe, a full disk or a pipe that nobody reads must not stop or end tracking. If the queue is full, the oldest
-texts are dropped. The next text that can be written is preceded by the number of dropped lines.
+A closed pipe, a full disk or a pipe without a reader must not stop or end tracking. If the queue is full, the thread
+drops the oldest texts. Before the next text that it can write, it writes the number of dropped lines.
 """
 
 import contextlib

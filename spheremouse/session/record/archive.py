@@ -1,7 +1,7 @@
 """Recordings and snapshots, which threads of the pool write.
 
-A request whose client has disconnected is cancelled before the recording's first frame and before the snapshot is
-written. Later a recording continues without its client.
+If a client disconnects before the recording's first frame, or before the snapshot is written, its request is cancelled.
+Later a recording continues without its client.
 """
 
 import contextlib

@@ -41,7 +41,10 @@ def next_name(folder: Path, now: time.struct_time | None = None, suffix: str = "
 
 
 def tidy(folder: Path) -> int:
-    """Remove what a crash left half written in the folder of recordings; return their number. Files in use stay."""
+    """Remove the unfinished recordings of a crash from the folder of recordings, and return their number.
+
+    Files in use stay.
+    """
     removed = 0
     with contextlib.suppress(OSError):
         for left in sorted(folder.iterdir()):
@@ -95,7 +98,7 @@ def disk_is_full(folder: Path, settings: RecordSettings, least: float = 0.0) -> 
 
 
 def refuse_full_disk(path: Path, settings: RecordSettings, least: float = 0.0) -> None:
-    """DatasetError where there is no room for `path`, whose folder is there."""
+    """Raise DatasetError if the disk has no room for `path`. Its folder must exist."""
     if disk_is_full(path.parent, settings, least):
         raise DatasetError(
             f"{path}: less than {settings.free_megabytes:g} MB are free on the disk: "

@@ -150,8 +150,11 @@ class Recorder:
         )
 
     def _mask(self, subject: Subject | None) -> tuple[Image | None, int]:
-        """Return the part of a frame to keep, and the number of its mask. After a move of the camera, both views count:
-        it was looked at from the pose before, and then from the new one."""
+        """Return the part of a frame to keep, and the number of its mask.
+
+        After a move of the camera, keep the parts of both poses. The tracker read the frame with the old pose and then
+        with the new one.
+        """
         keep, number = self._keep, self._masks
         if subject is None or subject.view is self._view:
             return keep, number

@@ -106,7 +106,7 @@ class WandMessages:
                 return ""
 
     def _is_new_event(self, k: int, pose: WandPose) -> bool:
-        """Return True if the event is to be logged. A ball that is hidden for a moment is not logged."""
+        """Return True if the event must be logged. A ball that is hidden for a moment is not logged."""
         if pose.event is None or pose.phase is not Status.TRACKING or not pose.seen:
             return False
         before, self._events[k] = self._events.get(k), pose.event
