@@ -32,7 +32,7 @@ class Source(Protocol):
 
     @property
     def live(self) -> bool:
-        """True for a camera, whose frames are lost if nobody fetches them in time."""
+        """True for a camera. Its frames are lost unless the program fetches them in time."""
         ...
 
     @property
@@ -42,7 +42,7 @@ class Source(Protocol):
 
     @property
     def count(self) -> int | None:
-        """Number of frames, if the source knows it."""
+        """Number of frames, or None if the source cannot report it."""
         ...
 
     def __iter__(self) -> Iterator[Frame]: ...

@@ -59,6 +59,6 @@ def holder(node: Path) -> int | None:
 
 @contextlib.contextmanager
 def locked_camera(node: Path, open_camera: OpenCamera) -> Iterator[Camera]:
-    """Open a camera whose node is locked until the end of the `with` block."""
+    """Lock a camera's node until the end of the `with` block, and open the camera."""
     with locked(node), open_camera() as camera:
         yield camera

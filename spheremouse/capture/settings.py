@@ -1,4 +1,4 @@
-"""Settings of a live camera: size, rate, format, and the controls whose automatic values spoil a measurement.
+"""Settings of a live camera: size, rate, format, and controls. Automatic values of these controls spoil a measurement.
 
 None leaves a setting as the camera has it. Closing the camera restores the old values.
 """

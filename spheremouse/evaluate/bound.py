@@ -39,7 +39,7 @@ class Sight:
 
 
 def semi_minor_axes(centre: Array, rig: Rig, pose: Pose) -> Array:
-    """Return the semi-minor axes, (n,) px, of the images of discs whose centres project to the pixels `centre` (n, 2).
+    """Return the semi-minor axes, (n,) px, of the images of discs with centres at the pixels `centre` (n, 2).
 
     They are nan if the limb cuts the disc, or if the pixel is not on the ball.
     """

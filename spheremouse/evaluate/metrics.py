@@ -162,8 +162,8 @@ def attitude_error(estimate: Array, truth: Array) -> Array:
 def surface_speeds(run: Run, truth: Truth, radius: float) -> tuple[Array, Array]:
     """Return the mouse's speed as sent and the true one, (k, 2) mm/s of ball surface each; `radius` m.
 
-    There is one row for each tracked frame whose previous frame was tracked too. It has the rotation sent with it, and
-    the true rotation of the ball, divided by the time step (Wittich 2017, section 4.1.1).
+    There is one row for each tracked frame after another tracked frame. It has the rotation sent with the frame and the
+    true rotation of the ball, divided by the time step (Wittich 2017, section 4.1.1).
     """
     k = run.tracked
     k = k[np.isin(k - 1, k)]

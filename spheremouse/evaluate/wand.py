@@ -139,7 +139,7 @@ def is_lost(run: WandRun, truth: WandTruth, radius: float) -> bool:
 
 
 def found_from(run: WandRun, truth: WandTruth, radius: float) -> int | None:
-    """Return the index of the first frame whose pose is right; None if there is none. `radius` as in `off`."""
+    """Return the index of the first frame with a right pose, or None if there is none. `radius` as in `off`."""
     right = np.flatnonzero(~off(run, truth, radius))
     return int(right[0]) if len(right) else None
 

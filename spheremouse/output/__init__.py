@@ -19,7 +19,7 @@ KINDS = ("auto", "desktop", "null", "serial", "text", "uinput")
 
 
 class Report(NamedTuple):
-    """Counts since the last report, and the motion that they stand for."""
+    """Counts since the last report, and the motion that they represent."""
 
     counts: tuple[int, int, int]  # x, y and third axis
     rate: tuple[float, float, float]  # counts/s at its end
@@ -65,7 +65,7 @@ class DeliveryStatus:
 
 @runtime_checkable
 class Acknowledged(Protocol):
-    """An output whose other end acknowledges counts. It recovers from trouble by itself if reports continue."""
+    """An output with a receiver that acknowledges counts. After a failure it recovers by itself if reports continue."""
 
     def delivery(self) -> DeliveryStatus:
         """Return the counts that have not arrived, from any thread."""

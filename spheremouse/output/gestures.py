@@ -1,4 +1,4 @@
-"""Find a player's gestures, and the settings whose pointer directions fit them: right, away, and the third axis.
+"""Find a player's gestures, and the settings with pointer directions that fit them: right, away, and the third axis.
 
 A gesture is a motion in one direction between two rests. The requested directions are in the player's terms and the
 measured ones in `obj` or `cam`. The settings that fit best are the player's.
@@ -75,7 +75,7 @@ class GestureDetector:
 
 
 class DirectionMatch(NamedTuple):
-    """The candidate settings whose directions fit some gestures best."""
+    """The candidate settings with the directions that fit some gestures best."""
 
     candidate: int  # index
     errors: tuple[float, ...]  # rad, angle between each gesture and its requested direction

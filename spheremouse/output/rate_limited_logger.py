@@ -50,7 +50,7 @@ class RateLimitedLogger:
         self._log(_with_count(text, 0 if kind is None else kind.suppressed))
 
     def flush(self, end: bool = False) -> None:
-        """Log the last suppressed line of each kind whose interval is over; of every kind at the `end`."""
+        """Log the last suppressed line of each kind if its interval is over. At the `end`, log that of every kind."""
         now, due = self._clock(), list[_Kind]()
         with self._lock:
             for name, kind in self._kinds.items():

@@ -142,7 +142,7 @@ def _drop_unfinished_line(path: Path, descriptor: int) -> None:
 
 
 def _is_other_file(path: Path, names: str) -> bool:
-    """Return True if a regular file exists whose first line does not begin with `names`."""
+    """Return True if a regular file exists and its first line does not begin with `names`."""
     try:
         status = path.stat()
     except FileNotFoundError:

@@ -88,7 +88,7 @@ _UNEVEN = (
 def contrast_ball() -> WandBall:
     """Return a ball with dark discs on white at uneven places, after Grzonka 2005 (section 5.2, figure 25).
 
-    The thesis sketches lines whose heights follow the Gray code, with blocks at uneven distances. Discs of several
+    The thesis sketches lines with heights that follow the Gray code, and blocks at uneven distances. Discs of several
     sizes at uneven distances carry the same information, and their rims measure in every direction.
     """
     return _uneven("contrast", "dark", "white")

@@ -8,9 +8,9 @@ distance. The field m there has the log-likelihood ratio against a picture witho
 
 with the fraction p of the picture that has the colour and the fraction o of hidden points. A point that is turned away
 has the ratio 0, so a pose gains nothing by hiding points, unlike under the product over visible points (Grzonka 2005,
-table 3). Nor does it gain by showing them: the weight of a point is the area that it stands for in the picture, in
-areas of the Gaussian kernel, within which pixels repeat each other. The sum is therefore one over the picture, even if
-many points crowd near the limb.
+table 3). A pose gains nothing by showing points either: the weight of a point is the area that it represents in the
+picture, in areas of the Gaussian kernel, within which pixels repeat each other. The sum is therefore one over the
+picture, even if many points crowd near the limb.
 The rim offset, common to a colour (a bound on saturation moves every rim outward), is marginalised.
 Glare hides colours: at a point with the fraction v of glare the field is between m and m + v, and its weight 1 - v.
 """

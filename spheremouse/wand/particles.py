@@ -75,7 +75,7 @@ def resample(particles: Particles, n: int, rng: np.random.Generator) -> Particle
 
 
 def resample_degenerate(particles: Particles, rng: np.random.Generator) -> Particles:
-    """Resample particles whose effective number is less than half of them."""
+    """Resample particles if their effective number is less than half of them."""
     n = len(particles.weight)
     return resample(particles, n, rng) if effective_number(particles.weight) < _MIN_EFFECTIVE * n else particles
 

@@ -200,7 +200,7 @@ def _colour_masks(image: NDArray[np.uint8], ball: WandBall) -> tuple[list[NDArra
 
 
 def _score(circle: Circle, masks: list[NDArray[np.bool_]], body: NDArray[np.bool_]) -> float:
-    """Return 1 for a circle of all colours and body whose surroundings have neither, down to 0."""
+    """Return the score of a circle, 0..1: 1 if it has all colours and body, and its surroundings have neither."""
     h, w = body.shape
     r = circle.radius
     x0, x1 = int(max(circle.u - 1.5 * r, 0)), int(min(circle.u + 1.5 * r + 2, w))

@@ -229,7 +229,7 @@ def provenance(done: CameraCalibration) -> dict[str, Any]:
 
 
 def inconsistent_views(done: CameraCalibration) -> dict[int, str]:
-    """Return the photos whose board does not fit the camera of the others, with the residuals."""
+    """Return the photos with a board that does not fit the camera of the others, with the residuals."""
     rms = done.found.view_rms()
     return {
         i: f"does not fit the others ({rms[k]:.2f} px, they {done.found.rms:.2f}): another zoom, focus or board?"

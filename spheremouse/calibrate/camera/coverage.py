@@ -93,7 +93,7 @@ def enough(found: Coverage) -> bool:
 
 
 def gain(found: Coverage, size: tuple[int, int], uv: Array, R: Array, before: Sequence[Array]) -> str | None:
-    """Describe what a view adds to the others; None if nothing.
+    """Return a description of the coverage that a view adds to the others, or None if it adds none.
 
     `uv` (n, 2) px are its corners, R (3, 3) is R_cam_board; `before` are the accepted views' corners, (k, 2) each.
     """

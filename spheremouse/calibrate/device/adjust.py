@@ -63,7 +63,7 @@ class MeasuredPoints:
 
 @dataclass(frozen=True, slots=True)
 class DeviceCalibration:
-    """A calibrated device in `obj`, whose origin is the ball's centre; in radii of the ball if the scale is free.
+    """A calibrated device in `obj`, with the origin at the ball's centre. If the scale is free, the unit is the radius.
 
     `covariance` is joint, of [targets (3n), radius, poses (6 each: position, rotation), discs (3 each)].
     """

@@ -195,7 +195,7 @@ def _ray_tolerance(views: TargetViews, block: Block, device: Device, camera: Int
 
 
 def _doubtful(result: BundleResult, spots: Spots, views: TargetViews, device: Device) -> tuple[tuple[int, str], ...]:
-    """Photos whose discs are at other places than in all other photos of that side: the ball turned before."""
+    """Return the photos with discs at other places than in all other photos of that side: the ball turned before."""
     block, K, R = result.solution.block, result.sphere.centre, result.sphere.radius
     directions, index = directions_on_ball(spots, block.poses, block.camera, K, R)
     photo = spots.photo[index]

@@ -214,7 +214,7 @@ def _meet(o: Array, u: Array, p: Array, v: Array, tolerance: float) -> Array:
 
 
 def _disc_like(points: _Points) -> NDArray[np.bool_]:
-    """Return True for points whose areas fit one disc: with a normal n, n . v = cos and |n| = 1."""
+    """Return True for points if their areas fit one disc: with a normal n, n . v = cos and |n| = 1."""
     fine = np.ones(len(points.position), dtype=bool)
     for i, (v, c) in enumerate(zip(points.towards, points.cosine, strict=True)):
         sees = np.isfinite(c)

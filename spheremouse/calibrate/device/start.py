@@ -80,7 +80,7 @@ def first_block(
 ) -> tuple[Block, TargetViews]:
     """Return poses of all photos and coordinates of all targets, in the frame of the targets, to some mm.
 
-    Photos whose targets do not fit the others are left out. Raises CalibrationError if too little remains, and
+    Photos are left out if their targets do not fit the others. Raises CalibrationError if too few photos remain, and
     DistanceError if a distance differs far from the others.
     """
     while True:

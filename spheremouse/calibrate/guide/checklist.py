@@ -1,7 +1,7 @@
 """The checklist of a calibration: the first open step is the next one to do.
 
 It reads the folder alone: photos, the files made from them, their times, and the hashes in their provenance. So you can
-leave a calibration at any time, and somebody else can continue it.
+leave a calibration at any time, and another person can continue it.
 """
 
 import os

@@ -73,7 +73,7 @@ def rolling_command(folder: Path, *, again: bool = False) -> str:
 
 
 def axes_command(rig: Path, source: str | None = None) -> str:
-    """Return the command that finds where the player stands; by default with the camera that took the photos."""
+    """Return the command that finds the player's position, by default with the camera that took the photos."""
     folder = rig.parent
     config = _config_or_empty(folder)
     options = [] if rig.name == RIG_FILE and "rig" in config else ["--rig", str(rig)]

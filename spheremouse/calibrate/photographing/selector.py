@@ -1,6 +1,6 @@
 """The choice of a camera's frames that become photos.
 
-A frame becomes a photo when it is sharp, its subject stands still, and it shows something that no photo shows.
+A frame becomes a photo if it is sharp, its subject does not move, and it adds a view that no other photo has.
 """
 
 from collections.abc import Callable, Sequence

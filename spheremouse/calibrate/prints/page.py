@@ -83,7 +83,7 @@ def pdf(pages: Sequence[Page], title: str) -> bytes:
 
 
 def figure_of(page: Page) -> "Figure":
-    """Return a page as a figure whose data coordinates are mm of paper."""
+    """Return a page as a figure. Its data coordinates are mm of paper."""
     from matplotlib.figure import Figure
 
     w, h = page.paper.width, page.paper.height

@@ -34,7 +34,7 @@ class View:
         return np.cross(self.right, self.up)
 
     def faces(self, normals: Array) -> NDArray[np.bool_]:
-        """Return True for surfaces whose outward normals, (..., 3), point to the viewer."""
+        """Return True for surfaces if their outward normals, (..., 3), point to the viewer."""
         return normals @ self.towards > 0.0
 
 

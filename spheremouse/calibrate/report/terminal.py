@@ -17,7 +17,7 @@ def print_table(
     words: Collection[int] = (0,),
     faulty: Collection[int] = (),
 ) -> None:
-    """Print a table whose columns `words` hold words, the others figures; the `faulty` rows are red."""
+    """Print a table. The columns `words` have text, the others numbers. The `faulty` rows are red."""
     table = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
     for i, name in enumerate(head):
         table.add_column(name, justify="left" if i in words else "right")

@@ -104,7 +104,7 @@ def _detected(views: Views, radii: np.ndarray) -> list[TargetDetections]:
 
 
 def _sizes(views: list[TargetDetections]) -> list[tuple[str, np.ndarray, float]]:
-    """Code, centre and size of each target that stands still; of several copies the largest."""
+    """Return code, centre and size of each target that does not move; of several copies the largest."""
     found: dict[str, tuple[str, np.ndarray, float]] = {}
     for s in gather(views):
         radii = [

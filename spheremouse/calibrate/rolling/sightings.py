@@ -133,7 +133,7 @@ def _numbered(segments: list[_Segment], discs: Array, rig: Rig, pose: Pose) -> t
 
 
 def _unbiased(directions: Array, rig: Rig, pose: Pose) -> NDArray[np.bool_]:
-    """Return True for discs at `directions`, (n, 3) in obj, whose images are wide enough for a centre without bias."""
+    """Return True for discs at `directions`, (n, 3) in obj, if their images are wide enough for an unbiased centre."""
     shape = np.nan_to_num(appearance(directions, rig, pose).shape)
     minor = np.sqrt(np.maximum(np.linalg.eigvalsh(shape)[:, 0], 0.0))
     return minor >= min(_MIN_SEMI_MINOR, 0.5 * float(minor.max(initial=0.0)))

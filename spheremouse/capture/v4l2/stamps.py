@@ -128,7 +128,7 @@ def correct_stamp(state: Stamps, raw: float, arrival: Arrival, timing: Timing) -
 
 
 def _with_lead(state: Stamps, lead: float, now: float) -> Stamps:
-    """Return the state after a frame whose stamp is `lead` (s) too late to be possible."""
+    """Return the state after a frame with a stamp that is `lead` (s) later than possible."""
     last, current = state.leads
     if now - state.window > _LEAD_WINDOW:
         return replace(state, window=now, leads=(current, max(0.0, lead)))

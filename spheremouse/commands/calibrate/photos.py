@@ -187,7 +187,7 @@ def _known_size(place: Path, lens: Path) -> "Size | None":
 
 
 def _conclude(outcome: "Outcome", place: Path, follows: str, again: str, min_photos: int, stopped: bool) -> None:
-    """Print the photos, what is missing, and the next command; raise the failure of the camera."""
+    """Print the number of photos, the missing views and the next command. Raise the failure of the camera."""
     selector = outcome.selector
     count = 0 if selector is None else selector.count
     many = f"{count} photo{'' if count == 1 else 's'}"

@@ -174,11 +174,11 @@ def contrast(image: Image, found: Detections, projection: Projection) -> Array:
 
 
 def blur(seen: Sight, exposure: float | None, settings: DiscSettings, known: bool) -> Finding:
-    """Report the motion of a disc during the exposure; `known`: the rig has the exposure.
+    """Report the motion of a disc during the exposure. `known` is True if the rig has the exposure.
 
     At a fast turn the disc in the middle of the ball moves by speed * f / distance. If it smears by more than
-    `size_tolerance` of its diameter, its size is rejected. If the tracker knows the exposure, half of the disc must
-    stay dark. If it smears by its whole diameter, no dark core is left.
+    `size_tolerance` of its diameter, its size is rejected. If the rig has the exposure, half of the disc must stay
+    dark. If it smears by its whole diameter, no dark core is left.
     """
     rig, pose = seen.rig, seen.pose
     near = float(np.linalg.norm(pose.position - rig.ball.centre)) - rig.ball.radius

@@ -23,7 +23,7 @@ class NoDriveError(OutputError):
 
 
 def select_drive(path: Path | None) -> Drive:
-    """Return the board whose drive is at a path, or the only board. Raise OutputError if there is none."""
+    """Return the board with its drive at a path, or the only board. Raise OutputError if there is none."""
     if path is not None:
         return firmware.read_drive(path)
     found, waiting = firmware.drives()

@@ -266,7 +266,7 @@ def state_of(path: Path, text: str | None) -> State:
 
 
 def rendered(name: str, program: str, systemd: int | None) -> str:
-    """Return the text of a file to place, with the program's path, without lines that this systemd does not know."""
+    """Return the text of a file to install, with the program's path. Omit lines that this systemd does not support."""
     text = (service_files() / name).read_text(encoding="utf-8").replace("@EXECUTABLE@", program)
     known = systemd is not None and systemd >= RESTART_STEPS
     text = re.sub(r"^@254@(.*\n)", r"\1" if known else "", text, flags=re.M)

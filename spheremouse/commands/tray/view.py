@@ -1,6 +1,6 @@
 """Turn the daemon's status into icon, tooltip, menu and notices of the tray. No desktop and no thread is needed.
 
-Each state has a colour, an outline and a sign, so people who cannot tell the colours apart see the state too.
+Each state has a colour, an outline and a sign, so colour-blind people can see the state too.
 """
 
 import math
@@ -42,7 +42,7 @@ class View:
 
 
 def view(status: dict[str, Any]) -> View:
-    """Read a status, whose types the client has checked. Any value may be missing or None."""
+    """Convert a status. The client has checked its types. Any value may be missing or None."""
     state, recording = _line(status.get("state") or "") or "unknown", status.get("recording")
     return View(
         state=state,

@@ -1,7 +1,7 @@
 """`serial:PORT[,baud=115200,third=none|wheel|pan]` and `serial:auto[,id=SERIAL]`: a board that is a USB mouse.
 
 The board may be plugged into another computer. docs/protocol.md defines the line. It carries counters, not steps, so
-no count is lost or doubled. `auto` takes the board whose USB product is "spheremouse", or else the only USB serial
+no count is lost or doubled. `auto` takes the board with the USB product "spheremouse", or else the only USB serial
 adapter. `id` is the board's USB serial number, if there are several. `send` writes without waiting. A thread reads
 answers, keeps the line alive and reopens a port that is gone. Messages go to standard error.
 """

@@ -1,6 +1,6 @@
 """The firmware's files, their version, and the USB drive of a board with CircuitPython.
 
-CircuitPython appears as a drive with a file boot_out.txt, whose first line names version and board.
+CircuitPython appears as a drive with a file boot_out.txt. Its first line has the version and the board.
 """
 
 import contextlib

@@ -61,7 +61,7 @@ def film_of(stills: Stills) -> Simulation:
 
 
 def device_yaml(stills: Stills) -> str:
-    """Return a device.yaml with tape distances, whose errors are random."""
+    """Return a device.yaml with tape distances that have random errors."""
     scene, targets = stills.scene, stills.scene.targets
     rng = np.random.default_rng([stills.seed, 5])
     lines = ["# measurements of the device with a tape", "targets:"]
