@@ -32,7 +32,7 @@ class Lamp:
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """A strut, as far as its shadow goes: an upright rectangle in a plane z = const."""
+    """A strut as an occluder: an upright rectangle in a plane z = const."""
 
     x: tuple[float, float]  # m, obj
     y: tuple[float, float]  # m
@@ -46,7 +46,7 @@ class Strip:
 
 @dataclass(frozen=True, slots=True)
 class Lighting:
-    """Everything that gives and takes light."""
+    """Lamps, and the objects that block their light."""
 
     lamps: tuple[Lamp, ...]
     strips: tuple[Strip, ...]

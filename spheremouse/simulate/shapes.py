@@ -1,6 +1,6 @@
-"""The shapes a simulated scene is built of, in `obj`, and where rays meet them first.
+"""The shapes of a simulated scene, in `obj`, and the first intersections of rays with them.
 
-Everything but the ball is flat or a small sphere: boxes, posts and lampshades are made of flat faces.
+All shapes but the ball are flat or small spheres. Boxes, posts and lampshades consist of flat faces.
 """
 
 from collections.abc import Sequence
@@ -161,7 +161,7 @@ class Viewpoint:
         return xy @ self.rotation[:, :2].T + self.rotation[:, 2]
 
     def cast(self, xy: Array) -> tuple[NDArray[np.int64], Array]:
-        """Shapes that rays meet first: index, (m, k), -1 for none, and z in `cam`, (m, k) m.
+        """Return the first shapes that rays hit: index, (m, k), -1 for none, and z in `cam`, (m, k) m.
 
         `xy` (m, k, 2) are m bundles of k neighbouring rays each: only shapes that a bundle may meet are tried on it.
         """

@@ -34,7 +34,7 @@ class Backdrop:
 
 
 def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
-    """Cast a ray per pixel, and `_FINE`² where neighbouring pixels see different shapes; with no ball if so asked."""
+    """Cast a ray per pixel, and `_FINE`² rays if neighbouring pixels show different shapes; on request without ball."""
     h, w = scene.camera.height, scene.camera.width
     v, u = np.mgrid[0:h, 0:w]
     uv = np.stack([u.ravel(), v.ravel()], axis=1).astype(float)
@@ -81,14 +81,14 @@ def _parts(index: NDArray[np.intp], size: int) -> list[NDArray[np.intp]]:
 
 
 def _tiles(h: int, w: int, size: int = 16) -> NDArray[np.intp]:
-    """Indices of pixels in square tiles, (m, size²); those on the right and lower border may repeat pixels."""
+    """Return pixel indices of square tiles, (m, size²). Tiles on the right and lower border may repeat pixels."""
     v = np.minimum(np.arange(0, h, size)[:, None] + np.arange(size), h - 1)
     u = np.minimum(np.arange(0, w, size)[:, None] + np.arange(size), w - 1)
     return (v[:, None, :, None] * w + u[None, :, None, :]).reshape(-1, size * size)
 
 
 def _seen(view: Viewpoint, xy: Array) -> tuple[NDArray[np.int64], Array]:
-    """Shapes that bundles of rays meet, (m, k): shape * _IDS + stripe, below zero for none; and z in cam, (m, k) m."""
+    """Return the shapes that bundles of rays hit, (m, k): shape * _IDS + stripe, or < 0; and z in cam, (m, k) m."""
     first, depth = view.cast(xy)
     ids = first * _IDS
     for index, shape in enumerate(view.shapes):
@@ -99,9 +99,9 @@ def _seen(view: Viewpoint, xy: Array) -> tuple[NDArray[np.int64], Array]:
 
 
 def _mixed(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], depth: Array) -> tuple[Array, Array]:
-    """Grey values of n pixels, (n, 3), with a white and with a black ball, from k rays each, (n, k).
+    """Return the grey values of n pixels, (n, 3), with a white and with a black ball, from k rays each, (n, k).
 
-    Each shape has one colour in a pixel, that at the mean of the places where it is seen.
+    Each shape has one colour in a pixel: the colour at the mean of its visible points.
     """
     base = (len(view.shapes) + 1) * _IDS
     key = np.arange(len(xy))[:, None] * base + ids + _IDS
@@ -193,7 +193,7 @@ class Layers(NamedTuple):
         )
 
     def _shift(self, centre: Array) -> Array:
-        """The affine map of the image, (2, 3), that takes the ball's outline to where it is from `centre`."""
+        """Return the affine map of the image, (2, 3), that moves the ball's outline to its place for `centre`."""
         scene = self.scene
         here, there = (project_sphere(scene.pose.to_cam(c), scene.ball_radius) for c in (np.zeros(3), centre))
         scale = float((np.linalg.det(there[1]) / np.linalg.det(here[1])) ** 0.25)
@@ -217,7 +217,7 @@ def render_layers(scene: Scene, backdrop: Backdrop) -> Layers:
 
 
 def _before(scene: Scene, h: int, w: int) -> NDArray[np.float64]:
-    """1 where something is nearer than the ball's limb, (h, w), else 0."""
+    """Return a mask, (h, w): 1 at pixels with an object nearer than the ball's limb, else 0."""
     v, u = np.mgrid[0:h, 0:w]
     xy, _ = unproject(np.stack([u.ravel(), v.ravel()], axis=1).astype(float), scene.camera)
     _, depth = look(scene.surroundings, scene.pose.position, scene.pose.rotation).cast(xy.reshape(h, w, 2))

@@ -123,7 +123,7 @@ def board_coverage(board: Board, camera: InteriorOrientation, pose: Pose, uv: Ar
 
 
 def _on_board(uv: Array, camera: InteriorOrientation, pose: Pose) -> tuple[Array, Array]:
-    """Points where rays of pixels (n, 2) meet the board's plane: (n, 2) m from its middle, and dplace_duv (n, 2, 2)."""
+    """Intersect rays of pixels (n, 2) with the board's plane: (n, 2) m from its middle, and dplace_duv (n, 2, 2)."""
     xy, dxy_duv = unproject(uv, camera)
     ray = xy @ pose.rotation[:, :2].T + pose.rotation[:, 2]
     s = (MIDDLE[2] - pose.position[2]) / ray[:, 2]

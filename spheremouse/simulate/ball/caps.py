@@ -1,8 +1,8 @@
 """The discs on the ball as they appear in the image: spherical caps, their coverage of pixels and their exact outlines.
 
-A cap is all points of the sphere within an angle of its centre. With n(u, v) the unit vector where a pixel's ray meets
-the ball and d the cap's centre, g = n·d - cos(angle) is positive inside; g over its image gradient is the distance to
-the edge in pixels, and a pixel cut by a straight edge is covered in a known share.
+A cap has all points of the sphere within an angle of its centre. Let n(u, v) be the unit vector of the point where a
+pixel's ray hits the ball, and d the cap's centre. Then g = n·d - cos(angle) is positive inside. The distance to the
+edge in pixels is g over its image gradient. It gives the covered fraction of a pixel that a straight edge crosses.
 """
 
 import copy

@@ -1,6 +1,6 @@
-"""Events of a recording, each with its time: of device, ball and light, hands before the ball, and a film made worse.
+"""Events of a recording and their times: changes of device, ball and light, hands before the ball, and worse film.
 
-Hands are drawn once, then placed where they are at a time.
+Hands are drawn once, then placed at their positions for each time.
 """
 
 from collections.abc import Iterator
@@ -28,14 +28,14 @@ class Dimming:
     factor: float  # on the grey values, as on the light: the camera is linear
 
     def at(self, t: Array) -> Array:
-        """Factor at times `t`; it takes 0.2 s to change."""
+        """Return the factor at times `t`. A change takes 0.2 s."""
         x = np.clip(np.minimum(t - self.start, self.end - t) / 0.2, 0.0, 1.0)
         return 1.0 + (self.factor - 1.0) * x * x * (3.0 - 2.0 * x)
 
 
 @dataclass(frozen=True, slots=True)
 class Flicker:
-    """Lamps on the mains: the light goes up and down twice in every period."""
+    """Flicker of lamps on the mains: the brightness has two cycles in each mains period."""
 
     depth: float  # 0..1, share of the mean that comes and goes
     mains: float = 50.0  # Hz
@@ -48,7 +48,7 @@ class Flicker:
 
 @dataclass(frozen=True, slots=True)
 class Lift:
-    """The ball is lifted off its bearings and comes back; up and down take 0.3 s each, or a third of the time."""
+    """A lift of the ball off its bearings and back. Up and down take 0.3 s each, or a third of the time."""
 
     start: float  # s
     end: float  # s
@@ -87,7 +87,7 @@ def facing(scene: Scene, attitude: Array) -> int:
 
 
 def displaced(scene: Scene, disc: int, angle: float = 0.2) -> Scene:
-    """A disc put `angle` rad beside its place, where most room is; ValueError where there is none."""
+    """Move a disc by `angle` rad to the side with most room. Raise ValueError if there is no room."""
     old = scene.disc_directions[disc]
     phase = np.linspace(0.0, 2.0 * np.pi, _CANDIDATES, endpoint=False)
     around = np.stack([np.cos(phase), np.sin(phase)], axis=1) @ tangent_basis(old[None])[0].T
@@ -114,7 +114,7 @@ _PLANE_Z = 0.66  # m, obj: just in front of the ball
 
 @dataclass(frozen=True, slots=True)
 class HandVisit:
-    """A hand comes from below, plays on the ball and goes."""
+    """A hand that enters from below, plays on the ball and leaves."""
 
     start: float  # s
     end: float  # s
@@ -156,7 +156,7 @@ class PlacedHand(NamedTuple):
 
 
 def place_hand(hand: NDArray[np.float32], visit: HandVisit, scene: Scene, t: float) -> PlacedHand | None:
-    """The hand in the image at time `t`; None while it is away or out of sight."""
+    """Return the hand in the image at time `t`, or None while it is away or out of sight."""
     if not visit.start < t < visit.end:
         return None
     side = 1.0 if visit.right else -1.0

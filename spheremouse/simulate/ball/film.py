@@ -110,7 +110,7 @@ def prepare(options: SimulationOptions, named: Named = option_name) -> Simulatio
 
 
 def simulate(simulation: Simulation, renderer: Renderer | None = None) -> Iterator[SimulatedFrame]:
-    """Its frames one by one, with truth; stamps start at 0. A `renderer` made before may be handed in."""
+    """Yield the frames with truth. Stamps start at 0. You may pass an existing `renderer`."""
     renderer = Renderer(simulation.scene, simulation.options) if renderer is None else renderer
     rng = np.random.Generator(np.random.SFC64([simulation.seed, 1]))  # NumPy's fastest: noise takes most of the time
     changes = list(simulation.changes)

@@ -11,14 +11,14 @@ from spheremouse.settings import param
 View = Literal["far", "near"]
 Motion = Literal["thesis", "roll", "play", "still", "rest", "creep", "flick", "axes"]
 Triple = tuple[float, float, float]
-Named = Callable[[str], str]  # a field as it is called where it came from
+Named = Callable[[str], str]  # returns the name of a field in its source, for messages
 
 _MOST = 99  # photos of a kind
 
 
 @dataclass(frozen=True, slots=True)
 class SimulationOptions:
-    """A film to make; the fields are the options of `spheremouse simulate`."""
+    """Options of a film. The fields are the options of `spheremouse simulate`."""
 
     discs: int = param(26, "-", "Discs on the ball.")
     view: View = param("far", "-", "Camera 2.35 m or 1.35 m from the ball's centre.")
@@ -71,7 +71,7 @@ class SimulationOptions:
 
 @dataclass(frozen=True, slots=True)
 class StillsOptions:
-    """Photos to take, and the camera; the fields are the options of `spheremouse calibrate practice`."""
+    """Options of photos and camera. The fields are the options of `spheremouse calibrate practice`."""
 
     photos: int = param(6, "-", "Photos of the device.", ge=0, le=_MOST)
     boards: int = param(15, "-", "Photos of the chessboard, 11x8 corners, 86 mm.", ge=0, le=_MOST)
@@ -86,7 +86,7 @@ class StillsOptions:
 
 
 def option_name(field: str) -> str:
-    """A field as the command line has it."""
+    """Return the command-line option of a field."""
     return "--" + field.replace("_", "-")
 
 

@@ -36,9 +36,10 @@ class Profile(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Parabolas:
-    """Euler angles that go from rest to rest between knots, speeding up for half the time and then slowing down.
+    """Euler angles that move from rest to rest between knots, with constant acceleration and then deceleration.
 
-    Angles and angular rates have no jumps; the motion repeats every `seconds`. Wittich 2017, figure 30.
+    Each takes half of the time. Angles and angular rates have no jumps. The motion repeats every `seconds`. Source:
+    Wittich 2017, figure 30.
     """
 
     times: tuple[tuple[float, ...], ...]  # three rows (omega, phi, kappa) of knots, s; from 0 to the same end
@@ -166,10 +167,10 @@ def still(seconds: float = 10.0) -> Gestures:
 
 
 def roll(turns: float, seconds: float | None = None) -> Gestures:
-    """The ball rolls on about a horizontal axis, then comes back another way, `turns` turns in all (3 s each).
+    """Return a roll about a horizontal axis and back about another one, `turns` turns in all (3 s each).
 
-    About (1, 0, 1) it meets phi = +90 deg in the middle of every turn, about (1, 0, -1) phi = -90 deg: where Euler
-    angles are singular.
+    About (1, 0, 1) the ball has phi = +90 deg in the middle of every turn, about (1, 0, -1) phi = -90 deg. Euler angles
+    are singular there.
     """
     total = TURN_SECONDS * turns if seconds is None else seconds
     there = float(np.ceil(turns / 2.0))
@@ -191,7 +192,10 @@ def rest(seconds: float = 60.0) -> Gestures:
 
 
 def creep(rate: float = np.radians(0.05), seconds: float = 60.0) -> Gestures:
-    """The ball is shown for 8 s and rests for 2 s, then turns by `rate` (rad/s) times `seconds` in 1 s more; rests."""
+    """Return a motion that shows the ball for 8 s and rests for 2 s. Then the ball turns slowly, and rests.
+
+    The turn by `rate` (rad/s) times `seconds` takes 1 s more than `seconds`.
+    """
     shown = _shown()
     slow = stroke(_end(shown) + 2.0, (1.0, 0.0, 1.0), rate, up=1.0, hold=seconds - 1.0, down=1.0)
     return Gestures((*shown, slow), slow.start + slow.length + 2.0)

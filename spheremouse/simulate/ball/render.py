@@ -80,7 +80,7 @@ class _Seen(NamedTuple):
 
 
 class Renderer:
-    """Renders frames of one scene; making it takes a few seconds, a frame takes milliseconds."""
+    """Renders frames of one scene. The constructor takes a few seconds, a frame takes milliseconds."""
 
     def __init__(self, scene: Scene, options: RenderOptions | None = None, backdrop: Backdrop | None = None) -> None:
         """`backdrop` may come from another renderer if both scenes look the same without discs. This saves seconds."""
@@ -127,7 +127,7 @@ class Renderer:
         return self._away
 
     def _look(self, profile: Profile, t: float, attitude: Array, scenery: _Set) -> _Seen:
-        """The discs in the picture; known already while ball and centre stay as they were throughout the frame."""
+        """Return the discs in the picture. Reuse the last ones if ball and centre do not move during the frame."""
         half = 0.5 * (self.scene.exposure_s + self.scene.readout_s)
         throughout = profile.attitude(t + half * np.linspace(-1.0, 1.0, 5))
         last = self._last
@@ -168,7 +168,7 @@ class Renderer:
         return np.asarray(cv2.LUT(image, _LIMITED), dtype=np.uint8) if options.limited else image
 
     def _light(self, t: float) -> NDArray[np.float32] | None:
-        """Factor on the grey values of every row at its own time, (h or 1,); None where there is nothing to do."""
+        """Return the factor on the grey values of every row at its own time, (h or 1,), or None if it is 1."""
         options, scene = self.options, self.scene
         if not options.dimming and options.flicker is None:
             return None

@@ -234,7 +234,7 @@ def default_scene(
     height: int = 480,
     distortion: Array | None = None,
 ) -> Scene:
-    """The reference geometry; `seed` places the discs. Other sizes than 640 x 480 keep the whole view."""
+    """Return the reference geometry. `seed` places the discs. Other sizes than 640 x 480 keep the whole view."""
     focal, position, angles = _VIEWS[view]
     scale = min(width / 640.0, height / 480.0)
     camera = InteriorOrientation(
@@ -262,10 +262,10 @@ def default_scene(
 
 
 def spread_directions(n: int, apart: float, rng: np.random.Generator) -> Array:
-    """Unit vectors, (n, 3), spread over the sphere but irregularly, no two nearer than `apart` rad.
+    """Return unit vectors, (n, 3), spread irregularly over the sphere, no two nearer than `apart` rad.
 
-    Random points that push each other away for a while, like electrons on a sphere, and stop before they settle: a
-    regular pattern would look alike from several sides. ValueError where `n` do not fit.
+    Random points repel each other, like electrons on a sphere. The iteration stops before they settle, since a regular
+    pattern would look alike from several sides. Raises ValueError if `n` do not fit.
     """
     if n < 1:
         raise ValueError("a ball needs at least one disc")

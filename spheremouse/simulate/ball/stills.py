@@ -86,7 +86,7 @@ def _direction(pose: Pose) -> Array:
 
 
 def _station(scene: Scene, station: tuple[float, float, float, float], rng: np.random.Generator) -> Pose:
-    """The camera about there, by hand; nearer to the front where that shows too few targets."""
+    """Return a hand-held pose near this place. If it shows too few targets, move it nearer to the front."""
     azimuth, elevation, distance, roll = station
     for nearer in np.linspace(1.0, 0.0, 21):
         dx, dy, dr = rng.normal(0.0, (1.5, 1.5, 2.0))
@@ -100,7 +100,7 @@ def _station(scene: Scene, station: tuple[float, float, float, float], rng: np.r
 
 
 def _standing(scene: Scene, azimuth: float, elevation: float, distance: float, roll: float) -> list[Pose]:
-    """The camera in that direction from the device, and so far off that it has all in view; none where it cannot."""
+    """Return the camera in this direction from the device, far enough to have all in view; None if impossible."""
     a, e = np.radians((azimuth, elevation))
     away = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
     for reach in np.arange(np.clip(distance, _NEAREST, _FARTHEST), _FARTHEST + 0.01, 0.1):
@@ -172,9 +172,9 @@ def in_picture(points: Array, camera: InteriorOrientation) -> NDArray[np.bool_]:
 
 
 def board_stations(board: Board, camera: InteriorOrientation, n: int, rng: np.random.Generator) -> tuple[Pose, ...]:
-    """Poses for `n` photos of the board, all of it in the picture; together they fill it, aslant in all directions.
+    """Return poses for `n` photos of the whole board. Together they fill the picture, with tilts in all directions.
 
-    Of many poses that a hand might take, each photo is the one that brings most corners where few have been.
+    Of many random hand-held poses, each photo takes the one with most corners in regions with few corners so far.
     """
     seen = np.zeros((_CELLS[1], _CELLS[0]))
     found: list[Pose] = []
@@ -199,7 +199,7 @@ def board_stations(board: Board, camera: InteriorOrientation, n: int, rng: np.ra
 def _before_board(
     board: Board, camera: InteriorOrientation, tilt: float, towards: float, turn: float, rng: np.random.Generator
 ) -> Pose | None:
-    """A pose from which the board is seen `tilt` deg aslant, somewhere in the picture; None where it is not whole."""
+    """Return a pose with the board tilted by `tilt` deg, anywhere in the picture. Return None if it is not whole."""
     tilt, towards, turn = np.radians([tilt + rng.normal(0.0, 2.0), towards + rng.normal(0.0, 10.0), turn])
     away = np.array([np.sin(tilt) * np.cos(towards), np.sin(tilt) * np.sin(towards), np.cos(tilt)])
     picture = np.array([camera.width / camera.fx, camera.height / camera.fy])  # its size at unit distance
@@ -259,7 +259,7 @@ class Photo(NamedTuple):
 
 
 def prepare_stills(options: StillsOptions, device: DeviceShape | None = None) -> Stills:
-    """Device, lens and places of the camera; ConfigurationError where the options leave no picture to take."""
+    """Return device, lens and camera places. Raise ConfigurationError if no picture is possible with the options."""
     rng = np.random.default_rng([options.seed, 3])
     scene = _scene(options, device)
     stations = device_stations(scene, options.photos, rng)

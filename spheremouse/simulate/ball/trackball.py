@@ -49,7 +49,7 @@ def trackball_matrix(scale_x: float, scale_y: float, turned: float = 0.0, tilt: 
 
 
 def rate_of(truth: Truth) -> Rate:
-    """The angular velocity between the frames of a recording, by a spline; outside it is that of the nearest frame."""
+    """Angular velocity between the frames of a recording, by a spline. Outside it is that of the nearest frame."""
     spline = CubicSpline(truth.stamp, truth.rate)
     first, last = truth.stamp[0], truth.stamp[-1]
     return lambda t: spline(np.clip(t, first, last))

@@ -54,7 +54,7 @@ class WandLight:
 
 
 def paint_of(colour: str) -> Array:
-    """Share of light given back, (3,) blue, green, red, of a disc or a body by its colour's name; grey if unknown."""
+    """Return the reflectance, (3,) blue, green, red, of a disc or a body by its colour's name; grey if unknown."""
     return np.array(reflectance(PAINTS.get(colour, (128.0, 128.0, 128.0))))
 
 

@@ -99,7 +99,7 @@ def prepare_wand(options: WandOptions, ball: WandBall | None = None, named: Name
 
 
 def simulate_wand(film: WandFilm, renderer: WandRenderer | None = None) -> Iterator[WandShot]:
-    """Its frames one by one, with truth; stamps start at 0. A `renderer` of the same scene may be handed in."""
+    """Yield the frames with truth. Stamps start at 0. You may pass a `renderer` of the same scene."""
     renderer = WandRenderer(film.scene) if renderer is None else renderer
     rng = np.random.Generator(np.random.SFC64([film.seed, 13]))
     truths = [film.truth(k) for k in range(len(film.scene.balls))]

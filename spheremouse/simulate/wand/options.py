@@ -11,7 +11,7 @@ Light = Literal["indoor", "outdoor"]
 
 @dataclass(frozen=True, slots=True)
 class WandOptions:
-    """A film to make; the fields are the options of `spheremouse wand simulate`."""
+    """Options of a film. The fields are the options of `spheremouse wand simulate`."""
 
     motion: Motion = param("drive", "[drive|hand]", "drive: on a robot, as in Grzonka 2005; hand: on a stick.")
     seed: int = param(0, "-", "Of path, room, paints and noise.")

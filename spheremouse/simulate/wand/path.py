@@ -47,7 +47,7 @@ def world_to_cam() -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """A robot that stops, turns on the spot and goes on, along straight lines."""
+    """Path of a robot along straight lines. At each way point it stops and turns on the spot."""
 
     points: Array  # (k, 2) m, world x and z
     wobble: float  # rad, standard deviation of pitch and of roll over a bumpy floor
@@ -114,7 +114,7 @@ def drive(rng: np.random.Generator, *, speed: float = 1.0, wobble: float = 0.005
 
 @dataclass(frozen=True, slots=True)
 class Hand:
-    """A ball held before the camera: it goes to and fro, nods, and turns about its stick."""
+    """Path of a ball held before the camera. It moves to and fro, nods, and turns about its stick."""
 
     middle: Array  # (3,) m, cam
     sway: Array  # (3, m, 3) of x, y, z: m, rad/s, phase
@@ -146,10 +146,10 @@ def hand(
     seconds: float = 20.0,
     aside: float = 0.0,
 ) -> Hand:
-    """A hand about `distance` m away that moves up to `speed` (m/s) and turns up to `rate` (rad/s), both reached.
+    """Return the path of a hand about `distance` m away. Its maxima are `speed` (m/s) and `rate` (rad/s).
 
-    `reach` is how far to either side it goes, m; `aside` where the middle is to the right, m. The pole with its discs
-    leans towards the camera by 15 to 35 degrees and nods by some 20 more; about the pole it turns right round.
+    `reach` is the amplitude to either side, m. `aside` is the offset of the middle to the right, m. The pole with its
+    discs leans towards the camera by 15 to 35 degrees and nods by some 20 more. About the pole it makes full turns.
     """
     m = 4
     # slow and wide or fast and short, as a player's hand moves, 0.2 to 1.2 Hz
@@ -165,7 +165,7 @@ def hand(
 
 
 def _scaled(path: Hand, reach: float, speed: float, rate: float) -> Hand:
-    """The same with the largest speeds asked for; slower swings where it would go beyond `reach`."""
+    """Scale the path to the requested maximum speeds. If it would exceed `reach`, make swings faster and shorter."""
     t = np.arange(0.0, path.seconds, 0.01)
     sway, turn = path.sway.copy(), path.turn.copy()
     place = _sum(sway, t)

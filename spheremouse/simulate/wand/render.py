@@ -51,7 +51,7 @@ class Carried:
 
 @dataclass(frozen=True, slots=True)
 class WandScene:
-    """Everything the camera sees."""
+    """The contents of the camera's view."""
 
     camera: InteriorOrientation
     balls: tuple[Carried, ...]
@@ -99,7 +99,7 @@ def outdoor_light(rng: np.random.Generator, gloss: float = 2.5) -> WandLight:
 
 
 class WandRenderer:
-    """Renders frames of one scene; making it takes a second or two, a frame some milliseconds."""
+    """Renders frames of one scene. The constructor takes a second or two, a frame some milliseconds."""
 
     def __init__(self, scene: WandScene) -> None:
         self.scene = scene
@@ -188,7 +188,7 @@ class WandRenderer:
 
 
 def _windows(layers: list[Layer], camera: InteriorOrientation) -> list[tuple[int, int, int, int]]:
-    """First column and row, last+1 column and row of the parts that layers touch; none overlaps another."""
+    """Return the disjoint parts that layers touch: first column and row, last+1 column and row."""
     merged: list[tuple[int, int, int, int]] = []
     for layer in layers:
         x0, y0 = (max(p - 2 * _MARGIN, 0) for p in layer.place)

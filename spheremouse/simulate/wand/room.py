@@ -57,7 +57,7 @@ def paint_faces(faces: Sequence[tuple[Array, Colour]], camera: InteriorOrientati
 
 
 def _averaged(drawn: NDArray[np.uint8], lights: NDArray[np.float32], w: int, h: int) -> NDArray[np.float32]:
-    """Paint of the colours that subpixels name, (h, w, 4): by table where a pixel is all one colour."""
+    """Return the paint of subpixels, (h, w, 4). For a pixel of one colour the paint comes from a table."""
     cells = drawn.reshape(h, _FINE, w, _FINE).transpose(0, 2, 1, 3)
     first = drawn[::_FINE, ::_FINE]
     mixed = cv2.resize(drawn, (w, h), interpolation=cv2.INTER_AREA) != first
