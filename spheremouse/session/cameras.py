@@ -13,7 +13,7 @@ from spheremouse.session.run_config import RunConfig
 
 
 def is_camera(spec: str) -> bool:
-    """Return True for a device, which may be unplugged and come back."""
+    """Return True for a device. A user may unplug it and plug it in again."""
     return spec.partition(":")[0] in ("v4l2", "opencv")
 
 

@@ -180,7 +180,7 @@ class _Exchange:
         return open_it
 
     def close(self) -> None:
-        """Close those before, in whichever thread comes first."""
+        """Close the old outputs, in the first thread that calls this."""
         with self._closing:
             while self._old:
                 self._old.pop().close()

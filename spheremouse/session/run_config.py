@@ -110,7 +110,7 @@ class RunConfig:
 
 
 def read_run_config(overrides: CommandLineOverrides) -> RunConfig:
-    """Read everything that a request names. Raises ConfigurationError, with file and line where there is one."""
+    """Read all files and settings of a request. Raise ConfigurationError, with file and line for an error in a file."""
     c = config.in_force(overrides.file, overrides.assignments, Configuration)
     for change in overrides.changes:
         c = config.override(c, change, label="")
@@ -151,10 +151,10 @@ def read_run_config(overrides: CommandLineOverrides) -> RunConfig:
 
 
 def check_kinds(plan: RunConfig, before: RunConfig | None = None) -> None:
-    """Refuse a source or output of no known kind, or with a slip in its argument, where it is another than `before`.
+    """Reject a source or output of an unknown kind or with an invalid argument, unless it is the same as `before`.
 
-    A device that is missing may come, a slip will not mend itself. Nor does a run change between a ball in its frame
-    and one in a hand.
+    A missing device is accepted, since a user may plug it in later. A change between a ball in its frame and a ball in
+    a hand is rejected too.
     """
     if before is not None and "wand" in {plan.configuration.tracker} ^ {before.configuration.tracker}:
         raise ConfigurationError(

@@ -1,7 +1,7 @@
 """Overlay of the tracker's view on the frame, for pictures and videos.
 
-Detected contours white, targets green, discs of the map where they are predicted red with the last epochs fading
-(Wittich 2017, fig. 27), masked look-alikes blue, the ball's outline thin; a strip with numbers below.
+Detected contours are white and targets green. Predicted discs of the map are red, with the last epochs fading (Wittich
+2017, fig. 27). Masked look-alikes are blue, the ball's outline is thin. A strip below has the numbers.
 """
 
 from collections import deque
@@ -22,7 +22,7 @@ from spheremouse.tracker import Status
 
 
 def target_marks(rig: Rig, pose: Pose, seen: Resection | None) -> tuple[Mark, ...]:
-    """Marks of the targets that the pose rests on, where they were seen; of all, where they should be, without it."""
+    """Return marks of the targets of a resection at their measured places; without it, of all at predicted places."""
     if len(rig.targets.codes) == 0:
         return ()
     codes, centres = (rig.targets.codes, predict_targets(pose, rig)) if seen is None else (seen.codes, seen.centre)

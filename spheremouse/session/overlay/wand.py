@@ -1,7 +1,8 @@
 """Overlay of hand-held balls on the frame, for pictures and videos.
 
-Each ball's outline thin, its discs' rims white where they face the camera and grey where the pose is only predicted, a
-green pin in its pole, its way in the last half second yellow; a strip with the numbers of the ball that points below.
+Each ball's outline is thin. The rims of discs that face the camera are white, or grey if the pose is only predicted.
+A green pin marks the pole, and the path of the last half second is yellow. A strip below has the numbers of the
+pointing ball.
 """
 
 from collections import deque
@@ -99,7 +100,7 @@ def _draw(pen: Pen, ball: WandBall, name: str, pose: WandPose, camera: InteriorO
 
 
 def _cells(epoch: WandEpoch, pose: WandPose, counts: tuple[int, int, int]) -> tuple[tuple[str, float], ...]:
-    """Time and state, counts; position and angles where they are known."""
+    """Return the text cells: time and state, counts, and position and angles if the pose has them."""
     state = "hidden" if pose.phase is Status.TRACKING and not pose.seen else str(pose.phase)
     cells = [
         (f"{epoch.frame.stamp:.2f} s  {state}", 0.012),
