@@ -21,9 +21,9 @@ from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose, ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array, log
 
-_FINE = 17  # px, half width of a patch that need not be finer: larger ones are reduced to about that
-_AROUND = 1.3  # outer radii of a target that its patch reaches: the ring's edge and some of what is behind
-_NEAR = 3  # px of the patch, searched in an ordinary look
+_FINE = 17  # px, half width of a reduced patch: larger ones are reduced to about that
+_AROUND = 1.3  # half width of a patch in outer radii of the target: it includes the ring's edge and some background
+_NEAR = 3  # px of the reduced patch, reach of an ordinary search
 _POINT_SYMMETRY = 0.7  # correlation of a patch with itself turned by 180°, from which it is taken for a target
 _CONTRAST = 5.0  # grey values, standard deviation within a patch: less is a wall, or the dark
 DISPLACED_PX = 0.15  # shift of a moved target: seven standard deviations of its rings, 0.05° of the ball far away
@@ -44,21 +44,21 @@ class CameraMonitor:
     size: NDArray[np.intp]  # (n,) px of the patch, its width and height
     reduction: NDArray[np.intp]  # (n,) px of the image to one of the patch
     zero: Array  # (n, 2) px, result of the correlation for a target that has not moved
-    place: Array  # (n, 2) px, where the rings were measured; nan: they were not
-    seen: NDArray[np.bool_]  # (n,) it was there at the last look
-    turn: int = 0  # the target to be looked at next
-    due: float = -np.inf  # s, when
+    place: Array  # (n, 2) px, measured centres of the rings; nan without a measurement
+    seen: NDArray[np.bool_]  # (n,) visible at the last check
+    turn: int = 0  # the target of the next check
+    due: float = -np.inf  # s, time of the next check
     shift: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (n, 2) px while the camera is away; nan: hidden
-    away: float | None = None  # s, since when the camera is not where it was
-    tried: float = -np.inf  # s, when the targets were last looked for by their colours
-    asked: bool = False  # something was odd in a grey frame: all targets are looked at in the next one, in colour
+    away: float | None = None  # s, start of the camera's displacement; None: not displaced
+    tried: float = -np.inf  # s, last search for the targets by their colours
+    asked: bool = False  # a grey frame showed a displaced target: the next frame, in colour, checks all targets
 
     def __len__(self) -> int:
         return len(self.patches)
 
 
 def begin(rig: Rig, pose: Pose) -> CameraMonitor | None:
-    """A watch on the targets of a rig seen from a pose; None where fewer than three lie in the picture."""
+    """Return a monitor of the rig's targets for a camera pose; None if fewer than three lie in the image."""
     if len(rig.targets.codes) < 3:
         return None
     centre = predict_targets(pose, rig)
@@ -92,7 +92,10 @@ def begin(rig: Rig, pose: Pose) -> CameraMonitor | None:
 def remember_targets(
     watch: CameraMonitor, image: Image, which: NDArray[np.intp], rig: Rig, rings: RingSettings
 ) -> CameraMonitor:
-    """The watch with what the targets `which` look like now, where that is a target: point-symmetric, and no wall."""
+    """Store the current patches of the targets `which`.
+
+    A patch is stored only if it shows a target: it has contrast and is point-symmetric.
+    """
     patches, seen, place, zero = list(watch.patches), watch.seen.copy(), watch.place.copy(), watch.zero.copy()
     for k in which:
         if watch.size[k] == 0:
@@ -124,7 +127,10 @@ def target_shift(watch: CameraMonitor, image: Image, which: int, far: bool = Fal
 
 
 def target_shifts(watch: CameraMonitor, image: Image) -> tuple[CameraMonitor, Array]:
-    """The shift of every target, (n, 2) px, nan where hidden; looked for far where it is not near its place."""
+    """Return the shift of every target, (n, 2) px; nan if it is hidden.
+
+    If a target is not near its place, the search covers a larger part of the image.
+    """
     shift = np.array([target_shift(watch, image, k) for k in range(len(watch))])
     for k in range(len(watch)):
         if not np.hypot(*shift[k]) < _NEAR - 1:
@@ -135,7 +141,8 @@ def target_shifts(watch: CameraMonitor, image: Image) -> tuple[CameraMonitor, Ar
 def check_next_target(watch: CameraMonitor, image: Image, stamp: float, surprised: bool) -> tuple[CameraMonitor, bool]:
     """Check the next target if it is due, or the next two at once after a surprise. Return whether one is displaced.
 
-    A target that was there and is gone counts as out of its place, too, once; whether the camera moved, all must say.
+    A target that has just disappeared counts as displaced once. A displaced target does not prove that the camera has
+    moved. That decision needs a check of all targets.
     """
     step = _INTERVAL_S / len(watch)
     if not surprised and watch.due - step <= stamp < watch.due:
@@ -153,7 +160,10 @@ def check_next_target(watch: CameraMonitor, image: Image, stamp: float, surprise
 
 
 def displaced(shift: Array, limit: float) -> bool | None:
-    """Have most targets moved by more than `limit` px; shifts (n, 2) px? None where fewer than three are to be seen."""
+    """Return whether most targets have moved by more than `limit` px, from their shifts, (n, 2) px.
+
+    Returns None if fewer than three targets are visible.
+    """
     seen = np.isfinite(shift[:, 0])
     if np.count_nonzero(seen) < 3:
         return None
@@ -169,7 +179,7 @@ def is_still(before: Array, now: Array) -> bool:
 
 
 def on_rings(watch: CameraMonitor, image: Image, shift: Array, rig: Rig, rings: RingSettings) -> Array:
-    """Shifts, (n, 2) px, measured on the edges of the rings near where correlation found them; nan where not."""
+    """Return the shifts, (n, 2) px, measured on the rings' edges near the correlation's result; nan without rings."""
     if image.ndim != 3:
         return np.full_like(shift, np.nan)
     now = [_on_rings(watch, image, k, shift[k], rig, rings) for k in range(len(watch))]
@@ -177,10 +187,10 @@ def on_rings(watch: CameraMonitor, image: Image, shift: Array, rig: Rig, rings: 
 
 
 def moved_pose(shift: Array, rig: Rig, pose: Pose, sigma: float) -> tuple[Pose, Array] | None:
-    """The pose from which the targets are seen shifted, (n, 2) px, and what that adds to its covariance, (6, 6).
+    """Return the camera pose for the targets' shifts, (n, 2) px, and the added covariance, (6, 6).
 
-    Of the nearest solution; of more than three targets those are left out that fit with no other. None where no pose
-    near the one before does.
+    The result is the solution nearest to `pose`. With more than three targets, targets that fit no other are left out.
+    Returns None if no pose near `pose` fits.
     """
     which = np.flatnonzero(np.isfinite(shift[:, 0]))
     observed = predict_targets(pose, rig) + shift
@@ -204,7 +214,7 @@ def difference(before: Pose, after: Pose) -> tuple[float, float]:
 
 
 def _on_rings(watch: CameraMonitor, image: Image, which: int, shift: Array, rig: Rig, rings: RingSettings) -> Array:
-    """Centre, (2,) px, of a target seen about `shift` px from its place; nan where its rings are not seen."""
+    """Return the centre, (2,) px, of a target about `shift` px from its place; nan if its rings are not visible."""
     if image.ndim != 3 or not np.all(np.isfinite(shift)):
         return np.full(2, np.nan)
     margin = int(watch.size[which]) // 4 + 6
@@ -216,7 +226,10 @@ def _on_rings(watch: CameraMonitor, image: Image, which: int, shift: Array, rig:
 
 
 def _window(watch: CameraMonitor, image: Image, which: int, reach: int) -> tuple[Image, Array]:
-    """Grey, reduced, of a patch and up to `reach` px of it on all sides; and how many lie left of it and above."""
+    """Return a patch with a margin, in grey and reduced, and the widths of the left and upper margin.
+
+    The margin is up to `reach` reduced pixels wide on all sides.
+    """
     f, size = int(watch.reduction[which]), int(watch.size[which])
     x, y = (int(v) for v in watch.corner[which])
     h, w = image.shape[:2]
@@ -231,13 +244,13 @@ def _window(watch: CameraMonitor, image: Image, which: int, reach: int) -> tuple
 
 
 def _top(score: cv2.typing.MatLike) -> tuple[float, Array]:
-    """The largest value of a map of correlations, and where it is, (2,) column and row, to a part of a pixel."""
+    """Return the largest value of a correlation map and its subpixel position, (2,) column and row."""
     _, best, _, (x, y) = cv2.minMaxLoc(score)
     return best, np.array([x + _peak(score[y], x), y + _peak(score[:, x], y)])
 
 
 def _peak(score: cv2.typing.MatLike, at: int) -> float:
-    """Offset of the top of a parabola through a row's largest value and its neighbours; 0 at the row's end."""
+    """Return the offset of the vertex of a parabola through a maximum and its neighbours; 0 at the row's end."""
     if not 0 < at < len(score) - 1:
         return 0.0
     a, b, c = (float(s) for s in score[at - 1 : at + 2])

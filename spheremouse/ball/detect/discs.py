@@ -1,11 +1,11 @@
-"""The default disc detector: local contrast finds them, a fit of the expected image measures them.
+"""The default disc detector: local contrast detects discs, and a fit of the expected image measures them.
 
-A projection of the colours (detect.projection) makes discs darker than the ball. A disc is where it is darker than its
-surroundings (grey closing wider than a disc) by a part of the lighter of the two: a ratio, so that neither the level of
-the light nor its slope matters. Around each such place the image is fitted by a sloped
-background minus a blurred ellipse whose shape the geometry gives; centre, size and contrast come out of the fit, with a
-covariance (detect.fit); a fit that lost its rim is none. In use, when the map says where discs must be, each is
-measured in a window of its own, and the whole picture is left alone.
+A projection of the colours (detect.projection) makes discs darker than the ball. A candidate is a place darker than its
+surroundings (grey closing wider than a disc) by a part of the lighter of the two. This criterion is a ratio, so neither
+the level of the light nor its slope matters. The model of the image around each candidate is a sloped background minus
+a blurred ellipse, whose shape follows from the geometry. The fit gives centre, size and contrast with a covariance
+(detect.fit). A fit without enough of the rim is rejected. During tracking the map predicts the discs. Then the detector
+measures each disc in its own window and does not process the whole image.
 """
 
 from dataclasses import dataclass, replace
@@ -99,7 +99,7 @@ class DiscSettings:
 
     @property
     def projection(self) -> Projection | None:
-        """The projection of colours that is set; None: it is to be found."""
+        """The configured projection of colours; None: the tracker determines it."""
         if self.weights:
             return normalised(np.array(self.weights))
         return {"auto": None, "dark": GREY, "light": NEGATIVE}[self.polarity]
@@ -107,7 +107,7 @@ class DiscSettings:
 
 @dataclass(frozen=True, slots=True)
 class DiscDetector:
-    """Everything that stays the same while the camera stands."""
+    """The default detector with all data that is constant for one camera pose."""
 
     settings: DiscSettings
     rig: Rig
@@ -198,9 +198,10 @@ class DiscDetector:
         return cv2.GaussianBlur(grey, (0, 0), self.settings.smoothing) if self.settings.smoothing > 0 else grey
 
     def _dark_places(self, grey: Image, noise: float, offset: float) -> tuple[Array, Array]:
-        """Compact regions darker than what surrounds them: centroids (n, 2) px and areas, px², of the whole picture.
+        """Return compact regions darker than their surroundings: centroids (n, 2) px and areas, px², in the full image.
 
-        Looked for at three levels: the low one finds slivers at the limb, the high one parts a disc from a shadow.
+        The search uses three levels. The low one detects slivers at the limb. The high one separates a disc from a
+        shadow.
         """
         f = self.lattice.reduction
         diameter, least = self.model.diameter / f, 0.3 * self.settings.min_area / f**2
@@ -230,7 +231,7 @@ class DiscDetector:
 
 
 def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose) -> DiscDetector:
-    """Prepare the detector for a camera that stands still. Raises ConfigurationError where masks hide the ball."""
+    """Prepare the detector for one camera pose. Raises ConfigurationError if the masks hide the whole ball."""
     diameter = largest_disc(rig, pose)
     f = max(int(np.rint(diameter / _FINE)), 1)
     # pixels on the outline mix with the room

@@ -1,13 +1,14 @@
-"""Discs measured: the picture and the expected ellipses in, centres with their covariance and what tells a disc out.
+"""Measurement of discs: fit the expected ellipses to the image; return centres, covariances and tests of a disc.
 
-Around each place the picture is modelled by a sloped background minus a blurred ellipse whose shape the geometry gives:
+The model of the image around each place is a sloped background minus a blurred ellipse. The geometry gives its shape:
 
     I = b0 + b1 x + b2 y - (a0 + a1 x + a2 y) e(x - c; s)
 
-with the background b, the contrast a (gloss lightens print on one side), the centre c and the size s, by Gauss-Newton.
-A disc that moves during the exposure is the mean of its ellipses along its path.
+with the background b, the contrast a, the centre c and the size s, fitted by Gauss-Newton. The contrast has a slope
+because gloss lightens print on one side. A disc that moves during the exposure is the mean of its ellipses along its
+path.
 Pixels that fit neither (a strut, a highlight) are weighted down (Tukey's biweight). The covariance is that of the
-adjustment (Wittich 2017, chapter 5, names it as the next step). Compiled: all per-pixel work is in the functions below.
+adjustment (Wittich 2017, chapter 5, names it as the next step). The functions are compiled and do all per-pixel work.
 """
 
 from typing import NamedTuple
@@ -42,8 +43,8 @@ _SIZE = 0.02  # discs cut from one sheet differ by this part of their size
 _RIM_OFF = 0.35  # px by which lens blur and gloss may shift a rim: to a sliver's size that is a lot
 _SLIVER = 2.0  # px, semi-minor axis below which both rims are one blur
 _SLIVER_BIAS = 0.15  # px at a semi-minor axis of one pixel
-_CUT = 1.5  # px², variance per part of the rim that something lies over: its edge passes for a rim here and there
-_LARGE = 3.0  # px, semi-minor axis from which a disc tells the size of all
+_CUT = 1.5  # px², variance per covered part of the rim: the cover's edge partly passes for a rim
+_LARGE = 3.0  # px, semi-minor axis from which a disc contributes to the common size
 _LIMITS = np.array([0.35, 0.25, 0.25, 0.25, 0.25], dtype=np.float32)  # of the contrast: residuals beyond weigh nothing
 _STILL = 0.01  # px: a step this short is the last
 
@@ -55,7 +56,7 @@ class Fits(NamedTuple):
     centroid: Array  # (n, 2) px, of the disc's image
     covariance: Array  # (n, 2, 2) px²
     rim: Array  # (n,) part of the rim on the ball that fits
-    cut: Array  # (n,) part of it that does not fit at all: something lies over it
+    cut: Array  # (n,) part of the rim that does not fit at all, because something covers it
 
 
 class FitSettings(NamedTuple):
@@ -74,13 +75,14 @@ class FitSettings(NamedTuple):
 def measure(image, mask, place, shape, path, noise, weights, fit, contrast, size_known):
     """Fit n discs expected at `place`, (n, 2) px, with `shape`, (n, 2, 2) px², in an image (h, w, c) of uint8.
 
-    `mask` (h, w) is not 0 on the ball, `path` (n, 7) is how each disc moves during the exposure (`moving_ellipse_of`),
+    `mask` (h, w) is not 0 on the ball. `path` (n, 7) is each disc's motion during the exposure (`moving_ellipse_of`).
     `noise` is that of a pixel, `weights` (c,) are those of the projection, and `fit` is a FitSettings. `contrast` is
-    the least contrast over the light of the lighter of disc and ball. Returns Fits, and the size that all discs share,
-    fitted over expected. First the size is free, which tells discs from other things, and the size all discs share.
-    Then it is held at that, so that a disc cut by a strut is seen as cut, not as smaller. If fewer than three discs
-    tell the size, it is held at 1 and the result is 0. If `size_known` is not 0, the size is held at that from the
-    beginning.
+    the least contrast over the light of the lighter of disc and ball.
+
+    Returns Fits and the common size of all discs, fitted over expected. The first fit leaves the size free. It
+    separates discs from other objects and gives the common size. The second fit fixes the size at that value.
+    Otherwise a disc cut by a strut would look smaller instead of cut. If fewer than three discs determine the size, it
+    is fixed at 1 and the returned size is 0. If `size_known` is not 0, both fits use that size.
     """
     kernel, blur, size_tolerance = fit.kernel, fit.blur, fit.size_tolerance
     rim_least, sigma = fit.rim, fit.sigma
@@ -151,7 +153,7 @@ def measure(image, mask, place, shape, path, noise, weights, fit, contrast, size
         q = inverse[k]
         x[k, 8] = 1.0
         moving_ellipse_of(m, px[k], py[k], q, x[k, 6:9], path[k], b, e[k], d[k], e_part, d_part)
-        # the ball's shade beside the disc to begin with: a plane, twice, the second time without what lies off it
+        # start with the ball's shade beside the disc: fit a plane twice, the second time without outliers
         beside = 0
         for i in range(m):
             weight[k, i] = 1.0 if e[k, i] < CLEAR else 0.0
@@ -253,9 +255,9 @@ def measure(image, mask, place, shape, path, noise, weights, fit, contrast, size
 
 @njit(cache=True, error_model="numpy")
 def _full_contrast(x, count, minor):
-    """Contrast over light of discs without gloss: the largest of those measured, 1 where fewer than three tell it.
+    """Return the contrast over light of discs without gloss: the largest measured; 1 with fewer than three discs.
 
-    Gloss takes from it, and a slope that gloss makes is no steeper than what it takes.
+    Gloss reduces the contrast. A slope due to gloss is at most as steep as that reduction.
     """
     full, tell = 0.0, 0
     for k in range(len(x)):

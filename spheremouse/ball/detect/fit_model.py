@@ -232,7 +232,7 @@ def _cholesky(N, n):
 
 @njit(cache=True, error_model="numpy")
 def solve(L, b, n):
-    """b of L L' x = b becomes x."""
+    """Solve L L' x = b; b becomes x."""
     for i in range(n):
         for k in range(i):
             b[i] -= L[i, k] * b[k]
@@ -245,20 +245,22 @@ def solve(L, b, n):
 
 @njit(cache=True, error_model="numpy")
 def lighter(ball, contrast):
-    """Light of the lighter of a ball and a disc on it, whose projections are `ball` and `ball - contrast`."""
+    """Return the light of the lighter of ball and disc, from their projections `ball` and `ball - contrast`."""
     return max(abs(ball), abs(ball - contrast))
 
 
 @njit(cache=True, error_model="numpy")
 def gauss_newton_step(N, g, x, scale, gloss, size, size_sigma, damping):
-    """One Gauss-Newton step of x, (9,), times `damping` (weights that come and go let a full step swing).
+    """Take one Gauss-Newton step of x, (9,), times `damping`.
 
-    N becomes its factor. Returns the length of the centre's full step, px.
+    Without damping, changing weights make the steps oscillate. N becomes its factor. Returns the length of the
+    centre's full step, px.
 
-    What is expected of the slopes and the size comes in as observations: a ball's shade slopes little, and what does
-    more is a strut. Print leaves a part of the light, so the contrast slopes as the shade of a light ball does; a dark
-    ball's shade tells nothing of it. Gloss changes that slope by up to `gloss` (of the contrast, 1/px). A sliver cannot
-    tell size from contrast, there the known size decides.
+    Three expectations enter as observations:
+    - A ball's shade slopes little. A steeper slope belongs to a strut.
+    - Print leaves a part of the light, so the contrast slopes as the shade of a light ball does. A dark ball's shade
+      gives no information about it. Gloss changes that slope by up to `gloss` (of the contrast, 1/px).
+    - The size is `size`. In the image of a sliver, size and contrast are inseparable, so this value decides.
     """
     shade = (scale / (_SLOPE * max(abs(x[0]), 1.0))) ** 2
     gleam = (scale / (gloss * max(x[3], 1.0))) ** 2
@@ -296,7 +298,7 @@ def semi_axes(sxx, sxy, syy):
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def plane(n, px, py, grey, weight, x):
-    """Level and slopes of weighted grey values: into x[:3]."""
+    """Write the level and slopes of weighted grey values into x[:3]."""
     sw, sx, sy, sg, sxx, sxy, syy, sxg, syg = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n):
         w = weight[i]
@@ -322,7 +324,7 @@ def plane(n, px, py, grey, weight, x):
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def keep_near(n, px, py, grey, e, x, noise, weight):
-    """Weight 1 for what is beside the disc and within 1.5 mean deviations of the plane x[:3], else 0."""
+    """Set weight 1 for pixels beside the disc within 1.5 mean deviations of the plane x[:3], else 0."""
     b0, b1, b2 = np.float32(x[0]), np.float32(x[1]), np.float32(x[2])
     total, count = np.float32(0.0), np.float32(1e-3)
     for i in range(n):

@@ -67,7 +67,7 @@ class So3Filter:
     readout_sigma: float = 0.0  # s, of the rolling shutter's time
 
     def initial(self, stamp: float, attitude: Array) -> So3State:
-        """At rest at `attitude`, (3, 3), which is the reference: without error. No disc is known."""
+        """Return the state at rest at `attitude`, (3, 3), the reference without error; the map is empty."""
         joint = np.zeros((MAP_OFFSET + CLONE_DIM, MAP_OFFSET + CLONE_DIM))
         joint[3:6, 3:6] = self.settings.start_rate_sigma**2 * np.eye(3)
         joint[6:KINEMATIC_DIM, 6:KINEMATIC_DIM] = usual_acceleration(self.settings) ** 2 * np.eye(3)
@@ -76,11 +76,11 @@ class So3Filter:
         return So3State(stamp, attitude, np.zeros(3), np.zeros(3), np.zeros((0, 3)), np.zeros((0, 3, 2)), joint)
 
     def predict(self, state: So3State, stamp: float) -> So3State:
-        """Carried on to `stamp`, by up to 10 s, with an acceleration that has made no step since.
+        """Predict the state for `stamp`, by up to 10 s, with an acceleration without steps.
 
-        The covariance is that of a ball left alone; `process` and `weights` say what a more lively player adds. Of a
-        longer interval than half the mean time between two steps, all but the last part goes without that distinction:
-        there the acceleration fades (Singer 1970), which is what steps do on the average.
+        The covariance is that of a ball left alone. `process` and `weights` describe the additional variance of a more
+        active player. If the interval exceeds half the mean time between two steps, the prediction applies this only to
+        the last part. Before that part the acceleration fades (Singer 1970), which is the mean effect of the steps.
         """
         s = self.settings
         dt = float(min(max(stamp - state.stamp, 0.0), _LONGEST))
@@ -133,7 +133,7 @@ class So3Filter:
     def is_significant(self, predicted: So3State, used: int, points: int) -> bool:
         """Return whether chance explains so many pairs in less than one frame of a thousand.
 
-        Each point lies in each disc's gate by chance with that gate's share of what the camera sees of the ball.
+        A point lies in a disc's gate by chance with a probability: the gate's share of the visible part of the ball.
         """
         sigma = self.place_sigma(predicted, self.visible(predicted))
         return bool(pdtrc(used - 1, self._expected_by_chance(sigma, points)) < _RARE)
@@ -144,7 +144,7 @@ class So3Filter:
         return points * float(np.sum(areas)) / (2.0 * np.pi * (1.0 - self.horizon))
 
     def place_sigma(self, state: So3State, which: NDArray[np.intp]) -> Array:
-        """Standard deviation, (k,) rad, along its worse axis, of where each of the discs `which` is predicted."""
+        """Return the standard deviation, (k,) rad, of the predicted places of the discs `which`, on the worse axis."""
         return so3_match.place_sigma(*state.body, state.joint, which, self._added_noise(state, self._expected(state)))
 
     def update(
@@ -152,9 +152,9 @@ class So3Filter:
     ) -> So3State:
         """Associate, correct, and keep the map: points of `may_start_landmark` (n,) may start a new disc (None: all).
 
-        The innovations show how lively the player is: the levels are states of a Markov chain, and at each the
-        acceleration makes steps of another size (`so3_motion`). Steps and levels are weighed by the likelihood of all
-        pairs together.
+        The innovations show how active the player is. The levels are states of a Markov chain. At each level the
+        acceleration makes steps of a different size (`so3_motion`). The joint likelihood of all pairs weights the steps
+        and levels.
         """
         pairing, corrected = self._match(state, points)
         if corrected is None:
@@ -164,10 +164,12 @@ class So3Filter:
     def update_if_certain(
         self, state: So3State, points: SpherePoints, may_start_landmark: NDArray[np.bool_]
     ) -> So3State | None:
-        """`update` of a frame whose pairs are beyond doubt; None of any other.
+        """Return the result of `update` for a frame with certain pairs; None for any other frame.
 
-        They are if two discs pair and one of three holds. The attitude is known well and most points pair. Chance does
-        not explain so many pairs. Two pairs fix the attitude, and chance does not explain the others about it.
+        The pairs are certain if at least two discs pair and one of three conditions holds:
+        - the attitude is known well and most points pair,
+        - chance does not explain so many pairs,
+        - two pairs fix the attitude, and chance does not explain the other pairs.
         """
         pairing, corrected = self._match(state, points)
         if corrected is None:
@@ -271,7 +273,7 @@ class So3Filter:
         return density + k * math.log(_DETECTED / ((1.0 - _DETECTED) * foreign))
 
     def _pair(self, state: So3State, points: SpherePoints, noise_scale: float) -> Pairing:
-        """Return the pairs within the gate at the level whose noise scale is given."""
+        """Return the pairs within the gate at the level with this noise scale."""
         if len(points) == 0:
             return Pairing(_NONE, _NONE)
         added, seen = self._added_noise(state, noise_scale), self._seen(state, points)
@@ -283,9 +285,9 @@ class So3Filter:
         return Pairing(rows, columns, in_place and k == possible, plain, innovation if agree and k else None)
 
     def _pairs_if_livelier(self, state: So3State, points: SpherePoints, pairing: Pairing) -> bool:
-        """Return whether a point and a disc that are in no pair are one at the liveliest level.
+        """Return whether an unpaired point and an unpaired disc form a pair at the highest level.
 
-        Then the ball may have been pushed, and the discs that the push moved least are not the only ones to use.
+        If they do, a hand may have pushed the ball. Then the update must not use only the discs that moved least.
         """
         added = self._added_noise(state, squared_levels(self.settings.levels).max())
         which, gate, seen = self.visible(state), self.settings.gate, self._seen(state, points)
@@ -353,7 +355,10 @@ class So3Filter:
         return so3_match.innovation(*state.body, state.joint, pairing.rows, pairing.columns, allowance, *seen)
 
     def _coasted(self, state: So3State) -> So3State:
-        """The state of a frame without pairs: nothing tells of steps. On the average they let the acceleration fade."""
+        """Return the state after a frame without pairs.
+
+        Such a frame gives no information about steps. Their mean effect is that the acceleration fades.
+        """
         noise_scale, mean = self._expected(state), np.zeros(len(state.joint))
         joint = state.joint.copy()
         joint[:KINEMATIC_DIM, :KINEMATIC_DIM] += (noise_scale - 1.0) * state.process
@@ -408,7 +413,7 @@ class So3Filter:
 
 
 def _log_density(z: Array, S: Array) -> float:
-    """Log of the normal density of an innovation z, (2k,), with covariance S."""
+    """Return the log of the normal density of an innovation z, (2k,), with covariance S."""
     L = np.linalg.cholesky(S)
     white = np.linalg.solve(L, z)
     return float(-0.5 * white @ white - np.log(L.diagonal()).sum() - 0.5 * len(z) * math.log(2.0 * math.pi))
@@ -420,7 +425,7 @@ def relocate(
     """Return the map with a new attitude of `sigma` rad per axis, at `stamp`, for an update.
 
     `rate` (3,) rad/s is the expected rate, to within a sudden change by a hand; None: unknown.
-    Attitude and map lose their correlation: what was found knows nothing of how the map came to be.
+    Attitude and map become uncorrelated, because the new attitude does not depend on the history of the map.
     """
     joint = state.joint.copy()
     considered = joint[KINEMATIC_DIM:MAP_OFFSET, KINEMATIC_DIM:MAP_OFFSET].copy()
@@ -446,10 +451,10 @@ def relocate(
 def _twist_as_swing(state: So3State, column: int) -> So3State:
     """Return the state after a frame of one disc, `column`, with a twist about that disc as large as the swing.
 
-    One disc tells the swing, the two components of the rate across its direction, and nothing of the twist. The axis of
-    a turn is no likelier to point at the disc than elsewhere. So the twist is the swing times the cotangent of an angle
-    whose cosine is uniform, up to a large turn by hand. A ball whose one disc stands still is thus at rest. A
-    twist that is known better is left alone.
+    One disc determines the swing, the two components of the rate across its direction, but not the twist. All
+    directions of the rotation axis are equally likely. So the twist is the swing times the cotangent of an angle with a
+    uniform cosine, up to a large turn by hand. Thus a ball is at rest if its one visible disc is at rest. If the
+    twist's variance is already smaller, the state does not change.
     """
     axis = state.attitude @ state.discs[column]
     along = state.joint[:, 3:6] @ axis
