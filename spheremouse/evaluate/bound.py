@@ -110,7 +110,7 @@ def _rms(square: Array) -> float:
 
 # ---- the bound ----
 
-_UNKNOWN = 100.0  # rad/s, standard deviation of a rate of which nothing is known
+_UNKNOWN = 100.0  # rad/s, standard deviation of an unknown rate
 _FREE = 9  # unknowns that are not a disc's
 
 

@@ -22,7 +22,7 @@ from spheremouse.wand.state import WandEpoch, WandPose
 
 # Beside the ball, or another side of it taken for this one (the pattern repeats after 90 degrees, but for its colours)
 OFF_ANGLE = np.radians(45.0)
-RECOVERED = 1.0  # s: a distractor is to be recovered from within a second
+RECOVERED = 1.0  # s: maximum time to recover from a distractor
 _GRACE = 2  # frames, where a second is less than that
 _ALIKE = 1e-5  # m and rad by which one ball's descriptions differ, which files round
 _FAR, _NEVER = 1.0, 1e6  # m: an arm's length and more, which is another ball; and of what may not be

@@ -53,7 +53,7 @@ class Desktop:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._mouse = None  # pynput disconnects from the display when the last reference goes
+        self._mouse = None  # pynput disconnects from the display when the last reference is deleted
 
 
 def open(argument: str) -> Desktop:

@@ -22,7 +22,7 @@ from spheremouse.session.run_config import CommandLineOverrides, RunConfig, chec
 from spheremouse.session.setup import Setup
 from spheremouse.wand.settings import WandSettings
 
-AT_START = ("control", "metrics", "realtime")  # what is read at the start only
+AT_START = ("control", "metrics", "realtime")  # settings that are read at the start only
 _OF_BALL = {"motion", *Settings.__dataclass_fields__} - {"tracker"}
 _UNREAD = {  # sections and keys that a tracker in use does not read
     "so3": {"wand", "euler"},
@@ -31,7 +31,7 @@ _UNREAD = {  # sections and keys that a tracker in use does not read
     "wand": _OF_BALL,
 }
 
-Values = dict[str, tuple[Any, Any]]  # by key: what was in force, and what is
+Values = dict[str, tuple[Any, Any]]  # by key: old value and new value
 
 
 def stamps_of(overrides: CommandLineOverrides, plan: RunConfig) -> dict[Path, int]:

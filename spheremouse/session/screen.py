@@ -23,7 +23,7 @@ from spheremouse.wand.axes import axes_of
 from spheremouse.wand.state import WandPose
 
 _REFRESH = 0.1  # s between two pictures of the table
-_LINE_EVERY = 1.0  # s between two lines where there is no terminal
+_LINE_EVERY = 1.0  # s between two lines without a terminal
 _HISTORY = 5.0  # s of rates in the small curves
 _CURVE = 26  # characters
 _BLOCKS = "▁▂▃▄▅▆▇█"

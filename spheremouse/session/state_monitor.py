@@ -72,7 +72,7 @@ def log_line(before: tuple[State, str], now: tuple[State, str], event: str) -> s
     return f"{state}: {why}"
 
 
-_STATUS_EVERY = 20.0  # s between two lines for systemd where nothing changes
+_STATUS_EVERY = 20.0  # s between two lines for systemd without a change
 _UNSEEN = (State.NO_CAMERA, State.SEARCHING_TARGETS, State.LOST)  # in which the ball may turn without being seen
 
 

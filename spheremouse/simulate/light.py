@@ -12,7 +12,7 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.shapes import Colour
 
 _SKY = np.array([0.50, 0.47, 0.45])  # blue, green, red: light from above
-_FLOOR = np.array([0.20, 0.24, 0.28])  # and what the floor throws back
+_FLOOR = np.array([0.20, 0.24, 0.28])  # and light reflected by the floor
 
 
 @dataclass(frozen=True, slots=True)

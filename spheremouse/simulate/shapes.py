@@ -14,7 +14,7 @@ from spheremouse.geometry.rotation import Array
 Colour = tuple[float, float, float]  # share of light given back: blue, green, red
 Vector = tuple[float, float, float]
 
-_STRIPES = 256  # most stripes told apart on one face
+_STRIPES = 256  # maximum number of separate stripes on one face
 
 
 @dataclass(frozen=True, slots=True)

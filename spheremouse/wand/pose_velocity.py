@@ -15,7 +15,7 @@ from spheremouse.geometry.rotation import Array, exp, left_jacobian, log
 _ACCELERATION_TIME = 0.2
 _MAX_STEPS = 10  # of that length: after 2 s a velocity carries no information
 _SIGMA_OF_MAX = 0.5  # standard deviation over the greatest acceleration: half to all of it (ibid.)
-# m/s, rad/s for each axis, of a ball at first sight: the mean of a hand that goes to and fro at 0.4 m/s and 180 °/s
+# m/s, rad/s for each axis, of a new ball: the mean of a hand that moves to and fro at 0.4 m/s and 180 °/s
 _INITIAL_VELOCITY_SIGMA = np.repeat([0.2, 1.0], 3)
 MAX_HAND_VELOCITY = np.repeat([3.0, 20.0], 3)  # m/s, rad/s: no hand is faster
 GATE = 36.0  # d² of six standard deviations: beyond it lies a sudden start, another ball, or another side of the ball

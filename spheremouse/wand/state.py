@@ -41,7 +41,7 @@ class WandPose:
     rotation: Array | None  # (3, 3) R_cam_ball
     covariance: Array | None  # (6, 6) m, rad: position + d, exp(theta) @ rotation, cam axes
     phase: Status
-    event: Event | None  # a problem that the user should know; None without one
+    event: Event | None  # a problem to report to the user; None without one
     match: float = 0.0  # fraction of the coloured points that show their colour
     effective: float = 0.0  # effective number of particles before resampling
     seen: bool = False  # measured in this frame, not only predicted

@@ -31,7 +31,7 @@ _CONVERGED = 1e-3  # px
 _MIN_WINDOW, _MAX_WINDOW = 2, 40  # px, half a side
 _MAX_MOTION = 0.5  # half-windows of a corner; beyond, another edge attracts it
 _MIN_SIDE = 3  # corners of the smallest board
-_MIN_CHARUCO_CORNERS = 12  # twice what a pose needs
+_MIN_CHARUCO_CORNERS = 12  # twice the minimum for a pose
 
 
 @dataclass(frozen=True, slots=True)

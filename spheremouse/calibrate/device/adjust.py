@@ -77,7 +77,7 @@ class DeviceCalibration:
     discs: Array  # (m, 3), on the ball
     sightings: NDArray[np.intp]  # (m,) number of photos that show each
     covariance: Array
-    centre: Array  # (3,) of the ball in the frame of the bundle, whose origin is the first target of the axes
+    centre: Array  # (3,) of the ball in the frame of the bundle, with its origin at the first target of the axes
     ball_covariance: Array  # (4, 4) of that centre and the radius
     out_of_round: float  # standard deviation of the discs from the sphere; 0: round
     measured: MeasuredPoints

@@ -17,7 +17,7 @@ from spheremouse.geometry.statistics import FALSE_ALARM, gate, ratio_gate
 
 _MAX_RING_ERROR = 0.03  # relative, of the size of rings by print, blur and colour fringe
 _MAX_VARIANCE_FACTOR = 4.0  # twice the usual standard deviation
-_MIN_RMS_RATIO = 2.0  # of a photo that stands out over the others
+_MIN_RMS_RATIO = 2.0  # of an outlying photo over the others
 _MIN_SLANT_RATIO = 3.0  # of a disc's standard deviation near the ball's edge over the usual one
 _MIN_CHECKED_DISCS = 8  # in three photos or more: four determine a sphere, as many check it
 _GROUPS = ("target", "disc")

@@ -27,7 +27,7 @@ class FrameCheck:
 
     seen: object  # detections, for the selector that made the check
     words: str  # for the person before the camera: contents, and the hindrance
-    gain: str = ""  # new contents; empty if the frame is to be no photo
+    gain: str = ""  # new contents; empty if the frame becomes no photo
 
 
 class Selector(Protocol):

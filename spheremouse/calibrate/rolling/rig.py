@@ -20,7 +20,7 @@ from spheremouse.geometry.rotation import Array, hat
 TAPE = 0.002  # relative error of a length that a person measures on a ball; balls are not rounder
 
 _MAX_DEVIATION = 5.0  # standard deviations of a given radius from that by the targets
-_FIRST_ERROR = 0.1  # relative error of the radius after the first pass, whose disc size is only seen
+_FIRST_ERROR = 0.1  # relative error of the radius after the first pass, which estimates the disc size from images
 _MAX_READOUT_SIGMA = 1e-3  # s, of a readout that goes into the rig
 
 

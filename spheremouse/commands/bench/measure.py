@@ -38,7 +38,7 @@ from spheremouse.tracker import Frame, Status
 
 STEP, DETECT, FILTER, BLOBS, SIMPLE = "step", "detect", "filter", "blobs", "SimpleBlobDetector"
 SIZES = ((640, 480), (1280, 720), (1920, 1080))  # px; the others are compared with the first
-MEMORY_FROM = 1000  # steps, until the allocator has what it needs
+MEMORY_FROM = 1000  # steps, until the allocator has enough memory
 _BLOCK = 30  # frames that one of the compared processes before the next: a second of video
 _MAX_FRAME_BYTES = 1 << 29  # of the frames that are played repeatedly
 _SIZE_FRAMES, _SIZE_STEPS = 80, 600

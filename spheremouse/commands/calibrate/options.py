@@ -10,7 +10,7 @@ Report = Annotated[
     Path | None, typer.Option("--report", metavar="FILE.html", help="Report with pictures.  [default: beside --out]")
 ]
 
-# ---- the board; by default as its board.yaml says, or as printed ----
+# ---- the board; by default as in its board.yaml, or as printed ----
 
 Corners = Annotated[
     str | None,

@@ -13,10 +13,10 @@ from spheremouse.commands.doctor.camera import Footage, steadiness
 from spheremouse.finding import Finding, Verdict, classify, ok, unchecked
 from spheremouse.geometry.rotation import Array
 
-_CLIPPED = 254  # grey value: the last two hold what is overexposed, whatever the noise
+_CLIPPED = 254  # grey value: the last two values have all overexposed pixels at any noise
 _LIGHT_DISCS = 99.8  # per cent of the ball that are darker than light discs: eight of 2 cm on 1.2 m cover 0.2 %
 _BRIGHTEST = 95.0  # per cent of the picture that are darker
-_MAX_CLIPPED = 0.1  # of the ball overexposed: one disc in ten has a rim whose bright side is cut off
+_MAX_CLIPPED = 0.1  # of the ball overexposed: one disc in ten has a rim with a clipped bright side
 _PRINT_CONTRAST = 0.8  # contrast of black print on white
 _LAMPS_HZ = (100.0, 120.0)  # Hz: twice the mains of 50 and 60
 _MAINS_DRIFT_HZ = 0.5  # Hz about them: mains within 0.2 %, the camera's clock and its stamps over two seconds

@@ -41,7 +41,7 @@ from spheremouse.geometry.rotation import Array
 class Recording(Recorded):
     """The checked description of a dataset."""
 
-    rig: Rig  # from rig.yaml, or from what scene.json knows beforehand: then all covariances are zero
+    rig: Rig  # from rig.yaml, or from the geometry in scene.json: then all covariances are zero
     pose: Pose | None  # the true pose of the camera
     truth: Truth | None
     discs: DiscTruth | None
@@ -154,7 +154,7 @@ def _recorded_rig(path: Path, scene: _Scene) -> Rig:
     if rig.pose is None or scene.T_obj_cam is None:
         return rig
     T = np.array(scene.T_obj_cam, dtype=float)
-    if not np.allclose(T, rig.pose.matrix(), rtol=0.0, atol=1e-12):  # somebody has edited the rig file
+    if not np.allclose(T, rig.pose.matrix(), rtol=0.0, atol=1e-12):  # a user has edited the rig file
         return rig
     return replace(rig, pose=replace(rig.pose, rotation=np.ascontiguousarray(T[:3, :3])))
 

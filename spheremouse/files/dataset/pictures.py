@@ -58,9 +58,9 @@ class PictureWriter:
         self._codec = lossless_codec(folder, size, codecs, True)
         self._grey_codec = lossless_codec(folder, size, GREY, False) if mixed else None
         self._video: cv2.VideoWriter | None = None
-        self._colour = True  # what the video holds
+        self._colour = True  # True if the video has colour
         self._mixed = mixed
-        self._first: Image | None = None  # the second one tells whether grey is the rule
+        self._first: Image | None = None  # the second one shows if all frames are grey
 
     def add(self, image: Image) -> None:
         """Add an image; DatasetError if it cannot be written and OpenCV reports that at once."""

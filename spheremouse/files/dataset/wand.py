@@ -45,7 +45,7 @@ class WandRecording(Recorded):
     """The checked description of a wand dataset."""
 
     balls: tuple[WandBall, ...]  # one or more
-    truths: tuple[WandTruth, ...]  # of each ball; empty where there is no truth.csv
+    truths: tuple[WandTruth, ...]  # of each ball; empty without truth.csv
 
     @property
     def ball(self) -> WandBall:

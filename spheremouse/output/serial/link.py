@@ -30,7 +30,7 @@ SILENCE = 0.1  # s without a MOTION, after which the device ends the session
 FAILURE_DELAY = 0.5  # s; a new session begins after 0.2 s without answers, and by then ten HELLOs were sent
 
 _MAX_SPREAD = STEP_LIMIT // 2  # counts between any two positions that the device may have obeyed
-_KEEP_ALIVE_INTERVAL = 0.02  # s between two MOTIONs: five chances before the device goes silent
+_KEEP_ALIVE_INTERVAL = 0.02  # s between two MOTIONs: five chances before the device times out
 _HELLO_INTERVAL = 0.05  # s
 _ANSWER_TIMEOUT = 0.2  # s: twice the silence, after which the device has ended the session anyway
 _TRACKER_TIMEOUT = 1.0  # s without a report: slower than any camera
@@ -88,7 +88,7 @@ class Link:
         self.ack: Ack | None = None
         self.foreign_version: int | None = None  # of a device with another protocol
         self.running = False
-        self.blocked_since: float | None = None  # s; None: counts arrive, as far as is known
+        self.blocked_since: float | None = None  # s; None if no blockage was detected
         self.last_answer = -np.inf  # s
         self.sessions = self.motions = self.acks = 0
         self.breaks = 0  # sessions that the line or the device ended

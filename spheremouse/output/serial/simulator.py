@@ -95,7 +95,7 @@ class Simulator(Board):
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self.port = os.ttyname(self._slave)
-        self.stalled = False  # the firmware stands still
+        self.stalled = False  # the firmware does not run
         self._on_move = on_move
         self._seconds_per_byte = 0.0 if baud is None else 10.0 / baud
         self._closing = threading.Event()

@@ -86,7 +86,7 @@ class BallAdapter:
         self.waiting = "the ring targets are looked for"
         self.status = Status.SEARCHING
         self._messages = BallMessages(partial(do, TARGETS))
-        self.untracked = 0  # frames that came before the pose was known
+        self.untracked = 0  # frames before the first pose
         self._tracker: Tracker | None = None
         self._subject: Subject | None = None
         self._counter = Counter(settings.motion.matrix(rig.radius_m))

@@ -22,7 +22,7 @@ from spheremouse.files.safe_files import open_to_read, replace
 from spheremouse.geometry.rotation import Array
 
 EVERY = 60.0  # s between two checks for a changed map; a power cut can cost as much
-_AS_GOOD = 0.8  # part of the saved discs that a map of the same ball must know to take their place
+_AS_GOOD = 0.8  # part of the saved discs that a map of the same ball must contain to replace them
 _HALF = 0.5  # the same of another ball's map: a cover with a few dark spots is no ball
 
 
@@ -40,7 +40,7 @@ class Succession:
     map: DiscMap | None  # to be saved, in the frame of the saved one if it is the same ball; None: the saved one stays
     rotation: Array  # (3, 3) that brought the run's map there: saved ~ run's directions @ rotation.T
     aside: bool  # the saved one is kept under another name
-    text: str  # for the user; empty where the map simply goes on
+    text: str  # for the user; empty if the map continues unchanged
 
 
 def succession(saved: DiscMap | None, now: DiscMap, *, absolute: bool) -> Succession:
@@ -102,9 +102,9 @@ class MapKeeper:
         self.path = path
         self._rig, self._log, self._every = rig, log, every
         loaded = open_map(path, rig) if path.exists() else None
-        self.known = None if loaded is None else loaded.map  # what the run begins with
-        self._saved = self.known  # what is in the file
-        self._first = self.known  # what the last line compares with
+        self.known = None if loaded is None else loaded.map  # map at the start of the run
+        self._saved = self.known  # map in the file
+        self._first = self.known  # map for comparison in the last line
         self._frame = np.eye(3)  # rotation of the run's maps into the frame of the file's
         self._aside = False
         self._writable = os.access(path.parent, os.W_OK)
@@ -113,7 +113,7 @@ class MapKeeper:
         self._elsewhere = elsewhere
         self._saving = threading.Lock()
         self._under_way = self._over = False
-        self._heard: list[str] = []  # from the thread, to be said
+        self._heard: list[str] = []  # from the thread, to be logged
         self._said = ""  # the last of them
         if loaded is not None:
             log(f"map: {path}: {len(loaded.map)} discs, saved {age(loaded)}")
@@ -125,7 +125,7 @@ class MapKeeper:
         self._over = True
         now = self._now()
         if now is not None:
-            with self._saving:  # not before what is being saved
+            with self._saving:  # not before the pending save
                 self._save(*now, last=True)
         elif self._state is not None and self._saved is None and self._writable:
             self._heard.append(f"map: {self.path}: nothing saved: too few discs are known for good")

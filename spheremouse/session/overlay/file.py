@@ -68,7 +68,7 @@ class OverlayFile:
 
     def __enter__(self) -> Self:
         try:
-            self._part = self._new.make() / self.path.name  # that it can be made is known at once
+            self._part = self._new.make() / self.path.name  # creating it at once reports errors early
         except BaseException:
             self._new.discard()
             raise

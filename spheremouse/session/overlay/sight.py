@@ -27,7 +27,7 @@ class Sight:
 
     targets: TargetDetections
     refused: tuple[Refused, ...]
-    codes: tuple[str, ...] | None  # that the rig has; None where there is no rig
+    codes: tuple[str, ...] | None  # that the rig has; None without a rig
 
     @property
     def strangers(self) -> tuple[str, ...]:

@@ -19,8 +19,8 @@ from spheremouse.wand.state import WandEpoch, WandPose, WandTracker
 
 _STEPS = 96  # points along a rim
 _TRACE = 0.5  # s
-_PIN = 0.6  # radii that the pin stands out
-_PREDICTED = 0.45  # weight of what was not seen
+_PIN = 0.6  # length of the pin outside the ball, in radii
+_PREDICTED = 0.45  # weight of objects that were not detected
 _YELLOW: Colour = (30, 210, 255)  # no disc's colour: blue, green, red
 
 

@@ -12,7 +12,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-PRIORITY = 5  # of SCHED_RR: above whatever is not real time, below what audio servers take
+PRIORITY = 5  # of SCHED_RR: above all threads without real time, below audio servers
 _MADV_DONTNEED = 4
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _SWITCH = 5e-4  # s; how long a thread of Python may keep the others waiting (5 ms by default, more than a report)
@@ -60,8 +60,8 @@ def _fold_up_code() -> int:
     from numba.core.dispatcher import Dispatcher
 
     folded = 0
-    # The collector knows them all, as long as they have not been taken out of its sight (GcPause).
-    # By type(): a weak proxy whose object is gone cannot be asked for its class.
+    # The collector lists them all, unless they were frozen (GcPause).
+    # By type(): a weak proxy to a deleted object raises an error for its class.
     for function in [o for o in gc.get_objects() if issubclass(type(o), Dispatcher)]:
         for made in function.overloads.values():
             library, module = made.library, getattr(made.library, "_shared_module", None)

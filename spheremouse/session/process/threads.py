@@ -20,7 +20,7 @@ def begin(thread: threading.Thread) -> None:
     """Start a thread. Raise ControlError if the system refuses it."""
     try:
         thread.start()
-    except RuntimeError:  # what CPython raises for any reason
+    except RuntimeError:  # CPython raises it for any reason
         raise ControlError(
             "the system refuses a new thread, as its limit of tasks is reached; end other programs of this user, or "
             "raise TasksMax of the unit (`ulimit -u` by hand)"

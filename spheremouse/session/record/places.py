@@ -16,7 +16,7 @@ from spheremouse.errors import DatasetError, SpheremouseError
 from spheremouse.session.settings import RecordSettings
 
 FOLDER, FILE = 0o750, 0o640  # modes
-_MARK = ".recording"  # a file in the folder of a recording that is not finished; locked while somebody writes it
+_MARK = ".recording"  # a file in the folder of a recording that is not finished; locked while a process writes it
 
 
 def recordings_folder(settings: RecordSettings) -> Path:

@@ -35,13 +35,13 @@ _FPS = 30.0  # of the video, for players only
 class RecorderStatus:
     """Progress of a recording."""
 
-    folder: Path  # where it will be
+    folder: Path  # its final place
     frames: int  # written
     seconds: float  # since it began
     bytes: int
     dropped: int  # frames not kept because the writer was behind, or that were none
     waiting: int  # frames not written yet
-    ended: str | None  # result in words; None while it goes on
+    ended: str | None  # result as text; None while it runs
     failed: bool  # nothing was kept
 
 

@@ -27,7 +27,7 @@ _IDS = 256  # stripes per shape, as in shapes
 class Backdrop:
     """Grey values 0..255, blue, green, red."""
 
-    white: NDArray[np.float32]  # (h, w, 3) with a ball without discs (white, unless the scene says otherwise)
+    white: NDArray[np.float32]  # (h, w, 3) with a ball without discs (white, unless the scene has another colour)
     black: NDArray[np.float32]  # (h, w, 3) with a ball that is one big disc
     ball: NDArray[np.float32]  # (h, w) share of each pixel that shows the ball
     outline: NDArray[np.float32]  # (h, w) the same with nothing in front of it
@@ -175,8 +175,8 @@ class Layers(NamedTuple):
     scene: Scene
     alone: Backdrop  # the ball and nothing else: white and black are 0 beside it
     room: NDArray[np.float32]  # (h, w, 3) everything but the ball
-    front: NDArray[np.float32]  # (h, w, 1) share of each pixel that stands before the ball
-    painted: NDArray[np.float32]  # (h, w, 3) what stands there, times that share
+    front: NDArray[np.float32]  # (h, w, 1) fraction of each pixel with objects before the ball
+    painted: NDArray[np.float32]  # (h, w, 3) these objects, times that fraction
 
     def backdrop(self, centre: Array) -> Backdrop:
         """With the ball's centre at (3,) m in obj."""

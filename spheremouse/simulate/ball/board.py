@@ -22,7 +22,7 @@ MIDDLE = np.array([0.0, 0.45, 0.6])  # m, obj: where the board hangs, facing +Z
 _FRONT = np.array([0.0, 0.0, 1.0])
 _COARSE = 4  # px, of which the room behind has one
 _FINE = 4  # parts of a pixel's side where an edge runs through it
-_MARGIN = 3  # px around the board that are looked at
+_MARGIN = 3  # px around the board that are rendered finely
 
 
 @dataclass(frozen=True, slots=True)

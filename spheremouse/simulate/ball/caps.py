@@ -22,8 +22,8 @@ AttitudeAt = Callable[[Array], Array]  # times (n,) s -> R_obj_ball (n, 3, 3)
 _FINE = 3  # parts of a pixel's side where an edge runs through it
 _FINER = 7  # the same near the limb, where a pixel sees far around the ball
 _GRAZING = 5.0  # square roots of a pixel's size on the ball, in radii: below that cosine is near the limb
-_CORNERS = 180  # of the polygon that stands for a cap's outline
-_MARGIN = 2  # px around a disc that are looked at
+_CORNERS = 180  # of the polygon that approximates a cap's outline
+_MARGIN = 2  # px around a disc that are tested
 
 
 class Coverage(NamedTuple):
@@ -138,7 +138,7 @@ class Caps:
         n = len(self.scene.disc_directions)
         whole = np.bincount(disc, share * view.alone.ravel()[pixel], n)[discs]
         seen = np.bincount(disc, share * view.shown.ravel()[pixel], n)[discs]
-        whole = np.where(np.isnan(area), whole, np.maximum(whole, 0.99 * area))  # what lies outside the image is hidden
+        whole = np.where(np.isnan(area), whole, np.maximum(whole, 0.99 * area))  # parts outside the image are hidden
         shown = seen / np.maximum(whole, 1e-9)
         state = np.where(shown > 0.99, VISIBLE, np.where(shown > 0.01, PARTLY_HIDDEN, HIDDEN))
         return np.where(np.isnan(area) & (state == VISIBLE), PARTLY_HIDDEN, state).astype(np.intp)
@@ -178,7 +178,7 @@ class Caps:
         rays = (ray[:, None] + grid @ dray.transpose(0, 2, 1)).reshape(-1, 3)
         edge = self._edge(rays, np.repeat(dray, n, axis=0), np.repeat(toward, n, axis=0))
         on_ball = (edge.cosine > 0.0).reshape(-1, n)
-        # At the very limb g is no linear function of the pixel: there the middle of a part stands for all of it.
+        # At the limb g is not linear in the pixel, so the middle of a part represents all of it.
         steep = edge.cosine < np.sqrt(self._pixel)
         part = np.where(steep, edge.g > 0.0, half_plane(edge.g, edge.slope / fine)).reshape(-1, n) * on_ball
         return part.sum(axis=1) / np.maximum(on_ball.sum(axis=1), 1)

@@ -16,7 +16,7 @@ from spheremouse.geometry.rotation import Array, exp, tangent_basis
 from spheremouse.simulate.ball.scene import Scene
 from spheremouse.tracker import Frame
 
-_CANDIDATES = 48  # places looked at for a disc that is moved
+_CANDIDATES = 48  # candidate places of a moved disc
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Dimming:
 class Flicker:
     """Flicker of lamps on the mains: the brightness has two cycles in each mains period."""
 
-    depth: float  # 0..1, share of the mean that comes and goes
+    depth: float  # 0..1, amplitude as a fraction of the mean
     mains: float = 50.0  # Hz
 
     def at(self, t: Array, exposure: float) -> Array:
@@ -106,7 +106,7 @@ def displaced(scene: Scene, disc: int, angle: float = 0.2) -> Scene:
 
 PER_METRE = 500  # pixels of the drawing
 _SCALE = 1.3  # a big hand: two of them hide about a third of the ball
-HALF_WIDTH, ABOVE, _BELOW = 0.12, 0.18, 0.75  # m, what the drawing shows around the palm
+HALF_WIDTH, ABOVE, _BELOW = 0.12, 0.18, 0.75  # m, extent of the drawing around the palm
 _SKIN = np.array([112.0, 148.0, 205.0])  # grey values blue, green, red
 _SLEEVE = np.array([112.0, 70.0, 48.0])
 _PLANE_Z = 0.66  # m, obj: just in front of the ball

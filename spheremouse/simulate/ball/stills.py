@@ -29,7 +29,7 @@ from spheremouse.simulate.shapes import Sphere, look
 _AIM = np.array([0.0, -0.17, 0.0])  # m, obj: the middle of ball and frame
 _NEAREST, _FARTHEST = 1.8, 3.3  # m
 _WALLS = np.array([[-2.5, -1.0, 0.9], [2.5, 2.3, 3.8]])  # m, obj: where the room leaves space for a photographer
-_MARGIN = 6.0  # px between what must be seen and the picture's border
+_MARGIN = 6.0  # px between required objects and the picture's border
 _RING = 3.5  # px across the narrowest ring: pixels on both its edges mix with its neighbours'
 _CELLS = (16, 9)  # of a picture, in each of which a corner is wanted
 _CANDIDATES = 300
@@ -37,7 +37,7 @@ _TILTS = (30.0, 45.0, 15.0, 40.0, 0.0, 35.0)  # deg
 _TURNS = (0.0, 10.0, 90.0, -25.0, 180.0, -90.0, 45.0)  # deg, about the line of sight
 _GOLDEN = 137.5  # deg between the directions of successive tilts: never twice the same
 
-# Where a careful person stands: azimuth and elevation (deg), distance (m), roll (deg).
+# Places of a careful person: azimuth and elevation (deg), distance (m), roll (deg).
 _STATIONS = (
     (1.0, 6.0, 2.45, 0.0),  # front
     (-45.0, 8.0, 2.5, 0.0),  # left

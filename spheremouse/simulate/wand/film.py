@@ -21,7 +21,7 @@ from spheremouse.simulate.wand.room import Passing
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, WandTruth, grzonka_ball
 
-_DRIVE_FPS, _HAND_FPS = 0.8, 15.0  # Hz: that of the thesis' recording, and what the issue asks of a hand
+_DRIVE_FPS, _HAND_FPS = 0.8, 15.0  # Hz: of the thesis' recording, and as required for a hand
 _DRIVE_FOCAL, _HAND_FOCAL = 2100.0, 1000.0  # px at 1280 columns: the thesis' lens, and that of a webcam
 _HAND_SECONDS, _HAND_DISTANCE = 20.0, 1.0  # s, m
 _WIDTH = 1280  # px, that those focal lengths are for

@@ -34,7 +34,7 @@ from spheremouse.wand.ball import WandBall
 Carrier = Literal["robot", "stick", "nothing"]
 
 _LENS = 0.45  # px, standard deviation of a lens in focus
-_MARGIN = 3  # px around what moves, for that blur
+_MARGIN = 3  # px around moving objects, for that blur
 _MOST_MOMENTS = 16  # of an exposure
 _TONES = develop(np.arange(16384) / 4096.0).astype(np.float32)
 _SPARE = 64  # px by which the noise is larger than the picture: each frame takes another part of it

@@ -24,7 +24,7 @@ from spheremouse.simulate.wand.path import CAMERA_HEIGHT, world_to_cam
 
 _FINE = 4  # subpixels across a pixel where things are drawn
 _SHIFT = 4  # bits of the fixed point numbers that OpenCV draws with
-_NEAR = 0.05  # m, what is nearer to the camera's plane is not drawn
+_NEAR = 0.05  # m, nearer to the camera's plane nothing is drawn
 _TILE, _PER_METRE = 1024, 256  # px of the floor's texture, and per m
 _WALL = 6.2  # m, world z
 _LAMP = np.array([-0.3, -0.85, -0.43])  # towards the light, world
@@ -67,7 +67,7 @@ def _averaged(drawn: NDArray[np.uint8], lights: NDArray[np.float32], w: int, h: 
     return paint
 
 
-# ---- what stands still ----
+# ---- objects that do not move ----
 
 
 def background(
@@ -80,7 +80,7 @@ def background(
     if clutter:
         things += _mug_and_book(rng)
     R = world_to_cam()
-    for thing in things:  # one by one: a thing hides what is behind it
+    for thing in things:  # one by one: an object hides those behind it
         layer = paint_faces([(f.corners @ R.T, _lit(f)) for f in _visible(thing)], camera)
         if layer is not None:
             lay(picture, layer)
@@ -245,7 +245,7 @@ class Passing:
 
     middle: float  # s, when it is nearest
     velocity: Array  # (3,) m/s, cam
-    nearest: Array  # (3,) m, cam, where it is then
+    nearest: Array  # (3,) m, cam, its position then
     around: float  # s before and after, as long as it is there
 
     def at(self, t: float) -> Array | None:
