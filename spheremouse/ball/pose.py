@@ -1,8 +1,9 @@
 """Resection: targets seen in a few frames -> the camera's pose in `obj` with its covariance.
 
-Wittich 2017, sections 2.4.3 and 3.4: least squares on the reprojection error of the targets, here from a closed-form
-start, so that no one has to say where the camera stands. The targets' joint covariance, and theirs with the ball, are
-carried to the pose: a target field that is shifted against the ball shifts the camera, and no picture of it says so.
+The method is least squares on the reprojection error of the targets (Wittich 2017, sections 2.4.3 and 3.4). Closed-form
+poses start it, so the user need not give a camera position. The targets' joint covariance, and theirs with the ball,
+propagate to the pose. An error in the position of all targets relative to the ball shifts the camera by the same
+amount, and no image reveals it.
 """
 
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ from spheremouse.settings import param
 
 TARGET_SIGMA_PX = 0.05  # standard deviation of a centre in one view that no averaging removes: print, sampling, lens
 _MIN_SEEN_SHARE = 0.3  # of the views; a target seen in fewer is left out
-_CHOICES = 250  # of one copy of each target that are tried: each is a resection of its own and takes milliseconds
+_CHOICES = 250  # combinations of one copy of each target: each needs its own resection, which takes milliseconds
 _CROWDED = (
     f"the picture has more shapes like targets than the search examines ({MOST} of a kind): cover or remove "
     "colourful objects, or narrow the hues (rings.cyan, rings.magenta, rings.yellow)"
@@ -60,13 +61,13 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True)
 class Resection:
-    """A pose and what it rests on."""
+    """A camera pose, the targets used for it, and their residuals."""
 
     pose: Pose
     codes: tuple[str, ...]
     centre: Array  # (n, 2) px, measured centres of the targets used
     residual: Array  # (n, 2) px, measured minus predicted
-    variance_factor: float  # a posteriori, 1 where there is no redundancy
+    variance_factor: float  # a posteriori, 1 without redundancy
 
 
 def find_pose(views: list[TargetDetections], rig: Rig, image: Image) -> Resection:
@@ -85,9 +86,9 @@ def find_pose(views: list[TargetDetections], rig: Rig, image: Image) -> Resectio
 
 
 def gather(views: list[TargetDetections]) -> list[Sighting]:
-    """Targets that keep their place over the views; a thing seen now and then, or that moves, is left out.
+    """Return the targets that keep their place over the views, without objects that appear rarely or move.
 
-    Views of a still scene share their systematic errors: only the noise averages out, and the covariance of the mean
+    Views of a still scene share their systematic errors. Only the noise averages out, and the covariance of the mean
     never falls below TARGET_SIGMA_PX squared.
     """
     groups: dict[str, list[list[Array]]] = {}
@@ -113,8 +114,8 @@ def gather(views: list[TargetDetections]) -> list[Sighting]:
 def resect(sightings: list[Sighting], rig: Rig, image: Image) -> Resection:
     """Return the camera pose from at least three targets of the rig; `image`, any view, shows the ball's outline.
 
-    With three targets up to four poses fit (Gao et al. 2003), with four in a plane sometimes two; the ball's
-    outline decides between them, and must confirm the pose of three targets in any case. Residuals separate copies of a
+    With three targets up to four poses fit (Gao et al. 2003), with four in a plane sometimes two. The ball's outline
+    decides between them, and must confirm the pose of three targets in any case. Residuals separate copies of a
     target in the room from the real one.
     Raises PoseError if targets are missing, no pose fits, or two poses fit equally.
     """
@@ -185,13 +186,13 @@ def _predict(pose: Pose, rig: Rig, which: NDArray[np.intp]) -> tuple[Array, Arra
 
 
 def _in_a_line(points: Array) -> bool:
-    """Points (n, 3) that span no plane, or one narrower than a thousandth of its length."""
+    """Return whether points (n, 3) span no plane, or one narrower than a thousandth of its length."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[1] <= 1e-3 * spread[0])
 
 
 def _candidates(used: list[Sighting], which: NDArray[np.intp], rig: Rig) -> list[Resection]:
-    """All poses that satisfy one choice of sightings: closed-form starts, each adjusted."""
+    """Return all poses that satisfy one choice of sightings: closed-form starts, each adjusted."""
     points = rig.targets.position[which]
     xy, _ = unproject(np.array([s.centre for s in used]), rig.camera)
     if not np.all(np.isfinite(xy)) or _in_a_line(points):
@@ -205,7 +206,7 @@ def _candidates(used: list[Sighting], which: NDArray[np.intp], rig: Rig) -> list
 
 
 def closed_form_poses(points: Array, xy: Array) -> list[Pose]:
-    """Return poses in closed form from points (n, 3) m, n >= 3, and what is seen of them, (n, 2) on the plane z = 1."""
+    """Return poses in closed form from points (n, 3) m, n >= 3, and their images, (n, 2) on the plane z = 1."""
     frame, origin = np.eye(3), np.zeros(3)
     if len(points) == 3:
         _, rvecs, tvecs = cv2.solveP3P(points, xy[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_P3P)
@@ -288,10 +289,11 @@ def _adjust(start: Pose, used: list[Sighting], which: NDArray[np.intp], rig: Rig
 
 
 def _image_component(r: Array, image: Array, targets: Array, freedom: int) -> float:
-    """The factor on the covariance `image` with which residuals (m,) are as large as expected; of use above 1 only.
+    """Return the factor on the covariance `image` with which residuals (m,) are as large as expected.
 
-    Few targets, few degrees of freedom: it may enlarge the pose's covariance, never shrink it. It is the image's alone:
-    what shifts all targets alike leaves no residual, so residuals say nothing of it.
+    Use only factors above 1. A few targets give few degrees of freedom, so the factor may enlarge the pose's
+    covariance, but never shrink it. It applies to the image's covariance alone. A common shift of all targets leaves
+    no residual, so residuals do not show its size.
     """
 
     def excess(factor: float) -> float:
@@ -330,7 +332,7 @@ def _settled(fits: list[Resection]) -> bool:
 
 
 def _distinct(fits: list[Resection]) -> list[Resection]:
-    """The fits the residuals cannot tell from the best: most targets first, then chi-square within 4 sigma."""
+    """Return the fits with residuals as good as the best: most targets first, then chi-square within 4 sigma."""
     if not fits:
         return []
     most = max(len(f.codes) for f in fits)
@@ -349,9 +351,9 @@ def _distinct(fits: list[Resection]) -> list[Resection]:
 
 
 def _by_outline(fits: list[Resection], rig: Rig, image: Image) -> Resection:
-    """The fit whose ball outline lies on an edge of the image; refuses where two do, or none.
+    """Return the fit with the ball's outline on an edge of the image. Raises PoseError if two fits have one, or none.
 
-    Three targets always fit: even a single pose of them is to be believed only where the ball is seen in its place.
+    Three targets always fit. So even a single pose of three targets needs the ball's outline as confirmation.
     """
     grey = cv2.GaussianBlur(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), (0, 0), 1.0)
     floor = 4.0 * float(np.median(np.abs(np.diff(grey.astype(float), axis=1)))) + 4.0

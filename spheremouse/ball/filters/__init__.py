@@ -1,7 +1,7 @@
 """Filters: SpherePoints in, attitude and angular velocity with covariance out.
 
 Each filter is a frozen settings object with `initial`, `predict` and `update`; its state is a frozen dataclass that
-satisfies `FilterState`. Time is whatever the stamps say.
+satisfies `FilterState`. The stamps are the only source of time.
 """
 
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ class FilterState(Protocol):
 
     @property
     def stamp(self) -> float:
-        """s, the time the state holds for."""
+        """s, the time of the state."""
         ...
 
     @property
@@ -40,20 +40,20 @@ class FilterState(Protocol):
 
     @property
     def discs(self) -> Array:
-        """(m, 3) unit vectors in `ball`: the discs the filter knows."""
+        """(m, 3) unit vectors in `ball`: the discs on the filter's map."""
         ...
 
     @property
     def used(self) -> NDArray[np.intp]:
-        """Indices into the last update's points that took part in it."""
+        """Indices of the points that the last update used."""
         ...
 
     def clone_attitude(self) -> Self:
-        """The state whose attitude is the one that the next motion counts from."""
+        """Return the state with its current attitude as the reference of the next increment."""
         ...
 
     def with_reference_of(self, other: Self) -> Self:
-        """The state whose next motion counts from where that of `other` does, with an error that is another one's."""
+        """Return the state with the reference of `other`, whose error is independent of this state's errors."""
         ...
 
     @property
@@ -62,11 +62,11 @@ class FilterState(Protocol):
         ...
 
     def to_map(self, least: int) -> DiscMap | None:
-        """Return the discs seen at least so often, as files keep them; None with fewer than four, or without a map."""
+        """Return the discs with at least `least` sightings for a file; None with fewer than four, or without a map."""
         ...
 
     def increment_covariance(self, turn: Array) -> Array:
-        """(6, 6) of the rotation vector `turn`, (3,) rad, since the reference, and of the rate."""
+        """Return the covariance, (6, 6), of the rotation vector `turn`, (3,) rad, since the reference, and the rate."""
         ...
 
 
@@ -87,7 +87,7 @@ class Filter(Protocol[S]):
     def update(self, state: S, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None) -> S:
         """Return the state after the points of one frame, which the filter associates.
 
-        Points that belong to no known disc found a new one where they may, `may_start_landmark` (n,) (None: all).
+        A point without a known disc starts a new one if `may_start_landmark` (n,) allows it (None: all).
         """
         ...
 

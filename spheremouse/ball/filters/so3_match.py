@@ -5,7 +5,7 @@ Most functions take these arguments, inside as the tuples `body` and `seen`, sin
 - `seen`: of n points the directions, (n, 3), image noise, (n, 3, 3) rad², delays, (n,) s, and rows, (n,); the Jacobians
   of their places by pose, (n, 3, 6), and by ball, (n, 3, 4); and the radius of the ball, m.
 
-`P` is the joint covariance, whose order is in `so3_update`. `added` (9, 9) is process noise that is not in it yet.
+`P` is the joint covariance; `so3_update` gives its order. `added` (9, 9) is process noise that P does not include yet.
 """
 
 import numpy as np
@@ -145,8 +145,8 @@ def distances(
 ):  # fmt: skip
     """Return squared Mahalanobis distances, (n, k), of points to the discs `which`, exact below `gate`.
 
-    No disc is turned away for an error of what is considered. `curvature` is in rad². Also returns whether no row and
-    no column has two entries below `gate`: then the pairs are plain.
+    Errors of the considered parameters alone reject no disc. `curvature` is in rad². Also returns whether the pairs are
+    unambiguous: no row and no column has two entries below `gate`.
     """
     body, seen = (attitude, rate, acceleration, discs, basis), (direction, noise, delay, row, by_pose, by_ball, radius)
     H, R, p, E = np.empty((2, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 2))
@@ -205,7 +205,7 @@ def innovation(
 ):  # fmt: skip
     """Return for k pairs H, (2k, 9), H P, (2k, n), the innovation z, (2k,) rad, and its covariance S, (2k, 2k).
 
-    Points `rows` are taken for discs `columns`. H P includes what is only considered, and the readout.
+    Points `rows` are paired with discs `columns`. H P includes the considered parameters and the readout.
     """
     body, seen = (attitude, rate, acceleration, discs, basis), (direction, noise, delay, row, by_pose, by_ball, radius)
     k = len(columns)
@@ -272,9 +272,10 @@ def consistent(z, S, limit):
 
 @njit(cache=True, error_model="numpy")
 def curvature(P, added):
-    """Return the variance, rad², of what the linear model omits: a turn e moves p by e x p + e (e . p) / 2 + ...
+    """Return the variance, rad², of the terms that the linear model omits.
 
-    At the start, with the rate unknown, it exceeds the image noise many times. In tracking it is negligible.
+    A turn e moves p by e x p + e (e . p) / 2 + ... At the start, with the rate unknown, the omitted terms exceed the
+    image noise many times. In tracking they are negligible.
     """
     spread = (P[0, 0] + P[1, 1] + P[2, 2] + added[0, 0] + added[1, 1] + added[2, 2]) / 3.0
     return min(spread, _WIDE * _WIDE) ** 2
@@ -289,7 +290,7 @@ def pair(
 
     Pairs that contradict the others are left out. Also returns the greatest possible number of pairs, whether no other
     pair was possible, whether all pairs lie in their places, whether they agree with one another, and the innovation of
-    all. `towards`, (3,) obj, points to the camera, which sees what lies above the cosine `horizon` with it.
+    all. `towards`, (3,) obj, points to the camera. The camera sees points with a cosine to `towards` above `horizon`.
     """
     which = np.flatnonzero(discs @ (towards @ attitude) > horizon)
     body, seen = (attitude, rate, acceleration, discs, basis), (direction, noise, delay, row, by_pose, by_ball, radius)

@@ -20,13 +20,13 @@ from spheremouse.ball.points import SpherePoints
 _MAX_HYPOTHESES = 6  # a disc in view is one of a few: each of them costs a millisecond in such a frame
 _MAX_NODES = 5  # assignments carried on from point to point, of the most probable hypothesis
 _MAX_NODES_OF_OTHERS = 2
-_MAX_SEARCHED = 6  # points: with more in view the nearest pairs, or the whole constellation, tell the attitude
+_MAX_SEARCHED = 6  # points: with more in view the nearest pairs, or the whole constellation, determine the attitude
 _MARGIN = 9.0  # nats behind the best at which a hypothesis is dropped: odds of 1 to 8000
-_SAME = 2e-3  # rad, between attitudes that are one: a tenth of a degree
-_WIDE_GATE = 3.0  # times the gate: a prior may be off by more than it says, and the likelihood decides
+_SAME = 2e-3  # rad, largest difference of attitudes that count as equal: a tenth of a degree
+_WIDE_GATE = 3.0  # times the gate: a prior's error may exceed its covariance, and the likelihood decides
 _UNKNOWN_DISCS = 4.0  # at least, on the side that has not been seen: a ball has eight discs and more
-_FEW_POINTS = 4  # in view, of a ball whose discs may not tell its turn
-_LEAST_DETECTED = 1e-6  # probability: no model is as sure as nought
+_FEW_POINTS = 4  # in view: so few discs may not determine the rotation
+_LEAST_DETECTED = 1e-6  # probability: no model justifies zero
 _FALSE_POINTS = 0.5  # expected in view that are no disc, once look-alikes are masked
 
 
@@ -56,9 +56,9 @@ def update_hypotheses(
 ) -> tuple[Hypothesis, ...]:
     """Return the hypotheses after a frame's points, most probable first; their probabilities sum to one.
 
-    `predicted` holds states carried on to the frame's stamp. Of the points that are paired with no disc those start a
-    landmark that are `proven` (n,) to turn with the ball. If fewer than two discs are paired and the ball `has_turned`
-    since two were, all do: they tell the turn from here on. None does unless the map may be extended, `extend_map`.
+    `predicted` holds the states predicted for the frame's stamp. A point without a disc starts a landmark if it is
+    `proven` (n,) to turn with the ball. If fewer than two discs are paired and the ball `has_turned` since two were
+    paired, all such points start landmarks, which then measure the rotation. With `extend_map` false, none does.
     """
     extended: list[tuple[So3State, _Node, float]] = []
     for k, (state, log_probability) in enumerate(predicted):
@@ -86,10 +86,10 @@ def update_hypotheses(
 
 
 def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints, most: int) -> list[_Node]:
-    """The likely assignments of a frame's points to the discs of one predicted state.
+    """Return the likely assignments of a frame's points to the discs of one predicted state.
 
-    Points join one by one, those with the fewest candidates first. Each pair reduces the choice of the next. No more
-    than `most` assignments are carried on, over a few points, so that the time is bounded.
+    Points join one by one, those with the fewest candidates first. Each pair reduces the choice of the next. To bound
+    the time, the search keeps at most `most` assignments, over a few points.
     """
     density = math.log(new_density(filter_, predicted, len(points)))
     gate = _WIDE_GATE * filter_.settings.gate
@@ -153,7 +153,7 @@ def _pairing(rows: tuple[int, ...], columns: tuple[int, ...]) -> Pairing:
 
 
 def new_density(filter_: So3Filter, state: So3State, seen: int) -> float:
-    """Density, 1/sr, of points that are no disc of the map: discs not yet known, and false points."""
+    """Return the density, 1/sr, of points that are no disc of the map: unknown discs and false points."""
     known = int(np.count_nonzero(state.hits >= ESTABLISHED_HITS))
     in_view = 0.5 * (1.0 - filter_.horizon)  # share of the ball
     unknown = max(seen / in_view - known, _UNKNOWN_DISCS)
@@ -161,7 +161,7 @@ def new_density(filter_: So3Filter, state: So3State, seen: int) -> float:
 
 
 def _log_missed(filter_: So3Filter, state: So3State, columns: tuple[int, ...]) -> float:
-    """Log probability that all discs but those of `columns` are missed."""
+    """Return the log probability that the detector misses all discs except `columns`."""
     missed = 1.0 - filter_.detection_probability(state)
     missed[list(columns)] = 1.0
     return float(np.sum(np.log(missed)))

@@ -1,4 +1,4 @@
-"""The motion of the so3 filter from one frame to the next, and what the innovations of a frame show of its steps.
+"""The motion of the so3 filter between two frames, and the posterior of its acceleration steps from the innovations.
 
 A hand takes hold of the ball, pushes it, lets it go and stops it. The acceleration jumps at each of these events and is
 nearly constant between them. The events are a Poisson process. Each event draws a new acceleration about zero,
@@ -63,8 +63,8 @@ def predict(attitude, rate, acceleration, joint, dt, tau, q):
 def _transition(rate, acceleration, dt, tau, q, F, Q, turn):
     """Compute F and Q, (9, 9), and the turn, (3,) rad, of a step dt under an acceleration that fades with `tau`.
 
-    Q is what white jerk of density q adds (three nodes of Gauss-Legendre): jerk s before the end has faded to g_a by
-    then, made a rate g_w of it, and turned the ball by Jl(turn s/dt) g_t.
+    Q is the process noise of white jerk of density q (three nodes of Gauss-Legendre). A unit of jerk s before the end
+    leaves an acceleration g_a, a rate g_w, and a turn Jl(turn s/dt) g_t of the ball.
     """
     gain, reach = integrals(dt, tau)
     R, J = np.empty((3, 3)), np.empty((3, 3))

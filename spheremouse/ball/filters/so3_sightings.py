@@ -27,7 +27,7 @@ def detection_probability(attitude: Array, discs: Array, hidden: Array, towards:
     """Return the probability, (m,), that each disc is detected.
 
     `hidden` (m,) is the probability that something hides it. `towards` (3,) points to the camera, obj. The camera sees
-    what lies above the cosine `horizon` with it.
+    directions with a cosine to `towards` above `horizon`.
     """
     probability = np.empty(len(discs))
     for k in range(len(discs)):
@@ -39,7 +39,7 @@ def detection_probability(attitude: Array, discs: Array, hidden: Array, towards:
 def carry_hidden(attitude: Array, rate: Array, discs: Array, hidden: Array, dt: float, disc_angle: float) -> Array:
     """Return the probabilities, (m,), that something hides each disc, `dt` s later.
 
-    What is known of it fades as the disc travels by its own diameter, 2 `disc_angle` rad, or as hands move.
+    The information decays as the disc travels by its own diameter, 2 `disc_angle` rad, or as hands move.
     """
     carried = np.empty(len(discs))
     for k in range(len(discs)):
@@ -90,8 +90,8 @@ def count_sightings(attitude, discs, hits, missed, hidden, towards, horizon, col
 def new_discs(attitude, discs, direction, free, rows, apart):
     """Return the points, (k,), of a mask `free` (n,) that are no disc of the map, by their directions, (n, 3) obj.
 
-    The points `rows` are paired with discs. Two discs do not overlap. A point whose cosine with a known disc exceeds
-    `apart` is that disc, badly seen. Of two points that close to each other, the first counts.
+    The points `rows` are paired with discs. Two discs do not overlap. If a point's cosine with a known disc exceeds
+    `apart`, the point is a poor measurement of that disc. Of two points that close to each other, the first counts.
     """
     place = np.empty((len(discs) + len(direction), 3))
     for k in range(len(discs)):

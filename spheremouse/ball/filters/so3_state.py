@@ -45,7 +45,7 @@ class So3State:
 
     @property
     def is_placed(self) -> bool:
-        """Return whether the attitude tells the place of each disc: no other disc is as near."""
+        """Return whether the attitude predicts each disc unambiguously: no other disc is as near."""
         return bool(np.linalg.eigvalsh(self.joint[:3, :3])[-1] < PLACED**2)
 
     @property
@@ -65,7 +65,7 @@ class So3State:
 
     @property
     def readout_sigma(self) -> float:
-        """s, standard deviation of `readout`; 0 where the rig knows it."""
+        """s, standard deviation of `readout`; 0 if the rig gives the readout."""
         return float(self.joint[READOUT, READOUT]) ** 0.5
 
     def map_sigma(self) -> Array:
@@ -88,7 +88,7 @@ class So3State:
         return np.sqrt(np.maximum(np.linalg.eigvalsh(relative)[:, 1], 0.0))
 
     def clone_attitude(self) -> "So3State":
-        """The state whose attitude is the one that the next motion counts from."""
+        """Return the state with its current attitude as the reference of the next increment."""
         return So3State(  # each frame: `replace` would take twice as long
             self.stamp,
             self.attitude,
@@ -111,17 +111,17 @@ class So3State:
         )
 
     def with_reference_of(self, other: "So3State") -> "So3State":
-        """The state whose next motion counts from where that of `other` does, with an error that is another one's."""
+        """Return the state with the reference of `other`, whose error is independent of this state's errors."""
         joint = self.joint.copy()
         joint[-CLONE_DIM:] = joint[:, -CLONE_DIM:] = 0.0
         joint[-CLONE_DIM:, -CLONE_DIM:] = other.joint[-CLONE_DIM:, -CLONE_DIM:]
         return replace(self, joint=joint)
 
     def increment_covariance(self, turn: Array) -> Array:
-        """(6, 6) of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.
+        """Return the covariance, (6, 6), of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.
 
-        The error of the reference is in the state (stochastic cloning: Roumeliotis, Burdick 2002), so that what two
-        attitudes have wrong alike, of the map and the camera's pose, is not counted.
+        The state includes the error of the reference (stochastic cloning: Roumeliotis, Burdick 2002). Thus errors of
+        the map and the camera's pose that two attitudes share cancel.
         """
         return kernel.since_reference(self.joint, turn)
 
@@ -241,7 +241,7 @@ def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radi
 
 
 def delays(points: SpherePoints, state: So3State) -> Array:
-    """When each point was seen, (n,) s after the stamp, by what is known of the rolling shutter by now."""
+    """Return the delay of each point's exposure, (n,) s after the stamp, with the estimated rolling shutter."""
     return points.delay + state.readout * points.row if state.readout != 0.0 else points.delay
 
 
@@ -270,7 +270,7 @@ def with_map(state: So3State, known: DiscMap, most: int) -> So3State:
 
 
 def consider(joint: Array, covariance: Array) -> None:
-    """Set what is only considered, (10, 10), without correlation to the rest: in place."""
+    """Set the covariance, (10, 10), of the considered parameters in place, uncorrelated with the other errors."""
     joint[KINEMATIC_DIM:READOUT] = 0.0
     joint[:, KINEMATIC_DIM:READOUT] = 0.0
     joint[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT] = covariance

@@ -1,8 +1,11 @@
-"""The correction of the default filter, compiled: what is done for every entry of the covariance.
+"""The correction step of the default filter, compiled.
 
-Errors are ordered: rotation (3, rad, obj), rate (3, rad/s), acceleration (3, rad/s²), then what is only considered
-(pose of the camera 6, ball's centre and radius 4), the rolling shutter's time (s), two for each disc in its own tangent
-axes (rad), and at last those of the reference, the attitude that the next motion counts from (3, rad, obj).
+The errors have this order:
+- rotation (3, rad, obj), rate (3, rad/s), acceleration (3, rad/s²),
+- the considered parameters: pose of the camera (6), ball's centre and radius (4),
+- the rolling shutter's time (s),
+- two for each disc in its own tangent axes (rad),
+- the reference, from whose attitude the next increment counts (3, rad, obj).
 """
 
 import numpy as np
@@ -100,7 +103,7 @@ def _rate_is_significant(rate, P):
 
 @njit(cache=True, error_model="numpy")
 def clone_attitude(P):
-    """The joint covariance, (n, n), with the rotation's errors now as those of the reference."""
+    """Return the joint covariance, (n, n), with the rotation's errors copied to the reference."""
     now, r = P.copy(), len(P) - CLONE_DIM
     for i in range(3):
         for j in range(r):
@@ -113,9 +116,10 @@ def clone_attitude(P):
 
 @njit(cache=True, error_model="numpy")
 def since_reference(P, turn):
-    """(6, 6) of the rotation vector `turn`, (3,) rad, from the reference to now, and of the rate.
+    """Return the covariance, (6, 6), of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.
 
-    The turn is exp(e) R exp(-e_reference), whose error is e - R e_reference in obj, and Jl of its vector's error.
+    The turn is exp(e) R exp(-e_reference). Its error in obj is e - R e_reference, which is Jl times the error of its
+    vector.
     """
     R, J = np.empty((3, 3)), np.empty((3, 3))
     exp_into(turn, R)
@@ -146,7 +150,7 @@ def since_reference(P, turn):
 
 @njit(cache=True, error_model="numpy")
 def move(attitude, discs, basis, dx, new_attitude, new_discs, new_basis):
-    """Attitude, discs and their axes moved by an error vector, (n,)."""
+    """Move attitude, discs and their axes by an error vector, (n,)."""
     R = np.empty((3, 3))
     exp_into(dx[:3], R)
     new_attitude[:] = R @ attitude

@@ -1,7 +1,7 @@
-"""The known discs followed from one frame to the next, and new ones added to the map.
+"""Tracking of the known discs from frame to frame, and addition of new ones to the map.
 
 A frame's points update the filter under every attitude that the discs leave possible. The map alone gives the attitude
-if no prediction does. Points without a disc are discs if they turn with the ball, and look-alikes if they stand still.
+if no prediction does. Points without a disc are discs if they turn with the ball, and look-alikes if they do not move.
 """
 
 import math
@@ -28,9 +28,9 @@ from spheremouse.tracker import Frame, Status
 _AT_REST = 0.05  # rad/s, below which a ball brings no disc into view or out of it
 _SECURE = 3  # discs in use of which one may vanish: with fewer, all of the picture is searched for more
 _JUMP = 16.0  # level of the player from which points pair by chance
-_HIDDEN_BY_CHANCE = 2.0  # discs: struts hide so many, something that covers the ball hides more
+_HIDDEN_BY_CHANCE = 2.0  # discs: struts hide so many, a cover on the ball hides more
 _TURNS = 0.15  # rad/s, from which a disc may come into view with any frame
-_CERTAIN = math.log(0.999)  # log probability from which the most probable attitude is taken for the only one
+_CERTAIN = math.log(0.999)  # log probability from which the most probable attitude counts as the only one
 _KNOWN_SIGMA = 0.02  # rad per axis, up to which one disc alone holds the attitude: half a disc's width
 IDENTIFY_SIGMA = 0.003  # rad, of a direction when the map is searched; at a tenth any disc may be any other
 
@@ -149,9 +149,10 @@ def _supports(
 
 
 def is_covered(state: TrackState[So3State], predicted: So3State, tracker: Tracker[So3Filter]) -> bool:
-    """Return whether something lies before most of the established discs, whose places are well known.
+    """Return whether something covers most of the established discs at a well-known attitude.
 
-    A jump that half of them contradict is no better. Discs in their places that are not there by chance still count.
+    A jump that half of the discs contradict counts as a cover, too. If discs in their places are significant, the ball
+    is not covered.
     """
     filtered = state.filter
     jumped = filtered.manoeuvre_level >= _JUMP
@@ -163,7 +164,7 @@ def is_covered(state: TrackState[So3State], predicted: So3State, tracker: Tracke
 
 
 def without_effect(state: TrackState[F], tracker: Tracker, predicted: Any) -> TrackState[F]:
-    """Return the state without a frame that `is_covered`: the spots in view may be on what lies before the ball."""
+    """Return the state without the points of a frame that `is_covered`, since they may lie on the cover."""
     filtered = replace(tracker.filter.update(predicted, no_points(tracker)), hidden=predicted.hidden)
     return replace(state, filter=filtered, alternatives=(), confirmed=False)
 
@@ -171,10 +172,10 @@ def without_effect(state: TrackState[F], tracker: Tracker, predicted: Any) -> Tr
 def recognised_attitude(
     state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter]
 ) -> tuple[So3State, int] | None:
-    """The filter with its attitude found by the map alone, and by how many discs; None where it is not certain.
+    """Return the filter with the attitude from the map alone, and the number of discs; None if it is not certain.
 
-    `identify` weighs all points, also those that meet no disc, so no further rule on their number is needed.
-    After a short gap the rate is that from the last attitude confirmed; after a long one it is unknown.
+    `identify` weighs all points, also those without a disc, so no further rule on their number is needed.
+    After a short gap the rate follows from the last confirmed attitude. After a long gap it is unknown.
     """
     points = state.points
     placed = state.filter.map_sigma() < IDENTIFY_SIGMA  # a disc founded at a doubtful attitude tells no attitude
@@ -199,8 +200,8 @@ def recognised_attitude(
 def confirms(posterior: FilterState, points: int, predicted: FilterState, tracker: Tracker) -> bool:
     """Return whether the last frame, with so many points, confirms the attitude.
 
-    Two discs do, or one while it adds to what is known well; but only if chance does not explain them, since of many
-    false candidates a few always fit; and only at a rate that a hand can give.
+    Two discs confirm it, or one disc if the attitude is already well known. Chance must not explain these discs, since
+    a few of many false candidates always fit. The rate must be one that a hand can produce.
     """
     settings, used, rate = tracker.settings.loss, len(posterior.used), posterior.rate
     if used == 0 or float(rate @ rate) > settings.fastest**2:
@@ -211,7 +212,7 @@ def confirms(posterior: FilterState, points: int, predicted: FilterState, tracke
 
 
 def updated(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:
-    """Filter the points; candidates that were seen to move with the ball may found discs."""
+    """Filter the points; candidates that have moved with the ball may become discs."""
     points, centre = state.points, state.detections.centre[state.points.index]
     proven = static.known_before_to_turn(state.lookalikes, centre, predicted.attitude, tracker.rig, tracker.pose)
     posterior = tracker.filter.update(predicted, points, proven)
@@ -228,13 +229,13 @@ def all_are_discs(state: TrackState) -> bool:
 def classify_unmatched(
     state: TrackState[F], stamp: float, tracker: Tracker, predicted: F, with_discs: AddLandmarks[F]
 ) -> TrackState[F]:
-    """Classify the points without a disc: they turn with the ball, stand still, or do neither yet."""
+    """Classify the points without a disc: turning with the ball, static, or undecided."""
     points, centre, confirmed = state.points, state.detections.centre[state.points.index], state.confirmed
     rig, posterior = tracker.rig, state.filter
     if not confirmed and not _known_well(posterior, tracker):  # no point has a place on the ball
         return state
     other = np.ones(len(points), dtype=bool)
-    other[posterior.used] = False  # what belongs to a known disc needs no judgement
+    other[posterior.used] = False  # points of known discs need no classification
     turning, _, lookalikes = static.classify_candidates(
         state.lookalikes,
         centre[other],
@@ -253,6 +254,6 @@ def classify_unmatched(
 
 
 def _known_well(filter_state: FilterState, tracker: Tracker) -> bool:
-    """Return whether the attitude is known so well that one disc gives the rest."""
+    """Return whether the attitude is known so well that one disc suffices to confirm it."""
     worst = np.linalg.eigvalsh(filter_state.covariance[:3, :3])[-1]
     return bool(worst < _KNOWN_SIGMA**2)
