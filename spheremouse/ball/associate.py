@@ -16,7 +16,7 @@ from spheremouse.geometry.rotation import Array, align
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """The attitude a constellation tells."""
+    """Attitude identified from a constellation of discs."""
 
     rotation: Array  # (3, 3), directions ~ map_directions @ rotation.T
     pairs: NDArray[np.intp]  # (k, 2) of (index into directions, index into the map)
@@ -34,13 +34,15 @@ def identify(
 ) -> Identification | None:
     """Find the rotation between directions seen, (n, 3) unit vectors, and a map, (m, 3) unit vectors in `ball`.
 
-    `sigma` rad is the standard deviation of a direction per axis, right within a factor of 1.5; `view_axis` (3,) is the
-    unit vector from the ball to the camera in the frame of `directions`; map directions whose cosine with it is below
-    `horizon` are hardly ever seen. A row of nan is a miss. None where fewer than three directions meet the map, or
-    where the answer is wrong with a probability above `risk`: too few directions, too coarse, a layout that looks alike
-    in another attitude, another ball. `risk` trades silence for error where directions are coarse; at a tenth of a
-    degree it hardly matters. Raises ValueError for directions that are no unit vectors,
-    and for a sigma, horizon or risk that means nothing.
+    `sigma` rad is the standard deviation of a direction per axis, correct within a factor of 1.5. `view_axis` (3,) is
+    the unit vector from the ball to the camera in the frame of `directions`. Map directions with a cosine to it below
+    `horizon` are rarely visible. A row of nan is a miss.
+
+    Returns None if fewer than three directions match the map, or if the result is wrong with a probability above
+    `risk`. The causes are too few or too coarse directions, a layout similar to itself in another attitude, or another
+    ball. With coarse directions, a larger `risk` gives more results and more wrong ones. At a tenth of a degree it
+    hardly matters. Raises ValueError for directions that are not unit vectors, and for an invalid sigma, horizon or
+    risk.
     """
     if not 0.0 < sigma < np.inf:
         raise ValueError(f"sigma {sigma} is no standard deviation: give rad, above 0")
@@ -63,7 +65,7 @@ def identify(
 
 
 def _units(directions: ArrayLike, name: str) -> tuple[Array, NDArray[np.intp]]:
-    """Finite rows of unit vectors, (k, 3), and which they are, (k,). Raises ValueError for what is none."""
+    """Return the finite rows of unit vectors, (k, 3), and their indices, (k,). Raises ValueError for other vectors."""
     v = np.asarray(directions, dtype=float)
     if v.size == 0:
         v = v.reshape(0, 3)

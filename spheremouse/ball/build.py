@@ -1,4 +1,4 @@
-"""A tracker put together from a device, a pose and settings, and its state before the first frame."""
+"""Construction of a tracker from a device, a pose and settings, and of its state before the first frame."""
 
 from typing import Any
 
@@ -36,9 +36,10 @@ _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed so
 
 
 def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
-    """Put the stages together for a device and a camera that stands still.
+    """Build the tracker for a device and one camera pose.
 
-    Raises PoseError where the camera cannot see the ball: from within, from in front, or out of its picture.
+    Raises PoseError if the camera cannot see the ball: it is inside the ball, the ball is not in front of it, or the
+    ball is outside the image.
     """
     towards = pose.position - rig.ball.centre
     distance = float(np.linalg.norm(towards))
@@ -86,7 +87,7 @@ def colours_of(settings: Settings, before: Colours) -> Colours:
 
 
 def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: DiscMap | None = None) -> TrackState:
-    """State before the first frame; the ball is at `attitude` (3, 3), by default that of `obj`.
+    """Return the state before the first frame; the ball is at `attitude` (3, 3), by default that of `obj`.
 
     With the map of an earlier run (`so3` alone can use it) the discs are recognised first, and the attitude is that of
     the map: absolute.

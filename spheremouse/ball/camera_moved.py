@@ -1,4 +1,4 @@
-"""A camera that was moved: its signs in discs and targets, and its new pose."""
+"""Detection of a moved camera from discs and targets, and search for its new pose."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -104,9 +104,9 @@ def out_of_sight(state: TrackState, stamp: float) -> bool:
 def check_targets(
     before: CameraMonitor, after: TrackState | None, frame: Frame, tracker: Tracker, seek: Seek
 ) -> CameraCheck:
-    """Check all targets: the camera stands, moves, or has a new pose.
+    """Check all targets: the camera is still at its pose, is moving, or has a new pose.
 
-    `after` is the state after the frame if the camera stands, if known.
+    `after` is the state after the frame under the assumption of an unmoved camera; None if not computed.
     """
     watch, shift = watching.target_shifts(before, frame.image)
     on_rings = watching.on_rings(watch, frame.image, shift, tracker.rig, tracker.settings.rings)

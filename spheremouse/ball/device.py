@@ -52,7 +52,7 @@ class Device:
 
 
 class DistanceError(CalibrationError):
-    """A distance that contradicts photos and other distances; `index` says which of Device.distances."""
+    """A distance that contradicts photos and other distances; `index` is its index in Device.distances."""
 
     def __init__(self, device: Device, index: int, metres: float, sigmas: float | None = None) -> None:
         d = device.distances[index]

@@ -35,7 +35,7 @@ class Found(Event):
 
 @dataclass(frozen=True, slots=True)
 class Turned(Event):
-    """The ball's first turn tells discs from look-alikes: so many are masked."""
+    """The ball's first rotation separates discs from look-alikes; `masked` is the number of masked look-alikes."""
 
     masked: int
 

@@ -1,4 +1,4 @@
-"""Image rays meet the ball: disc centres in pixels in, points on the sphere with covariances out.
+"""Intersection of image rays with the ball: disc centres in pixels to points on the sphere with covariances.
 
 Wittich 2017, section 3.8 (eq. 110-120), by implicit differentiation in closed form instead of a Gauss-Helmert
 adjustment per disc; both give the same covariance (tests/ball/test_points.py).
@@ -27,7 +27,7 @@ class Centres(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SpherePoints:
-    """First intersections of image rays with the ball, for the n detections whose rays meet it."""
+    """First intersections of image rays with the ball, for the n detections with rays that meet it."""
 
     position: Array  # (n, 3) m, obj
     covariance: Array  # (n, 3, 3) m², obj: image noise, camera pose and ball together
@@ -48,9 +48,9 @@ class SpherePoints:
 
 
 def intersect(detections: Centres, rig: Rig, pose: Pose) -> SpherePoints:
-    """Intersect the rays of all detections with the ball; rays that miss it are left out (`index` says which remain).
+    """Intersect the rays of all detections with the ball, without rays that miss it (`index` lists the others).
 
-    The nearer of the two points is taken (Wittich 2017, eq. 110-113). With F(B) = |B - K| - R = 0 and B = P + s r,
+    The result is the nearer of the two points (Wittich 2017, eq. 110-113). With F(B) = |B - K| - R = 0 and B = P + s r,
     differentiation gives dB = (I - r nᵀ / (nᵀ r)) (dP + s dr) + r / (nᵀ r) (nᵀ dK + dR), n the outward normal.
     Close to the limb nᵀ r goes to zero and the covariance grows without bound, as it should.
     """

@@ -1,4 +1,4 @@
-"""The rig: everything calibration knows of a device, with covariances. Made by calibration or from a dataset."""
+"""The rig: all calibrated parameters of a device, with covariances, from calibration or from a dataset."""
 
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -18,8 +18,8 @@ UNKNOWN_READOUT = 0.015  # s: none with a global shutter, up to 30 ms with a slo
 class Ball:
     """The sphere, in `obj`. Its centre is the origin by definition.
 
-    After calibration its uncertainty lies in the targets' coordinates, which count from it (Wittich 2017, eq. 91-92),
-    and here is that of the radius alone.
+    After calibration the targets' coordinates, relative to the centre, contain its uncertainty (Wittich 2017,
+    eq. 91-92). Then `covariance` here contains the radius alone.
     """
 
     radius: float  # m, or 1.0 where the scale is free
@@ -43,7 +43,7 @@ NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A device: camera, ball, frame targets, and what is known of its discs."""
+    """A device: camera, ball, frame targets, and parameters of its discs."""
 
     camera: InteriorOrientation
     ball: Ball

@@ -40,7 +40,7 @@ class Detector(Protocol):
         ...
 
     def seeing(self, projection: Projection) -> "Detector":
-        """Return the detector that uses a projection of colours; a detector that knows none stays the same."""
+        """Return the detector with a projection of colours; a detector without projections stays the same."""
         ...
 
 
@@ -99,13 +99,13 @@ class Colours(NamedTuple):
 
 
 class Recognising(NamedTuple):
-    """A map made earlier is known, the attitude in it not yet."""
+    """The map of an earlier session is loaded, but the attitude in it is still unknown."""
 
     in_view_since: float | None = None  # s, of discs enough to speak against the map
 
 
 class Learning(NamedTuple):
-    """Nothing has turned yet: any candidate may be a look-alike."""
+    """The ball has not turned yet, so any candidate may be a look-alike."""
 
     found: bool = False  # two discs were seen: the ball is tracked
     views: tuple[BufferedFrame, ...] = ()  # since the ball was seen, to be filtered again without the look-alikes
@@ -129,14 +129,14 @@ class Tracking(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """A new map that has yet to prove that it is one of a ball."""
+    """A new map without proof yet that its points are on a ball."""
 
     filter: So3State
     phase: Learning
 
 
 class Lost(NamedTuple):
-    """Nothing is sent until the ball is found again."""
+    """The ball is lost; the tracker reports no motion until it finds the ball again."""
 
     last: Learning | Tracking  # the phase before
     in_view_since: float | None = None  # s, of discs
@@ -234,7 +234,7 @@ def clear_matches(filter_state: Any) -> Any:
 def start_tracking(
     state: TrackState[F], phase: Learning | Tracking, filtered: F, reported: Array, stamp: float
 ) -> TrackState[F]:
-    """Tracked from this frame on, by a filter just found or begun; motion counts from the attitude `reported`."""
+    """Return the state of a ball tracked from this frame on by a new filter; motion counts from `reported`."""
     return replace(
         state,
         phase=phase,
@@ -247,7 +247,7 @@ def start_tracking(
 
 
 def forget(lookalikes: StaticDistractors) -> StaticDistractors:
-    """Masks stay; candidates followed under another attitude go."""
+    """Keep the masks; remove the candidates, since they belong to another attitude."""
     return StaticDistractors(masks=lookalikes.masks, mask_seen=lookalikes.mask_seen)
 
 

@@ -1,7 +1,7 @@
-"""The use phase: one frame in, attitude and motion out. The only place that knows the order of the stages.
+"""The use phase: one frame in, attitude and motion out. Only this module defines the order of the stages.
 
-Detect, intersect, set aside look-alikes, associate and filter, tell the motion (Wittich 2017, section 3.5). Everything
-is a pure function of the state before and the frame; nothing here waits, logs or reads a clock.
+The stages are: detect, intersect, remove look-alikes, associate and filter, report the motion (Wittich 2017, section
+3.5). All functions are pure functions of the state before and the frame. Nothing here waits, logs or reads a clock.
 """
 
 from collections.abc import Callable
@@ -123,7 +123,7 @@ def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tu
 def _stages(
     state: TrackState, frame: Frame, tracker: Tracker, detected: Callable[[], None] = lambda: None
 ) -> Step[TrackState]:
-    """Process one frame of a camera that stands."""
+    """Process one frame of an unmoved camera."""
     before = state.colours
     state = colours.with_trial(state, frame, tracker)
     predicted = tracker.filter.predict(state.filter, frame.stamp)
@@ -137,7 +137,7 @@ def _stages(
 def _with_check(
     state: TrackState, done: Step[TrackState] | None, frame: Frame, tracker: Tracker, seek: Seek
 ) -> Step[TrackState]:
-    """Process a frame in which all targets are checked; `done` is its result with a camera that stands, if known."""
+    """Process a frame with a check of all targets; `done` is its result with an unmoved camera, if known."""
     assert state.watch is not None
     check = camera_moved.check_targets(state.watch, done.state if done else None, frame, tracker, seek)
     if check.moved is not None:
@@ -243,7 +243,7 @@ def advance(
 
 
 def _learn_readout(state: TrackState, tracker: Tracker) -> tuple[TrackState, Events]:
-    """Return an event once play has shown how long the shutter takes, if it is a rolling one."""
+    """Return an event when the filter has determined the readout time of a rolling shutter."""
     if state.filter.readout_sigma > _READOUT_SURE:
         return state, ()
     readout = tracker.rig.readout_s + state.filter.readout
@@ -284,7 +284,7 @@ def _reported(state: TrackState, stamp: float, events: Events) -> Step[TrackStat
 def _estimate(
     state: TrackState, stamp: float, increment: Array, increment_covariance: Array, *, confirmed: bool
 ) -> Estimate:
-    """Return the estimate of a frame, whose increment has 6 components."""
+    """Return the estimate of a frame with an increment of 6 components."""
     f, rate, covariance = state.filter, np.zeros(6), np.zeros((12, 12))
     rate[:3], known = f.rate, f.covariance
     covariance[:3, :3], covariance[6:9, 6:9] = known[:3, :3], known[3:, 3:]

@@ -16,11 +16,11 @@ from spheremouse.ball.rig import Rig, view_of
 from spheremouse.geometry.camera import Pose, distorted, sphere_outline
 from spheremouse.geometry.rotation import Array
 
-_CORNERS = 24  # of the polygon that stands for a distorted outline
+_CORNERS = 24  # of the polygon that approximates a distorted outline
 
 
 class Appearance(NamedTuple):
-    """Images of n discs. What the ball itself or the picture's edge cuts is not `whole`."""
+    """Images of n discs. A disc that the horizon of the ball cuts is not `whole`."""
 
     centre: Array  # (n, 2) px, projection of the disc's centre
     centroid: Array  # (n, 2) px, centroid of its image; minus `centre`: the eccentricity
@@ -32,7 +32,8 @@ class Appearance(NamedTuple):
 def appearance(directions: Array, rig: Rig, pose: Pose) -> Appearance:
     """Return the images of the discs at `directions`, (n, 3) unit vectors in `obj`; nan for those that are not whole.
 
-    The lens bends an ellipse; its centroid is taken of the bent outline, its shape from the Jacobian at the centre.
+    The lens distorts the ellipse. The centroid is that of the distorted outline. The shape follows from the Jacobian at
+    the centre.
     """
     return appearance_of(np.ascontiguousarray(directions, dtype=np.float64), view_of(rig, pose))
 
@@ -92,7 +93,7 @@ def appearance_of(directions, view):
 
 @njit(cache=True, error_model="numpy")
 def _bent_centroid(x, y, sxx, sxy, syy, a, b, k):
-    """Centroid of an ellipse's distorted outline, from a, b: the distorted place of its centre."""
+    """Return the centroid of an ellipse's distorted outline relative to a, b, the distorted place of its centre."""
     l11 = np.sqrt(sxx)
     l21 = sxy / l11
     l22 = np.sqrt(max(syy - l21 * l21, 0.0))

@@ -1,8 +1,8 @@
-"""Separation of discs from static distractors: spots that stand still while the ball turns.
+"""Separation of discs from static distractors: spots that do not move while the ball turns.
 
 Bolts, their shadows and a player's buttons pass every test of shape. The tracker follows each candidate from its first
 place, and compares it with the place to which the ball's rotation would have carried a disc. A spot that moved with the
-ball can become a disc. A spot that stayed becomes a mask in the image for as long as the camera stands.
+ball can become a disc. A spot that stayed becomes a mask in the image until the camera moves.
 This needs the right attitude, so use one that the frame itself confirms, never a prediction. If a hand had stopped the
 ball meanwhile, a prediction would mask the discs themselves.
 """
@@ -53,7 +53,7 @@ _NO_CANDIDATES = Candidates(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 3))
 
 @dataclass(frozen=True, slots=True)
 class StaticDistractors:
-    """Masks, and candidates on their way to being one or a disc."""
+    """Masks, and candidates that are not yet classified."""
 
     masks: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2) px
     mask_seen: Array = field(default_factory=lambda: np.zeros(0))  # (k,) s
@@ -80,7 +80,7 @@ def mask(state: StaticDistractors, centre: Array, stamp: float) -> StaticDistrac
 
 
 def without_landmarks(state: StaticDistractors, discs: Array, disc_angle: float) -> StaticDistractors:
-    """Without those that have become discs, (m, 3) unit vectors in ball, of angular radius `disc_angle` rad."""
+    """Remove the candidates on discs, (m, 3) unit vectors in ball, of angular radius `disc_angle` rad."""
     near = np.any(state.candidates.anchor_ball @ discs.T > np.cos(disc_angle), axis=1)
     return replace(state, candidates=state.candidates.take(~near))
 
@@ -96,8 +96,9 @@ def classify_candidates(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], StaticDistractors]:
     """Follow the candidates of one frame: `centre` (n, 2) px, `direction` (n, 3) unit in obj, none of them masked.
 
-    `attitude` is R_obj_ball, (3, 3), as this frame's discs have confirmed it. Returns which are proven to turn with the
-    ball, (n,), which have just shown that they stand still, (n,), and the state with the latter masked.
+    `attitude` is R_obj_ball, (3, 3), as this frame's discs have confirmed it. Returns two masks and the new state. The
+    first mask, (n,), contains the candidates proven to turn with the ball. The second, (n,), contains those newly
+    proven to be static. The new state masks the static ones.
     """
     candidates = state.candidates
     if len(centre) == 0:  # a frequent case: only the time passes
@@ -123,9 +124,9 @@ def classify_candidates(
 
 
 def _told_apart(centre: Array, first: Array, turned: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks, (n,), of the candidates that turn with the ball and of those that stand still.
+    """Return masks, (n,), of the candidates that turn with the ball and of the static ones.
 
-    `centre`, (n, 2) px, is where they are, `first` where they were first seen, `turned` where discs would be by now.
+    `centre`, (n, 2) px, are their current places, `first` their first ones, and `turned` those of discs in this frame.
     """
     path = np.linalg.norm(turned - first, axis=1)
     off = np.linalg.norm(centre - turned, axis=1)
@@ -154,7 +155,7 @@ def _expected(candidates: Candidates, attitude: Array, rig: Rig, pose: Pose) -> 
 
 
 def _found(candidates: Candidates, expected: Array, centre: Array) -> NDArray[np.intp]:
-    """For each of `centre`, (n, 2) px, the candidate that stayed or turned there, (n,); -1 where there is none."""
+    """Return for each of `centre`, (n, 2) px, the index of a candidate that stayed or turned there, (n,); -1: none."""
     return mutual_nearest(_distances(centre, expected, candidates.place))
 
 

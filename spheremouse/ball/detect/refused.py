@@ -1,7 +1,7 @@
 """Places in an image that resemble a ring target, each with the bound that it exceeds.
 
-For a picture that a person looks at, not for every frame: the image is looked through again with one bound after the
-other widened. What is then found, and was not, is refused by that bound.
+The search widens one bound after the other and repeats the detection. If a shape appears only with a wider bound, that
+bound has rejected it. The search is slow, so use it for single images that a person examines, not for every frame.
 """
 
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ from spheremouse.ball.detect.rings import (
 from spheremouse.ball.rig import COLOURS
 from spheremouse.geometry.rotation import Array
 
-_SMALLEST = 0.5  # px, radius of an inner disc: less than a pixel is nothing
+_SMALLEST = 0.5  # px, least radius of an inner disc: smaller ones are less than a pixel wide
 _MIXED = 2.0  # px, radius of an inner disc below which few of its pixels have its colour alone
 _RATIO = 3.0  # by which proportions may be wrong: a ring would be as wide as all of the target
 _HUES = 12  # of OpenCV's 180: neighbours are 60 apart
@@ -33,7 +33,7 @@ _PALE = 25  # saturation and value below which a colour is the noise of grey
 
 
 class Bound(StrEnum):
-    """Bounds of a target that something does not keep; of several the first."""
+    """The bound of a target that a shape violates; the first one if it violates several."""
 
     EDGES = "edges"  # the rings lie in one another, and their edges cannot be measured
     SIZE = "size"  # RingSettings.min_radius
@@ -46,7 +46,7 @@ class Bound(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """Something that is nearly a target."""
+    """A shape that resembles a target."""
 
     code: str  # its colours inside to outside: two or three
     centre: Array  # (2,) px
@@ -87,7 +87,7 @@ class _Places:
         self._taken = list(zip(seen.centre, seen.radius, strict=True))
 
     def add(self, code: str, centre: Array, radius: float, bound: Bound) -> None:
-        """Add a near miss, unless something lies there already."""
+        """Add a near miss, unless it overlaps a target or an earlier one."""
         if all(np.linalg.norm(centre - other) > max(radius, r) for other, r in self._taken):
             self._taken.append((centre, radius))
             self.refused.append(Refused(code, centre, radius, bound))
@@ -105,13 +105,13 @@ def _widened(s: RingSettings) -> tuple[tuple[Bound, RingSettings], ...]:
 
 
 def _without_holes(spots: Spots) -> Spots:
-    """Without the outlines of holes in rings: of a target whose proportions are wrong, one may pass for its ring."""
+    """Remove the outlines of holes in rings. In a target with wrong proportions, a hole could pass for a ring."""
     keep = [k for k, c in enumerate(spots.contours) if cv2.contourArea(c, oriented=True) < 0.0]
     return Spots(tuple(spots.contours[k] for k in keep), spots.centre[keep], spots.radius[keep])
 
 
 def _pairs(spots: dict[str, Spots], proportion: Array, settings: RingSettings) -> list[tuple[str, Array, float]]:
-    """Two colours in one another as two of a target's three are, the largest first: colours, centre and radius, px."""
+    """Return nested pairs of colours with the proportions of a target: colours, centre, radius, px; largest first."""
     found: list[tuple[str, Array, float]] = []
     least = settings.min_radius / proportion[0]
     for inner, outer in permutations(COLOURS, 2):

@@ -83,14 +83,14 @@ class Spots:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """Circles that lie as a target's do, still to be measured."""
+    """Circles arranged as in a target, before the measurement."""
 
     code: str
     outline: Image  # (k, 2) px, of the outer circle
     middle: Array  # (2,) px, its centroid
     half: Array  # (2,) px, semi-axes
     axes: Array  # (2, 2) their directions, in rows
-    window: tuple[int, int, int, int]  # px that are looked at: first column and row, and those after the last
+    window: tuple[int, int, int, int]  # px of the measurement: first column and row, and those after the last
 
     @property
     def area(self) -> int:
@@ -106,9 +106,9 @@ _NONE = np.zeros(0, dtype=np.intp)
 def detect_targets(image: Image, radii: Array, settings: RingSettings) -> TargetDetections:
     """Return all targets in a BGR image, (h, w, 3). `radii` (3,) are the rig's circles, in any unit.
 
-    Single discs, rings within rings of two colours, and nestings whose circles are not concentric or not in
-    proportion are ignored. Of more than `MOST` with one code, the best are measured. If all are larger than two images
-    together, the smallest are measured, and a flag reports it.
+    The detector ignores single discs, rings within rings of two colours, and nested circles that are not concentric or
+    not in proportion. Of more than `MOST` candidates with one code, it measures the best. If all together are larger
+    than two images, it measures the smallest, and a flag reports this.
     """
     proportion = np.asarray(radii, dtype=float) / radii[-1]
     candidates, crowded = candidates_of(spots_of(image, settings), proportion, settings, image.shape)
@@ -255,10 +255,11 @@ def _candidate(code: str, outline: Image, middle: Array, shape: tuple[int, ...])
 
 
 def _measure(image: Image, nest: Candidate, proportion: Array) -> tuple[Array, float] | None:
-    """Sub-pixel centre (2,) px and radius of the outer circle.
+    """Return the subpixel centre (2,) px and the radius of the outer circle.
 
-    Each edge separates two flat colours A and B; a pixel near it is covered by (I - B)(A - B) / |A - B|^2 parts of the
-    inside. Coverage, not a threshold, is what the lens integrates: its centroid is the ellipse's centre.
+    Each edge separates two flat colours A and B. The inside covers the part (I - B)(A - B) / |A - B|^2 of a pixel near
+    the edge. A pixel integrates this coverage, so the centroid of the coverage, not of a threshold, is the ellipse's
+    centre.
     """
     x0, y0, x1, y1 = nest.window
     half, axes = nest.half, nest.axes

@@ -1,9 +1,9 @@
-"""Unknown discs looked for while the known ones are followed: a lattice of samples over the ball, a part in each frame.
+"""Search for unknown discs during tracking: a lattice of samples over the ball, a part in each frame.
 
-A sample is a candidate where it is darker than the ball around it, on nearly all sides at a little more than a disc's
-radius, and along the limb on both: there a disc ends, and the blur of the limb does not. Four frames, each with a
-shifted lattice, see every disc that is large enough; one of ordinary size is met in the first. Places that turned out
-to be none are left out for a while, so that struts cost nothing.
+A sample is a candidate if it is darker than the ball on nearly all sides, at a little more than a disc's radius. Along
+the limb it must be darker than both sides, because a disc ends there and the blur of the limb does not. Four frames,
+each with a shifted lattice, detect every disc that is large enough. The first frame detects a disc of ordinary size.
+For a while the search leaves out places that proved not to be discs, so that struts cost no time.
 """
 
 from dataclasses import dataclass, field, replace
@@ -190,7 +190,7 @@ def _near(x, y, places, radius):
 
 @njit(cache=True, error_model="numpy")
 def _settle(plane, mask, level, reach, reduction, place):
-    """Two steps of the mean shift towards what is darker than `level`, on the ball, within `reach` px."""
+    """Take two mean-shift steps towards the pixels darker than `level`, on the ball, within `reach` px."""
     flat, channels, channel, sign, dark = plane
     h, w = mask.shape
     for _ in range(2):

@@ -1,7 +1,7 @@
-"""Discs in windows of their own: directions on the ball and a picture in, measured centres out, in one compiled call.
+"""Measurement of discs, each in its own window: directions on the ball to centres in the image, in one compiled call.
 
-Where each disc is by the time its row is read, how it looks from there and how far it travels while the shutter is open
-comes from the geometry (detect.appearance); the measuring itself is detect.fit.
+The geometry (detect.appearance) gives each disc's place when its row is read, its shape, and its motion during the
+exposure. detect.fit measures it.
 """
 
 from typing import NamedTuple
@@ -38,8 +38,8 @@ class Motion(NamedTuple):
     readout: float  # s, of all rows
 
 
-_EXPECTED = 0.3  # of the contrast is enough where the map says that a disc must be: glare, deep shade
-_APART = 0.3  # of a disc's diameter: of two that are nearer, the one that fits less well is left out
+_EXPECTED = 0.3  # of the contrast suffices at a place that the map predicts: glare, deep shade
+_APART = 0.3  # of a disc's diameter: of two nearer discs, the one with the worse fit is left out
 _ANYWHERE = np.zeros((0, 2))
 _AT_REST = Motion(np.zeros(3), 0.0)
 
@@ -55,11 +55,11 @@ def measure_discs(
 ) -> tuple[Detections, float]:
     """Measure the discs at `directions`, (n, 3) unit vectors in obj, in an image (h, w, c) of uint8.
 
-    Each begins at its place of `places`, (n, 2) px, where something dark was seen. Without places each begins where it
-    is expected, and there a part of the contrast is enough. `noise` is that of a pixel. Discs that are not wholly in
-    the picture are left out. The ball's `motion` carries them to when their row is read, and the exposure smears them.
-    `size`, fitted over expected, is held if it is known, not 0. The second result is the size that the discs share, or
-    0 if too few discs tell it.
+    Each fit begins at its place of `places`, (n, 2) px, the centre of a dark spot. Without `places` it begins at the
+    expected place, and a part of the contrast suffices. `noise` is that of a pixel. Discs that are not wholly in the
+    image are left out. The ball's `motion` carries the discs to the time when their row is read. The exposure smears
+    them. If `size`, fitted over expected, is not 0, the fit fixes the size at it. The second result is the common size
+    of the discs, or 0 if too few discs determine it.
     """
     if len(directions) == 0:
         return no_detections(), size
@@ -114,8 +114,8 @@ def _measure_discs(image, directions, model, noise, weights, places, motion, siz
 def _paths(directions, turn, view, centre, path):
     """Write the motion of n discs at `directions` during the exposure, a `turn`, (3,) rad, into `path`, (n, 7).
 
-    `centre` (n, 2) px is where they are at mid-exposure. The ends of the way give what `moving_ellipse_of` needs; of a
-    disc that is not whole at both ends the shape counts as constant.
+    `centre` (n, 2) px are their places at mid-exposure. The path follows from the places and shapes at the start and
+    end of the exposure (`moving_ellipse_of`). The shape of a disc that is not whole at both ends counts as constant.
     """
     n = len(directions)
     R = np.empty((3, 3))

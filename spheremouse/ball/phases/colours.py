@@ -95,7 +95,7 @@ def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[Trac
 
 
 def _adaptable(tracker: Tracker) -> DiscDetector:
-    """Return the detector of a tracker whose projection is not fixed: it is the default one, by `build.colours_of`."""
+    """Return the detector of a tracker without a fixed projection: `build.colours_of` fixes it for all other types."""
     detector: Any = tracker.detector
     return detector
 

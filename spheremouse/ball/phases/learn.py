@@ -92,8 +92,8 @@ def update_all(
     """Return the state after filtering a frame with every point as a possible disc.
 
     All points may add a disc to the map if fewer than two discs are established. All may if the ball has turned by a
-    disc's width and the last frame confirmed its attitude, because new discs come into view then. If the ball stands, a
-    new point is not on the ball, or is a disc that was hidden.
+    disc's width and the last frame confirmed its attitude, because new discs come into view then. If the ball is at
+    rest, a new point is not on the ball, or is a disc that was hidden.
     """
     few = np.count_nonzero(predicted.hits >= ESTABLISHED_HITS) < 2
     turned = rotation_between(views[0].attitude, predicted.attitude) if views else np.zeros(3)
@@ -178,9 +178,10 @@ def _changed(anchor: BufferedFrame, since: tuple[BufferedFrame, ...]) -> bool:
 
 
 def follow_points(views: tuple[BufferedFrame, ...], centre: Array, next_track: int) -> tuple[NDArray[np.intp], int]:
-    """Number the points of a frame, at `centre` (n, 2) px: as in the view before where it shows them nearby.
+    """Assign track numbers to the points of a frame, at `centre` (n, 2) px.
 
-    Each is looked for where its last step leads. Returns the numbers, (n,), and the next one that is free.
+    A point keeps the number of a nearby point in the view before. The search extrapolates each point's last step.
+    Returns the numbers, (n,), and the next free number.
     """
     track = np.full(len(centre), -1, dtype=np.intp)
     if views and len(centre) and len(views[-1].track):

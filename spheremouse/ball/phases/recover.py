@@ -1,4 +1,4 @@
-"""A ball that is lost: lifted off its bearings, or after a gap; and its recovery from the map of discs."""
+"""Loss of the ball, lifted off its bearings or after a gap, and its recovery from the map of discs."""
 
 from dataclasses import replace
 
@@ -214,8 +214,9 @@ def check_bearings(
 ) -> tuple[TrackState[So3State], Events]:
     """Check the ball's centre in a followed frame. A frame that shows it off its place has no effect.
 
-    A second one in a row is a lifted ball. It is lost until the discs fit a rotation again. A ball out of round causes
-    an event and is tracked further. So is one whose discs never were in their places, since then the rig is wrong.
+    A second such frame in a row means a lifted ball. It is lost until the discs fit a rotation again. A ball out of
+    round causes an event, and tracking continues. If the discs never were in their places, the rig is wrong. This also
+    causes an event, and tracking continues.
     """
     assert isinstance(state.phase, Tracking)
     before = state.phase.roundness

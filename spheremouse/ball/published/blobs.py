@@ -20,7 +20,7 @@ _SIGMA_PX = 0.1  # sigma_b, standard deviation of a centre per axis (section 4.5
 
 @dataclass(frozen=True, slots=True)
 class BlobDetector:
-    """The detector with its settings; it knows nothing of the ball."""
+    """The detector with its settings; it uses no data of the ball."""
 
     settings: BlobSettings
 

@@ -77,21 +77,21 @@ class EulerState:
         return {}
 
     def to_map(self, least: int) -> None:
-        """Return None: a disc that one frame does not show is forgotten."""
+        """Return None: the filter deletes a disc that one frame does not show."""
 
     def clone_attitude(self) -> "EulerState":
-        """The state whose attitude is the one that the next motion counts from."""
+        """Return the state with its current attitude as the reference of the next increment."""
         return replace(self, reference=self.covariance[:3, :3])
 
     def with_reference_of(self, other: "EulerState") -> "EulerState":
-        """The state whose next motion counts from where that of `other` does."""
+        """Return the state with the reference of `other`."""
         return replace(self, reference=other.reference)
 
     def increment_covariance(self, turn: Array) -> Array:
-        """(6, 6) of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.
+        """Return the covariance, (6, 6), of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.
 
-        The published filters do not say how the errors of two attitudes hang together: they are taken as independent.
-        No turn at all is where a motion begins to count, and has no error.
+        The publication gives no correlation between the errors of two attitudes, so they count as independent. A zero
+        turn is the start of an increment and has no error.
         """
         if turn @ turn < _ROUNDED**2:
             P = self.covariance
@@ -148,7 +148,7 @@ class ConstantDiscsFilter(_EulerFilter):
     def update(
         self, state: EulerState, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None
     ) -> EulerState:
-        """Angles and rates after the associated points; then new points are stored, unseen discs forgotten."""
+        """Correct angles and rates with the associated points, store new points, and delete unseen discs."""
         noise = _noise(points, self.settings)
         expected, dexpected_dangles = turned(state.angles, state.points)
         i, j = _associate(expected, points.position, self.settings.gate)

@@ -1,7 +1,8 @@
 """The method of tracking of the published filters `ekf1` and `ekf2` (Wittich 2017, section 3.5).
 
-Look-alikes are told apart from discs as with any filter. These filters keep no map: a disc that one frame does not show
-is gone. A lost ball starts at its last attitude. A lifted ball, a moved camera and a rolling shutter stay unnoticed.
+The separation of look-alikes from discs is the same as for any filter. These filters keep no map: they delete a disc
+that one frame does not show. A lost ball starts at its last attitude. The method does not detect a lifted ball, a moved
+camera or a rolling shutter.
 """
 
 from dataclasses import replace
