@@ -80,10 +80,11 @@ def _units(directions: ArrayLike, name: str) -> tuple[Array, NDArray[np.intp]]:
 
 
 def common_rotation(before: Array, after: Array, sigma: float) -> tuple[Array, NDArray[np.intp]] | None:
-    """Rotation, (3, 3), that most of two sets of directions share, and its pairs, (k, 2) indices (before, after).
+    """Return the rotation, (3, 3), with most pairs of two sets of directions, and the pairs, (k, 2) indices.
 
-    For the first motion seen, when nothing is known yet: `before` (n, 3) and `after` (m, 3) hold the same discs among
-    others. At least three must agree; of equal agreements the smallest rotation is taken. None where there is none.
+    A pair holds indices into `before` (n, 3) and `after` (m, 3), which contain the same discs among other points. Use
+    this function for the first motion, without a map. At least three pairs must agree. Among rotations with equally
+    many pairs, the smallest wins. Returns None if no rotation has three pairs.
     """
     if len(before) < 3 or len(after) < 3:
         return None

@@ -133,9 +133,10 @@ def check_targets(
 
 
 def _pose_by_shifts(on_rings: Array, shift: Array, tracker: Tracker) -> Moved | None:
-    """Return the tracker at the pose that the shifts of the targets, (n, 2) px, give; None if they give none.
+    """Return the tracker at the pose from the targets' shifts, (n, 2) px; None if no pose fits them.
 
-    The shifts are measured on the rings, or else by correlation. Also the addition to the pose's covariance, (6, 6).
+    The shifts come from the rings, or else from the correlation. Also returns the addition to the pose's covariance,
+    (6, 6).
     """
     rig, settings = tracker.rig, tracker.settings
     for measured, sigma in ((on_rings, watching.RING_SIGMA_PX), (shift, watching.MATCH_SIGMA_PX)):

@@ -1,6 +1,6 @@
 """Estimate the offset of the ball's centre from the points of one frame and the known discs.
 
-A ball that is lifted off its bearings, or out of round, shows its discs where no rotation takes them. A shift of its
+If the ball is lifted off its bearings, or out of round, no rotation explains the places of its discs. A shift of its
 centre may explain them. Least squares estimate rotation and shift together.
 """
 

@@ -89,7 +89,7 @@ def variances(disc_map: DiscMap) -> Array:
 
 
 def turned(disc_map: DiscMap, rotation: Array) -> DiscMap:
-    """The same discs in a frame where their directions are those of before @ rotation.T."""
+    """Return the map in a rotated frame: the new directions are the old ones @ rotation.T."""
     before = disc_map.directions
     after = before @ rotation.T
     axes = tangent_basis(after).transpose(0, 2, 1) @ rotation @ tangent_basis(before)  # (m, 2, 2)

@@ -64,7 +64,7 @@ class Rig:
 
 
 def in_metres(rig: Rig, unit: float) -> Rig:
-    """The rig in metres, where its lengths are in a unit of `unit` m."""
+    """Return the rig in metres, from a rig with lengths in a unit of `unit` m."""
     to_metres = np.repeat([unit, 1.0], 3)  # of a pose: position, rotation
     pose, targets = rig.pose, rig.targets
     if pose is not None:

@@ -103,7 +103,7 @@ def wants_colour(state: TrackState, stamp: float) -> bool:
 def with_pose(state: TrackState, frame: Frame, tracker: Tracker, pose: Pose) -> Step[TrackState]:
     """Process one frame with the camera at a new `pose`. The ball keeps its attitude and rate.
 
-    Raises PoseError where the ball cannot be seen from there.
+    Raises PoseError if the camera cannot see the ball from there.
     """
     tracker = current(state, tracker)
     return _with_new_pose(state, build(tracker.rig, pose, tracker.settings), None, frame, tracker)

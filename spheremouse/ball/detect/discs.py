@@ -140,9 +140,9 @@ class DiscDetector:
         return self._with_slivers(found, image, noise) if self.lattice.reduction > 1 else found
 
     def _with_slivers(self, found: Detections, image: Image, noise: float) -> Detections:
-        """`found` and the discs that a coarse picture does not show: those near the limb, too thin for it.
+        """Return `found` and the discs near the limb, which are too thin for the coarse image.
 
-        It tries each place at most once, and ends when a round of all shifts has none left.
+        The search tries each place at most once. It ends when a round of all shifts finds no new place.
         """
         near_limb, state, idle = replace(self, lattice=self.slivers), SearchState(noise=noise), 0
         shifts = len(self.slivers.samples)

@@ -203,7 +203,7 @@ def normal_equations(n, px, py, grey, e, d, x, weight, A, Aw, N, g):
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def biweight(n, px, py, grey, e, x, limit, scale, weight):
-    """Tukey's weights of n residuals: beyond `limit` of the contrast none, beside the disc sooner."""
+    """Compute Tukey's weights of n residuals: 0 beyond `limit` of the contrast; the bound beside the disc is lower."""
     b0, b1, b2 = np.float32(x[0]), np.float32(x[1]), np.float32(x[2])
     a0, a1, a2 = np.float32(x[3]), np.float32(x[4]), np.float32(x[5])
     floor = np.float32(4.685) * scale

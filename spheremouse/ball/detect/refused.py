@@ -80,7 +80,7 @@ def refused_targets(image: Image, radii: Array, settings: RingSettings, seen: Ta
 
 
 class _Places:
-    """Near misses, none within another one or a target."""
+    """Near misses that do not overlap each other or a target."""
 
     def __init__(self, seen: TargetDetections) -> None:
         self.refused: list[Refused] = []

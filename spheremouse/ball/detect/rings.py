@@ -57,7 +57,7 @@ class RingSettings:
 
 @dataclass(frozen=True, slots=True)
 class TargetDetections:
-    """Targets seen in one image. A code may occur twice where the room holds a copy."""
+    """Targets detected in one image. If the room contains a copy, its code occurs twice."""
 
     codes: tuple[str, ...]
     centre: Array  # (n, 2) px, mean centroid of the three filled ellipses: eccentricity not yet corrected

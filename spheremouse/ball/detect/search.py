@@ -66,9 +66,10 @@ class SearchState:
 
 
 def lattice(mask: Image, thin: NDArray[np.bool_], diameter: float, reduction: int) -> Lattice:
-    """Samples on the ball's `mask`, (h, w), for discs of up to `diameter` px; where discs are `thin`, (h, w), no fewer.
+    """Return samples on the ball's `mask`, (h, w), for discs of up to `diameter` px.
 
-    Coarse samples would miss a sliver near the limb: it is long, and a pixel or two across.
+    In the mask `thin`, (h, w), the lattice does not widen with `reduction`. Coarse samples would miss a sliver near the
+    limb, which is long and only one or two pixels wide.
     """
     h, w = mask.shape
     d = 0.5 * diameter + _MARGIN * reduction
@@ -94,7 +95,7 @@ def lattice(mask: Image, thin: NDArray[np.bool_], diameter: float, reduction: in
 
 
 class _Limb:
-    """The edge of a mask, (h, w), as seen from within."""
+    """Distance and direction to the edge of a mask, (h, w), from pixels inside it."""
 
     def __init__(self, mask: Image) -> None:
         depth = cv2.distanceTransform(cv2.copyMakeBorder(mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT), cv2.DIST_L2, 5)
@@ -133,7 +134,7 @@ def candidate_pixels(
 ) -> Array:
     """Return dark spots of an image (h, w, c) on the ball, away from the pixels `known`, (m, 2).
 
-    They are the middles of the darkness around samples, (k, 2) px. `noise` is that of a pixel.
+    Each is the centroid, (k, 2) px, of the dark pixels around a sample. `noise` is that of a pixel.
     """
     return _candidates_on(
         _plane(image, model.fit.projection),
@@ -151,7 +152,7 @@ def candidate_pixels(
 
 
 def _plane(image: Image, projection: Projection) -> _Plane:
-    """Return the values of a projection in an image, (h, w, c). Only several channels need a picture of their own."""
+    """Return the values of a projection in an image, (h, w, c). Only several channels need a separate image."""
     channels = image.shape[2]
     one = sampled_channel(projection, channels)
     if one is not None:
@@ -160,7 +161,7 @@ def _plane(image: Image, projection: Projection) -> _Plane:
 
 
 def update_rejections(state: SearchState, rejected: Array, reduction: int) -> SearchState:
-    """The search's state after a frame in which the places `rejected`, (k, 2) px, turned out to be no discs."""
+    """Return the search's state after a frame that rejected the places `rejected`, (k, 2) px, as discs."""
     turn = state.turn + 1
     if len(rejected) == 0:
         return replace(state, turn=turn)

@@ -187,7 +187,7 @@ class So3Filter:
     def _match(self, state: So3State, points: SpherePoints) -> tuple[Pairing, So3State | None]:
         """Return the nearest pairs, and the corrected state of an ordinary frame.
 
-        Such a frame shows each disc where it was expected, leaves no choice, and needs a small correction.
+        An ordinary frame shows each disc near its predicted place, has unambiguous pairs, and needs a small correction.
         """
         first = self._pair(state, points, self._expected(state))
         if first.plain and first.innovation and (first.complete or not self._pairs_if_livelier(state, points, first)):
@@ -233,9 +233,9 @@ class So3Filter:
         return self.correct(state, points, again)[0], again
 
     def _others_agree(self, corrected: So3State, points: int) -> bool:
-        """Return whether chance does not explain that the pairs beyond two lie where those two put them.
+        """Return whether the pairs beyond the first two are significant, given the attitude from those two.
 
-        Any two points may be taken for any two discs.
+        The first two are no evidence, because any two points may pair with any two discs.
         """
         which = self.visible(corrected)
         sigma = so3_match.place_sigma(*corrected.body, corrected.joint, which, _NO_NOISE)

@@ -52,7 +52,7 @@ def _turning_jacobian(E, p, H):
 
 @njit(cache=True, error_model="numpy")
 def place_sigma(attitude, rate, acceleration, discs, basis, P, which, added):
-    """Return the standard deviation, (k,) rad, along its worse axis, of where each disc of `which` is predicted."""
+    """Return the standard deviation, (k,) rad, of the predicted place of each disc of `which`, on the worse axis."""
     body = (attitude, rate, acceleration, discs, basis)
     H, R, p, E = np.empty((2, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 2))
     sigma = np.empty(len(which))
@@ -248,10 +248,11 @@ def innovation(
 
 @njit(cache=True, error_model="numpy")
 def consistent(z, S, limit):
-    """Return a mask, (k,), of the pairs that agree with one another: each may pass the gate alone.
+    """Return a mask, (k,), of the pairs that agree with one another; each alone may pass the gate.
 
-    The pair that contradicts the others and the prediction most is left out until none does (data snooping, Baarda
-    1968, for pairs of coordinates): a look-alike beside the place of a hidden disc, above all after a gap.
+    Data snooping (Baarda 1968, for pairs of coordinates) removes the pair that contradicts the others and the
+    prediction most, and repeats until all agree. Such a pair is a look-alike beside the place of a hidden disc, above
+    all after a gap.
     """
     keep = np.ones(len(z) // 2, dtype=np.bool_)
     while np.count_nonzero(keep) > 1:

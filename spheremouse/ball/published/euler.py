@@ -1,14 +1,14 @@
 """The two classic filters: extended Kalman filters on Euler angles and their rates, as published.
 
-SpherePoints of one frame in, attitude and angular velocity out. Wittich 2017, sections 2.3.2 and 3.9.1-3.9.3: `ekf1`
-(ConstantDiscsFilter) keeps the discs it has seen as constants, `ekf2` (StateDiscsFilter) estimates them along. They
-are kept as published, weaknesses included, so that the default filter can be measured against them:
+SpherePoints of one frame in, attitude and angular velocity out (Wittich 2017, sections 2.3.2 and 3.9.1-3.9.3). `ekf1`
+(ConstantDiscsFilter) stores observed discs as constants. `ekf2` (StateDiscsFilter) estimates them with the attitude.
+The code follows the publication, including its weaknesses, so that they are a baseline for the default filter:
 
-- At phi = +-90 deg the angles are singular: a ball that passes close by makes omega and kappa race, against the model
-  of constant rates. Points are lost and the attitude jumps by degrees. The filters raise no error and continue.
-- A stored disc that is not associated in one frame is forgotten; a ball that comes round again is not recognised.
-- The start is far too confident for a ball that already turns (eq. 123), a new point is stored as if the attitude
-  were exact (eq. 170-171), and pose and ball errors count as new in every frame: their covariances are optimistic.
+- At phi = +-90 deg the angles are singular. Near it omega and kappa change fast, against the model of constant rates.
+  The filters lose points, and the attitude jumps by degrees. They raise no error and continue.
+- The filters delete a stored disc if one frame does not show it. They do not recognise the ball after a full turn.
+- The covariances are optimistic. The initial one is far too small for a ball that already turns (eq. 123). A new point
+  is stored as if the attitude were exact (eq. 170-171). Pose and ball errors count as new in every frame.
 """
 
 from dataclasses import dataclass, field, replace
@@ -143,7 +143,7 @@ class _EulerFilter:
 
 @dataclass(frozen=True, slots=True)
 class ConstantDiscsFilter(_EulerFilter):
-    """ekf1: stored discs are constants, as exact as the first sight of them (Wittich 2017, sections 3.9.1-3.9.2)."""
+    """ekf1: stored discs are constants with the precision of their first sighting (Wittich 2017, 3.9.1-3.9.2)."""
 
     def update(
         self, state: EulerState, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None
@@ -164,12 +164,12 @@ class ConstantDiscsFilter(_EulerFilter):
 
 @dataclass(frozen=True, slots=True)
 class StateDiscsFilter(_EulerFilter):
-    """ekf2: stored discs are part of the state and improve with every sight (Wittich 2017, section 3.9.3)."""
+    """ekf2: stored discs are part of the state and improve with every sighting (Wittich 2017, section 3.9.3)."""
 
     def update(
         self, state: EulerState, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None
     ) -> EulerState:
-        """Angles, rates and discs after the associated points; then new points are stored, unseen discs forgotten.
+        """Correct angles, rates and discs with the associated points, store new points, and delete unseen discs.
 
         A new point enters without correlation and without the attitude's variance, as published (eq. 170-171).
         """
@@ -196,9 +196,9 @@ class StateDiscsFilter(_EulerFilter):
 
 
 def turned(angles: Array, points: Array) -> tuple[Array, Array]:
-    """Places R p in `obj`, (n, 3) m, of points (n, 3) m in `ball`, and dplace_dangles, (n, 3, 3) (eq. 134-148).
+    """Return places R p in `obj`, (n, 3) m, of points (n, 3) m in `ball`, and dplace_dangles, (n, 3, 3) (eq. 134-148).
 
-    Small increments da turn the ball by the rotation vector E da: they move the place by E da x R p.
+    Small increments da turn the ball by the rotation vector E da, and move the place by E da x R p.
     """
     place = points @ from_euler(angles).T
     return place, -hat(place) @ euler_rate_matrix(angles)
@@ -221,20 +221,20 @@ def angular_velocity(angles: Array, angle_rates: Array) -> tuple[Array, Array, A
 
 
 def _noise(points: SpherePoints, settings: EulerSettings) -> Array:
-    """Covariances of the points, (n, 3, 3) m², with a radial part where a ball taken as exact leaves none.
+    """Return the covariances of the points, (n, 3, 3) m², with an added radial variance.
 
-    Rationale: Sigma_BB (eq. 120) of an exactly known ball has rank 2, and its inverse would make the smallest radial
-    mismatch, such as the sagitta between a predicted and a measured place, outweigh everything along the surface.
+    Rationale: Sigma_BB (eq. 120) of an exactly known ball has rank 2. With its inverse, the smallest radial mismatch
+    would outweigh all residuals along the surface. An example is the sagitta between a predicted and a measured place.
     """
     n = points.direction
     return points.covariance + settings.radial_sigma**2 * n[:, :, None] * n[:, None, :]
 
 
 def _associate(expected: Array, observed: Array, gate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices of observed points, (k,), and of the stored ones they belong to, (k,), nearer than `gate` m (eq. 149).
+    """Return indices of observed points, (k,), and of their stored points, (k,), nearer than `gate` m (eq. 149).
 
-    Rationale: eq. 149 alone lets one point belong to two discs and two points to one. Of such pairs the nearest is
-    taken first, and each point and each disc once.
+    Rationale: eq. 149 alone lets one point belong to two discs and two points to one. So the association takes the
+    nearest pair first, and each point and each disc once.
     """
     distance = np.linalg.norm(observed[:, None] - expected[None], axis=2)
     candidates = np.argwhere(distance < gate)
@@ -249,14 +249,14 @@ def _associate(expected: Array, observed: Array, gate: float) -> tuple[NDArray[n
 
 
 def _unassociated(n: int, i: NDArray[np.intp], may_start_landmark: NDArray[np.bool_] | None) -> NDArray[np.intp]:
-    """Indices of the points that found a new disc: not associated, and free to (n,) (None: all are)."""
+    """Return the indices of the unassociated points that `may_start_landmark` (n,) allows as new discs (None: all)."""
     new = np.ones(n, dtype=bool) if may_start_landmark is None else may_start_landmark.copy()
     new[i] = False
     return np.flatnonzero(new)
 
 
 def _correct(x: Array, P: Array, innovation: Array, H: Array, noise: Array) -> tuple[Array, Array]:
-    """Mean (u,) and covariance (u, u) after observations with blocks of noise (n, 3, 3) (eq. 62-64, 138)."""
+    """Return mean (u,) and covariance (u, u) after observations with blocks of noise (n, 3, 3) (eq. 62-64, 138)."""
     n = len(noise)
     if n == 0:
         return x, P
@@ -270,7 +270,7 @@ def _correct(x: Array, P: Array, innovation: Array, H: Array, noise: Array) -> t
 
 
 def _solve(S: Array, b: Array) -> Array:
-    """S^-1 b for a covariance S; by the pseudo-inverse where S is singular, which leaves those directions alone."""
+    """Return S^-1 b for a covariance S. If S is singular, the pseudo-inverse ignores the singular directions."""
     try:
         return cho_solve(cho_factor(S, lower=True, check_finite=False), b, check_finite=False)
     except np.linalg.LinAlgError:
@@ -278,7 +278,7 @@ def _solve(S: Array, b: Array) -> Array:
 
 
 def _append_blocks(P: Array, blocks: Array) -> Array:
-    """P, (u, u), with uncorrelated blocks (n, 3, 3) appended on the diagonal."""
+    """Return P, (u, u), with uncorrelated blocks (n, 3, 3) appended on the diagonal."""
     u, n = len(P), len(blocks)
     out = np.zeros((u + 3 * n, u + 3 * n))
     out[:u, :u] = P
