@@ -42,7 +42,7 @@ class PoseSettings:
     frames: int = param(
         30,
         "frames",
-        "views averaged at the start: a second of video (Wittich 2017, section 3.4). The tracker keeps them meanwhile. "
+        "views averaged at the start: a second of video (Wittich 2017, section 3.4). "
         "More than a hundred improve nothing, because systematic errors dominate",
         ge=1,
         le=100,

@@ -15,7 +15,10 @@ class LossSettings:
     """Times of loss and recovery."""
 
     lost_after: float = param(
-        0.3, "s", "unconfirmed for so long the prediction is a guess: hand passes are shorter, rolls change", **SECONDS
+        0.3,
+        "s",
+        "without a confirmation for this time the ball is lost; a hand passes sooner, and a roll changes within it",
+        **SECONDS,
     )
     reset_after: float = param(
         1.0,

@@ -52,7 +52,7 @@ class PointerSettings:
         ge=0,
         le=1,
     )
-    text: bool = param(False, "-", "outputs text and null receive each report, not one line a frame")
+    text: bool = param(False, "-", "true: outputs text and null receive each report; false: one line a frame")
 
 
 @dataclass(frozen=True, slots=True)

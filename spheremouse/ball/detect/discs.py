@@ -68,7 +68,7 @@ class DiscSettings:
     contrast: float = param(
         0.25,
         "-",
-        "least contrast, a part of the lighter of disc and ball; print is 0.8, haze and gloss halve it, its edge is at "
+        "least contrast, a part of the lighter of disc and ball; print has 0.8, haze and gloss halve it; an edge has "
         "half of that",
         ge=1e-3,
         lt=1,

@@ -17,7 +17,7 @@ MAX_MISSES_PER_HIT = 5.0  # an established disc that misses more in a row is no 
 
 @dataclass(frozen=True, slots=True)
 class So3Settings:
-    """Motion model, gates and map."""
+    """Motion model of the default filter."""
 
     acceleration_sigma: float = param(
         0.1,
