@@ -62,7 +62,7 @@ def probe(argument: str) -> list[Finding]:
 
 
 def read_frames(capture: cv2.VideoCapture, index: str) -> Iterator[Frame]:
-    """Yield frames until the camera fails."""
+    """Yield frames. Raises SourceError when the camera delivers no more."""
     sequence = 0
     while True:
         image, stamp = None, 0.0

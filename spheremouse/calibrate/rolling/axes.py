@@ -348,7 +348,11 @@ def _by_size(uv: Array, size: Array, at: dict[int, int], device: Device, camera:
 
 
 def _axes_of(places: Array, at: dict[int, int], device: Device) -> Array:
-    """R_obj_cam of the three targets that define the axes, (n, 3) in cam; Z towards the camera."""
+    """Return R_obj_cam, (3, 3), of the axes that three targets define; Z points towards the camera.
+
+    `places`, (n, 3), are the targets in cam, and `at` gives the row of each target's number. Raises CalibrationError if
+    the three lie in a line.
+    """
     origin, up, plane = (places[at[i]] for i in (device.axes.origin, device.axes.up, device.axes.plane))
     y = up - origin
     y = y / np.linalg.norm(y)

@@ -41,7 +41,7 @@ class WandOverlay:
             self._trace.popleft()
 
     def draw(self, epoch: WandEpoch, counts: tuple[int, int, int]) -> Image:
-        """The epoch that was remembered last, with the sum of counts so far."""
+        """Return the frame with balls, traces and numbers, after `remember`. `counts` is the sum so far."""
         canvas = canvas_of(epoch.frame.image, self._scale)
         pen = Pen(canvas, self._scale)
         pen.trace([at for _, at in self._trace], _YELLOW)
