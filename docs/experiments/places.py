@@ -1,9 +1,9 @@
 """Expected attitude and rate errors by direction and distance of the camera, with films as a check.
 
-Wittich 2017, chapter 5, asks for as many cameras as possible. The map is the posterior Cramer-Rao bound of what a
-camera there would measure, by geometry alone: which discs are wholly in view past the device's frame, how large they
-are in the picture, and how well centres of that size are measured (which is taken from pictures first). The camera
-points at the middle of ball and frame. Azimuth 0° and elevation 0° are straight before the frame.
+Wittich 2017, chapter 5, asks for as many cameras as possible. The map is the posterior Cramer-Rao bound of a
+camera at each place, by geometry alone. It depends on the discs that are wholly in view past the device's frame, on
+their size in the picture, and on the noise of centres of that size, which pictures give first. The camera points at the
+middle of ball and frame. Azimuth 0° and elevation 0° are straight before the frame.
 """
 
 from collections.abc import Sequence
@@ -225,7 +225,7 @@ def sights_at(scene: Scene, attitude: Array, noise: Sequence[Size]) -> list[Sigh
 
 
 def centre_sigma(area: Array, noise: Sequence[Size]) -> Array:
-    """px per axis by area, (n,) px²; inf for what is smaller than all that was found.
+    """Return the noise of centres by area, (n,) px²: px per axis, inf for areas below the smallest detected one.
 
     A disc that is found every other time tells half as much.
     """

@@ -88,7 +88,7 @@ def recorded(path: str, counts: Sequence[int]) -> Result:
 
 
 def drawn(view: View, seeds: int) -> Result:
-    """Poses from targets whose centres are off by what one view is said to be off, with calibrated positions."""
+    """Return poses from calibrated targets, with errors of the centres drawn from the covariance of one view."""
     sigma = TARGET_SIGMA_PX
     scene = default_scene(50, view)
     exact = scene.rig()
@@ -141,7 +141,7 @@ def _poses(frames: Iterable[Frame], rigs: dict[str, Rig], true: Pose, counts: Se
 
 
 def _centres(views: list[TargetDetections], rig: Rig, true: Pose) -> Result:
-    """RMS per axis of what all views have in common, and of how they differ; px."""
+    """Return the RMS per axis, px, of the errors common to all views, and of their differences."""
     expected = dict(zip(rig.targets.codes, predict_targets(true, rig), strict=True))
     off = [[c - expected[k] for k, c in zip(v.codes, v.centre, strict=True) if k in expected] for v in views]
     whole = np.array([o for o in off if len(o) == len(expected)])  # (views, targets, 2)

@@ -117,7 +117,7 @@ def _cost(film: dict[str, Any]) -> float:
 
 
 def at_rates(seed: int, seconds: float, rates: list[int]) -> Result:
-    """One film at 240 frames per second, and what it is when only each second, third, ... frame is taken."""
+    """Track one film at 240 frames per second, and each second, third, ... frame of it."""
     assert all(FASTEST % rate == 0 for rate in rates), "a rate must divide that of the film"
     film = filmed({"fps": float(FASTEST)}, seed, seconds)
     seen = detections.look_at(film, kit.settings_of(["tracker=ekf2"]))

@@ -133,7 +133,7 @@ class _EulerFilter:
         return EulerState(stamp, angles, state.angle_rates, state.points, P, none, state.reference)
 
     def adopt(self, state: EulerState, before: "_EulerFilter") -> EulerState:
-        """Return the same state: none of it depends on the settings."""
+        """Return the same state, since it does not depend on the settings."""
         return state
 
     def is_significant(self, predicted: EulerState, used: int, points: int) -> bool:
