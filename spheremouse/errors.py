@@ -19,7 +19,12 @@ def one_line(text: str) -> str:
 
 
 class SpheremouseError(Exception):
-    """Base of all errors that are the user's to mend."""
+    """Base of all errors that are the user's to mend. The message is `problem; hint`, or the problem alone."""
+
+    def __init__(self, problem: str = "", hint: str = "") -> None:
+        """Take the problem with its place, as in `uinput: /dev/uinput does not exist`, and the remedy."""
+        super().__init__(f"{problem}; {hint}" if hint else problem)
+        self.problem, self.hint = problem, hint
 
 
 class ConfigurationError(SpheremouseError):

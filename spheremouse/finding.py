@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from spheremouse.errors import SpheremouseError
+
 
 class Verdict(StrEnum):
     """Outcomes of a check."""
@@ -64,9 +66,11 @@ def classify(name: str, text: str, *cases: tuple[bool, Verdict, str, str], **val
 
 
 def refused(name: str, error: Exception, **values: Any) -> Finding:
-    """Return a finding from an error `problem; remedy`."""
+    """Return a finding from an error with a hint, or from a message `problem; remedy`."""
+    if isinstance(error, SpheremouseError) and error.hint:
+        return wrong(name, error.problem, error.hint, **values)
     text, _, advice = " ".join(str(error).split()).partition("; ")
-    return Finding(name, Verdict.WRONG, text, advice, values)
+    return wrong(name, text, advice, **values)
 
 
 def refusals(name: str, error: Exception) -> list[Finding]:

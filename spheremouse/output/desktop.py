@@ -14,6 +14,7 @@ from spheremouse.finding import Finding, absent, ok
 from spheremouse.output import Report
 from spheremouse.output.third_axis import parse_third, whole_notches
 
+_PLACE = "desktop: "  # begins each message
 _MAX_STEP_PX = 10_000  # X11 takes positions of 16 bits, and no screen is wider
 
 
@@ -73,37 +74,36 @@ def probe(argument: str) -> list[Finding]:
         with open(argument):
             return [ok("desktop", "its pointer can be moved; games that read the mouse itself see nothing of it")]
     except OutputError as e:
-        text, _, advice = str(e).removeprefix("desktop: ").partition("; ")
-        return [absent("desktop", text, advice)]
+        return [absent("desktop", e.problem.removeprefix(_PLACE), e.hint)]
 
 
 def _connect() -> Any:
     if sys.platform not in ("win32", "darwin"):
         if os.environ.get("WAYLAND_DISPLAY") or os.environ.get("XDG_SESSION_TYPE") == "wayland":
-            raise OutputError(
-                "desktop: on Wayland no program may move the pointer; use uinput, or log in to an X11 session"
-            )
+            raise _refusal("on Wayland no program may move the pointer", "use uinput, or log in to an X11 session")
         if not os.environ.get("DISPLAY"):
-            raise OutputError(
-                "desktop: no desktop here (DISPLAY is not set); start it within the X11 session, or use uinput"
-            )
+            raise _refusal("no desktop here (DISPLAY is not set)", "start it within the X11 session, or use uinput")
     try:
         from pynput.mouse import Controller
 
         mouse = Controller()
         mouse.position  # noqa: B018  the first call that needs an answer of the display
     except Exception as e:
-        raise OutputError(f"desktop: {_refusal(e)}") from None
+        raise _system_refusal(_line(e)) from None
     return mouse
 
 
-def _refusal(error: Exception) -> str:
+def _refusal(problem: str, hint: str) -> OutputError:
+    return OutputError(f"{_PLACE}{problem}", hint)
+
+
+def _system_refusal(reason: str) -> OutputError:
     if sys.platform == "darwin":
-        return f"macOS refuses ({_line(error)}); allow it in System Settings, Privacy & Security, Accessibility"
+        return _refusal(f"macOS refuses ({reason})", "allow it in System Settings, Privacy & Security, Accessibility")
     if sys.platform == "win32":
-        return f"Windows refuses ({_line(error)}); start it in the session of the user at the screen"
-    display = os.environ.get("DISPLAY")
-    return f"the X11 display {display} does not answer or refuses; check DISPLAY and XAUTHORITY, or use uinput"
+        return _refusal(f"Windows refuses ({reason})", "start it in the session of the user at the screen")
+    problem = f"the X11 display {os.environ.get('DISPLAY')} does not answer or refuses"
+    return _refusal(problem, "check DISPLAY and XAUTHORITY, or use uinput")
 
 
 def _clip(pixels: int) -> int:

@@ -33,7 +33,7 @@ def open(argument: str) -> Null:
 def check(argument: str) -> None:
     """Raise OutputError if there is an argument."""
     if argument:
-        raise OutputError(f"null:{argument}: takes no argument; write null")
+        raise OutputError(f"null:{argument}: takes no argument", "write null")
 
 
 def probe(argument: str) -> list[Finding]:

@@ -24,7 +24,7 @@ def validate_third(kind: str, third: str) -> str:
     """Return the value of `third=`. Raise OutputError if the output does not have it."""
     known = (NONE, *VALUES[kind])
     if third not in known:
-        raise OutputError(f"{kind}: third={third}; write third= with one of {', '.join(known)}")
+        raise OutputError(f"{kind}: third={third}", f"write third= with one of {', '.join(known)}")
     return third
 
 

@@ -69,7 +69,7 @@ class UInput:
             if report_events.events:
                 self._device.syn()
         except OSError as e:
-            raise OutputError(f"uinput: the kernel takes no more events ({e.strerror or e}); start again") from None
+            raise OutputError(f"uinput: the kernel takes no more events ({e.strerror or e})", "start again") from None
         self._notch = report_events.notch
 
     def describe(self, report: Report) -> str:
@@ -117,7 +117,8 @@ def _obstacle(node: Path) -> tuple[str, str] | None:
 
 def _create(third: str) -> Any:
     if obstacle := _obstacle(NODE):
-        raise OutputError(f"uinput: {'; '.join(obstacle)}")
+        problem, hint = obstacle
+        raise OutputError(f"uinput: {problem}", hint)
     import evdev
 
     class Mouse(evdev.UInput):

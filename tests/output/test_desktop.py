@@ -5,11 +5,13 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from reporting import refused, report
 
 from spheremouse.errors import OutputError
+from spheremouse.output import desktop
 from spheremouse.output.desktop import Desktop
 
 REPOSITORY = Path(__file__).parents[2]
@@ -19,7 +21,8 @@ class Pointer:
     """In place of pynput's controller."""
 
     def __init__(self):
-        self.at, self.scrolled, self.calls, self.error = [0, 0], 0, 0, None
+        self.at, self.scrolled, self.calls = [0, 0], 0, 0
+        self.error: Exception | None = None
 
     def move(self, x, y):
         self._call()
@@ -77,6 +80,8 @@ def test_what_is_missing_is_said(monkeypatch):
     monkeypatch.setenv("DISPLAY", ":4711")  # Wayland sessions have an X server for old programs
     monkeypatch.setenv("XDG_SESSION_TYPE", "wayland")
     assert "on Wayland no program may move the pointer; use uinput" in refused("desktop")
+    (finding,) = desktop.probe("")
+    assert (finding.text, finding.advice[:10]) == ("on Wayland no program may move the pointer", "use uinput")
 
 
 # ---- a real X server ----
@@ -119,7 +124,7 @@ def display():
         server.terminate()
 
 
-def program(name):
+def program(name) -> Any:
     env = {k: v for k, v in os.environ.items() if k not in ("WAYLAND_DISPLAY", "XDG_SESSION_TYPE")}
     return subprocess.Popen(
         [sys.executable, "-c", PROGRAM],
@@ -145,8 +150,6 @@ def place(name):
 def test_the_pointer_of_a_real_x_server_moves_by_the_counts(display):
     name, server = display
     with program(name) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
         assert process.stdout.readline() == "open\n"
         subprocess.run(["xdotool", "mousemove", "600", "500"], env={"DISPLAY": name}, check=True)
 

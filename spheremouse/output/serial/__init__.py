@@ -102,7 +102,7 @@ class Serial:
             self._link.add(counts, time.perf_counter())
             self._flush()
         if self._failure is not None:
-            raise OutputError(f"serial: {self._failure}; start again") from self._failure
+            raise OutputError(f"serial: {self._failure}", "start again") from self._failure
 
     def hold(self, buttons: int) -> None:
         """Press the buttons in bits 0 to 4 and release the others, for Python callers."""
@@ -138,7 +138,7 @@ class Serial:
         if self._link.running and self._link.ack is not None and not self._link.ack.flags & Flags.USB_READY:
             return NOT_TAKEN
         if self._link.foreign_version is not None:
-            return version_mismatch(self._link.foreign_version)
+            return str(version_mismatch(self._link.foreign_version))
         return f"{self._port.name}: the board does not answer; plug it in again"
 
     def statistics(self) -> Statistics:
@@ -216,13 +216,14 @@ class Serial:
             end = time.perf_counter() + FIRST_ANSWER_TIMEOUT
             while not self._link.running:
                 assert self._port is not None
+                place = f"serial: {self._port.name}: "
                 if self._link.foreign_version is not None:
-                    raise OutputError(f"serial: {self._port.name}: {version_mismatch(self._link.foreign_version)}")
+                    raise version_mismatch(self._link.foreign_version, place)
                 if time.perf_counter() > end:
-                    raise OutputError(f"serial: {self._port.name}: {no_answer(self._link.damaged)}")
+                    raise no_answer(self._link.damaged, place)
                 self._read_and_write(self._port)
         except PortGoneError as e:
-            raise OutputError(f"serial: the port went away ({e}); plug the board in again") from None
+            raise OutputError(f"serial: the port went away ({e})", "plug the board in again") from None
         finally:
             if not self._link.running and self._port is not None:
                 self._port.close()
@@ -305,7 +306,7 @@ class Serial:
             self._log(link.notices.popleft())
         if not link.running and link.foreign_version not in (None, self._logged_version):
             self._logged_version = link.foreign_version
-            self._log(version_mismatch(self._logged_version or 0))
+            self._log(str(version_mismatch(link.foreign_version)))
         identity = link.identity
         if identity is not None and port is not None and link.running:
             if self._loss_logged or self._announced is None or identity.first != self._announced.first:
@@ -342,10 +343,10 @@ def check(argument: str) -> tuple[str, str | None, int, str]:
     baud, identifier = int(given.get("baud", BAUD)), given.get("id")
     third = validate_third("serial", str(given.get("third", NONE)))
     if not name or "=" in name:
-        raise OutputError(f"{whole}: names no port; write serial:auto or serial:{example_port()}")
+        raise OutputError(f"{whole}: names no port", f"write serial:auto or serial:{example_port()}")
     validate_baud(baud, "serial: baud")
     if identifier is not None and name != "auto":
-        raise OutputError(f"{whole}: id= goes with serial:auto; a named port needs none")
+        raise OutputError(f"{whole}: id= goes with serial:auto", "a named port needs none")
     return name, None if identifier is None else str(identifier), baud, third
 
 
@@ -355,8 +356,7 @@ def probe(argument: str) -> list[Finding]:
     try:
         port = Path(find_board(identifier) if name == "auto" else name)
     except OutputError as e:
-        text, _, advice = str(e).partition("; ")
-        return [absent("serial board", text, advice)]
+        return [absent("serial board", e.problem, e.hint)]
     if os.name == "posix":
         if not port.exists():
             return [

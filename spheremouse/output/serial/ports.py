@@ -39,7 +39,7 @@ class Port:
             with contextlib.suppress(Exception):
                 if port is not None:
                     port.close()
-            raise OutputError(f"serial: {_refusal(name, e)}") from None
+            raise _refusal(name, e) from None
         with contextlib.suppress(Exception):
             port.set_low_latency_mode(True)  # otherwise an FTDI chip delays answers by 16 ms
         self._port, self.name = port, name
@@ -121,13 +121,12 @@ def find_board(identifier: str | None = None, ports: list[Any] | None = None, ad
             f"serial:auto,id={n} ({b[-1].device})" if n and numbers.count(n) == 1 else f"serial:{b[-1].device}"
             for b, n in zip(found, numbers, strict=True)
         )
-        raise OutputError(f"serial:auto: several boards; write {' or '.join(several)}")
+        raise OutputError("serial:auto: several boards", f"write {' or '.join(several)}")
     there = ", ".join(p.device for p in ports)
+    whose = "of ours" if identifier is None else f"with id={identifier}"
     raise OutputError(
-        "serial:auto: no board "
-        + (f"with id={identifier}" if identifier is not None else "of ours")
-        + (f" among {there}; name its port: serial:PORT" if there else " is plugged in; plug it in")
-        + ", or see `spheremouse firmware install`"
+        f"serial:auto: no board {whose} {f'among {there}' if there else 'is plugged in'}",
+        f"{'name its port: serial:PORT' if there else 'plug it in'}, or see `spheremouse firmware install`",
     )
 
 
@@ -138,7 +137,7 @@ def connected_ports() -> list[Any]:
     try:
         return list(list_ports.comports())
     except (TypeError, ValueError, OSError):  # a board that is just being unplugged has no description
-        raise OutputError("serial:auto: ports are changing just now; try again") from None
+        raise OutputError("serial:auto: ports are changing just now", "try again") from None
 
 
 def _boards(ports: list[Any]) -> list[list[Any]]:
@@ -180,25 +179,25 @@ def _has_data_port(board: list[Any]) -> bool:
     return len(board) > 1 or port.vid not in CIRCUITPYTHON or _is_named(board)
 
 
-def version_mismatch(version: int) -> str:
-    """Return the message about a board with another version of the protocol."""
-    advice = (
-        "update spheremouse"
-        if version > VERSION
-        else "load this program's firmware: `spheremouse firmware install`, or docs/microcontroller.md"
+def version_mismatch(version: int, place: str = "") -> OutputError:
+    """Return the error of a board with another version of the protocol."""
+    hint = "load this program's firmware: `spheremouse firmware install`, or docs/microcontroller.md"
+    return OutputError(
+        f"{place}the board speaks version {version} of the protocol, this program {VERSION}",
+        "update spheremouse" if version > VERSION else hint,
     )
-    return f"the board speaks version {version} of the protocol, this program {VERSION}; {advice}"
 
 
-def _refusal(name: str, error: Exception) -> str:
-    number = getattr(error, "errno", None)
+def _refusal(name: str, error: Exception) -> OutputError:
+    number, place = getattr(error, "errno", None), f"serial: {name}"
     if isinstance(error, FileNotFoundError) or number == 2:
-        return f"{name} does not exist; {_list_ports()}"
+        return OutputError(f"{place} does not exist", _list_ports())
     if isinstance(error, PermissionError) or number == 13:
-        return f"{name} may not be used; be in its group (dialout on Debian: sudo adduser $USER dialout), log in again"
+        hint = "be in its group (dialout on Debian: sudo adduser $USER dialout), log in again"
+        return OutputError(f"{place} may not be used", hint)
     if number in (11, 16) or "exclusively lock" in str(error):
-        return f"{name} is in use by another program; end that one"
-    return f"{name} cannot be opened: {_reason(error)}"
+        return OutputError(f"{place} is in use by another program", "end that one")
+    return OutputError(f"{place} cannot be opened: {_reason(error)}")
 
 
 def _list_ports() -> str:
@@ -214,17 +213,13 @@ def _reason(error: Exception) -> str:
     return " ".join(text.split())
 
 
-def no_answer(damaged: int) -> str:
-    """Return the message about a port without a valid answer, with the number of damaged ones."""
+def no_answer(damaged: int, place: str) -> OutputError:
+    """Return the error of a port without a valid answer, from the number of damaged ones."""
     if damaged:
-        return (
-            "something answers, but garbled; use shorter wires, see that GND is connected and that both ends have the "
-            "same baud rate"
-        )
-    return (
-        "no board of ours answers; see `spheremouse firmware check`, and on a plain serial line whether RX and TX are "
-        "exchanged"
-    )
+        hint = "use shorter wires, see that GND is connected and that both ends have the same baud rate"
+        return OutputError(f"{place}something answers, but garbled", hint)
+    hint = "see `spheremouse firmware check`, and on a plain serial line whether RX and TX are exchanged"
+    return OutputError(f"{place}no board of ours answers", hint)
 
 
 def example_port() -> str:
