@@ -1,4 +1,4 @@
-/* The AVR's protocol.c on this computer, for tests/output/serial/test_firmware_avr.py: a board with two lines, and a mouse that adds
+/* The AVR's protocol.c on this computer, for tests/output/serial/test_firmware.py: a board with two lines, and a mouse that adds
  * up its reports. It turns like the sketch's loop, one byte a turn. */
 #include <stddef.h>
 #include <stdlib.h>

@@ -1,7 +1,7 @@
 """A host and a board with a bad line between them, at a simulated time; `python -m tests.serial_world`.
 
-The board is the Pico's protocol.py under CPython. test_firmware.py and test_firmware_avr.py, in tests/output/serial,
-compare the other firmwares with it, byte by byte.
+The board is the Pico's protocol.py under CPython. tests/output/serial/test_firmware.py compares the other firmwares
+with it, byte by byte.
 """
 
 import argparse
@@ -175,7 +175,7 @@ def main() -> None:
     device, link = world.board.device, world.link
     print(f"{arguments.motions} motions, {link.motions} frames, {time.perf_counter() - start:.1f} s")
     print(f"given {world.given}, arrived {world.board.moved}, dropped {link.dropped}, uncertain {link.uncertain}")
-    print(f"board: {world.board.line.damaged} damaged, {device.lost} lost (modulo 65536), {device.refused} refused")
+    print(f"board: {world.board.lines[0].damaged} damaged, {device.lost} lost (modulo 65536), {device.refused} refused")
     print(f"host: {link.sessions} sessions, {link.acks} answers, {link.damaged} damaged answers")
     if world.short != [0, 0, 0, 0]:
         raise SystemExit("the sum is OFF")

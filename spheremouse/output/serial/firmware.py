@@ -21,6 +21,11 @@ FILES = ("boot.py", "mouse.py", "protocol.py", "code.py")  # code.py last, becau
 MIN_CIRCUITPYTHON = (9, 0)
 _BOOT_OUT = "boot_out.txt"
 _BOOT_LOADER_INFO = "INFO_UF2.TXT"
+_DOWNLOADS = "https://circuitpython.org/downloads"
+_BOOTSEL_STEPS = (
+    f"hold BOOTSEL down while you plug the board in, copy CircuitPython's .uf2 file for your board ({_DOWNLOADS}) to "
+    "the drive RPI-RP2 or RP2350 that appears, and wait for the drive CIRCUITPY"
+)
 _FIRST_LINE = b"# spheremouse firmware"
 _ALTERNATIVES = ("code.txt", "boot.txt")  # CircuitPython may run them in place of code.py and boot.py
 _IDENTITY = re.compile(r"CircuitPython (\d+)\.(\d+)\S* on [^;]*; (.+)")
@@ -55,6 +60,13 @@ def version_of(path: Path) -> Version | None:
     return None if found is None else (int(found[1]), int(found[2]), int(found[3]))
 
 
+def own_version() -> Version:
+    """Return the version of this program's firmware."""
+    version = version_of(service_files(PICO))
+    assert version is not None, "protocol.py states it"
+    return version
+
+
 def format_version(version: Version | None) -> str:
     """Return a version as in 1.2.3."""
     return "none" if version is None else ".".join(map(str, version))
@@ -69,30 +81,44 @@ def read_drive(path: Path) -> Drive:
     if boot_out is None:
         if (path / _BOOT_LOADER_INFO).exists():
             raise OutputError(
-                f"{path}: this is the boot loader; copy CircuitPython's .uf2 file for your board there "
-                "(https://circuitpython.org/downloads), and name the drive CIRCUITPY that comes then"
+                f"{path}: this is the boot loader",
+                f"copy CircuitPython's .uf2 file for your board there ({_DOWNLOADS}), and name the drive CIRCUITPY "
+                "that comes then",
             )
-        raise OutputError(
-            f"{path}: no {_BOOT_OUT} in it, so this is no board with CircuitPython; name the drive called CIRCUITPY"
-        )
+        problem = f"{path}: no {_BOOT_OUT} in it, so this is no board with CircuitPython"
+        raise OutputError(problem, "name the drive called CIRCUITPY")
     text = "\n".join(map(printable, boot_out.decode("utf-8", "replace").splitlines()))
     found = _IDENTITY.search(text)
     if found is None:
-        raise OutputError(f"{path / _BOOT_OUT}: does not name CircuitPython; install CircuitPython on the board first")
+        problem = f"{path / _BOOT_OUT}: does not name CircuitPython"
+        raise OutputError(problem, "install CircuitPython on the board first")
     board = _BOARD.search(text)
     return Drive(path, (int(found[1]), int(found[2])), board[1] if board else found[3].strip())
 
 
-def drives() -> tuple[list[Drive], list[Path]]:
-    """Return the mounted drives of boards with CircuitPython, and those of boards that wait in their boot loader."""
+def select_drive(path: Path | None = None) -> Drive:
+    """Return the board with its drive at a path, or the only board. Raise OutputError if there is none."""
+    if path is not None:
+        return read_drive(path)
     found, waiting = list[Drive](), list[Path]()
-    for path in mounted_folders():
+    for folder in mounted_folders():
         with contextlib.suppress(OutputError, OSError):
-            if (path / _BOOT_OUT).is_file():
-                found.append(read_drive(path))
-            elif (path / _BOOT_LOADER_INFO).is_file():
-                waiting.append(path)
-    return found, waiting
+            if (folder / _BOOT_OUT).is_file():
+                found.append(read_drive(folder))
+            elif (folder / _BOOT_LOADER_INFO).is_file():
+                waiting.append(folder)
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise OutputError(f"several boards: {', '.join(str(d.path) for d in found)}", "name one with --drive")
+    if waiting:
+        hint = f"copy its .uf2 file there ({_DOWNLOADS}), wait until the drive is called CIRCUITPY, and repeat"
+        raise OutputError(f"{waiting[0]}: a board without CircuitPython", hint)
+    raise OutputError(
+        "no drive CIRCUITPY is mounted",
+        "if the board has CircuitPython, mount its drive and name it with --drive, or take the jumper off pins 28 "
+        f"and 29 and plug it in again; if not, {_BOOTSEL_STEPS}",
+    )
 
 
 def mounted_folders() -> Iterator[Path]:
@@ -115,12 +141,35 @@ def mounted_folders() -> Iterator[Path]:
 # ---- files ----
 
 
-def stale(source: Path, target: Path) -> list[str]:
-    """Return the files that are missing on the drive or differ."""
-    return [name for name in FILES if _bytes(target / name) != (source / name).read_bytes()]
+def install(board: Drive, force: bool) -> list[str]:
+    """Copy the files that are missing on a board or differ; return their names.
+
+    OutputError for CircuitPython that is too old, and for files of another program. Without `force` also for a newer
+    firmware.
+    """
+    source, path = service_files(PICO), board.path
+    if board.circuitpython < MIN_CIRCUITPYTHON:
+        version, minimum = (".".join(map(str, v)) for v in (board.circuitpython, MIN_CIRCUITPYTHON))
+        hint = f"install {minimum} or newer: {_BOOTSEL_STEPS}"
+        raise OutputError(f"{path}: CircuitPython {version} is too old", hint)
+    others = _foreign(source, path)
+    for name in others:
+        if (path / name).is_dir():
+            raise OutputError(f"{path / name}: is a folder, where a file has to be", "move it away")
+        if name not in FILES:
+            raise OutputError(f"{path / name}: CircuitPython runs it in place of our program", "move it away")
+    if others and not force:
+        raise OutputError(f"{path}: {', '.join(others)} of another program there", "save them and use --force")
+    new, old = own_version(), version_of(path)
+    if old is not None and old > new and not force:
+        problem = f"{path}: firmware {format_version(old)} there is newer than {format_version(new)} of this program"
+        raise OutputError(problem, "update spheremouse, or go back with --force")
+    stale = [name for name in FILES if _bytes(path / name) != (source / name).read_bytes()]
+    copy(source, path, stale)
+    return stale
 
 
-def foreign(source: Path, target: Path) -> list[str]:
+def _foreign(source: Path, target: Path) -> list[str]:
     """Return files of another program that an installation would replace, or that would run in its place."""
     others = [name for name in _ALTERNATIVES if (target / name).exists()]
     for name in FILES:
@@ -145,13 +194,12 @@ def copy(source: Path, target: Path, names: list[str]) -> None:
             _sync(target)
         except OSError as e:
             raise OutputError(
-                f"{target / name}: cannot be written: {e.strerror or e}; see that the drive is neither full nor "
-                "write-protected, pull the board, plug it in again and repeat"
+                f"{target / name}: cannot be written: {e.strerror or e}",
+                "see that the drive is neither full nor write-protected, pull the board, plug it in again and repeat",
             ) from None
         if _bytes(target / name) != data:
-            raise OutputError(
-                f"{target / name}: differs from the written data; unplug the board, plug it in again and repeat"
-            )
+            problem = f"{target / name}: differs from the written data"
+            raise OutputError(problem, "unplug the board, plug it in again and repeat")
 
 
 def _sync(path: Path) -> None:

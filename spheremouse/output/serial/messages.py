@@ -82,6 +82,18 @@ class Status(NamedTuple):
     flags: Flags
     buttons: int
 
+    @property
+    def usb_ready(self) -> bool:
+        """Return whether a computer takes the device's mouse."""
+        return bool(self.flags & Flags.USB_READY)
+
+    def __str__(self) -> str:
+        return (
+            f"up {self.uptime} s, its mouse is {'taken' if self.usb_ready else 'not taken'}; {self.frames} frames, "
+            f"{self.damaged} damaged, {self.refused} refused, {self.lost} lost; {self.reports} reports, "
+            f"{self.usb_errors} USB errors"
+        )
+
 
 def encode(kind: int, number: int, body: bytes = b"", version: int = VERSION) -> bytes:
     """Return a frame's bytes on the line, with the 0x00 at its end."""

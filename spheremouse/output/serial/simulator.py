@@ -20,10 +20,15 @@ from spheremouse.output.serial.firmware import load_protocol
 class Board:
     """The firmware, and a mouse that adds up its reports; bytes in, bytes out."""
 
-    def __init__(self, fine: int = 0b101, protocol: ModuleType | None = None) -> None:
-        """Take the resolution multipliers that the computer sets, as the byte of report 2."""
+    def __init__(
+        self, fine: int = 0b101, protocol: ModuleType | None = None, identity: tuple[int, bytes] | None = None
+    ) -> None:
+        """Take the resolution multipliers that the computer sets, as the byte of report 2.
+
+        `identity` is the firmware's kind and the board's name; default: the simulator's.
+        """
         self._protocol: Any = protocol or load_protocol()
-        self._fine = fine
+        self._fine, self._identity = fine, identity or (self._protocol.SIMULATOR, b"simulator")
         self.moved = [0, 0, 0, 0]  # as the computer sees it; wheel and pan in 1/120 notches
         self.awake = True  # the computer that has the mouse
         self.sleeps_next = False  # the computer falls asleep while the next report waits for it
@@ -33,17 +38,22 @@ class Board:
     def reset(self) -> None:
         """Reset the board, which then has no session, and is a new mouse to the computer."""
         self.buttons = 0
-        self.line: Any = self._protocol.Line()
-        self.device: Any = self._protocol.Device(self._protocol.SIMULATOR, b"simulator")
+        self.lines: Any = [self._protocol.Line(), self._protocol.Line()]
+        self.device: Any = self._protocol.Device(*self._identity)
         self.device.set_multipliers(self._fine)
 
-    def turn(self, data: bytes, now: int) -> bytes:
-        """Return the answers to these bytes at `now` (ms modulo 2^29)."""
-        device, line, at = self.device, self.line, 0
+    def describe(self) -> str:
+        """Return the sums of the mouse, in one line of text."""
+        names = ("X", "Y", "wheel", "pan")
+        return " ".join(f"{name} {n:+d}" for name, n in zip(names, self.moved, strict=True))
+
+    def turn(self, data: bytes, now: int, line: int = 0) -> bytes:
+        """Return the answers, on both lines, to these bytes on one at `now` (ms modulo 2^29)."""
+        device, source, at = self.device, self.lines[line], 0
         while at < len(data):
-            at = line.take(data, at, len(data))
-            if line.length:
-                device.handle(line, now)
+            at = source.take(data, at, len(data))
+            if source.length:
+                device.handle(source, now)
         device.tick(now)
         device.set_usb(self.awake)
         if device.due():
@@ -54,8 +64,9 @@ class Board:
                 self._move(device.report)
                 device.passed_on()
         answers = b""
-        while (frame := device.answer(line)) is not None:
-            answers += bytes(frame)
+        for each in self.lines:
+            while (frame := device.answer(each)) is not None:
+                answers += bytes(frame)
         return answers
 
     def _move(self, report: bytearray) -> None:
@@ -86,7 +97,7 @@ class Simulator(Board):
             import pty
             import tty
         except ImportError:
-            raise OutputError("firmware simulate: needs pseudo-terminals, which Windows does not have") from None
+            raise OutputError("a simulated board needs pseudo-terminals", "use Linux or macOS") from None
         self._lock = threading.RLock()
         self.resets = -1  # the first one starts the board
         super().__init__(protocol=protocol)

@@ -1,4 +1,4 @@
-"""The Pico's firmware: under a real MicroPython against the host, its report descriptor, its way onto a drive."""
+"""The firmwares: byte by byte against the board of serial_world, their report descriptor, the way onto a drive."""
 
 import json
 import os
@@ -9,8 +9,10 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 from unittest.mock import MagicMock, call
 
+import avr_board
 import numpy as np
 import pytest
 from serial_world import Board, conversation
@@ -27,7 +29,7 @@ PICO = service_files(firmware.PICO)
 MICROPYTHON = "@micropython/micropython-webassembly-pyscript@1.27.0"
 
 
-# ---- under MicroPython ----
+# ---- the same bytes ----
 
 
 @pytest.fixture(scope="module")
@@ -47,11 +49,9 @@ def micropython():
         shutil.unpack_archive(archive, cache)
     files = [PICO / "protocol.py", PICO / "mouse.py", HERE / "data" / "firmware_on_a_desk.py"]
     command = ["node", HERE / "data" / "firmware_driver.mjs", cache / "package", *files]
-    process = subprocess.Popen(
+    process: Any = subprocess.Popen(
         [str(c) for c in command], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
-    assert process.stdin is not None
-    assert process.stdout is not None
 
     def call(name, argument=""):
         text = argument if isinstance(argument, str) else json.dumps(argument)
@@ -70,34 +70,52 @@ class MicroPythonBoard:
     """As serial_world.Board, in the other interpreter."""
 
     def __init__(self, call):
-        self._call, self._asked = call, {"reset": True, "feature": 0b101, "usb": True}
-        self.buttons, self.led = 0, False
+        self._call, self.asked = call, {"reset": True, "feature": 0b101, "usb": True}
+        self.buttons, self.tries = 0, 0
         self._began = call("moved")
         self.moved = [0, 0, 0, 0]
 
-    def reset(self):
-        self._asked = {"reset": True, "feature": 0b101}
-
     def turn(self, data, now):
-        answer = self._call("turn", {"now": now, "bytes": data.hex(), **self._asked})
-        self._asked = {}
+        answer = self._call("turn", {"now": now, "bytes": data.hex(), **self.asked})
+        self.asked = {}
         self.moved = [m - b for m, b in zip(answer["moved"], self._began, strict=True)]
-        self.buttons, self.led, self.tries = answer["buttons"], answer["led"], answer["tries"]
+        self.buttons, self.tries = answer["buttons"], answer["tries"]
         return bytes.fromhex(answer["bytes"])
 
 
-def test_it_is_micropython(micropython):
-    assert micropython("version")[0] == "micropython"
-
-
 def test_micropython_and_cpython_answer_the_same_to_anything(micropython):
-    here, there = Board(), MicroPythonBoard(micropython)
-    here.device._kind, here.device._board = 1, bytearray(b"desk".ljust(16, b"\0"))
+    assert micropython("version")[0] == "micropython"
+    here, there = Board(identity=(1, b"desk")), MicroPythonBoard(micropython)
     for ms, line, data in conversation(np.random.default_rng(1)):
         if line == 0 and len(data) <= 128:  # one turn of the loop reads no more, and answers once
             now = ms + 2**29 - 3000 & 0x1FFFFFFF
             assert there.turn(data, now) + there.turn(b"", now) + there.turn(b"", now) == here.turn(data, now)
             assert (there.moved, there.buttons) == (here.moved, here.buttons)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_avr_and_pico_answer_the_same_to_anything(seed):
+    """The AVR's protocol code, compiled here, gives the same answers and reports, also while the clocks wrap."""
+    begin = 2**32 - 700
+    avr, pico = avr_board.Board(avr_board.build(), begin), Board(identity=(2, b"test"))
+    avr.multipliers(0b101)
+    rng, kinds = np.random.default_rng(seed), set()
+    for ms, line, data in conversation(rng):
+        now = begin + ms & 0xFFFFFFFF
+        if rng.random() < 0.02:
+            pico.awake = bool(rng.random() < 0.7)
+            avr.usb(pico.awake)
+        if rng.random() < 0.02:
+            feature = int(rng.integers(16))
+            avr.multipliers(feature)
+            pico.device.set_multipliers(feature)
+        for part in [b"", *re.findall(rb"[^\0]*\0|[^\0]+", data)]:  # both obey one frame at a time
+            found = avr.turn(part, now, line)
+            assert found == pico.turn(part, now & 0x1FFFFFFF, line)
+            kinds |= {type(messages.parse(frame)) for frame in messages.Splitter().take(found)}
+            assert (list(avr.moved), avr.reports, avr.buttons) == (pico.moved, pico.reports, pico.buttons)
+    assert kinds == {messages.Identity, messages.Ack, messages.Status}
+    assert avr.reports > 100
 
 
 def test_the_loop_allocates_nothing(micropython):
@@ -113,7 +131,7 @@ def test_the_loop_allocates_nothing(micropython):
 
 def acked(board, frame, now, **asked):
     """The last ACK to a frame; `asked` of the desk."""
-    board._asked |= asked
+    board.asked |= asked
     ack = [messages.parse(f) for f in messages.Splitter().take(board.turn(frame, now))][-1]
     assert isinstance(ack, messages.Ack)
     return ack
@@ -135,7 +153,7 @@ def test_a_computer_that_fetches_no_reports(micropython):
     assert ack.flags & messages.Flags.USB_READY
     acked(board, messages.motion(5004, (8, 0, 0, 0), 0), 5004, refuses=True)
     board.turn(b"", 5005)
-    board._asked = {"usb": False}  # another computer, or that one started again
+    board.asked = {"usb": False}  # another computer, or that one started again
     board.turn(b"", 5006)
     ack = acked(board, messages.motion(5005, (9, 0, 0, 0), 0), 5007, usb=True, refuses=False)
     assert ack.counters[0] == board.moved[0] == 9
@@ -258,7 +276,18 @@ def test_the_light(mouse):
     assert sum(lights(6144, 8192)) == 1024  # silence: waits again
 
 
-# ---- the report descriptor ----
+# ---- the report descriptor and the version ----
+
+
+def test_descriptor_and_version_of_both_are_those_of_the_page(mouse):
+    page = (HERE.parent / "docs" / "protocol.md").read_text(encoding="utf-8")
+    table = page.split("```text\n")[1].split("```")[0]
+    told = bytes.fromhex("".join(re.findall(r"^((?:[0-9a-f]{2} ?)+)", table, re.M)))
+    assert told == mouse.DESCRIPTOR
+    assert f"{len(told)} bytes; all" in page
+    assert bytes((avr_board.ctypes.c_uint8 * len(told)).in_dll(avr_board.build(), "sm_descriptor")) == told
+    version = ", ".join(map(str, firmware.own_version()))
+    assert f"FIRMWARE[3] = {{{version}}}" in (avr_board.SOURCES / "protocol.c").read_text()
 
 
 @pytest.fixture
@@ -273,14 +302,6 @@ def mouse(monkeypatch):
         sys.modules.pop(name, None)
 
 
-def test_the_descriptor_is_that_of_the_page(mouse):
-    page = (HERE.parent / "docs" / "protocol.md").read_text(encoding="utf-8")
-    table = page.split("```text\n")[1].split("```")[0]
-    told = re.findall(r"^((?:[0-9a-f]{2} ?)+)", table, re.M)
-    assert bytes.fromhex("".join(told)) == mouse.DESCRIPTOR
-    assert f"{len(mouse.DESCRIPTOR)} bytes; all" in page
-
-
 # ---- boot.py and code.py, on stand-ins for CircuitPython's modules ----
 
 MODULES = "board busio digitalio microcontroller storage supervisor usb_cdc usb_hid usb_midi watchdog"
@@ -288,7 +309,7 @@ MODULES = "board busio digitalio microcontroller storage supervisor usb_cdc usb_
 
 @pytest.fixture
 def circuitpython(mouse, monkeypatch):
-    modules = {name: MagicMock(name=name) for name in MODULES.split()}
+    modules: dict[str, Any] = {name: MagicMock(name=name) for name in MODULES.split()}
     for name, module in modules.items():
         monkeypatch.setitem(sys.modules, name, module)
     return SimpleNamespace(**modules)
@@ -404,12 +425,6 @@ def refusal(*arguments):
     return str(result.exception)
 
 
-def check(drive):
-    """Exit code and output of a check of the drive alone."""
-    result = run("check", "--drive", drive, "--port", "none")
-    return result.exit_code, result.output
-
-
 def test_an_installation_and_another_one(drive):
     result = run("install", "--drive", drive)
     assert result.exit_code == 0, result.exception
@@ -417,51 +432,36 @@ def test_an_installation_and_another_one(drive):
     assert "pull the board and plug it in again; then: spheremouse firmware check" in result.output
     assert "GP0 and GP1" not in result.output
     assert sorted(firmware.FILES) == sorted(p.name for p in PICO.glob("*.py"))
+    assert sorted(p.name for p in drive.iterdir()) == sorted([*firmware.FILES, "boot_out.txt"])
     for name in firmware.FILES:
         assert (drive / name).read_bytes() == (PICO / name).read_bytes()
-    assert sorted(p.name for p in drive.iterdir()) == ["boot.py", "boot_out.txt", "code.py", "mouse.py", "protocol.py"]
     assert "has firmware 1.0.0 already" in run("install", "--drive", drive).output
-    code, said = check(drive)
-    assert code == 0
-    assert "CircuitPython 9.2, firmware 1.0.0" in said
-    assert "to check the running firmware: spheremouse firmware check" in said
     (drive / "boot_out.txt").write_text(BOOT_OUT.replace("raspberry_pi_pico", "adafruit_qtpy_rp2040"))
     (drive / "mouse.py").unlink()
     assert "it must have pins named GP0 and GP1" in run("install", "--drive", drive).output
 
 
-def test_an_older_firmware_is_replaced_and_check_sees_it(drive):
+def test_an_older_firmware_is_replaced_and_a_newer_one_by_force_alone(drive):
     run("install", "--drive", drive)
     new = (PICO / "protocol.py").read_text()
     (drive / "protocol.py").write_text(new.replace("FIRMWARE = (1, 0, 0)", "FIRMWARE = (0, 9, 1)"))
-    code, said = check(drive)
-    assert code == 1
-    assert "firmware 0.9.1" in said
-    assert "protocol.py on the drive differ; run `spheremouse firmware install`" in said
     assert "1.0.0 in place of 0.9.1 on raspberry_pi_pico: protocol.py" in run("install", "--drive", drive).output
     (drive / "protocol.py").write_text(new.replace("FIRMWARE = (1, 0, 0)", "FIRMWARE = (1, 2, 0)"))
-    assert "1.2.0 on the drive is newer than this program; update spheremouse" in check(drive)[1]
-    assert "newer than 1.0.0 of this program; update spheremouse, or go back with --force" in refusal(
-        "install", "--drive", drive
-    )
+    remedy = "newer than 1.0.0 of this program; update spheremouse, or go back with --force"
+    assert remedy in refusal("install", "--drive", drive)
     assert run("install", "--drive", drive, "--force").exit_code == 0
 
 
-@pytest.mark.parametrize("name", firmware.FILES)
 @pytest.mark.parametrize("left", [0, 5, 300, "zeros"])
-def test_a_copy_that_was_cut_short_is_replaced(drive, name, left):
+def test_a_copy_that_was_cut_short_is_replaced(drive, left):
     run("install", "--drive", drive)
-    data = (PICO / name).read_bytes()
-    (drive / name).write_bytes(bytes(len(data)) if left == "zeros" else data[:left] + bytes(64))
+    for name in firmware.FILES:
+        data = (PICO / name).read_bytes()
+        (drive / name).write_bytes(bytes(len(data)) if left == "zeros" else data[:left] + bytes(64))
     result = run("install", "--drive", drive)
     assert result.exit_code == 0, result.exception
-    assert (drive / name).read_bytes() == data
-
-
-def test_both_firmwares_have_the_version_that_check_compares_with():
-    text = (service_files("firmware/avr") / "spheremouse" / "protocol.c").read_text()
-    version = firmware.format_version(firmware.version_of(PICO)).replace(".", ", ")
-    assert f"FIRMWARE[3] = {{{version}}}" in text
+    for name in firmware.FILES:
+        assert (drive / name).read_bytes() == (PICO / name).read_bytes()
 
 
 def test_files_of_another_program_stay(drive):
@@ -469,32 +469,32 @@ def test_files_of_another_program_stay(drive):
     assert "code.py of another program there; save them and use --force" in refusal("install", "--drive", drive)
     assert (drive / "code.py").read_text() == "import my_keyboard\n"
     assert not (drive / "boot.py").exists()
-    remedy = "code.py on the drive belong to another program; save them and run `spheremouse firmware install --force`"
-    assert remedy in check(drive)[1]
     assert run("install", "--drive", drive, "--force").exit_code == 0
     (drive / "code.txt").write_text("print(1)")
-    assert "code.txt: CircuitPython runs it in place of our program; move it away" in refusal(
-        "install", "--drive", drive, "--force"
-    )
+    remedy = "code.txt: CircuitPython runs it in place of our program; move it away"
+    assert remedy in refusal("install", "--drive", drive, "--force")
     (drive / "code.txt").unlink()
     (drive / "mouse.py").unlink()
     (drive / "mouse.py").mkdir()
     assert "mouse.py: is a folder, where a file has to be; move it away" in refusal("install", "--drive", drive)
-    assert "is a folder" in check(drive)[1]
 
 
-def test_folders_that_are_no_drive_of_a_board(drive, tmp_path):
-    assert "no boot_out.txt in it" in refusal("install", "--drive", tmp_path / "none")
-    (drive / "boot_out.txt").write_text("Adafruit CircuitPython 7.3.3 on 2022-08-29; Raspberry Pi Pico with rp2040\n")
-    assert "CircuitPython 7.3 is too old; install 9.0 or newer: hold BOOTSEL" in refusal("install", "--drive", drive)
-    code, said = check(drive)
-    assert code == 1
-    assert "CircuitPython 7.3 is too old" in said
-    (tmp_path / "INFO_UF2.TXT").write_text("UF2 Bootloader v3.0\n")
-    (drive / "boot_out.txt").unlink()
-    assert "this is the boot loader; copy CircuitPython's .uf2 file" in refusal("install", "--drive", tmp_path)
-    (drive / "boot_out.txt").write_text("something else\n")
-    assert "does not name CircuitPython" in refusal("install", "--drive", drive)
+@pytest.mark.parametrize(
+    ("files", "problem"),
+    [
+        ({}, "no boot_out.txt in it"),
+        ({"INFO_UF2.TXT": "UF2 Bootloader v3.0\n"}, "this is the boot loader; copy CircuitPython's .uf2 file"),
+        ({"boot_out.txt": "something else\n"}, "does not name CircuitPython"),
+        (
+            {"boot_out.txt": BOOT_OUT.replace("9.2.4", "7.3.3")},
+            "CircuitPython 7.3 is too old; install 9.0 or newer: hold BOOTSEL",
+        ),
+    ],
+)
+def test_folders_that_are_no_drive_of_a_board(tmp_path, files, problem):
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    assert problem in refusal("install", "--drive", tmp_path)
 
 
 def test_the_drive_is_found_among_others(drive, tmp_path_factory, monkeypatch):
@@ -506,17 +506,13 @@ def test_the_drive_is_found_among_others(drive, tmp_path_factory, monkeypatch):
         monkeypatch.setattr(firmware, "mounted_folders", lambda: iter(paths))
 
     mount(other, loader, drive)
-    found, waiting = firmware.drives()
-    assert ([d.path for d in found], waiting) == ([drive], [loader])
+    assert firmware.select_drive().path == drive
     mount(drive, second)
     assert "several boards" in refusal("install")
     mount(loader)
     assert "a board without CircuitPython; copy its .uf2 file there" in refusal("install")
     mount()
-    said = refusal("install")
-    assert "no drive CIRCUITPY is mounted; if the board has CircuitPython, mount its drive and name it with" in said
-    assert "or take the jumper off pins 28 and 29" in said
-    assert "if not, hold BOOTSEL down while you plug the board in" in said
+    assert "no drive CIRCUITPY is mounted; if the board has CircuitPython, mount its drive and" in refusal("install")
 
 
 def test_a_full_drive_keeps_the_old_file(drive, monkeypatch):
@@ -534,14 +530,14 @@ def test_a_full_drive_keeps_the_old_file(drive, monkeypatch):
 
 @pytest.fixture
 def simulated():
-    """The class of simulated boards."""
+    """Return the class of simulated boards."""
     pytest.importorskip("pty")
     from spheremouse.output.serial.simulator import Simulator
 
     return Simulator
 
 
-def test_a_check_over_the_port(simulated, drive, tmp_path):
+def test_a_check(simulated, tmp_path):
     with simulated() as board:
         result = run("check", "--port", board.port, "--json", "-")
         assert result.exit_code == 0, result.exception
@@ -554,33 +550,28 @@ def test_a_check_over_the_port(simulated, drive, tmp_path):
     assert result.exit_code == 1
     assert "plug the board into the game's computer, or wake that up" in result.output
     assert json.loads((tmp_path / "found.json").read_text())["wrong"]
-    assert "there already" in str(run("check", "--port", "none", "--json", tmp_path / "found.json").exception)
-    run("install", "--drive", drive)
-    result = run("check", "--drive", drive, "--port", tmp_path / "none")
-    assert result.exit_code == 1
-    assert "if the firmware has just been copied, pull the board and plug it in again" in result.output
+    assert "there already" in str(run("check", "--json", tmp_path / "found.json").exception)
 
 
 def test_a_check_over_a_bad_line(simulated):
     """It repeats a question whose answer is lost, and reports many damaged frames."""
     with simulated(damage=0.02, seed=2) as board:
-        for _ in range(5):
-            result = run("check", "--port", board.port)
-            assert "frames," in result.output, result.exception
-        assert result.exit_code == 1
-        assert "use shorter wires, see that GND is connected" in result.output
+        results = [run("check", "--port", board.port) for _ in range(5)]
+    assert all("frames," in result.output for result in results)
+    assert results[-1].exit_code == 1
+    assert "use shorter wires, see that GND is connected" in results[-1].output
 
 
 @pytest.mark.parametrize(
     ("runs", "kind", "advice"),
     [
-        ((0, 9, 0), 1, "pull the board and plug it in again, or run `spheremouse firmware install`"),
+        ((0, 9, 0), 1, "run `spheremouse firmware install`, pull the board and plug it in again"),
         ((0, 9, 0), 2, "load the new one (make upload; docs/microcontroller.md, ATmega32U4)"),
         ((1, 1, 0), 1, "newer than this program; update spheremouse"),
     ],
 )
 def test_another_version_runs(simulated, runs, kind, advice):
-    protocol = firmware.load_protocol()
+    protocol: Any = firmware.load_protocol()
     protocol.FIRMWARE, protocol.SIMULATOR = runs, kind
     with simulated(protocol=protocol) as board:
         result = run("check", "--port", board.port)
@@ -602,24 +593,7 @@ def test_a_simulation_ends_with_the_sums_of_its_mouse(simulated, tmp_path):
     assert (tmp_path / "precious").is_symlink()
 
 
-def test_options_are_checked_first(tmp_path):
-    result = run("measure", "--seconds", "3000", "--json", tmp_path / "none" / "x.json")
-    assert "there is no folder" in str(result.exception)
-    for command in (("measure",), ("simulate",), ("check", "--port", "x")):
+def test_options_are_checked_first():
+    for command in (("simulate",), ("check", "--port", "x")):
         assert refusal(*command, "--baud", "1200") == "--baud=1200: must be from 38400 to 4000000"
-    assert "write a port's name, auto or none" in refusal("check", "--port", "")
-
-
-def test_a_measurement_without_arrivals_fails(monkeypatch):
-    from spheremouse.output.serial import Statistics, benchmark
-
-    nothing = Statistics((float("nan"), float("nan")), 0, 0, 0, 0, 0, 0, 0, 0, 5)
-    found = benchmark.Measured(np.full(5, 1e-6), np.empty(0), 100.0, 0, False, nothing)
-    monkeypatch.setattr(benchmark, "measure", lambda *_: found)
-    result = run("measure", "--json", "-")
-    assert result.exit_code == 1
-    assert json.loads(result.output)["round_trip_us"] == {"median": None, "p99": None}
-    result = run("measure")
-    assert result.exit_code == 1
-    assert "the sum is OFF" in result.output
-    assert "5 not confirmed at the end" in result.output
+    assert "write a port's name, or auto" in refusal("check", "--port", "")

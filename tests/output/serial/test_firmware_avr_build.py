@@ -9,6 +9,7 @@ import shutil
 import struct
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import avr_board
 import numpy as np
@@ -80,18 +81,17 @@ class Computer:
     """A computer that the board is plugged into. Time is that of the simulated crystal, in ms."""
 
     def __init__(self, simulator, elf):
-        self._process = subprocess.Popen([simulator, elf], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self._process: Any = subprocess.Popen([simulator, elf], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         self.now, self.moved, self.buttons, self.reports = 0, [0] * 4, 0, 0
 
     def __enter__(self):
         return self
 
     def __exit__(self, *_):
-        assert self._process.stdin is not None
         self._process.stdin.close()
         assert self._process.wait(10) == 0
 
-    def _ask(self, data, answers=1):
+    def _ask(self, data, answers=1) -> Any:
         self._process.stdin.write(data)
         self._process.stdin.flush()
         found = []
@@ -100,12 +100,12 @@ class Computer:
             found.append(None if n == 0xFFFF else self._process.stdout.read(n))
         return found
 
-    def control(self, kind, request, value, index, length, data=b""):
+    def control(self, kind, request, value, index, length, data=b"") -> Any:
         """A control transfer; None where the board refuses."""
         setup = struct.pack("<BBHHH", kind, request, value, index, length)
         return self._ask(b"C" + setup + struct.pack("<H", len(data)) + data)[0]
 
-    def descriptor(self, kind, number=0, kind_of_request=0x80, index=0):
+    def descriptor(self, kind, number=0, kind_of_request=0x80, index=0) -> Any:
         return self.control(kind_of_request, 6, kind << 8 | number, index, 255)
 
     def enumerate(self, fine=True):
@@ -152,7 +152,7 @@ def test_the_computer_sees_a_mouse_and_a_serial_port(computer):
     assert interfaces == [(2, 2, 0), (10, 0, 0), (3, 0, 0)]  # ACM, its data, HID
     listing = (avr_board.REPOSITORY / "docs/protocol.md").read_text(encoding="utf-8")
     listing = listing.split("## The mouse")[1].split("```text\n")[1].split("```")[0]
-    documented = "".join(re.match(r"(?:[0-9a-f]{2} )+", row)[0] for row in listing.splitlines())
+    documented = "".join(re.findall(r"^(?:[0-9a-f]{2} )+", listing, re.M))
     assert computer.report_descriptor == bytes.fromhex(documented)
     assert len(documented.split()) == struct.unpack("<H", found[at - 7 - 2 : at - 7])[0]  # as its HID descriptor says
 

@@ -96,15 +96,15 @@ def test_a_name_of_control_characters_stays_off_the_terminal():
     assert found.board == "?[2Jdesk?"
 
 
-# ---- the board's rules; the other firmwares answer the same (test_firmware.py, test_firmware_avr.py) ----
+# ---- the board's rules; the other firmwares answer the same (test_firmware.py) ----
 
 
-def asked(board, data, now=0):
+def asked(board, data, now=0) -> Any:
     """The board's answers, parsed."""
     return [parse(f) for f in Splitter().take(board.turn(data, now))]
 
 
-def begun(session=7, number=100, now=0):
+def begun(session=7, number=100, now=0) -> Any:
     board = Board()
     (identity,) = asked(board, messages.hello(number, session), now)
     assert identity.session == session
@@ -302,7 +302,7 @@ def test_no_step_is_refused_whatever_is_in_flight(there, back, seed, lose):
     for _ in range(300):
         w.give(rng.choice([-2000, -700, -100, 0, 0, 100, 700, 2000, 40_000], 4))
         w.step()
-        assert not w.board.line.too_large
+        assert not w.board.lines[0].too_large
 
 
 def test_counts_of_a_long_break_are_dropped_and_reported():

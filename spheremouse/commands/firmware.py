@@ -1,0 +1,171 @@
+"""`spheremouse firmware`: install the firmware on a board, check a board, simulate one."""
+
+import os
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from spheremouse.calibrate.outputs import check_outputs
+from spheremouse.commands.calibrate.options import Force
+from spheremouse.commands.options import JsonFile
+from spheremouse.errors import ConfigurationError, OutputError
+from spheremouse.files.safe_files import write_json
+
+if TYPE_CHECKING:
+    from spheremouse.output.serial.firmware import Version
+    from spheremouse.output.serial.messages import Status
+
+_MAX_DAMAGED = 0.01  # fraction of damaged frames on a good line
+
+app = typer.Typer(no_args_is_help=True, help="The board that is the mouse: install, check, simulate.")
+
+
+@app.command(epilog="Example: spheremouse firmware install")
+def install(
+    drive: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="The board's drive, CIRCUITPY.  [default: the only one there]")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace another program that is on the board.")] = False,
+) -> None:
+    """Copy the firmware to a board with CircuitPython (Raspberry Pi Pico and other RP2040 boards)."""
+    from spheremouse.output.serial import firmware
+
+    board = firmware.select_drive(drive)
+    new, old = firmware.format_version(firmware.own_version()), firmware.format_version(firmware.version_of(board.path))
+    names = firmware.install(board, force)
+    if not names:
+        typer.echo(f"{board.path}: {board.board} has firmware {new} already")
+        return
+    typer.echo(f"{board.path}: firmware {new} in place of {old} on {board.board}: {', '.join(names)}")
+    if not board.board.startswith("raspberry_pi_pico"):
+        typer.echo("this board is no Raspberry Pi Pico: for two computers it must have pins named GP0 and GP1")
+    typer.echo("eject the drive, pull the board and plug it in again; then: spheremouse firmware check")
+
+
+@app.command(epilog="Example: spheremouse firmware check --port /dev/ttyACM1")
+def check(
+    port: Annotated[str, typer.Option(metavar="PORT", help="Serial port; auto finds the board.")] = "auto",
+    baud: Annotated[
+        int | None, typer.Option(metavar="N", help="Speed of a plain serial line.  [default: 115200]")
+    ] = None,
+    json_file: JsonFile = None,
+    force: Force = False,
+) -> None:
+    """Ask the running board for its firmware's version, its computer, and its damaged frames."""
+    from spheremouse.output.serial import BAUD, Serial, firmware, validate_baud
+    from spheremouse.output.serial.ports import find_board
+
+    speed = BAUD if baud is None else validate_baud(baud, "--baud")
+    if not port:
+        raise OutputError("--port: is empty", "write a port's name, or auto")
+    check_outputs([json_file], [], force)
+    name = find_board() if port == "auto" else port
+    output = Serial(lambda: name, speed, "none", lambda _: None)
+    try:
+        identity, status = output.identity, output.status()
+    finally:
+        output.close()
+    if identity is None or status is None:
+        problem = f"serial: {name}: answers HELLO, but not STATUS?: the line damages frames"
+        raise OutputError(problem, "use shorter wires, and see that GND is connected")
+    ours = firmware.own_version()
+    wrong = [*_version_problems(identity.firmware, ours, identity.kind), *_line_problems(status)]
+    found = {
+        "here": firmware.format_version(ours),
+        "port": {
+            "port": name,
+            "firmware": firmware.format_version(identity.firmware),
+            "board": identity.board,
+            "kind": identity.kind,
+            "state": str(status),
+        },
+        "wrong": wrong,
+    }
+    if json_file is None or not write_json(json_file, found):
+        typer.echo(f"here: firmware {found['here']}\n{name}: {identity}; {status}")
+        for line in wrong or [f"all is well; next: spheremouse run --source ... --output serial:{port}"]:
+            typer.echo(line)
+    if wrong:
+        raise typer.Exit(1)
+
+
+def _version_problems(runs: "Version", ours: "Version", kind: int) -> list[str]:
+    if runs == ours:
+        return []
+    version = ".".join(map(str, runs))
+    if runs > ours:
+        return [f"firmware {version} runs, which is newer than this program; update spheremouse"]
+    remedy = {
+        1: "run `spheremouse firmware install`, pull the board and plug it in again",
+        2: "load the new one (make upload; docs/microcontroller.md, ATmega32U4)",
+    }.get(kind, "start it again")
+    return [f"firmware {version} runs; {remedy}"]
+
+
+def _line_problems(status: "Status") -> list[str]:
+    wrong: list[str] = []
+    if not status.usb_ready:
+        wrong.append("no computer takes its mouse; plug the board into the game's computer, or wake that up")
+    if status.damaged > _MAX_DAMAGED * (status.frames + status.damaged) + 2:  # the first frames may be damaged
+        wrong.append(
+            f"{status.damaged} damaged frames beside {status.frames} whole ones; use shorter wires, see that GND is "
+            "connected, and plug the board in again to reset the count"
+        )
+    return wrong
+
+
+@app.command(epilog="Example: spheremouse firmware simulate --link board --seconds 60")
+def simulate(
+    link: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Make a symbolic link to the port, as a constant name.")
+    ] = None,
+    damage: Annotated[
+        float,
+        typer.Option(
+            metavar="PERCENT", min=0.0, max=50.0, help="Damaged bytes, each way; above 3 a session may never begin."
+        ),
+    ] = 0.0,
+    baud: Annotated[int | None, typer.Option(metavar="N", help="Speed of the line.  [default: any]")] = None,
+    seconds: Annotated[
+        float | None, typer.Option(metavar="S", min=0.0, help="End after this time.  [default: at Ctrl-C]")
+    ] = None,
+) -> None:
+    """Simulate a board: open a serial port on which the firmware answers, and print the motion of its mouse."""
+    from spheremouse.capture.signals import SignalHandler
+    from spheremouse.output.serial import validate_baud
+    from spheremouse.output.serial.simulator import Simulator
+
+    if baud is not None:
+        validate_baud(baud, "--baud")
+    if link is not None:
+        _check_link(link)
+    with SignalHandler() as stopping, Simulator(damage / 100.0, baud=baud) as board:
+        if link is not None:
+            link.unlink(missing_ok=True)
+            os.symlink(board.port, link)
+        typer.echo(f"{link or board.port}: a simulated board; try: spheremouse demo, then")
+        typer.echo(f"  spheremouse run --source dataset:demo/roll --output serial:{link or board.port}")
+        try:
+            printed = ""
+            end = time.monotonic() + (float("inf") if seconds is None else seconds)
+            while not stopping.asked and time.monotonic() < end:
+                state = "session" if board.device.running else "waits"
+                if (line := f"{board.describe()} buttons {board.buttons:05b} {state}") != printed:
+                    printed = line
+                    typer.echo(line)
+                time.sleep(min(0.2, max(0.0, end - time.monotonic())))
+        finally:
+            if link is not None:
+                link.unlink(missing_ok=True)
+    typer.echo(f"in all: {board.describe()} in {board.reports} reports")
+
+
+def _check_link(link: Path) -> None:
+    """Raise ConfigurationError if a link to a port cannot be made there, or would replace anything else."""
+    if not link.parent.is_dir():
+        raise ConfigurationError(f"--link: there is no folder {link.parent}", "make it, or choose another name")
+    ours = link.is_symlink() and os.readlink(link).startswith(("/dev/pts/", "/dev/tty"))
+    if os.path.lexists(link) and not ours:
+        raise ConfigurationError(f"--link: {link} is there and is no link to a port", "choose another name")
