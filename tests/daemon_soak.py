@@ -161,7 +161,7 @@ class Cabinet(World):
 
     # ---- what comes of it ----
 
-    def open_output(self, spec: str) -> "_Sink":
+    def open_output(self, spec: str) -> "_Sink":  # pyright: ignore[reportIncompatibleMethodOverride]
         if self.broken:
             raise OutputError(self.broken)
         return _Sink(self)
@@ -211,6 +211,7 @@ class Cabinet(World):
             return
         self.total += report.counts
         self.reports += 1
+        state = None
         for _ in range(1000):  # a frame is given before it is shown
             state = self._state_of.get(report.estimate.stamp)
             if state is not None:
@@ -337,7 +338,7 @@ def soak(frames: int, seed: int) -> list[str]:
         somebody.over.set()
         somebody.join(60.0)
         figures.append(_figure(cabinet))
-        restarts = daemon.status()["camera_restarts"]
+        restarts = daemon.status().camera_restarts
         cabinet.stop()
         _ledger(cabinet, daemon)
     _figures(cabinet, figures)
@@ -349,9 +350,11 @@ def soak(frames: int, seed: int) -> list[str]:
     print(
         "  asked: " + ", ".join(f"{n} {k} ({somebody.refused[k]} refused)" for k, n in sorted(somebody.asked.items()))
     )
+    output = daemon.status().output
+    assert output is not None
     print(
         f"  tracked {cabinet.tracked}, damaged {cabinet.damaged}, lost by the driver {cabinet.lost}, "
-        f"skipped {daemon._ring.skipped}; {cabinet.reports} reports, unsent {list(daemon.status()['output']['unsent'])}"
+        f"skipped {daemon._ring.skipped}; {cabinet.reports} reports, unsent {output.unsent}"
     )
     print(
         f"  {cabinet.spells_judged} ordinary spells; counts wrong by {max(cabinet.worst, 0.0):.2f} at most, beyond 1 %"

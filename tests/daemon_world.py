@@ -241,14 +241,14 @@ class World:
 
         def show(made: Any, _: Any) -> None:
             assert self.daemon is not None
-            self.states[made.report.estimate.stamp] = self.daemon.status()["state"]
+            self.states[made.report.estimate.stamp] = str(self.daemon.status().state)
             self.frames.append(made.report.counts)
 
         self.daemon = Daemon(
             overrides,
             read_run_config(overrides),
             self.setup,
-            lambda plan: self.open_camera,
+            lambda plan: self.open_camera,  # pyright: ignore[reportArgumentType]
             log=self.said.append,
             show=show if watch is None else watch,
             frames=frames,
@@ -282,7 +282,7 @@ class World:
     @property
     def state(self) -> str:
         assert self.daemon is not None
-        return self.daemon.status()["state"]
+        return str(self.daemon.status().state)
 
     def until(self, condition: Callable[[], Any], what: str = "") -> None:
         """Wait until it is so."""
@@ -337,8 +337,8 @@ class World:
         assert reports + report.reports == sum(any(m.counts) for m in self.sent)
         status = self.daemon.status()
         taken = self.daemon._worker.seen
-        assert taken + status["skipped"] == self.produced
-        assert status["frames"] == len(self.frames)  # also across another rig, which has another worker
+        assert taken + (status.skipped or 0) == self.produced
+        assert status.frames == len(self.frames)  # also across another rig, which has another worker
 
 
 @dataclass

@@ -1,13 +1,13 @@
 """The direction of a ball's motion in words, as seen by its player."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import MotionSettings
 from spheremouse.output.wand_mapping import PointingSettings
+from spheremouse.session.control.status import MotionStatus
 from spheremouse.tracker import Estimate
 
 _SHARE = 0.1  # of the largest part; less is not worth a word
@@ -24,10 +24,10 @@ class Directions:
     factor: float  # from rad/s or m/s to it
     least: float  # of that unit, below which the ball is at rest
 
-    def figures(self, estimate: Estimate) -> dict[str, Any]:
-        """Return the rate of an estimate for the status: (3,) numbers, their unit, and words."""
+    def motion(self, estimate: Estimate) -> MotionStatus:
+        """Return the rate of an estimate for the status."""
         rate = self.factor * self.axes @ estimate.rate[self.part]
-        return {"rate": rate.tolist(), "unit": self.unit, "words": self.said(rate)}
+        return MotionStatus(rate=rate.tolist(), unit=self.unit, words=self.said(rate))
 
     def said(self, rate: Array) -> str:
         """Return a rate (3,) in words."""

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from concurrent.futures import wait
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from spheremouse import __version__
 from spheremouse.capture import OpenCamera
@@ -27,6 +26,7 @@ from spheremouse.session.config_reloader import READING, ConfigReloader, given
 from spheremouse.session.control.protocol import Record, Request, Set, Snapshot, refused
 from spheremouse.session.control.request_queue import PendingRequest, RequestQueue
 from spheremouse.session.control.server import Endpoints
+from spheremouse.session.control.status import OutputStatus, Quantiles, SourceStatus, State, StatusReport
 from spheremouse.session.outputs import OUTPUT, Outputs
 from spheremouse.session.process import realtime
 from spheremouse.session.process.notify import Notifier
@@ -35,7 +35,7 @@ from spheremouse.session.record.archive import RECORDING, SNAPSHOT, Archive
 from spheremouse.session.record.places import recordings_folder, tidy
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig
 from spheremouse.session.setup import Setup
-from spheremouse.session.state_monitor import State, StateMonitor
+from spheremouse.session.state_monitor import StateMonitor
 from spheremouse.session.timing import Arrivals, CpuShare, memory_mb
 from spheremouse.session.tracker_adapter import MAP, POSE, TARGETS, FrameResult, TrackerAdapter
 from spheremouse.session.worker import Worker
@@ -290,7 +290,7 @@ class Daemon:
         """Answer a request of the control socket, in its thread, or leave it to the worker."""
         monitor, command = self._monitor, pending.request.command
         if command == "status":
-            pending.answer(self.status())
+            pending.answer(self.status().as_json())
         elif command == "stop":
             self._ending = True
             self._ring.wake()
@@ -379,51 +379,50 @@ class Daemon:
 
     # ---- the status ----
 
-    def status(self) -> dict[str, Any]:
-        """Return the status of docs/control.md, from any thread."""
+    def status(self) -> StatusReport:
+        """Return the status, from any thread."""
         now = time.monotonic()
-        worker, plan, how = self._worker, self._reloader.plan, self._monitor
-        output, latency = self._outputs.status()
-        return {
-            "state": str(how.state),
-            "reason": how.reason,
-            "since_s": now - how.since,
-            "fps": self._arrivals.rate(now),
-            "latency_ms": None if latency is None else _ms(latency.p50, latency.p99, latency.max),
-            "stages_ms": {name: _ms(*quantiles) for name, quantiles in worker.stages.items()},
-            "tracker": plan.configuration.tracker,
-            **self.adapter.figures(how.state not in (State.STARTING, State.NO_CAMERA)),
-            "frames": worker.frames,
-            "skipped": self._ring.skipped,
-            "dropped": self._capture.dropped,
-            "damaged": worker.damaged,
-            "counts": list(self._counts),
-            "output": {"spec": plan.output, "left_out": left_out(plan.output) or None, **output},
-            "source": {"spec": plan.source, "description": self._capture.description},
-            "unseen_s": how.unseen,
-            "lost_count": worker.lost,
-            "camera_restarts": self._capture.restarts,
-            "uptime_s": now - self._began,
-            "version": __version__,
-            "pid": os.getpid(),
-            "config": _whole(self._reloader.overrides.file),
-            "changes": list(self._reloader.overrides.changes),
-            "given": list(given(self._reloader.overrides)),
-            "rig": _whole(plan.rig_path),
-            "map": _whole(plan.map_path),
-            "recording": self._archive.status(),
-            "memory_mb": memory_mb(),
-            "cpu_share": self._cpu.share,
-            "scheduling": self._scheduling,
-            "paused": bool(how.paused),
-        }
+        worker, plan, monitor, overrides = self._worker, self._reloader.plan, self._monitor, self._reloader.overrides
+        sums, latency = self._outputs.status()
+        return StatusReport(
+            **dict(self.adapter.tracker_status(monitor.state not in (State.STARTING, State.NO_CAMERA))),
+            state=str(monitor.state),
+            reason=monitor.reason,
+            since_s=now - monitor.since,
+            fps=self._arrivals.rate(now),
+            latency_ms=None if latency is None else _ms(latency.p50, latency.p99, max=1e3 * latency.max),
+            stages_ms={name: _ms(*quantiles) for name, quantiles in worker.stages.items()},
+            tracker=plan.configuration.tracker,
+            frames=worker.frames,
+            skipped=self._ring.skipped,
+            dropped=self._capture.dropped,
+            damaged=worker.damaged,
+            counts=list(self._counts),
+            output=OutputStatus(spec=plan.output, left_out=left_out(plan.output) or None, **sums),
+            source=SourceStatus(spec=plan.source, description=self._capture.description),
+            unseen_s=monitor.unseen,
+            lost_count=worker.lost,
+            camera_restarts=self._capture.restarts,
+            uptime_s=now - self._began,
+            version=__version__,
+            pid=os.getpid(),
+            config=_absolute(overrides.file),
+            changes=list(overrides.changes),
+            given=list(given(overrides)),
+            rig=_absolute(plan.rig_path),
+            map=_absolute(plan.map_path),
+            recording=self._archive.status(),
+            memory_mb=memory_mb(),
+            cpu_share=self._cpu.share,
+            scheduling=self._scheduling,
+            paused=bool(monitor.paused),
+        )
 
 
-def _whole(path: Path | None) -> str | None:
+def _absolute(path: Path | None) -> str | None:
     """Return the absolute path: clients run in other folders."""
     return None if path is None else str(path.absolute())
 
 
-def _ms(median: float, slow: float, most: float | None = None) -> dict[str, float]:
-    made = {"p50": 1e3 * median, "p99": 1e3 * slow}
-    return made if most is None else {**made, "max": 1e3 * most}
+def _ms(median: float, slow: float, **longest: float) -> Quantiles:
+    return Quantiles(p50=1e3 * median, p99=1e3 * slow, **longest)

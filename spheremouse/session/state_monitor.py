@@ -3,26 +3,14 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
 
 from spheremouse.capture.fetch import Capture
 from spheremouse.output.rate_limited_logger import strip_digits
+from spheremouse.session.control.status import State
 from spheremouse.session.outputs import Outputs
 from spheremouse.session.timing import Arrivals
 from spheremouse.session.worker import Worker
 from spheremouse.tracker import Status
-
-
-class State(StrEnum):
-    """States of the daemon; motion is sent in `tracking` only."""
-
-    STARTING = "starting"
-    NO_CAMERA = "no-camera"
-    PAUSED = "paused"
-    SEARCHING_TARGETS = "searching-targets"
-    LOST = "lost"
-    FAILED_OUTPUT = "failed-output"
-    TRACKING = "tracking"
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from spheremouse.errors import SpheremouseError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.output import Output, Report
 from spheremouse.output.pointer import Counts
+from spheremouse.session.control.status import TrackerStatus
 from spheremouse.session.overlay.pen import Image
 from spheremouse.session.process.threads import Work
 from spheremouse.session.run_config import RunConfig
@@ -114,7 +115,7 @@ class TrackerAdapter(Protocol):
         """Estimate the pose, or search the balls, again; call `answer` (error, text). Stop when not `wanted`."""
         ...
 
-    def figures(self, seeing: bool) -> dict[str, Any]:
+    def tracker_status(self, seeing: bool) -> TrackerStatus:
         """Return the tracker's part of the status, from any thread."""
         ...
 

@@ -25,6 +25,7 @@ from spheremouse.session.control import protocol
 from spheremouse.session.control import status as status_module
 from spheremouse.session.control.client import Client, NoDaemonError
 from spheremouse.session.control.server import ControlServer
+from spheremouse.session.control.status import StatusReport
 from spheremouse.session.settings import ControlSettings
 from tests.session.control.test_server import Daemon, conversations
 
@@ -70,13 +71,13 @@ def ctl(path, monkeypatch):
 def shown(status, width=80):
     """A status as it stands on a terminal without colours."""
     console = Console(width=width, highlight=False, record=True, file=io.StringIO())
-    console.print(said_of.status_table(status))
+    console.print(said_of.status_table(StatusReport.read(status)))
     return console.export_text()
 
 
 def test_there_is_a_command_for_every_request():
     own = {"save"}  # asks for the status
-    assert set(typer.main.get_command(cli_ctl.app).commands) == {*protocol.COMMANDS, *own}
+    assert set(typer.main.get_group(cli_ctl.app).commands) == {*protocol.COMMANDS, *own}
 
 
 def test_the_status_is_a_short_table(ctl, daemon):
@@ -120,7 +121,7 @@ def test_the_status_as_json_is_the_plain_dict(ctl, daemon):
 
 @pytest.mark.parametrize("state", status_module.STATES)
 def test_every_state_has_a_colour(state):
-    line = said_of.event_line({"event": "status", "state": state}, "")
+    line = said_of.event_line(StatusReport(state=state), "")
     assert any(span.style for span in line.spans)
     assert f"● {state}" in shown({"state": state})
 
@@ -199,7 +200,7 @@ def test_what_the_daemon_quotes_does_not_steer_the_terminal():
     assert "\x1b" not in text
     assert "\x07" not in text
     assert text.count("[bold]x[/bold]") >= 4  # and is no markup
-    event = said_of.event_line({"event": "log", "text": bad}, "12:00:00")
+    event = said_of.event_line(bad, "12:00:00")
     assert "\x1b" not in event.plain
 
 
@@ -292,17 +293,16 @@ def test_no_daemon_is_exit_code_3_and_says_how_to_start_one(ctl, path):
 
 
 def test_an_event_is_a_line():
-    status = {"event": "status", **Daemon().status}
-    line = said_of.event_line(status, "12:00:00").plain
-    assert (
-        line
-        == "12:00:00  ● tracking            59.9 frames/s  latency 2.9, 99 % 6.4 ms  17/26 discs  towards you 32 °/s"
-    )
-    line = said_of.event_line({**status, "state": "lost", "reason": "hands"}, "12:00:00").plain
-    assert line.endswith("  hands")
-    line = said_of.event_line({"event": "status", "state": "no-camera", "reason": "unplugged"}, "12:00:00").plain
-    assert line == "12:00:00  ● no-camera              - frames/s  no latency  -/- discs  unplugged"
-    assert said_of.event_line({"event": "log", "text": "lost: hands"}, "12:00:00").plain == "12:00:00  lost: hands"
+    def line(event):
+        return said_of.event_line(StatusReport.read(event) if isinstance(event, dict) else event, "12:00:00").plain
+
+    status = Daemon().status
+    figures = "59.9 frames/s  latency 2.9, 99 % 6.4 ms  17/26 discs  towards you 32 °/s"
+    assert line(status) == f"12:00:00  ● tracking            {figures}"
+    assert line({**status, "state": "lost", "reason": "hands"}).endswith("  hands")
+    bare = "12:00:00  ● no-camera              - frames/s  no latency  -/- discs  unplugged"
+    assert line({"state": "no-camera", "reason": "unplugged"}) == bare
+    assert line("lost: hands") == "12:00:00  lost: hands"
 
 
 @pytest.mark.parametrize("as_json", [False, True])
@@ -430,7 +430,7 @@ def test_a_server_that_sends_a_byte_now_and_then_is_left_in_time(path, monkeypat
         thread.start()
         began = time.monotonic()
         with pytest.raises(NoDaemonError, match=r"no answer within 0\.3 s"), Client(path) as client:
-            client.ask("status")
+            client.status()
         assert time.monotonic() - began < 5.0
         ended.set()
         thread.join(5.0)

@@ -35,15 +35,18 @@ _Socket = Annotated[
 @app.command(epilog="Example: spheremouse ctl status --json")
 def status(as_json: _Json = False, socket: _Socket = None) -> None:
     """Show the state with its reason, frame rate, latency, discs, pose and output."""
-    reply = _ask(socket, "status")
+    from spheremouse.session.control.client import Client
+
+    with _failing(), Client(socket) as client:
+        report = client.status()
     if as_json:
-        _print_json(reply)
+        _print_json(report.as_json())
     else:
         from rich.console import Console
 
         from spheremouse.commands.ctl.words import status_table
 
-        Console(highlight=False).print(status_table(reply))
+        Console(highlight=False).print(status_table(report))
 
 
 @app.command()
@@ -114,14 +117,20 @@ def _file_to_write(
     from spheremouse.session.control.client import Client
 
     with _failing(), Client(socket) as client:
-        status = client.ask("status")
+        status = client.status()
         if not client.is_trusted and (config is None or assignments is None):
             raise ControlError(
                 f"{client.path}: another user runs the daemon, so name settings and file yourself: "
                 "spheremouse ctl set KEY=VALUE --save --config FILE"
             )
-    changes = list(status.get("changes") or []) if assignments is None else assignments
-    file = _file_of(status if config is None else {**status, "config": str(config)}, [_key(c) for c in changes])
+    changes = status.changes or [] if assignments is None else assignments
+    file = config or (None if status.config is None else Path(status.config))
+    if file is None or not file.is_file():
+        _fail(ControlError("the daemon has no configuration file; start it with --config FILE to have one"))
+    given = [key for key in map(_key, changes) if key in (status.given or ())]
+    if given:
+        words = f"{', '.join(given)}: set on the daemon's command line, which overrides the file; leave it out there"
+        _fail(ControlError(words))
     return file, changes
 
 
@@ -138,18 +147,6 @@ def _write(file: Path, changes: list[str]) -> dict[str, Any]:
     if changes:
         save_settings(file, config.assigned(config.in_force(file, changes, Configuration), changes), Configuration)
     return {"file": str(file), "saved": changes}
-
-
-def _file_of(status: dict[str, Any], keys: list[str]) -> Path:
-    """Return a daemon's configuration file. End with the reason if its command line overrides one of the keys."""
-    file, given = status.get("config"), status.get("given") or ()
-    if file is None or not Path(file).is_file():
-        _fail(ControlError("the daemon has no configuration file; start it with --config FILE to have one"))
-    said = [key for key in keys if key in given]
-    if said:
-        words = f"{', '.join(said)}: set on the daemon's command line, which overrides the file; leave it out there"
-        _fail(ControlError(words))
-    return Path(file)
 
 
 def _saved_words(saved: dict[str, Any]) -> str:
@@ -214,7 +211,9 @@ def watch(
     with _failing(), contextlib.suppress(KeyboardInterrupt), Client(socket) as client:
         for event in client.watch(interval):
             if as_json:
-                print(json.dumps(event), flush=True)
+                log = {"event": "log", "text": event}
+                message = log if isinstance(event, str) else {"event": "status", **event.as_json()}
+                print(json.dumps(message), flush=True)
             else:
                 console.print(event_line(event, time.strftime("%H:%M:%S")), soft_wrap=True)
 

@@ -26,6 +26,7 @@ from spheremouse.errors import SpheremouseError
 from spheremouse.files.rig import with_camera
 from spheremouse.finding import Finding, Verdict, ok, refused, unchecked, wrong
 from spheremouse.session.cameras import is_camera, node_of
+from spheremouse.session.control.status import StatusReport
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig, without_map
 from spheremouse.session.settings import RecordSettings
 from spheremouse.session.setup import Setup, open_setup
@@ -88,7 +89,7 @@ class _Run:
         self.brought: Setup | None = None  # camera and balls of a recording of wands
 
     def examine(
-        self, there: list[Node], status: dict[str, Any] | None, seconds: float, progress: Progress
+        self, there: list[Node], status: StatusReport | None, seconds: float, progress: Progress
     ) -> Iterator[Section]:
         camera = [_cameras(there, self.live)]
         camera += _guarded("camera", capture.probe, self.plan.source) if self.node is not None else []
@@ -112,9 +113,9 @@ class _Run:
             findings = (unchecked("output", "none is named, and a recording needs none", advice),)
         yield Section("output", findings)
 
-    def _is_in_use(self, status: dict[str, Any] | None) -> bool:
+    def _is_in_use(self, status: StatusReport | None) -> bool:
         """Return whether the running daemon uses the camera of this plan."""
-        spec = ((status or {}).get("source") or {}).get("spec")
+        spec = status.source.spec if status and status.source else None
         other = node_of(replace(self.plan, source=spec)) if spec else None
         return self.node is not None and other is not None and self.node.resolve() == other.resolve()
 

@@ -15,13 +15,14 @@ from spheremouse.files.yaml import read_document
 from spheremouse.finding import Finding, Verdict, classify, ok, refusals, unchecked, warning, wrong
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.config_check import size_problem
+from spheremouse.session.control.status import StatusReport
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig, read_run_config
 from spheremouse.session.settings import Configuration
 
 _DAY = 86400.0  # s
 
 
-def usual(overrides: CommandLineOverrides, status: dict[str, Any] | None) -> CommandLineOverrides:
+def usual(overrides: CommandLineOverrides, status: StatusReport | None) -> CommandLineOverrides:
     """Return the request. If it names nothing, return that of the running daemon, else that of the service."""
     if overrides != CommandLineOverrides():
         return overrides
@@ -37,25 +38,20 @@ def service_state(overrides: CommandLineOverrides) -> Path | None:
     return place.state if overrides.file == place.configuration / "config.yaml" else None
 
 
-def _of_daemon(status: dict[str, Any]) -> CommandLineOverrides:
+def _of_daemon(status: StatusReport) -> CommandLineOverrides:
     """Return the request of a daemon from its status."""
-
-    def place(key: str) -> Path | None:
-        told = status.get(key)
-        if not told or Path(told).is_absolute():
-            return Path(told) if told else None
-        try:  # relative to the daemon's folder
-            return Path(os.readlink(f"/proc/{int(status['pid'])}/cwd")) / told
-        except (OSError, KeyError, ValueError):
-            return Path(told)
-
-    def spec(key: str) -> str | None:
-        return (status.get(key) or {}).get("spec")
-
-    kept = place("map")
     return CommandLineOverrides(
-        place("config"), (), spec("source"), spec("output"), place("rig"), None, kept, kept is None and "map" in status
+        file=_path(status.config),
+        source=status.source.spec if status.source else None,
+        output=status.output.spec if status.output else None,
+        rig=_path(status.rig),
+        map=_path(status.map),
+        no_map=status.map is None,
     )
+
+
+def _path(name: str | None) -> Path | None:
+    return None if name is None else Path(name)
 
 
 def read(overrides: CommandLineOverrides, camera: str | None) -> tuple[RunConfig | None, list[Finding]]:

@@ -56,7 +56,7 @@ class Link:
         while not self._closing.is_set():
             try:
                 client = client or Client(self._path)
-                self._view = tray.view(client.ask("status"))
+                self._view = tray.view(client.status())
             except SpheremouseError as e:
                 client = None  # the next daemon may have another socket
                 self._view = tray.no_daemon(str(e))

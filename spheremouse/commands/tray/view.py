@@ -6,11 +6,11 @@ Each state has a colour, an outline and a sign, so colour-blind people can see t
 import math
 import re
 from dataclasses import dataclass, field
-from typing import Any
 
 from PIL import Image, ImageDraw
 
 from spheremouse.session.control.status import STATES as DAEMON_STATES
+from spheremouse.session.control.status import StatusReport
 
 NO_DAEMON = "no-daemon"
 STATES = (*DAEMON_STATES, NO_DAEMON)
@@ -41,15 +41,15 @@ class View:
         return self.state != NO_DAEMON
 
 
-def view(status: dict[str, Any]) -> View:
-    """Convert a status. The client has checked its types. Any value may be missing or None."""
-    state, recording = _line(status.get("state") or "") or "unknown", status.get("recording")
+def view(status: StatusReport) -> View:
+    """Convert a status."""
+    state, recording = _line(status.state or "") or "unknown", status.recording
     return View(
         state=state,
-        reason=_line(status.get("reason") or ""),
-        fps=status.get("fps"),
-        paused=bool(status.get("paused", state == "paused")),
-        recording=None if recording is None else _line(recording.get("folder") or "") or "?",
+        reason=_line(status.reason or ""),
+        fps=status.fps,
+        paused=state == "paused" if status.paused is None else status.paused,
+        recording=None if recording is None else _line(recording.folder or "") or "?",
     )
 
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.ball.recorded import ball_subject, picture, sought
 from spheremouse.session.ball.search import BallMessages, PoseRecovery, PoseSearch
 from spheremouse.session.control.protocol import internal_error
+from spheremouse.session.control.status import PoseStatus, TargetsStatus, TrackerStatus
 from spheremouse.session.directions import of_ball
 from spheremouse.session.offline import initialise
 from spheremouse.session.run_config import RunConfig
@@ -235,7 +236,7 @@ class BallAdapter:
             search = PoseSearch(self.rig, self.settings, partial(self._do, POSE))
             self._reinitialisation = _Reinitialisation(search, answer, wanted)
 
-    def figures(self, seeing: bool) -> dict[str, Any]:
+    def tracker_status(self, seeing: bool) -> TrackerStatus:
         """Return the tracker's part of the status: discs, motion, camera pose and targets.
 
         `seeing` is False if no frames arrive. Then discs used are 0 and motion is None.
@@ -243,15 +244,14 @@ class BallAdapter:
         estimate = self._estimate
         found = {} if estimate is None else estimate.statistics
         tracking = seeing and self.status is Status.TRACKING
-        return {
-            "discs": found.get("discs_used", 0) if tracking else 0,
-            "discs_seen": found.get("discs_seen", 0),
-            "discs_known": found.get("discs_known", 0),
-            "motion": of_ball(self.settings.motion).figures(estimate) if tracking and estimate is not None else None,
-            "pose": self._pose_figures(),
-            "targets": self._target_figures(),
-            "balls": None,
-        }
+        return TrackerStatus(
+            discs=int(found.get("discs_used", 0)) if tracking else 0,
+            discs_seen=int(found.get("discs_seen", 0)),
+            discs_known=int(found.get("discs_known", 0)),
+            motion=of_ball(self.settings.motion).motion(estimate) if tracking and estimate is not None else None,
+            pose=self._pose_status(),
+            targets=self._targets_status(),
+        )
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
         """Return a function that draws the overlay for a tracked frame with the sum of `counts`.
@@ -296,27 +296,27 @@ class BallAdapter:
             self._log(f"map: {e}; going on without")
             return None
 
-    def _pose_figures(self) -> dict[str, Any] | None:
+    def _pose_status(self) -> PoseStatus | None:
         pose = self.pose
         if pose is None:
             return None
         sigma = np.sqrt(np.maximum(np.diag(pose.covariance), 0.0))
-        return {
-            "position_m": pose.position.tolist(),
-            "sigma_mm": (1e3 * sigma[:3]).tolist(),
-            "sigma_deg": np.degrees(sigma[3:]).tolist(),
-            "age_s": time.monotonic() - self._posed,
-        }
+        return PoseStatus(
+            position_m=pose.position.tolist(),
+            sigma_mm=(1e3 * sigma[:3]).tolist(),
+            sigma_deg=np.degrees(sigma[3:]).tolist(),
+            age_s=time.monotonic() - self._posed,
+        )
 
-    def _target_figures(self) -> dict[str, Any] | None:
+    def _targets_status(self) -> TargetsStatus | None:
         if not self.waiting:
             return None
         seen, known = self._first_pose.seen, self.rig.targets.codes
-        return {
-            "seen": [c for c in known if c in seen],
-            "missing": [c for c in known if c not in seen],
-            "strangers": [c for c in seen if c not in known],
-        }
+        return TargetsStatus(
+            seen=[c for c in known if c in seen],
+            missing=[c for c in known if c not in seen],
+            strangers=[c for c in seen if c not in known],
+        )
 
     def _forget_views(self) -> None:
         """Drop the views of past frames, and the results of searches that run."""

@@ -15,7 +15,7 @@ from spheremouse.files import plain_json
 from spheremouse.session.control import socket_file
 from spheremouse.session.control.protocol import MAX_LINE
 from spheremouse.session.control.socket_file import peer_of
-from spheremouse.session.control.status import misfit
+from spheremouse.session.control.status import StatusReport
 
 _START = "start one with `spheremouse run` or `systemctl start spheremouse`"
 _TIMEOUTS = {"status": 5.0, "watch": 5.0}  # s; other commands may take the daemon a while
@@ -72,24 +72,28 @@ class Client:
         reply = self._exchange({"command": command, **given}, _TIMEOUTS.get(command, _TIMEOUT))
         if reply.pop("ok", None) is not True:
             raise RefusedError(printable(str(reply.get("error", "the daemon refuses without a reason"))))
-        return self._status(reply) if command == "status" else reply
+        return reply
 
-    def watch(self, interval: float = 1.0) -> Iterator[dict[str, Any]]:
-        """Yield events: `status` every `interval` s, and `log`. NoDaemonError if the daemon ends."""
+    def status(self) -> StatusReport:
+        """Return the daemon's status."""
+        return self._status(self.ask("status"))
+
+    def watch(self, interval: float = 1.0) -> Iterator[StatusReport | str]:
+        """Yield a status every `interval` s, and each line of the daemon's log. NoDaemonError if the daemon ends."""
         self.ask("watch", interval=interval)
         while True:
             event = self._receive(max(_TIMEOUTS["watch"], 3.0 * interval))
-            yield self._status(event) if event.get("event") == "status" else event
+            yield self._status(event) if event.pop("event", None) == "status" else str(event.get("text", ""))
 
-    def _status(self, status: dict[str, Any]) -> dict[str, Any]:
-        """Return the status, if each value has its type."""
-        if (wrong := misfit(status)) is not None:
+    def _status(self, reply: dict[str, Any]) -> StatusReport:
+        try:
+            return StatusReport.read(reply)
+        except ControlError as e:
             self.close()
             raise NoDaemonError(
-                f"{self._path}: the answer is no status of spheremouse ({printable(wrong)}); if the "
+                f"{self._path}: the answer is no status of spheremouse ({printable(str(e))}); if the "
                 "daemon has another version, restart it"
-            )
-        return status
+            ) from None
 
     def _exchange(self, message: dict[str, Any], timeout: float) -> dict[str, Any]:
         line = json.dumps(message).encode() + b"\n"

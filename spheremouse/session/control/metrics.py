@@ -10,27 +10,30 @@ import socketserver
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 from typing import Any, Self
 
 from spheremouse.errors import ControlError, one_line
-from spheremouse.session.control.status import STATES
+from spheremouse.session.control.status import STATES, OutputStatus, PoseStatus, Quantiles, SourceStatus, StatusReport
 from spheremouse.session.process.threads import begin
 
 _REST = 0.05  # s after each request
 _STALLED = 2.0  # s in which a client must send or take its next bytes
 _POLL = 0.2  # s between two checks whether to end
 
-Status = dict[str, Any]
-Samples = list[tuple[dict[str, str], Any]]  # labels, value or None
+Samples = Sequence[tuple[dict[str, str], float | None]]  # labels, value
 
 
 class MetricsServer:
     """Answers `GET /metrics` in a thread of its own until `close`."""
 
     def __init__(
-        self, port: int, address: str, status: Callable[[], Status], log: Callable[[str], None] = lambda line: None
+        self,
+        port: int,
+        address: str,
+        status: Callable[[], StatusReport],
+        log: Callable[[str], None] = lambda line: None,
     ) -> None:
         """`status` is called in the server's thread."""
         try:
@@ -103,7 +106,7 @@ class _Server(http.server.HTTPServer):
 
 
 class _Collector:
-    def __init__(self, status: Callable[[], Status]) -> None:
+    def __init__(self, status: Callable[[], StatusReport]) -> None:
         self._status = status
         self._started: float | None = None
 
@@ -115,89 +118,74 @@ class _Collector:
         """Yield the metrics of the present status."""
         status = self._status()
         if self._started is None:  # computed once: a start time that varies looks like a restart
-            self._started = time.time() - float(status.get("uptime_s") or 0.0)
+            self._started = time.time() - (status.uptime_s or 0.0)
         yield from families(status, self._started)
 
 
-def families(status: Status, started: float) -> Iterator[Any]:
-    """Yield the metric families of a status (a `StatusReport` as a dict); `started` in s since 1970.
-
-    A value that is not known is left out.
-    """
+def families(status: StatusReport, started: float) -> Iterator[Any]:
+    """Yield the metric families of a status; `started` in s since 1970. A value that is not known is left out."""
     from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
 
-    kinds = {part: _kind(status.get(part)) for part in ("source", "output")}
-    yield InfoMetricFamily("spheremouse", "What runs.", {"version": str(status.get("version", "")), **kinds})
-    for families_of_a_kind, family in (
-        (_gauges(status, started), GaugeMetricFamily),
-        (_counters(status), CounterMetricFamily),
-    ):
-        for name, (text, samples) in families_of_a_kind.items():
+    kinds = {"source": _kind(status.source), "output": _kind(status.output)}
+    yield InfoMetricFamily("spheremouse", "What runs.", {"version": status.version or "", **kinds})
+    for metrics, family in ((_gauges(status, started), GaugeMetricFamily), (_counters(status), CounterMetricFamily)):
+        for name, text, samples in metrics:
             made = family(f"spheremouse_{name}", text, labels=list(samples[0][0]) if samples else [])
             for labels, value in samples:
-                if isinstance(value, int | float):
+                if value is not None:
                     made.add_metric(list(labels.values()), float(value))
             yield made
 
 
-def _counters(status: Status) -> dict[str, tuple[str, Samples]]:
-    keys = {
-        "not_tracked_seconds": ("unseen_s", "Time since the start without tracking."),
-        "lost": ("lost_count", "Number of times that the ball was lost."),
-        "camera_restarts": ("camera_restarts", "Number of times that the camera was reopened."),
-        "frames": ("frames", "Frames that were processed."),
-        "skipped_frames": ("skipped", "Frames that a newer one replaced."),
-        "dropped_frames": ("dropped", "Frames that the driver did not deliver."),
-        "damaged_frames": ("damaged", "Frames that could not be decoded."),
-    }
-    reports = (status.get("output") or {}).get("reports")
-    found: dict[str, tuple[str, Samples]] = {
-        name: (text, [({}, status.get(key))]) for name, (key, text) in keys.items()
-    }
-    return {**found, "reports": ("Reports sent.", [({}, reports)])}
+def _counters(s: StatusReport) -> Iterator[tuple[str, str, Samples]]:
+    output = s.output or OutputStatus()
+    for name, text, value in (
+        ("not_tracked_seconds", "Time since the start without tracking.", s.unseen_s),
+        ("lost", "Number of times that the ball was lost.", s.lost_count),
+        ("camera_restarts", "Number of times that the camera was reopened.", s.camera_restarts),
+        ("frames", "Frames that were processed.", s.frames),
+        ("skipped_frames", "Frames that a newer one replaced.", s.skipped),
+        ("dropped_frames", "Frames that the driver did not deliver.", s.dropped),
+        ("damaged_frames", "Frames that could not be decoded.", s.damaged),
+        ("reports", "Reports sent.", output.reports),
+    ):
+        yield name, text, [({}, value)]
 
 
-def _gauges(status: Status, started: float) -> dict[str, tuple[str, Samples]]:
-    output, memory = status.get("output") or {}, status.get("memory_mb")
-    stages = (status.get("stages_ms") or {}).items()
-    discs = {"used": "discs", "seen": "discs_seen", "known": "discs_known"}
-    unsent = zip(("x", "y", "third"), output.get("unsent") or (), strict=False)
-    return {
-        "start_time_seconds": ("Start time of the daemon, since 1970.", [({}, started)]),
-        "state": (
-            "1 for the present state, else 0.",
-            [({"state": s}, float(s == status.get("state"))) for s in STATES],
-        ),
-        "state_age_seconds": ("Time in this state.", [({}, status.get("since_s"))]),
-        "frames_per_second": ("Rate of the processed frames.", [({}, status.get("fps"))]),
-        "latency_seconds": (
-            "From a frame's stamp to its motion sent, of the last frames; quantile 1 is the longest.",
-            _quantiles(status.get("latency_ms"), {}),
-        ),
-        "stage_seconds": (
-            "Time that a stage takes, of the last frames.",
-            [q for stage, values in stages for q in _quantiles(values, {"stage": str(stage)})],
-        ),
-        "discs": ("Discs on the ball.", [({"kind": k}, status.get(name)) for k, name in discs.items()]),
-        "pose_age_seconds": ("Age of the camera's pose.", [({}, (status.get("pose") or {}).get("age_s"))]),
-        "output_failed": ("1 while motion cannot be sent.", [({}, float(output.get("failed") is not None))]),
-        "unsent_counts": (
-            "Sum of the counts that were not sent while paused or without output.",
-            [({"axis": axis}, value) for axis, value in unsent],
-        ),
-        "recording": ("1 while it records.", [({}, float(status.get("recording") is not None))]),
-        "resident_memory_bytes": ("Memory in use.", [({}, None if memory is None else 1e6 * memory)]),
-        "cpu_ratio": ("Share of one core in use.", [({}, status.get("cpu_share"))]),
-    }
+def _gauges(s: StatusReport, started: float) -> Iterator[tuple[str, str, Samples]]:
+    output, pose = s.output or OutputStatus(), s.pose or PoseStatus()
+    memory = None if s.memory_mb is None else 1e6 * s.memory_mb
+    for name, text, value in (
+        ("start_time_seconds", "Start time of the daemon, since 1970.", started),
+        ("state_age_seconds", "Time in this state.", s.since_s),
+        ("frames_per_second", "Rate of the processed frames.", s.fps),
+        ("pose_age_seconds", "Age of the camera's pose.", pose.age_s),
+        ("output_failed", "1 while motion cannot be sent.", output.failed is not None),
+        ("recording", "1 while it records.", s.recording is not None),
+        ("resident_memory_bytes", "Memory in use.", memory),
+        ("cpu_ratio", "Share of one core in use.", s.cpu_share),
+    ):
+        yield name, text, [({}, value)]
+    yield "state", "1 for the present state, else 0.", [({"state": state}, state == s.state) for state in STATES]
+    latency = "From a frame's stamp to its motion sent, of the last frames; quantile 1 is the longest."
+    yield "latency_seconds", latency, list(_quantiles(s.latency_ms, {}))
+    stages = [q for stage, ms in (s.stages_ms or {}).items() for q in _quantiles(ms, {"stage": stage})]
+    yield "stage_seconds", "Time that a stage takes, of the last frames.", stages
+    discs = {"used": s.discs, "seen": s.discs_seen, "known": s.discs_known}
+    yield "discs", "Discs on the ball.", [({"kind": kind}, n) for kind, n in discs.items()]
+    unsent = zip(("x", "y", "third"), output.unsent or (), strict=False)
+    counts = "Sum of the counts that were not sent while paused or without output."
+    yield "unsent_counts", counts, [({"axis": axis}, n) for axis, n in unsent]
 
 
-def _quantiles(values: Any, labels: dict[str, str]) -> Samples:
-    """Return quantiles in s from those in ms."""
-    known = values if isinstance(values, dict) else {}
-    names = {"0.5": "p50", "0.99": "p99", "1": "max"}
-    return [({**labels, "quantile": q}, 1e-3 * known[name]) for q, name in names.items() if known.get(name) is not None]
+def _quantiles(ms: Quantiles | None, labels: dict[str, str]) -> Iterator[tuple[dict[str, str], float]]:
+    """Yield quantiles in s."""
+    ms = ms or Quantiles()
+    for quantile, value in (("0.5", ms.p50), ("0.99", ms.p99), ("1", ms.max)):
+        if value is not None:
+            yield {**labels, "quantile": quantile}, 1e-3 * value
 
 
-def _kind(part: Any) -> str:
+def _kind(part: SourceStatus | OutputStatus | None) -> str:
     """Return the text before the colon: the rest may be a path."""
-    return str(part.get("spec") or "").partition(":")[0] if isinstance(part, dict) else ""
+    return ((part.spec if part else None) or "").partition(":")[0]

@@ -37,6 +37,7 @@ from spheremouse.session.control.protocol import (
 )
 from spheremouse.session.control.request_queue import PendingRequest
 from spheremouse.session.control.socket_file import socket_path
+from spheremouse.session.control.status import StatusReport
 from spheremouse.session.process.threads import begin
 from spheremouse.session.settings import ControlSettings, MetricsSettings
 
@@ -351,7 +352,7 @@ class Endpoints:
         self._server: ControlServer | None = None
         self._retry_at = 0.0  # s
 
-    def open(self, control: ControlSettings, metrics: MetricsSettings, status: Callable[[], dict[str, Any]]) -> None:
+    def open(self, control: ControlSettings, metrics: MetricsSettings, status: Callable[[], StatusReport]) -> None:
         """Open both. ControlError if a configured socket cannot be opened; other failures are logged."""
         try:
             self._listen(control)

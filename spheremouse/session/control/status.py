@@ -1,151 +1,173 @@
-"""The status report and its parts. A client checks the types of the values that it receives."""
+"""The status of a run: one record that the daemon builds and that its clients read.
 
-from typing import Annotated, Any, Literal
+Each value may be None, since an older daemon lacks it. Unknown keys of a later daemon are kept.
+"""
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from enum import StrEnum
+from typing import Annotated, Any, Self
 
-from spheremouse.errors import one_line
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
-State = Literal["starting", "no-camera", "searching-targets", "tracking", "lost", "paused", "failed-output"]
-STATES: tuple[str, ...] = State.__args__  # pyright: ignore[reportAttributeAccessIssue]
+from spheremouse.errors import ControlError, one_line
+
+
+class State(StrEnum):
+    """States of the daemon; motion is sent in `tracking` only."""
+
+    STARTING = "starting"
+    NO_CAMERA = "no-camera"
+    SEARCHING_TARGETS = "searching-targets"
+    TRACKING = "tracking"
+    LOST = "lost"
+    PAUSED = "paused"
+    FAILED_OUTPUT = "failed-output"
+
+
+STATES: tuple[str, ...] = tuple(State)
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError("Input should be text")
+    return value
+
+
+Text = Annotated[str, PlainValidator(_text)]  # names of files may have half a surrogate pair, which `str` rejects
+Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
+Counts = Annotated[list[int], Field(min_length=3, max_length=3)]  # x, y, third axis
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
-
-
-_Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
+    model_config = ConfigDict(extra="allow", strict=True, frozen=True)
 
 
 class Quantiles(_Part):
     """Times of the last frames, ms."""
 
-    p50: float
-    p99: float
+    p50: float | None = None
+    p99: float | None = None
     max: float | None = None
 
 
 class PoseStatus(_Part):
     """The camera's pose in `obj`."""
 
-    position_m: _Triple
-    sigma_mm: _Triple
-    sigma_deg: _Triple
-    age_s: float
+    position_m: Triple | None = None
+    sigma_mm: Triple | None = None
+    sigma_deg: Triple | None = None
+    age_s: float | None = None
 
 
 class TargetsStatus(_Part):
     """Codes of the targets while the camera's pose is unknown. `strangers` are seen and not in the rig."""
 
-    seen: list[str]
-    missing: list[str]
-    strangers: list[str]
+    seen: list[Text] | None = None
+    missing: list[Text] | None = None
+    strangers: list[Text] | None = None
 
 
 class MotionStatus(_Part):
     """The motion of the ball that points: right, down or towards the player, third axis; and in words."""
 
-    rate: _Triple
-    unit: Literal["°/s", "m/s"]
-    words: str
+    rate: Triple | None = None
+    unit: Text | None = None  # °/s or m/s
+    words: Text | None = None
 
 
 class BallStatus(_Part):
-    """A ball in a hand, in `cam`; None if its pose is unknown."""
+    """A ball in a hand, in `cam`; the numbers are None if its pose is unknown."""
 
-    name: str
-    state: Literal["searching", "tracking", "hidden", "lost"]
-    position_m: _Triple | None
-    angles_deg: _Triple | None
-    sigma_mm: _Triple | None
-    sigma_deg: _Triple | None
+    name: Text | None = None
+    state: Text | None = None  # searching, tracking, hidden, lost
+    position_m: Triple | None = None
+    angles_deg: Triple | None = None
+    sigma_mm: Triple | None = None
+    sigma_deg: Triple | None = None
 
 
 class OutputStatus(_Part):
     """The output."""
 
-    spec: str
-    left_out: str | None = None
-    failed: str | None
-    reports: int
-    unsent: list[int] = Field(min_length=3, max_length=3)
-    ahead: list[int] = Field(min_length=3, max_length=3)
+    spec: Text | None = None
+    left_out: Text | None = None
+    failed: Text | None = None
+    reports: int | None = None
+    unsent: Counts | None = None
+    ahead: Counts | None = None
 
 
 class SourceStatus(_Part):
     """The source of the frames."""
 
-    spec: str
-    description: str
+    spec: Text | None = None
+    description: Text | None = None
 
 
 class RecordingStatus(_Part):
     """The recording in progress."""
 
-    folder: str
-    frames: int
-    seconds: float
-    bytes: int
-    dropped: int
+    folder: Text | None = None
+    frames: int | None = None
+    seconds: float | None = None
+    bytes: int | None = None
+    dropped: int | None = None
 
 
-class StatusReport(_Part):
-    """The status. Later versions may add keys and remove none."""
+class TrackerStatus(_Part):
+    """The part of the status that the tracker's adapter fills."""
 
-    state: State
-    reason: str
-    since_s: float
-    fps: float | None
-    latency_ms: Quantiles | None
-    stages_ms: dict[str, Quantiles]
-    tracker: str = "so3"
-    discs: int | None
-    discs_seen: int | None
-    discs_known: int | None
-    frames: int
-    skipped: int
-    dropped: int
-    damaged: int
-    pose: PoseStatus | None
+    discs: int | None = None
+    discs_seen: int | None = None
+    discs_known: int | None = None
+    pose: PoseStatus | None = None
     targets: TargetsStatus | None = None
-    balls: list[BallStatus] | None = None
     motion: MotionStatus | None = None
-    counts: list[int] | None = Field(None, min_length=3, max_length=3)
-    output: OutputStatus
-    source: SourceStatus
-    unseen_s: float
-    lost_count: int
-    camera_restarts: int
-    uptime_s: float
-    version: str
-    pid: int
-    config: str | None
-    changes: list[str] = []
-    given: list[str] = []
-    rig: str | None
-    map: str | None
-    recording: RecordingStatus | None
-    memory_mb: float | None
-    cpu_share: float | None
-    scheduling: str
-    paused: bool
+    balls: list[BallStatus] | None = None
 
 
-def misfit(status: dict[str, Any]) -> str | None:
-    """Return the first value of a status that has the wrong type, in words; None if there is none.
+class StatusReport(TrackerStatus):
+    """The status. Its keys are described in docs/control.md."""
 
-    Missing and null values are allowed, since older versions lack some; unknown states, since later versions have more;
-    and file names that are not text.
-    """
-    try:
-        StatusReport.model_validate(status)
-    except ValidationError as e:
-        for error in e.errors(include_url=False):
-            place, value = error["loc"], error["input"]
-            unknown = error["type"] in ("missing", "string_unicode") or (
-                value is None and not isinstance(place[-1], int)
-            )
-            later = place == ("state",) and isinstance(value, str)
-            if not (unknown or later):
-                return f"{'.'.join(map(str, place))}: {one_line(error['msg'])}"
-    return None
+    state: Text | None = None  # of `State`, or of a later version
+    reason: Text | None = None
+    since_s: float | None = None
+    fps: float | None = None
+    latency_ms: Quantiles | None = None
+    stages_ms: dict[str, Quantiles] | None = None
+    tracker: Text | None = None
+    frames: int | None = None
+    skipped: int | None = None
+    dropped: int | None = None
+    damaged: int | None = None
+    counts: Counts | None = None
+    output: OutputStatus | None = None
+    source: SourceStatus | None = None
+    unseen_s: float | None = None
+    lost_count: int | None = None
+    camera_restarts: int | None = None
+    uptime_s: float | None = None
+    version: Text | None = None
+    pid: int | None = None
+    config: Text | None = None
+    changes: list[Text] | None = None
+    given: list[Text] | None = None
+    rig: Text | None = None
+    map: Text | None = None
+    recording: RecordingStatus | None = None
+    memory_mb: float | None = None
+    cpu_share: float | None = None
+    scheduling: Text | None = None
+    paused: bool | None = None
+
+    @classmethod
+    def read(cls, data: dict[str, Any]) -> Self:
+        """Return the status in a daemon's reply. ControlError names the first value of a wrong type."""
+        try:
+            return cls.model_validate(data)
+        except ValidationError as e:
+            error = e.errors(include_url=False)[0]
+            raise ControlError(f"{'.'.join(map(str, error['loc']))}: {one_line(error['msg'])}") from None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the status as plain data, without the values that were not given."""
+        return self.model_dump(exclude_unset=True)

@@ -16,6 +16,7 @@ from spheremouse.errors import ControlError, OutputError, SpheremouseError
 from spheremouse.output.pointer import Counts
 from spheremouse.session.control.protocol import Record, Snapshot, internal_error, refused
 from spheremouse.session.control.request_queue import PendingRequest
+from spheremouse.session.control.status import RecordingStatus
 from spheremouse.session.overlay.file import write_picture
 from spheremouse.session.overlay.pen import Image
 from spheremouse.session.process.threads import WorkerPool
@@ -184,15 +185,15 @@ class Archive:
 
         self._workers.do(RECORDING, lambda: self._answer(pending, finish))
 
-    def status(self) -> dict[str, Any] | None:
+    def status(self) -> RecordingStatus | None:
         """Return the status of the recording, from any thread."""
         recorder = self._recorder
         if recorder is None:
             return None
         s = recorder.status()
-        return {
-            "folder": str(s.folder), "frames": s.frames, "seconds": s.seconds, "bytes": s.bytes, "dropped": s.dropped,
-        }  # fmt: skip
+        return RecordingStatus(
+            folder=str(s.folder), frames=s.frames, seconds=s.seconds, bytes=s.bytes, dropped=s.dropped
+        )
 
     # ---- snapshots ----
 

@@ -5,7 +5,6 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -19,6 +18,7 @@ from spheremouse.output import Output, open_output
 from spheremouse.output import axes as axes_output
 from spheremouse.output.pointer import Counts
 from spheremouse.output.wand_mapping import WandMapping
+from spheremouse.session.control.status import BallStatus, TrackerStatus
 from spheremouse.session.directions import of_hand
 from spheremouse.session.offline import check_wand_frame
 from spheremouse.session.overlay.pen import Image, in_blocks
@@ -136,15 +136,15 @@ class WandAdapter:
         names = " and ".join(ball.name for ball in self.tracker.balls)
         answer(None, f"{names}: searched again")
 
-    def figures(self, seeing: bool) -> dict[str, Any]:
+    def tracker_status(self, seeing: bool) -> TrackerStatus:
         """Return the pose of each ball, and the motion of the one that points."""
-        none, poses = dict.fromkeys(("discs", "discs_seen", "discs_known", "pose", "targets", "motion")), self._poses
-        estimate = self._estimate
+        poses, estimate, motion = self._poses, self._estimate, None
         if seeing and estimate is not None and self.status is Status.TRACKING:
-            none["motion"] = of_hand(self._plan.configuration.wand.pointing).figures(estimate)
+            motion = of_hand(self._plan.configuration.wand.pointing).motion(estimate)
         if not seeing or not poses:
             poses = tuple(WandPose(b.name, None, None, None, Status.SEARCHING, None) for b in self.tracker.balls)
-        return {**none, "balls": [_figures(pose) for pose in poses]}
+        balls = [_ball_status(pose) for pose in poses]
+        return TrackerStatus(motion=motion, balls=balls)
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
         """Return a function that draws the overlay, black except around the balls unless `everything`."""
@@ -233,16 +233,16 @@ def _place(argument: str) -> str:
     return "-" if argument in ("", "-") else str(Path(argument).absolute())
 
 
-def _figures(pose: WandPose) -> dict[str, Any]:
-    """Return the status of a ball; the pose is null if it is not known."""
-    known: dict[str, Any] = dict.fromkeys(("position_m", "angles_deg", "sigma_mm", "sigma_deg"))
+def _ball_status(pose: WandPose) -> BallStatus:
+    hidden = pose.phase is Status.TRACKING and not pose.seen
+    state, axes = "hidden" if hidden else str(pose.phase), None
     if pose.position is not None and pose.rotation is not None and pose.covariance is not None:
         axes = six_axes(pose.position, pose.rotation, pose.covariance)
-        known = {
-            "position_m": axes.position.tolist(),
-            "angles_deg": np.degrees(axes.angles).tolist(),
-            "sigma_mm": (1e3 * axes.position_sigma).tolist(),
-            "sigma_deg": np.degrees(axes.angles_sigma).tolist(),
-        }
-    hidden = pose.phase is Status.TRACKING and not pose.seen
-    return {"name": pose.name, "state": "hidden" if hidden else str(pose.phase), **known}
+    return BallStatus(
+        name=pose.name,
+        state=state,
+        position_m=None if axes is None else axes.position.tolist(),
+        angles_deg=None if axes is None else np.degrees(axes.angles).tolist(),
+        sigma_mm=None if axes is None else (1e3 * axes.position_sigma).tolist(),
+        sigma_deg=None if axes is None else np.degrees(axes.angles_sigma).tolist(),
+    )

@@ -17,6 +17,7 @@ from spheremouse.commands.tray.link import Link
 from spheremouse.commands.tray.view import NO_DAEMON, SEPARATOR, STATES, Notices, View
 from spheremouse.session.control.protocol import refused
 from spheremouse.session.control.server import ControlServer
+from spheremouse.session.control.status import StatusReport
 from spheremouse.session.settings import ControlSettings
 
 GROUNDS = {"dark": 40, "light": 240}
@@ -80,7 +81,7 @@ statuses = st.fixed_dictionaries(
 @given(statuses, st.text(max_size=300))
 @example({"state": "\n", "recording": {}}, "\n")
 def test_tooltip_and_menu_are_short_printable_lines_for_any_status(status, note):
-    v = tray.view(status)
+    v = tray.view(StatusReport.read(status))
     assert v.connected
     tip, items = tray.tooltip(v), tray.menu(v, note)
     assert len(tip) <= 127
@@ -167,7 +168,6 @@ class Daemon:
 
     def __init__(self, path):
         self.path, self.state, self.asked, self.held = path, "tracking", [], []
-        self.server = None
 
     def __enter__(self):
         self.server = ControlServer(self.path, ControlSettings(), self.handle, lambda _: None)

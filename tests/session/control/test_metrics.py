@@ -14,7 +14,7 @@ import pytest
 
 from spheremouse.errors import ControlError
 from spheremouse.session.control import metrics
-from spheremouse.session.control.status import STATES
+from spheremouse.session.control.status import STATES, StatusReport
 from spheremouse.session.settings import MetricsSettings
 from tests.session.control.test_server import Daemon
 
@@ -31,13 +31,17 @@ def a_status():
     return {k: v for k, v in Daemon().status.items() if k != "ok"}
 
 
+def a_report():
+    return StatusReport.read(a_status())
+
+
 @pytest.fixture
 def scrape(monkeypatch):
     """Serves a status and reads it back: {(name, labels): value}, and the kind of each name."""
     monkeypatch.setattr(metrics, "_REST", 0.0)
 
     def read(status):
-        with serve(lambda: status) as server:
+        with serve(lambda: StatusReport.read(status)) as server:
             code, text = get(server)
         assert code == 200
         found = list(text_string_to_metric_families(text))
@@ -112,9 +116,8 @@ def test_a_failed_output_and_a_recording_show(scrape):
 
 def test_no_path_of_a_file_is_given_out(monkeypatch):
     monkeypatch.setattr(metrics, "_REST", 0.0)
-    status = a_status() | {"reason": "/home/somebody/secret"}
-    status["output"]["spec"] = "text:/home/somebody/log"
-    with serve(lambda: status) as server:
+    status = a_status() | {"reason": "/home/somebody/secret", "output": {"spec": "text:/home/somebody/log"}}
+    with serve(lambda: StatusReport.read(status)) as server:
         text = get(server)[1]
     assert "/" not in re.sub(r"^# .*", "", text, flags=re.M)
 
@@ -127,7 +130,7 @@ def test_names_and_units_follow_the_conventions(scrape):
         assert name.endswith("_total") == (kind == "counter")
         assert not re.search(r"_(ms|milliseconds|minutes|mb|megabytes|percent|mm)(_|$)", name)
     status = a_status()
-    assert all(len(f.documentation) > 5 for f in metrics.families(status, 0.0))
+    assert all(len(f.documentation) > 5 for f in metrics.families(StatusReport.read(status), 0.0))
 
 
 def test_a_restart_is_seen_and_none_is_imagined(monkeypatch):
@@ -139,11 +142,11 @@ def test_a_restart_is_seen_and_none_is_imagined(monkeypatch):
         assert found
         return found[1]
 
-    with serve(lambda: status) as server:
+    with serve(lambda: StatusReport.read(status)) as server:
         first = started(server)
         status["uptime_s"] += 0.01  # measured a little late
         assert started(server) == first
-    with serve(lambda: {**status, "uptime_s": 0.0}) as server:
+    with serve(lambda: StatusReport.read({**status, "uptime_s": 0.0})) as server:
         assert float(started(server)) > float(first)
 
 
@@ -197,10 +200,10 @@ def test_dashboard_and_alarms_ask_for_what_there_is(scrape):
 
 
 def test_it_listens_on_this_machine_by_default_and_on_ipv6():
-    with serve(a_status) as server:
+    with serve(a_report) as server:
         assert server.url.startswith("http://127.0.0.1:")
     if socket.has_ipv6:
-        with serve(a_status, "::1") as server:
+        with serve(a_report, "::1") as server:
             assert get(server)[0] == 200
 
 
@@ -210,7 +213,7 @@ def test_an_error_of_the_status_ends_one_request_and_is_logged(monkeypatch):
 
     def broken():
         if not statuses:
-            return a_status()
+            return a_report()
         statuses.clear()
         raise ValueError("as if")
 
@@ -224,7 +227,7 @@ def test_an_error_of_the_status_ends_one_request_and_is_logged(monkeypatch):
 def test_a_silent_client_is_dropped(monkeypatch):
     """It delays other clients by one timeout; it holds no thread."""
     monkeypatch.setattr(metrics, "_STALLED", 0.2)
-    with serve(a_status) as server:
+    with serve(a_report) as server:
         threads = threading.active_count()
         url = urllib.parse.urlsplit(server.url)
         crowd = [socket.create_connection((url.hostname, url.port), GENEROUS) for _ in range(5)]
@@ -240,12 +243,12 @@ def test_an_address_that_cannot_be_used_is_an_error_with_its_remedy():
     with contextlib.closing(socket.create_server(("127.0.0.1", 0))) as other:
         port = other.getsockname()[1]
         with pytest.raises(ControlError, match=rf"cannot listen at 127.0.0.1 port {port} \(Address already in use\)"):
-            metrics.MetricsServer(port, "127.0.0.1", a_status)
+            metrics.MetricsServer(port, "127.0.0.1", a_report)
     with pytest.raises(ControlError, match=r"metrics.address: 'localhost' is no IP address"):
-        serve(a_status, "localhost")
+        serve(a_report, "localhost")
 
 
 def test_without_the_library_the_message_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "prometheus_client", None)
     with pytest.raises(ControlError, match=r"pip install 'spheremouse\[metrics\]'"):
-        serve(a_status)
+        serve(a_report)

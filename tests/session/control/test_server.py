@@ -80,9 +80,8 @@ class Wire:
         self.socket.sendall(data if isinstance(data, bytes) else data.encode())
 
     def read(self):
-        """The next message; None at the end."""
-        line = self.lines.readline()
-        return json.loads(line) if line else None
+        """The next message."""
+        return json.loads(self.lines.readline())
 
     def ask(self, data):
         self.send(data)
@@ -150,11 +149,11 @@ class Daemon:
                 reply({"folder": folder + "bug-1", "frames": 512, "message": words})
             case protocol.Record(seconds=60.0, folder=name, everything=False):
                 words = f"{folder}{name}: recording the ball and the targets, 60 s at most"
-                reply({"folder": folder + name, "seconds": 60.0, "message": words})
+                reply({"folder": f"{folder}{name}", "seconds": 60.0, "message": words})
             case protocol.Snapshot(file=None):
                 raise ControlError("a snapshot is being written already; ask again when it is done")
             case protocol.Snapshot(file=name):
-                reply({"file": folder + name})
+                reply({"file": f"{folder}{name}"})
             case Request(command="status"):
                 reply(
                     {"state": "paused", "reason": "by `spheremouse ctl pause`; `resume` ends it"}
@@ -909,14 +908,14 @@ def test_the_client_says_what_is_wrong(path, serve):
 def test_a_file_whose_name_is_no_text_is_in_a_status(path):
     """Half a surrogate pair, as Python calls such a byte."""
     with ControlServer(path, ControlSettings(), lambda p: p.answer({"config": "caf\udce9.yaml"})):
-        assert Client(path).ask("status") == {"config": "caf\udce9.yaml"}
+        assert Client(path).status().config == "caf\udce9.yaml"
 
 
 def test_the_client_sees_the_daemon_end(path):
     server = ControlServer(path, ControlSettings(), answer)
     with Client(path) as client:
         events = client.watch(0.1)
-        assert next(events)["event"] == "status"
+        assert next(events) == StatusReport.read({"state": "tracking", "command": "status"})
         server.close()
         with pytest.raises(NoDaemonError, match="the daemon has ended"):
             for _ in events:
@@ -953,5 +952,5 @@ def test_the_client_believes_no_stranger(path, said, message):
     thread = threading.Thread(target=stranger)
     thread.start()
     with listener, pytest.raises(ControlError, match=message):
-        Client(path).ask("status")
+        Client(path).status()
     thread.join()
