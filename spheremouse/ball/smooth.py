@@ -1,0 +1,250 @@
+"""Fixed-interval smoother of the default filter: each state given all frames of a film, also the later ones.
+
+The smoother of Rauch, Tung and Striebel (1965) for rotation, rate and acceleration, with rotation errors on the left as
+in Barfoot 2017, section 7.2. The motion is that of the default filter. Its map, the camera's pose and the ball are the
+same in all frames. Thus their errors do not average out: each smoothed covariance keeps the part that they explain.
+
+A player pushes the ball and leaves it alone. So the density of the jerk differs from frame to frame. A filter for each
+level of the default filter (Magill 1965) gives the likelihood of its innovations. The levels are a Markov chain, and
+its posterior given all frames (Rabiner 1989, section III) gives the mean density.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from spheremouse.ball.filters import so3_match, so3_motion
+from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM
+from spheremouse.ball.filters.so3_settings import (
+    DWELL_S,
+    PERSISTENCE_S,
+    So3Settings,
+    prior_of_levels,
+    usual_acceleration,
+    variances,
+)
+from spheremouse.ball.filters.so3_state import PLACED, So3State, delays
+from spheremouse.ball.points import SpherePoints
+from spheremouse.geometry.rotation import Array, exp, left_jacobian, rotation_between
+from spheremouse.tracker import Estimate, Status
+
+_RIDGE = 1e-18  # rad²: parameters that are known exactly have no variance to invert
+_TURNING = np.ix_((0, 1, 2, 6, 7, 8), (0, 1, 2, 6, 7, 8))  # of an estimate's covariance: rotation and its rate
+
+
+class Observation(NamedTuple):
+    """Information of one frame alone about rotation, rate and acceleration, linear about the filter's estimate.
+
+    The errors are those of the default filter: rotation (3, rad, obj), rate (3, rad/s), acceleration (3, rad/s²). An
+    error x of the estimate has the log likelihood `score @ x - x @ information @ x / 2`.
+    """
+
+    estimate: Estimate
+    acceleration: Array  # (3,) rad/s², angular, obj
+    information: Array  # (9, 9); zero if the frame does not confirm the estimate
+    score: Array  # (9,)
+    shared: Array  # (6, 6) covariance of rotation and rate due to map, pose, ball and readout
+
+
+def observe(estimate: Estimate, state: So3State, points: SpherePoints, filter_: So3Filter) -> Observation:
+    """Return the information of a frame's `points` about the motion, given the filter's state and estimate after it.
+
+    The residuals have the covariance of the image noise and of each disc's place relative to the other discs. The
+    frame that starts a map shows the discs of that map.
+    """
+    J, score = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM)), np.zeros(KINEMATIC_DIM)
+    rows = state.used if estimate.confirmed else np.arange(len(points) if np.all(state.hits == 1) else 0)
+    if len(rows) and len(state.discs):
+        cosine = points.direction[rows] @ state.attitude @ state.discs.T
+        near = cosine.max(axis=1) > np.cos(filter_.disc_angle)
+        rows, columns = rows[near], cosine.argmax(axis=1)[near]
+        noise, by_ball = points.image_covariance / filter_.radius**2, points.dposition_dball
+        seen = points.direction, noise, delays(points, state), points.row, points.dposition_dpose, by_ball
+        exact = np.zeros_like(state.joint)
+        H, _, z, S = so3_match.innovation(*state.body, exact, rows, columns, 0.0, *seen, filter_.radius)
+        S[np.diag_indices(len(S))] += np.repeat(state.map_sigma()[columns] ** 2, 2)
+        weighted = np.linalg.solve(S, H).T
+        J, score = weighted @ H, weighted @ z
+    return Observation(estimate, state.acceleration, J, score, _shared(state.joint))
+
+
+def _shared(joint: Array) -> Array:
+    """Return the part of the covariance of rotation and rate, (6, 6), that the constant parameters explain."""
+    constant = joint[KINEMATIC_DIM:-CLONE_DIM, KINEMATIC_DIM:-CLONE_DIM]
+    cross = joint[:6, KINEMATIC_DIM:-CLONE_DIM]
+    return cross @ np.linalg.solve(constant + _RIDGE * np.eye(len(constant)), cross.T)
+
+
+class Motion(NamedTuple):
+    """Normal distribution of rotation, rate and acceleration."""
+
+    attitude: Array  # (3, 3) R_obj_ball
+    rate: Array  # (3,) rad/s, obj
+    acceleration: Array  # (3,) rad/s², obj
+    covariance: Array  # (9, 9) of the errors of `Observation`
+
+    def moved(self, x: Array, covariance: Array) -> "Motion":
+        """Return the distribution moved by the errors x, (9,), with another covariance."""
+        return Motion(exp(x[:3]) @ self.attitude, self.rate + x[3:6], self.acceleration + x[6:], covariance)
+
+    def to(self, attitude: Array, rate: Array, acceleration: Array) -> Array:
+        """Return the errors, (9,), that move the mean to another motion."""
+        turn = rotation_between(self.attitude, attitude)
+        return np.concatenate([turn, rate - self.rate, acceleration - self.acceleration])
+
+
+def smooth(observations: Iterable[Observation], settings: So3Settings) -> list[Estimate]:
+    """Return one estimate for each frame, in its order, given all frames.
+
+    Frames of a ball that is not tracked keep their estimate. They end an interval, and so does a clock that starts
+    again. Within an interval, frames without information are bridged.
+    """
+    result: list[Estimate] = []
+    for interval in _intervals(observations):
+        if interval[0].estimate.status is Status.TRACKING:
+            motions, gains = smooth_interval(interval, jerk_densities(interval, settings), settings)
+            result += _estimates(interval, motions, gains)
+        else:
+            result += [o.estimate for o in interval]
+    return result
+
+
+def _intervals(observations: Iterable[Observation]) -> list[list[Observation]]:
+    intervals: list[list[Observation]] = []
+    for observation in observations:
+        now = observation.estimate
+        before = intervals[-1][-1].estimate if intervals else None
+        found_again = now.confirmed and not now.increment_covariance.any()
+        if before is None or now.status is not before.status or now.stamp <= before.stamp or found_again:
+            intervals.append([])
+        intervals[-1].append(observation)
+    return intervals
+
+
+def jerk_densities(observations: Sequence[Observation], settings: So3Settings) -> Array:
+    """Return the mean density of the white jerk, (n - 1,) (rad/s³)² s per axis, between n frames of one interval."""
+    densities = _level_densities(settings)
+    likelihoods = []
+    for density in densities:
+        _, _, values = _filtered(observations, np.full(len(observations) - 1, density), settings)
+        likelihoods.append(values)
+    L = np.array(likelihoods).T
+    E = np.exp(L - L.max(axis=1, keepdims=True))
+    prior, dt = prior_of_levels(settings.levels), _steps(observations)
+    stay = np.exp(-dt / DWELL_S)
+    forward, backward = np.empty_like(E), np.ones_like(E)
+    forward[0] = prior * E[0]
+    for k in range(1, len(E)):
+        forward[k] = (stay[k - 1] * forward[k - 1] + (1.0 - stay[k - 1]) * prior) * E[k]
+        forward[k] /= forward[k].sum()
+    for k in range(len(E) - 2, -1, -1):
+        later = E[k + 1] * backward[k + 1]
+        backward[k] = stay[k] * later + (1.0 - stay[k]) * (prior @ later)
+        backward[k] /= backward[k].sum()
+    weights = forward * backward
+    return (weights / weights.sum(axis=1, keepdims=True) @ densities)[1:]
+
+
+def _level_densities(settings: So3Settings) -> Array:
+    """Return the jerk densities of the default filter's levels, (l,) (rad/s³)² s."""
+    return 2.0 * variances(settings.acceleration_sigma, settings.levels) / PERSISTENCE_S
+
+
+def _steps(observations: Sequence[Observation]) -> Array:
+    return np.diff([o.estimate.stamp for o in observations])
+
+
+def smooth_interval(
+    observations: Sequence[Observation], densities: Array, settings: So3Settings
+) -> tuple[list[Motion], list[Array]]:
+    """Return the smoothed motion at each of n frames, and the n - 1 gains, (9, 9), with white jerk of `densities`.
+
+    With prediction p and filtered motion f the recursion is, from the last frame back,
+    G = P_f F' P_p^-1, x = x_f + G (x' - x_p), P = P_f + G (P' - P_p) G', where a dash marks the frame after
+    (Rauch, Tung, Striebel 1965, eq. 3.30; on a manifold x' - x_p is the logarithm of the rotation between them).
+    The covariance of two successive states is P' G'.
+    """
+    filtered, predictions, _ = _filtered(observations, densities, settings)
+    motions, gains = [filtered[-1]], []
+    for before, (predicted, cross) in zip(filtered[-2::-1], predictions[::-1], strict=True):
+        after = motions[-1]
+        G = np.linalg.solve(predicted.covariance, cross).T
+        P = before.covariance + G @ (after.covariance - predicted.covariance) @ G.T
+        motions.append(before.moved(G @ predicted.to(*after[:3]), 0.5 * (P + P.T)))
+        gains.append(G)
+    return motions[::-1], gains[::-1]
+
+
+def _filtered(
+    observations: Sequence[Observation], densities: Array, settings: So3Settings
+) -> tuple[list[Motion], list[tuple[Motion, Array]], Array]:
+    """Return n filtered motions, the n - 1 predictions with F P, (9, 9), and the log likelihoods, (n,)."""
+    start = observations[0].estimate
+    sigma = np.repeat([PLACED, 2.5 * settings.start_rate_sigma, usual_acceleration(settings)], 3)
+    predicted = Motion(start.rotation, np.zeros(3), np.zeros(3), np.diag(sigma**2))
+    motions, predictions, likelihoods = [], [], np.empty(len(observations))
+    for k, observation in enumerate(observations):
+        if k:
+            dt = observation.estimate.stamp - observations[k - 1].estimate.stamp
+            predicted, cross = _predicted(motions[-1], dt, densities[k - 1])
+            predictions.append((predicted, cross))
+        motion, likelihoods[k] = _updated(predicted, observation)
+        motions.append(motion)
+    return motions, predictions, likelihoods
+
+
+def _predicted(motion: Motion, dt: float, density: float) -> tuple[Motion, Array]:
+    """Return the motion after `dt` s, and F P, (9, 9), by a copy of the state that stays (stochastic cloning)."""
+    fading = np.inf if dt <= 0.5 * PERSISTENCE_S else PERSISTENCE_S  # as the default filter predicts
+    twice = np.tile(motion.covariance, (2, 2))
+    attitude, rate, acceleration, P, _ = so3_motion.predict(*motion[:3], twice, dt, fading, density)
+    return Motion(attitude, rate, acceleration, P[:KINEMATIC_DIM, :KINEMATIC_DIM]), P[:KINEMATIC_DIM, KINEMATIC_DIM:]
+
+
+def _updated(prior: Motion, observation: Observation) -> tuple[Motion, float]:
+    """Return the motion given a frame, in information form, and its log likelihood up to a constant."""
+    J, estimate = observation.information, observation.estimate
+    d = prior.to(estimate.rotation, estimate.rate[:3], observation.acceleration)
+    A = np.eye(KINEMATIC_DIM) + J @ prior.covariance
+    P, v = np.linalg.solve(A.T, prior.covariance), observation.score + J @ d
+    P = 0.5 * (P + P.T)
+    square = d @ (J @ d + 2.0 * observation.score) - v @ P @ v
+    return prior.moved(P @ v, P), -0.5 * float(square + np.linalg.slogdet(A)[1])
+
+
+def _estimates(interval: Sequence[Observation], motions: Sequence[Motion], gains: Sequence[Array]) -> list[Estimate]:
+    """Return the estimates of one interval with their smoothed motions, and increments between the confirmed ones."""
+    result: list[Estimate] = []
+    last: int | None = None  # confirmed frame
+    cross = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))  # product of the gains since then
+    for k, (observation, motion) in enumerate(zip(interval, motions, strict=True)):
+        cross = cross @ gains[k - 1] if k else cross
+        rate, covariance = np.zeros(6), np.zeros((12, 12))
+        increment, increment_covariance = np.zeros(6), np.zeros((6, 6))
+        rate[:3], covariance[_TURNING] = motion.rate, motion.covariance[:6, :6] + observation.shared
+        if observation.estimate.confirmed:
+            if last is not None:
+                before = motions[last]
+                turn = rotation_between(before.attitude, motion.attitude)
+                increment[:3] = turn
+                increment_covariance[:3, :3] = _turn_covariance(turn, before.covariance, motion.covariance, cross)
+            last, cross = k, np.eye(KINEMATIC_DIM)
+        result.append(
+            observation.estimate._replace(
+                rotation=motion.attitude,
+                rate=rate,
+                covariance=covariance,
+                increment=increment,
+                increment_covariance=increment_covariance,
+            )
+        )
+    return result
+
+
+def _turn_covariance(turn: Array, before: Array, after: Array, gain: Array) -> Array:
+    """Return the covariance, (3, 3), of the rotation vector between two states; shared errors cancel."""
+    R, across = exp(turn), (gain @ after)[:3, :3]  # of the errors before and after
+    J = np.linalg.inv(left_jacobian(turn))
+    return J @ (after[:3, :3] - R @ across - (R @ across).T + R @ before[:3, :3] @ R.T) @ J.T
