@@ -16,6 +16,7 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import Epoch
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.evaluate.bound import MATCH, Bound, distances, measured, posterior_bound, semi_minor_axes
+from spheremouse.evaluate.scale import scale_and_drift
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, log
@@ -130,6 +131,7 @@ def report(
         "rate_rmse_deg_s": rate_rmse,
         "surface_speed_rmse_mm_s": per_axis(slip, "xy"),
         "surface_speed_r": correlation(speed, true_speed),
+        **path_statistics(run, motion),
         "mean_discs": mean_discs(run),
         "identified_from_frame": identified_from(run),
         "detection": detection,
@@ -159,18 +161,39 @@ def attitude_error(estimate: Array, truth: Array) -> Array:
     return log(estimate @ (truth @ M).transpose(0, 2, 1))
 
 
-def surface_speeds(run: Run, truth: Truth, radius: float) -> tuple[Array, Array]:
-    """Return the mouse's speed as sent and the true one, (k, 2) mm/s of ball surface each; `radius` m.
+def steps(run: Run, truth: Truth) -> tuple[Array, Array, Array]:
+    """Return the time step, (k,) s, and the sent and the true rotation, (k, 3) rad in `obj`, after a tracked frame.
 
-    There is one row for each tracked frame after another tracked frame. It has the rotation sent with the frame and the
-    true rotation of the ball, divided by the time step (Wittich 2017, section 4.1.1).
+    There is one row for each tracked frame after another tracked frame.
     """
     k = run.tracked
     k = k[np.isin(k - 1, k)]
-    dt = (run.stamp[k] - run.stamp[k - 1])[:, None]
     R = truth.attitude
-    made = log(R[run.frame[k]] @ R[run.frame[k - 1]].transpose(0, 2, 1))
-    return surface_travel(run.rotation[k], radius) / dt, surface_travel(made, radius) / dt
+    true = log(R[run.frame[k]] @ R[run.frame[k - 1]].transpose(0, 2, 1))
+    return run.stamp[k] - run.stamp[k - 1], run.rotation[k], true
+
+
+def surface_speeds(run: Run, truth: Truth, radius: float) -> tuple[Array, Array]:
+    """Return the mouse's speed as sent and the true one, (k, 2) mm/s of ball surface each, for `steps`; `radius` m.
+
+    Wittich 2017, section 4.1.1.
+    """
+    dt, sent, true = steps(run, truth)
+    return surface_travel(sent, radius) / dt[:, None], surface_travel(true, radius) / dt[:, None]
+
+
+def path_statistics(run: Run, truth: Truth | None) -> dict[str, dict[str, float | None]]:
+    """Return scale and drift (°/min) of the sent rotation about the axes of `obj`, with half widths of 95 % intervals.
+
+    See `scale`. All are None without truth, or if the ball was tracked for less than ten seconds.
+    """
+    found = None if truth is None else scale_and_drift(*steps(run, truth))
+    values = [np.full(3, np.nan)] * 4
+    if found is not None:
+        per_minute = 60.0 * np.rad2deg([found.drift, found.drift_width])
+        values = [found.scale, found.scale_width, *per_minute]
+    names = ("rotation_scale", "rotation_scale_ci95", "drift_deg_min", "drift_deg_min_ci95")
+    return {name: dict(zip("xyz", _numbers(v), strict=True)) for name, v in zip(names, values, strict=True)}
 
 
 def surface_travel(rotation: Array, radius: float) -> Array:

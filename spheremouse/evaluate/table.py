@@ -79,6 +79,23 @@ def consistency(result: dict[str, Any]) -> list[str]:
     return lines
 
 
+def path_notes(result: dict[str, Any]) -> list[str]:
+    """Return a line that gives the reason if scales or drifts are missing although the recording has a truth."""
+    scale, drift, name = result["rotation_scale"], result["drift_deg_min"], result["dataset"]
+    missing = [axis for axis, value in scale.items() if value is None]
+    if result["attitude_rmse_deg"]["combined"] is None:
+        return []
+    if len(missing) == 3 and drift["x"] is None:
+        return [f"{name}: no rotation scale and drift: they need ten seconds of tracking"]
+    lines = [
+        f"{name}: no rotation scale about {axis}: the ball did not turn about it, or only together with another axis"
+        for axis in missing
+    ]
+    if drift["x"] is None:
+        lines.append(f"{name}: no drift: the ball turned steadily, so that the scale contains it")
+    return lines
+
+
 def shown(value: float | None, form: str = ".3g") -> str:
     """Return a number formatted by `form`, or a dash for None."""
     return "–" if value is None else format(value, form)
@@ -119,6 +136,10 @@ _ROWS: tuple[tuple[str, Callable[[dict[str, Any]], str]], ...] = (
     ("rate RMSE, °/s", lambda r: _combined(r["rate_rmse_deg_s"])),
     ("surface speed RMSE, mm/s", lambda r: _combined(r["surface_speed_rmse_mm_s"])),
     ("surface speed, Pearson's r", lambda r: _combined(r["surface_speed_r"], ".4f")),
+    ("rotation scale about x y z", lambda r: axes(r["rotation_scale"], ".5f")),
+    ("  half its 95 % interval", lambda r: axes(r["rotation_scale_ci95"], ".5f")),
+    ("drift about x y z, °/min", lambda r: axes(r["drift_deg_min"], ".2f")),
+    ("  half its 95 % interval, °/min", lambda r: axes(r["drift_deg_min_ci95"], ".2f")),
     ("discs used per frame", lambda r: shown(r["mean_discs"])),
     ("recognised in the map from frame", lambda r: shown(r["identified_from_frame"], "d")),
     (f"recall of whole discs ≥ {MIN_AREA:g} px², %", lambda r: _percent(r, "recall")),

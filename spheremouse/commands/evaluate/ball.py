@@ -16,7 +16,7 @@ from spheremouse.commands.evaluate import Options, about
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.metrics import History, Reference, Run, report
 from spheremouse.evaluate.plot import plot_run
-from spheremouse.evaluate.table import ball_table, consistency
+from spheremouse.evaluate.table import ball_table, consistency, path_notes
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import Recording, open_dataset
 from spheremouse.files.dataset.frames import read_frames
@@ -60,7 +60,7 @@ def evaluate_balls(options: Options, out: Console, err: Console) -> tuple[list[d
             failed = True
     if results:
         out.print(ball_table(results, f"{tracker} with detector {settings.detector}, {options.pose} camera pose"))
-        for line in [line for result in results for line in consistency(result)]:
+        for line in [line for result in results for line in (*path_notes(result), *consistency(result))]:
             out.print(line, markup=False)
         for each in tracks:
             if each.recording.truth is None:

@@ -1,4 +1,5 @@
 """The measuring instrument: figures against hand-made errors, SciPy and a batch adjustment; the command's words."""
+# pyright: reportArgumentType=false, reportOptionalMemberAccess=false, reportCallIssue=false
 
 import json
 import math
@@ -38,7 +39,7 @@ from spheremouse.evaluate.metrics import (
     report,
     surface_speeds,
 )
-from spheremouse.evaluate.table import consistency
+from spheremouse.evaluate.table import consistency, path_notes
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.disc_map import save_map, saved_now
 from spheremouse.geometry.camera import InteriorOrientation, Pose
@@ -284,6 +285,10 @@ KEYS = {
     "rate_rmse_deg_s": ["x", "y", "z", "combined"],
     "surface_speed_rmse_mm_s": ["x", "y", "combined"],
     "surface_speed_r": ["x", "y", "combined"],
+    "rotation_scale": ["x", "y", "z"],
+    "rotation_scale_ci95": ["x", "y", "z"],
+    "drift_deg_min": ["x", "y", "z"],
+    "drift_deg_min_ci95": ["x", "y", "z"],
     "mean_discs": None,
     "identified_from_frame": None,
     "detection": DETECTION,
@@ -326,6 +331,23 @@ def test_report_has_the_keys_of_the_format_and_known_errors():
     assert result["detection"] == pytest.approx(dict(zip(DETECTION, (1.0, 0.0, off, 1.0, None, off), strict=True)))
     assert result["frame_us"]["median"] == pytest.approx(4000.0)
     assert result["stages_us"] == pytest.approx({"detect": 3000.0, "filter": 1000.0})
+
+
+def test_a_missing_scale_or_drift_has_its_reason():
+    n = 400
+    turned = Rotation.from_rotvec(np.cumsum(np.full((n, 3), [0.0, 0.02, 0.0]), axis=0)).as_matrix()
+    truth = Truth(np.arange(n) / 30.0, turned, np.full((n, 3), [0.0, 0.6, 0.0]))
+    result = figures(perfect_run(truth), Reference(truth))
+    assert result["rotation_scale"] == {"x": None, "y": pytest.approx(1.0), "z": None}
+    lines = path_notes(result)
+    assert [line.partition(":")[2].partition(":")[0].strip() for line in lines] == [
+        "no rotation scale about x",
+        "no rotation scale about z",
+        "no drift",
+    ]
+    short = figures(perfect_run(random_motion(60)), Reference(random_motion(60)))
+    assert path_notes(short) == ["d: no rotation scale and drift: they need ten seconds of tracking"]
+    assert path_notes(figures(perfect_run(truth), Reference())) == []
 
 
 def test_only_tracked_frames_count_and_frames_are_found_by_their_index():
