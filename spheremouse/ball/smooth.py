@@ -188,16 +188,19 @@ def _filtered(
     for k, observation in enumerate(observations):
         if k:
             dt = observation.estimate.stamp - observations[k - 1].estimate.stamp
-            predicted, cross = _predicted(motions[-1], dt, densities[k - 1])
+            predicted, cross = _predicted(motions[-1], dt, densities[k - 1], bool(observation.information.any()))
             predictions.append((predicted, cross))
         motion, likelihoods[k] = _updated(predicted, observation)
         motions.append(motion)
     return motions, predictions, likelihoods
 
 
-def _predicted(motion: Motion, dt: float, density: float) -> tuple[Motion, Array]:
-    """Return the motion after `dt` s, and F P, (9, 9), by a copy of the state that stays (stochastic cloning)."""
-    fading = np.inf if dt <= 0.5 * PERSISTENCE_S else PERSISTENCE_S  # as the default filter predicts
+def _predicted(motion: Motion, dt: float, density: float, informed: bool) -> tuple[Motion, Array]:
+    """Return the motion after `dt` s, and F P, (9, 9), by a copy of the state that stays (stochastic cloning).
+
+    Unless a frame soon corrects the acceleration, it fades (Singer 1970), as in the default filter.
+    """
+    fading = np.inf if informed and dt <= 0.5 * PERSISTENCE_S else PERSISTENCE_S
     twice = np.tile(motion.covariance, (2, 2))
     attitude, rate, acceleration, P, _ = so3_motion.predict(*motion[:3], twice, dt, fading, density)
     return Motion(attitude, rate, acceleration, P[:KINEMATIC_DIM, :KINEMATIC_DIM]), P[:KINEMATIC_DIM, KINEMATIC_DIM:]

@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.state import Epoch
+from spheremouse.ball.smooth import observe, smooth
+from spheremouse.ball.state import Epoch, Tracker, current
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.evaluate.bound import MATCH, Bound, distances, measured, posterior_bound, semi_minor_axes
 from spheremouse.evaluate.scale import scale_and_drift
@@ -70,6 +72,15 @@ class History:
     def add(self, epoch: Epoch) -> None:
         """Add a frame's results, without its image."""
         self.epochs.append(replace(epoch, frame=replace(epoch.frame, image=np.zeros((0, 0), np.uint8))))
+
+    def smoothed(self, tracker: Tracker[So3Filter]) -> "History":
+        """Return the history with the estimates of the fixed-interval smoother in place of the filter's."""
+        filters = [current(e.state, tracker).filter for e in self.epochs]
+        seen = [
+            observe(e.estimate, e.state.filter, e.state.points, f) for e, f in zip(self.epochs, filters, strict=True)
+        ]
+        estimates = smooth(seen, tracker.settings.so3)
+        return History([replace(e, estimate=s) for e, s in zip(self.epochs, estimates, strict=True)])
 
     def run(self) -> Run:
         """Return the results as arrays for the metrics."""

@@ -30,6 +30,7 @@ class Options:
     plot_file: Path | None
     balls: list[Path]
     runs: int
+    smooth: bool
 
 
 def evaluate(
@@ -59,6 +60,9 @@ def evaluate(
     brightness: Annotated[float, typer.Option(metavar="L", help="Add a constant, grey values.")] = 0.0,
     balls: Balls = None,
     runs: Annotated[int, typer.Option("--runs", metavar="N", help="Wand: runs with seeds 1 to N.")] = 1,
+    smooth: Annotated[
+        bool, typer.Option("--smooth", help="Add the estimates given all frames, also the later ones (so3).")
+    ] = False,
 ) -> None:
     """Track recordings and compare with their truth."""
     from spheremouse.calibrate.outputs import check_outputs
@@ -77,18 +81,18 @@ def evaluate(
     of_wand = tracker == "wand" or (tracker is None and all(is_wand(path) for path in datasets))
     if of_wand:
         others = {"--detector": detector, "--rig": rig_file, "--map": map_file, "--plot": plot_file}
-        others |= {"--noise": noise or None, "--brightness": brightness or None}
+        others |= {"--noise": noise or None, "--brightness": brightness or None, "--smooth": smooth or None}
         for name, value in others.items():
             if value is not None:
                 raise ConfigurationError(f"{name}: does not go with --tracker wand; leave it out")
     options = Options(
         *(datasets, assignments or [], tracker, detector, pose, config_file, rig_file, camera_file, map_file),
-        *(noise, brightness, plot_file, balls or [], runs),
+        *(noise, brightness, plot_file, balls or [], runs, smooth),
     )
     out, err = table_console(stderr=json_file == Path("-")), table_console(stderr=True)
     results, failed = (evaluate_wands if of_wand else evaluate_balls)(options, out, err)
     if json_file is not None and results:
-        write_json(json_file, results[0] if len(datasets) == 1 else results)
+        write_json(json_file, results[0] if len(datasets) == 1 and not smooth else results)
     if failed:
         raise typer.Exit(2)
 

@@ -27,6 +27,7 @@ from spheremouse.session.offline import initialise, track
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.events import degraded
 
+_FILTERED, _SMOOTHED = "", ", smoothed"  # suffixes of a recording's name in the report
 _NO_TRUTH = "no truth.csv: no errors are known; the table has the frames tracked, NIS and times"
 
 
@@ -51,10 +52,14 @@ def evaluate_balls(options: Options, out: Console, err: Console) -> tuple[list[d
         reference = Reference(recording.truth, recording.discs, recording.pose, recording.truth_directions)
         name, frames = recording.name, recording.frames
         try:
-            run, found = _run(each, settings, options, err)
-            results.append(report(run, reference, each.rig, dataset=name, tracker=tracker, frames=frames, found=found))
+            runs, found = _run(each, settings, options, err)
+            for kind, run in runs.items():
+                label = f"{name}{kind}"
+                results.append(
+                    report(run, reference, each.rig, dataset=label, tracker=tracker, frames=frames, found=found)
+                )
             if options.plot_file is not None:
-                _plot(run, recording, options.plot_file)
+                _plot(runs[_FILTERED], recording, options.plot_file)
         except SpheremouseError as e:
             terminal.error(about(recording.path, str(e)))
             failed = True
@@ -74,6 +79,8 @@ def _settings(options: Options) -> Settings:
     for key, value in (("tracker", options.tracker), ("detector", options.detector)):
         if value is not None:
             settings = config.override(settings, f"{key}={value}", label="--")
+    if options.smooth and settings.tracker != "so3":
+        raise ConfigurationError(f"--smooth: there is no smoother for {settings.tracker}; use so3, or leave it out")
     if settings.tracker == "wand":
         raise ConfigurationError("tracker: wand is for balls in a hand; --tracker so3 is for one in its frame")
     return settings
@@ -98,8 +105,11 @@ def _tracks(options: Options, settings: Settings) -> Iterator[_Track]:
         yield _Track(recording, rig, known)
 
 
-def _run(each: _Track, settings: Settings, options: Options, err: Console) -> tuple[Run, Pose | None]:
-    """Track a recording from its first frame. Also return the camera's pose if it was found from the images."""
+def _run(each: _Track, settings: Settings, options: Options, err: Console) -> tuple[dict[str, Run], Pose | None]:
+    """Track a recording from its first frame. Also return the camera's pose if it was found from the images.
+
+    The runs are named by a suffix for the report: that of the filter, and that of the smoother if it is asked for.
+    """
     recording, rig, known = each
     # numbered as the rows of the truth: a live camera also counts the frames that it dropped
     numbered = (replace(frame, sequence=i) for i, frame in enumerate(read_frames(recording)))
@@ -111,10 +121,14 @@ def _run(each: _Track, settings: Settings, options: Options, err: Console) -> tu
         for text in passed_over:
             err.print(f"{about(recording.path, text)} (first frames passed over)", markup=False)
         history = History()
-        for epoch in track(start.frames, build(rig, start.pose, settings), known):
+        tracker = build(rig, start.pose, settings)
+        for epoch in track(start.frames, tracker, known):
             history.add(epoch)
             progress.update(task, completed=epoch.frame.sequence + 1)
-    return history.run(), None if start.resection is None else start.pose
+    runs = {_FILTERED: history.run()}
+    if options.smooth:
+        runs[_SMOOTHED] = history.smoothed(tracker).run()
+    return runs, None if start.resection is None else start.pose
 
 
 def _plot(run: Run, recording: Recording, path: Path) -> None:

@@ -559,6 +559,15 @@ def test_json_to_stdout_is_only_json_and_a_list_for_several(run_command, filmed)
     assert both[0] == both[1]
 
 
+def test_the_smoothed_run_stands_beside_that_of_the_filter(run_command, filmed):
+    done = run_command(filmed, "--pose", "known", "--smooth", "--json", "-")
+    assert done.exit_code == 0, done.stderr
+    filtered, smoothed = json.loads(done.stdout)
+    assert (filtered["dataset"], smoothed["dataset"]) == ("short", "short, smoothed")
+    assert smoothed["detection"] == filtered["detection"]
+    assert smoothed["rate_rmse_deg_s"]["combined"] < 0.5 * filtered["rate_rmse_deg_s"]["combined"]
+
+
 def test_with_a_saved_map_the_first_frame_is_identified_and_the_map_stays_as_it_is(run_command, filmed, tmp_path):
     recording = open_dataset(filmed)
     d = recording.truth_directions
@@ -622,6 +631,7 @@ def test_without_truth_it_runs_all_the_same(run_command, filmed, tmp_path):
         (("--json", "nowhere/out.json"), "nowhere/out.json: there is no folder"),
         (("--map", "missing.yaml"), "missing.yaml"),
         (("--map", "missing.yaml", "--tracker", "ekf1"), "--map: tracker ekf1 keeps no map"),
+        (("--smooth", "--tracker", "ekf1"), "--smooth: there is no smoother for ekf1"),
         (("another", "--plot", "out.png"), "--plot"),
         (("missing",), "missing"),
     ],
