@@ -35,9 +35,10 @@ from spheremouse.geometry.rotation import Array
 _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
 
 
-def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
+def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = None) -> Tracker:
     """Build the tracker for a device and one camera pose.
 
+    Building a detector takes 20 ms. If that of `before` is of the same device, pose and settings, it is used again.
     Raises PoseError if the camera cannot see the ball: it is inside the ball, the ball is not in front of it, or the
     ball is outside the image.
     """
@@ -71,11 +72,22 @@ def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
     else:
         stage = ConstantDiscsFilter(settings.euler)
     detector: Detector
-    if settings.detector == "default":
+    if (
+        before is not None
+        and before.rig is rig
+        and before.pose is pose
+        and _detection(before.settings) == _detection(settings)
+    ):
+        detector = before.detector
+    elif settings.detector == "default":
         detector = disc_detector(settings.discs, rig, pose)
     else:
         detector = BlobDetector(settings.blobs)
     return Tracker(settings, rig, pose, detector, stage, method)
+
+
+def _detection(settings: Settings) -> tuple[Any, ...]:
+    return settings.detector, settings.discs, settings.blobs
 
 
 def colours_of(settings: Settings, before: Colours) -> Colours:

@@ -111,7 +111,8 @@ def with_pose(state: TrackState, frame: Frame, tracker: Tracker, pose: Pose) -> 
 
 def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tuple[TrackState, Tracker]:
     """Return state and tracker with other settings. Another kind of filter starts at the last attitude."""
-    anew = build(tracker.rig, current(state, tracker).pose, settings)
+    before = current(state, tracker)
+    anew = build(tracker.rig, before.pose, settings, before)
     if settings.tracker != tracker.settings.tracker:
         return begin(anew, state.filter.stamp, state.filter.attitude), anew
     others = tuple(h._replace(state=anew.filter.adopt(h.state, tracker.filter)) for h in state.alternatives)

@@ -1,9 +1,11 @@
-"""Read a new configuration in a thread of the pool, and apply it between two frames or refuse it as a whole.
+"""Apply a new configuration between two frames, or refuse it as a whole.
 
-The reloader reads a new one if one of its files has changed, and on `set` and `reload`. Only the worker calls its
-methods. Other threads may read the attributes.
+`set` changes the values in memory. If a value needs files, another device or other compiled code, and for `reload`, a
+thread of the pool reads all files. It does so too when one of them has changed. Only the worker calls the methods.
+Other threads may read the attributes.
 """
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +24,8 @@ from spheremouse.session.run_config import CommandLineOverrides, RunConfig, chec
 from spheremouse.session.setup import Setup
 from spheremouse.wand.settings import WandSettings
 
+# Sections and keys whose values name files or devices, or select compiled code.
+_READ_FILES = ("source", "output", "rig", "camera_file", "map", "wand.balls", "record.folder", "tracker", "detector")
 AT_START = ("control", "metrics", "realtime")  # settings that are read at the start only
 _OF_BALL = {"motion", *Settings.__dataclass_fields__} - {"tracker"}
 _UNREAD = {  # sections and keys that a tracker in use does not read
@@ -153,6 +157,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 READING = "reading"  # kind of the pool's work
+_MIN_READING_INTERVAL = 0.1  # s from one reading to the next, since reading holds the interpreter as tracking does
 
 Prepare = Callable[[RunConfig, list[str]], Callable[[], bool]]
 
@@ -177,6 +182,7 @@ class ConfigReloader:
         self.overrides, self.plan, self._setup, self._prepare = overrides, plan, setup, prepare
         self._workers, self._call, self._log = workers, call, log
         self._files = stamps_of(overrides, plan)
+        self._read_at = 0.0  # s, end of the last reading
 
     @property
     def outdated(self) -> bool:
@@ -187,7 +193,15 @@ class ConfigReloader:
         """Change parameters, KEY=VALUE. ControlError if one could not take effect."""
         check_settable(self.overrides, assignments)
         wanted = replace(self.overrides, changes=latest((*self.overrides.changes, *assignments)))
-        self._load(wanted, pending, assignments)
+        if not set(map(key_of, assignments)).isdisjoint(_READ_FILES):
+            self._load(wanted, pending, assignments)
+            return
+        configuration = self.plan.configuration
+        for assignment in assignments:
+            configuration = config.override(configuration, assignment, label="")
+        plan = replace(self.plan, configuration=configuration)
+        check_read(plan, assignments)
+        self._apply(wanted, plan, self._files, pending, assignments)
 
     def reload(self, pending: PendingRequest) -> None:
         """Read all files again, and drop the values of `set`."""
@@ -197,6 +211,7 @@ class ConfigReloader:
         before = self.plan
 
         def read() -> None:
+            time.sleep(max(0.0, self._read_at + _MIN_READING_INTERVAL - time.monotonic()))
             files = stamps_of(wanted, before)
             try:
                 plan = self._setup.planned(wanted, read_run_config(wanted))
@@ -211,6 +226,8 @@ class ConfigReloader:
             else:
                 self._call(lambda: pending.attempt(lambda: self._apply(wanted, plan, files, pending, assigned)))
                 return
+            finally:
+                self._read_at = time.monotonic()
             self._call(lambda: pending.attempt(lambda: self._not_applied(error, files, pending)))
 
         self._workers.do(READING, read)
@@ -249,7 +266,7 @@ class ConfigReloader:
         later = [name for name in changed if name in AT_START]
         if later:
             text += f" ({', '.join(later)}: from the next start on)"
-        text += "; the recording has ended, for it is of one configuration" if ended else ""
+        text += "; the recording has ended, since it holds one tracker configuration" if ended else ""
         if changed or not pending.quiet:
             self._log(text)
         pending.answer({"changed": changed, "values": exact, "message": text})

@@ -366,7 +366,7 @@ class Daemon:
             self._outputs.exchange_others(change.outputs[1:], plan.configuration.pointer)
 
         def apply() -> bool:
-            another = not {"tracker", "motion", "rig", "balls"}.isdisjoint(changed)
+            another = not {"tracker", "rig", "balls"}.isdisjoint(changed)
             ended = another and self._archive.configuration_changes()
             self._worker.adapter = change.apply()
             if "source" in changed:

@@ -681,6 +681,7 @@ def _try(world, command):
 
 
 def test_a_set_whose_client_has_disconnected_is_not_applied(hearing, monkeypatch):
+    """Of a setting whose value names a file."""
     world, read, hold, reading = hearing, loader_module.read_run_config, threading.Event(), threading.Event()
 
     def slowly(wanted):
@@ -689,7 +690,7 @@ def test_a_set_whose_client_has_disconnected_is_not_applied(hearing, monkeypatch
         return read(wanted)
 
     monkeypatch.setattr(loader_module, "read_run_config", slowly)
-    ask_and_disconnect(world, "set", reading.is_set, assignments=["motion.scale_y=3"])
+    ask_and_disconnect(world, "set", reading.is_set, assignments=["record.folder=a"])
     for _ in range(20):
         ask_and_disconnect(world, "set", assignments=["motion.scale_y=4"])
     hold.set()
@@ -787,13 +788,18 @@ def test_a_disk_that_is_full_ends_a_recording_and_nothing_else(playing, monkeypa
     assert world.state == "tracking"
 
 
-def test_a_configuration_that_changes_ends_the_recording_made_with_it(playing):
-    world = playing
+def test_a_set_reads_no_file_and_ends_a_recording_only_if_the_tracker_changes(playing, monkeypatch):
+    world, read = playing, []
+    monkeypatch.setattr(loader_module, "read_run_config", read.append)
     ask(world, "record", folder="first")
     world.until(lambda: (ask(world, "status")["recording"] or {}).get("frames", 0) > 3)
-    ask(world, "set", assignments=["motion.scale_x=2"])
+    assert ask(world, "set", assignments=["motion.scale_x=2", "pointer.rate=500"])["changed"] == ["motion", "pointer"]
+    assert ask(world, "status")["recording"] is not None
+    message = ask(world, "set", assignments=["so3.acceleration_sigma=30"])["message"]
+    assert message.endswith("; the recording has ended, since it holds one tracker configuration")
     world.until((world.folder / "recordings" / "first" / "scene.json").exists)
     assert ask(world, "status")["recording"] is None
+    assert read == []
 
 
 # ---- the service manager ----

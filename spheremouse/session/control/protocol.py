@@ -68,23 +68,23 @@ class Set(Request):
 class Record(Request):
     """Begin a recording, or end it. `folder` is a name in the daemon's folder of recordings, not a path."""
 
-    seconds: float | None = Field(None, gt=0, le=86400, description="leave it out for the configured length")
-    folder: Name | None = Field(None, description="leave it out and the daemon makes one of date and time")
-    everything: bool = Field(False, description="false keeps the ball and the targets only")
-    stop: bool = Field(False, description="true ends the recording that runs")
+    seconds: float | None = Field(default=None, gt=0, le=86400, description="leave it out for the configured length")
+    folder: Name | None = Field(default=None, description="leave it out and the daemon makes one of date and time")
+    everything: bool = Field(default=False, description="false keeps the ball and the targets only")
+    stop: bool = Field(default=False, description="true ends the recording that runs")
 
 
 class Snapshot(Request):
     """Write the next frame as a picture into the daemon's folder of recordings."""
 
-    file: Annotated[Name, AfterValidator(_picture_name)] | None = Field(None, description="such as bug-1.png")
-    everything: bool = Field(False, description="false keeps the ball and the targets only")
+    file: Annotated[Name, AfterValidator(_picture_name)] | None = Field(default=None, description="such as bug-1.png")
+    everything: bool = Field(default=False, description="false keeps the ball and the targets only")
 
 
 class Watch(Request):
     """Send the status every `interval` s, and each line that the daemon logs."""
 
-    interval: float = Field(1.0, ge=0.1, le=60.0, description="the default is 1 s")
+    interval: float = Field(default=1.0, ge=0.1, le=60.0, description="the default is 1 s")
 
 
 _REQUESTS: dict[str, type[Request]] = {

@@ -1,7 +1,6 @@
 """Requests and calls that wait for the worker's thread. Of each kind of request, one is under way at a time."""
 
 import threading
-import time
 import traceback
 from collections import deque
 from collections.abc import Callable
@@ -12,7 +11,6 @@ from spheremouse.errors import SpheremouseError
 from spheremouse.session.control.protocol import Record, Request, internal_error, refused
 
 MAX_WAITING = 8  # requests
-_LOAD_REST = 0.1  # s between two readings of the configuration, which hold the interpreter as tracking does
 
 _STOP = "record --stop"
 _ALREADY = {
@@ -68,7 +66,6 @@ class RequestQueue:
         self._lock = threading.Lock()
         self._waiting: list[PendingRequest] = []
         self._under_way: dict[str, PendingRequest] = {}  # by kind
-        self._load_at = 0.0  # s, of the next reading
 
     def call(self, action: Callable[[], None]) -> None:
         """Run an action in the worker's thread. From any thread and from signal handlers."""
@@ -98,7 +95,7 @@ class RequestQueue:
             return None
         with self._lock:
             self._waiting = [p for p in self._waiting if not p.cancelled]
-            pending = next((p for p in self._waiting if self._may_begin(p.kind)), None)
+            pending = next((p for p in self._waiting if p.kind not in self._under_way), None)
             if pending is not None:
                 self._waiting.remove(pending)
                 self._begin(pending)
@@ -119,9 +116,6 @@ class RequestQueue:
             self._begin(pending)
         pending.attempt(partial(handle, pending))
 
-    def _may_begin(self, kind: str) -> bool:
-        return kind not in self._under_way and (kind != "load" or time.monotonic() >= self._load_at)
-
     def _begin(self, pending: PendingRequest) -> None:
         self._under_way[pending.kind] = pending
         pending._finish = partial(self._end, pending)
@@ -131,8 +125,6 @@ class RequestQueue:
             if self._under_way.get(pending.kind) is not pending:  # a second answer
                 return
             del self._under_way[pending.kind]
-            if pending.kind == "load":
-                self._load_at = time.monotonic() + _LOAD_REST
         self._wake()
 
     def _guard(self, action: Callable[[], None]) -> None:

@@ -1,17 +1,13 @@
 """The queue of requests: one of a kind under way, few that wait, none whose client has disconnected."""
 
 import contextlib
-import time
 from functools import partial
-from itertools import pairwise
-from unittest import mock
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from spheremouse.errors import ControlError
-from spheremouse.session.control import request_queue
 from spheremouse.session.control.protocol import Record, Request, Set, Snapshot
 from spheremouse.session.control.request_queue import MAX_WAITING, PendingRequest, RequestQueue
 
@@ -23,8 +19,7 @@ REQUESTS = (RELOAD, REINIT, PAUSE, SET, RECORD, STOP, SNAPSHOT)
 
 
 @pytest.fixture
-def queue(monkeypatch):
-    monkeypatch.setattr(request_queue, "_LOAD_REST", 0.0)
+def queue():
     return RequestQueue(lambda: None, lambda line: None)
 
 
@@ -57,18 +52,6 @@ def test_set_and_reload_wait_for_each_other_and_other_kinds_do_not(queue):
     assert queue.take() is pending[1]
     pending[1].answer({})
     assert queue.take() is pending[3]
-
-
-def test_readings_of_the_configuration_leave_time_for_frames():
-    queue = RequestQueue(lambda: None, lambda line: None)
-    times = []
-    for _ in range(3):
-        pending, _ = put(queue, RELOAD)
-        while queue.take() is None:
-            time.sleep(0.001)
-        times.append(time.monotonic())
-        pending.answer({})
-    assert min(b - a for a, b in pairwise(times)) > 0.09
 
 
 def test_few_requests_wait_and_those_of_clients_that_disconnect_leave_room(queue):
@@ -121,11 +104,6 @@ steps = st.lists(
 
 @given(steps)
 def test_each_request_is_answered_once_unless_its_client_disconnects(steps):
-    with mock.patch.object(request_queue, "_LOAD_REST", 0.0):
-        _check_answers(steps)
-
-
-def _check_answers(steps):
     queue = RequestQueue(lambda: None, lambda line: None)
     requests, under_way = [], []
     for what, *more in steps:
