@@ -52,7 +52,7 @@ def observe(estimate: Estimate, state: So3State, points: SpherePoints, filter_: 
     """Return the information of a frame's `points` about the motion, given the filter's state and estimate after it.
 
     The residuals have the covariance of the image noise and of each disc's place relative to the other discs. The
-    frame that starts a map shows the discs of that map.
+    first frame of a map confirms no estimate, but its discs count, with residuals of zero.
     """
     J, score = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM)), np.zeros(KINEMATIC_DIM)
     rows = state.used if estimate.confirmed else np.arange(len(points) if np.all(state.hits == 1) else 0)
@@ -74,7 +74,8 @@ def _shared(joint: Array) -> Array:
     """Return the part of the covariance of rotation and rate, (6, 6), that the constant parameters explain."""
     constant = joint[KINEMATIC_DIM:-CLONE_DIM, KINEMATIC_DIM:-CLONE_DIM]
     cross = joint[:6, KINEMATIC_DIM:-CLONE_DIM]
-    return cross @ np.linalg.solve(constant + _RIDGE * np.eye(len(constant)), cross.T)
+    shared = cross @ np.linalg.solve(constant + _RIDGE * np.eye(len(constant)), cross.T)
+    return 0.5 * (shared + shared.T)
 
 
 class Motion(NamedTuple):
@@ -125,15 +126,11 @@ def _intervals(observations: Iterable[Observation]) -> list[list[Observation]]:
 
 def jerk_densities(observations: Sequence[Observation], settings: So3Settings) -> Array:
     """Return the mean density of the white jerk, (n - 1,) (rad/s³)² s per axis, between n frames of one interval."""
-    densities = _level_densities(settings)
-    likelihoods = []
-    for density in densities:
-        _, _, values = _filtered(observations, np.full(len(observations) - 1, density), settings)
-        likelihoods.append(values)
-    L = np.array(likelihoods).T
+    dt = np.diff([o.estimate.stamp for o in observations])
+    densities = 2.0 * variances(settings.acceleration_sigma, settings.levels) / PERSISTENCE_S
+    L = np.stack([_filtered(observations, np.full(len(dt), d), settings)[2] for d in densities], axis=1)
     E = np.exp(L - L.max(axis=1, keepdims=True))
-    prior, dt = prior_of_levels(settings.levels), _steps(observations)
-    stay = np.exp(-dt / DWELL_S)
+    prior, stay = prior_of_levels(settings.levels), np.exp(-dt / DWELL_S)
     forward, backward = np.empty_like(E), np.ones_like(E)
     forward[0] = prior * E[0]
     for k in range(1, len(E)):
@@ -145,15 +142,6 @@ def jerk_densities(observations: Sequence[Observation], settings: So3Settings) -
         backward[k] /= backward[k].sum()
     weights = forward * backward
     return (weights / weights.sum(axis=1, keepdims=True) @ densities)[1:]
-
-
-def _level_densities(settings: So3Settings) -> Array:
-    """Return the jerk densities of the default filter's levels, (l,) (rad/s³)² s."""
-    return 2.0 * variances(settings.acceleration_sigma, settings.levels) / PERSISTENCE_S
-
-
-def _steps(observations: Sequence[Observation]) -> Array:
-    return np.diff([o.estimate.stamp for o in observations])
 
 
 def smooth_interval(

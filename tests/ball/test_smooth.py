@@ -177,6 +177,8 @@ def test_a_loss_ends_an_interval():
         assert_allclose(ours.covariance, part.covariance)
     assert not smoothed[16].increment.any()
     assert smooth([], SETTINGS) == []
+    (alone,) = smooth(frames[:1], SETTINGS)  # a frame alone shows its attitude
+    assert np.linalg.norm(log(alone.rotation @ attitudes[0].T)) < 5.0 * SIGMA
 
 
 def test_a_ball_found_again_without_a_frame_of_loss_starts_an_interval():

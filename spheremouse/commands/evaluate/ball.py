@@ -108,7 +108,7 @@ def _tracks(options: Options, settings: Settings) -> Iterator[_Track]:
 def _run(each: _Track, settings: Settings, options: Options, err: Console) -> tuple[dict[str, Run], Pose | None]:
     """Track a recording from its first frame. Also return the camera's pose if it was found from the images.
 
-    The runs are named by a suffix for the report: that of the filter, and that of the smoother if it is asked for.
+    The runs have the suffix of the recording's name in the report as key. With `--smooth` there are two.
     """
     recording, rig, known = each
     # numbered as the rows of the truth: a live camera also counts the frames that it dropped
