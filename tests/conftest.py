@@ -25,9 +25,6 @@ hypothesis.settings.register_profile("untimed", deadline=None)  # machines are s
 hypothesis.settings.load_profile("untimed")
 
 
-# ---- what does not move in a film takes a second or two to render, and hundreds of films show the same ----
-
-
 def _shared(make, key_of, most=12):
     """`make`, asked once of what is alike; what it gave cannot be written to."""
     made = OrderedDict()

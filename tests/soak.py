@@ -88,9 +88,6 @@ class World(Protocol):
         ...
 
 
-# ---- from pictures ----
-
-
 class Pictures:
     """A film from rest to rest, played to its end, backwards to its beginning, and so on, with rests between."""
 
@@ -168,8 +165,6 @@ def _behind(hands: list[PlacedHand], image: NDArray[np.uint8]) -> NDArray[np.uin
     return image
 
 
-# ---- from detections ----
-
 _POINTS_RIG = Rig(
     InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0),
     Ball(0.6),
@@ -231,9 +226,6 @@ class Points:
     @staticmethod
     def _detected(uv: Array) -> Detections:
         return Detections(uv, np.tile(_SIGMA**2 * np.eye(2), (len(uv), 1, 1)), np.full(len(uv), 50.0))
-
-
-# ---- a session ----
 
 
 @dataclass

@@ -151,9 +151,6 @@ def test_what_cannot_be_done_is_said_and_leaves_nothing(tmp_path, wheels):
         assert entries(tmp_path) == []
 
 
-# ---- what is installed is what was meant ----
-
-
 def other_bytes(wheels):
     with (wheels / "spheremouse-1.9-py3-none-any.whl").open("ab") as f:
         f.write(b"more")
@@ -332,8 +329,6 @@ def test_a_folder_of_wheels_holds_what_is_locked_and_what_was_built_in_a_private
     for by in json.loads(in_use(tmp_path)):
         assert by == {"uid": os.getuid(), "private": True}
 
-
-# ---- folders of others ----
 
 as_root = pytest.mark.skipif(not ROOT, reason="only root can be misled")
 

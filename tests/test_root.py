@@ -144,9 +144,6 @@ def as_user(user, work):
     return os.waitpid(child, 0)[1] == 0
 
 
-# ---- `service install` and `uninstall` ----
-
-
 def test_the_installation_leaves_the_folders_of_the_services_user_alone(root, state, own, secret, linked):
     os.mkfifo(state / "x.yaml")
     own(state / "x.yaml")
@@ -216,9 +213,6 @@ def test_names_that_a_user_gave_do_not_steer_roots_terminal(root, state, planted
     said = install(root) + CliRunner().invoke(app, ["uninstall", "--root", str(root)]).output
     assert "\x1b" not in said
     assert "\nshadow" not in said
-
-
-# ---- every writer ----
 
 
 def append(path):
@@ -305,9 +299,6 @@ def test_the_path_of_a_stream_is_the_stream_and_never_replaced(root):
     with out.open("w") as file:
         subprocess.run([sys.executable, "-c", code], stdout=file, check=True, timeout=60)
     assert out.read_text() == "one\ntwo\nthree\n"
-
-
-# ---- folders that another may change ----
 
 
 def test_a_folder_may_be_changed_by_its_group_and_by_the_owner_of_a_link_to_it(root, own, nobody, no_sudo):

@@ -1,19 +1,12 @@
-"""Assignment against brute force; identification against random attitudes, symmetric maps and chance."""
-
-import json
-from itertools import combinations, permutations
+"""Identification of discs: random attitudes, symmetric maps, other balls and chance."""
 
 import numpy as np
 import pytest
 from conftest import directions
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from spheremouse.ball.associate import common_rotation, identify
-from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import exp, log
 
 CAMERA = np.array([0.0, 0.0, 1.0])
@@ -48,64 +41,18 @@ def error(result, R):
     return np.linalg.norm(log(result.rotation @ R.T))
 
 
-def outcomes(trials, sigma=SIGMA, known=None, risk=0.05, **more):
-    """Answers, and wrong ones, in so many random attitudes of 25 maps (or of one)."""
+def outcomes(trials, sigma=SIGMA, risk=0.05, **more):
+    """Return the numbers of answers and of wrong ones for random attitudes of 25 maps."""
     rng = np.random.default_rng(1)
     answers = wrong = 0
     for i in range(trials):
-        discs = directions(26, i % 25) if known is None else known
+        discs = directions(26, i % 25)
         R = Rotation.random(random_state=i).as_matrix()
         result = identified(seen(discs, R, rng, sigma=sigma, **more), discs, sigma, risk=risk)
         if result is not None:
             answers += 1
             wrong += error(result, R) > min(10 * sigma, 0.35)
     return answers, wrong
-
-
-# --- assignment ------------------------------------------------------------------------------------------------------
-
-
-def best_total(cost, gate):
-    """Least sum of costs where each of the shorter side's members may stay alone for `gate`, by trying everything."""
-    if cost.shape[0] > cost.shape[1]:
-        cost = cost.T
-    n, m = cost.shape
-    best = n * gate
-    for k in range(1, n + 1):
-        for rows in combinations(range(n), k):
-            for columns in permutations(range(m), k):
-                best = min(best, sum(cost[i, j] for i, j in zip(rows, columns, strict=True)) + (n - k) * gate)
-    return best
-
-
-costs = hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=4).flatmap(
-    lambda shape: hnp.arrays(float, shape, elements=st.one_of(st.floats(0.0, 10.0), st.just(np.inf)))
-)
-
-
-@settings(max_examples=150)
-@given(costs, st.floats(0.5, 8.0))
-def test_assignment_is_the_best_of_all(cost, gate):
-    rows, columns = assign(cost, gate)
-    assert len(set(rows)) == len(rows) == len(columns) == len(set(columns))
-    assert np.all(cost[rows, columns] < gate)
-    total = cost[rows, columns].sum() + (min(cost.shape) - len(rows)) * gate
-    assert_allclose(total, best_total(cost, gate), atol=1e-9)
-
-
-def test_nothing_to_assign():
-    for cost in (np.zeros((0, 3)), np.zeros((3, 0)), np.full((2, 2), 9.0), np.full((2, 2), np.inf)):
-        rows, columns = assign(cost, 5.0)
-        assert len(rows) == len(columns) == 0
-
-
-def test_a_cost_that_is_no_number_is_no_pair():
-    cost = np.array([[np.nan, 1.0], [np.nan, np.nan]])
-    rows, columns = assign(cost, 5.0)
-    assert list(zip(rows, columns, strict=True)) == [(0, 1)]
-
-
-# --- identification --------------------------------------------------------------------------------------------------
 
 
 def test_five_discs_are_found_and_never_mistaken():
@@ -122,20 +69,6 @@ def test_missing_and_spurious_points_make_it_silent_not_wrong():
     answers, wrong = outcomes(500, missing=0.5, spurious=5, risk=1e-3)
     assert answers > 0.5 * 500
     assert wrong == 0
-
-
-def test_the_reference_ball_is_found_among_static_lookalikes(far26):
-    discs = np.array(json.loads((far26 / "scene.json").read_text())["truth_disc_directions"])
-    answers, wrong = outcomes(300, known=discs, sigma=0.003, spurious=10, risk=1e-3)
-    assert answers > 0.97 * 300
-    assert wrong == 0
-
-
-@pytest.mark.parametrize(("degrees", "least", "most"), [(0.3, 0.98, 1.0), (2.0, 0.3, 0.7), (10.0, 0.0, 0.05)])
-def test_coarser_directions_are_refused_not_guessed(degrees, least, most):
-    answers, wrong = outcomes(250, np.deg2rad(degrees), most=5, spurious=1, risk=0.01)
-    assert least * 250 <= answers <= most * 250
-    assert wrong <= 1
 
 
 def test_an_identification_says_which_is_which():
@@ -155,64 +88,19 @@ def test_an_identification_says_which_is_which():
         assert_allclose(result.rotation @ result.rotation.T, np.eye(3), atol=1e-12)
 
 
-def test_small_photographs():
-    """Twenty dots, 3 degrees of noise, an eighth missing, a false one, the axis and sigma off."""
-    rng = np.random.default_rng(6)
-    sigma = np.deg2rad(3.0)
-    right = wrong = sure = 0
-    for i in range(200):
-        discs = directions(20, i % 25, least=0.35)
-        R = Rotation.random(random_state=i).as_matrix()
-        p = discs @ R.T
-        p = p[(p[:, 2] > 0.1) & (rng.random(20) > 0.12)]
-        p = np.concatenate([p + sigma * rng.normal(size=p.shape), anywhere(1, rng)])
-        p /= np.linalg.norm(p, axis=1, keepdims=True)
-        axis = CAMERA + np.deg2rad(3.0) * rng.normal(size=3)
-        result = identify(p, discs, sigma=sigma * (0.7, 1.0, 1.4)[i % 3], view_axis=axis / np.linalg.norm(axis))
-        if result is None:
-            continue
-        right += error(result, R) < 0.35
-        wrong += error(result, R) >= 0.35
-        sure += result.false_alarm < 1e-3
-    assert right > 0.88 * 200
-    assert wrong <= 2
-    assert sure > 0.6 * 200
-
-
-def test_random_directions_are_nothing():
+def test_another_ball_and_random_directions_are_not_identified():
     rng = np.random.default_rng(3)
-    found = sum(identified(anywhere(8, rng), directions(26, i % 10)) is not None for i in range(500))
-    assert found <= 10  # of 500, at a risk of a tenth
-
-
-def test_another_ball_is_nothing():
-    rng = np.random.default_rng(3)
-    found = 0
+    other = chance = 0
     for i in range(300):
         R = Rotation.random(random_state=i).as_matrix()
-        found += identified(seen(directions(26, i % 20), R, rng), directions(26, 100 + i % 20)) is not None
-    assert found <= 3
-
-
-def octahedron():
-    return np.concatenate([np.eye(3), -np.eye(3)])
+        other += identified(seen(directions(26, i % 20), R, rng), directions(26, 100 + i % 20)) is not None
+        chance += identified(anywhere(8, rng), directions(26, i % 10)) is not None
+    assert other <= 3
+    assert chance <= 6  # the risk is 5 %
 
 
 def cube():
     return np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3.0)
-
-
-def icosahedron():
-    g = (1 + np.sqrt(5)) / 2
-    v = [(0, a, b * g) for a in (-1, 1) for b in (-1, 1)]
-    v = np.array([np.roll(p, k) for p in v for k in range(3)], dtype=float)
-    return v / np.linalg.norm(v[0])
-
-
-def dodecahedron():
-    g = (1 + np.sqrt(5)) / 2
-    v = [np.roll((0, a / g, b * g), k) for a in (-1, 1) for b in (-1, 1) for k in range(3)]
-    return np.concatenate([cube(), np.array(v) / np.sqrt(3.0)])
 
 
 def ring():
@@ -227,7 +115,7 @@ def two_fold():
     return np.concatenate([half, half * [-1, -1, 1]])
 
 
-@pytest.mark.parametrize("layout", [cube, octahedron, icosahedron, dodecahedron, ring, two_fold])
+@pytest.mark.parametrize("layout", [cube, ring, two_fold])
 @pytest.mark.parametrize("degrees", [0.1, 3.0])
 def test_symmetric_layouts_are_ambiguous(layout, degrees):
     rng = np.random.default_rng(4)
@@ -340,9 +228,6 @@ def test_arguments_that_mean_nothing_are_refused_by_name(wrong, problem):
     plain = {"directions": np.eye(3), "map_directions": np.eye(3), "sigma": 0.01, "view_axis": CAMERA}
     with pytest.raises(ValueError, match=problem):
         identify(**(plain | wrong))
-
-
-# --- the first motion ------------------------------------------------------------------------------------------------
 
 
 def test_common_rotation_of_two_sights():

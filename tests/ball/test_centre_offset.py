@@ -2,22 +2,18 @@
 
 import numpy as np
 import pytest
+from ball_world import CAMERA, RIG, SIGMA, detected
 from conftest import directions
 from numpy.testing import assert_allclose
 
 from spheremouse.ball.centre_offset import OUT_OF_ROUND, KnownDiscs, averaged, fits, is_off, shift_of
-from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.points import intersect
-from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.settings import LossSettings
-from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import exp
 
-CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 POSE = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 2.35]))
-RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
 DISCS = directions(40, 3)
-SIGMA = 0.05  # px
 S = LossSettings().lifted
 
 
@@ -28,9 +24,7 @@ def found(shift, turn=(0.0, 0.0, 0.0), noise=0.0, rng=None, wrong=0, seen=None):
     if noise:
         uv = uv + noise * rng.normal(size=uv.shape)
     uv[:wrong] += [4.0, 1.0]
-    points = intersect(
-        Detections(uv, np.tile(SIGMA**2 * np.eye(2), (len(uv), 1, 1)), np.full(len(uv), 50.0)), RIG, POSE
-    )
+    points = intersect(detected(uv, None), RIG, POSE)
     variance = np.full(len(DISCS), 1e-8)
     return shift_of(points, np.zeros(len(points)), KnownDiscs(DISCS, variance, np.eye(3), np.zeros(3)), 0.6, 0.07)
 
@@ -89,8 +83,7 @@ def test_one_bad_frame_does_not_spoil_the_mean():
 def test_discs_seen_many_times_over_in_one_place_tell_no_shift():
     """Nothing tells a turn about the line of sight, and of such equations rounding makes some that have no solution."""
     for place in np.random.default_rng(0).uniform((200, 120), (440, 360), (100, 2)):
-        seen = Detections(np.tile(place, (9, 1)), np.tile(SIGMA**2 * np.eye(2), (9, 1, 1)), np.full(9, 50.0))
-        points = intersect(seen, RIG, POSE)
+        points = intersect(detected(np.tile(place, (9, 1)), None), RIG, POSE)
         discs = np.tile(points.direction[0], (9, 1))
         for variance in (0.0, 1e-8):
             out = shift_of(

@@ -73,14 +73,6 @@ def test_a_ball_of_any_colours_is_tracked_from_its_first_frame_on(pair):
         assert sum(coloured) <= 2  # the targets may ask for one, too
 
 
-@pairs
-def test_in_a_quarter_of_the_light_too(pair):
-    sim, frames = film(pair, seconds=1.0)
-    dim = [replace(m, frame=replace(m.frame, image=(0.25 * m.frame.image + 0.5).astype(np.uint8))) for m in frames]
-    states, *_ = run(sim, dim)
-    assert worst(states, frames) < np.radians(0.3)
-
-
 @pytest.mark.parametrize("pair", ["dark-white", "red-white", "red-blue"])
 def test_hands_at_first_do_not_decide(pair):
     """A blank sheet with spots of skin hides the ball for half a second; the colours are found when it is gone."""

@@ -57,18 +57,6 @@ def detections(uv, sigma=0.1):
     return Detections(np.asarray(uv, dtype=float), covariance.copy(), np.full(n, 100.0))
 
 
-def test_points_come_back_from_their_projections():
-    truth = places()
-    cosine = np.sum((truth - BALL.centre) * (POSE.position - truth), axis=1) / (
-        BALL.radius * np.linalg.norm(POSE.position - truth, axis=1)
-    )
-    assert_allclose(np.arccos(cosine), INCIDENCE, atol=1e-6)  # the places are what they say
-    points = intersect(detections(to_pixels(truth)), RIG, POSE)
-    assert_allclose(points.position, truth, atol=1e-9)
-    assert_allclose(points.direction, (truth - BALL.centre) / BALL.radius, atol=1e-9)
-    assert_array_equal(points.index, np.arange(5))
-
-
 @pytest.mark.parametrize("readout", [0.0, 0.03])
 def test_points_of_random_pixels_lie_on_ray_and_ball(readout):
     """Rays that miss are left out, and pixels without a ray. Truth is the distance of each ray from the centre."""

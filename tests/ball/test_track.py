@@ -102,9 +102,6 @@ def start(t, wait=0.0, rate=ROLL):
     return exp(rate * (t * t / 2.0 if t < 1.0 else t - 0.5))
 
 
-# --- ordinary use ----------------------------------------------------------------------------------------------------
-
-
 @trackers
 def test_a_still_ball_gives_no_counts(name):
     out = film(
@@ -130,10 +127,12 @@ def test_a_turning_ball_among_bolts(name):
     assert np.linalg.norm(used[:, None] - BOLTS, axis=2).min() > 2.0
 
 
-@trackers
-def test_the_sum_of_counts_is_the_integral_of_the_motion(name):
-    settings = Settings(tracker=name)
-    out = film(lambda t: start(t, 0.2), seconds(2.5), settings=settings, extra=BOLTS)
+@pytest.mark.parametrize(
+    ("name", "dropped"), [("so3", []), ("so3", [40, 41, 60, 67, 68, 69]), ("ekf1", []), ("ekf2", [])]
+)
+def test_the_sum_of_counts_is_the_integral_of_the_motion(name, dropped):
+    stamps = np.delete(seconds(2.5), dropped)
+    out = film(lambda t: start(t, 0.2), stamps, settings=Settings(tracker=name), extra=BOLTS)
     assert np.abs(out.counts.sum(axis=0) - MATRIX @ out.rotation.sum(axis=0)).max() <= 0.5 + 1e-9
     sent = np.eye(3)
     for m in out.estimates:
@@ -160,20 +159,6 @@ def test_the_covariance_of_a_motion_is_that_of_its_error():
     assert np.mean(rates) < 4.5  # a hand may push at any time: at a steady rate it is better than that
 
 
-@trackers
-def test_a_ball_that_is_found_again_begins_to_count_without_an_error(name):
-    """What it did unseen is in no motion, and nothing is claimed of it; the frames after that are as sure as others."""
-    out = film(start, seconds(5.0), hidden=[(2.0, 2.7)], settings=Settings(tracker=name))
-    k = next(k for k, m in enumerate(out.estimates) if m.confirmed and k > 2.7 / DT - 2)
-    assert (
-        np.linalg.norm(out.estimates[k].increment[:3]) < 1e-2
-    )  # so3: by its map; the others go on from the last attitude
-    if name == "so3":
-        assert not np.any(out.estimates[k].increment[:3])
-        assert not np.any(out.estimates[k].increment_covariance[:3])
-    assert np.all(np.diag(out.estimates[k + 2].increment_covariance)[:3] > 0.0)
-
-
 def test_the_motion_that_ends_learning_is_as_uncertain_as_what_was_told_before():
     """The frames are filtered again without the look-alikes: the attitude told by then knew nothing of that."""
     out = film(lambda t: start(t, 0.2), seconds(1.0), extra=BOLTS)
@@ -186,7 +171,7 @@ def test_the_motion_that_ends_learning_is_as_uncertain_as_what_was_told_before()
 @trackers
 def test_a_ball_first_seen_after_an_hour_is_where_it_is_seen(name):
     """Nothing was known of it before, and nothing is known less for having waited."""
-    stamps = np.concatenate([np.arange(0.0, 3600.0, 0.5), 3600.0 + seconds(1.0)])
+    stamps = np.concatenate([np.arange(0.0, 3600.0, 5.0), 3600.0 + seconds(1.0)])
     out = film(lambda _: np.eye(3), stamps, settings=Settings(tracker=name), hidden=[(0.0, 3600.0)], seed=8)
     assert out.states[-1].status is Status.TRACKING
     assert np.sqrt(np.trace(out.estimates[-1].increment_covariance[:3, :3])) < 1e-2
@@ -216,16 +201,6 @@ def test_a_long_rest_before_the_first_motion(rest):
     assert state.known_to_turn
 
 
-def test_dropped_frames_lose_no_motion():
-    t = np.delete(seconds(4.0), [40, 41, 60, 75, 76, 77, 90])
-    out = film(lambda t: start(t, 0.2), t, extra=BOLTS)
-    assert out.error.max() < 2e-3
-    assert np.abs(out.counts.sum(axis=0) - MATRIX @ (ROLL * (3.8 - DT - 0.5))).max() < 3.0
-
-
-# --- motion withheld ---
-
-
 def test_motion_that_is_withheld_for_long_is_told_once_and_so_is_its_release():
     out = film(start, seconds(4.0), hidden=[(1.1, 1.16), (1.5, 1.7), (2.5, 3.2)])
     last = 0.0
@@ -243,9 +218,6 @@ def test_motion_that_is_withheld_for_long_is_told_once_and_so_is_its_release():
     assert lost.why is Why.UNSEEN
 
 
-# --- loss and recovery -----------------------------------------------------------------------------------------------
-
-
 def test_lens_cap_lost_then_attitude_kept_and_no_jump():
     out = film(start, seconds(5.0), hidden=[(2.0, 2.7)], extra=BOLTS)
     assert [e.why for e in out.events if isinstance(e, BallLost)] == [Why.UNSEEN]
@@ -255,6 +227,9 @@ def test_lens_cap_lost_then_attitude_kept_and_no_jump():
     t = seconds(5.0)
     capped = (t >= 2.0) & (t < 2.7)
     assert not np.any(out.counts[capped])
+    k = next(k for k, m in enumerate(out.estimates) if m.confirmed and t[k] >= 2.7)
+    assert not np.any(out.estimates[k].increment_covariance[:3])  # the unseen motion is in no increment
+    assert np.all(np.diag(out.estimates[k + 2].increment_covariance)[:3] > 0.0)
     assert np.abs(out.counts).max() < 1.5 * np.abs(MATRIX @ ROLL * DT).max()  # unseen motion is not sent in one leap
     for state in out.states:
         assert max(state.filter.used, default=-1) < len(state.points)
@@ -285,7 +260,7 @@ def test_a_hand_that_hides_the_ball_and_stops_it(rate, hidden):
 
 
 @pytest.mark.parametrize("unseen", [[0.9, 0.2, 0.4], [-0.5, 0.3, 0.0], [0.0, 0.0, 1.5]])
-@pytest.mark.parametrize("gap", [0.15, 0.5, 2.0, 10.0, 100.0])
+@pytest.mark.parametrize("gap", [0.15, 0.5, 100.0])
 def test_a_stall_of_the_source_while_the_ball_turns_on(gap, unseen):
     """No frame for a while (a busy machine, suspend): the prediction over a long gap is a guess, not a measurement."""
     t = np.concatenate([seconds(2.5), 2.5 + gap + seconds(2.0)])
@@ -301,9 +276,6 @@ def test_a_stall_of_the_source_while_the_ball_turns_on(gap, unseen):
     if gap > SO3.loss.lost_after:
         assert any(isinstance(e, Recognised) for e in out.events)
         assert np.abs(out.counts).max() < 1.5 * np.abs(MATRIX @ ROLL * DT).max()
-
-
-# --- bad input -------------------------------------------------------------------------------------------------------
 
 
 @trackers
@@ -393,20 +365,12 @@ def test_pictures_of_nothing(detector, level):
 
 
 @trackers
-@pytest.mark.parametrize("n", [1, 2])
-def test_one_or_two_candidates_make_no_motion(name, n):
+@pytest.mark.parametrize("n", [1, 2, 4])
+def test_candidates_at_rest_make_no_motion(name, n):
     """Two fix the attitude, badly about the axis through them: noise, but nothing that goes anywhere."""
     out = film(lambda _: np.eye(3), seconds(1.0), settings=Settings(tracker=name), discs=DISCS[:0], extra=BOLTS[:n])
     assert np.abs(np.cumsum(out.counts, axis=0)).max() <= 2
-
-
-def test_bolts_alone_never_turn():
-    out = film(lambda _: np.eye(3), seconds(3.0), discs=DISCS[:0], extra=BOLTS)
-    assert not np.any(out.counts)
     assert not out.states[-1].known_to_turn
-
-
-# --- a camera that is pushed, a ball that is lifted, discs that come one at a time ------------------------------------
 
 
 def test_a_lifted_ball_is_reported_and_sends_next_to_nothing():
@@ -508,25 +472,13 @@ def _pushed(push, seconds, grey):
     return steps, attitudes, tracker, sim.changes[0].scene.pose
 
 
-def _never(*_):
-    return False
-
-
-def _always(*_):
-    return True
-
-
-def _unless_wanted(state, stamp):
-    return not wants_colour(state, stamp)
-
-
 @pytest.mark.parametrize(
     ("push", "grey"),
     [
-        ((2.0, 1.0, -2.0, 0.1, -0.2, 0.1), _always),
-        ((5.0, -40.0, 20.0, 3.0, -4.0, 1.0), _never),
-        ((5.0, -40.0, 20.0, 3.0, -4.0, 1.0), _unless_wanted),
-        ((0.6, 0.0, 0.0, 0.0, 0.03, 0.0), _unless_wanted),  # too little for correlation
+        ((2.0, 1.0, -2.0, 0.1, -0.2, 0.1), lambda *_: True),
+        ((5.0, -40.0, 20.0, 3.0, -4.0, 1.0), lambda *_: False),
+        ((5.0, -40.0, 20.0, 3.0, -4.0, 1.0), lambda state, stamp: not wants_colour(state, stamp)),
+        ((0.6, 0.0, 0.0, 0.0, 0.03, 0.0), lambda state, stamp: not wants_colour(state, stamp)),  # below correlation
     ],
 )
 def test_a_pushed_camera_is_found_again_without_a_jump(push, grey):
@@ -546,20 +498,6 @@ def test_a_pushed_camera_is_found_again_without_a_jump(push, grey):
     sent = np.cumsum(counts_of([s.estimate for s in steps], tracker.rig), axis=0)
     turns = [MATRIX @ log(b @ a.T) for a, b in pairwise(attitudes)]
     assert np.abs(sent[1:] - np.cumsum(turns, axis=0))[-1].max() < 4.0
-
-
-def test_colour_is_wanted_for_the_first_frame_and_while_the_camera_swings():
-    wanted = []
-
-    def asked(state, stamp):
-        wanted.append(wants_colour(state, stamp))
-        return not wanted[-1]
-
-    steps, *_ = _pushed((2.0, 1.0, -2.0, 0.1, -0.2, 0.1), 0.8, asked)
-    assert wanted[0]
-    away = [k for k, (s, *_) in enumerate(steps) if s.watch.away is not None or s.watch.asked]
-    assert away
-    assert {k for k, w in enumerate(wanted) if w} == {0, *(k + 1 for k in away)}
 
 
 def _rolled(frames, tracker, change):
@@ -607,9 +545,6 @@ def test_another_filter_begins_at_the_last_attitude():
     after, other = with_settings(state, tracker, replace(SO3, tracker="ekf2"))
     assert other.settings.tracker == "ekf2"
     assert_allclose(after.filter.attitude, state.filter.attitude, atol=1e-12)
-
-
-# --- the published trackers ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["ekf1", "ekf2"])

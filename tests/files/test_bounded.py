@@ -181,9 +181,6 @@ def test_nothing_is_simulated_that_could_not_be_read(text):
         parse_size(text, 64, "640x480")
 
 
-# ---- tables ----
-
-
 def test_no_more_of_a_table_is_read_than_the_scene_has_frames(folder):
     """Of a million rows for three frames, four are looked at: the fifth, which is no row, is not reached."""
     (folder / "stamps.csv").write_text("frame,t,sequence,colour\n" + "0,0,0,0\n" * 4 + "no row\n" * 1_000_000)
@@ -217,9 +214,6 @@ def test_a_table_whose_rows_do_not_end_is_refused(tmp_path, text, words):
     one_line(e, "t.csv", words)
 
 
-# ---- JSON ----
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -245,9 +239,6 @@ def test_frames_beyond_what_can_be_recorded_are_refused(folder):
         with pytest.raises(DatasetError) as e:
             open_dataset(folder)
         one_line(e, "scene.json", words)
-
-
-# ---- what is no file ----
 
 
 def readers(path):
@@ -314,9 +305,6 @@ def test_a_pipe_that_does_not_end_is_cut_off(tmp_path):
     thread.join(10.0)
 
 
-# ---- YAML ----
-
-
 def test_few_of_many_problems_are_looked_up_and_the_rest_counted(monkeypatch):
     """60,000 unknown keys took over a minute of difflib."""
     looked_up = set()
@@ -349,9 +337,6 @@ def test_a_number_that_python_would_not_show_is_one_line(number):
     with pytest.raises(ConfigurationError) as e:
         yaml_file.parse_document(f"schema: {number}\n", "x.yaml")
     one_line(e, "x.yaml:1: schema: ", "is not a number that can be read")
-
-
-# ---- replies ----
 
 
 @pytest.mark.parametrize(

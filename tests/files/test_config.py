@@ -346,9 +346,6 @@ def test_no_text_gets_past_as_anything_but_settings_or_a_configuration_error(tex
     assert all(line.startswith("text:") for line in message.splitlines())
 
 
-# ---- the program's own settings ----
-
-
 def test_the_settings_of_daily_use_are_thirty_and_are_written_with_their_defaults():
     text = config.dump_commented(Configuration(), Configuration.COMMON)
     assert config.loads(yaml_file.parse_document(text, "text"), Configuration) == Configuration()
@@ -372,9 +369,6 @@ def test_every_parameter_of_the_program_says_what_it_is():
     for name, metadata in found.items():
         assert metadata.get("unit"), name
         assert len(metadata.get("meaning", "")) > 5, name
-
-
-# ---- the commands ----
 
 
 @pytest.fixture
@@ -414,9 +408,6 @@ def test_check_and_show_print_problems_and_fail(run, tmp_path):
         result = run(*arguments)
         assert (result.exit_code, result.stdout, result.stderr) == (2, "", expected)
     assert run("show", "--set", "x=1").exit_code == 2
-
-
-# ---- values with more than one form ----
 
 
 def test_a_written_null_output_is_the_output_null_and_none_is_written_as_a_comment(tmp_path):

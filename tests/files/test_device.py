@@ -134,9 +134,6 @@ def test_the_reference_device_reads():
     assert [d.metres for d in device.distances] == [0.75, 0.65, 0.65, 0.749]
 
 
-# ---- lengths and boards of the command line ----
-
-
 @pytest.mark.parametrize("text", ["86mm", "86 mm", "8.6cm", "0.086m", ".086 m", "86.0MM", " 8.6e1mm "])
 def test_a_length_is_the_same_in_any_unit(text):
     assert parse_length(text) == 0.086

@@ -71,9 +71,6 @@ def refusal(tmp_path):
     return message
 
 
-# ---- there and back ----
-
-
 @settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), discs=st.integers(1, 12), thin=st.booleans())
 def test_a_saved_map_reads_back_the_same(tmp_path_factory, seed, discs, thin):
@@ -149,9 +146,6 @@ def test_names_and_date():
     assert age(now) == "just now"
     assert age(replace(now, saved=now.saved - timedelta(hours=5, minutes=10))) == "5 hours ago"
     assert age(replace(now, saved=now.saved - timedelta(days=400))) == "400 days ago"
-
-
-# ---- refused ----
 
 
 def test_a_missing_file_is_no_damaged_one(tmp_path):

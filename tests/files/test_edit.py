@@ -81,7 +81,6 @@ motion:
     # of the ball
     counts_per_mm: 1.0
 
-# ---- the camera ----
 # how it exposes
 camera:
     exposure_s: null

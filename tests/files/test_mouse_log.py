@@ -113,9 +113,6 @@ def test_a_log_is_there_whole_whatever_ends_it_and_replaces_nothing(tmp_path):
         pass
 
 
-# ---- which mouse ----
-
-
 @pytest.fixture
 def sysfs(tmp_path):
     """Two mice, a keyboard and a joystick, as the kernel lists them."""
@@ -161,9 +158,6 @@ def test_what_is_no_device_is_refused(tmp_path):
     (tmp_path / "event1").write_text("")
     with pytest.raises(SourceError, match="is it an event device"):
         Listener(Mouse(tmp_path / "event1", "x"))
-
-
-# ---- listening ----
 
 
 class Pipe:

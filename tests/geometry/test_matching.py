@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 from numpy.testing import assert_allclose
 from scipy.optimize import linear_sum_assignment
 
-from spheremouse.geometry.matching import match, mutual_nearest, suppress
+from spheremouse.geometry.matching import assign, match, mutual_nearest, suppress
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -22,6 +25,21 @@ def test_matching_maximises_the_total(seed):
     i, j = linear_sum_assignment(gain, maximize=True)
     assert_allclose(worth[rows, column[rows]].sum(), gain[i, j].sum(), atol=1e-12)
     assert np.all(worth[rows, column[rows]] > 0.0)
+
+
+costs = hnp.array_shapes(min_dims=2, max_dims=2, min_side=0, max_side=5).flatmap(
+    lambda shape: hnp.arrays(float, shape, elements=st.floats(0.0, 10.0) | st.sampled_from([np.inf, np.nan]))
+)
+
+
+@given(costs, st.floats(0.5, 8.0))
+def test_assignment_minimises_the_cost_if_each_row_may_stay_alone_for_the_gate(cost, gate):
+    rows, columns = assign(cost, gate)
+    assert len(set(rows)) == len(rows) == len(columns) == len(set(columns))
+    assert np.all(cost[rows, columns] < gate)
+    least = np.minimum(np.nan_to_num(cost, nan=np.inf), gate)
+    total = cost[rows, columns].sum() + (min(cost.shape) - len(rows)) * gate
+    assert_allclose(total, least[linear_sum_assignment(least)].sum(), atol=1e-9)
 
 
 def test_mutual_nearest_pairs_are_each_other_s_nearest():

@@ -65,8 +65,6 @@ def in_image(centre, shape, camera):
     return reduced_to_pixel(centre + circle @ np.linalg.cholesky(shape).T, camera)[0]
 
 
-# ---- motion ----
-
 PROFILES = {
     "thesis": thesis(),
     "roll": roll(3.0),
@@ -170,9 +168,6 @@ def test_the_ball_is_shown_from_all_sides_first():
     assert np.max(np.min(np.arccos(np.clip(anywhere @ seen.T, -1.0, 1.0)), axis=1)) < np.radians(60.0)
 
 
-# ---- scene ----
-
-
 def test_the_far_camera_is_that_of_the_reference_recording():
     expected = [[0, -1, 0, 0], [-1, 0, 0, 0], [0, 0, -1, 2.35], [0, 0, 0, 1]]
     assert np.allclose(default_scene().pose.matrix(), expected, atol=1e-12)
@@ -215,9 +210,6 @@ def test_the_rig_tells_no_truth():
     rig = default_scene().rig()
     assert rig.pose is None
     assert rig.disc_directions is None
-
-
-# ---- caps ----
 
 
 def shown(scene):
@@ -311,9 +303,6 @@ def test_a_thin_disc_near_the_limb_is_covered_as_a_fine_grid_of_rays_says(render
     assert share.sum() == pytest.approx(total, rel=0.03)
     # a pixel's coverage counts at its centre: compare with the mean of the fine points within a tenth of a pixel
     assert np.allclose(np.array([u, v]) @ share / share.sum(), moment / total, atol=0.1)
-
-
-# ---- pictures ----
 
 
 def altered(renderer, options=None, **changes):
@@ -481,9 +470,6 @@ def test_a_lens_that_folds_back_leaves_the_corners_black():
     image = Renderer(scene).frame(still(), 0.0, 0, rng()).frame.image
     assert np.all(image[:4, :4] == 0)
     assert np.all(image[110:130, 150:170] > 60)
-
-
-# ---- events ----
 
 
 def scaled(view):
@@ -675,9 +661,6 @@ def test_events_are_written_with_the_truth(tmp_path):
     assert recording.frames == len(list(read_frames(recording))) == 4
 
 
-# ---- the whole ----
-
-
 def test_simulate_gives_the_frames_it_promises_and_the_same_again():
     simulation = prepare(SimulationOptions(size=(160, 120), noise=3.0, motion="play", seconds=0.5, fps=20.0, seed=9))
     first, again = list(simulate(simulation)), list(simulate(simulation))
@@ -736,9 +719,6 @@ def test_a_recording_has_a_sane_length():
         prepare(replace(longest, seconds=33334.0))
 
 
-# ---- on the command line ----
-
-
 def test_the_command_hands_its_options_on_and_counts_in_english(tmp_path, capsys):
     small_one = {"seconds": 0.03, "size": "64x48"}
     film(tmp_path / "one", discs=1, **small_one)
@@ -762,9 +742,6 @@ def test_lists_of_numbers_are_checked(tmp_path, option, text, message):
     with pytest.raises(ConfigurationError, match=f"^{message}"):
         film(tmp_path / "new", **{option: text})
     assert list(tmp_path.iterdir()) == []
-
-
-# ---- against the reference recording ----
 
 
 def reference(far26):

@@ -74,9 +74,6 @@ def rms(a):
     return float(np.sqrt(np.mean(np.square(a))))
 
 
-# ---- the board ----
-
-
 def pattern(board, camera, pose, uv):
     """Card and black, (n,) booleans, where single rays end: a lens with radial terms only is undone by a table."""
     k1, k2, p1, p2, k3 = camera.distortion
@@ -165,9 +162,6 @@ def test_the_boards_are_tilted_in_several_directions():
     assert {*quarter} == {-2.0, -1.0, 0.0, 1.0}
 
 
-# ---- the device ----
-
-
 def test_targets_are_found_where_they_are(evening, taken):
     rig, off = evening.scene.rig(), []
     for photo in of_kind(taken, "device/"):
@@ -248,8 +242,6 @@ def test_a_camera_looks_at_what_it_is_told_to_and_turns():
         # the camera turns clockwise, so that what is above leans to the left
         assert_allclose(np.arctan2(-up[0], -up[1]), turn, atol=1e-3)
 
-
-# ---- the folder ----
 
 KEYS = {
     *("made_by", "width", "height", "camera", "board", "ball", "disc_radius", "target_radii", "targets"),
@@ -353,9 +345,6 @@ def test_like_takes_ball_discs_and_targets_from_a_dataset(far26, monkeypatch):
     # R_obj_ball turns a direction in `ball` to `obj`
     expected = [scene["ball"]["radius"] * turned @ np.array(d) for d in scene["truth_disc_directions"]]
     assert_allclose(truth["discs_obj"], expected, atol=1e-12)
-
-
-# ---- refusals ----
 
 
 def test_nothing_that_is_there_is_lost(tmp_path):

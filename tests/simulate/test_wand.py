@@ -70,9 +70,6 @@ class Moving(Fixed):
         return c + np.atleast_1d(t)[:, None] * self.velocity, R
 
 
-# ---- paths ----
-
-
 @pytest.mark.parametrize("seed", [1, 7])
 def test_a_drive_is_that_of_the_thesis(seed):
     path = drive(rng(seed))
@@ -118,9 +115,6 @@ def test_a_hand_reaches_the_speeds_asked_for_and_no_more(speed, rate):
         assert np.degrees(np.max(turning_rates(R, 0.01))) == pytest.approx(rate, rel=0.02)
         assert np.max(np.abs(centre - path.middle)) < 0.16
         assert np.allclose(R @ R.transpose(0, 2, 1), np.eye(3), atol=1e-12)
-
-
-# ---- the ball ----
 
 
 def opencv_label(uv, centre, R, ball, camera):
@@ -210,9 +204,6 @@ def test_exposure_blurs_along_the_motion():
     assert np.sum(blurred.sum(axis=0) * u) / blurred.sum() == pytest.approx(200.0, abs=0.02)  # about mid-exposure
 
 
-# ---- the picture ----
-
-
 def coloured(image):
     """Masks of saturated red and blue by plain rules."""
     h, s, _ = (image_hsv.astype(int) for image_hsv in cv2.split(cv2.cvtColor(image, cv2.COLOR_BGR2HSV)))
@@ -297,9 +288,6 @@ def test_the_sun_leaves_glare_on_the_ball_and_the_room_does_not():
 
     assert all(whitest(outdoor_light(rng(seed))) > 0.005 for seed in range(5))
     assert whitest(indoor_light()) == 0.0
-
-
-# ---- films ----
 
 
 def test_a_film_repeats_and_another_seed_is_another():

@@ -170,9 +170,6 @@ def test_what_is_measured_is_no_more_than_two_pictures():
     assert np.sum((2.0 * seen.radius) ** 2) <= 2 * image.shape[0] * image.shape[1]
 
 
-# --- the pose --------------------------------------------------------------------------------------------------------
-
-
 def sightings(copies):
     """Targets of the default scene, and copies elsewhere in the picture."""
     scene, rng = default_scene(), np.random.default_rng(0)
@@ -204,9 +201,6 @@ def test_a_crowded_picture_is_why_targets_are_missing(crowded):
     with pytest.raises(PoseError) as refused:
         find_pose([view], default_scene().rig(), np.zeros((480, 640), np.uint8))
     assert ("cover or remove colourful objects, or narrow the hues" in str(refused.value)) == crowded
-
-
-# --- the worker ------------------------------------------------------------------------------------------------------
 
 
 class Elsewhere:

@@ -99,9 +99,6 @@ def test_a_grey_picture_says_the_same():
         assert why(**options).cause is why(**options, grey=True).cause
 
 
-# --- sharpness ---
-
-
 FINE = 8  # samples per pixel and axis
 
 

@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from spheremouse.ball.detect.fit import FitSettings, measure
-from spheremouse.ball.detect.fit_model import ellipse_of, noise_of, smoothing_kernel
+from spheremouse.ball.detect.fit_model import noise_of, smoothing_kernel
 from spheremouse.ball.detect.projection import GREY
 
 LENS = 0.4  # px of the whole picture, the blur of an ordinary lens
@@ -88,9 +88,6 @@ def off_centre(rng, n, minor, ratio, noise=0.3):
     return np.array(errors)
 
 
-# --- centre ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("minor", "ratio"),
     [(1.0, 1.0), (1.5, 1.3), (1.5, 4.0), (2.0, 2.0), (3.0, 2.5), (5.0, 1.6), (8.0, 1.0), (14.0, 1.6)],
@@ -160,9 +157,6 @@ def test_a_long_smear_on_a_sloped_shade_does_not_draw_the_centre():
     assert np.sqrt(np.mean(np.square(errors))) < 0.04
 
 
-# --- covariance ------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("a", "b", "noise", "most"),
     [(5.0, 4.0, 4.0, 1.45), (8.0, 7.0, 8.0, 1.45), (8.0, 7.0, 2.0, 2.5), (24.0, 21.0, 8.0, 2.5)],
@@ -185,51 +179,6 @@ def test_covariance_is_the_scatter(a, b, noise, most):
     expected = np.sqrt(np.diag(V.T @ np.mean(said, axis=0) @ V))
     assert np.all(expected > 0.8 * actual)
     assert np.all(expected < most * actual)
-
-
-# --- the model -------------------------------------------------------------------------------------------------------
-
-
-def model(side, shape, centre, size, blur, smear=(0.0, 0.0)):
-    """e, (side²,), of the pixels around the middle and its derivatives by centre and size, (3, side²)."""
-    x, y = np.meshgrid(np.arange(side) - side // 2, np.arange(side) - side // 2)
-    px, py = x.ravel().astype(np.float32), y.ravel().astype(np.float32)
-    q = np.linalg.inv(shape).astype(np.float32)
-    e, d = np.empty(side**2, np.float32), np.empty((3, side**2), np.float32)
-    cx, cy, s, b = (np.float32(v) for v in (*centre, size, blur))
-    ellipse_of(side**2, px, py, q[0, 0], q[0, 1], q[1, 1], cx, cy, s, b, np.array(smear), e, d)
-    return e, d
-
-
-@pytest.mark.parametrize(
-    ("a", "b", "limit"), [(1.0, 1.0, 0.01), (3.0, 3.0, 0.01), (8.0, 8.0, 0.01), (6.0, 5.0, 0.03), (9.0, 6.0, 0.06)]
-)
-def test_derivatives_of_the_ellipse_are_finite_differences(a, b, limit):
-    """By the centre they hold the scale of rho as it is: exact for circles, near enough for a step with others."""
-    shape, c, blur, h = ellipse(a, b, 0.8), np.array([0.2, -0.1]), 0.94, 0.01
-    _, d = model(29, shape, c, 1.0, blur)
-    for i, step in enumerate(h * np.eye(3)):
-        ends = [model(29, shape, c + s * step[:2], 1.0 + s * step[2], blur)[0].astype(float) for s in (1, -1)]
-        slope = (ends[0] - ends[1]) / (2.0 * h)
-        assert np.abs(slope).max() > 0.05
-        assert_allclose(d[i], slope, atol=(limit if i < 2 else 0.01) * np.abs(slope).max())
-
-
-@pytest.mark.parametrize(
-    ("a", "b", "limit"), [(3.0, 3.0, 0.08), (5.0, 4.0, 0.07), (8.0, 6.0, 0.06), (14.0, 13.0, 0.03)]
-)
-def test_the_ellipse_is_the_blurred_one(a, b, limit):
-    """Against subpixels, blurred. The rim counts as straight: the rounder the disc, the more that leaves out."""
-    shape, blur = ellipse(a, b, 0.8), 0.94
-    e, _ = model(41, shape, (0.2, -0.1), 1.0, blur)
-    x, y = blank(41)
-    fine = np.where(inside(x, y, (20.2, 19.9), shape), 1.0, 0.0)
-    truth = seen(fine, np.sqrt(blur**2 - 1.0 / 12.0))  # a pixel's own width is part of the blur
-    assert_allclose(e.reshape(41, 41), truth, atol=limit)
-    assert_allclose(e.sum(), truth.sum(), rtol=0.11)
-
-
-# --- what is a disc --------------------------------------------------------------------------------------------------
 
 
 def test_what_is_no_disc_is_refused():
@@ -263,9 +212,6 @@ def test_what_is_off_the_mask_or_off_the_picture_does_not_take_part():
     away = np.array([[-30.0, 10.0], [10.0, 1e6], [np.nan, 3.0], [39.0, 39.0]])
     assert not fits_of(image, away, shape, mask=mask).ok.any()
     assert len(fits_of(image, np.zeros((0, 2)), shape).ok) == 0
-
-
-# --- noise -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("sigma", [0.6, 1.0, 2.0, 4.0, 8.0])

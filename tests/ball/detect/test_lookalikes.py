@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from ball_world import DT, POSE, RIG, pixels
 
 from spheremouse.ball.detect.lookalikes import (
     MOVED_PX,
@@ -11,21 +12,10 @@ from spheremouse.ball.detect.lookalikes import (
     unmasked,
 )
 from spheremouse.ball.points import directions_at
-from spheremouse.ball.rig import Ball, Rig, Targets
-from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp
 
-CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
-POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
-NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
-RIG = Rig(CAMERA, Ball(0.6), NO_TARGETS, 0.02)
 FORGOTTEN_AFTER_S, MASK_LIFE_S = 1.0, 600.0
-DT = 1.0 / 30.0
 AXIS_Z = np.array([0.0, 0.0, 1.0])  # towards the camera
-
-
-def to_image(direction):
-    return project(POSE.to_cam(RIG.ball.radius * np.asarray(direction)), CAMERA)[0]
 
 
 def unit(*rows):
@@ -54,7 +44,7 @@ def film(attitudes, *, extra=BOLT, discs=DISCS, noise=0.05, believed=None, state
     state = state or StaticDistractors()
     out = []
     for k, R in enumerate(attitudes):
-        uv = np.concatenate([to_image(discs @ R.T), extra])
+        uv = np.concatenate([pixels(discs @ R.T), extra])
         uv = uv + noise * rng.normal(size=uv.shape)
         *verdict, state = look(state, uv, R if believed is None else believed[k], k * DT)
         out.append((*verdict, state))
@@ -72,7 +62,7 @@ def test_a_bolt_is_masked_as_soon_as_the_ball_has_turned_by_two_pixels_there():
     out = film(attitudes)
     first = next(k for k, (_, still, _, _) in enumerate(out) if still[-1])
     d = directions_at(BOLT, RIG, POSE)[0]
-    path = [np.linalg.norm(to_image(d @ R.T) - BOLT) for R in attitudes]
+    path = [np.linalg.norm(pixels(d @ R.T) - BOLT) for R in attitudes]
     crossing = next(k for k, p in enumerate(path) if p > MOVED_PX)
     assert crossing <= first <= crossing + 1
     assert not any(still[:-1].any() for _, still, _, _ in out)  # no disc, ever
@@ -116,9 +106,6 @@ def test_candidates_that_cannot_be_seen_again_are_forgotten():
     assert len(state.candidates.place) == len(DISCS) + 1
     *_, state = look(state, nothing, np.eye(3), FORGOTTEN_AFTER_S + 0.2)
     assert len(state.candidates.place) == 0
-
-
-# --- masks -----------------------------------------------------------------------------------------------------------
 
 
 def test_a_mask_lives_as_long_as_it_is_needed():

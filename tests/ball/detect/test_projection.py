@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from ray_cast import BALL, DISCS, INK, POSE, RIG, TRUTH, errors, match, ray_cast
 
 from spheremouse.ball.detect.detections import Detections
-from spheremouse.ball.detect.discs import DiscSettings, best_projection, disc_detector, information_of
+from spheremouse.ball.detect.discs import DiscSettings, best_projection, disc_detector
 from spheremouse.ball.detect.projection import (
     CANDIDATES,
     GREY,
@@ -35,9 +35,6 @@ def picture(pair, noise=4.0, seed=0, light=1.0, share=1.0):
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-# --- values ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("projection", CANDIDATES)
 def test_values_are_the_weighted_sum_of_the_channels(projection):
     image = np.random.default_rng(1).integers(0, 256, (20, 30, 3), dtype=np.uint8)
@@ -53,9 +50,6 @@ def test_a_grey_picture_is_taken_as_it_is_or_as_its_negative(projection, weight)
     image = np.random.default_rng(1).integers(0, 256, (20, 30), dtype=np.uint8)
     assert_array_equal(weights_of(projection, 1), [weight])
     assert_array_equal(projected(image, projection), image if weight > 0 else 255 - image)
-
-
-# --- Fisher ----------------------------------------------------------------------------------------------------------
 
 
 ON_BALL = np.full((240, 240), 255, np.uint8)
@@ -100,9 +94,6 @@ def test_two_discs_are_too_few_for_fisher_and_so_are_three_that_are_aslant():
     assert fisher_projection(image, ON_BALL, found.take(np.arange(3)), 18.0) is None
 
 
-# --- the choice ------------------------------------------------------------------------------------------------------
-
-
 @pairs
 @pytest.mark.parametrize(("light", "noise"), [(1.0, 4.0), (1.0, 0.7), (0.25, 1.5)])
 def test_the_projection_chosen_shows_every_disc(pair, light, noise):
@@ -145,15 +136,6 @@ def test_a_disc_or_two_in_view_are_enough(count):
     projection, told = best_projection(noisy, DETECTOR, GREY)
     assert len(match(DETECTOR.seeing(projection).detect(noisy), TRUTH[:count])) == count
     assert told > 0.05 * count
-
-
-def test_information_counts_discs_by_how_well_they_are_known():
-    known = Detections(np.zeros((3, 2)), np.array([1.0, 4.0, 100.0])[:, None, None] * 0.03**2 * np.eye(2), np.ones(3))
-    assert information_of(known, 0.03) == pytest.approx(1.0 + 1.0 / (1.0 + 16.0 * 3.0) + 1.0 / (1.0 + 16.0 * 99.0))
-    assert information_of(known.take(np.zeros(0, dtype=np.intp)), 0.03) == 0.0
-
-
-# --- settings --------------------------------------------------------------------------------------------------------
 
 
 def test_the_settings_fix_the_projection():

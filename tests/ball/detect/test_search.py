@@ -66,30 +66,6 @@ def distances(places, to):
     return np.linalg.norm(to[:, None] - places[None], axis=2).min(axis=1)
 
 
-# --- the lattice -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("scale", [1, 2])
-def test_four_lattices_cover_the_mask(scale):
-    """No pixel of the ball is further from a sample than half a diagonal of 2 px of the reduced picture."""
-    detector = FORM[scale]
-    f = detector.lattice.reduction
-    assert f == scale
-    free = np.full(detector.model.mask.shape, 255, np.uint8)
-    places_of_shifts = [samples.place for samples in detector.lattice.samples]
-    for places in places_of_shifts:
-        assert np.all(detector.model.mask[places[:, 1], places[:, 0]] == 255)
-        free[places[:, 1], places[:, 0]] = 0
-    count = sum(map(len, places_of_shifts))
-    assert count == np.count_nonzero(free == 0)  # none is looked at twice
-    off = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    inner = cv2.erode(detector.model.mask, np.ones((4 * f + 1, 4 * f + 1), np.uint8)) > 0
-    assert off[inner].max() <= np.sqrt(2.0) * f + 1e-6
-
-
-# --- discs -----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("scale", [1, 2])
 def test_every_disc_is_met_within_four_turns(scale):
     """Discs of 15 px² and more of the reduced picture, anywhere on the ball, at any subpixel place."""
@@ -155,9 +131,6 @@ def test_a_detector_measures_what_the_search_meets():
     assert distances(met, centres)[1:].max() < 0.3
     assert distances(met, centres)[0] > PLAIN.model.diameter
     assert len(state.rejected) == 0  # discs are none
-
-
-# --- what is no disc -------------------------------------------------------------------------------------------------
 
 
 def clutter(kind):
@@ -229,14 +202,6 @@ def test_a_place_that_is_none_is_put_off_for_twice_as_long_each_time():
     assert len(state.rejected) == 1
 
 
-def test_a_place_where_nothing_is_any_more_is_forgotten():
-    """When the next one comes: until then nobody is in the way."""
-    _, state = rejected_at(120, gone=10)
-    assert np.all(state.until <= state.turn)
-    far = np.array([[340.0, 200.0]])
-    assert_array_equal(update_rejections(state, far, 1).rejected, far)
-
-
 def test_a_rejected_place_hides_no_disc_beside_it():
     """What is two radii away from a bolt is another thing."""
     centres = np.array([[300.3, 250.6], [322.0, 251.0]])
@@ -256,9 +221,6 @@ def test_places_remembered_are_bounded():
     assert state.turn == 200
 
 
-# --- the limb --------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("room", "projection"), [(150.0, NEGATIVE), (10.0, GREY)])
 def test_the_limb_is_no_disc_and_discs_beside_it_are_met(room, projection):
     """Of a ball before a room that is as light, or as dark, as discs are: its blurred pixels are a ring, not a disc."""
@@ -275,22 +237,3 @@ def test_the_limb_is_no_disc_and_discs_beside_it_are_met(room, projection):
         centres = ray_cast.centre_of(shown, ray_cast.RIG, ray_cast.POSE)
         assert len(places) <= 2 + 2 * len(shown)  # four in each turn otherwise
         assert np.all(distances(places, centres) < 2.0)
-
-
-@pytest.mark.parametrize(
-    "lattice", [PLAIN.lattice, FORM[2].lattice, FORM[2].slivers], ids=["small", "large", "slivers"]
-)
-def test_along_the_limb_the_neighbours_are_as_deep(lattice):
-    detector = FORM[lattice.reduction]
-    depth = cv2.distanceTransform(detector.model.mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    f = lattice.reduction
-    d = 0.5 * detector.model.diameter + 2.5 * f
-    for samples in lattice.samples:
-        here = depth[samples.place[:, 1], samples.place[:, 0]]
-        near = here < d - f
-        assert np.all(samples.along[near].any(axis=2))
-        assert not np.any(samples.along[here > d + f])
-        u = samples.place[near][:, None] + samples.along[near]
-        assert np.abs(depth[u[..., 1], u[..., 0]] - here[near][:, None]).max() < 1.5 * f
-        length = np.linalg.norm(samples.along[near], axis=2)
-        assert np.all((length > 0.8 * d) & (length < 1.3 * d))

@@ -21,7 +21,6 @@ from so3_world import (
     draw,
     own_motion,
     points_at,
-    seen,
     settled,
     squared,
     white_jerk,
@@ -226,8 +225,6 @@ def test_update_with_considered_errors_is_the_batch_solution():
     assert_allclose(state.joint[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT], consider.considered)
 
 
-# --- rolling shutter -------------------------------------------------------------------------------------------------
-
 FLICK = 7.0 * np.array([1.0, 0.3, 0.5]) / np.linalg.norm([1.0, 0.3, 0.5])  # 400 deg/s
 SHUTTER = 0.03  # s, for all rows
 UNKNOWN = 0.015  # s, what is not known of it
@@ -290,17 +287,6 @@ def test_the_readout_is_learnt_from_play(shutter):
         assert state.readout_sigma < 2e-4
         assert abs(state.readout - shutter) < min(3.0 * state.readout_sigma, 5e-4)
     assert np.sqrt(np.mean(ours)) < 1.3 * np.sqrt(np.mean(theirs))
-
-
-def test_a_still_ball_teaches_nothing_of_the_readout():
-    rng = np.random.default_rng(35)
-    state = LEARNING.initial(0.0, np.eye(3))
-    p = seen(np.eye(3))
-    for k in range(600):
-        points = replace(points_at(p, rng=rng), row=-0.5 * p[:, 1])
-        state = LEARNING.update(LEARNING.predict(state, k * DT), points)
-    assert state.readout_sigma > 0.9 * UNKNOWN
-    assert abs(state.readout) < 0.1 * UNKNOWN
 
 
 def test_the_readout_is_as_certain_as_it_says():

@@ -26,9 +26,6 @@ def nine(camera):
     return np.concatenate([camera.intrinsic, camera.distortion])
 
 
-# ---- corners ----
-
-
 def test_corners_lie_where_the_board_projects():
     """Refined in the board's plane they are nearer than `cornerSubPix` leaves them."""
     rng = np.random.default_rng(1)
@@ -130,9 +127,6 @@ def test_a_charuco_board_tells_when_it_is_another():
     other = find_board(image, Pattern(9, 6, 0.03, 0.0225, "DICT_4X4_100"))
     assert len(other.ids) == 0
     assert detect_dictionary(image) == "DICT_5X5_50"  # the same markers as the first of DICT_5X5_100
-
-
-# ---- the adjustment ----
 
 
 def test_jacobian_is_the_finite_difference():

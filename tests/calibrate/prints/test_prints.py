@@ -69,9 +69,6 @@ def grey(picture):
     return cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
 
 
-# ---- scale ----
-
-
 @pytest.mark.parametrize("paper", PAPERS)
 def test_every_page_has_its_paper_s_size_and_two_rulers_of_100_mm(paper):
     square = largest_square(BOARD, paper)
@@ -99,9 +96,6 @@ def test_every_page_has_its_paper_s_size_and_two_rulers_of_100_mm(paper):
         boxes = np.array([box(p) for kind in ("fill", "line") for p in shapes(figure, kind)])
         assert boxes[:, :2].min() >= 5.0  # the printer's margin
         assert np.all(boxes[:, 2:] <= np.array([page.paper.width, page.paper.height]) - 5.0)
-
-
-# ---- targets and discs ----
 
 
 def test_targets_have_their_radii_and_the_tracker_reads_their_codes_where_they_are():
@@ -138,9 +132,6 @@ def test_discs_are_as_many_and_as_large_as_asked_for():
     assert_allclose(np.array(cut), black + np.array([-1.0, -1.0, 1.0, 1.0]))
     words = [t.get_text() for figure in figures for t in figure.axes[0].texts]
     assert set(map(str, range(1, n + 1))) <= set(words)
-
-
-# ---- boards ----
 
 
 @pytest.mark.parametrize("paper", ["a4", "letter", "a3"])
@@ -190,9 +181,6 @@ def test_opencv_finds_the_charuco_board_at_its_scale(board, paper, dictionary):
 def test_a_board_of_more_markers_than_any_dictionary_has_is_refused():
     with pytest.raises(SpheremouseError, match="there are 1000 codes"):
         charuco(Board(99, 99), 10.0)
-
-
-# ---- files ----
 
 
 @pytest.fixture(scope="module")
@@ -256,9 +244,6 @@ def test_what_cannot_be_is_refused_in_one_line(tmp_path, words, message):
         run("--out", tmp_path, *words)
     assert "\n" not in str(caught.value)
     assert not list(tmp_path.iterdir())
-
-
-# ---- the recipe ----
 
 
 def test_the_recipe_names_the_board_that_was_printed():

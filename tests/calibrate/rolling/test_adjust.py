@@ -103,9 +103,6 @@ def place_error(found, truth):
     return error, B.T @ found.covariance @ B
 
 
-# ---- the adjustment ----
-
-
 def test_the_jacobian_is_that_of_the_residuals():
     truth, s = rolled(3, frames=12, discs=12, readout=0.02)
     at = disturbed(truth, 3)
@@ -220,9 +217,6 @@ def test_too_few_discs_are_refused():
         adjust_rolling(s.take(s.disc < 4), truth, CAMERA)
 
 
-# ---- the start ----
-
-
 def spots_of(truth, s, bolts=6, sigma=0.2, seed=0):
     """Spots as a detector gives them: those of the discs, and bolts that stay."""
     rng = np.random.default_rng(seed)
@@ -271,8 +265,6 @@ def test_two_balls_are_told():
     with pytest.raises(CalibrationError, match="two balls"):
         start(both, wide)
 
-
-# ---- the axes ----
 
 R_OBJ_CAM = exp(np.array([0.1, -0.15, 0.3])) @ np.diag([1.0, -1.0, -1.0])
 
@@ -485,9 +477,6 @@ def test_the_pose_carries_all_covariances():
     assert ball.covariance[3, 3] == pytest.approx(9e-6)
 
 
-# ---- advice ----
-
-
 def test_one_axis_alone_is_advised_against():
     truth, s = rolled(6, frames=90, discs=30)
     R = np.array([exp(np.array([0.05 * k, 0.0, 0.0])) for k in range(90)]) @ truth.attitude[0]
@@ -495,9 +484,6 @@ def test_one_axis_alone_is_advised_against():
     alone = replace(found, rolling=replace(found.rolling, attitude=R))
     assert any("one axis only" in line for line in advise(alone))
     assert not any("one axis" in line for line in advise(found))
-
-
-# ---- the command ----
 
 
 def run(*arguments):

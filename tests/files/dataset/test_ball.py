@@ -101,9 +101,6 @@ def one_line(error, *words):
     return True
 
 
-# ---- there and back ----
-
-
 @pytest.mark.parametrize(("size", "kept_in"), [((64, 48), "video.mkv"), ((63, 47), "frames")])
 def test_what_is_written_comes_back_bit_for_bit(tmp_path, size, kept_in):
     """OpenCV's video writer cuts odd sizes: those go to PNG files."""
@@ -202,9 +199,6 @@ def test_a_simulation_is_written_whole(tmp_path):
         assert frame.stamp == filmed.frame.stamp
         assert np.array_equal(recording.truth.attitude[frame.sequence], filmed.attitude)
         assert np.allclose(recording.discs.of_frame(frame.sequence).centre, filmed.discs.centre, atol=5.1e-5)
-
-
-# ---- what is wrong with a folder ----
 
 
 def test_no_such_folder(tmp_path):
@@ -350,9 +344,6 @@ def test_pictures_of_another_size_are_refused(folder):
     assert one_line(e, "video.mkv", "64x48", "128x48")
 
 
-# ---- all or nothing ----
-
-
 def test_an_exception_leaves_nothing_behind(tmp_path):
     def break_off():
         with DatasetWriter(tmp_path / "out", scene_of()) as writer:
@@ -408,9 +399,6 @@ def test_what_is_no_dataset_is_never_replaced(tmp_path):
     with pytest.raises(DatasetError) as e:
         write(tmp_path / "file", replace=True)
     assert one_line(e, "is a file")
-
-
-# ---- the reference recording ----
 
 
 def test_the_reference_recording_is_read(far26):
