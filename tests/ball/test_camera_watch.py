@@ -168,3 +168,11 @@ def test_a_target_that_moved_by_itself_is_left_out(near):
     # any three of the four fit a pose: what is asked is that the error is not smeared over all
     residual = near.shift - (predict_targets(pose, near.rig) - predict_targets(near.before, near.rig))
     assert np.count_nonzero(np.hypot(*residual.T) < 0.01) >= 2
+
+
+def test_a_camera_stands_still_if_three_targets_keep_their_place(near):
+    a, hidden = near.shift, near.shift.copy()
+    hidden[:2] = np.nan
+    assert watching.is_still(a, a + 0.02)
+    for other in (a + 1.0, np.zeros((0, 2)), hidden):
+        assert not watching.is_still(a, other)

@@ -500,6 +500,19 @@ def test_a_pushed_camera_is_found_again_without_a_jump(push, grey):
     assert np.abs(sent[1:] - np.cumsum(turns, axis=0))[-1].max() < 4.0
 
 
+def test_colour_is_wanted_for_the_first_frame_and_while_the_camera_swings():
+    wanted = []
+
+    def grey(state, stamp):
+        wanted.append(wants_colour(state, stamp))
+        return not wanted[-1]
+
+    steps, *_ = _pushed((2.0, 1.0, -2.0, 0.1, -0.2, 0.1), 0.8, grey)
+    away = [k for k, (s, *_) in enumerate(steps) if s.watch.away is not None or s.watch.asked]
+    assert away
+    assert np.flatnonzero(wanted).tolist() == [0, *(k + 1 for k in away)]
+
+
 def _rolled(frames, tracker, change):
     """A film in which `change` takes state and tracker between two frames and gives them back; the sum of counts."""
     state, estimates = begin(tracker, 0.0), []
