@@ -1,4 +1,5 @@
 """Where the reference recordings are, and what to do without them."""
+# pyright: reportAttributeAccessIssue=false
 
 import os
 import pickle

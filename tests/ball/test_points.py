@@ -1,4 +1,5 @@
 """Rays meet the ball: closed form, the published Gauss-Helmert model, and the scatter of samples."""
+# pyright: reportIndexIssue=false
 
 from dataclasses import fields, replace
 

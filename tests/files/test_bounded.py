@@ -1,4 +1,5 @@
 """Files of strangers: what says that it is huge is refused before memory is taken for it, and nothing hangs."""
+# pyright: reportAttributeAccessIssue=false
 
 import json
 import os

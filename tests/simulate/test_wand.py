@@ -1,4 +1,5 @@
 """The wand's films: its paths against their own laws, its renderer against OpenCV and an independent path tracer."""
+# pyright: reportOptionalMemberAccess=false
 
 from dataclasses import replace
 

@@ -1,4 +1,5 @@
 """`spheremouse calibrate print`: pages are true to scale, OpenCV and the tracker find what is on them."""
+# pyright: reportOptionalSubscript=false
 
 import os
 import re
