@@ -136,8 +136,7 @@ def _row(run: Run, film: Film) -> Result:
 
 def _times(run: Run) -> Array:
     """Return the stamps of the speeds, s."""
-    k = run.tracked
-    return run.stamp[k[np.isin(k - 1, k)]]
+    return run.stamp[run.steps]
 
 
 def _window(run: Run, seconds: float) -> float:

@@ -48,7 +48,7 @@ NEAR = 5.0  # counts, about 5 mm on the ball: a pointer is near
 TRACKED, JUMP = 0.98, 20.0  # of the frames; counts beyond a stop that are no noise
 _BEGIN = 1.2  # s: the ball begins to move after one second, and frames arrive later
 _FINE, _SAME = 1e-3, 1e-9  # s: of the integration; rounding of times
-_LAGS = np.arange(-0.03, 0.0301, 0.002)  # s, about the lag that the search finds
+_LAGS = np.arange(-0.03, 0.0301, 0.002)  # s, about the lag that `match` finds
 
 
 def latency(fps: float) -> float:
@@ -178,16 +178,16 @@ def measured(shown: Array, true: Path, begin: float) -> Result:
 def delay(shown: Array, true: Path) -> float | None:
     """ms, by which the ball's path has to be shifted to come nearest; None where the two have nothing in common.
 
-    The search of `match` gives the lag to 20 ms, from x and y. The shift is then refined about it.
+    `match` gives the lag from x and y. The shift is then refined about it.
     """
     counts = np.diff(shown[:, :2], axis=0, prepend=shown[:1, :2])
-    log_ = MouseLog(true.t, counts, np.zeros(len(shown)), np.zeros(len(shown), dtype=bool))
+    log_ = MouseLog(true.t, counts)
     if not np.any(counts):
         return None
     found = match(RotationSteps(true.t[:-1], true.t[1:], np.diff(true.place, axis=0)), log_)
     if found is None:
         return None
-    lags = found.peak.lag + _LAGS
+    lags = found.lag + _LAGS
     away = []
     for lag in lags:
         past = true.t - lag

@@ -1,9 +1,7 @@
 """`spheremouse match`: estimate scale, axes and lag of an old trackball from its log and a recording of the ball."""
 
 import sys
-from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -15,11 +13,9 @@ from spheremouse.errors import ConfigurationError, DatasetError, PoseError, Sour
 if TYPE_CHECKING:
     from spheremouse.ball.rig import Rig
     from spheremouse.evaluate.metrics import Run
-    from spheremouse.evaluate.trackball import Match
-    from spheremouse.evaluate.trackball_verdict import Verdict
+    from spheremouse.evaluate.trackball import Match, Verdict
     from spheremouse.output.counts import MotionSettings
     from spheremouse.session.run_config import RunConfig
-    from spheremouse.tracker import Frame
 
 _NO_MATCH = 1  # exit code
 _KEYS = ("player", "counts_per_mm", "counts_per_radian", "scale_x", "scale_y", "scale_z", "invert_x", "invert_y")
@@ -40,9 +36,6 @@ def match(
     config: ConfigFile = None,
     rig: RigFile = None,
     camera: CameraFile = None,
-    stamps: Annotated[
-        Path | None, typer.Option(metavar="FILE.csv", help="Times of a video's frames: columns frame, t (s).")
-    ] = None,
     assignments: Assignments = None,
     json_file: JsonFile = None,
 ) -> None:
@@ -53,13 +46,13 @@ def match(
     Exit codes: 0 the two agree, 1 they do not or the ball did not move enough, 2 unusable input.
     """
     from spheremouse.calibrate.outputs import check_outputs
-    from spheremouse.evaluate.trackball_verdict import judge, settings_of
+    from spheremouse.evaluate.trackball import judge, settings_of
     from spheremouse.files.safe_files import write_atomically, write_json
 
-    check_outputs([out], [log, stamps, config, rig, camera], force)
-    check_outputs([json_file], [out, log, stamps, config, rig, camera], True)
+    check_outputs([out], [log, config, rig, camera], force)
+    check_outputs([json_file], [out, log, config, rig, camera], True)
     plan = _plan(recording, [*(assignments or ()), *([f"tracker={tracker}"] if tracker else ())], config, rig, camera)
-    found, device = _matched(recording, plan, stamps, log)
+    found, device = _matched(recording, plan, log)
     verdict, before = judge(found), plan.configuration.motion
     settings = settings_of(found, device.radius_m, before) if verdict.usable else None
     if json_file is not None:
@@ -100,7 +93,7 @@ def _plan(
     return plan
 
 
-def _matched(recording: str, plan: "RunConfig", stamps: Path | None, log: Path) -> "tuple[Match, Rig]":
+def _matched(recording: str, plan: "RunConfig", log: Path) -> "tuple[Match, Rig]":
     """Track the recording and match it with the log; DatasetError if one of them has too little."""
     from spheremouse.evaluate.trackball import MIN_COMMON_S, RotationSteps, match
     from spheremouse.files.mouse_log import read_log
@@ -108,7 +101,7 @@ def _matched(recording: str, plan: "RunConfig", stamps: Path | None, log: Path) 
     trackball = read_log(log)
     if not trackball.counts.any():
         raise DatasetError(f"{log}: no motion in it; log the mouse that lies under the ball, while the ball moves")
-    run, device = track_recording(recording, plan, stamps)
+    run, device = track_recording(recording, plan)
     steps = RotationSteps.from_run(run)
     seconds = float((steps.end - steps.begin).sum())
     if seconds < MIN_COMMON_S:
@@ -125,7 +118,7 @@ def _matched(recording: str, plan: "RunConfig", stamps: Path | None, log: Path) 
     return found, device
 
 
-def track_recording(recording: str, plan: "RunConfig", stamps: Path | None) -> "tuple[Run, Rig]":
+def track_recording(recording: str, plan: "RunConfig") -> "tuple[Run, Rig]":
     """Track the recording. If it is cut short, keep the frames before the end."""
     from spheremouse.ball.build import build
     from spheremouse.capture import open_source
@@ -139,9 +132,8 @@ def track_recording(recording: str, plan: "RunConfig", stamps: Path | None) -> "
         device, settings = plan.device(source.rig), plan.configuration
         progress = stack.enter_context(progress_bar())
         task = progress.add_task("tracking", total=source.count)
-        frames = iter(source) if stamps is None else _stamped(iter(source), stamps)
         try:
-            start = initialise(frames, device, settings)
+            start = initialise(iter(source), device, settings)
         except PoseError as e:
             raise PoseError(f"{recording}: {e}") from None
         try:
@@ -153,19 +145,6 @@ def track_recording(recording: str, plan: "RunConfig", stamps: Path | None) -> "
                 raise
             print(f"{e}; the frames before are used", file=sys.stderr)
     return history.run(), device
-
-
-def _stamped(frames: Iterator["Frame"], file: Path) -> Iterator["Frame"]:
-    """Yield the frames with the times of a table that has one line for each."""
-    from spheremouse.files.tables import read_columns
-
-    number, stamp = read_columns(file, ("frame", "t")).values()
-    for k, frame in enumerate(frames):
-        if k >= len(number):
-            raise DatasetError(f"{file}:{len(number) + 1}: {len(number)} frames, but the recording has more")
-        if number[k] != k:
-            raise DatasetError(f"{file}:{k + 2}: is frame {number[k]:g}, must be frame {k}")
-        yield replace(frame, stamp=float(stamp[k]))
 
 
 # ---- output ----
@@ -213,17 +192,13 @@ def _print(found: "Match", verdict: "Verdict") -> None:
 def figures(found: "Match", verdict: "Verdict", settings: "MotionSettings | None") -> dict[str, Any]:
     """Return the figures that --json writes."""
     return {
-        "usable": verdict.usable,
-        "text": verdict.text,
-        "notes": list(verdict.notes),
+        **verdict._asdict(),
         "lag_s": found.lag,
         "lag_sigma_s": found.lag_sigma,
-        "drift": found.drift,
-        "drift_sigma": found.drift_sigma,
         "matrix_counts_per_rad": found.matrix.tolist(),
         "sigma_counts_per_rad": found.sigma.tolist(),
         "known": [bool(k) for k in found.known],
-        "r": {"x": found.r[0], "y": found.r[1]},
+        "r": {"x": float(found.r[0]), "y": float(found.r[1])},
         "rmse_counts_s": {"x": float(found.rmse[0]), "y": float(found.rmse[1])},
         "rate_rms_rad_s": found.rate.tolist(),
         "seconds": found.seconds,

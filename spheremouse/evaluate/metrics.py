@@ -52,6 +52,11 @@ class Run:
         """Indices of the frames in Status.TRACKING."""
         return np.flatnonzero([p is Status.TRACKING for p in self.status])
 
+    @property
+    def steps(self) -> NDArray[np.intp]:
+        """Indices of the tracked frames after a tracked frame."""
+        return self.tracked[np.isin(self.tracked - 1, self.tracked)]
+
 
 @dataclass(frozen=True, slots=True)
 class Reference:
@@ -172,24 +177,19 @@ def attitude_error(estimate: Array, truth: Array) -> Array:
     return log(estimate @ (truth @ M).transpose(0, 2, 1))
 
 
-def steps(run: Run, truth: Truth) -> tuple[Array, Array, Array]:
-    """Return the time step, (k,) s, and the sent and the true rotation, (k, 3) rad in `obj`, after a tracked frame.
-
-    There is one row for each tracked frame after another tracked frame.
-    """
-    k = run.tracked
-    k = k[np.isin(k - 1, k)]
-    R = truth.attitude
+def _steps(run: Run, truth: Truth) -> tuple[Array, Array, Array]:
+    """Return time (k,) s, sent and true rotation (k, 3) rad in `obj`, of each of the `steps` of a run."""
+    k, R = run.steps, truth.attitude
     true = log(R[run.frame[k]] @ R[run.frame[k - 1]].transpose(0, 2, 1))
     return run.stamp[k] - run.stamp[k - 1], run.rotation[k], true
 
 
 def surface_speeds(run: Run, truth: Truth, radius: float) -> tuple[Array, Array]:
-    """Return the mouse's speed as sent and the true one, (k, 2) mm/s of ball surface each, for `steps`; `radius` m.
+    """Return the mouse's speed as sent and the true one, (k, 2) mm/s of ball surface each, by `Run.steps`; `radius` m.
 
     Wittich 2017, section 4.1.1.
     """
-    dt, sent, true = steps(run, truth)
+    dt, sent, true = _steps(run, truth)
     return surface_travel(sent, radius) / dt[:, None], surface_travel(true, radius) / dt[:, None]
 
 
@@ -198,7 +198,7 @@ def path_statistics(run: Run, truth: Truth | None) -> dict[str, dict[str, float 
 
     See `scale`. All are None without truth, or if the ball was tracked for less than ten seconds.
     """
-    found = None if truth is None else scale_and_drift(*steps(run, truth))
+    found = None if truth is None else scale_and_drift(*_steps(run, truth))
     values = [np.full(3, np.nan)] * 4
     if found is not None:
         per_minute = 60.0 * np.rad2deg([found.drift, found.drift_width])

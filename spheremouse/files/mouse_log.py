@@ -4,6 +4,8 @@ The header is `t,dx,dy,wheel,lost`: the kernel's time in s, counts, notches, and
 The first and the last line are empty reports. They give the time of listening, since a mouse at rest sends nothing.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from io import TextIOWrapper
 from pathlib import Path
@@ -11,7 +13,6 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spheremouse.errors import DatasetError
 from spheremouse.files.safe_files import NewFile
@@ -41,11 +42,6 @@ class MouseLog:
 
     stamp: Array  # (n,) s, of the log's clock; not decreasing
     counts: Array  # (n, 2), x and y
-    wheel: Array  # (n,) notches
-    lost: NDArray[np.bool_]  # (n,) reports between the one before and this one were lost
-
-    def __len__(self) -> int:
-        return len(self.stamp)
 
 
 class LogFile:
@@ -54,17 +50,15 @@ class LogFile:
     def __init__(self, path: Path, about: str, force: bool = False) -> None:
         """Prepare a log with the comment `about`; without `force` an existing file raises DatasetError."""
         self.path, self._about, self._force = path, about, force
-        self.reports = 0
+        self.reports = 0  # with motion
         self.counts = [0, 0]  # sums of the absolute values
         self.first: float | None = None  # s
         self.last = 0.0  # s
 
     def __enter__(self) -> Self:
         self._refuse_existing()
-        try:
+        with self._writing():
             self._new = NewFile(self.path)
-        except OSError as e:
-            raise DatasetError(f"{self.path}: cannot be written: {e.strerror or e}") from None
         self._file = TextIOWrapper(self._new.file, encoding="utf-8", newline="\n")
         about = " ".join(self._about.split())
         self._file.write(f"# spheremouse log-mouse; {about}; t in s of the monotonic clock, dx and dy in counts\n")
@@ -73,28 +67,31 @@ class LogFile:
 
     def add(self, report: MouseReport) -> None:
         """Write a line; DatasetError if the disk is full."""
-        try:
+        with self._writing():
             self._file.write(f"{report.stamp:.6f},{report.dx},{report.dy},{report.wheel},{int(report.lost)}\n")
-        except OSError as e:
-            raise DatasetError(f"{self.path}: cannot be written further: {e.strerror or e}") from None
         self.first = report.stamp if self.first is None else self.first
         self.last = report.stamp
-        if report.dx or report.dy or report.wheel:
-            self.reports += 1
-            self.counts[0] += abs(report.dx)
-            self.counts[1] += abs(report.dy)
+        self.reports += bool(report.dx or report.dy or report.wheel)
+        self.counts[0] += abs(report.dx)
+        self.counts[1] += abs(report.dy)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            self._file.flush()
-            self._refuse_existing()  # another process may have made it in the meantime
-            self._new.finish()
-        except OSError as e:
-            raise DatasetError(f"{self.path}: cannot be written: {e.strerror or e}") from None
+            with self._writing():
+                self._file.flush()
+                self._refuse_existing()  # another process may have made it in the meantime
+                self._new.finish()
         finally:
             self._new.discard()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as e:
+            raise DatasetError(f"{self.path}: cannot be written: {e.strerror or e}") from None
 
     def _refuse_existing(self) -> None:
         if self.path.is_dir():
@@ -103,19 +100,11 @@ class LogFile:
             raise DatasetError(f"{self.path}: exists already; choose another name, or replace it with --force")
 
 
-def write_log(path: Path, log: MouseLog, about: str = "simulated") -> None:
-    """Write a whole log, in place of an old file."""
-    with LogFile(path, about, force=True) as file:
-        for k in range(len(log)):
-            dx, dy = (round(c) for c in log.counts[k].tolist())
-            file.add(MouseReport(float(log.stamp[k]), dx, dy, round(float(log.wheel[k])), bool(log.lost[k])))
-
-
 def read_log(path: Path) -> MouseLog:
-    """Read a log. Columns wheel and lost may be missing. DatasetError gives the line, or the number of the report."""
+    """Read times and counts of a log. DatasetError gives the line, or the number of the report."""
     if not path.exists():
         raise DatasetError(f"{path}: no such file; make one with `spheremouse log-mouse`")
-    table = read_columns(path, COLUMNS, most=MAX_REPORTS, defaults={"wheel": 0.0, "lost": 0.0})
+    table = read_columns(path, COLUMNS[:3], most=MAX_REPORTS)
     stamp, counts = table["t"], np.stack([table["dx"], table["dy"]], axis=1)
     if len(stamp) > MAX_REPORTS:
         raise DatasetError(f"{path}: more than {MAX_REPORTS} reports; cut the log to the time of the recording")
@@ -131,4 +120,4 @@ def read_log(path: Path) -> MouseLog:
     large = np.flatnonzero(np.any(np.abs(counts) > _MAX_COUNTS, axis=1))
     if len(large):
         raise DatasetError(f"{path}, report {large[0] + 1}: a mouse cannot count beyond {_MAX_COUNTS} in one report")
-    return MouseLog(stamp, counts, table["wheel"], table["lost"] != 0.0)
+    return MouseLog(stamp, counts)

@@ -7,7 +7,6 @@ second, or for 50 discs in an hour.
 import csv
 import math
 from array import array
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -24,29 +23,26 @@ def read_columns(
     columns: tuple[str, ...],
     optional: tuple[str, ...] = (),
     most: int | None = None,
-    defaults: Mapping[str, float] | None = None,
 ) -> dict[str, Array]:
     """Return the `columns` by name, each (n,), with nan for empty cells of the `optional` ones; skip all others.
 
-    A column of `defaults` may be missing and then has that value. Lines that begin with # are comments. Reading stops
-    after `most` rows and one more. Raises DatasetError, with the line, if a cell is no number, a row has another width
-    than the header, or the table has too many rows.
+    Lines that begin with # are comments. Reading stops after `most` rows and one more. Raises DatasetError, with the
+    line, if a cell is no number, a row has another width than the header, or the table has too many rows.
     """
     fit = MOST_NUMBERS // len(columns)
-    defaults = defaults or {}
     count = 0
     try:
         with open_to_read(path) as file:
             reader = csv.reader("\n" if line.startswith("#") else line for line in lines(file))
             rows = filter(None, reader)
             header = [name.strip() for name in next(rows, [])]
-            missing = [c for c in columns if c not in header and c not in defaults]
+            missing = [c for c in columns if c not in header]
             if missing:
                 raise DatasetError(
                     f"{path}, line {max(1, reader.line_num)}: no column {', '.join(missing)}; the table begins with "
                     "a line of column names"
                 )
-            wanted = [(array("d"), header.index(c), c, c in optional) for c in columns if c in header]
+            wanted = [(array("d"), header.index(c), c, c in optional) for c in columns]
             for cells in rows:
                 if len(cells) != len(header):
                     raise DatasetError(
@@ -61,8 +57,7 @@ def read_columns(
                     break
     except (OSError, UnicodeDecodeError, csv.Error) as e:
         raise DatasetError(f"{path}: cannot be read: {getattr(e, 'strerror', None) or e}") from None
-    table = {c: np.frombuffer(kept) if kept else np.empty(0) for kept, _, c, _ in wanted}
-    return {c: table[c] if c in table else np.full(count, defaults[c]) for c in columns}
+    return {c: np.frombuffer(kept) if kept else np.empty(0) for kept, _, c, _ in wanted}
 
 
 def _number(path: Path, line: int, column: str, text: str, may_be_empty: bool) -> float:

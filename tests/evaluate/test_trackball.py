@@ -1,4 +1,5 @@
 """A match of ball and trackball returns the simulated scale, axes and lag within its standard deviations."""
+# pyright: reportArgumentType=false, reportOptionalMemberAccess=false
 
 import numpy as np
 import pytest
@@ -6,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spheremouse.ball.truth import Truth
-from spheremouse.evaluate.trackball import CountPath, RotationSteps, match
-from spheremouse.evaluate.trackball_verdict import axes_of, judge, settings_of
+from spheremouse.evaluate.trackball import CountPath, RotationSteps, judge, match, settings_of
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.output.counts import MotionSettings
@@ -68,7 +68,7 @@ def test_the_log_counts_what_the_ball_turned():
 def test_the_same_seed_gives_the_same_log_and_another_one_another():
     a, b, c = (recorded(playing(1, 5.0), Trackball(BELOW, dropouts=1.0), seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(a.stamp, b.stamp)
-    assert len(a) != len(c) or np.any(a.stamp != c.stamp)
+    assert not np.array_equal(a.stamp, c.stamp)
 
 
 def test_a_slipping_trackball_counts_less():
@@ -97,61 +97,45 @@ def test_rates_between_the_frames_interpolate_the_truth():
     ratio=st.floats(0.5, 2.0),
     turned=st.floats(-3.1, 3.1),
     tilt=st.floats(-0.5, 0.5),
-    lag=st.floats(-100.0, 100.0),
-    drift=st.floats(-2e-4, 2e-4),
+    lag=st.floats(-1e5, 1e5),
     seed=st.integers(0, 1000),
 )
-def test_scale_axes_and_lag_are_within_their_standard_deviations(scale, ratio, turned, tilt, lag, drift, seed):
-    trackball = Trackball(trackball_matrix(scale, -scale * ratio, turned, tilt), lag=lag, drift=drift, stamp_sigma=5e-4)
+def test_scale_axes_and_lag_are_within_their_standard_deviations(scale, ratio, turned, tilt, lag, seed):
+    trackball = Trackball(trackball_matrix(scale, -scale * ratio, turned, tilt), lag=lag, stamp_sigma=5e-4)
     profile = playing(seed)
     found = match(filmed(profile, seed), recorded(profile, trackball, seed))
     assert np.all(np.abs(found.matrix - trackball.matrix) < 6.0 * found.sigma)
-    true_lag = lag + drift * (found.middle - (BEGIN - 2.0))
-    assert abs(found.lag - true_lag) < 6.0 * found.lag_sigma < 0.01
-    axes = axes_of(found)
-    assert axes.contact == pytest.approx((np.sin(tilt), -np.cos(tilt), 0.0), abs=0.02)
+    assert abs(found.lag - lag) < 6.0 * found.lag_sigma < 0.01
 
 
 def test_the_covariance_is_that_of_the_errors():
-    """The mean of e' P^-1 e / 8 over plays is 1 for a perfect covariance."""
+    """The mean of e' P^-1 e / 7 over plays is 1 for a perfect covariance, less for one on the safe side."""
     distances, relative = [], []
     for seed in range(16):
         trackball = Trackball(trackball_matrix(500.0, -400.0, 0.3 * seed, 0.2), lag=0.031, stamp_sigma=5e-4)
         profile = playing(seed + 50)
         found = match(filmed(profile, seed), recorded(profile, trackball, seed))
-        error = np.concatenate([(found.matrix - trackball.matrix).ravel(), [found.lag - 0.031, found.drift]])
-        distances.append(error @ np.linalg.solve(found.covariance, error) / 8.0)
+        error = np.append((found.matrix - trackball.matrix).ravel(), found.lag - 0.031)
+        distances.append(error @ np.linalg.solve(found.covariance, error) / 7.0)
         relative.append(found.sigma.max() / 450.0)
     print(f"mean {np.mean(distances):.2f}, sigma of A up to {100 * max(relative):.2f} % of the scale")
-    assert 0.5 < np.mean(distances) < 2.0
+    assert 0.3 < np.mean(distances) < 1.4  # 112 degrees of freedom: 1 +- 0.13
     assert max(relative) < 0.02
 
 
 def test_lost_reports_slip_and_lost_frames_do_not_change_the_scale():
     profile = playing(9)
     ball = filmed(profile)
-    ball = ball[(np.arange(len(ball)) // 40) % 5 != 0]  # lost for a fifth of the time
+    tracked = (np.arange(len(ball.begin)) // 40) % 5 != 0  # lost for a fifth of the time
+    ball = RotationSteps(*(part[tracked] for part in ball))
     found = match(ball, recorded(profile, Trackball(BELOW, lag=0.02, dropouts=0.5, grip=20.0)))
     assert found.outliers > 3
     np.testing.assert_allclose(found.matrix, BELOW, atol=0.01 * 480.0)
     assert judge(found).usable
 
 
-def test_times_with_lost_reports_are_not_compared():
-    profile = playing(9)
-    seen = recorded(profile, Trackball(BELOW))
-    hole = (seen.stamp > BEGIN + 10.0) & (seen.stamp < BEGIN + 12.0)
-    lost = np.zeros(len(seen), dtype=bool)
-    lost[np.flatnonzero(hole)[-1] + 1] = True
-    marked = MouseLog(seen.stamp[~hole], seen.counts[~hole], seen.wheel[~hole], lost[~hole])
-    found = match(filmed(profile), marked)
-    assert found.seconds == pytest.approx(profile.seconds - 2.0, abs=0.6)
-    assert found.outliers == 0
-
-
 def test_a_mouse_at_rest_between_reports_is_at_rest():
-    nothing = np.zeros(3)
-    log = MouseLog(np.array([0.0, 0.01, 1.0]), np.array([[0.0, 0], [4, 0], [8, 0]]), nothing, nothing > 0.0)
+    log = MouseLog(np.array([0.0, 0.01, 1.0]), np.array([[0.0, 0], [4, 0], [8, 0]]))
     sums = CountPath.from_log(log).at(np.array([0.01, 0.5, 0.98, 0.995, 1.0]))
     assert sums[:, 0].tolist() == pytest.approx([4, 4, 4, 8, 12])
 
@@ -159,14 +143,21 @@ def test_a_mouse_at_rest_between_reports_is_at_rest():
 # ---- the verdict ----
 
 
-@pytest.mark.parametrize(("turned", "swapped", "rest"), [(0.1, False, 0.1), (1.6708, True, 0.1), (2.9416, False, -0.2)])
-def test_axes_are_a_swap_signs_and_a_turn(turned, swapped, rest):
+@pytest.mark.parametrize(("turned", "note"), [(0.02, ()), (1.6708, ("5.7°",)), (2.9416, ("11.5°",))])
+def test_a_turn_that_no_setting_expresses_is_a_note(turned, note):
     profile = playing(13)
-    found = match(filmed(profile), recorded(profile, Trackball(trackball_matrix(500.0, 400.0, turned))))
-    axes = axes_of(found)
-    assert axes.swapped == swapped
-    assert axes.turn == pytest.approx(rest, abs=0.01)
-    assert judge(found).text.startswith("the two agree (r = ")
+    verdict = judge(match(filmed(profile), recorded(profile, Trackball(trackball_matrix(500.0, 400.0, turned)))))
+    assert verdict.text.startswith("the two agree (r = ")
+    assert len(verdict.notes) == len(note)
+    assert all(angle in text for angle, text in zip(note, verdict.notes, strict=True))
+
+
+def test_a_contact_beside_the_lowest_point_is_a_note():
+    profile = playing(13)
+    verdict = judge(match(filmed(profile), recorded(profile, Trackball(trackball_matrix(500.0, 500.0, tilt=0.4)))))
+    assert any(
+        note.startswith("it touches the ball 23° from the lowest point (towards X +0.39") for note in verdict.notes
+    )
 
 
 @pytest.mark.parametrize("radius", [RADIUS, None])
@@ -207,18 +198,16 @@ def test_the_verdict_names_an_axis_without_motion(axis, name):
 
 
 def test_another_clock_does_no_harm():
-    profile = playing(19, 60.0)
-    found = match(filmed(profile), recorded(profile, Trackball(BELOW, lag=1.7e9, drift=4e-4)))
-    verdict = judge(found)
+    profile = playing(19)
+    verdict = judge(match(filmed(profile), recorded(profile, Trackball(BELOW, lag=1.7e9))))
     assert verdict.usable
     assert any("ahead of that of the frames" in note for note in verdict.notes)
-    assert found.drift == pytest.approx(4e-4, abs=1e-4)
 
 
 def test_nothing_in_common_is_no_match():
-    profile = playing(19, 5.0)
+    profile = playing(19, 10.0)
     ball, seen = filmed(profile), recorded(profile, Trackball(BELOW))
-    assert match(ball[ball.end < BEGIN + 2.0], seen) is None
-    assert match(ball, MouseLog(seen.stamp, 0.0 * seen.counts, seen.wheel, seen.lost)) is None
-    assert match(RotationSteps(ball.begin, ball.end, 0.0 * ball.rotation), seen) is None
+    assert match(RotationSteps(*(part[:60] for part in ball)), seen) is None
+    assert match(ball, MouseLog(seen.stamp, 0.0 * seen.counts)) is None
+    assert match(ball._replace(rotation=0.0 * ball.rotation), seen) is None
     assert match(ball, seen) is not None

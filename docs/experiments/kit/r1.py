@@ -93,7 +93,7 @@ def agreement(begin: Array, end: Array, moved: Array, mouse: MouseLog) -> Agreem
     speed = moved / dt
     best: Agreement | None = None
     for lag in np.arange(-_MOST, _MOST + 0.5 * _STEP, _STEP):
-        known = counts.covers(begin + lag, end + lag)
+        known = (begin + lag >= mouse.stamp[0]) & (end + lag <= mouse.stamp[-1])
         if np.count_nonzero(known) < 0.5 * len(known):
             continue
         true = ((counts.at(end + lag) - counts.at(begin + lag)) / dt)[known].ravel()
@@ -107,8 +107,7 @@ def agreement(begin: Array, end: Array, moved: Array, mouse: MouseLog) -> Agreem
 
 def of_run(run: Run, mouse: MouseLog, radius: float) -> Agreement | None:
     """Return the agreement of a tracker's motion over pairs of tracked frames; `radius` m."""
-    k = run.tracked
-    k = k[np.isin(k - 1, k)]
+    k = run.steps
     if len(k) < 3:
         return None
     return agreement(run.stamp[k - 1], run.stamp[k], surface_travel(run.rotation[k], radius), mouse)

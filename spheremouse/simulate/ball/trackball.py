@@ -76,7 +76,7 @@ def simulate_log(rate: Rate, begin: float, end: float, trackball: Trackball, see
         stamp = np.maximum.accumulate(stamp)
     listened = np.zeros((1, 2))
     counts = np.concatenate([listened, counts[kept], listened])
-    return MouseLog(stamp, counts, np.zeros(len(stamp)), np.zeros(len(stamp), dtype=bool))
+    return MouseLog(stamp, counts)
 
 
 def _travel(rate: Rate, t: Array, trackball: Trackball) -> Array:

@@ -35,7 +35,7 @@ def test_the_agreement_finds_lag_scale_and_offset_of_a_log_made_from_the_speeds(
     counts = np.diff(3.0 * path(fine) + 7.0 * fine[:, None], axis=0, prepend=0.0)
     counts[0] = 0.0
     late = fine + 0.15
-    mouse = MouseLog(late, counts, np.zeros(len(late)), np.zeros(len(late), dtype=bool))
+    mouse = MouseLog(late, counts)
     found = agreement(t[:-1], t[1:], np.diff(path(t), axis=0), mouse)
     assert found is not None
     assert found.lag == pytest.approx(0.15, abs=0.0026)
