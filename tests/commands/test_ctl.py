@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from control_world import Daemon, conversations
 from rich.console import Console
 from typer.testing import CliRunner
 
@@ -27,7 +28,6 @@ from spheremouse.session.control.client import Client, NoDaemonError
 from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.status import StatusReport
 from spheremouse.session.settings import ControlSettings
-from tests.session.control.test_server import Daemon, conversations
 
 
 class Recorder(Daemon):

@@ -26,6 +26,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from control_world import conversations
 from daemon_world import DT, Film, World
 
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
@@ -38,7 +39,6 @@ from spheremouse.session.control.client import Client
 from spheremouse.session.process import realtime
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.setup import Setup
-from tests.session.control.test_server import conversations
 
 PATIENCE = 60.0  # s
 OTHER = 54321  # a uid that nobody has

@@ -144,7 +144,7 @@ class Client:
         connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             connection.settimeout(_CONNECT_TIMEOUT)
-            _connect(connection, str(self._path))
+            connection.connect(str(self._path))
         except PermissionError:
             connection.close()
             raise RefusedError(f"{self._path}: permission denied; {self._permission_hint()}") from None
@@ -172,16 +172,3 @@ class Client:
         except (OSError, KeyError):
             pass
         return "use sudo, or run this as the daemon's user"
-
-
-def _connect(connection: socket.socket, path: str) -> None:
-    """Connect. If too many connections wait to be accepted, try again for a while."""
-    end = time.monotonic() + _CONNECT_TIMEOUT
-    while True:
-        try:
-            connection.connect(path)
-            return
-        except BlockingIOError:
-            if time.monotonic() > end:
-                raise TimeoutError("too many connections wait") from None
-            time.sleep(0.01)

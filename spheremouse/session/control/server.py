@@ -1,8 +1,7 @@
-"""The control socket's server: one thread with an asyncio loop. Its clients cannot slow the tracker.
+"""The control socket's server: one thread with an asyncio loop.
 
-A client has one request under way at a time. `Limits` bounds the work of this thread for all clients together, because
-it shares the interpreter with the tracker. `asyncio.start_unix_server` reads and accepts as fast as clients
-send, so the loop's socket functions are used directly.
+A client has one request under way at a time. `Limits` bounds its requests, since the thread shares the interpreter with
+the tracker.
 """
 
 import asyncio
@@ -12,8 +11,7 @@ import select
 import socket
 import threading
 import time
-from collections import Counter
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -46,17 +44,15 @@ Handle = Callable[[PendingRequest], None]
 # Settings that a member of the group may not `set`: the files, devices and addresses that the daemon opens.
 PLACES = ("source", "output", "rig", "camera_file", "map", "camera.controls", "control", "record", "metrics", "wand")
 
-_CHUNK = 4096  # bytes read at a time; each read counts as an action
 _POLL = 0.1  # s between two checks for a disconnected client
 _GOODBYE = 0.5  # s in which the last replies are sent at the end
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The most that clients may cost."""
+    """Bounds on clients."""
 
-    rate: float = 100.0  # actions per s of all clients: connections, reads, requests, status events
-    burst: float = 50.0  # of them at once
+    interval: float = 0.005  # s from one request to the next, of all clients together: each takes the interpreter
     idle: float = 30.0  # s in which a client must send a request, unless it watches
     answer: float = 60.0  # s in which the daemon must answer
     stalled: float = 5.0  # s in which a client must read a line
@@ -80,13 +76,10 @@ class ControlServer:
         self.path = path
         self._settings, self._handle, self._log = settings, handle, log
         self._limits = limits or Limits()
-        self._paid = 0.0  # s of the loop's clock, until when past actions fill the rate
-        self._users: Counter[int] = Counter()  # connections by uid
+        self._next = 0.0  # s of the loop's clock, of the next request
         self._clients: dict[asyncio.Task[None], _Client] = {}
-        self._watchers = 0
         self._stack = contextlib.ExitStack()
         self._listener = self._stack.enter_context(socket_file.listening(path, settings.group))
-        self._listener.setblocking(False)
         self._loop = asyncio.new_event_loop()
         self._ending = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="control", daemon=True)
@@ -107,7 +100,7 @@ class ControlServer:
 
     def publish(self, event: dict[str, Any]) -> None:
         """Send an event to the clients that watch, from any thread. A slow client loses its oldest events."""
-        if self._watchers:
+        if self._clients:
             self._call(self._publish, event)
 
     def close(self) -> None:
@@ -127,33 +120,13 @@ class ControlServer:
             runner.run(self._serve())
 
     async def _serve(self) -> None:
-        accepting = self._loop.create_task(self._accept())
+        self._loop.set_exception_handler(lambda _, context: self._log(f"control: {context['message']}"))
+        server = await asyncio.start_unix_server(self._admit, sock=self._listener, limit=MAX_LINE)
         await self._ending.wait()
-        accepting.cancel()
+        server.close()
         busy = [task for task, client in self._clients.items() if client.busy]
         if busy:
             await asyncio.wait(busy, timeout=_GOODBYE)
-
-    async def _accept(self) -> None:
-        while True:
-            await self._pace()
-            try:
-                connection, _ = await self._loop.sock_accept(self._listener)
-            except OSError as e:  # no file descriptor is left
-                self._log(f"control: no client can be accepted: {e.strerror}")
-                await asyncio.sleep(1.0)
-                continue
-            client = _Client(connection, self._limits, self._pace)
-            task = self._loop.create_task(self._admit(client))
-            self._clients[task] = client
-            task.add_done_callback(self._clients.pop)
-
-    async def _pace(self) -> None:
-        """Wait until the rate of actions allows another one."""
-        now, interval = self._loop.time(), 1.0 / self._limits.rate
-        self._paid = max(self._paid, now - self._limits.burst * interval) + interval
-        if self._paid > now:
-            await asyncio.sleep(self._paid - now)
 
     def _publish(self, event: dict[str, Any]) -> None:
         for client in self._clients.values():
@@ -162,39 +135,40 @@ class ControlServer:
 
     # ---- one client ----
 
-    async def _admit(self, client: "_Client") -> None:
+    async def _admit(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve a client until it disconnects, stalls or breaks a rule."""
-        uid, most = client.uid, self._settings.clients
-        self._users[uid] += 1
-        with client.connection, contextlib.suppress(OSError):
-            try:
-                if not client.trusted and self._settings.group is None:
-                    self._log(f"control: refused user {uid} (process {client.pid})")
-                    await client.send(refused(f"user {uid} may not control this daemon; its own user, root may"))
-                elif self._users[uid] > most:
-                    await client.send(
-                        refused(f"busy: user {uid} has {most} connections already; close one and try again")
-                    )
-                else:
-                    await self._converse(client)
-            except BadRequestError as e:
+        task, client, most = asyncio.current_task(), _Client(reader, writer, self._limits), self._settings.clients
+        assert task is not None
+        self._clients[task] = client
+        try:
+            if not client.trusted and self._settings.group is None:
+                self._log(f"control: refused user {client.uid} (process {client.pid})")
+                error = f"user {client.uid} may not control this daemon; its own user, root may"
+                await client.send(refused(error))
+            elif sum(other.uid == client.uid for other in self._clients.values()) > most:
+                error = f"busy: user {client.uid} has {most} connections already; close one and try again"
+                await client.send(refused(error))
+            else:
+                await self._converse(client)
+        except BadRequestError as e:
+            with contextlib.suppress(OSError):
                 await client.send(refused(str(e)))
-            except OSError:
-                raise
-            except Exception as e:
-                self._log(f"control: a client dropped: internal error ({type(e).__name__}: {one_line(str(e))})")
-            finally:
-                self._users[uid] -= 1
-                if client.watching is not None:
-                    self._watchers -= 1
-                    client.watching.cancel()
+        except OSError:
+            pass
+        except Exception as e:
+            self._log(f"control: a client dropped: internal error ({type(e).__name__}: {one_line(str(e))})")
+        finally:
+            del self._clients[task]
+            if client.watching is not None:
+                client.watching.cancel()
+            writer.close()
 
     async def _converse(self, client: "_Client") -> None:
         """Read requests and answer them, one by one."""
         while not self._ending.is_set():
             line = await client.line()
             if line is None:  # it only listens from here on
-                while client.watching is not None and not client.has_gone and not client.watching.done():
+                while client.watching is not None and not client.has_gone:
                     await asyncio.sleep(_POLL)
                 return
             if not line.strip():
@@ -205,16 +179,20 @@ class ControlServer:
                 request = parse(line)
                 _check_rights(client.trusted, request)
             except BadRequestError as e:
-                reply = refused(str(e), e.id)
+                await client.send(refused(str(e), e.id))
             else:
                 if isinstance(request, Watch):
                     await client.send(done({}, request.id))
                     self._watch(client, request.interval)
-                    client.busy = False
-                    continue
-                reply = await self._ask(client, request)
-            await client.send(reply)
+                else:
+                    await client.send(await self._ask(client, request))
             client.busy = False
+
+    async def _pace(self) -> None:
+        """Wait until the next request may begin."""
+        due = max(self._next, self._loop.time())
+        self._next = due + self._limits.interval
+        await asyncio.sleep(due - self._loop.time())
 
     async def _ask(self, client: "_Client", request: Request) -> dict[str, Any]:
         """Return the daemon's reply. If the client disconnects meanwhile, its request is cancelled."""
@@ -237,88 +215,86 @@ class ControlServer:
             pending.cancelled = not reply.done()
 
     def _watch(self, client: "_Client", interval: float) -> None:
-        client.interval, client.due = interval, self._loop.time()
-        if client.watching is None:
-            self._watchers += 1
-            client.watching = self._loop.create_task(self._send_events(client))
-        else:
-            client.push(None)  # wakes it
+        """Begin to send events to a client, or change the interval of its statuses."""
+        if client.watching is not None:
+            client.watching.cancel()
+        client.watching = self._loop.create_task(self._send_events(client, interval))
 
-    async def _send_events(self, client: "_Client") -> None:
+    async def _send_events(self, client: "_Client", interval: float) -> None:
+        due = self._loop.time()
         with contextlib.suppress(OSError):
             while True:
-                event = None
                 try:
-                    async with asyncio.timeout_at(client.due):
+                    async with asyncio.timeout_at(due):
                         event = await client.events.get()
                 except TimeoutError:
-                    client.due = max(client.due + client.interval, self._loop.time())
+                    due = max(due + interval, self._loop.time())
                     await self._pace()
                     status = await self._ask(client, Request(command="status"))
-                    body = {k: v for k, v in status.items() if k != "ok"}
-                    event = {"event": "status", **body}
+                    event = {"event": "status", **{k: v for k, v in status.items() if k != "ok"}}
                     if not status["ok"]:
-                        event = {"event": "log", "text": f"no status: {body['error']}"}
-                if event is not None:
-                    await client.send(event)
-        with contextlib.suppress(OSError):
-            client.connection.shutdown(socket.SHUT_RDWR)  # it stalls: dropped
+                        event = {"event": "log", "text": f"no status: {status['error']}"}
+                await client.send(event)
+        client.drop()
 
 
 class _Client:
     """A connection: lines in, messages out, and events that wait."""
 
-    def __init__(self, connection: socket.socket, limits: Limits, pace: Callable[[], Awaitable[None]]) -> None:
-        peer = socket_file.peer_of(connection)
-        own = os.geteuid()
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, limits: Limits) -> None:
+        self._reader, self._writer, self._limits = reader, writer, limits
+        self._socket = writer.get_extra_info("socket")
+        peer, own = socket_file.peer_of(self._socket), os.geteuid()
         self.pid, self.uid = (-1, own) if peer is None else (peer.pid, peer.uid)  # without: the file's mode decides
         self.trusted = self.uid in (own, 0)
-        self.connection = connection
         self.busy = False  # a request is under way
-        self.interval = self.due = 0.0  # s; of its status events
         self.watching: asyncio.Task[None] | None = None
-        self.events: asyncio.Queue[dict[str, Any] | None] = asyncio.Queue(limits.events)
-        self._limits, self._pace = limits, pace
-        self._received = bytearray()
-        self._sending = asyncio.Lock()
+        self.events: asyncio.Queue[dict[str, Any]] = asyncio.Queue(limits.events)
+        writer.transport.set_write_buffer_limits(0)  # `drain` then waits until the system has all of it
 
     @property
     def has_gone(self) -> bool:
         """True if the client has closed the connection, not only its writing side."""
+        if self._socket.fileno() < 0:
+            return True
         poll = select.poll()
-        poll.register(self.connection, 0)
+        poll.register(self._socket, 0)
         return bool(poll.poll(0))
 
     async def line(self) -> bytes | None:
         """Return the next line; None if the client sends no more. TimeoutError if it is too slow."""
-        async with asyncio.timeout(self._limits.idle if self.watching is None else None):
-            while (end := self._received.find(b"\n")) < 0 and len(self._received) < MAX_LINE:
-                await self._pace()
-                data = await asyncio.get_running_loop().sock_recv(self.connection, _CHUNK)
-                if not data:
-                    return None
-                self._received += data
-        if not 0 <= end < MAX_LINE:
-            raise BadRequestError(f"a line of more than {MAX_LINE} bytes; send one JSON object a line")
-        line = bytes(self._received[:end])
-        del self._received[: end + 1]
-        return line
+        try:
+            async with asyncio.timeout(self._limits.idle if self.watching is None else None):
+                return await self._reader.readuntil()
+        except asyncio.IncompleteReadError:
+            return None
+        except asyncio.LimitOverrunError:
+            raise BadRequestError(f"a line of more than {MAX_LINE} bytes; send one JSON object a line") from None
 
     async def send(self, message: dict[str, Any]) -> None:
-        """Send a message. TimeoutError if the client does not read it."""
+        """Send a message. If the client does not read it, drop the client and raise TimeoutError."""
         try:
             line = encode(message)
         except ValueError as e:
             text = f"{e}; {MAX_LINE} is the most"
             line = encode({"event": "log", "text": text} if "event" in message else refused(text, message.get("id")))
-        async with self._sending, asyncio.timeout(self._limits.stalled):
-            await asyncio.get_running_loop().sock_sendall(self.connection, line)
+        self._writer.write(line)
+        try:
+            async with asyncio.timeout(self._limits.stalled):
+                await self._writer.drain()
+        except TimeoutError:
+            self.drop()
+            raise
 
-    def push(self, event: dict[str, Any] | None) -> None:
+    def push(self, event: dict[str, Any]) -> None:
         """Add an event; if too many wait, the oldest is dropped."""
         if self.events.full():
             self.events.get_nowait()
         self.events.put_nowait(event)
+
+    def drop(self) -> None:
+        """Disconnect at once."""
+        self._writer.transport.abort()
 
 
 def _check_rights(trusted: bool, request: Request) -> None:

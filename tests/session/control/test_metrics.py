@@ -11,12 +11,12 @@ import urllib.parse
 from pathlib import Path
 
 import pytest
+from control_world import Daemon
 
 from spheremouse.errors import ControlError
 from spheremouse.session.control import metrics
 from spheremouse.session.control.status import STATES, StatusReport
 from spheremouse.session.settings import MetricsSettings
-from tests.session.control.test_server import Daemon
 
 pytest.importorskip("prometheus_client")
 from prometheus_client.parser import text_string_to_metric_families

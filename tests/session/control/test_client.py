@@ -1,0 +1,84 @@
+"""The client against the server, and against strangers."""
+
+import contextlib
+import socket
+import threading
+
+import pytest
+from control_world import answer
+
+from spheremouse.errors import ControlError
+from spheremouse.session.control.client import Client, NoDaemonError, RefusedError
+from spheremouse.session.control.server import ControlServer
+from spheremouse.session.control.status import StatusReport
+from spheremouse.session.settings import ControlSettings
+
+pytestmark = pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="no peer credentials on this system")
+
+
+@pytest.fixture
+def path(tmp_path_factory):
+    """A short path; those of pytest may be too long for a socket."""
+    return tmp_path_factory.mktemp("s") / "c"
+
+
+def test_the_client_says_what_is_wrong(path):
+    with pytest.raises(NoDaemonError, match=rf"no daemon runs \(no daemon listens at {path}\); start one with"):
+        Client(path).ask("status")
+    with ControlServer(path, ControlSettings(), answer), Client(path) as client:
+        with pytest.raises(RefusedError, match="did you mean status"):
+            client.ask("statsu")
+        assert client.ask("status") == {"state": "tracking", "command": "status"}
+        with pytest.raises(RefusedError, match="at most 65536 are allowed"):
+            client.ask("set", assignments=[70000 * "x"])
+
+
+def test_a_file_whose_name_is_no_text_is_in_a_status(path):
+    """Half a surrogate pair, as Python calls such a byte."""
+    with ControlServer(path, ControlSettings(), lambda p: p.answer({"config": "caf\udce9.yaml"})):
+        assert Client(path).status().config == "caf\udce9.yaml"
+
+
+def test_the_client_sees_the_daemon_end(path):
+    server = ControlServer(path, ControlSettings(), answer)
+    with Client(path) as client:
+        events = client.watch(0.1)
+        assert next(events) == StatusReport.read({"state": "tracking", "command": "status"})
+        server.close()
+        with pytest.raises(NoDaemonError, match="the daemon has ended"):
+            for _ in events:
+                pass
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n", "is no daemon of spheremouse"),
+        (b"[1]\n", "is no daemon of spheremouse"),
+        (200_000 * b"x", "is no daemon of spheremouse"),
+        (b"\xff\n", "is no daemon of spheremouse"),
+        (b"[" * 60000 + b"\n", "is no daemon of spheremouse"),
+        (b"", "has ended or disconnected"),
+        (b'{"ok": true', "has ended or disconnected"),
+        (b'{"ok": false, "error": "\\u001b[2Jgone"}\n', "\N{REPLACEMENT CHARACTER}\\[2Jgone"),
+        (b'{"ok": 1}\n', "refuses without a reason"),
+        (b'{"ok": true, "discs": 1.5}\n', r"is no status of spheremouse \(discs: Input should be a valid integer"),
+        (b'{"ok": true, "frames": ' + b"9" * 5000 + b"}\n", "is no daemon of spheremouse"),
+    ],
+)
+def test_the_client_believes_no_stranger(path, said, message):
+    """Whatever answers at the path: an error in words, and nothing that steers the terminal."""
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(str(path))
+    listener.listen()
+
+    def stranger():
+        with contextlib.closing(listener.accept()[0]) as s, contextlib.suppress(OSError):
+            s.recv(100)
+            s.sendall(said)
+
+    thread = threading.Thread(target=stranger)
+    thread.start()
+    with listener, pytest.raises(ControlError, match=message):
+        Client(path).status()
+    thread.join()
