@@ -30,6 +30,7 @@ from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, left_jacobian, rotation_between
 from spheremouse.tracker import Estimate, Status
 
+_EXACT = 1e-6  # rad: the axes of a map without error
 _RIDGE = 1e-18  # rad²: parameters that are known exactly have no variance to invert
 _TURNING = np.ix_((0, 1, 2, 6, 7, 8), (0, 1, 2, 6, 7, 8))  # of an estimate's covariance: rotation and its rate
 
@@ -51,12 +52,11 @@ class Observation(NamedTuple):
 def observe(estimate: Estimate, state: So3State, points: SpherePoints, filter_: So3Filter) -> Observation:
     """Return the information of a frame's `points` about the motion, given the filter's state and estimate after it.
 
-    The residuals have the covariance of the image noise and of each disc's place relative to the other discs. The
-    first frame of a map confirms no estimate, but its discs count, with residuals of zero.
+    The residuals have the covariance of the image noise and of each disc's place relative to the other discs.
     """
     J, score = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM)), np.zeros(KINEMATIC_DIM)
-    rows = state.used if estimate.confirmed else np.arange(len(points) if np.all(state.hits == 1) else 0)
-    if len(rows) and len(state.discs):
+    rows = state.used
+    if estimate.confirmed and len(rows):
         cosine = points.direction[rows] @ state.attitude @ state.discs.T
         near = cosine.max(axis=1) > np.cos(filter_.disc_angle)
         rows, columns = rows[near], cosine.argmax(axis=1)[near]
@@ -105,8 +105,9 @@ def smooth(observations: Iterable[Observation], settings: So3Settings) -> list[E
     result: list[Estimate] = []
     for interval in _intervals(observations):
         if interval[0].estimate.status is Status.TRACKING:
-            motions, gains = smooth_interval(interval, jerk_densities(interval, settings), settings)
-            result += _estimates(interval, motions, gains)
+            informed = _with_reference(interval)
+            motions, gains = smooth_interval(informed, jerk_densities(informed, settings), settings)
+            result += _estimates(informed, motions, gains)
         else:
             result += [o.estimate for o in interval]
     return result
@@ -122,6 +123,26 @@ def _intervals(observations: Iterable[Observation]) -> list[list[Observation]]:
             intervals.append([])
         intervals[-1].append(observation)
     return intervals
+
+
+def _is_reference(observation: Observation) -> bool:
+    """Return whether the attitude is exact, since the frame defines the axes of the ball."""
+    return not observation.estimate.covariance[:3, :3].any()
+
+
+def _with_reference(interval: list[Observation]) -> list[Observation]:
+    """Return the interval with the information of the frame that defines the axes of the ball, if it has one.
+
+    Relative to the map of a later frame, the exact attitude has the error of that map's axes. The covariance of this
+    error is the shared one of the frame at which the map is known best.
+    """
+    first, *others = interval
+    shared = [o.shared[:3, :3] for o in others if o.information.any()]
+    if not _is_reference(first) or not shared:
+        return interval
+    J = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
+    J[:3, :3] = np.linalg.inv(min(shared, key=np.trace) + _EXACT**2 * np.eye(3))
+    return [first._replace(information=J, score=np.zeros(KINEMATIC_DIM)), *others]
 
 
 def jerk_densities(observations: Sequence[Observation], settings: So3Settings) -> Array:
@@ -206,25 +227,30 @@ def _updated(prior: Motion, observation: Observation) -> tuple[Motion, float]:
 
 
 def _estimates(interval: Sequence[Observation], motions: Sequence[Motion], gains: Sequence[Array]) -> list[Estimate]:
-    """Return the estimates of one interval with their smoothed motions, and increments between the confirmed ones."""
+    """Return the estimates of one interval with their smoothed motions, and increments between the confirmed ones.
+
+    A frame that defines the axes of the ball keeps its attitude. All attitudes take the axes that this frame defines.
+    """
     result: list[Estimate] = []
-    last: int | None = None  # confirmed frame
-    cross = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))  # product of the gains since then
+    exact, last = _is_reference(interval[0]), 0  # the last confirmed frame; the first frame starts the motion
+    axes = motions[0].attitude.T @ interval[0].estimate.rotation if exact else np.eye(3)
+    cross = np.eye(KINEMATIC_DIM)  # product of the gains since that frame
     for k, (observation, motion) in enumerate(zip(interval, motions, strict=True)):
         cross = cross @ gains[k - 1] if k else cross
         rate, covariance = np.zeros(6), np.zeros((12, 12))
         increment, increment_covariance = np.zeros(6), np.zeros((6, 6))
         rate[:3], covariance[_TURNING] = motion.rate, motion.covariance[:6, :6] + observation.shared
-        if observation.estimate.confirmed:
-            if last is not None:
-                before = motions[last]
-                turn = rotation_between(before.attitude, motion.attitude)
-                increment[:3] = turn
-                increment_covariance[:3, :3] = _turn_covariance(turn, before.covariance, motion.covariance, cross)
+        if k == 0 and exact:
+            covariance[:3], covariance[:, :3] = 0.0, 0.0
+        if k and observation.estimate.confirmed:
+            before = motions[last]
+            turn = rotation_between(before.attitude, motion.attitude)
+            increment[:3] = turn
+            increment_covariance[:3, :3] = _turn_covariance(turn, before.covariance, motion.covariance, cross)
             last, cross = k, np.eye(KINEMATIC_DIM)
         result.append(
             observation.estimate._replace(
-                rotation=motion.attitude,
+                rotation=motion.attitude @ axes,
                 rate=rate,
                 covariance=covariance,
                 increment=increment,

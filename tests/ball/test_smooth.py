@@ -24,7 +24,7 @@ TURNING = np.ix_((0, 1, 2, 6, 7, 8), (0, 1, 2, 6, 7, 8))
 def estimated(k, attitude, rate, *, covariance=None, confirmed=True, status=Status.TRACKING):
     """An estimate of frame k with an increment; `covariance` (6, 6) of rotation and rate."""
     P = np.zeros((12, 12))
-    P[TURNING] = np.zeros((6, 6)) if covariance is None else covariance
+    P[TURNING] = np.eye(6) if covariance is None else covariance
     increment = np.eye(6) if confirmed else np.zeros((6, 6))
     rates = np.concatenate([rate, np.zeros(3)])
     return Estimate(k * DT, k, status, attitude, np.zeros(3), rates, P, np.zeros(6), increment, confirmed=confirmed)
@@ -208,20 +208,26 @@ def test_the_density_of_the_jerk_is_that_of_the_level_in_force(level):
 def test_the_smoothed_rate_of_the_default_filter_has_half_the_error_and_its_covariance():
     """40 runs with rates, accelerations and noise as the filter assumes, the map unknown at the start."""
     rng, runs, n = np.random.default_rng(12), 40, 40
-    ours, theirs, nees = [], [], []
+    ours, theirs, nees, attitude_nees = [], [], [], []
     for _ in range(runs):
-        state, frames, rates = OWN.initial(0.0, np.eye(3)), [], []
+        state, frames, truth = OWN.initial(0.0, np.eye(3)), [], []
         for k, (R, w, _) in enumerate(own_motion(rng, n)):
             points = points_at(seen(R), rng=rng)
             state = OWN.update(OWN.predict(state, k * DT), points)
             e = estimated(k, state.attitude, state.rate, covariance=state.covariance, confirmed=k > 0)
             frames.append(observe(e, state, points, OWN))
-            rates.append(w)
-        for k, e in enumerate(smooth(frames, OWN.settings)[10:30], 10):
-            error = e.rate[:3] - rates[k]
+            truth.append((R, w))
+        smoothed = smooth(frames, OWN.settings)
+        assert_allclose(smoothed[0].rotation, np.eye(3), atol=1e-12)  # this frame defines the axes of the ball
+        assert not smoothed[0].covariance[:3].any()
+        for k, e in enumerate(smoothed[10:30], 10):
+            R, w = truth[k]
+            error = e.rate[:3] - w
             ours.append(error @ error)
-            theirs.append(np.sum((frames[k].estimate.rate[:3] - rates[k]) ** 2))
+            theirs.append(np.sum((frames[k].estimate.rate[:3] - w) ** 2))
             nees.append(squared(error, e.covariance[6:9, 6:9]))
+            attitude_nees.append(squared(log(e.rotation @ R.T), e.covariance[:3, :3]))
     assert np.sqrt(np.mean(ours)) < 0.5 * np.sqrt(np.mean(theirs))
     low, high = chi2.ppf([0.025, 0.975], 3 * runs) / runs
     assert low < np.mean(nees) < high
+    assert low < np.mean(attitude_nees) < high
