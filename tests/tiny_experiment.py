@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from experiments.kit.job import Job
-from experiments.kit.render import Claim, Plot, Table
+from experiments.kit.render import Plot, Table
 
 
 def square(n, made):
@@ -47,9 +47,5 @@ def section(results):
     rows = pd.DataFrame(squares, columns=["job", "n", "square"])
     table = Table("What came", rows.drop(columns="n").assign(none=np.nan))
     plot = Plot("squares", "What came.", rows, "n", ["square"], "job")
-    return [
-        f"Other workers: {results['alone']['others']}.",
-        table,
-        plot,
-        Claim("Some are large.", (rows["square"] > 3).any()),
-    ]
+    others = Table("Other workers", pd.DataFrame({"others": [results["alone"]["others"]]}))
+    return [others, table, plot]

@@ -69,10 +69,8 @@ def experiments(
     made = f"Made by `{' '.join(['python docs/experiments', *words])}`, spheremouse {__version__}."
     made += " This is a quick run, mostly with one short film instead of several; not to be quoted." if quick else ""
     for name, module in modules.items():
-        doubts = write_section(out / "experiments", name, module, results[name], made)
+        write_section(out / "experiments", name, module, results[name], made)
         console.print(Markdown(_LINKS.sub("", (out / "experiments" / f"{name}.md").read_text("utf-8"))))
-        if doubts:
-            print(f"{name}: {doubts} of its sentences are not borne out by this run; the page marks them")
     page = write_page(out, NAMES)
     failed = [f"{name}/{key}: {r['error']}" for name, of in results.items() for key, r in of.items() if "error" in r]
     for line in failed:

@@ -14,7 +14,7 @@ import pandas as pd
 from experiments.kit import detections
 from experiments.kit import film as kit
 from experiments.kit.job import Job, Request, Result, Results
-from experiments.kit.render import ATTITUDE, ERRORS, RATE, Claim, Part, Plot, Table, by, filter_rows, tidy, where
+from experiments.kit.render import ATTITUDE, ERRORS, RATE, Part, Plot, Table, by, filter_rows, tidy, where
 from experiments.kit.tour import FAR_OFF, FOLLOWED
 from spheremouse.ball.associate import identify
 from spheremouse.ball.truth import VISIBLE
@@ -217,37 +217,6 @@ def section(results: Results) -> list[Part]:
         RATE: "median",
     }
     medians = by(runs.assign(films=0), ["kind", "value", "filter"], how)
-    ours = where(medians, filter="so3")
-    lost = ours.set_index(["kind", "value"])["lost"]
-    size, layout = (where(ours, kind=kind).set_index("value") for kind in ("size", "layout"))
-    big, small = size.index.astype(float) >= 8.0, size.index.astype(float) < 8.0
-    scattered_ = layout.drop("cluster", errors="ignore")
-    apart = layout["recognised, %"].reindex(["designed", "spread"]).min(skipna=False)
-    alike = layout["recognised, %"].reindex(["even", "rows"]).max(skipna=False)
-    shown = lost.reindex([("hands", k) for k in list(HANDS)[:4]])
-    claims = {
-        "size": [
-            Claim(
-                "All films are held with a radius of 8 mm or more, and some are lost with less.",
-                size["lost"][big].max() == 0 and (size["lost"][small] > 0).all(),
-            ),
-            Claim(
-                "The attitude of `so3` is best with 20 mm; with 30 mm it is worse again.",
-                len(size) > 0 and size[ATTITUDE].idxmin() == "20",
-            ),
-        ],
-        "layout": [
-            Claim(
-                "`so3` loses the ball with the discs clustered on one side, and with no other layout.",
-                scattered_["lost"].max() == 0 and lost.get(("layout", "cluster"), 0) > 0,
-            ),
-            Claim(
-                "Regular layouts look the same from many sides. Use *designed* or *spread*.",
-                alike < 50.0 and apart >= 99.0,
-            ),
-        ],
-        "hands": [Claim("No film is lost with up to two large hands.", shown.max(skipna=False) == 0)],
-    }
     parts: list[Part] = []
     for kind, title in {"size": "radius of the discs, mm", "layout": "layout", "hands": "hands"}.items():
         rows, table = (where(frame, kind=kind).dropna(axis="columns", how="all") for frame in (runs, medians))
@@ -257,7 +226,6 @@ def section(results: Results) -> list[Part]:
                 Table(
                     f"Medians by {title}", table.drop(columns="kind").rename(columns={"value": title}), [title, "films"]
                 ),
-                *claims[kind],
                 Plot(
                     f"discs-{kind}",
                     f"Errors by {title}: medians and range of the films.",

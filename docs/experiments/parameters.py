@@ -1,12 +1,9 @@
 """The classic filter's two parameters: assumed acceleration sigma_w and noise of a disc's centre sigma_b.
 
 Wittich 2017, section 4.5, tables 14 to 18: `ekf2` on a film like R1, compared with the trackball's log, and on films
-like S1, compared with the truth. `so3` has neither parameter. In a modelled scene the ball is exact, and a point on it
-(eq. 120) has no variance along the radius. Our `ekf2` gives it some; the tables "exact ball" do without.
+like S1, compared with the truth. `so3` has neither parameter.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from experiments.kit import detections, r1
-from experiments.kit.film import Film, bound, film_from_dataset, film_of, options_of, settings_of, tracked
+from experiments.kit.film import Film, film_from_dataset, film_of, options_of, settings_of, tracked
 from experiments.kit.job import Job, Request, Result, Results
-from experiments.kit.render import ATTITUDE, RATE, Claim, Part, Plot, Table, tidy, where
+from experiments.kit.render import ATTITUDE, RATE, Part, Plot, Table, tidy
 from spheremouse.evaluate.metrics import Run
 from spheremouse.simulate.ball.film import prepare
 
@@ -24,7 +21,6 @@ TITLE = "Assumed acceleration and noise of the discs (Wittich 2017, tables 14 to
 SIGMA_W = (0.001, 0.01, 0.1, 1.0)  # rad/s², those of the thesis
 SIGMA_B = (0.1, 1.0, 10.0)  # px
 BEYOND = 10.0  # rad/s², a row of ours
-EXACT = 1e-6  # m: so round the ball is taken to be where only that of the thesis is compared
 
 SPEED = "mouse speed, mm/s (thesis: px/s)"
 QUANTITIES = {
@@ -50,15 +46,11 @@ def jobs(request: Request) -> list[Job]:
     seconds = 4.0 if request.quick else r1.SECONDS
     found = [
         Job("r1", like_r1, {"seconds": seconds}, cost=1.8 * seconds),
-        Job("s1", simulated, {"frames": frames, "published": not request.quick}, cost=0.065 * frames),
+        Job("s1", simulated, {"frames": frames}, cost=0.065 * frames),
     ]
     if request.datasets is not None:
         path = str(request.datasets / "far26")
-        found.append(
-            Job(
-                "far26", recorded, {"path": path, "frames": frames, "published": not request.quick}, cost=0.055 * frames
-            )
-        )
+        found.append(Job("far26", recorded, {"path": path, "frames": frames}, cost=0.055 * frames))
     return found
 
 
@@ -75,50 +67,29 @@ def like_r1(seconds: float) -> Result:
     return {**_grid(film, extended), "truth": {"trackball": true}}
 
 
-def simulated(frames: int, published: bool) -> Result:
+def simulated(frames: int) -> Result:
     """The grid on a film like S1: 26 discs, far camera, the thesis' motion."""
-    return _compared(film_of(prepare(options_of({"seconds": frames / 30.0})), "S1"), published)
+    return _compared(film_of(prepare(options_of({"seconds": frames / 30.0})), "S1"))
 
 
-def recorded(path: str, frames: int, published: bool) -> Result:
+def recorded(path: str, frames: int) -> Result:
     """The grid on the reference recording like S1."""
-    return _compared(film_from_dataset(Path(path), frames), published)
+    return _compared(film_from_dataset(Path(path), frames))
 
 
-def _compared(film: Film, published: bool) -> Result:
-    def judge(run: Run) -> Result:
-        return detections.errors(run, film.truth, film.rig.ball.radius)
-
-    return {
-        **_grid(film, judge),
-        "exact": _cells(film, judge, SIGMA_W, radial_sigma=EXACT),
-        "published": _published(film, judge) if published else None,
-    }
+def _compared(film: Film) -> Result:
+    return _grid(film, lambda run: detections.errors(run, film.truth, film.rig.ball.radius))
 
 
 def _grid(film: Film, judge: Any) -> Result:
-    """All cells by "sigma_w/sigma_b", so3, and the bound for the noise that the centres really have."""
-    best = tracked(film, settings_of())
-    return {"cells": _cells(film, judge, (*SIGMA_W, BEYOND)), "so3": judge(best.run), "bound": bound(film, best)}
-
-
-def _cells(film: Film, judge: Any, sigma_w: Sequence[float], **more: float) -> Result:
-    """By "sigma_w/sigma_b"; `more` settings of the filter."""
+    """All cells by "sigma_w/sigma_b", and so3."""
     seen, cells = detections.look_at(film, settings_of(["tracker=ekf2"])), {}
     for b in SIGMA_B:
         noisy = detections.with_sigma(seen, b)
-        for w in sigma_w:
+        for w in (*SIGMA_W, BEYOND):
             settings = settings_of(["tracker=ekf2", f"euler.acceleration_sigma={w}"])
-            settings = replace(settings, euler=replace(settings.euler, **more))
             cells[key_of(w, b)] = judge(detections.filtered(noisy, settings, film))
-    return cells
-
-
-def _published(film: Film, judge: Any) -> Result:
-    """The first column with the published detector, by sigma_w."""
-    seen = detections.with_sigma(detections.look_at(film, settings_of(["detector=blobs", "tracker=ekf2"])), SIGMA_B[0])
-    settings = {w: settings_of(["tracker=ekf2", f"euler.acceleration_sigma={w}"]) for w in (*SIGMA_W, BEYOND)}
-    return {f"{w:g}": judge(detections.filtered(seen, s, film)) for w, s in settings.items()}
+    return {"cells": cells, "so3": judge(tracked(film, settings_of()).run)}
 
 
 def _agreement(found: r1.Agreement | None) -> Result:
@@ -133,39 +104,13 @@ def key_of(w: float, b: float) -> str:
 
 
 def section(results: Results) -> list[Part]:
-    """Tables 14 to 18, with an exact ball and the published detector beside, and why they differ."""
+    """Tables 14 to 18."""
     cells = _tidy(results)
-    usual, exact = (where(cells, grid=["thesis", *more]) for more in (["ekf2", "so3"], ["exact ball"]))
-    like_s1 = usual[usual["film"] != "r1"]
-    parts: list[Part] = [
-        Table(f"{caption} (table {number})", _wide(usual if number == 14 else like_s1, column))
-        for column, (caption, number) in QUANTITIES.items()
-    ]
-    parts += [
-        Table(f"{QUANTITIES[name][0]}: `ekf2` with an exact ball", _wide(exact, name)) for name in (ATTITUDE, RATE)
-    ]
-    first = where(
-        cells[cells["film"] != "r1"], **{"σ_b, px": SIGMA_B[0], "grid": ["thesis", "ekf2", "published detector"]}
-    )
-    parts.append(Table("Rate RMSE, °/s, with our detector and the published one, σ_b = 0.1 px", _wide(first, RATE)))
-    shared = cells[cells["σ_w, rad/s²"].isin(SIGMA_W)]
-    ours, so3 = (where(shared if grid == "ekf2" else cells, film="s1", grid=grid) for grid in ("ekf2", "so3"))
-    same = {key: _spread(ours, key)[RATE] for key in ("σ_w/σ_b", "σ_w, rad/s²")}
-    off = {grid: _factor(where(shared, film="s1", grid=grid)) for grid in ("ekf2", "exact ball")}
-    best = [so3[name].min() < ours[name].min() for name in (ATTITUDE, RATE)]
+    like_s1 = cells[cells["film"] != "r1"]
     return [
-        *parts,
-        Claim("`so3` is better than any cell of the grid.", all(best)),
-        Claim(
-            f"Our rates on S1 depend on σ_w/σ_b, the weight of prediction against measurement: with the same ratio "
-            f"they differ by a factor of {same['σ_w/σ_b']:.1f} at most, with the same σ_w by "
-            f"{same['σ_w, rad/s²']:.0f}. The thesis' rates on S1 do the reverse, with factors of 3.4 and 1.5.",
-            same["σ_w/σ_b"] < same["σ_w, rad/s²"],
-        ),
-        Claim(
-            f"With an exact ball we come nearer to the thesis: rates differ by a factor of {off['exact ball']:.2f} "
-            f"in the place of {off['ekf2']:.2f} (median). The thesis does not state its value.",
-            off["exact ball"] < off["ekf2"],
+        *(
+            Table(f"{caption} (table {number})", _wide(cells if number == 14 else like_s1, column))
+            for column, (caption, number) in QUANTITIES.items()
         ),
         Plot(
             "parameters",
@@ -174,25 +119,21 @@ def section(results: Results) -> list[Part]:
             "σ_w/σ_b",
             [ATTITUDE, RATE],
             "film",
-            "grid",
             log="xy",
         ),
     ]
 
 
 def _tidy(results: Results) -> pd.DataFrame:
-    """A row for each film, grid and cell; `so3` has an infinite σ_w, the thesis' cells are a film of their own."""
+    """A row for each film and cell; `so3` has an infinite σ_w, the thesis' cells are a film of their own."""
     records: list[dict[str, Any]] = []
     for film, result in results.items():
-        column = {key_of(float(w), SIGMA_B[0]): cell for w, cell in (result.get("published") or {}).items()}
-        grids = {"ekf2": result["cells"], "published detector": column, "exact ball": result.get("exact", {})}
-        grids["so3"] = {f"inf/{b}": result["so3"] for b in SIGMA_B}
+        cells = {**result["cells"], **{f"inf/{b}": result["so3"] for b in SIGMA_B}}
         records += [
-            {"film": film, "grid": grid, "w": float(key.split("/")[0]), "b": float(key.split("/")[1]), **cell}
-            for grid, of in grids.items()
-            for key, cell in of.items()
+            {"film": film, "w": float(key.split("/")[0]), "b": float(key.split("/")[1]), **cell}
+            for key, cell in cells.items()
         ]
-    names = {"film": "film", "grid": "grid", "w": "σ_w, rad/s²", "b": "σ_b, px", "trackball.r": "correlation, R1"}
+    names = {"film": "film", "w": "σ_w, rad/s²", "b": "σ_b, px", "trackball.r": "correlation, R1"}
     names |= {"surface_speed_r.combined": "correlation, S1", "attitude_rmse_deg.combined": ATTITUDE}
     names |= {
         "rate_rmse_deg_s.combined": RATE,
@@ -202,27 +143,13 @@ def _tidy(results: Results) -> pd.DataFrame:
     cells = tidy(records, names)
     thesis = [dict(zip(("σ_w, rad/s²", "σ_b, px"), (w, b), strict=True)) for w in SIGMA_W for b in SIGMA_B]
     printed = {name: np.ravel(THESIS[key]) for name, key in zip(QUANTITIES, THESIS, strict=True)}
-    cells = pd.concat([pd.DataFrame(thesis).assign(film="thesis", grid="thesis", **printed), cells])
+    cells = pd.concat([pd.DataFrame(thesis).assign(film="thesis", **printed), cells])
     return cells.assign(**{"σ_w/σ_b": (cells["σ_w, rad/s²"] / cells["σ_b, px"]).round(9)})
 
 
 def _wide(cells: pd.DataFrame, column: str) -> pd.DataFrame:
     """A line for each σ_w, and one for `so3`."""
     cells = cells.dropna(subset=[column])
-    films = cells["film"].where(cells["grid"].isin(["thesis", "ekf2", "so3"]), cells["film"] + ", " + cells["grid"])
-    names = "σ_b " + cells["σ_b, px"].map("{:g}".format) + " px: " + films
+    names = "σ_b " + cells["σ_b, px"].map("{:g}".format) + " px: " + cells["film"]
     wide = cells.assign(name=names).pivot(index="σ_w, rad/s²", columns="name", values=column).reset_index()
     return wide.assign(**{"σ_w, rad/s²": ["so3" if w == np.inf else f"{w:g}" for w in wide["σ_w, rad/s²"]]})
-
-
-def _spread(cells: pd.DataFrame, key: str) -> "pd.Series[float]":
-    """The largest factor between errors of cells that have this in common."""
-    groups = cells.groupby(key)[[ATTITUDE, RATE]]
-    return (groups.max() / groups.min()).max()
-
-
-def _factor(cells: pd.DataFrame) -> float:
-    """Median factor between our rates and the thesis', whichever is larger."""
-    typed = dict(zip(((w, b) for w in SIGMA_W for b in SIGMA_B), np.ravel(THESIS["rate"]), strict=True))
-    over = [x / typed[w, b] for w, b, x in cells[["σ_w, rad/s²", "σ_b, px", RATE]].to_numpy()]
-    return float(np.median(np.maximum(over, np.reciprocal(over)))) if over else np.nan

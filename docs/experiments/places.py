@@ -1,4 +1,4 @@
-"""Expected attitude and rate errors by direction and distance of the camera, with films as a check.
+"""Expected attitude and rate errors by direction and distance of the camera.
 
 Wittich 2017, chapter 5, asks for as many cameras as possible. The map is the posterior Cramer-Rao bound of a
 camera at each place, by geometry alone. It depends on the discs that are wholly in view past the device's frame, on
@@ -17,16 +17,15 @@ from numpy.typing import NDArray
 
 from experiments.kit import film as kit
 from experiments.kit.job import Job, Request, Result, Results
-from experiments.kit.render import ATTITUDE, RATE, Claim, Part, Plot, Table, tidy, where
+from experiments.kit.render import ATTITUDE, RATE, Part, Plot, Table, tidy, where
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.ball.truth import VISIBLE, Truth
-from spheremouse.errors import PoseError
 from spheremouse.evaluate.bound import MATCH, Sight, distances, posterior_bound
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, tangent_basis
-from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, default_scene, prepare
+from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, default_scene
 from spheremouse.simulate.ball.profile import thesis
 from spheremouse.simulate.ball.stills import looking
 from spheremouse.simulate.shapes import Sphere, Viewpoint, look
@@ -44,15 +43,12 @@ _RIM = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)  # where a disc is looke
 _RING = 2.5  # px across: narrower rings of targets are not found (`targets`)
 _LEAST = 15  # centres that make a size class
 POSED = 3  # targets that make a pose
-NEAR_BEST = 1.25  # times the least error: as good as the best place
 TOP = 60.0  # times the least error: more is not drawn
 LENSES = ("same lens", "ball fills the picture")
 
 AZIMUTHS = tuple(range(-90, 91, 15))  # deg, to the right of the device's front
 ELEVATIONS = tuple(range(-20, 81, 10))  # deg
 DISTANCES = (0.9, 1.0, 1.15, 1.35, 1.6, 2.0, 2.35, 2.8, 3.3, 3.8)  # m
-_CHECKED = ((0, 0), (0, 30), (0, 60), (-30, 0), (45, 10), (-45, 50), (75, 0), (-75, 30), (30, -20))  # deg
-_CHECKED_DISTANCES = {LENSES[0]: (1.0, 1.35, 3.3), LENSES[1]: (1.0, 1.35, 3.3)}  # m
 
 
 class Place(NamedTuple):
@@ -62,11 +58,6 @@ class Place(NamedTuple):
     elevation: float  # deg
     distance: float  # m, from the ball's centre
     focal: float  # px, of a picture of 640x480
-
-    @property
-    def key(self) -> str:
-        """Name of its job."""
-        return f"film-{self.azimuth:g}-{self.elevation:g}-{self.distance:g}-{self.focal:.0f}"
 
 
 _PICTURED = (
@@ -84,40 +75,30 @@ def lens_of(name: str, distance: float) -> float:
     return FOCAL if name == LENSES[0] else fitted(distance)
 
 
-def _checked(quick: bool) -> tuple[list[Place], list[Place]]:
-    """Places that are filmed: of the map of directions, and of the distances."""
-    if quick:
-        return [Place(0, 10, FAR, FOCAL)], []
-    far = [Place(a, e, FAR, FOCAL) for a, e in _CHECKED]
-    return far, [Place(0, 0, d, lens_of(lens, d)) for lens, found in _CHECKED_DISTANCES.items() for d in found]
-
-
 def jobs(request: Request) -> list[Job]:
-    """Two maps and the films that check them."""
-    around, along = _checked(request.quick)
+    """Two maps: of directions, in two parts, and of distances."""
     frames, layouts, pictures, pictured = (45, 1, 6, 3) if request.quick else (_FRAMES, 3, 16, len(_PICTURED))
     common = {"layouts": layouts, "frames": frames, "pictures": pictures, "pictured": pictured}
-    work = []
-    for name, places, checked in _maps(request.quick, around, along):
-        cost = pictured * (1.5 + 0.04 * pictures) + 0.001 * frames * layouts * len(places)
-        plain = {"places": [list(p) for p in places], "checked": [list(p) for p in checked]}
-        work.append(Job(name, mapped, {**plain, **common}, cost=cost))
-    return work + [
-        Job(place.key, filmed, {"place": list(place), "frames": frames}, cost=2.5 + 0.03 * frames)
-        for place in (*around, *along)
+    return [
+        Job(
+            name,
+            mapped,
+            {"places": [list(p) for p in places], **common},
+            cost=pictured * (1.5 + 0.04 * pictures) + 0.001 * frames * layouts * len(places),
+        )
+        for name, places in _maps(request.quick)
     ]
 
 
-def _maps(quick: bool, around: list[Place], along: list[Place]) -> list[tuple[str, list[Place], list[Place]]]:
-    """Name, places, and those of them that are filmed."""
+def _maps(quick: bool) -> list[tuple[str, list[Place]]]:
     if quick:
-        return [("directions-0", [Place(a, e, FAR, FOCAL) for e in ELEVATIONS[::3] for a in AZIMUTHS[::3]], around)]
+        return [("directions-0", [Place(a, e, FAR, FOCAL) for e in ELEVATIONS[::3] for a in AZIMUTHS[::3]])]
     half = len(ELEVATIONS) // 2
     halves = [
         [Place(a, e, FAR, FOCAL) for e in rows for a in AZIMUTHS] for rows in (ELEVATIONS[:half], ELEVATIONS[half:])
     ]
-    distances_ = [Place(0, 0, d, lens_of(lens, d)) for lens in LENSES for d in DISTANCES]
-    return [("directions-0", halves[0], around), ("directions-1", halves[1], []), ("distances", distances_, along)]
+    along = [Place(0, 0, d, lens_of(lens, d)) for lens in LENSES for d in DISTANCES]
+    return [("directions-0", halves[0]), ("directions-1", halves[1]), ("distances", along)]
 
 
 # ---- the map ----
@@ -132,20 +113,12 @@ def scene_from(place: Place, layout: int) -> Scene:
     return replace(scene, camera=camera, pose=looking(place.distance * away, _AIM, 0.0))
 
 
-def mapped(
-    places: Sequence[Sequence[float]],
-    checked: Sequence[Sequence[float]],
-    layouts: int,
-    frames: int,
-    pictures: int,
-    pictured: int,
-) -> Result:
-    """The bound at all places, RMS over layouts of the discs; at those that are filmed, with the film's discs."""
+def mapped(places: Sequence[Sequence[float]], layouts: int, frames: int, pictures: int, pictured: int) -> Result:
+    """Return the bound at all places, RMS over layouts of the discs."""
     noise = measured_noise(pictures, pictured)
     return {
         "noise": [list(row) for row in noise],
         "map": [expected(Place(*p), range(layouts), frames, noise) for p in places],
-        "checked": [expected(Place(*p), (0,), frames, noise) for p in checked],
     }
 
 
@@ -269,82 +242,33 @@ def _shapes(scene: Scene) -> Viewpoint:
     return look(shapes, scene.pose.position, scene.pose.rotation)
 
 
-# ---- films ----
-
-
-def filmed(place: Sequence[float], frames: int) -> Result:
-    """Track a film from there by `so3`, with its own pose and with the true one, and compute the film's bound."""
-    where = Place(*place)
-    simulation = prepare(kit.options_of({"discs": DISCS, "noise": NOISE, "seconds": frames / _FPS}))
-    film = kit.film_of(replace(simulation, scene=scene_from(where, 0)), where.key)
-    tracked = kit.tracked(film, kit.settings_of(), own_pose=False)
-    result: Result = {"place": list(where), "true pose": tracked.report, "bound": kit.bound(film, tracked)}
-    try:
-        result["own pose"] = kit.tracked(film, kit.settings_of()).report
-    except PoseError as e:
-        result["own pose"] = {"error": str(e)}
-    return result
-
-
 # ---- section ----
 
 
 def section(results: Results) -> list[Part]:
-    """The maps, the films beside them, and where to put the camera."""
+    """The best and the worst places, the map by direction and by distance, and the noise that it assumes."""
     maps = [{"part": key.partition("-")[0], **_entry(e)} for key, r in results.items() for e in r.get("map", ())]
     rows = tidy(maps, ["part", *_PLACE, ATTITUDE, RATE, "discs in view", "targets in view"])
     around, along = (
         where(rows, part=part).drop(columns="part").sort_values(ATTITUDE) for part in ("directions", "distances")
     )
     seen = around[around["targets in view"] >= POSED]
-    films = _films(results)
-    tracked = films[films["frames lost"] == 0]
-    posed = films["`so3`, own pose: " + ATTITUDE].notna()
-    near = 100.0 * float((around[ATTITUDE] <= NEAR_BEST * around[ATTITUDE].min()).mean())
-    best = along.groupby("lens")["distance, m"].first().reindex(LENSES)
-    sizes = next((r["noise"] for r in results.values() if "noise" in r), [])
-    noise = pd.DataFrame(sizes, columns=["area, px²", "centre RMS per axis, px", "share found", "discs"])
-    shown = along[along[ATTITUDE] <= TOP * along[ATTITUDE].min()]
-    rises = around.sort_values(["elevation, °", "azimuth, °"])
+    sizes = next((r["noise"] for r in results.values()), [])
     return [
         Table(
             "The best and the worst direction, of all and of those that see three targets",
             pd.concat([around[:1], around[-1:], seen[:1], seen[-1:]]),
-        ),
-        Claim(
-            f"The direction matters little: {near:.0f} % of the directions are within "
-            f"{100 * (NEAR_BEST - 1):.0f} % of the best attitude.",
-            near > 90.0,
-        ),
-        Claim(
-            f"The targets limit the choice: three or more are visible from {len(seen)} of {len(around)} directions. "
-            "For another place, move the targets too.",
-            0 < len(seen) < len(around),
         ),
         Table(
             "The bound by distance, straight before the frame",
             along.sort_values(["lens", "distance, m"]),
             ["lens"],
         ),
-        Claim(
-            f"With one lens of {FOCAL:.0f} px there is a best distance; with a lens with which the ball fills the "
-            "picture, the farther the better.",
-            best.iloc[0] < best.iloc[1] == along["distance, m"].max(),
-        ),
-        Table("Films beside the map", films),
-        Claim(
-            "The targets gave a pose if three or more are in view by the map, and nowhere else.",
-            (posed == (films["targets in view"] >= POSED)).all(),
-        ),
-        Table(
-            "Errors of `so3` (true pose) over those of the map, in films without a lost frame",
-            _over(tracked, "`so3`, true pose: ", "map: ").describe().loc[["min", "50%", "max"]].reset_index(),
-        ),
-        Table("Noise by size, as in the map", noise),
+        Table("Noise by size", pd.DataFrame(sizes, columns=list(_SIZE))),
         Plot(
             "places-directions",
             "The bound by the direction of the camera.",
-            rises,
+            around.sort_values(["elevation, °", "azimuth, °"]),
             "azimuth, °",
             [ATTITUDE, RATE],
             "elevation, °",
@@ -353,7 +277,7 @@ def section(results: Results) -> list[Part]:
         Plot(
             "places-distances",
             "The bound against the distance, straight before the frame.",
-            shown,
+            along[along[ATTITUDE] <= TOP * along[ATTITUDE].min()],
             "distance, m",
             [ATTITUDE, RATE],
             "lens",
@@ -363,38 +287,11 @@ def section(results: Results) -> list[Part]:
 
 
 _PLACE = ["azimuth, °", "elevation, °", "distance, m", "focal length, px", "lens"]
+_SIZE = ("area, px²", "centre RMS per axis, px", "share found", "discs")
 
 
 def _entry(entry: Result) -> Result:
     place = Place(*entry["place"])
-    lens = LENSES[place.focal != FOCAL]
-    found = {ATTITUDE: entry["attitude_deg"], RATE: entry["rate_deg_s"]} if "attitude_deg" in entry else {}
-    found |= {"discs in view": entry.get("discs"), "targets in view": entry.get("targets")}
-    return {**dict(zip(_PLACE, (*place, lens), strict=True)), **found}
-
-
-def _films(results: Results) -> pd.DataFrame:
-    """A row for each film: the map's value with its own discs, its bound, and `so3` with both poses."""
-    expected = {Place(*e["place"]).key: _entry(e) for result in results.values() for e in result.get("checked", ())}
-    records = []
-    for key, result in results.items():
-        if "place" in result:
-            true, own, at = result["true pose"], result["own pose"], expected.get(key, {})
-            sources = {"map: ": (at.get(ATTITUDE), at.get(RATE))}
-            bound = result["bound"] or {"attitude_deg": {}, "rate_deg_s": {}}
-            sources["bound: "] = (bound["attitude_deg"].get("combined"), bound["rate_deg_s"].get("combined"))
-            for name, found in (("`so3`, true pose: ", true), ("`so3`, own pose: ", own)):
-                errors = (found.get(f"{what}", {}).get("combined") for what in ("attitude_rmse_deg", "rate_rmse_deg_s"))
-                sources[name] = tuple(errors)
-            row = {f"{s}{q}": x for s, of in sources.items() for q, x in zip((ATTITUDE, RATE), of, strict=True)}
-            counts = {"targets in view": at.get("targets in view"), "frames lost": true["frames"] - true["tracked"]}
-            place = {k: v for k, v in _entry(result).items() if k in _PLACE}
-            records.append({**place, **row, **counts})
-    sources = [
-        f"{s}{q}" for q in (ATTITUDE, RATE) for s in ("map: ", "bound: ", "`so3`, true pose: ", "`so3`, own pose: ")
-    ]
-    return tidy(records, [*_PLACE, *sources, "targets in view", "frames lost"])
-
-
-def _over(films: pd.DataFrame, numerator: str, denominator: str) -> pd.DataFrame:
-    return pd.DataFrame({q: (films[numerator + q] / films[denominator + q]).astype(float) for q in (ATTITUDE, RATE)})
+    found = {ATTITUDE: entry["attitude_deg"], RATE: entry["rate_deg_s"]}
+    found |= {"discs in view": entry["discs"], "targets in view": entry["targets"]}
+    return {**dict(zip(_PLACE, (*place, LENSES[place.focal != FOCAL]), strict=True)), **found}

@@ -8,44 +8,32 @@ Roughness is the RMS of second differences of the pointer's place every 4 ms.
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import pandas as pd
 
 from experiments.kit.film import settings_of
 from experiments.kit.job import Job, Request, Result, Results
-from experiments.kit.render import Claim, Part, Plot, Table, by, tidy, where
-from experiments.kit.world import DISCS, NOISE, RATES, World, known_ball, world
+from experiments.kit.render import Part, Plot, Table, by, tidy, where
+from experiments.kit.world import DISCS, RATES, World, known_ball, world
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.state import Tracker, TrackState
-from spheremouse.ball.track import advance, step
+from spheremouse.ball.track import advance
 from spheremouse.evaluate.trackball import RotationSteps, match
 from spheremouse.files.mouse_log import MouseLog
-from spheremouse.geometry.rotation import Array, log
-from spheremouse.output.counts import Counter, MotionSettings, Remainder, to_counts
+from spheremouse.geometry.rotation import Array
+from spheremouse.output.counts import Counter, MotionSettings
 from spheremouse.output.pointer import PointerSettings, Resampler, due, take
-from spheremouse.simulate.ball.film import Renderer, RenderOptions
 from spheremouse.simulate.ball.profile import Gestures, Profile, play, stroke
-from spheremouse.tracker import Estimate, Frame
+from spheremouse.tracker import Estimate
 
 NONE, ZERO, ONE, DEFAULT, NEXT = "without", "horizon 0", "one frame", "default", "to the next frame"
 TITLE = "The pointer between frames: delay, distance, smoothness, overshoot"
 WAYS = (NONE, ZERO, ONE, DEFAULT, NEXT)
-EXACT = "default, exact attitude"
-MORE = {
-    "default": PointerSettings(),
-    "smooth 0": PointerSettings(smooth=0.0),
-    "smooth 1": PointerSettings(smooth=1.0),
-    "rate 125 Hz": PointerSettings(rate=125.0),
-    "rate 1000 Hz": PointerSettings(rate=1000.0),
-}
 FIXED, FRAMES = 0.01, 1.2  # s, and frames: from a frame's stamp to its arrival; 50 ms at 30 Hz, 30 ms at 60 Hz
 SHOWN = 0.004  # s, between two looks at the pointer
 SPEED, STOPPED, HELD = float(np.radians(400.0)), (0.05, 0.2), 0.25  # rad/s; s, in which it is stopped, and before
 OVERSHOOT = "overshoot, counts"
-NEAR = 5.0  # counts, about 5 mm on the ball: a pointer is near
-TRACKED, JUMP = 0.98, 20.0  # of the frames; counts beyond a stop that are no noise
 _BEGIN = 1.2  # s: the ball begins to move after one second, and frames arrive later
 _FINE, _SAME = 1e-3, 1e-9  # s: of the integration; rounding of times
 _LAGS = np.arange(-0.03, 0.0301, 0.002)  # s, about the lag that `match` finds
@@ -84,17 +72,6 @@ def _seen(tracker: Tracker, start: TrackState, there: World, motion: Profile, st
     return _as_told(tracker, motions, stamps)
 
 
-def _filmed(tracker: Tracker, start: TrackState, there: World, motion: Profile, stamps: Array, seed: int) -> Told:
-    """The same of pictures."""
-    renderer, rng = Renderer(there.scene, RenderOptions(noise=NOISE)), np.random.default_rng([seed, 5])
-    state, motions = start, []
-    for k, t in enumerate(stamps):
-        image = renderer.frame(motion, float(t), k, rng).frame.image
-        state, moved, _ = step(state, Frame(image, start.filter.stamp + float(t), k), tracker)
-        motions.append(moved)
-    return _as_told(tracker, motions, stamps)
-
-
 def _as_told(tracker: Tracker, motions: list[Estimate], stamps: Array) -> Told:
     counter = Counter(_matrix(tracker))
     reports = [counter.report(m) for m in motions]
@@ -105,15 +82,6 @@ def _as_told(tracker: Tracker, motions: list[Estimate], stamps: Array) -> Told:
 def _matrix(tracker: Tracker) -> Array:
     """Counts per radian, (3, 3)."""
     return MotionSettings().matrix(tracker.rig.radius_m)
-
-
-def exact(motion: Profile, stamps: Array, matrix: Array) -> Told:
-    """Return the reports of a tracker without error; `matrix` (3, 3) counts/rad."""
-    R, remainder, counts = motion.attitude(stamps), Remainder(), [(0, 0, 0)]
-    for a, b in pairwise(R):
-        moved, remainder = to_counts(log(b @ a.T), matrix, remainder)
-        counts.append(moved)
-    return Told(stamps, np.array(counts), motion.rate(stamps) @ matrix.T, np.ones(len(stamps), dtype=bool))
 
 
 # ---- what the pointer makes of it ----
@@ -207,43 +175,35 @@ def jobs(request: Request) -> list[Job]:
     """A camera's rate and a motion."""
     quick = request.quick
     rates, seeds, seconds, phases = ((15.0, 30.0), 1, 8.0, 2) if quick else (RATES, 2, 20.0, 6)
-    found = [
-        Job(
-            f"play-{fps:g}-{seed}",
-            played,
-            {"fps": fps, "seed": seed, "seconds": seconds, "pictures": False, "more": fps in (30.0, 60.0, 120.0)},
-            cost=2.0 + 0.002 * seconds * fps,
-        )
-        for fps in rates
-        for seed in range(seeds)
+    return [
+        *(
+            Job(
+                f"play-{fps:g}-{seed}",
+                played,
+                {"fps": fps, "seed": seed, "seconds": seconds},
+                cost=2.0 + 0.002 * seconds * fps,
+            )
+            for fps in rates
+            for seed in range(seeds)
+        ),
+        *(
+            Job(f"stop-{fps:g}", stopped, {"fps": fps, "phases": phases}, cost=2.0 + 0.01 * phases * fps)
+            for fps in rates
+        ),
     ]
-    found += [
-        Job(f"stop-{fps:g}", stopped, {"fps": fps, "phases": phases}, cost=2.0 + 0.01 * phases * fps) for fps in rates
-    ]
-    if not quick:
-        film = {"fps": 30.0, "seed": 0, "seconds": seconds, "pictures": True, "more": False}
-        found.append(Job("film-30-0", played, film, cost=20.0))
-    return found
 
 
-def played(fps: float, seed: int, seconds: float, pictures: bool, more: bool) -> Result:
+def played(fps: float, seed: int, seconds: float) -> Result:
     """Somebody plays."""
     there = world(DISCS, seed)
     tracker = build(there.rig, there.scene.pose, settings_of())
     motion = play(seconds, np.random.default_rng([seed, 2]))
     stamps = np.arange(1.0, seconds * fps) / fps
-    told = (_filmed if pictures else _seen)(tracker, begin(tracker, 0.0), there, motion, stamps, seed)
+    told = _seen(tracker, begin(tracker, 0.0), there, motion, stamps, seed)
     true = ball(motion, float(stamps[-1]), _matrix(tracker))
     paths = {way: pointer(told, fps, None if way == NONE else settings(way, fps), true.t) for way in WAYS}
-    best = pointer(exact(motion, stamps, _matrix(tracker)), fps, settings(DEFAULT, fps), true.t)
-    found: Result = {way: measured(path, true, _BEGIN) for way, path in {**paths, EXACT: best}.items()}
-    found["true rough"] = measured(true.place, true, _BEGIN)["rough"]
-    found["whole rough"] = measured(np.rint(true.place), true, _BEGIN)["rough"]
-    found["apart"] = float(np.abs(paths[ZERO] - paths[NONE]).max())
-    found["tracked"] = float(np.mean(told.tracking))
-    if more:
-        found["more"] = {n: measured(pointer(told, fps, way, true.t), true, _BEGIN) for n, way in MORE.items()}
-    return found
+    found: Result = {way: measured(path, true, _BEGIN) for way, path in paths.items()}
+    return {**found, "tracked": float(np.mean(told.tracking))}
 
 
 def stopped(fps: float, phases: int) -> Result:
@@ -267,11 +227,6 @@ def stopped(fps: float, phases: int) -> Result:
                 path = pointer(told, fps, None if way == NONE else settings(way, fps), true.t)
                 beyond = way_ * (path[:, moved] - true.place[-1, moved])
                 found[way][f"{down:g}"].append(float(max(beyond.max(), 0.0)))
-                if k == 0 and down == STOPPED[0]:
-                    found[way]["path"] = (way_ * path[:, moved]).tolist()
-            if k == 0 and down == STOPPED[0]:
-                found["t"], found["true"] = true.t.tolist(), (way_ * true.place[:, moved]).tolist()
-                found["end"] = end
     return found
 
 
@@ -280,54 +235,28 @@ def stopped(fps: float, phases: int) -> Result:
 
 def section(results: Results) -> list[Part]:
     """Errors of each way to move the pointer, in play and when the ball is stopped."""
-    plays, more, films = _plays(results, "play"), _plays(results, "play", more=True), _plays(results, "film")
-    stops = _stops(results)
+    plays, stops = _plays(results), _stops(results)
     medians = {"delay, ms": "median", "distance RMS, counts": "median", "roughness, counts": "median"}
-    played = [r for key, r in results.items() if key.startswith("play-")]
-    shown = plays[plays["pointer"].isin([NONE, ONE, DEFAULT, NEXT, EXACT])]
-    at = by(shown, ["Hz", "pointer"], medians)
-    near = at[(at["pointer"] == DEFAULT)].set_index("Hz")["distance RMS, counts"]
-    away = where(stops, pointer=NONE).groupby("Hz")[OVERSHOOT].max()
-    both = films.merge(plays, on=["Hz", "seed", "pointer"], suffixes=(", filmed", ", without pictures"))
-    table = by(
+    shown = where(plays, pointer=[NONE, ONE, DEFAULT, NEXT])
+    overshoot = by(
         stops.assign(most=stops[OVERSHOOT]), ["Hz", "pointer", "stopped in, ms"], {OVERSHOOT: "median", "most": "max"}
     )
     return [
-        Table("Somebody plays (medians over motions)", at, ["Hz"]),
-        Table("Other settings", by(more, ["Hz", "pointer"], medians), ["Hz"]),
-        Table("The same motion filmed and without pictures", both.drop(columns="seed")),
-        Claim(
-            "A horizon of 0 sends each frame's counts as it arrives, so it is no resampling, to the count.",
-            max((r["apart"] for r in played), default=np.nan) == 0.0,
-        ),
-        Claim(
-            f"With the default the pointer stays within {NEAR:g} counts of the ball (RMS) from 60 Hz on, not below.",
-            near[near.index >= 60.0].max() < NEAR <= near[near.index < 60.0].min(),
-        ),
+        Table("Somebody plays (medians over motions)", by(shown, ["Hz", "pointer"], medians), ["Hz"]),
         Plot("pointer", "The pointer while somebody plays.", shown, "Hz", list(medians), "pointer", log="x"),
-        Table("Overshoot of a ball stopped by hand (median and most)", table, ["Hz", "pointer"]),
-        Claim(
-            "Without resampling the pointer goes too far only where the tracker does, at 15 Hz.",
-            away.get(15.0, 0.0) > JUMP >= away[away.index > 15.0].max(),
-        ),
-        Plot(
-            "pointer-overshoot", "How far the pointer goes beyond a stop, by when it falls between two frames.",
-            stops, "Hz", [OVERSHOOT], "pointer", "stopped in, ms", log="x",
-        ),
-        *_one_stop(results),
-    ]  # fmt: skip
+        Table("Overshoot of a ball stopped by hand (median and most)", overshoot, ["Hz", "pointer"]),
+    ]
 
 
-def _plays(results: Results, kind: str, more: bool = False) -> pd.DataFrame:
-    """A row for each motion and way of moving the pointer, or (more) setting of it."""
+def _plays(results: Results) -> pd.DataFrame:
+    """A row for each motion and way of moving the pointer."""
     records = []
     for key, result in results.items():
         name, *numbers = key.split("-")
-        if name == kind:
-            ways = result.get("more", {}) if more else {w: result[w] for w in (*WAYS, EXACT)}
-            records += [{"Hz": float(numbers[0]), "seed": int(numbers[1]), "pointer": w, **f} for w, f in ways.items()]
+        if name == "play":
+            records += [{"Hz": float(numbers[0]), "pointer": way, **result[way]} for way in WAYS]
     names = {"delay": "delay, ms", "off": "distance RMS, counts", "rough": "roughness, counts"}
-    return tidy(records, {"Hz": "Hz", "seed": "seed", "pointer": "pointer", **names}).sort_values("Hz", kind="stable")
+    return tidy(records, {"Hz": "Hz", "pointer": "pointer", **names}).sort_values("Hz", kind="stable")
 
 
 def _stops(results: Results) -> pd.DataFrame:
@@ -340,27 +269,3 @@ def _stops(results: Results) -> pd.DataFrame:
         for beyond in result[way][f"{down:g}"]
     ]
     return tidy(records, ["Hz", "pointer", "stopped in, ms", OVERSHOOT]).sort_values("Hz", kind="stable")
-
-
-def _one_stop(results: Results) -> list[Part]:
-    """The pointer at one stop, at about 30 Hz."""
-    stop = results.get("stop-30", {})
-    if "t" not in stop:
-        return []
-    time, true = 1e3 * (np.array(stop["t"]) - stop["end"]), np.array(stop["true"])
-    paths = {"the ball": true, **{way: np.array(stop[way]["path"]) for way in (NONE, ONE, DEFAULT)}}
-    rows = pd.concat(
-        pd.DataFrame({"ms after the stop": time, "counts beyond": path - true[-1], "pointer": way})
-        for way, path in paths.items()
-    )
-    near = rows["ms after the stop"].between(-250.0, 300.0)
-    return [
-        Plot(
-            "pointer-stop",
-            "A stop within 50 ms at 30 Hz.",
-            rows[near],
-            "ms after the stop",
-            ["counts beyond"],
-            "pointer",
-        )
-    ]

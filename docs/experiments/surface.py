@@ -1,40 +1,32 @@
-"""Accuracy of a disc's place over the visible part of the ball, and the area of that part.
+"""Covariances of points on the ball, and the area of its visible part.
 
-Wittich 2017, table 13 and figure 39. Covariances are those that `intersect` carries from image, pose and ball; beside
-them stands the scatter of simulated detections, and of calibrations and poses that are off by chance. The thesis does
-not give the place of its real camera; ours is that of S2.
+Wittich 2017, table 13 and figure 39. Covariances are those that `intersect` carries from image, pose and ball. The
+thesis does not give the place of its real camera; ours is that of S2.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from experiments.kit import film as kit
 from experiments.kit.job import Job, Request, Result, Results
-from experiments.kit.render import Claim, Part, Plot, Table, rms, where
+from experiments.kit.render import Part, Plot, Table
 from experiments.kit.thesis import THESIS_TABLES, calibrated_rig
 from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.detections import Detections
-from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.pose import TARGET_SIGMA_PX, Sighting, predict_targets, resect
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.truth import VISIBLE
 from spheremouse.geometry.camera import Pose
-from spheremouse.geometry.matching import assign
-from spheremouse.geometry.rotation import Array, euler_rate_matrix, fibonacci_sphere, tangent_basis, to_euler
+from spheremouse.geometry.rotation import Array, euler_rate_matrix, fibonacci_sphere, to_euler
 from spheremouse.simulate.ball.events import draw_hand, place_hand
-from spheremouse.simulate.ball.film import HandVisit, Renderer, RenderOptions, Scene, View, default_scene
+from spheremouse.simulate.ball.film import HandVisit, Scene, View, default_scene
 from spheremouse.simulate.shapes import Sphere, look
 
 TITLE = "Points on the ball: covariances over the visible cap, visible area"
 VIEWS: tuple[View, ...] = ("far", "near")
-_DISCS = 74  # as many as the thesis' fullest ball: more places at once
-_NOISE = 3.0  # grey values
-_BIN = 6.0  # deg, from the point that faces the camera
 _DISTANCES = (0.7, 0.8, 0.9, 1.0, 1.2, 1.35, 1.6, 2.0, 2.35, 2.7, 3.0)  # m
 _POINTS = 20_000  # spread over the sphere to be counted
 
@@ -53,81 +45,27 @@ FIGURE_39 = {"far": (2.35, 2.74), "near": (1.35, 2.16)}  # m, m²
 
 
 def jobs(request: Request) -> list[Job]:
-    """The cap before each camera, and the areas."""
-    frames, draws = (8, 4) if request.quick else (60, 60)
-    work = [Job(f"cap-{view}", cap, {"view": view, "frames": frames, "draws": draws}) for view in VIEWS]
-    return [*work, Job("area", areas, {"points": _POINTS // 4 if request.quick else _POINTS})]
+    """Table 13, and the areas."""
+    points = Job("points", points_of_table_13)
+    return [points, Job("area", areas, {"points": _POINTS // 4 if request.quick else _POINTS})]
 
 
 # ---- covariances ----
 
 
-@dataclass(frozen=True, slots=True)
-class _AnyWay:
-    """A ball that lies another way in every frame of 30 Hz."""
-
-    seed: int
-    seconds: float = 1e9
-
-    def attitude(self, t: Array) -> Array:
-        """(n, 3, 3), all attitudes alike likely."""
-        return np.array([_any_rotation(np.random.default_rng([self.seed, round(30.0 * x)])) for x in t])
-
-    def rate(self, t: Array) -> Array:
-        """It rests in each."""
-        return np.zeros((len(t), 3))
-
-
-def _any_rotation(rng: np.random.Generator) -> Array:
-    q, r = np.linalg.qr(rng.standard_normal((3, 3)))
-    q = q * np.sign(np.diag(r))
-    return q if np.linalg.det(q) > 0.0 else -q
-
-
-@dataclass(frozen=True, slots=True)
-class SeenDiscs:
-    """Detections of wholly visible discs in many frames, and where those discs are."""
-
-    detections: Detections
-    directions: Array  # (n, 3) unit vectors, obj, true
-
-
-def cap(view: View, frames: int, draws: int) -> Result:
-    """Errors of points on the ball and what is claimed of them; table 13 for the far camera."""
-    scene = default_scene(_DISCS, view, 1)
-    detections = _sights(scene, frames)
-    known = [_device(scene, seed) for seed in range(draws)]
-    angle = _angle(detections.directions, scene)
-    exact = scene.rig()
-    image = surface_errors(detections, exact, scene.pose)
-    total = [surface_errors(detections, rig, rig.pose or scene.pose) for rig in known]
-    rig = known[0]
-    result: Result = {
-        "detections": len(detections.directions),
-        "bins": _bins(angle, image, total),
-        "chi_square_image": chi_square([image]),
-        "chi_square_total": chi_square(total),
+def points_of_table_13() -> Result:
+    """The five places of table 13 before the far camera, with the thesis' noise of a centre; with all its inputs."""
+    scene = default_scene(1, "far")
+    rig = _device(scene, 0)
+    place = np.array([p for p, _, _ in TABLE_13])
+    directions = place / np.linalg.norm(place, axis=1, keepdims=True)
+    sigma = np.full(len(place), SIGMA_B)
+    assert rig.pose is not None, "the device stands before a camera"
+    apart = replace(rig, pose=replace(rig.pose, ball_covariance=np.zeros((6, 4))))
+    return {
+        name: [_described(P) for P in seen_points(directions, sigma, device, scene).covariance]
+        for name, device in (("ours", rig), ("uncorrelated", apart), ("as the thesis", _as_the_thesis(scene)))
     }
-    if view == "far":
-        result["table 13"] = _five(scene, rig)
-    return result
-
-
-def _sights(scene: Scene, frames: int) -> SeenDiscs:
-    renderer, rng = Renderer(scene, RenderOptions(noise=_NOISE)), np.random.default_rng(1)
-    detector = disc_detector(kit.settings_of().discs, scene.rig(), scene.pose)
-    found, directions = [], []
-    for k in range(frames):
-        shot = renderer.frame(_AnyWay(1), k / 30.0, k, rng)
-        seen = detector.detect(shot.frame.image)
-        whole = np.flatnonzero(shot.discs.state == VISIBLE)
-        i, j = assign(np.linalg.norm(shot.discs.centre[whole][:, None] - seen.centre[None], axis=2), 3.0)
-        found.append(seen.take(j))
-        directions.append(scene.disc_directions[shot.discs.disc[whole[i]]] @ shot.attitude.T)
-    joined = found[0]
-    for other in found[1:]:
-        joined = joined.joined(other)
-    return SeenDiscs(joined, np.concatenate(directions))
 
 
 def _device(scene: Scene, seed: int) -> Rig:
@@ -143,78 +81,12 @@ def _device(scene: Scene, seed: int) -> Rig:
     return replace(rig, pose=resect(seen, rig, blank).pose)
 
 
-@dataclass(frozen=True, slots=True)
-class SurfaceErrors:
-    """Along the surface, in the axes in which it is least and best known."""
-
-    index: NDArray[np.intp]  # (n,) of the sights whose rays meet the ball
-    error: Array  # (n, 2) mm, along the worst and the best direction
-    sigma: Array  # (n, 2) mm, as claimed
-
-
-def surface_errors(detections: SeenDiscs, rig: Rig, pose: Pose) -> SurfaceErrors:
-    points = intersect(detections.detections, rig, pose)
-    true = RADIUS * detections.directions[points.index]
-    variance, axes = along_surface(points)
-    off = np.einsum("nij,ni->nj", axes, points.position - true)
-    return SurfaceErrors(points.index, 1e3 * off[:, ::-1], 1e3 * np.sqrt(variance[:, ::-1]))
-
-
-def along_surface(points: SpherePoints) -> tuple[Array, Array]:
-    """Eigenvalues, (n, 2) m², rising, and axes, (n, 3, 2), of the covariance along the surface."""
-    basis = tangent_basis(points.direction)
-    flat = basis.transpose(0, 2, 1) @ points.covariance @ basis
-    variance, vectors = np.linalg.eigh(flat)
-    return np.maximum(variance, 0.0), basis @ vectors
-
-
-def _bins(angle: Array, image: SurfaceErrors, total: Sequence[SurfaceErrors]) -> list[Result]:
-    """RMS errors and claims by the angle from the point that faces the camera, deg."""
-    found = []
-    for low in np.arange(0.0, 90.0, _BIN):
-        here = (angle >= low) & (angle < low + _BIN)
-        if np.count_nonzero(here[image.index]) < 5:
-            continue
-        entry: Result = {"angle": float(low + 0.5 * _BIN), "detections": int(np.count_nonzero(here))}
-        for name, cases in (("image", [image]), ("total", total)):
-            chosen = [here[c.index] for c in cases]
-            for what in ("error", "sigma"):
-                values = np.concatenate([getattr(c, what)[w] for c, w in zip(cases, chosen, strict=True)])
-                entry[f"{name} {what}"] = np.sqrt(np.mean(values**2, axis=0)).tolist()
-        found.append(entry)
-    return found
-
-
-def chi_square(cases: Sequence[SurfaceErrors]) -> float:
-    """Mean over its two degrees of freedom."""
-    return float(np.mean(np.concatenate([(c.error / c.sigma) ** 2 for c in cases])))
-
-
 def seen_points(directions: Array, sigma: Array, rig: Rig, scene: Scene) -> SpherePoints:
     """Points of the ball at (n, 3), seen from where the camera is; centres are certain to `sigma`, (n,) px."""
     assert rig.pose is not None, "the device stands before a camera"
     centre = seen_at(directions, scene.rig(), scene.pose)
     seen = Detections(centre, sigma[:, None, None] ** 2 * np.eye(2), np.zeros(len(sigma)))
     return intersect(seen, rig, replace(rig.pose, rotation=scene.pose.rotation, position=scene.pose.position))
-
-
-def _angle(directions: Array, scene: Scene) -> Array:
-    """deg from the point of the ball that faces the camera."""
-    middle = scene.pose.position / np.linalg.norm(scene.pose.position)
-    return np.degrees(np.arccos(np.clip(directions @ middle, -1.0, 1.0)))
-
-
-def _five(scene: Scene, rig: Rig) -> Result:
-    """The five places of table 13 before the far camera, with the thesis' noise of a centre; with all its inputs."""
-    place = np.array([p for p, _, _ in TABLE_13])
-    directions = place / np.linalg.norm(place, axis=1, keepdims=True)
-    sigma = np.full(len(place), SIGMA_B)
-    assert rig.pose is not None, "the device stands before a camera"
-    apart = replace(rig, pose=replace(rig.pose, ball_covariance=np.zeros((6, 4))))
-    return {
-        name: [_described(P) for P in seen_points(directions, sigma, device, scene).covariance]
-        for name, device in (("ours", rig), ("uncorrelated", apart), ("as the thesis", _as_the_thesis(scene)))
-    }
 
 
 def _described(P: Array) -> Result:
@@ -318,54 +190,9 @@ def visible_cap(distance: float, radius: float) -> float:
 
 
 def section(results: Results) -> list[Part]:
-    """Table 13, the scatter of points beside what is claimed of it, and the area that is seen."""
-    caps = {view: results[f"cap-{view}"] for view in VIEWS if f"cap-{view}" in results}
-    chi = [
-        {
-            "camera": view,
-            "discs": c["detections"],
-            "chi-square / 2, image alone": c["chi_square_image"],
-            "with pose and ball": c["chi_square_total"],
-        }
-        for view, c in caps.items()
-    ]
-    records = [
-        {
-            "camera": view,
-            "angle, °": b["angle"],
-            "of": f"{direction}, {what}",
-            "all errors, mm": b[f"total {what}"][k],
-            "image alone, mm": b[f"image {what}"][k],
-        }
-        for view, c in caps.items()
-        for b in c["bins"]
-        for k, direction in enumerate(("worst", "best"))
-        for what in ("sigma", "error")
-    ]
-    parts: list[Part] = _table_13(caps["far"]["table 13"]) if "far" in caps else []
-    if caps:
-        bins = pd.DataFrame(records)
-        parts += [
-            Table("True errors squared over claimed variances; 1 is honest", pd.DataFrame(chi)),
-            Table(
-                "Along the surface in the direction in which it is known worst, as claimed, by the angle from the "
-                "point that faces the camera",
-                where(bins, of="worst, sigma").drop(columns="of"),
-                ["camera"],
-            ),
-            Plot(
-                "surface-scatter",
-                "Claimed standard deviation and true error (RMS) of a disc's place along the surface, "
-                "in the worst and the best direction.",
-                bins,
-                "angle, °",
-                ["all errors, mm", "image alone, mm"],
-                "of",
-                "camera",
-                log="y",
-            ),
-        ]
-    return [*parts, *(_areas(results["area"]) if "area" in results else [])]
+    """Table 13, and the area that is seen."""
+    points = _table_13(results["points"]) if "points" in results else []
+    return [*points, *(_areas(results["area"]) if "area" in results else [])]
 
 
 def _table_13(found: Result) -> list[Part]:
@@ -378,15 +205,7 @@ def _table_13(found: Result) -> list[Part]:
             values = dict(zip(columns, (*r, *s), strict=True))
             records.append({"X, Y, Z, mm": ", ".join(f"{x:.0f}" for x in place), "pose and ball": name, **values})
     points = pd.DataFrame(records)
-    sigmas = points.groupby("pose and ball")[["σ X, mm", "σ Y, mm", "σ Z, mm"]].agg(rms).agg(rms, axis=1)
-    return [
-        Table("Points on the ball (table 13)", points, ["X, Y, Z, mm"]),
-        Claim(
-            "With our own calibration pose and ball are better known, and their errors are correlated and cancel in "
-            "part.",
-            sigmas["ours"] < sigmas["uncorrelated"] < sigmas["as the thesis"],
-        ),
-    ]
+    return [Table("Points on the ball (table 13)", points, ["X, Y, Z, mm"])]
 
 
 def _areas(area: Result) -> list[Part]:
@@ -405,15 +224,8 @@ def _areas(area: Result) -> list[Part]:
             for name, c in counted.items()
         ]
     )
-    far = views.set_index("camera")
     return [
         Table("Visible area of the ball, m² (fig. 39)", table),
-        Claim(
-            f"The thesis' areas are too large. From 2.35 m a camera can see no more than "
-            f"{visible_cap(FIGURE_39['far'][0], RADIUS):.2f} m² of this ball. The far camera sees more "
-            "than the near one.",
-            (far.loc["far", ["alone", "behind frame"]] > far.loc["near", ["alone", "behind frame"]]).all(),
-        ),
         Plot(
             "surface-area",
             "Visible area against the camera's distance from the ball's centre.",

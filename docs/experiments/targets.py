@@ -1,16 +1,14 @@
 """Number, size and kind of targets on the frame: rings of three colours against ArUco and AprilTag tags.
 
-Wittich 2017, chapter 5, leaves number, size and type open. All are put in the same places, as large as each other, and
-painted onto the same picture (`simulate.tags`); the camera's pose comes from the same adjustment (`resect`), for tags
-from all their corners or from their centres. Cameras stand elsewhere for every seed, turned about their own axis too.
-
-Errors are lengths of error vectors, RMS over the cameras with a pose. The bound is the claimed standard deviation with
-the measured noise of centres or corners. The claim includes 0.05 px for print and lens, which a rendered target does
-not have. Half a pixel is subtracted from corners of OpenCV's refinement "AprilTag", which counts from a pixel's corner.
+Wittich 2017, chapter 5, leaves number, size and type open. All have the same places and sizes and are painted onto the
+same picture (noise of 3 grey values). The camera's pose comes from the same adjustment (`resect`), for tags from all
+their corners. Each seed has another camera, also turned about its own axis. Errors are lengths of error vectors, RMS
+over the cameras with a pose. The claimed standard deviation includes 0.05 px for print and lens, which a rendered
+target does not have.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -20,13 +18,13 @@ from numpy.typing import NDArray
 
 from experiments.kit import film as kit
 from experiments.kit.job import Job, Request, Result, Results
-from experiments.kit.render import Claim, Part, Plot, Table, by, tidy, where
+from experiments.kit.render import Part, Plot, Table, by, tidy, where
 from experiments.kit.tags import Sheet, painted, ring_sheet, tag_cells, tag_corners, tag_sheet
 from spheremouse.ball.detect.rings import TargetDetections, detect_targets
-from spheremouse.ball.pose import TARGET_SIGMA_PX, Sighting, gather, predict_targets, resect
+from spheremouse.ball.pose import Sighting, gather, predict_targets, resect
 from spheremouse.ball.rig import CODES, Rig, Targets
 from spheremouse.errors import PoseError
-from spheremouse.geometry.camera import Pose, project
+from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.simulate.ball.backdrop import render_backdrop
 from spheremouse.simulate.ball.film import Scene, default_scene
@@ -44,46 +42,17 @@ NUMBERS = (3, 4, 5, 6, 7, 8)
 SIZES = (8, 11, 14, 18, 24, 30, 36, 48)  # mm, radius of the outer circle, half the side of a tag
 
 
-@dataclass(frozen=True, slots=True)
-class Condition:
-    """Settings of a picture."""
-
-    noise: float  # grey values
-    light: float = 1.0  # factor on grey values
-    blur: float = 0.0  # px, standard deviation
-    views: int = 1
-
-
-CONDITIONS = {
-    "plain": Condition(3.0, views=2),
-    "noisy": Condition(15.0),
-    "dark": Condition(3.0, light=0.2),
-    "blurred": Condition(3.0, blur=1.5),
-}
-ABOUT = {
-    "plain": "noise of 3 grey values",
-    "noisy": "noise of 15",
-    "dark": "a fifth of the light, noise of 3",
-    "blurred": "blur of 1.5 px, noise of 3",
-}
 FAMILIES = {"aruco": cv2.aruco.DICT_4X4_50, "april": cv2.aruco.DICT_APRILTAG_36h11}
-KINDS = {"rings": "rings", "aruco": "ArUco 4×4", "april": "AprilTag 36h11", "aruco centres": "ArUco 4×4, centres"}
-REFINEMENTS = {  # OpenCV's corners: method and half width of the window, px (None: OpenCV's own)
-    "none": (cv2.aruco.CORNER_REFINE_NONE, None),
-    "contour": (cv2.aruco.CORNER_REFINE_CONTOUR, None),
-    "subpix": (cv2.aruco.CORNER_REFINE_SUBPIX, None),
-    "subpix, 2 px": (cv2.aruco.CORNER_REFINE_SUBPIX, 2),
-    "AprilTag": (cv2.aruco.CORNER_REFINE_APRILTAG, None),
-}
-REFINED = ("subpix, 2 px", "AprilTag")  # that which finds more tags is taken; the last where both find as many
+KINDS = {"rings": "rings", "aruco": "ArUco 4×4", "april": "AprilTag 36h11"}
+_NOISE, _VIEWS = 3.0, 2  # grey values, pictures
 
 
 def jobs(request: Request) -> list[Job]:
     """A camera each."""
     if request.quick:
-        what = {"numbers": [4], "sizes": [14, 36], "conditions": ["plain"]}
+        what = {"numbers": [4], "sizes": [14, 36]}
         return [Job("camera-0", filmed, {"seed": 0, **what}, 5.0)]
-    what = {"numbers": list(NUMBERS), "sizes": list(SIZES), "conditions": list(CONDITIONS)}
+    what = {"numbers": list(NUMBERS), "sizes": list(SIZES)}
     return [Job(f"camera-{seed}", filmed, {"seed": seed, **what}, 20.0) for seed in range(5)]
 
 
@@ -121,15 +90,13 @@ def _sheets(kind: str, number: int, size: float) -> list[Sheet]:
 
 
 def rig_of(kind: str, scene: Scene, number: int, size: float) -> Rig:
-    """Return the rig with its known targets. Of tags, each corner or centre is a target without extent."""
+    """Return the rig with its known targets. Of tags, each corner is a target without extent."""
     points = places(number)
     codes: tuple[str, ...] = CODES[:number]
     radii = _radii(size)
     if kind != "rings":
-        codes, radii = tuple(str(i) for i in range(number)), np.full(3, 1e-9)
-        if not kind.endswith("centres"):
-            points = tag_corners(points, 1e-3 * size).reshape(-1, 3)
-            codes = tuple(f"{i}.{k}" for i in range(number) for k in range(4))
+        points, radii = tag_corners(points, 1e-3 * size).reshape(-1, 3), np.full(3, 1e-9)
+        codes = tuple(f"{i}.{k}" for i in range(number) for k in range(4))
     n = len(points)
     return replace(scene.rig(), targets=Targets(tuple(range(n)), codes, points, np.zeros((3 * n, 3 * n)), radii))
 
@@ -149,74 +116,57 @@ def camera_of(seed: int) -> Scene:
 # ---- jobs ----
 
 
-def filmed(seed: int, numbers: Sequence[int], sizes: Sequence[float], conditions: Sequence[str]) -> Result:
-    """From one camera: numbers of targets of the usual size, sizes under all conditions, refinements of corners."""
+def filmed(seed: int, numbers: Sequence[int], sizes: Sequence[float]) -> Result:
+    """From one camera: numbers of targets of the usual size, and sizes."""
     scene = camera_of(seed)
     bare = render_backdrop(scene).white
     found: Result = {"numbers": {}, "sizes": {}}
-    for kind in ("rings", *FAMILIES):
+    for kind in KINDS:
         for n in numbers:
             if kind != "rings" or n <= len(CODES):
-                found["numbers"] |= _tried(kind, scene, bare, n, USUAL, "plain", seed)
+                found["numbers"][key(kind, n, USUAL)] = _tried(kind, scene, bare, n, USUAL, seed)
         for size in sizes:
-            for condition in conditions:
-                found["sizes"] |= _tried(kind, scene, bare, NUMBER, size, condition, seed)
-    picture = painted(bare, scene, _sheets("aruco", NUMBER, USUAL))
-    image = next(_views(picture, CONDITIONS["plain"], seed))
-    rig = rig_of("aruco", scene, NUMBER, USUAL)
-    found["refinements"] = {name: _corner_errors(image, rig, scene.pose, name) for name in REFINEMENTS}
+            found["sizes"][key(kind, NUMBER, size)] = _tried(kind, scene, bare, NUMBER, size, seed)
     depth = scene.pose.to_cam(places(NUMBER))[:, 2]
     found["px_per_mm"] = float(np.mean(2e-3 * scene.camera.fx / depth))  # of diameter per radius
     return found
 
 
-def _tried(
-    kind: str, scene: Scene, bare: NDArray[np.float32], n: int, size: float, condition: str, seed: int
-) -> Result:
-    """By key: share of targets found, and the pose from them with its error."""
-    picture = painted(bare, scene, _sheets(kind, n, size))
-    images = list(_views(picture, CONDITIONS[condition], seed))
-    rig = rig_of(kind, scene, n, size)
-    results = {kind: _posed([_detected(kind, image, rig) for image in images], rig, scene.pose, images[0])}
-    if kind == "aruco":
-        middles = rig_of("aruco centres", scene, n, size)
-        seen = [tag_middles(_detected(kind, image, rig)) for image in images]
-        results["aruco centres"] = _posed(seen, middles, scene.pose, images[0])
-    return {key(k, n, size, condition): r for k, r in results.items()}
+def _tried(kind: str, scene: Scene, bare: NDArray[np.float32], n: int, size: float, seed: int) -> Result:
+    """Share of targets found, and the pose from them with its error."""
+    picture, rig = painted(bare, scene, _sheets(kind, n, size)), rig_of(kind, scene, n, size)
+    images = list(noisy_pictures(picture, seed))
+    return _posed([_detected(kind, image, rig) for image in images], rig, scene.pose, images[0])
 
 
-def key(kind: str, number: int, size: float, condition: str) -> str:
+def key(kind: str, number: int, size: float) -> str:
     """Return the name of a trial."""
-    return f"{kind}/{number}/{size:g}/{condition}"
+    return f"{kind}/{number}/{size:g}"
 
 
-def _views(picture: NDArray[np.float32], condition: Condition, seed: int) -> Iterator[NDArray[np.uint8]]:
-    """Through the lens, under the light, with noise, in bytes."""
-    if condition.blur:
-        picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), condition.blur), dtype=np.float32)
+def noisy_pictures(picture: NDArray[np.float32], seed: int) -> Iterable[NDArray[np.uint8]]:
+    """Yield the picture with noise, in bytes."""
     rng = np.random.default_rng([seed, 12])
-    for _ in range(condition.views):
-        noise = np.float32(condition.noise) * rng.standard_normal(picture.shape, dtype=np.float32)
-        yield np.clip(np.rint(np.float32(condition.light) * picture + noise), 0, 255).astype(np.uint8)
+    for _ in range(_VIEWS):
+        noise = np.float32(_NOISE) * rng.standard_normal(picture.shape, dtype=np.float32)
+        yield np.clip(np.rint(picture + noise), 0, 255).astype(np.uint8)
 
 
 def _detected(kind: str, image: NDArray[np.uint8], rig: Rig) -> TargetDetections:
     """Return the detections of the rig's targets; of tags, their corners."""
     if kind == "rings":
         return detect_targets(image, rig.targets.radii, kit.settings_of().rings)
-    quick, slow = REFINED
-    found = corners_of(kind, image, rig, quick)
-    better = corners_of(kind, image, rig, slow) if len(found) else found  # ten times as long
+    found = corners_of(kind, image, rig, exact=False)
+    better = corners_of(kind, image, rig, exact=True) if len(found) else found  # ten times as long
     return better if len(better) >= len(found) else found
 
 
-def corners_of(kind: str, image: NDArray[np.uint8], rig: Rig, refinement: str) -> TargetDetections:
-    """Corners of a family's tags with one of OpenCV's refinements."""
-    method, window = REFINEMENTS[refinement]
+def corners_of(kind: str, image: NDArray[np.uint8], rig: Rig, exact: bool) -> TargetDetections:
+    """Return the corners of a family's tags, by OpenCV's refinement "AprilTag" if `exact`, else by "subpix"."""
     parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = method
-    if window is not None:
-        parameters.cornerRefinementWinSize = window
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG if exact else cv2.aruco.CORNER_REFINE_SUBPIX
+    if not exact:
+        parameters.cornerRefinementWinSize = 2  # px
         parameters.relativeCornerRefinmentWinSize = 10.0  # of a cell: the window is never smaller
     family = cv2.aruco.getPredefinedDictionary(FAMILIES[kind])
     corners, ids, _ = cv2.aruco.ArucoDetector(family, parameters).detectMarkers(image)
@@ -225,21 +175,9 @@ def corners_of(kind: str, image: NDArray[np.uint8], rig: Rig, refinement: str) -
         for k, corner in enumerate(quad[0]):
             if f"{number}.{k}" in rig.targets.codes:
                 codes.append(f"{number}.{k}")
-                points.append(corner - (_HALF_PIXEL if refinement == "AprilTag" else 0.0))
+                points.append(corner - (_HALF_PIXEL if exact else 0.0))
                 radii.append(0.5 * float(np.linalg.norm(quad[0][2] - quad[0][0])))
     return TargetDetections(tuple(codes), np.array(points, dtype=float).reshape(-1, 2), np.array(radii), ())
-
-
-def tag_middles(seen: TargetDetections) -> TargetDetections:
-    """Centres of tags whose four corners are seen: where their diagonals meet."""
-    codes, points, radii = [], [], []
-    for first in range(0, len(seen), 4):
-        a, b, c, d = seen.centre[first : first + 4]
-        s = np.linalg.solve(np.stack([c - a, b - d], axis=1), b - a)[0]
-        codes.append(seen.codes[first].split(".")[0])
-        points.append(a + s * (c - a))
-        radii.append(float(seen.radius[first]))
-    return TargetDetections(tuple(codes), np.array(points).reshape(-1, 2), np.array(radii), ())
 
 
 def _posed(views: list[TargetDetections], rig: Rig, true: Pose, image: NDArray[np.uint8]) -> Result:
@@ -272,18 +210,11 @@ def _off(seen: Iterable[Sighting], rig: Rig, true: Pose) -> Result:
     return {"point_px": float(np.sqrt(np.mean(errors**2))) if len(errors) else None}
 
 
-def _corner_errors(image: NDArray[np.uint8], rig: Rig, true: Pose, refinement: str) -> Result:
-    seen = corners_of("aruco", image, rig, refinement)
-    where = dict(zip(rig.targets.codes, project(true.to_cam(rig.targets.position), rig.camera)[0], strict=True))
-    errors = np.array([c - where[code] for code, c in zip(seen.codes, seen.centre, strict=True)]).reshape(-1, 2)
-    return {"found": len(seen) / len(rig.targets.codes), "errors": np.round(errors, 4).tolist()}
-
-
 # ---- section ----
 
 
 def section(results: Results) -> list[Part]:
-    """Number, size and kind, with the refinements of corners."""
+    """Number, size and kind."""
     tried = _tried_rows(results)
     how = {
         "found, %": "mean",
@@ -291,45 +222,16 @@ def section(results: Results) -> list[Part]:
         "centres or corners, px": _rms,
         **dict.fromkeys(_VECTORS.values(), _rms),
     }
-    means = by(tried.assign(poses=tried["position, mm"]), ["group", "targets", "size, mm", "condition", "kind"], how)
+    means = by(tried.assign(poses=tried["position, mm"]), ["group", "targets", "size, mm", "kind"], how)
     numbers, sizes = (where(means, group=group).drop(columns="group") for group in ("numbers", "sizes"))
-    usual = where(sizes, **{"size, mm": USUAL}).drop(columns=["targets", "size, mm"])
-    rings = where(numbers, kind=KINDS["rings"]).set_index("targets")["position, mm"]
-    plain = where(usual, condition=ABOUT["plain"]).set_index("kind")["position, mm"]
-    dark = where(sizes, condition=ABOUT["dark"]).groupby("kind")["found, %"].max()
-    corners = _corners(results)
-    drawn = where(tried, group="sizes", condition=ABOUT["plain"])
     return [
-        Table("Poses by the number of targets", numbers.drop(columns=["size, mm", "condition"]), ["targets"]),
-        Claim(
-            "More targets than three make the camera's position more exact.", rings.get(6, np.inf) < rings.get(3, 0.0)
-        ),
+        Table("Poses by the number of targets", numbers.drop(columns="size, mm"), ["targets"]),
         Table("Size (outer radius, mm) from which on all are found", _smallest(sizes)),
-        Table(f"Poses from {NUMBER} targets of {USUAL} mm, by how the picture is taken", usual, ["condition"]),
-        Claim("Rings are the most exact.", len(plain) > 1 and plain.idxmin() == KINDS["rings"]),
-        Claim(
-            "With a fifth of the light no size tried is enough for rings, but both kinds of tags are found. So "
-            "provide light.",
-            dark.get(KINDS["rings"], 100.0) < 100.0 * SURE <= dark.reindex(_TAGS).min(skipna=False),
-        ),
-        Table(f"Corners of ArUco tags of {USUAL} mm by OpenCV's refinements", corners),
-        Claim(
-            "The refinement AprilTag is the most exact.",
-            corners.set_index("refinement")["RMS, px"].idxmin() == "AprilTag",
-        ),
-        Plot(
-            "targets-number",
-            "Error of the camera's position against the number of targets, over the cameras.",
-            where(tried, group="numbers"),
-            "targets",
-            ["position, mm", "claimed, mm"],
-            "kind",
-            log="y",
-        ),
+        Table(f"Poses from {NUMBER} targets by size", sizes.drop(columns="targets"), ["size, mm"]),
         Plot(
             "targets-size",
             "Error of the camera's position, and share of the targets that is found, by their size.",
-            drawn,
+            where(tried, group="sizes"),
             "across, px",
             ["position, mm", "found, %"],
             "kind",
@@ -341,11 +243,9 @@ def section(results: Results) -> list[Part]:
 _VECTORS = {
     "position_mm": "position, mm",
     "sigma_position_mm": "claimed, mm",
-    "bound": "bound, mm",
     "angle_deg": "angle, °",
     "sigma_angle_deg": "claimed, °",
 }
-_TAGS = [KINDS[family] for family in FAMILIES]
 
 
 def _tried_rows(results: Results) -> pd.DataFrame:
@@ -355,19 +255,14 @@ def _tried_rows(results: Results) -> pd.DataFrame:
     for camera in results.values():
         for group in ("numbers", "sizes"):
             for trial, found in camera[group].items():
-                kind, number, size, condition = trial.split("/")
+                kind, number, size = trial.split("/")
                 about = {"group": group, "targets": int(number), "size, mm": float(size), "kind": KINDS[kind]}
-                about |= {"condition": ABOUT[condition], "across, px": round(scale * float(size), 1)}
+                about |= {"across, px": round(scale * float(size), 1)}
                 about |= {name: np.linalg.norm(found[key]) for key, name in _VECTORS.items() if key in found}
                 about |= {"found, %": 100.0 * found["found"], "centres or corners, px": found["point_px"]}
                 records.append(about)
-    tried = tidy(records)
-    # The claim follows the residuals where these are larger than what is allowed for.
-    noise = np.minimum(1.0, tried["centres or corners, px"] / TARGET_SIGMA_PX)
-    tried = tried.assign(**{"bound, mm": noise * tried["claimed, mm"]})
-    order = {name: k for k, name in enumerate((*ABOUT.values(), *KINDS.values()))}
-    keys = ["targets", "size, mm", "condition", "kind"]
-    return tried.sort_values(keys, key=lambda column: column.replace(order))
+    order = {name: k for k, name in enumerate(KINDS.values())}
+    return tidy(records).sort_values(["targets", "size, mm", "kind"], key=lambda column: column.replace(order))
 
 
 def _rms(values: "pd.Series[float]") -> float:
@@ -376,21 +271,8 @@ def _rms(values: "pd.Series[float]") -> float:
 
 
 def _smallest(sizes: pd.DataFrame) -> pd.DataFrame:
-    """mm, by condition and kind; nan where no size is enough."""
-    shares = sizes.pivot(index=["condition", "size, mm"], columns="kind", values="found, %").sort_index(ascending=False)
-    all_above = (shares >= 100.0 * SURE).astype(int).groupby(level="condition").cummin()
-    size = pd.Series(shares.index.get_level_values("size, mm"), shares.index)
-    least = all_above.mul(size, axis=0).where(all_above == 1).groupby(level="condition").min()
-    return least.reindex(columns=[KINDS["rings"], *_TAGS]).reset_index()
-
-
-def _corners(results: Results) -> pd.DataFrame:
-    """Errors of corners over the cameras, px, by refinement."""
-    records = []
-    for name in REFINEMENTS:
-        seen = [camera["refinements"][name] for camera in results.values()]
-        errors = np.concatenate([np.reshape(one["errors"], (-1, 2)) for one in seen])
-        u, v = errors.mean(axis=0) if len(errors) else (np.nan, np.nan)
-        found = 100.0 * float(np.mean([one["found"] for one in seen]))
-        records.append([name, found, _rms(pd.Series(errors.ravel())), u, v])
-    return pd.DataFrame(records, columns=["refinement", "found, %", "RMS, px", "mean u, px", "mean v, px"])
+    """mm, by kind; nan where no size is enough."""
+    shares = sizes.pivot(index="size, mm", columns="kind", values="found, %").sort_index(ascending=False)
+    all_above = (shares >= 100.0 * SURE).astype(int).cummin()
+    least = all_above.mul(shares.index.to_series(), axis=0).where(all_above == 1).min()
+    return least.reindex(list(KINDS.values())).to_frame().T

@@ -19,7 +19,7 @@ import pandas as pd
 from experiments.kit import detections
 from experiments.kit import film as kit
 from experiments.kit.job import Job, Request, Result, Results
-from experiments.kit.render import ATTITUDE, RATE, Claim, Part, Plot, Table, by, tidy, where
+from experiments.kit.render import ATTITUDE, RATE, Part, Plot, Table, by, tidy, where
 from experiments.kit.tour import (
     CLASSIC,
     ESTIMATED,
@@ -157,9 +157,6 @@ def section(results: Results) -> list[Part]:
     enough = (medians[ATTITUDE] < NEAR) & (medians[RATE] < SHARE * medians["speed"]) & (medians["lost"] == 0)
     good = medians[enough & (medians["filter"] != "bound")]
     reach = good.groupby(["kind", "filter"], sort=False)["value"].agg(", ".join).unstack("kind", sort=False)
-    ours = {kind: list(where(good, kind=kind, filter=KNOWN)["value"]) for kind in KINDS}
-    estimated = list(where(good, kind="readout", filter=ESTIMATED)["value"])
-    whole = {name: list(kind.whole) for name, kind in KINDS.items()}
     parts: list[Part] = []
     for name, kind in KINDS.items():
         rows = where(runs, kind=name)
@@ -183,18 +180,6 @@ def section(results: Results) -> list[Part]:
             f"Values at which no film is lost, the attitude is good to {NEAR:g}° and the rate to {100 * SHARE:g} % "
             "of the ball's own",
             reach.reset_index().fillna("none"),
-        ),
-        Claim(
-            "`so3` needs 20 frames per second and a picture of 640×480, and the exposure may be as long as the frame.",
-            ours["rate"] == whole["rate"][1:] and ours["size"] == whole["size"][2:] and ours["blur"] == whole["blur"],
-        ),
-        Claim(
-            "A rolling shutter does no harm that matters if the readout is estimated.", estimated == whole["readout"]
-        ),
-        Claim(
-            "With the thesis' σ_w `ekf2` reaches that at no frame rate, since this motion is livelier "
-            "than the thesis'.",
-            where(good, kind="rate", filter=PUBLISHED).empty,
         ),
     ]
 

@@ -6,25 +6,19 @@ says. In the thesis the largest errors with 350 particles are 3, 15 and 40 cm an
 particles it loses 2 of 3 runs.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
 import pandas as pd
 
 from experiments import wand_films as wand
 from experiments.kit.job import Job, Request, Result, Results
-from experiments.kit.render import Claim, Part, Plot, Table
-from spheremouse.evaluate.wand import RECOVERED, errors
-from spheremouse.geometry.rotation import log
+from experiments.kit.render import Part, Table
+from spheremouse.evaluate.wand import errors
 
 TITLE = "The hand-held ball (Grzonka 2005, chapter 4)"
 SPEEDS = "speeds"
-_ENOUGH, _SOME = 20, 6  # runs for a judgement; with a distractor, which no run may follow
-_LIMITS = {"x": 10.0, "y": 40.0, "z": 100.0, "rotation": 4.0}  # mm, °, of the 95th percentile
-_METHODS = {"ours": "known start", "thesis' method": "all as in the thesis"}
 
 
 def jobs(request: Request) -> list[Job]:
@@ -68,8 +62,7 @@ def speeds(frames: int) -> Result:
 # ---- section ----
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
+class Row(NamedTuple):
     """One film with one variant, over its seeds."""
 
     film: wand.Film
@@ -78,99 +71,19 @@ class Row:
     lost: int
     found: int  # within `FOUND_WITHIN` frames
     tracked: float  # share of the frames
-    figures: dict[str, Any] = field(default_factory=dict)  # as evaluate.wand.errors
-
-
-@dataclass(frozen=True, slots=True)
-class Demand:
-    """A demand on a film with a variant; `judge` returns our figure and whether it is good."""
-
-    film: str
-    variant: str
-    asked: str
-    thesis: str
-    judge: Callable[[Row], tuple[str, bool]]
-    enough: int = 1  # runs for a judgement
-
-
-def _kept(row: Row) -> tuple[str, bool]:
-    return f"{row.runs - row.lost} of {row.runs}", row.lost == 0
-
-
-def _exact(row: Row) -> tuple[str, bool]:
-    p95 = {**row.figures["position_p95_mm"], "rotation": row.figures["rotation_p95_deg"]}
-    if None in p95.values():
-        return "–", False
-    shown = " / ".join(f"{0.1 * p95[a]:.2f}" for a in "xyz")
-    return f"{shown} cm / {p95['rotation']:.1f}°", all(p95[a] <= most for a, most in _LIMITS.items())
-
-
-def _of_drive(film: str, where: str) -> Iterator[Demand]:
-    known = "350, known start"
-    yield Demand(
-        film,
-        known,
-        f"350 particles: 95th percentile of x / y / z / rotation ≤ 1 / 4 / 10 cm / 4°{where}",
-        "largest 3 / 15 / 40 cm / 7°",
-        _exact,
-    )
-    yield Demand(film, known, f"350 particles: runs kept, all{where}", "all", _kept, _ENOUGH)
-    yield Demand(
-        film,
-        "50, known start",
-        f"50 particles: runs that lose the ball, ≤ 2 of 20{where}",
-        "2 of 3",
-        lambda row: (f"{row.lost} of {row.runs}", row.lost <= 0.1 * row.runs),
-        _ENOUGH,
-    )
-    yield Demand(
-        film,
-        "350, own start",
-        f"start without a pose: found within {wand.FOUND_WITHIN} frames, 19 of 20{where}",
-        "not done",
-        lambda row: (f"{row.found} of {row.runs}", row.found >= 0.95 * row.runs),
-        _ENOUGH,
-    )
-
-
-_OWN, _UNCOUNTED = "350, own start", "kept, not counted"
-DEMANDS = (
-    *_of_drive("drive", ""),
-    *_of_drive(wand.RECORDING, ", shared recording"),
-    Demand("hand-held", _OWN, "a fast hand, 0.4 m/s, 180 °/s, 15 Hz: runs kept, all", "not done", _kept, _ENOUGH),
-    Demand("drive-hand", _OWN, "a distractor in one colour, 0.8 Hz: runs kept, all", _UNCOUNTED, _kept, _SOME),
-    Demand("hand-hand", _OWN, "a distractor in one colour, 15 Hz: runs kept, all", _UNCOUNTED, _kept, _SOME),
-    Demand(
-        "hand-card",
-        _OWN,
-        f"a distractor in both colours, 15 Hz: off for {RECOVERED:g} s at most, all",
-        "may draw particles away",
-        _kept,
-        _SOME,
-    ),
-)
+    figures: dict[str, Any]  # as evaluate.wand.errors
 
 
 def section(results: Results) -> list[Part]:
-    """Return the demands with our figures, the films with their trackers, and the speeds."""
+    """Return the films with their trackers, and the speeds."""
     timed = results.get(SPEEDS, {})
     table = rows({key: result for key, result in results.items() if key != SPEEDS})
-    drive = {row.variant: row for row in table if row.film.name in ("drive", "drive-many")}
-    lost = {name: drive[name].lost for name in drive}
-    motion, thesis, ours = (lost.get(f"350, {words}") for words in (
-        "drawn by the thesis' motion alone", "all as in the thesis", "known start"))  # fmt: skip
-    speeds = pd.DataFrame([{"": name, **speed} for name, speed in timed.items()])
     return [
-        Table("Demands, the thesis and ours", pd.DataFrame(verdicts(table, timed))),
         Table("Films and trackers", pd.DataFrame(map(_cells, table)), ["film"]),
-        Table("Speed, one core (thesis: 1.4 fps with 350 particles, 0.37 with 5000)", speeds),
-        Claim(
-            "Particles that are drawn towards the peaks of the likelihood make the difference: the thesis' motion "
-            "alone loses the ball in most runs.",
-            motion is not None and ours is not None and motion > 2 * ours + 3,
+        Table(
+            "Speed, one core (thesis: 1.4 fps with 350 particles, 0.37 with 5000)",
+            pd.DataFrame([{"": name, **speed} for name, speed in timed.items()]),
         ),
-        Claim("With all as in the thesis, 350 particles lose the ball in some runs.", bool(thesis)),
-        *_figures(drive.values(), results.get("drive-01", {}).get("variants", {})),
     ]
 
 
@@ -194,23 +107,6 @@ def _row(film: wand.Film, variant: wand.Variant, kept: Sequence[Result]) -> Row:
     return Row(film, variant.name, len(kept), lost, soon, tracked, errors(*wand.restored(kept)))
 
 
-def verdicts(table: Sequence[Row], timed: Result) -> list[dict[str, str]]:
-    """Judge the films and speeds that there are: the demand, the thesis' figure, ours, and whether it is reached."""
-    by_name = {(row.film.name, row.variant): row for row in table if row.runs}
-    found = []
-    for demand in DEMANDS:
-        row = by_name.get((demand.film, demand.variant))
-        if row is not None:
-            ours, good = demand.judge(row)
-            found.append((demand.asked, demand.thesis, ours, good if row.runs >= demand.enough else None))
-    for speed in wand.SPEEDS:
-        if speed.name in timed and speed.least is not None:
-            fps, thesis = timed[speed.name]["fps"], "–" if speed.thesis is None else f"{speed.thesis:g} fps"
-            found.append((f"{speed.name}: ≥ {speed.least:g} fps", thesis, f"{fps:.0f} fps", fps >= speed.least))
-    words = {None: "not judged", True: "yes", False: "no"}
-    return [{"demand": a, "thesis": t, "ours": o, "reached": words[good]} for a, t, o, good in found]
-
-
 def _cells(row: Row) -> dict[str, Any]:
     f, anees = row.figures, row.figures["anees"]
     p95, most = ({a: f[f"position_{name}_mm"][a] for a in "xyz"} for name in ("p95", "max"))
@@ -227,38 +123,3 @@ def _cells(row: Row) -> dict[str, Any]:
         "rotation max, °": f["rotation_max_deg"],
         **{f"ANEES, {name}": min(x, 1e3) if (x := anees[name]) is not None else None for name in anees},
     }
-
-
-def _figures(drive: Iterable[Row], variants: Result) -> list[Part]:
-    """Errors by the number of particles, and along one film."""
-    records = [
-        {
-            "particles": int(row.variant.split(",")[0]),
-            "by": method,
-            "z, 95th percentile, mm": row.figures["position_p95_mm"]["z"],
-            "rotation, 95th percentile, °": row.figures["rotation_p95_deg"],
-        }
-        for row in drive
-        for method, words in _METHODS.items()
-        if row.variant.endswith(f", {words}")
-    ]
-    runs = {method: variants[name][0] for method, words in _METHODS.items() if (name := f"350, {words}") in variants}
-    frames = [_along(kept).assign(by=method) for method, kept in runs.items()]
-    parts: list[Part] = []
-    if records:
-        parts.append(Plot(
-            "wand-particles", "Errors by the number of particles.", pd.DataFrame(records).astype({"particles": float}),
-            "particles", ["z, 95th percentile, mm", "rotation, 95th percentile, °"], "by", log="xy",
-        ))  # fmt: skip
-    if frames:
-        values = pd.concat(frames).melt(["frame", "by"], var_name="of", value_name="error, cm or °")
-        parts.append(Plot("wand-drive", "Errors along one film.", values, "frame", ["error, cm or °"], "by", "of"))
-    return parts
-
-
-def _along(kept: Result) -> pd.DataFrame:
-    """Errors of x, y, z in cm and of the rotation's angle in ° by the frame."""
-    (run,), (truth,) = wand.restored([kept])
-    shift = pd.DataFrame(100.0 * (run.position - truth.position), columns=list("xyz"))
-    turn = np.rad2deg(np.linalg.norm(log(run.rotation @ truth.rotation.transpose(0, 2, 1)), axis=1))
-    return shift.assign(rotation=turn, frame=run.stamp)

@@ -228,25 +228,15 @@ def restored(kept: Sequence[dict[str, Any]]) -> tuple[list[WandRun], list[WandTr
 # ---- speeds ----
 
 
-@dataclass(frozen=True, slots=True)
-class Speed:
-    """Timed films and their targets."""
-
-    name: str
-    settings: WandSettings
-    thesis: float | None  # frames per second, 2.8 GHz in 2005
-    least: float | None  # frames per second asked for
-
-
 _MANY = 5000  # particles: with more a third of the pictures is enough
-SPEEDS = (
-    Speed("50 particles, whole frame", WandSettings(particles=50, region=False), None, None),
-    Speed("350 particles, whole frame", WandSettings(region=False), 1.4, 60.0),
-    Speed("350 particles, region of interest", WandSettings(), None, 200.0),
-    Speed("5000 particles, region of interest", WandSettings(particles=5000), 0.37, 30.0),
-    Speed("5000 particles, whole frame", WandSettings(particles=5000, region=False), 0.37, 30.0),
-    Speed("50000 particles, whole frame", WandSettings(particles=50_000, region=False), None, None),
-)
+SPEEDS = {
+    "50 particles, whole frame": WandSettings(particles=50, region=False),
+    "350 particles, whole frame": WandSettings(region=False),
+    "350 particles, region of interest": WandSettings(),
+    "5000 particles, region of interest": WandSettings(particles=5000),
+    "5000 particles, whole frame": WandSettings(particles=5000, region=False),
+    "50000 particles, whole frame": WandSettings(particles=50_000, region=False),
+}
 
 
 def speed_film(frames: int) -> WandFilm:
@@ -262,10 +252,10 @@ def measure_speeds(frames: int = 60) -> dict[str, Any]:
     film = speed_film(frames)
     pictures = [shot.frame for shot in simulate_wand(film)]
     found = {}
-    for speed in SPEEDS:
-        tracker = build(film.scene.camera, (film.scene.balls[0].ball,), speed.settings)
+    for name, settings in SPEEDS.items():
+        tracker = build(film.scene.camera, (film.scene.balls[0].ball,), settings)
         times = []
-        shown = pictures[: len(pictures) // 3] if speed.settings.particles > _MANY else pictures
+        shown = pictures[: len(pictures) // 3] if settings.particles > _MANY else pictures
         for _ in range(2):
             state = begin(tracker, 1, shown[0].stamp)
             for frame in shown:
@@ -273,7 +263,7 @@ def measure_speeds(frames: int = 60) -> dict[str, Any]:
                 state = step(state, frame, tracker).state
                 times.append(time.perf_counter() - start)
         settled = np.array(times[len(shown) + 3 :])
-        found[speed.name] = {
+        found[name] = {
             "fps": float(1.0 / np.median(settled)),
             "mean_fps": float(1.0 / np.mean(settled)),
             "p90_ms": float(1e3 * np.quantile(settled, 0.9)),

@@ -57,7 +57,7 @@ def test_a_run_that_was_cut_off_goes_on_where_it_stopped(run, made, tmp_path):
     assert "## Squares | and more" in text
     assert "| square-2 | 4 | – |" in text
     assert "experiments/squares.svg" in text
-    assert "Other workers: 3." in text  # it ran when all had ended
+    assert "**Other workers**\n\n| others |\n| --- |\n| 3 |" in text  # it ran when all had ended
     jobs = out / "experiments" / "jobs" / "tiny"
     (jobs / "square-1.json").write_text("{")  # cut short
     (jobs / "square-2.json").unlink()
@@ -144,36 +144,13 @@ def test_nothing_goes_on_after_a_run_that_was_ended(number, tmp_path):
             os.kill(process, signal.SIGKILL)
 
 
-def test_what_surrounds_the_tracker_is_no_part_of_the_program(tmp_path, monkeypatch):
-    code, seen = tmp_path / "ball" / "some.py", []
-    code.parent.mkdir()
-    (tmp_path / "session" / "control").mkdir(parents=True)
-    monkeypatch.setattr(run_module.spheremouse, "__file__", str(tmp_path / "__init__.py"))
-    for text, shell in (("a = 1", "x"), ("a = 2", "x"), ("a = 2", "y")):
-        code.write_text(text, encoding="utf-8")
-        (tmp_path / "session" / "control" / "server.py").write_text(shell, encoding="utf-8")
-        run_module.program.cache_clear()
-        seen.append(run_module.program())
-    (tmp_path / "wand").mkdir()
-    own = set()
-    for text in ("x", "y"):  # the hand-held ball is no part of it but in its own experiment
-        (tmp_path / "wand" / "track.py").write_text(text, encoding="utf-8")
-        run_module.program.cache_clear()
-        seen.append(run_module.program())
-        own.add(run_module.program(wand=True))
-    run_module.program.cache_clear()
-    assert seen[0] != seen[1]
-    assert len(set(seen[1:])) == 1
-    assert len(own) == 2
-
-
 def test_other_parameters_or_another_program_are_another_result(made, tmp_path, monkeypatch):
     job = Job("a", tiny_experiment.square, {"n": 2, "made": str(made)})
     for wanted in (job, job, replace(job, parameters={"n": 5, "made": str(made)})):
         results = work_all([wanted], tmp_path, 1)
     assert results["a"]["n"] == 5
     assert done(made) == [2, 5]
-    monkeypatch.setattr(run_module, "program", lambda wand=False: "another")
+    monkeypatch.setattr(run_module, "program", lambda: "another")
     work_all([replace(job, parameters={"n": 5, "made": str(made)})], tmp_path, 1)
     assert done(made) == [2, 5, 5]
 

@@ -132,7 +132,7 @@ def test_so3_follows_what_ekf2_loses(there, trial):
 
 
 def test_so3_finds_the_ball_again_at_once_and_ekf2_not_its_attitude():
-    found = covers.found_again(15.0, 1, False)
+    found = covers.found_again(15.0, 1)
     assert found["so3"]["attitude"]["frames"] == 1
     assert found["so3"]["attitude"]["ms"] < 1e3 / 15.0
     assert "error" in found["ekf2"] or found["ekf2"]["attitude"] is None

@@ -1,23 +1,23 @@
-"""The renderer: what a table, a figure and a claim become, and what a section says of failures."""
+"""The renderer of sections: tables, figures, failures."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
-from experiments.kit.render import Claim, Plot, Table, by, markdown, number, rms, tidy, write_page, write_section
+from experiments.kit.render import Plot, Table, by, markdown, number, rms, tidy, write_page, write_section
 
 ROWS = pd.DataFrame({"discs": [26, 26, 50], "filter": ["so3", "thesis", "so3"], "error, °": [0.01234, 0.1, np.nan]})
 
 
 @pytest.fixture
 def written(tmp_path):
-    """Return a function (parts, results) -> text of the section, how many claims fail."""
+    """Return a function (parts, results) -> text of the section."""
 
     def write(parts, results):
         module = SimpleNamespace(TITLE="Title", __doc__="One\nline.\n\nMore.", section=lambda good: parts)
-        doubts = write_section(tmp_path, "it", module, results, "Made by a test.")
-        return (tmp_path / "it.md").read_text(), doubts
+        write_section(tmp_path, "it", module, results, "Made by a test.")
+        return (tmp_path / "it.md").read_text()
 
     return write
 
@@ -51,21 +51,12 @@ def test_groups_keep_their_order_and_an_unknown_value_makes_the_rms_unknown():
 
 def test_a_section_has_its_parts_their_numbers_and_what_failed(written, tmp_path):
     plot = Plot("lines", "Errors.", ROWS, "discs", ["error, °"], "filter", log="xy", levels={"limit": 0.05})
-    parts = [
-        "Words.",
-        Table("Caption", ROWS),
-        plot,
-        Claim("Small.", True),
-        Claim("Large.", False),
-        Claim("Known.", None),
-    ]
-    text, doubts = written(parts, {"a": {"x": 1}, "b": {"error": "too dark"}})
-    assert doubts == 2
-    assert text.startswith("## Title\n\nOne line.\n\nMore.\n\nMade by a test.\n\nWords.\n\n**Caption**\n\n| discs |")
+    parts = [Table("Caption", ROWS), plot]
+    text = written(parts, {"a": {"x": 1}, "b": {"error": "too dark"}})
+    assert text.startswith("## Title\n\nOne line.\n\nMore.\n\nMade by a test.\n\n**Caption**\n\n| discs |")
     assert "![Errors.](experiments/lines.svg)\n\n[Numbers](experiments/lines.csv)" in text
-    assert "\n\nSmall.\n\n**Not borne out by this run:** Large.\n\n" in text
     assert text.endswith("Failed:\n\n- b: too dark\n")
-    for name in ("it-1", "lines"):
+    for name in ("it-0", "lines"):
         pd.testing.assert_frame_equal(pd.read_csv(tmp_path / f"{name}.csv"), ROWS)
     figure = (tmp_path / "lines.svg").read_bytes()
     written(parts, {"a": {"x": 1}})
@@ -73,8 +64,8 @@ def test_a_section_has_its_parts_their_numbers_and_what_failed(written, tmp_path
 
 
 def test_without_results_a_section_says_what_to_give(written):
-    assert "`--datasets`" in written([], {})[0]
-    assert written(["Words."], {"b": {"error": "too dark"}})[0].count("Words.") == 0
+    assert "`--datasets`" in written([], {})
+    assert "Caption" not in written([Table("Caption", ROWS)], {"b": {"error": "too dark"}})
 
 
 def test_the_page_explains_its_films_before_the_sections(tmp_path):

@@ -5,17 +5,15 @@ import json
 import numpy as np
 import pytest
 from experiments import targets
-from experiments.targets import KINDS, NUMBERS, REFINEMENTS, key, places, rig_of
+from experiments.targets import KINDS, NUMBERS, key, places
 
-from spheremouse.ball.detect.rings import TargetDetections
-from spheremouse.ball.pose import predict_targets
 from spheremouse.simulate.ball.scene import default_scene
 
 
 @pytest.fixture(scope="module")
 def camera():
     """Four targets of the usual size and of one that is too small, from one camera."""
-    return json.loads(json.dumps(targets.filmed(1, [4], [6, 36], ["plain"])))
+    return json.loads(json.dumps(targets.filmed(1, [4], [6, 36])))
 
 
 def test_four_targets_are_the_thesis_own_and_none_lie_on_one_another():
@@ -28,32 +26,16 @@ def test_four_targets_are_the_thesis_own_and_none_lie_on_one_another():
         assert apart.min() > 2.0 * 1.22 * 0.048 * np.sqrt(2.0)  # the largest sheets, corner to corner
 
 
-def test_a_tags_centre_is_where_its_diagonals_meet_in_any_view():
-    scene = targets.camera_of(4)
-    corners, middles = rig_of("aruco", scene, 4, 36), rig_of("aruco centres", scene, 4, 36)
-    seen = TargetDetections(corners.targets.codes, predict_targets(scene.pose, corners), np.full(16, 12.0), ())
-    # OpenCV's order goes round; the rig's does too, the other way
-    found = targets.tag_middles(seen)
-    assert found.codes == ("0", "1", "2", "3")
-    assert found.centre == pytest.approx(predict_targets(scene.pose, middles), abs=1e-6)
-
-
 def test_rings_and_tags_give_the_pose_and_what_is_too_small_none(camera):
     for kind in KINDS:
-        usual = camera["sizes"][key(kind, 4, 36, "plain")]
+        usual = camera["sizes"][key(kind, 4, 36)]
         assert usual["found"] == 1.0
         assert np.linalg.norm(usual["position_mm"]) < 30.0
         assert np.all(np.array(usual["sigma_position_mm"]) > 0.1)
-        small = camera["sizes"][key(kind, 4, 6, "plain")]
+        small = camera["sizes"][key(kind, 4, 6)]
         assert small["found"] < 1.0
-    rings, tags = (camera["sizes"][key(k, 4, 36, "plain")]["point_px"] for k in ("rings", "aruco"))
+    rings, tags = (camera["sizes"][key(k, 4, 36)]["point_px"] for k in ("rings", "aruco"))
     assert rings < 0.05
     assert rings < tags < 1.0
-    assert camera["sizes"][key("rings", 4, 6, "plain")]["error"]
+    assert camera["sizes"][key("rings", 4, 6)]["error"]
     assert camera["px_per_mm"] == pytest.approx(2e-3 * 640.0 / 1.79, rel=0.06)
-
-
-def test_refinements_are_compared_on_the_same_corners(camera):
-    assert set(camera["refinements"]) == set(REFINEMENTS)
-    rms = {k: np.sqrt(np.mean(np.square(v["errors"]))) for k, v in camera["refinements"].items() if v["errors"]}
-    assert rms["subpix, 2 px"] < rms["none"]

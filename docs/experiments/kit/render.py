@@ -1,7 +1,7 @@
 """The one renderer of tables and plots: a section of Markdown, its figures as SVG and its numbers as CSV.
 
-An experiment returns parts: paragraphs, `Table`, `Plot` and `Claim`. Tables and plots are made of tidy frames, whose
-columns have the names that a reader sees.
+An experiment returns parts, `Table` and `Plot`. They are made of tidy frames, whose columns have the names that a
+reader sees.
 """
 
 import io
@@ -20,7 +20,6 @@ from spheremouse.files.report.style import styled
 from spheremouse.files.safe_files import write_atomically
 
 MISSING = "–"
-_NOT_SHOWN = "**Not borne out by this run:** "
 _NOTHING = "Nothing was measured: the reference recordings were not at hand (`--datasets`)."
 _FRONT = """# Experiments
 
@@ -87,15 +86,7 @@ class Plot:
     levels: Mapping[str, float] = field(default_factory=dict)  # horizontal lines, by name
 
 
-@dataclass(frozen=True, slots=True)
-class Claim:
-    """A sentence that the section marks if the run does not bear it out."""
-
-    text: str
-    holds: Any  # false if it is not known
-
-
-Part = str | Table | Plot | Claim
+Part = Table | Plot
 
 ATTITUDE, RATE = "attitude, °", "rate, °/s"
 # Errors of a run, of all axes together and of each.
@@ -175,8 +166,8 @@ def markdown(table: Table) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in zip(*columns, strict=True))
 
 
-def write_section(folder: Path, name: str, module: Any, results: Results, made: str) -> int:
-    """Write NAME.md into a folder, with the figures and the numbers of its parts; return how many claims fail.
+def write_section(folder: Path, name: str, module: Any, results: Results, made: str) -> None:
+    """Write NAME.md into a folder, with the figures and the numbers of its parts.
 
     The module gives `TITLE`, its docstring as the introduction, and `section(results)`, the parts from the jobs that
     did not fail. `made`: how the results were made.
@@ -189,7 +180,6 @@ def write_section(folder: Path, name: str, module: Any, results: Results, made: 
     text += ["Failed:\n\n" + "\n".join(failed)] if failed else []
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / f"{name}.md", "\n\n".join(text) + "\n")
-    return sum(isinstance(part, Claim) and not part.holds for part in parts)
 
 
 def write_page(out: Path, names: Iterable[str]) -> Path:
@@ -205,10 +195,6 @@ def _paragraphs(docstring: str) -> list[str]:
 
 
 def _written(part: Part, folder: Path, name: str) -> list[str]:
-    if isinstance(part, str):
-        return [part]
-    if isinstance(part, Claim):
-        return [("" if part.holds else _NOT_SHOWN) + part.text]
     if part.rows.empty:
         return []
     folder.mkdir(parents=True, exist_ok=True)

@@ -22,30 +22,15 @@ from spheremouse.files.safe_files import read_text, write_atomically
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _MOST_BYTES = 100_000_000  # of a job's result
-_WAND = "wand/"  # how keys of its jobs begin
 _SECTION = b"# ---- section ----"  # from which on an experiment puts its results into words
-# Folders that no experiment's figure depends on.
-_SHELL = (
-    "capture",
-    "commands",
-    "output/serial",
-    "session/control",
-    "session/process",
-    "session/record",
-)
 
 
 @cache
-def program(wand: bool = False) -> str:
-    """Fingerprint of the code that films, tracks and compares: of all but what surrounds it or puts it into words.
-
-    That of the hand-held ball, which nothing else knows of, belongs to its own experiment alone.
-    """
-    root, ours = Path(spheremouse.__file__).parent, Path(__file__).parents[1]
-    files = [p for p in sorted(root.rglob("*.py")) if not p.relative_to(root).as_posix().startswith(_SHELL)]
-    files += [p for p in sorted(ours.rglob("*.py")) if p.name != "render.py"]
-    kept = [p for p in files if wand or "wand" not in f"{p.parent.name}/{p.name}"]
-    return hashlib.sha256(b"".join(p.read_bytes().partition(_SECTION)[0] for p in kept)).hexdigest()[:16]
+def program() -> str:
+    """Fingerprint of the code that films, tracks and compares: of all but what puts it into words."""
+    ours, theirs = Path(__file__).parents[1], Path(spheremouse.__file__).parent
+    files = [p for folder in (theirs, ours) for p in sorted(folder.rglob("*.py")) if p.name != "render.py"]
+    return hashlib.sha256(b"".join(p.read_bytes().partition(_SECTION)[0] for p in files)).hexdigest()[:16]
 
 
 def work_all(
@@ -64,10 +49,7 @@ def work_all(
         if "error" not in result:
             path = folder / f"{job.key}.json"
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(
-                path,
-                json.dumps({"program": program(job.key.startswith(_WAND)), "recipe": job.recipe, "result": result}),
-            )
+            write_atomically(path, json.dumps({"program": program(), "recipe": job.recipe, "result": result}))
         done(job)
     return {job.key: results[job.key] for job in wanted}
 
@@ -80,8 +62,7 @@ def _kept(folder: Path, wanted: list[Job]) -> dict[str, Result]:
             kept = plain_json.loads(read_text(folder / f"{job.key}.json", _MOST_BYTES, "result"), constants=True)
         except (OSError, ValueError):
             continue
-        same = program(job.key.startswith(_WAND))
-        if isinstance(kept, dict) and kept.get("recipe") == job.recipe and kept.get("program") == same:
+        if isinstance(kept, dict) and kept.get("recipe") == job.recipe and kept.get("program") == program():
             found[job.key] = kept["result"]
     return found
 
