@@ -227,7 +227,6 @@ def section(results: Results) -> list[Part]:
     return [
         Table("Poses by the number of targets", numbers.drop(columns="size, mm"), ["targets"]),
         Table("Size (outer radius, mm) from which on all are found", _smallest(sizes)),
-        Table(f"Poses from {NUMBER} targets by size", sizes.drop(columns="targets"), ["size, mm"]),
         Plot(
             "targets-size",
             "Error of the camera's position, and share of the targets that is found, by their size.",
