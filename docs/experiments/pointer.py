@@ -19,8 +19,6 @@ from experiments.kit.world import DISCS, RATES, World, known_ball, world
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.track import advance
-from spheremouse.evaluate.trackball import RotationSteps, match
-from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import Counter, MotionSettings
 from spheremouse.output.pointer import PointerSettings, Resampler, due, take
@@ -36,7 +34,8 @@ SPEED, STOPPED, HELD = float(np.radians(400.0)), (0.05, 0.2), 0.25  # rad/s; s, 
 OVERSHOOT = "overshoot, counts"
 _BEGIN = 1.2  # s: the ball begins to move after one second, and frames arrive later
 _FINE, _SAME = 1e-3, 1e-9  # s: of the integration; rounding of times
-_LAGS = np.arange(-0.03, 0.0301, 0.002)  # s, about the lag that `match` finds
+_LAG_STEP = 0.002  # s
+_LAGS = np.arange(-0.05, 0.4, _LAG_STEP)  # s, that are tried
 
 
 def latency(fps: float) -> float:
@@ -144,28 +143,19 @@ def measured(shown: Array, true: Path, begin: float) -> Result:
 
 
 def delay(shown: Array, true: Path) -> float | None:
-    """ms, by which the ball's path has to be shifted to come nearest; None where the two have nothing in common.
-
-    `match` gives the lag from x and y. The shift is then refined about it.
-    """
-    counts = np.diff(shown[:, :2], axis=0, prepend=shown[:1, :2])
-    log_ = MouseLog(true.t, counts)
-    if not np.any(counts):
+    """ms, by which the ball's path has to be shifted to come nearest; None for a pointer that does not move."""
+    if not np.any(np.diff(shown, axis=0)):
         return None
-    found = match(RotationSteps(true.t[:-1], true.t[1:], np.diff(true.place, axis=0)), log_)
-    if found is None:
-        return None
-    lags = found.lag + _LAGS
     away = []
-    for lag in lags:
+    for lag in _LAGS:
         past = true.t - lag
         inside = (past >= true.t[0]) & (past <= true.t[-1])
         ball_ = np.stack([np.interp(past[inside], true.t, true.place[:, k]) for k in range(3)], axis=1)
         away.append(np.mean((shown[inside] - ball_) ** 2))
-    k = int(np.clip(np.argmin(away), 1, len(lags) - 2))
+    k = int(np.clip(np.argmin(away), 1, len(_LAGS) - 2))
     left, middle, right = away[k - 1 : k + 2]
     bend = left - 2.0 * middle + right
-    return 1e3 * float(lags[k] + (0.5 * (left - right) / bend * (lags[1] - lags[0]) if bend > 0.0 else 0.0))
+    return 1e3 * float(_LAGS[k] + (0.5 * (left - right) / bend * _LAG_STEP if bend > 0.0 else 0.0))
 
 
 # ---- jobs ----
