@@ -160,7 +160,7 @@ def report(
         "nis": mean_nis(run),
         "bound_ratio": bound_ratio(attitude, rate, bound),
         "frame_us": frame_times(run.seconds),
-        "stages_us": {stage: _number(1e6 * np.median(s)) if len(s) else None for stage, s in run.seconds.items()},
+        "stages_us": {stage: number(1e6 * np.median(s)) if len(s) else None for stage, s in run.seconds.items()},
     }
 
 
@@ -224,8 +224,8 @@ def per_axis(error: Array | None, axes: str) -> dict[str, float | None]:
     if error is None or len(error) == 0:
         return dict.fromkeys([*axes, "combined"])
     square = np.mean(error**2, axis=0)
-    named = {axis: _number(np.sqrt(s)) for axis, s in zip(axes, square, strict=True)}
-    return {**named, "combined": _number(np.sqrt(square.sum()))}
+    named = {axis: number(np.sqrt(s)) for axis, s in zip(axes, square, strict=True)}
+    return {**named, "combined": number(np.sqrt(square.sum()))}
 
 
 def correlation(estimate: Array | None, truth: Array | None) -> dict[str, float | None]:
@@ -246,19 +246,23 @@ def pearson(a: Array, b: Array) -> float | None:
     """Return the correlation coefficient of two series (n,); None if one of them does not vary."""
     a, b = a - np.mean(a), b - np.mean(b)
     norm = np.sqrt((a @ a) * (b @ b))
-    return _number(a @ b / norm) if norm > 0.0 else None
+    return number(a @ b / norm) if norm > 0.0 else None
+
+
+def nees(error: Array, covariance: Array) -> Array:
+    """Return e^T P^-1 e, (n,), of finite errors e (n, k) with covariances P (n, k, k).
+
+    Singular covariances (Euler angles at phi = +-90 deg) have the pseudoinverse.
+    """
+    inverse = np.linalg.pinv(covariance, rcond=_RANK, hermitian=True)
+    return np.einsum("ni,nij,nj->n", error, inverse, error)
 
 
 def mean_nees(error: Array, covariance: Array) -> float | None:
-    """Return the mean of e^T P^-1 e over errors e (n, k) with covariances P (n, k, k); k if the covariances are right.
-
-    None without errors, or if a value is not finite. Singular covariances (Euler angles at phi = +-90 deg) have the
-    pseudoinverse.
-    """
+    """Return the mean of `nees`; k if the covariances are right. None without errors, or if a value is not finite."""
     if len(error) == 0 or not (np.all(np.isfinite(error)) and np.all(np.isfinite(covariance))):
         return None
-    inverse = np.linalg.pinv(covariance, rcond=_RANK, hermitian=True)
-    return _number(np.mean(np.einsum("ni,nij,nj->n", error, inverse, error)))
+    return number(np.mean(nees(error, covariance)))
 
 
 def mean_nis(run: Run) -> float | None:
@@ -272,7 +276,7 @@ def mean_nis(run: Run) -> float | None:
     k = run.tracked
     k = k[run.nis[k] > 0.0]
     freedom = 2 * sum(len(run.used[i]) for i in k)
-    return _number(np.sum(run.nis[k]) / freedom) if freedom else None
+    return number(np.sum(run.nis[k]) / freedom) if freedom else None
 
 
 def lost_episodes(status: Sequence[Status]) -> int:
@@ -315,41 +319,42 @@ def detection_quality(run: Run, truth: DiscTruth, semi_minor: Array | None = Non
 
     A value without discs or points is None.
     """
-    wanted = found = points = false = 0
-    offsets: list[Array] = [np.zeros((0, 2))]
-    areas: list[Array] = [np.zeros(0)]
-    wanted_areas: list[Array] = [np.zeros(0)]
-    for frame, detected, used in zip(run.frame, run.detected, run.used, strict=True):
-        discs = truth.of_frame(int(frame))
-        asked = (discs.state == VISIBLE) & (discs.area >= MIN_AREA)
-        centre, area = discs.centre[asked], discs.area[asked]
-        i, j = assign(distances(centre, detected), MATCH)
-        wanted, found = wanted + len(centre), found + len(i)
-        offsets.append(detected[j] - centre[i])
-        areas.append(area[i])
-        wanted_areas.append(area)
-        near = distances(used, discs.centre[discs.state != HIDDEN]).min(axis=1, initial=np.inf) <= MATCH
-        points, false = points + len(used), false + int(np.count_nonzero(~near))
-    offset, area, wanted_area = np.concatenate(offsets), np.concatenate(areas), np.concatenate(wanted_areas)
-    large = offset[area >= 60.0]
-    asked_15 = np.count_nonzero(wanted_area >= 15.0)
+    whole = truth.state == VISIBLE
+    asked = whole & (truth.area >= MIN_AREA)
+    given = np.isin(truth.frame, run.frame)
+    found, offset = _found(run, truth, asked)
+    large = offset[truth.area[found] >= 60.0]
+    points = false = 0
+    for frame, used in zip(run.frame, run.used, strict=True):
+        centre = truth.centre[(truth.frame == frame) & (truth.state != HIDDEN)]
+        points += len(used)
+        false += int(np.count_nonzero(~(distances(used, centre).min(axis=1, initial=np.inf) <= MATCH)))
+    long = np.zeros_like(whole) if semi_minor is None else whole & (semi_minor >= MIN_AXIS)
     return {
-        "recall": found / wanted if wanted else None,
-        "false_share": false / points if points else None,
-        "centre_rms_px": _number(np.sqrt(np.mean(offset**2))) if len(offset) else None,
-        "recall_15": np.count_nonzero(area >= 15.0) / asked_15 if asked_15 else None,
-        "recall_axis": None if semi_minor is None else _recall(run, truth, semi_minor >= MIN_AXIS),
-        "centre_rms_60_px": _number(np.sqrt(np.mean(large**2))) if len(large) else None,
+        "recall": _ratio(len(found), np.count_nonzero(asked & given)),
+        "false_share": _ratio(false, points),
+        "centre_rms_px": number(np.sqrt(np.mean(offset**2))) if len(offset) else None,
+        "recall_15": _ratio(
+            np.count_nonzero(truth.area[found] >= 15.0), np.count_nonzero(asked & given & (truth.area >= 15.0))
+        ),
+        "recall_axis": _ratio(len(_found(run, truth, long)[0]), np.count_nonzero(long & given)),
+        "centre_rms_60_px": number(np.sqrt(np.mean(large**2))) if len(large) else None,
     }
 
 
-def _recall(run: Run, truth: DiscTruth, asked: NDArray[np.bool_]) -> float | None:
-    """Return the recall of the wholly visible discs among the rows `asked`, (k,), of `truth`; None without any."""
-    wanted = found = 0
+def _found(run: Run, truth: DiscTruth, asked: NDArray[np.bool_]) -> tuple[NDArray[np.intp], Array]:
+    """Return the rows of `truth` among those `asked`, (k,), with a detection, (n,), and its offset, (n, 2) px."""
+    rows, offsets = [np.zeros(0, dtype=np.intp)], [np.zeros((0, 2))]
     for frame, detected in zip(run.frame, run.detected, strict=True):
-        centre = truth.centre[asked & (truth.frame == frame) & (truth.state == VISIBLE)]
-        wanted, found = wanted + len(centre), found + len(assign(distances(centre, detected), MATCH)[0])
-    return found / wanted if wanted else None
+        k = np.flatnonzero(asked & (truth.frame == frame))
+        i, j = assign(distances(truth.centre[k], detected), MATCH)
+        rows.append(k[i])
+        offsets.append(detected[j] - truth.centre[k[i]])
+    return np.concatenate(rows), np.concatenate(offsets)
+
+
+def _ratio(part: int | np.intp, whole: int | np.intp) -> float | None:
+    return float(part / whole) if whole else None
 
 
 def pose_error(found: Pose, true: Pose) -> dict[str, list[float | None]]:
@@ -374,7 +379,7 @@ def frame_times(seconds: dict[str, Array]) -> dict[str, float | None]:
     total = 1e6 * np.sum(list(seconds.values()), axis=0) if seconds else np.zeros(0)
     if len(total) == 0:
         return {"median": None, "p99": None, "max": None}
-    return {"median": _number(np.median(total)), "p99": _number(np.percentile(total, 99)), "max": _number(total.max())}
+    return {"median": number(np.median(total)), "p99": number(np.percentile(total, 99)), "max": number(total.max())}
 
 
 # ---- against the bound ----
@@ -388,14 +393,14 @@ def bound_ratio(attitude: Array | None, rate: Array | None, bound: Bound | None)
     """
     if attitude is None or rate is None or bound is None:
         return {"attitude": None, "rate": None}
-    return {"attitude": _ratio(attitude[1:], bound.attitude[1:]), "rate": _ratio(rate[1:], bound.rate[1:])}
+    return {"attitude": _over_bound(attitude[1:], bound.attitude[1:]), "rate": _over_bound(rate[1:], bound.rate[1:])}
 
 
-def _ratio(error: Array, covariance: Array) -> float | None:
+def _over_bound(error: Array, covariance: Array) -> float | None:
     limit = np.trace(covariance, axis1=1, axis2=2)
     if len(error) == 0 or not np.mean(limit) > 0.0:
         return None
-    return _number(np.sqrt(np.mean(np.sum(error**2, axis=1)) / np.mean(limit)))
+    return number(np.sqrt(np.mean(np.sum(error**2, axis=1)) / np.mean(limit)))
 
 
 def run_bound(run: Run, reference: Reference, rig: Rig) -> Bound | None:
@@ -404,30 +409,23 @@ def run_bound(run: Run, reference: Reference, rig: Rig) -> Bound | None:
     None if the recording lacks truth for it, with fewer than three tracked frames, or if the run used a saved map. Such
     a map has more information than the frames.
     """
-    motion, discs, pose = reference.motion, reference.discs, reference.pose
+    motion, discs, pose, directions = reference.motion, reference.discs, reference.pose, reference.directions
     kept = run.tracked
-    if (
-        motion is None
-        or discs is None
-        or pose is None
-        or reference.directions is None
-        or len(kept) < 3
-        or run.absolute.any()
-    ):
+    if motion is None or discs is None or pose is None or directions is None:
         return None
-    if np.any(discs.disc >= len(reference.directions)):
+    if len(kept) < 3 or run.absolute.any() or np.any(discs.disc >= len(directions)):
         return None
     span = slice(int(kept[0]), int(kept[-1]) + 1)
     frames = run.frame[span]
     sights = measured(frames.tolist(), run.detected[span], discs)
     at = Truth(motion.stamp[frames], motion.attitude[frames], motion.rate[frames])
-    return posterior_bound(at, sights, reference.directions, rig, pose).take(kept - kept[0])
+    return posterior_bound(at, sights, directions, rig, pose).take(kept - kept[0])
 
 
-def _number(x: Any) -> float | None:
+def number(x: Any) -> float | None:
     """Return a float; None if x is not finite."""
     return float(x) if np.isfinite(x) else None
 
 
 def _numbers(x: Array) -> list[float | None]:
-    return [_number(v) for v in x]
+    return [number(v) for v in x]

@@ -8,51 +8,28 @@ from rich.table import Table
 
 from spheremouse.evaluate.metrics import MIN_AREA, MIN_AXIS
 
+Rows = tuple[tuple[str, Callable[[dict[str, Any]], str]], ...]  # label, and cell of a report
+
 _MAX_FACTOR = 1.4  # between standard deviations and errors; a film of some seconds scatters as much
 
 
 def ball_table(results: list[dict[str, Any]], title: str) -> Table:
     """Return the reports of `metrics.report` as a table with one column for each recording."""
-    table = Table(title=title, caption="in brackets: about or along x, y, z of obj", title_justify="left")
-    table.add_column("")
-    for result in results:
-        table.add_column(result["dataset"], justify="right")
-    for label, value in _ROWS:
-        table.add_row(label, *[value(result) for result in results])
-    return table
+    return _table(results, _ROWS, title, "in brackets: about or along x, y, z of obj")
 
 
 def wand_table(results: list[dict[str, Any]]) -> Table:
     """Return the reports of `wand.wand_report` as a table with one column for each ball."""
     every = [r for result in results for r in (result, *result.get("more_balls", []))]
-    table = Table(title="wand", caption="x right, y down, z away from the camera", title_justify="left")
-    table.add_column("")
-    for result in every:
+    return _table(every, _WAND_ROWS, "wand", "x right, y down, z away from the camera")
+
+
+def _table(results: list[dict[str, Any]], rows: Rows, title: str, caption: str) -> Table:
+    table = Table("", title=title, caption=caption, title_justify="left")
+    for result in results:
         table.add_column(result["dataset"], justify="right")
-    rows = (
-        ("frames tracked / all", lambda r: f"{r['tracked']:g} / {r['frames']}"),
-        ("runs that lost the ball / all", lambda r: f"{shown(r['lost_runs'], 'd')} / {r['runs']}"),
-        ("right from frame, in all runs", lambda r: shown(r["found_from_frame"], "d")),
-        ("position RMSE x y z, mm", lambda r: axes(r["position_rmse_mm"])),
-        ("  95th percentile, mm", lambda r: axes(r["position_p95_mm"])),
-        ("  largest, mm", lambda r: axes(r["position_max_mm"])),
-        (
-            "rotation RMSE, 95th percentile, largest, °",
-            lambda r: "  ".join(shown(r[f"rotation_{k}_deg"]) for k in ("rmse", "p95", "max")),
-        ),
-        (
-            "ANEES of position, rotation, pose (1 is right)",
-            lambda r: "  ".join(shown(r["anees"][k]) for k in ("position", "rotation", "pose")),
-        ),
-        ("poses within their 95 % region, %", lambda r: shown(r["within_95"] and 100.0 * r["within_95"])),
-        ("frames per second", lambda r: shown(r["fps"], ".0f")),
-        (
-            "time per frame: median, p99, max, µs",
-            lambda r: "  ".join(shown(r["frame_us"][k], ".0f") for k in ("median", "p99", "max")),
-        ),
-    )
     for label, value in rows:
-        table.add_row(label, *(value(result) for result in every))
+        table.add_row(label, *(value(result) for result in results))
     return table
 
 
@@ -96,66 +73,75 @@ def path_notes(result: dict[str, Any]) -> list[str]:
     return lines
 
 
-def shown(value: float | None, form: str = ".3g") -> str:
-    """Return a number formatted by `form`, or a dash for None."""
+def _shown(value: float | None, form: str = ".3g") -> str:
     return "–" if value is None else format(value, form)
 
 
-def axes(part: dict[str, float | None], form: str = ".3g", scale: float = 1.0) -> str:
-    """Return the values "x", "y", "z" of `part` times `scale`, each formatted by `form`, or a dash for None."""
-    values = [part[a] for a in "xyz"]
-    return "  ".join("–" if v is None else format(scale * v, form) for v in values)
+def _each(part: dict[str, float | None] | None, *names: str, form: str = ".3g") -> str:
+    """Return the values of some `names`, or of x, y and z, each formatted by `form`, or a dash for None."""
+    return "–" if part is None else "  ".join(_shown(part[name], form) for name in names or "xyz")
 
 
 def _combined(part: dict[str, float | None], form: str = ".3g") -> str:
     """Return the value "combined" of `part`, then those of its axes in brackets; a dash if it is None."""
     if part["combined"] is None:
         return "–"
-    return f"{shown(part['combined'], form)} ({' '.join(shown(part[a], form) for a in 'xyz' if a in part)})"
+    return f"{_shown(part['combined'], form)} ({' '.join(_shown(part[a], form) for a in 'xyz' if a in part)})"
 
 
-def _each(result: dict[str, Any], part: str, *names: str, form: str = ".3g") -> str:
-    values = result[part]
-    return "–" if values is None else "  ".join(shown(values[name], form) for name in names)
+def _list(result: dict[str, Any], name: str) -> str:
+    values = result["pose_error"]
+    return "–" if values is None else f"({' '.join(_shown(v, '.2g') for v in values[name])})"
 
 
-def _list(result: dict[str, Any], part: str, name: str) -> str:
-    values = result[part]
-    return "–" if values is None else f"({' '.join(shown(v, '.2g') for v in values[name])})"
+def _percent(part: dict[str, float | None] | None, name: str) -> str:
+    value = None if part is None else part[name]
+    return "–" if value is None else f"{100.0 * value:.1f}"
 
 
-def _percent(result: dict[str, Any], name: str) -> str:
-    detection = result["detection"]
-    return "–" if detection is None or detection[name] is None else f"{100.0 * detection[name]:.1f}"
-
-
-_ROWS: tuple[tuple[str, Callable[[dict[str, Any]], str]], ...] = (
+_ROWS: Rows = (
     ("frames tracked / all", lambda r: f"{r['tracked']} / {r['frames']}"),
     ("times lost", lambda r: str(r["lost_episodes"])),
     ("attitude RMSE, °", lambda r: _combined(r["attitude_rmse_deg"])),
     ("rate RMSE, °/s", lambda r: _combined(r["rate_rmse_deg_s"])),
     ("surface speed RMSE, mm/s", lambda r: _combined(r["surface_speed_rmse_mm_s"])),
     ("surface speed, Pearson's r", lambda r: _combined(r["surface_speed_r"], ".4f")),
-    ("rotation scale about x y z", lambda r: axes(r["rotation_scale"], ".5f")),
-    ("  half its 95 % interval", lambda r: axes(r["rotation_scale_ci95"], ".5f")),
-    ("drift about x y z, °/min", lambda r: axes(r["drift_deg_min"], ".2f")),
-    ("  half its 95 % interval, °/min", lambda r: axes(r["drift_deg_min_ci95"], ".2f")),
-    ("discs used per frame", lambda r: shown(r["mean_discs"])),
-    ("recognised in the map from frame", lambda r: shown(r["identified_from_frame"], "d")),
-    (f"recall of whole discs ≥ {MIN_AREA:g} px², %", lambda r: _percent(r, "recall")),
-    (f"  of semi-minor axis ≥ {MIN_AXIS:g} px, %", lambda r: _percent(r, "recall_axis")),
-    ("points used that are no disc, %", lambda r: _percent(r, "false_share")),
-    ("disc centre RMS per axis, px", lambda r: _each(r, "detection", "centre_rms_px")),
-    ("camera position error, mm", lambda r: _list(r, "pose_error", "position_mm")),
-    ("  its standard deviation, mm", lambda r: _list(r, "pose_error", "sigma_position_mm")),
-    ("camera rotation error, °", lambda r: _list(r, "pose_error", "angle_deg")),
-    ("  its standard deviation, °", lambda r: _list(r, "pose_error", "sigma_angle_deg")),
-    ("NEES of attitude, rate (3 is right)", lambda r: _each(r, "nees", "attitude", "rate")),
-    ("NIS per degree of freedom (1 is right)", lambda r: shown(r["nis"])),
-    ("RMSE / bound: attitude, rate", lambda r: _each(r, "bound_ratio", "attitude", "rate")),
-    ("time per frame: median, p99, max, µs", lambda r: _each(r, "frame_us", "median", "p99", "max", form=".0f")),
+    ("rotation scale about x y z", lambda r: _each(r["rotation_scale"], form=".5f")),
+    ("  half its 95 % interval", lambda r: _each(r["rotation_scale_ci95"], form=".5f")),
+    ("drift about x y z, °/min", lambda r: _each(r["drift_deg_min"], form=".2f")),
+    ("  half its 95 % interval, °/min", lambda r: _each(r["drift_deg_min_ci95"], form=".2f")),
+    ("discs used per frame", lambda r: _shown(r["mean_discs"])),
+    ("recognised in the map from frame", lambda r: _shown(r["identified_from_frame"], "d")),
+    (f"recall of whole discs ≥ {MIN_AREA:g} px², %", lambda r: _percent(r["detection"], "recall")),
+    (f"  of semi-minor axis ≥ {MIN_AXIS:g} px, %", lambda r: _percent(r["detection"], "recall_axis")),
+    ("points used that are no disc, %", lambda r: _percent(r["detection"], "false_share")),
+    ("disc centre RMS per axis, px", lambda r: _each(r["detection"], "centre_rms_px")),
+    ("camera position error, mm", lambda r: _list(r, "position_mm")),
+    ("  its standard deviation, mm", lambda r: _list(r, "sigma_position_mm")),
+    ("camera rotation error, °", lambda r: _list(r, "angle_deg")),
+    ("  its standard deviation, °", lambda r: _list(r, "sigma_angle_deg")),
+    ("NEES of attitude, rate (3 is right)", lambda r: _each(r["nees"], "attitude", "rate")),
+    ("NIS per degree of freedom (1 is right)", lambda r: _shown(r["nis"])),
+    ("RMSE / bound: attitude, rate", lambda r: _each(r["bound_ratio"], "attitude", "rate")),
+    ("time per frame: median, p99, max, µs", lambda r: _each(r["frame_us"], "median", "p99", "max", form=".0f")),
     (
         "median per stage, µs",
-        lambda r: "  ".join(f"{stage} {shown(us, '.0f')}" for stage, us in r["stages_us"].items()) or "–",
+        lambda r: "  ".join(f"{stage} {_shown(us, '.0f')}" for stage, us in r["stages_us"].items()) or "–",
     ),
+)
+_WAND_ROWS: Rows = (
+    ("frames tracked / all", lambda r: f"{r['tracked']:g} / {r['frames']}"),
+    ("runs that lost the ball / all", lambda r: f"{_shown(r['lost_runs'], 'd')} / {r['runs']}"),
+    ("right from frame, in all runs", lambda r: _shown(r["found_from_frame"], "d")),
+    ("position RMSE x y z, mm", lambda r: _each(r["position_rmse_mm"])),
+    ("  95th percentile, mm", lambda r: _each(r["position_p95_mm"])),
+    ("  largest, mm", lambda r: _each(r["position_max_mm"])),
+    (
+        "rotation RMSE, 95th percentile, largest, °",
+        lambda r: _each(r, "rotation_rmse_deg", "rotation_p95_deg", "rotation_max_deg"),
+    ),
+    ("ANEES of position, rotation, pose (1 is right)", lambda r: _each(r["anees"], "position", "rotation", "pose")),
+    ("poses within their 95 % region, %", lambda r: _shown(r["within_95"] and 100.0 * r["within_95"])),
+    ("frames per second", lambda r: _shown(r["fps"], ".0f")),
+    ("time per frame: median, p99, max, µs", lambda r: _each(r["frame_us"], "median", "p99", "max", form=".0f")),
 )

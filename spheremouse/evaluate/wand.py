@@ -5,7 +5,7 @@ R_est R_true^T. A value that run or recording cannot give is None. The experimen
 chapter 4.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from spheremouse.evaluate.metrics import frame_times, mean_nees
+from spheremouse.evaluate.metrics import frame_times, mean_nees, nees, number
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.geometry.statistics import gate
 from spheremouse.tracker import Event
@@ -107,15 +107,12 @@ def off(run: WandRun, truth: WandTruth, radius: float) -> NDArray[np.bool_]:
 
     A pose is wrong if it is off by more than `radius` m across the line of sight, or by more than 45° in rotation.
     """
-    error = np.nan_to_num(position_error(run, truth), nan=np.inf)
+    error = position_error(run, truth)
     sight = truth.position[: len(run.stamp)]
     sight = sight / np.linalg.norm(sight, axis=1, keepdims=True)
-    finite = np.isfinite(error).all(axis=1)
-    across = np.full(len(error), np.inf)
-    e, s = error[finite], sight[finite]
-    across[finite] = np.linalg.norm(e - np.sum(e * s, axis=1, keepdims=True) * s, axis=1)
-    turned = np.linalg.norm(np.nan_to_num(rotation_error(run, truth), nan=np.inf), axis=1)
-    return (across > radius) | (turned > OFF_ANGLE)
+    across = np.linalg.norm(error - np.sum(error * sight, axis=1, keepdims=True) * sight, axis=1)
+    turned = np.linalg.norm(rotation_error(run, truth), axis=1)
+    return ~((across <= radius) & (turned <= OFF_ANGLE))  # nan is wrong
 
 
 def is_lost(run: WandRun, truth: WandTruth, radius: float) -> bool:
@@ -123,19 +120,12 @@ def is_lost(run: WandRun, truth: WandTruth, radius: float) -> bool:
 
     `radius` as in `off`. Frames before the first right pose do not count.
     """
-    wrong = off(run, truth, radius)
-    if wrong.all() or (len(wrong) and wrong[-1]):
+    right = np.flatnonzero(~off(run, truth, radius))
+    if len(right) == 0 or right[-1] < len(run.stamp) - 1:
         return True
-    begin = int(np.argmin(wrong))  # it was found here
-    start: int | None = None
-    for k in range(begin, len(wrong)):
-        if not wrong[k]:
-            start = None
-            continue
-        start = k if start is None else start
-        if k - start + 1 > _GRACE and run.stamp[k] - run.stamp[start - 1] > RECOVERED:
-            return True
-    return False
+    before, after = right[:-1], right[1:]
+    wrong_s = run.stamp[after - 1] - run.stamp[before]
+    return bool(np.any((after - before - 1 > _GRACE) & (wrong_s > RECOVERED)))
 
 
 def found_from(run: WandRun, truth: WandTruth, radius: float) -> int | None:
@@ -165,7 +155,7 @@ def wand_report(
         "tracker": "wand",
         "frames": frames,
         "runs": len(runs),
-        "tracked": _number(np.mean(tracked)),
+        "tracked": number(np.mean(tracked)),
         "lost_runs": None,
         "found_from_frame": None,
         **errors([], []),
@@ -201,42 +191,30 @@ def errors(runs: Sequence[WandRun], truths: Sequence[WandTruth]) -> dict[str, An
         "position_rmse_mm": _axes(1e3 * p, lambda e: np.sqrt(np.mean(e**2))),
         "position_p95_mm": _axes(1e3 * p, lambda e: np.quantile(np.abs(e), 0.95)),
         "position_max_mm": _axes(1e3 * p, lambda e: np.max(np.abs(e))),
-        "rotation_rmse_deg": _number(np.degrees(np.sqrt(np.mean(angle**2)))) if len(angle) else None,
-        "rotation_p95_deg": _number(np.degrees(np.quantile(angle, 0.95))) if len(angle) else None,
-        "rotation_max_deg": _number(np.degrees(np.max(angle))) if len(angle) else None,
+        "rotation_rmse_deg": number(np.degrees(np.sqrt(np.mean(angle**2)))) if len(angle) else None,
+        "rotation_p95_deg": number(np.degrees(np.quantile(angle, 0.95))) if len(angle) else None,
+        "rotation_max_deg": number(np.degrees(np.max(angle))) if len(angle) else None,
         "anees": {
             "position": _per_freedom(p, P[:, :3, :3]),
             "rotation": _per_freedom(r, P[:, 3:, 3:]),
             "pose": _per_freedom(np.hstack([p, r]), P),
         },
-        "within_95": _within(np.hstack([p, r]), P),
+        "within_95": number(np.mean(nees(np.hstack([p, r]), P) < gate(0.95, 6))) if len(p) else None,
     }
 
 
-def _axes(error: Array, of: Any) -> dict[str, float | None]:
-    return {axis: _number(of(error[:, k])) if len(error) else None for k, axis in enumerate("xyz")}
+def _axes(error: Array, of: Callable[[Array], Any]) -> dict[str, float | None]:
+    return {axis: number(of(error[:, k])) if len(error) else None for k, axis in enumerate("xyz")}
 
 
 def _per_freedom(error: Array, covariance: Array) -> float | None:
-    nees = mean_nees(error, covariance)
-    return None if nees is None else nees / error.shape[1]
-
-
-def _within(error: Array, covariance: Array) -> float | None:
-    if len(error) == 0:
-        return None
-    inverse = np.linalg.pinv(covariance, hermitian=True)
-    nees = np.einsum("ni,nij,nj->n", error, inverse, error)
-    return _number(np.mean(nees < gate(0.95, error.shape[1])))
+    mean = mean_nees(error, covariance)
+    return None if mean is None else mean / error.shape[1]
 
 
 def _fps(runs: Sequence[WandRun]) -> float | None:
     seconds = sum(float(run.seconds.sum()) for run in runs)
-    return _number(sum(len(run.seconds) for run in runs) / seconds) if seconds > 0.0 else None
-
-
-def _number(value: Any) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return number(sum(len(run.seconds) for run in runs) / seconds) if seconds > 0.0 else None
 
 
 @dataclass(slots=True)

@@ -694,10 +694,3 @@ def test_plot_draws_a_picture(tmp_path):
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 50
     with pytest.raises(ConfigurationError, match="cannot be written"):
         plot.plot_run(truth.stamp, truth.attitude, truth.rate, truth.attitude, truth.rate, P, tmp_path / "no" / "a.png")
-
-
-def test_plot_breaks_its_curves_where_nothing_was_tracked_and_where_a_rotation_vector_jumps():
-    assert np.isnan(plot._gaps(np.array([0.0, 0.1, 0.2, 0.6, 0.7]))).tolist() == [False, False, False, True, False]
-    angle = np.deg2rad([170.0, 179.0, 188.0, 197.0])[:, None] * [1.0, 0.0, 0.0]
-    vectors = Rotation.from_rotvec(angle).as_rotvec()
-    assert np.isnan(plot._unbroken(vectors)).any(axis=1).tolist() == [False, False, True, False]
