@@ -13,10 +13,10 @@ from spheremouse import numba_cache as compiled
 
 def test_whoever_has_a_place_keeps_it(monkeypatch, tmp_path):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    monkeypatch.setattr(compiled, "_writable", lambda folder: True)
+    monkeypatch.setattr(os, "access", lambda folder, mode: True)
     compiled.keep_somewhere()
     assert "NUMBA_CACHE_DIR" not in os.environ
-    monkeypatch.setattr(compiled, "_writable", lambda folder: False)
+    monkeypatch.setattr(os, "access", lambda folder, mode: False)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     compiled.keep_somewhere()
     assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path)
@@ -30,7 +30,7 @@ def test_an_account_without_a_place_gets_the_services_or_a_private_one(monkeypat
     cache.mkdir()
     monkeypatch.setenv("CACHE_DIRECTORY", str(cache))
     monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path))
-    monkeypatch.setattr(compiled, "_writable", lambda folder: given and folder == cache)
+    monkeypatch.setattr(os, "access", lambda folder, mode: given and folder == cache)
     compiled.keep_somewhere()
     kept = Path(os.environ["NUMBA_CACHE_DIR"])
     assert kept == cache if given else kept.parent == tmp_path and kept.stat().st_mode & 0o077 == 0
@@ -42,7 +42,11 @@ def test_a_folder_that_others_may_write_is_not_trusted(monkeypatch, tmp_path):
     planted.mkdir(mode=0o777)
     planted.chmod(0o777)
     monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path))
-    assert compiled._private() != planted
+    monkeypatch.setattr(os, "access", lambda folder, mode: False)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")  # so that it is set back afterwards
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    compiled.keep_somewhere()
+    assert Path(os.environ["NUMBA_CACHE_DIR"]) != planted
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="takes root to become somebody else")

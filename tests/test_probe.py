@@ -4,6 +4,7 @@ import os
 import stat
 import sys
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 import reporting
@@ -62,12 +63,12 @@ def test_a_node_that_may_not_be_used_names_its_group_and_the_account(tmp_path, m
     monkeypatch.setattr(access, "account", lambda: "ada")
     node.chmod(0o660)
     monkeypatch.setattr(access.os, "access", lambda path, mode: False)
-    monkeypatch.setattr(access, "_groups_of", lambda who: [])
+    monkeypatch.setattr("grp.getgrall", lambda: [])
     assert access.access_problem(node) == (
         f"{node} belongs to the group video, and ada is no member",
         "as root: usermod -aG video ada, then log in again",
     )
-    monkeypatch.setattr(access, "_groups_of", lambda who: ["video"])
+    monkeypatch.setattr("grp.getgrall", lambda: [SimpleNamespace(gr_name="video", gr_mem=["ada"])])
     assert access.access_problem(node)[1] == "log out and in again"
     node.chmod(0o600)
     problem, remedy = access.access_problem(node)

@@ -3,7 +3,6 @@
 import hashlib
 import io
 import shutil
-import sys
 
 import cv2
 import numpy as np
@@ -190,14 +189,6 @@ def test_a_folder_without_photos_says_what_it_has(tmp_path):
     assert len(notes) == 1
     assert "passed over" in notes[0]
     assert "IMG_0.HEIC, IMG_1.HEIC" in notes[0]
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="asks for other rights")
-def test_a_file_without_a_right_to_read_or_that_is_none(tmp_path):
-    import os
-
-    os.mkfifo(tmp_path / "pipe.jpg")  # reading it would wait for ever
-    refused([tmp_path / "pipe.jpg"], "is not a file")
 
 
 def test_a_file_that_changed_since_is_refused(tmp_path):

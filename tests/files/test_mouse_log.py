@@ -201,10 +201,12 @@ class Event:
 def plugged(monkeypatch):
     """Plugs a Pipe in place of the kernel's device; the clock stands at 100 s."""
 
+    pytest.importorskip("evdev")
+
     def plug(*batches):
         pipe = Pipe(batches)
-        monkeypatch.setattr(mouse_log, "_opened", lambda _: pipe)
-        monkeypatch.setattr(mouse_log, "_on_monotonic_clock", lambda *_: None)
+        monkeypatch.setattr("evdev.InputDevice", lambda _: pipe)
+        monkeypatch.setattr("fcntl.ioctl", lambda *_: 0)
         monkeypatch.setattr(mouse_log.time, "monotonic", lambda: 100.0)
         return pipe
 

@@ -83,18 +83,6 @@ def test_a_ball_that_looks_the_same_twice_is_refused(file):
     assert symmetry(unlike) is None
 
 
-def test_symmetry_is_found_however_the_ball_is_turned():
-    """Three discs at right angles repeat about the diagonal; turned anywhere they still do."""
-    R = exp(np.array([0.3, -1.1, 0.7]))
-    discs = []
-    for d in np.eye(3) @ R.T:
-        discs.append(wand_disc(np.arctan2(d[1], d[0]), np.arcsin(d[2]), 0.2, "red"))
-    turn = symmetry(WandBall("corner", 0.05, tuple(discs)))
-    assert turn is not None
-    assert np.trace(turn) == pytest.approx(0.0, abs=1e-9)  # 120 degrees
-    assert np.allclose(turn @ R @ np.ones(3), R @ np.ones(3))
-
-
 def test_two_discs_are_too_few(tmp_path):
     ball = grzonka_ball()
     path = tmp_path / "two.yaml"

@@ -19,13 +19,6 @@ def test_thesis_ball_has_the_printed_measures():
     assert azimuths == {0, 90, 180, 270}
 
 
-def test_neighbours_in_the_gray_code_differ_in_one_colour():
-    code = [d.colour for d in grzonka_ball().discs]
-    pairs = [tuple(code[2 * i : 2 * i + 2]) for i in range(4)]
-    for a, b in zip(pairs, pairs[1:] + pairs[:1], strict=True):
-        assert sum(x != y for x, y in zip(a, b, strict=True)) == 1
-
-
 @pytest.mark.parametrize("ball", [grzonka_ball(), contrast_ball(), led_ball()], ids=lambda b: b.name)
 def test_no_rotation_maps_the_pattern_to_itself(ball):
     """Every rotation that maps two discs to two others of their kind maps some disc to a place without one."""

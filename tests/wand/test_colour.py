@@ -58,15 +58,6 @@ def test_fields_of_a_region_equal_those_of_the_whole_picture():
     np.testing.assert_array_equal(part.weight[inner], whole.weight[:, 10:50, 10:90][inner])
 
 
-def test_field_falls_with_the_distance_from_the_colour():
-    weight = colour_fields(picture(), DEFAULT_COLOURS, NAMES).weight[1].astype(int)
-    across = weight[30, 36:46]
-    assert across[0] == 255
-    assert across[-1] == 0
-    assert np.all(np.diff(across) <= 0)
-    assert across[3] + across[4] == pytest.approx(255, abs=2)  # the edge lies between columns 39 and 40
-
-
 def test_pictures_of_large_balls_are_reduced():
     assert reduction_factor(50) == 1
     assert reduction_factor(130) == 2
@@ -96,29 +87,6 @@ def test_rim_shift_of_a_bound_on_saturation_is_that_of_mixed_light(saturation):
     assert found.rim[0] == rim_shift(bounds)
     assert shift == pytest.approx(rim_shift(bounds), abs=0.1)
     assert colour_fields(image, {"red": bounds}, ("red",), None, 2).rim[0] == pytest.approx(0.5 * rim_shift(bounds))
-
-
-@pytest.mark.parametrize(
-    ("print_", "paper", "bound", "within"),
-    [
-        (0.01, 0.8, {"value_max": 75.0}, 0.12),
-        (0.02, 0.5, {"value_max": 75.0}, 0.12),
-        (0.9, 0.01, {"value_min": 215.0}, 0.2),  # at the end of the blur
-    ],
-)
-def test_rim_shift_of_a_bound_on_brightness_is_that_of_mixed_light(print_, paper, bound, within):
-    """The tracker measures the brightness of disc and ground in the picture."""
-    radius = 14.0
-    cover = covered(radius, 64)[..., None]
-    grey = np.rint(255.0 * (cover * print_ + (1.0 - cover) * paper) ** (1 / 2.2)).astype(np.uint8)
-    bounds = {"some": ColourSettings(**bound)}
-    mean = 127.0 if "value_max" in bound else 140.0
-    found = colour_fields(np.repeat(grey, 3, axis=2), bounds, ("some",), known=PictureColours(mean, np.zeros(1)))
-    shift = np.sqrt(np.count_nonzero(found.binary[0]) / np.pi) - radius
-    assert shift < -0.2
-    assert found.rim[0] == pytest.approx(shift, abs=within)
-    nothing = colour_fields(np.full((40, 40, 3), 130, np.uint8), bounds, ("some",))
-    assert nothing.rim[0] == 0.0
 
 
 def discs_on(radius, light, ground, n=3, beside=None, side=48):

@@ -12,10 +12,10 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.wand import limb
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, colour_fields
-from spheremouse.wand.likelihood import SIGMA, disc_weights, expected_field, log_likelihood
+from spheremouse.wand.likelihood import log_likelihood
 from spheremouse.wand.model import ball_model
 from spheremouse.wand.published.track import log_product
-from spheremouse.wand.refine import field_residuals, refine_pose
+from spheremouse.wand.refine import refine_pose
 
 BALL = grzonka_ball()
 NONE = np.zeros((limb.DIRECTIONS, 5))
@@ -61,24 +61,6 @@ def test_the_true_pose_has_the_greatest_likelihood(view):
     assert other[0] < value - 50
     assert match[0] < 0.5
     assert values(view, p, away, log_product)[0][0] < values(view, p, R, log_product)[0][0]
-
-
-def test_disc_weights_of_another_pose_remove_the_gain_of_a_closer_one(view):
-    seen, m, p, R, _ = view
-    far = replace(m, lens=np.array([0.3 * m.lens[0], 0.3 * m.lens[1], *m.lens[2:]]))  # 19 px across
-    position, rotation = np.array([p, 0.97 * p]), np.array([R, R])
-    own = disc_weights(position, rotation, far, 1)
-    assert own.shape == (2, len(BALL.discs) + 1)
-    assert np.all(own > 0.0)
-    assert np.all(own[1] >= own[0])
-    plain, _ = log_likelihood(position, rotation, far, seen)
-    same, _ = log_likelihood(position, rotation, far, seen, fixed_weights=(own, np.array([0, 1])))
-    assert same == pytest.approx(plain, rel=1e-5)
-    first, _ = log_likelihood(position, rotation, far, seen, fixed_weights=(own, np.array([0, 0])))
-    assert first[0] == pytest.approx(plain[0], rel=1e-5)
-    assert abs(first[1]) < abs(plain[1])
-    none, _ = log_likelihood(position, rotation, far, seen, fixed_weights=(own, np.array([-1, -1])))
-    np.testing.assert_array_equal(none, plain)
 
 
 def test_refinement_finds_the_peak_and_its_curvature(view):
@@ -131,39 +113,6 @@ def test_measured_edges_lie_on_the_true_outline(view):
     assert np.all(np.sum(out * found[good, 2:4], axis=1) > 0.98)  # outward normals
 
 
-@pytest.mark.parametrize("turned", [0.0, 60.0, 90.0, 120.0, 180.0])
-def test_expected_field_equals_the_convolution_at_the_limb(turned):
-    """Numerical convolution of a disc's rim and the ball's limb as two straight edges at an angle."""
-    facing, scale, sigma = 0.35, 26.0, 1.2
-    aside = np.sqrt(1.0 - facing**2)
-    # a rim whose outward normal in the picture makes the angle with that of the limb
-    c, s = np.cos(np.radians(turned)), np.sin(np.radians(turned))
-    outward = np.array([c * facing, s]) / np.hypot(c * facing, s)  # on the ball: radial, aside
-    along = -outward[1] * aside  # the tangent's part along the line of sight
-    e, g = expected_field(along, outward[0] * aside, facing, scale, 0.0, 3.0, 0.0, 0.0)
-    grid = np.arange(-8.0, 8.0, 0.05)
-    x, y = np.meshgrid(grid, grid)
-    weight = np.exp(-0.5 * (x**2 + y**2) / sigma**2)
-    ball = x < scale * (1.0 - aside)
-    disc = c * x + s * y < 0.0
-    assert e == pytest.approx(np.sum(weight * (ball & disc)) / np.sum(weight), abs=0.03)
-    moved = c * x + s * y < 0.3
-    assert g == pytest.approx((np.sum(weight * (ball & moved)) / np.sum(weight) - e) / 0.3, abs=0.06)
-
-
-def test_residuals_at_the_truth_have_the_stated_standard_deviation(view):
-    seen, m, p, R, _ = view
-    n = len(m.points.table)
-    counts, r, g, e, field = (np.zeros(n) for _ in range(5))
-    field_residuals(
-        p, R, m.points.table, m.points.colour, m.radius, m.lens, seen.weight, seen.glare, seen.place(), seen.rim,
-        counts, r, g, e, field,
-    )  # fmt: skip
-    rim = (counts > 0) & (m.points.colour >= 0) & (m.points.table[:, 6] == 0.0)
-    assert rim.sum() > 30
-    assert 0.5 * SIGMA < np.sqrt(np.mean(r[rim] ** 2)) < 1.4 * SIGMA
-
-
 def test_glare_is_no_evidence(view):
     """A picture in glare has no evidence. With one disc in glare, the others have theirs."""
     seen, m, p, R, _ = view
@@ -207,16 +156,3 @@ def test_glare_in_place_of_discs_is_no_evidence(view, part):
     value, match = log_likelihood(p[None], R[None], m, replace(seen, weight=np.zeros_like(seen.weight), glare=glare))
     assert value[0] < 0.0
     assert match[0] < 0.5
-
-
-def test_refinement_finds_the_same_peak_with_glare(view):
-    seen, m, p, R, _ = view
-    u, v = np.array(m.lens[:2]) * p[:2] / p[2] + m.lens[2:4]
-    rows, columns = np.mgrid[: seen.weight.shape[1], : seen.weight.shape[2]]
-    spot = (columns - u) ** 2 + (rows - v) ** 2 < (0.35 * BALL.radius * m.lens[0] / p[2]) ** 2
-    gone = np.where(spot, 0, seen.weight).astype(np.uint8)
-    veiled = replace(seen, weight=gone, glare=(255 * spot[None]).astype(np.uint8))
-    start = p + np.array([0.002, -0.002, 0.03]), exp(np.array([0.08, -0.06, 0.05])) @ R
-    peak = refine_pose(*start, m, veiled, NONE)
-    assert np.linalg.norm(log(peak.rotation @ R.T)) < np.deg2rad(3.0)
-    assert np.all(np.abs(peak.position - p) < [0.002, 0.002, 0.05])

@@ -34,17 +34,6 @@ def test_low_variance_resampling_draws_each_particle_by_its_weight_to_within_one
         assert count[1] == 0
 
 
-def test_effective_number():
-    assert effective_number(np.full(40, 1 / 40)) == pytest.approx(40)
-    assert effective_number(np.array([1.0, 0.0, 0.0])) == pytest.approx(1)
-
-
-def test_normalisation_of_very_small_weights():
-    w, total = normalise(np.array([-2000.0, -2000.0 + np.log(3.0)]))
-    np.testing.assert_allclose(w, [0.25, 0.75])
-    assert total == pytest.approx(-2000.0 + np.log(4.0))
-
-
 def test_mean_and_covariance_equal_those_of_the_sample():
     rng = np.random.default_rng(4)
     R = exp(np.array([2.0, -1.0, 0.5]))

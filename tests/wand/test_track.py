@@ -10,7 +10,6 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.tracker import Frame, Status
 from spheremouse.wand.ball import contrast_ball, led_ball
 from spheremouse.wand.build import build
-from spheremouse.wand.colour import DEFAULT_COLOURS, colour_fields
 from spheremouse.wand.events import (
     BallHidden,
     BallLost,
@@ -18,10 +17,8 @@ from spheremouse.wand.events import (
     ColourNowhere,
     NotInView,
     SecondBall,
-    colours_turned_away,
 )
 from spheremouse.wand.settings import ColourSettings, WandSettings
-from spheremouse.wand.start import find_spots, pose_hypotheses
 from spheremouse.wand.state import WandPose
 from spheremouse.wand.track import begin, step
 
@@ -224,17 +221,6 @@ def test_a_missing_colour_is_reported_after_one_or_ten_seconds(hand, first, afte
     assert all(said[said.index(True) :])
 
 
-def test_colours_turned_away_from_the_camera(hand):
-    camera, balls, shots = hand
-    discs = tuple(replace(disc, colour="red") for disc in balls[0].discs)
-    pole = replace(discs[0], colour="blue", direction=np.array([0.0, 0.0, -1.0]))  # at the lower pole
-    tracker = build(camera, (replace(balls[0], discs=(*discs, pole)),))
-    state = begin(tracker, poses={0: (shots[0].position[0], shots[0].rotation[0])})
-    assert (shots[0].rotation[0] @ pole.direction) @ shots[0].position[0] > 0.0
-    assert colours_turned_away(tracker, list(state.tracks)) == {"blue"}
-    assert colours_turned_away(tracker, [replace(t, phase=Status.LOST) for t in state.tracks]) == set()
-
-
 def test_two_declared_balls_are_tracked():
     camera, balls, shots = film(replace(HAND, balls=2, distance=0.9, seconds=0.8))
     both = build(camera, balls)
@@ -260,18 +246,6 @@ def test_event_of_an_undeclared_ball_needs_three_frames():
         gone.append(replace(shot, frame=replace(shot.frame, image=image)))
     _, later = follow(gone, tracker, state)
     assert not any(isinstance(p.event, SecondBall) for (p,) in first + later)
-
-
-def test_pose_from_spots_alone(hand):
-    camera, balls, shots = hand
-    near = 0
-    for shot in shots[::4]:
-        seen = colour_fields(shot.frame.image, DEFAULT_COLOURS, balls[0].colours)
-        guess = pose_hypotheses(find_spots(seen), balls[0], camera, balls[0].colours, WandSettings())
-        angles = np.linalg.norm(log(guess.rotation @ shot.rotation[0].T), axis=1)
-        gaps = np.linalg.norm(guess.position[:, :2] - shot.position[0][:2], axis=1)
-        near += bool(np.any((angles < 0.35) & (gaps < 0.01)))
-    assert near >= len(shots[::4]) - 1
 
 
 def test_a_known_command_replaces_the_last_velocity(hand):

@@ -81,14 +81,14 @@ def test_a_disc_of_ordinary_size_is_met_in_the_first_turn_wherever_it_is():
     """What is 10 px high."""
     rng = np.random.default_rng(2)
     n = 0
-    for k in range(40):
+    for k in range(20):
         discs = random_discs(rng, 4, 70.0)
         places = look(picture(discs, seed=k), SearchState(k))
         assert len(places) <= 4  # each of them once
         high = np.sqrt(appearance(discs, RIG, POSE).shape[:, 1, 1]) > 5.0
         assert distances(places, centroids(discs))[high].max(initial=0.0) < 1.0
         n += np.count_nonzero(high)
-    assert n > 60
+    assert n > 30
 
 
 def test_all_of_many_discs_come_in_the_end():

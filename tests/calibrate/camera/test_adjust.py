@@ -8,10 +8,9 @@ from boards import CAMERA, PATTERN, picture, places, views
 from conftest import datasets_dir
 from scipy.stats import chi2
 
-from spheremouse.calibrate.camera import adjust as adjustment
 from spheremouse.calibrate.camera import bundle as bundle_module
 from spheremouse.calibrate.camera.adjust import calibrate_board, held_out
-from spheremouse.calibrate.camera.bundle import View, resect_views
+from spheremouse.calibrate.camera.bundle import View
 from spheremouse.calibrate.camera.corners import Pattern, detect_dictionary, find_board, measure_in_plane
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import project
@@ -52,24 +51,6 @@ def test_corners_lie_where_the_board_projects():
     assert rms[1] < 0.06
 
 
-def test_a_bad_first_camera_does_not_move_the_corners():
-    """`measure_in_plane` needs the camera only to bend its windows: 1 % of focal length changes nothing that
-    matters."""
-    from dataclasses import replace
-
-    rng = np.random.default_rng(2)
-    R, t = places(1, rng)
-    image = picture(R[0], t[0], rng=rng, noise=1.0)
-    seen = find_board(image, PATTERN)
-    view = View(PATTERN.corners()[seen.ids], seen.uv)
-    off = replace(CAMERA, fx=1.01 * CAMERA.fx, fy=1.01 * CAMERA.fy)
-    found = []
-    for camera in (CAMERA, off):
-        r, s, _ = resect_views([view], camera)
-        found.append(measure_in_plane(image, PATTERN, seen, camera, r[0], s[0]).uv)
-    assert np.abs(found[0] - found[1]).max() < 0.01
-
-
 def test_another_count_is_no_board_and_is_told():
     rng = np.random.default_rng(3)
     R, t = places(1, rng, tilt=(10.0, 25.0))
@@ -90,16 +71,6 @@ def test_rows_and_columns_may_be_exchanged():
     assert gap.max() < 0.1  # the same corners in another order
     homography, _ = cv2.findHomography(Pattern(6, 9, 0.03).corners()[:, :2], across.uv)
     assert np.linalg.det(homography) > 0.0  # not mirrored
-
-
-def test_a_board_cut_off_is_no_view():
-    rng = np.random.default_rng(5)
-    R, t = places(1, rng, tilt=(5.0, 10.0))
-    cut = picture(R[0], t[0])
-    uv, _ = project(PATTERN.corners() @ R[0].T + t[0], CAMERA)
-    cut[:, int(np.median(uv[:, 0])) :] = 120
-    assert len(find_board(cut, PATTERN).ids) == 0
-    assert len(find_board(picture(None, None), PATTERN).ids) == 0
 
 
 def test_a_charuco_board_may_be_cut_off():
@@ -142,27 +113,6 @@ def test_jacobian_is_the_finite_difference():
         plus, minus = (bundle.evaluate(x + s * d, np.array([0.1, 0.2, 0.3]))[0] for s in (1.0, -1.0))
         difference = (plus - minus) / (2.0 * step)
         assert np.allclose(J.toarray()[:, k], difference, rtol=1e-5, atol=1e-5 * np.abs(difference).max())
-
-
-def test_values_and_deviations_are_opencvs():
-    """Exactly with one variance for all views, as OpenCV has it; nearly with those estimated of each."""
-    rng = np.random.default_rng(9)
-    R, t = places(12, rng)
-    given = views(R, t, rng, 0.1)
-    found = calibrate_board(given, SIZE)
-    theirs = cv2.calibrateCameraExtended(
-        [v.points.astype(np.float32) for v in given], [v.uv.astype(np.float32) for v in given], SIZE, None, None
-    )
-    matrix, dist, deviations = theirs[1], np.ravel(theirs[2]), np.ravel(theirs[5])
-    values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *dist[:5]])
-    bundle = bundle_module.Bundle(given, SIZE, np.ones(9, bool))
-    equal = bundle.solve(adjustment.start(given, SIZE), np.ones(12))
-    assert np.all(np.abs(equal[:9] - values) < 0.01 * found.deviations)
-    assert np.all(np.abs(nine(found.camera) - values) < 0.4 * found.deviations)
-    assert np.allclose(found.deviations, deviations[:9], rtol=0.1)
-    assert found.rms == pytest.approx(theirs[0], rel=0.01)
-    assert found.contradiction == 1.0
-    assert found.used.all()
 
 
 def test_covariance_is_the_scatter_of_errors():

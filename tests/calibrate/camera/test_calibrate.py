@@ -6,16 +6,14 @@ import shlex
 import cv2
 import numpy as np
 import pytest
-from boards import CAMERA, PATTERN, picture, places
+from boards import CAMERA, picture, places
 from conftest import datasets_dir
 from elements import Elements
 from typer.testing import CliRunner
 
-from spheremouse.calibrate.camera.corners import Pattern
 from spheremouse.commands import app
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.rig import load_camera
-from spheremouse.geometry.camera import project
 
 SIZE = CAMERA.width, CAMERA.height
 BOARD = ("--board", "9x6", "--square", "30mm")
@@ -98,14 +96,6 @@ def test_the_report_is_whole_and_needs_nothing_beside_it(made):
         assert what in page.words
 
 
-def test_nothing_there_is_overwritten(made, folder):
-    path, _ = made
-    before = (path / "camera.yaml").read_bytes()
-    assert "--force" in refused(folder, *BOARD, "--out", path / "camera.yaml")
-    assert (path / "camera.yaml").read_bytes() == before
-    assert "no folder" in refused(folder, *BOARD, "--out", path / "none" / "camera.yaml")
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -152,45 +142,3 @@ def test_too_few_photos_are_named_with_the_reason(folder, tmp_path):
     said = refused(folder / "view_0.png", folder / "wall.png", *BOARD, "--out", tmp_path / "c.yaml")
     assert "in 1 of 2 photos" in said
     assert "wall.png: shows no chessboard" in said
-
-
-def test_a_photo_of_another_zoom_is_named_and_left_out(folder, poses, tmp_path):
-    from dataclasses import replace
-
-    R, t = poses
-    zoomed = replace(CAMERA, fx=1.2 * CAMERA.fx, fy=1.2 * CAMERA.fy)
-    middle = PATTERN.corners().mean(axis=0)
-    away = t[0] + R[0] @ middle
-    other = picture(R[0], np.array([0.0, 0.0, away[2]]) - R[0] @ middle, camera=zoomed)
-    cv2.imwrite(str(tmp_path / "zoomed.png"), other)
-    result = run(folder, tmp_path / "zoomed.png", *BOARD, "--out", tmp_path / "c.yaml", "--json", tmp_path / "c.json")
-    assert "zoomed.png does not fit the others" in result.output
-    last = json.loads((tmp_path / "c.json").read_text())["board_views"][-1]
-    assert last["file"] == "zoomed.png"
-    assert not last["used"]
-    assert last["rms_px"] > 4.0 * json.loads((tmp_path / "c.json").read_text())["rms_px"]
-    assert "zoomed.png" in (tmp_path / "c.yaml").read_text()
-
-
-@pytest.mark.slow
-def test_a_charuco_board_that_was_measured_wrongly(poses, tmp_path):
-    pattern = Pattern(9, 6, 0.03, 0.0225)
-    R, t = poses
-    for k in range(3):
-        whole = picture(R[k], t[k], pattern)
-        cv2.imwrite(str(tmp_path / f"{k}.png"), whole)
-        corners, _ = project(pattern.corners() @ R[k].T + t[k], CAMERA)
-        whole[:, int(np.percentile(corners[:, 0], 50 + 20 * k)) :] = 120
-        (tmp_path / "cut").mkdir(exist_ok=True)
-        cv2.imwrite(str(tmp_path / "cut" / f"{k}.png"), whole)
-    given = (tmp_path, "--board", "9x6", "--square", "30mm", "--out", tmp_path / "c.yaml")
-    assert "are 0.7" in refused(*given, "--marker", "15mm")
-    assert "do not lie as on a board of 8x6" in refused(
-        tmp_path, "--board", "8x6", "--square", "30mm", "--marker", "22.5mm", "--out", tmp_path / "c.yaml"
-    )
-    assert "give --dictionary DICT_5X5" in refused(*given, "--marker", "22.5mm", "--dictionary", "6x6_100")
-    assert "a ChArUco board? give --marker" in refused(tmp_path / "cut", *given[1:])
-    assert "has 50 markers" not in refused(*given, "--marker", "22.5mm", "--dictionary", "4x4_50")
-    assert "carries 180" in refused(
-        tmp_path, "--board", "19x17", "--square", "30mm", "--marker", "20mm", "--out", tmp_path / "c.yaml"
-    )

@@ -13,8 +13,6 @@ from spheremouse.calibrate.camera.coverage import (
     leans_of,
     missing,
     missing_regions,
-    region_grid,
-    regions_of,
 )
 from spheremouse.geometry.rotation import exp
 
@@ -29,16 +27,6 @@ def block(x, y, side=20.0):
 
 def tilted(degrees, axis):
     return exp(np.radians(degrees) * np.asarray(axis, float))
-
-
-def test_regions_are_where_corners_are():
-    assert region_grid(SIZE) == (4, 6)
-    assert region_grid(SIZE[::-1]) == (6, 4)
-    seen = regions_of(block(50.0, 50.0), SIZE)
-    assert np.argwhere(seen).tolist() == [[0, 0]]
-    assert np.argwhere(regions_of(block(599.0, 399.0, 0.0), SIZE)).tolist() == [[3, 5]]
-    assert not regions_of(np.array([[50.0, 50.0]]), SIZE).any()  # one corner is not enough
-    assert regions_of(block(300.0, 200.0), SIZE).sum() == 4  # over a border
 
 
 @pytest.mark.parametrize(
@@ -90,11 +78,6 @@ def test_a_view_gains_what_no_view_showed():
     assert gain(found, SIZE, corners[0] + 1.0, tilted(30.0, (0.0, 1.0, 0.0)), corners) == "facing left"
     twice = coverage(SIZE, corners * 3, np.array([np.eye(3), *[tilted(30.0, (0.0, 1.0, 0.0))] * 2]))
     assert gain(twice, SIZE, corners[0] + 1.0, tilted(30.0, (0.0, 1.0, 0.0)), corners) is None
-
-
-def test_reach_is_the_way_to_the_corner():
-    assert coverage(SIZE, [block(299.5, 199.5, 0.0)], np.eye(3)[None]).reach == pytest.approx(0.0)
-    assert coverage(SIZE, [block(0.0, 0.0, 0.0)], np.eye(3)[None]).reach == pytest.approx(1.0)
 
 
 def test_what_is_said_to_be_missing_makes_the_focal_length_better():

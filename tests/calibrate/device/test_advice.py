@@ -12,7 +12,7 @@ import pytest
 
 from spheremouse.ball.device import Axes, Device, Distance
 from spheremouse.calibrate.device.adjust import DiscViews, adjust_device
-from spheremouse.calibrate.device.advice import advise, coverage, photo_px, photo_scatter
+from spheremouse.calibrate.device.advice import advise, photo_px, photo_scatter
 from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, predicted
 from spheremouse.calibrate.device.plans import ENOUGH, MIN_GAIN
 from spheremouse.calibrate.device.start import TargetViews
@@ -239,10 +239,3 @@ def test_what_is_odd_is_said_and_only_then(good, change, words):
         change = {"sightings": np.full(len(good.discs), 2)}
     assert not any(words in t for t in said(good))
     assert any(words in t for t in said(replace(good, **change)))
-
-
-def test_coverage_is_the_share_of_the_surface():
-    assert coverage(fibonacci_sphere(60)) > 0.95
-    half = fibonacci_sphere(120)
-    assert coverage(half[half[:, 2] > 0]) == pytest.approx(0.5, abs=0.1)
-    assert coverage(half[:1]) == 0.0

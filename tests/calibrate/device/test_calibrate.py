@@ -16,7 +16,7 @@ from spheremouse.calibrate.device.calibrate import calibrate_device
 from spheremouse.calibrate.device.correspond import ball_rig
 from spheremouse.errors import CalibrationError
 from spheremouse.files.device import load_device
-from spheremouse.geometry.camera import InteriorOrientation, pose_from_matrix, project
+from spheremouse.geometry.camera import InteriorOrientation, pose_from_matrix
 from spheremouse.geometry.rotation import exp, log
 
 RUNS = 24
@@ -75,11 +75,6 @@ def test_cameras_are_where_they_were(stills, found):
         assert np.linalg.norm(off[:3]) < 5e-3
 
 
-def test_radius_and_depth_of_the_ball_are_correlated_as_all_photos_from_the_front_make_them(found):
-    d = np.sqrt(np.diag(found.ball_covariance))
-    assert found.ball_covariance[2, 3] / (d[2] * d[3]) < -0.9  # Wittich 2017, table 11: -0.998
-
-
 def test_rig_and_map_hold_what_was_found(found):
     rig, disc_map = found.rig(), found.disc_map()
     n = 3 * len(found.targets)
@@ -130,23 +125,6 @@ def test_photo_of_another_device_is_left_out_and_named(stills):
     result = calibrate([*images[:2], stretched, *images[3:]], device, camera)
     assert [k for k, _ in result.skipped] == [2]
     assert "another device" in result.skipped[0][1]
-    assert result.radius == pytest.approx(0.6, abs=3e-3)
-
-
-@pytest.mark.slow
-def test_two_photos_with_a_moved_target_are_left_out(stills):
-    """Of five others; the target is moved in the photos by copying it 40 px aside."""
-    images, device, camera, truth = stills
-    changed = list(images)
-    for k in (1, 4):
-        pose = pose_from_matrix(np.array(truth["device_poses"][f"device_{k}"]))
-        u, v = project(pose.to_cam(np.array([truth["targets"][0]["position"]])), camera)[0][0].round().astype(int)
-        patch = images[k][v - 32 : v + 32, u - 32 : u + 32].copy()
-        changed[k] = images[k].copy()
-        changed[k][v - 40 : v + 40, u - 40 : u + 40] = (90, 90, 90)
-        changed[k][v - 32 - 40 : v + 32 - 40, u - 32 : u + 32] = patch
-    result = calibrate(changed, device, camera)
-    assert sorted(k for k, _ in result.skipped) == [1, 4]
     assert result.radius == pytest.approx(0.6, abs=3e-3)
 
 

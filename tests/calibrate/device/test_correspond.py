@@ -64,14 +64,6 @@ def test_ball_is_found_among_bolts_and_dark_spots(seed):
     assert len(together) >= 0.9 * len(often)
 
 
-def test_no_ball_is_refused():
-    rng = np.random.default_rng(1)
-    poses = stations(rng, np.array([0.3, 0.5, -0.2]))
-    none, _ = spots(rng, poses, 1, 0, 0)
-    with pytest.raises(CalibrationError, match="at least 5"):
-        find_ball(none, poses, CAMERA, DISC, 0.004)
-
-
 def test_bolts_in_a_plane_are_no_ball():
     rng = np.random.default_rng(2)
     poses = stations(rng, np.array([0.3, 0.5, -0.2]))

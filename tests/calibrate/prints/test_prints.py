@@ -1,10 +1,7 @@
 """`spheremouse calibrate print`: pages are true to scale, OpenCV and the tracker find what is on them."""
 # pyright: reportOptionalSubscript=false
 
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -199,16 +196,6 @@ def test_what_is_in_the_repository_is_what_the_command_makes(made):
         assert path.stat().st_size < 100_000
         if path.suffix != ".pdf" or matplotlib.__version__ == locked:
             assert path.read_bytes() == (made / path.name).read_bytes(), path.name
-
-
-def test_made_again_elsewhere_the_files_are_the_same_to_the_byte(made, tmp_path):
-    matplotlibrc = tmp_path / "matplotlibrc"
-    matplotlibrc.write_text("font.size: 20\nlines.linewidth: 5\nfont.family: serif\npdf.fonttype: 42\n")
-    env = {**os.environ, "PYTHONHASHSEED": "7", "TZ": "Asia/Tokyo", "MATPLOTLIBRC": str(matplotlibrc)}
-    command = [sys.executable, "-m", "spheremouse", "calibrate", "print", "--out", str(tmp_path / "again")]
-    subprocess.run(command, env=env, check=True, capture_output=True)
-    for path in made.iterdir():
-        assert (tmp_path / "again" / path.name).read_bytes() == path.read_bytes(), path.name
 
 
 def test_files_that_differ_are_left_alone_without_force(tmp_path):

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import directions
-from experiments.kit.observations import calibrated, simulated_calibration
 from scipy.stats import chi2
 from typer.testing import CliRunner
 
@@ -129,13 +128,6 @@ def test_the_jacobian_is_that_of_the_residuals():
         de[:, k] = h
         plus, minus = (equations_of(apply_step(quick, nothing, sign * de), s, CAMERA).residual for sign in (1, -1))
         assert np.abs((minus - plus) / (2 * h) - turn[:, :, k]).max() < 1e-4 * np.abs(turn).max()
-
-
-def test_without_noise_the_truth_comes_out():
-    truth, s = rolled(5, frames=60, discs=30, sigma=1e-6)
-    found = adjust_rolling(replace(s, covariance=np.broadcast_to(0.01 * np.eye(2), (len(s), 2, 2))), truth, CAMERA)
-    assert abs(found.rolling.ratio / truth.ratio - 1.0) < 1e-7
-    assert np.linalg.norm(np.cross(found.rolling.direction, truth.direction)) < 1e-8
 
 
 @pytest.mark.slow
@@ -362,19 +354,6 @@ def test_axes_and_pose_are_as_certain_as_they_say(sigma, lens, targets):
         assert 0.6 * low < joint < high
     elif not lens:
         assert held > 2.0 * axes_nees  # what was left out would show
-
-
-def test_a_rig_from_photos_is_rolled_and_loads(tmp_path):
-    """Its targets stay, the ball is new: the file's joint covariance is one, and the radius hangs on the targets."""
-    before = calibrated(simulated_calibration(np.random.default_rng(0))).rig()
-    before = replace(before, camera=CAMERA)
-    found, axes, _, _ = rolled_targets(1, before, frames=60, discs=30)
-    pose, ball = place_camera(found, with_direction(axes, found))
-    cross = target_ball_covariance(axes, ball.radius)
-    assert np.abs(cross[:, 3]).max() > 0.1 * np.sqrt(before.targets.covariance.diagonal().max() * ball.covariance[3, 3])
-    path = tmp_path / "rig.yaml"
-    save_rig(path, replace(before, pose=pose, ball=ball, cross_covariance=cross))
-    assert load_rig(path).ball.radius == ball.radius
 
 
 def test_targets_of_a_free_rig_take_a_length(tmp_path):

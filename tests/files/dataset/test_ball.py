@@ -5,7 +5,6 @@ import csv
 import json
 import shutil
 
-import cv2
 import numpy as np
 import pytest
 
@@ -202,12 +201,6 @@ def test_a_simulation_is_written_whole(tmp_path):
         assert np.allclose(recording.discs.of_frame(frame.sequence).centre, filmed.discs.centre, atol=5.1e-5)
 
 
-def test_no_such_folder(tmp_path):
-    with pytest.raises(DatasetError) as e:
-        open_dataset(tmp_path / "nowhere")
-    assert one_line(e, "nowhere", "no such folder")
-
-
 @pytest.mark.parametrize("name", ["scene.json", "video.mkv"])
 def test_a_missing_file_is_named(folder, name):
     (folder / name).unlink()
@@ -338,13 +331,6 @@ def test_a_spoilt_picture_is_named(tmp_path):
     assert one_line(e, "000002.png")
 
 
-def test_pictures_of_another_size_are_refused(folder):
-    spoil_scene(folder, "width", 128)
-    seen, e = read_one_by_one(folder)
-    assert seen == []
-    assert one_line(e, "video.mkv", "64x48", "128x48")
-
-
 def test_an_exception_leaves_nothing_behind(tmp_path):
     def break_off():
         with DatasetWriter(tmp_path / "out", scene_of()) as writer:
@@ -354,14 +340,6 @@ def test_an_exception_leaves_nothing_behind(tmp_path):
 
     with pytest.raises(ZeroDivisionError):
         break_off()
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_simulation_broken_off_leaves_nothing_behind(tmp_path):
-    steps = write_simulation(tmp_path / "out", prepare(SimulationOptions(size=(64, 48), seconds=1.0)))
-    assert next(steps) == 1
-    assert len(list(tmp_path.iterdir())) == 1
-    steps.close()
     assert list(tmp_path.iterdir()) == []
 
 
@@ -400,23 +378,3 @@ def test_what_is_no_dataset_is_never_replaced(tmp_path):
     with pytest.raises(DatasetError) as e:
         write(tmp_path / "file", replace=True)
     assert one_line(e, "is a file")
-
-
-def test_the_reference_recording_is_read(far26):
-    recording = open_dataset(far26)
-    assert (recording.name, recording.frames, recording.fps) == ("far26", 300, 30.0)
-    assert recording.rig.targets.codes == ("MCY", "CYM", "YMC", "CMY")
-    assert recording.rig.pose is None
-    assert np.allclose(recording.pose.position, [0.0, 0.0, 2.35])
-    assert recording.truth_directions.shape == (26, 3)
-    assert len(recording.discs) == 2990
-    first = next(iter(read_frames(recording)))
-    ok, expected = cv2.VideoCapture(str(far26 / "video.mkv")).read()
-    assert ok
-    assert np.array_equal(first.image, expected)
-
-
-def test_the_reference_wand_recording_is_refused(far26):
-    with pytest.raises(DatasetError) as e:
-        open_dataset(far26.parent / "wand_drive")
-    assert one_line(e, "wand")

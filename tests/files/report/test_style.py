@@ -20,15 +20,6 @@ def test_its_colours_are_those_that_figures_name():
         assert as_hex(("grid.color",)) == {GRID}
 
 
-def test_dark_changes_colours_and_nothing_else():
-    with styled():
-        light = dict(mpl.rcParams)
-    with styled("dark"):
-        changed = {name for name, value in mpl.rcParams.items() if value != light[name]}
-    assert changed
-    assert all("color" in name for name in changed)
-
-
 def test_a_user_s_own_settings_are_out_within_and_back_after():
     with mpl.rc_context({"font.size": 30.0, "axes.spines.top": True}):
         with styled({"axes.grid": True}):
