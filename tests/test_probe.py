@@ -1,4 +1,5 @@
 """Findings of sources and outputs about their devices, which are not opened."""
+# pyright: reportGeneralTypeIssues=false, reportOptionalSubscript=false
 
 import os
 import stat

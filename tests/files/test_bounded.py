@@ -27,7 +27,6 @@ from spheremouse.files.dataset.wand import is_wand
 from spheremouse.files.mouse_log import read_log
 from spheremouse.files.rig import load_camera
 from spheremouse.session.control.protocol import Request
-from spheremouse.session.control.status import misfit
 
 CLIP = Path(__file__).parents[1] / "data" / "far26_clip"
 LIMIT = 600_000_000  # bytes beyond what the program has when it has been imported; each of these files took 1.6 to 6 GB
@@ -338,26 +337,3 @@ def test_a_number_that_python_would_not_show_is_one_line(number):
     with pytest.raises(ConfigurationError) as e:
         yaml_file.parse_document(f"schema: {number}\n", "x.yaml")
     one_line(e, "x.yaml:1: schema: ", "is not a number that can be read")
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"discs": 1.5},
-        {"output": {"spec": "null", "failed": None, "reports": 1, "unsent": [0.5, 0.0, 1.0], "ahead": [0, 0, 0]}},
-        {"output": {"spec": "null", "failed": None, "reports": 1, "unsent": 5, "ahead": [0, 0, 0]}},
-        {"source": "v4l2:"},
-        {"pose": {"position_m": [0, 0, 0], "sigma_mm": ["a", 1, 2], "sigma_deg": [0, 0, 0], "age_s": 1}},
-        {"recording": [1]},
-        {"state": 5},
-    ],
-)
-def test_a_status_with_a_value_of_another_kind_is_told(change):
-    assert misfit(change) is not None
-
-
-@pytest.mark.parametrize(
-    "change", [{}, {"fps": None}, {"since_s": None}, {"state": "of-tomorrow"}, {"config": "\udce9"}]
-)
-def test_a_status_of_another_version_is_no_misfit(change):
-    assert misfit(change) is None

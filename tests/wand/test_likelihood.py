@@ -1,4 +1,5 @@
 """Likelihood: greatest at the truth, no gain by hidden points, curvature of the refinement, outline, glare."""
+# pyright: reportCallIssue=false
 
 from dataclasses import replace
 

@@ -1,4 +1,5 @@
 """Tracker: accuracy on films of the independent renderer, hidden and lost balls, events, distractors."""
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportOptionalMemberAccess=false, reportPossiblyUnboundVariable=false
 
 from dataclasses import replace
 
