@@ -57,7 +57,9 @@ def measure(client: Client, name: str, ask: Callable[[int], object], requests: i
     skipped, frames = (getattr(after, key) - getattr(before, key) for key in ("skipped", "frames"))
     p50, p99 = 1e3 * np.quantile(times, [0.5, 0.99])
     print(f"{name}: {p50:.1f} ms (median), {p99:.1f} ms (99 %), {1e3 * max(times):.1f} ms (longest); ", end="")
-    print(f"{skipped} of {frames + skipped} frames skipped")
+    stages = [ms for name, ms in (after.stages_ms or {}).items() if name != "wait"]
+    frame = [sum(getattr(ms, key) for ms in stages) for key in ("p50", "p99")]
+    print(f"{skipped} of {frames + skipped} frames skipped; a frame takes {frame[0]:.1f} ms, {frame[1]:.1f} ms (99 %)")
 
 
 def main() -> int:
@@ -65,15 +67,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.control_latency", description=__doc__)
     parser.add_argument("--socket", type=Path, metavar="PATH", help="of a daemon that tracks")
     parser.add_argument("--source", default="synthetic:motion=play,seconds=3600", metavar="SPEC", help="of its own")
-    parser.add_argument("--requests", type=int, default=500, metavar="N", help="of each kind")
+    parser.add_argument("--requests", type=int, default=200, metavar="N", help="of each kind")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         path = given.socket or stack.enter_context(daemon(Path(folder), given.source))
         wait_for_tracking(path)
         client = stack.enter_context(Client(path))
         ways = {
-            "nothing": lambda k: None,
-            "status": lambda k: client.status(),
+            "nothing": lambda _: None,
+            "status": lambda _: client.status(),
             "set motion.scale_x": lambda k: client.ask("set", assignments=[f"motion.scale_x={1 + k % 2}"]),
             "set so3.acceleration_sigma": lambda k: client.ask(
                 "set", assignments=[f"so3.acceleration_sigma={20 + k % 2}"]
