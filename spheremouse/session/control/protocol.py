@@ -16,7 +16,7 @@ from spheremouse.files.validate import nearest, validated
 from spheremouse.files.yaml import Document
 
 MAX_LINE = 65536  # bytes of a message, with its end of line
-MAX_MARKS = 4000  # brackets, braces and commas in a request: parsing JSON holds the interpreter, 0.1 ms a thousand
+MAX_MARKS = 500  # brackets, braces and commas in a request: parsing JSON holds the interpreter, 0.1 ms a thousand
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 Id = str | int

@@ -121,7 +121,9 @@ class ControlServer:
 
     async def _serve(self) -> None:
         self._loop.set_exception_handler(lambda _, context: self._log(f"control: {context['message']}"))
-        server = await asyncio.start_unix_server(self._admit, sock=self._listener, limit=MAX_LINE)
+        server = await asyncio.start_unix_server(
+            self._admit, sock=self._listener, limit=MAX_LINE, backlog=socket_file.BACKLOG
+        )
         await self._ending.wait()
         server.close()
         busy = [task for task, client in self._clients.items() if client.busy]

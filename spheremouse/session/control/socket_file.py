@@ -105,7 +105,7 @@ def _uid() -> int:
 
 
 _MAX_PATH_BYTES = 107 if sys.platform == "linux" else 103  # the kernel's limit
-_BACKLOG = 64  # connections that wait to be accepted
+BACKLOG = 16  # connections that wait, and that asyncio accepts before it lets other threads run
 
 
 class Peer(NamedTuple):
@@ -139,7 +139,7 @@ def listening(path: Path, group: str | None) -> Iterator[socket.socket]:
                 if gid is not None and path.stat().st_gid != gid:
                     os.chown(path, -1, gid, follow_symlinks=False)
                 path.chmod(0o600 if gid is None else 0o660)
-                listener.listen(_BACKLOG)
+                listener.listen(BACKLOG)
             except BaseException:
                 path.unlink(missing_ok=True)
                 raise

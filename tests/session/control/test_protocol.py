@@ -36,8 +36,8 @@ from spheremouse.session.control.protocol import MAX_LINE, BadRequestError, enco
         (b'{"command": "snapshot", "file": "config.yaml"}', "snapshot: file: must end in .png or .jpg"),
         (b'{"command": "set"}', "set: assignments: missing"),
         (b'{"command": "set", "assignments": "a=1"}', "set: assignments: must be a list"),
-        (b"[" + 4000 * b"1," + b"1]", "not a request: more than 4000 values"),
-        (b"[" * 2000 + b"]" * 2000, "not JSON: nested deeper than 20 levels; send one JSON object a line"),
+        (b"[" + 4000 * b"1," + b"1]", "not a request: more than 500 values"),
+        (b"[" * 200 + b"]" * 200, "not JSON: nested deeper than 20 levels; send one JSON object a line"),
         (b"9" * 60000, "not JSON: a whole number of 60000 digits"),
     ],
 )
