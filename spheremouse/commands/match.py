@@ -183,7 +183,7 @@ def _print(found: "Match", verdict: "Verdict") -> None:
     print(f"lag: the log is {1e3 * abs(found.lag):.2f} ± {1e3 * found.lag_sigma:.2f} ms {order} than the frames")
     moved = ", ".join(f"{v:.2f} about {axis}" for v, axis in zip(found.rate, "XYZ", strict=True))
     print(
-        f"compared: {found.seconds:.1f} s, ball at {moved} rad/s RMS; {found.outliers} of {found.intervals} intervals "
+        f"compared: {found.seconds:.1f} s, ball at {moved} rad/s; {found.outliers} of {found.intervals} intervals "
         "of 0.1 s do not fit"
     )
     print("\n  note: ".join((f"verdict: {verdict.text}", *verdict.notes)))
@@ -200,7 +200,7 @@ def figures(found: "Match", verdict: "Verdict", settings: "MotionSettings | None
         "known": [bool(k) for k in found.known],
         "r": {"x": float(found.r[0]), "y": float(found.r[1])},
         "rmse_counts_s": {"x": float(found.rmse[0]), "y": float(found.rmse[1])},
-        "rate_rms_rad_s": found.rate.tolist(),
+        "rate_rad_s": found.rate.tolist(),
         "seconds": found.seconds,
         "intervals": found.intervals,
         "outliers": found.outliers,

@@ -122,7 +122,9 @@ def match(steps: RotationSteps, log: MouseLog) -> Match | None:
 
     None if one of them has no motion, or if they share less than eight seconds at the best lag.
     """
-    if len(steps.begin) == 0 or not np.any(log.counts) or not np.any(steps.rotation):
+    if not (np.any(log.counts) and np.any(steps.rotation)):
+        return None
+    if min(np.sum(steps.end - steps.begin), np.ptp(log.stamp)) < MIN_COMMON_S:
         return None
     path, rows = CountPath.from_log(log), steps.joined()
     lag = _search_lag(steps, path)

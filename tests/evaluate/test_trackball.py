@@ -207,7 +207,9 @@ def test_another_clock_does_no_harm():
 def test_nothing_in_common_is_no_match():
     profile = playing(19, 10.0)
     ball, seen = filmed(profile), recorded(profile, Trackball(BELOW))
-    assert match(RotationSteps(*(part[:60] for part in ball)), seen) is None
+    for n in (0, 1, 60):
+        assert match(RotationSteps(*(part[:n] for part in ball)), seen) is None
+    assert match(ball, MouseLog(seen.stamp[:2], np.array([[0.0, 0.0], [5.0, 0.0]]))) is None
     assert match(ball, MouseLog(seen.stamp, 0.0 * seen.counts)) is None
     assert match(ball._replace(rotation=0.0 * ball.rotation), seen) is None
     assert match(ball, seen) is not None
