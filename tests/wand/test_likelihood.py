@@ -13,7 +13,7 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.wand import limb
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, colour_fields
-from spheremouse.wand.likelihood import log_likelihood
+from spheremouse.wand.likelihood import expected_field, log_likelihood
 from spheremouse.wand.model import ball_model
 from spheremouse.wand.published.track import log_product
 from spheremouse.wand.refine import refine_pose
@@ -112,6 +112,26 @@ def test_measured_edges_lie_on_the_true_outline(view):
     middle = project(p[None], InteriorOrientation(640, 480, *m.lens[:4], m.lens[4:]))[0][0]
     out = (found[good, :2] - middle) / np.linalg.norm(found[good, :2] - middle, axis=1, keepdims=True)
     assert np.all(np.sum(out * found[good, 2:4], axis=1) > 0.98)  # outward normals
+
+
+@pytest.mark.parametrize("turned", [0.0, 60.0, 90.0, 120.0, 180.0])
+def test_expected_field_equals_the_convolution_at_the_limb(turned):
+    """Numerical convolution of a disc's rim and the ball's limb as two straight edges at an angle."""
+    facing, scale, sigma = 0.35, 26.0, 1.2
+    aside = np.sqrt(1.0 - facing**2)
+    # a rim whose outward normal in the picture makes the angle with that of the limb
+    c, s = np.cos(np.radians(turned)), np.sin(np.radians(turned))
+    outward = np.array([c * facing, s]) / np.hypot(c * facing, s)  # on the ball: radial, aside
+    along = -outward[1] * aside  # the tangent's part along the line of sight
+    e, g = expected_field(along, outward[0] * aside, facing, scale, 0.0, 3.0, 0.0, 0.0)
+    grid = np.arange(-8.0, 8.0, 0.05)
+    x, y = np.meshgrid(grid, grid)
+    weight = np.exp(-0.5 * (x**2 + y**2) / sigma**2)
+    ball = x < scale * (1.0 - aside)
+    disc = c * x + s * y < 0.0
+    assert e == pytest.approx(np.sum(weight * (ball & disc)) / np.sum(weight), abs=0.03)
+    moved = c * x + s * y < 0.3
+    assert g == pytest.approx((np.sum(weight * (ball & moved)) / np.sum(weight) - e) / 0.3, abs=0.06)
 
 
 def test_glare_is_no_evidence(view):
