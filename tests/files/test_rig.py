@@ -1,4 +1,5 @@
 """Rig and camera files: what is saved reads back the same, and what a person may get wrong is said with its line."""
+# pyright: reportArgumentType=false, reportCallIssue=false
 
 import os
 from dataclasses import replace
