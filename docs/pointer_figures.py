@@ -88,8 +88,8 @@ def filmed(options: SimulationOptions) -> Told:
     speed = simulation.profile.rate(clock) @ matrix.T
     place = np.cumsum(np.vstack([np.zeros(3), speed[:-1]]), axis=0) * 1e-3
     counter = Counter(matrix)
-    reports = [counter.report(m) for m, _ in epochs]
-    counts, rate = np.array([r.counts for r in reports], dtype=float), np.array([r.rate for r in reports])
+    made = [counter.counts(m) for m, _ in epochs]
+    counts, rate = np.array([c for c, _ in made], dtype=float), np.array([rate or (0.0, 0.0, 0.0) for _, rate in made])
     return Told(stamp, counts, rate, np.array([t for _, t in epochs]), clock, place)
 
 

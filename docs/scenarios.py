@@ -195,7 +195,7 @@ def measure(tracker: Tracker, truths: list[Truth], said: list[Said]) -> dict[str
     rate = np.linalg.norm([s.estimate.rate[:3] - t.rate for s, t in zip(said, truths, strict=True)], axis=1)
     true = np.array([np.zeros(3), *(true_counts(tracker, a, b) for a, b in pairwise(truths))])
     counter = Counter(matrix(tracker))
-    sent = np.array([counter.report(s.estimate).counts for s in said], dtype=float)
+    sent = np.array([counter.counts(s.estimate)[0] for s in said], dtype=float)
     resting = at_rest(truths)
     blind, to_the_end = longest_blind(truths, good)
     kept = np.flatnonzero(tracking & np.isfinite(off))

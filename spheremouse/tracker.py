@@ -76,6 +76,11 @@ def unknown(stamp: float, sequence: int = 0, status: Status = Status.SEARCHING) 
 class Event:
     """A change with a frame, as data; `session.messages` has the words."""
 
+    @property
+    def name(self) -> str:
+        """Name for programs: that of the class in small letters with hyphens, for example ball-lost."""
+        return "".join(f"-{c.lower()}" if c.isupper() else c for c in type(self).__name__).lstrip("-")
+
 
 class Step(NamedTuple, Generic[S]):
     """Result of one frame."""

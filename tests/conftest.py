@@ -1,5 +1,4 @@
 """Where the reference recordings are, and what to do without them."""
-# pyright: reportAttributeAccessIssue=false
 
 import os
 import pickle

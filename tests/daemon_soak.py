@@ -27,11 +27,10 @@ from threadpoolctl import threadpool_limits
 from spheremouse.capture import fetch as capture
 from spheremouse.errors import ControlError, OutputError, SourceError
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.output import reporter
+from spheremouse.output import Output, reporter
 from spheremouse.output.reporter import ReporterStatus
+from spheremouse.session import outputs, timing, worker
 from spheremouse.session import service as run
-from spheremouse.session import timing, worker
-from spheremouse.session.ball import adapter as ball
 from spheremouse.session.control.client import Client
 from tests.daemon_world import DT, Film, RawFrame, World, left_over, matrix
 
@@ -166,10 +165,10 @@ class Cabinet(World):
             raise OutputError(self.broken)
         return _Sink(self)
 
-    def tracked_frame(self, made: Any, _: Any) -> None:
+    def tracked_frame(self, made: Any, report: Any, _: Any) -> None:
         """In the worker's thread."""
         assert self.daemon is not None
-        estimate, counts, state = made.epoch.estimate, made.report.counts, self.daemon._monitor.state
+        estimate, counts, state = made.epoch.estimate, report.counts, self.daemon._monitor.state
         self.tracked += 1
         self.given += counts
         self._state_of[estimate.stamp] = str(state)
@@ -213,7 +212,7 @@ class Cabinet(World):
         self.reports += 1
         state = None
         for _ in range(1000):  # a frame is given before it is shown
-            state = self._state_of.get(report.estimate.stamp)
+            state = self._state_of.get(report.stamp)
             if state is not None:
                 break
             time.sleep(0.001)
@@ -234,7 +233,9 @@ class _Counted(RawFrame):
         return super().frame(colour)
 
 
-class _Sink:
+class _Sink(Output):
+    paced = True
+
     def __init__(self, cabinet: Cabinet) -> None:
         self._cabinet = cabinet
 
@@ -245,15 +246,6 @@ class _Sink:
         if self._cabinet.broken:
             raise OutputError(self._cabinet.broken)
         self._cabinet.received(report)
-
-    def describe(self, report: Any) -> str:
-        return ""
-
-    def __enter__(self) -> "_Sink":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return None
 
 
 class Somebody(threading.Thread):
@@ -312,7 +304,7 @@ def _remove(folder: Path) -> None:
 def soak(frames: int, seed: int) -> list[str]:
     """Play so many frames; what was wrong."""
     film = Film.render()
-    ball.open_output = lambda spec: cabinet.open_output(spec)  # noqa: PLW0108  it is made later
+    outputs.open_output = lambda spec: cabinet.open_output(spec)  # noqa: PLW0108  it is made later
     capture.PATIENCE = timing.PATIENCE = 0.3
     capture.Capture.__init__.__defaults__ = (lambda _: None, 0.3)
     capture.BACK_OFF = reporter.RETRY_DELAYS = (0.005, 0.01)
@@ -371,14 +363,13 @@ def _figure(cabinet: Cabinet) -> tuple[int, float, int, int]:
 
 def _ledger(cabinet: Cabinet, daemon: Any) -> None:
     """Is everything accounted for?"""
-    report: ReporterStatus = daemon._outputs.pointer.status()
-    reports, unsent = daemon._outputs.past
+    report: ReporterStatus = daemon._outputs.status()[0][1]
     laws = {
         "sent + unsent - ahead": (
-            (cabinet.total + unsent + report.unsent + left_over(daemon) - report.ahead).tolist(),
+            (cabinet.total + report.unsent + left_over(daemon) - report.ahead).tolist(),
             cabinet.given.tolist(),
         ),
-        "reports": (reports + report.reports, cabinet.reports),
+        "reports": (report.reports, cabinet.reports),
         "looked at + skipped": (daemon._worker.seen + daemon._ring.skipped, cabinet.produced),
         "tracked": (daemon._worker.frames, cabinet.tracked),
         "damaged": (daemon._worker.damaged, cabinet.damaged),

@@ -21,7 +21,7 @@ from spheremouse.ball.rig import Rig
 from spheremouse.errors import DamagedFrameError, OutputError, SourceError
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.output import OutputClosed
+from spheremouse.output import Output, OutputClosed, open_output
 from spheremouse.output.counts import MotionSettings
 from spheremouse.session.control.client import Client
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
@@ -215,12 +215,12 @@ class World:
 
     # ---- the output ----
 
-    def open_output(self, spec: str) -> "Sink":
+    def open_output(self, spec: str) -> Output:
         """As output.open_output."""
         self.outputs.append(spec)
         if self.broken:
             raise OutputError(self.broken)
-        return Sink(self)
+        return open_output(spec) if spec.startswith("text:") else Sink(self)
 
     @property
     def counts(self) -> Array:
@@ -232,17 +232,17 @@ class World:
     def start(
         self,
         assignments: tuple[str, ...] = (),
-        watch: Callable[[Any, Any], None] | None = None,
+        watch: Callable[[Any, Any, Any], None] | None = None,
         frames: int | None = None,
     ) -> Daemon:
         """The daemon, in a thread; what is counted begins with it."""
         self.produced, self.sent, self.outputs, self.states, self.frames = 0, [], [], {}, []
         overrides = CommandLineOverrides(self.config, assignments)
 
-        def show(made: Any, _: Any) -> None:
+        def show(made: Any, report: Any, _: Any) -> None:
             assert self.daemon is not None
-            self.states[made.report.estimate.stamp] = str(self.daemon.status().state)
-            self.frames.append(made.report.counts)
+            self.states[made.frame.stamp] = str(self.daemon.status().state)
+            self.frames.append(report.counts)
 
         self.daemon = Daemon(
             overrides,
@@ -327,25 +327,26 @@ class World:
         """Nothing moved in any state but tracking; what frames gave was sent, or was counted as unsent."""
         assert self.daemon is not None
         for sent in self.sent:
-            state = self.states.get(sent.estimate.stamp)
+            state = self.states.get(sent.stamp)
             assert state in (None, "tracking") or not any(sent.counts), f"{sent.counts} while {state}"
             assert state is not None or self.carried or not any(sent.counts), "a report that belongs to no frame"
-        report = self.daemon._outputs.pointer.status()
-        reports, unsent = self.daemon._outputs.past
+        (_, report), *_ = self.daemon._outputs.status()
         given = np.sum(self.frames, axis=0) if self.frames else np.zeros(3)
-        assert np.array_equal(self.counts + unsent + report.unsent + left_over(self.daemon) - report.ahead, given)
-        assert reports + report.reports == sum(any(m.counts) for m in self.sent)
+        assert np.array_equal(self.counts + report.unsent + left_over(self.daemon) - report.ahead, given)
+        assert report.reports == sum(any(m.counts) for m in self.sent)
         status = self.daemon.status()
         taken = self.daemon._worker.seen
         assert taken + (status.skipped or 0) == self.produced
         assert status.frames == len(self.frames)  # also across another rig, which has another worker
 
 
-@dataclass
-class Sink:
+class Sink(Output):
     """An output that writes down."""
 
-    world: World
+    paced = True
+
+    def __init__(self, world: World) -> None:
+        self.world = world
 
     def send(self, report: Any) -> None:
         gate = self.world.gate
@@ -356,9 +357,6 @@ class Sink:
         if self.world.closed:
             raise OutputClosed("sink")
         self.world.sent.append(report)
-
-    def describe(self, report: Any) -> str:
-        return ""
 
     def __enter__(self) -> "Sink":
         assert not self.world.device, "opened before the one before was closed"
@@ -372,7 +370,7 @@ class Sink:
 
 def left_over(daemon: Daemon) -> Array:
     """(3,) counts still in the reporter's queue when it was closed."""
-    return np.array(daemon._outputs.pointer.queued)
+    return np.array(daemon._outputs.main.thread.queued)
 
 
 def matrix(rig: Rig) -> Array:

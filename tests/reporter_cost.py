@@ -15,6 +15,7 @@ from itertools import product
 
 import numpy as np
 
+from spheremouse.output import Output
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.output.reporter import OutputThread
 from tests.reporting import report
@@ -24,8 +25,10 @@ HEAD = ("beside it", "Hz", "switch interval", "of a core", "reports/s", "submit 
 
 
 @dataclass
-class Sink:
+class Sink(Output):
     """An output that records the times of its reports."""
+
+    paced = True
 
     times: list[float] = field(default_factory=list)
     frames: list[bool] = field(default_factory=list)
@@ -34,20 +37,11 @@ class Sink:
 
     def send(self, report):
         now = time.monotonic()
-        submitted = self.submitted.pop(report.estimate.stamp, None)
+        submitted = self.submitted.pop(report.stamp, None)
         self.times.append(now)
         self.frames.append(submitted is not None)
         if submitted is not None:
             self.waited.append(now - submitted)
-
-    def describe(self, report):
-        return ""
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        return None
 
 
 def measure(loop: bool, rate: float, seconds: float) -> list[str]:

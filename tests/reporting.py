@@ -8,6 +8,7 @@ import pytest
 from spheremouse.errors import OutputError
 from spheremouse.output import Report, open_output
 from spheremouse.output.counts import Counter, MotionSettings
+from spheremouse.output.sample import Sample
 from spheremouse.tracker import unknown
 
 PATIENCE = 20.0  # s, for what takes milliseconds
@@ -36,10 +37,10 @@ def report(
     turning = np.array([*rate, 0.0, 0.0, 0.0], dtype=float)
     increment = np.array([*rotation, 0.0, 0.0, 0.0], dtype=float)
     estimate = unknown(stamp)._replace(increment=increment, rate=turning, confirmed=confirmed)
-    return Report((x, y, z), counts_rate, estimate)
+    return Report((x, y, z), counts_rate if confirmed else None, stamp, (Sample(estimate),))
 
 
 def counts_of(motions, rig, settings=MotionSettings()):  # noqa: B008  frozen
     """Counts of the motions of a run, (n, 3): x, y and third axis."""
     counter = Counter(settings.matrix(rig.radius_m))
-    return np.array([counter.report(m).counts for m in motions])
+    return np.array([counter.counts(m)[0] for m in motions])

@@ -278,7 +278,7 @@ class Judge:
     def look(self, frame: int, fault: str | None, stamp: float, made: Step[TrackState]) -> None:
         """One frame that was tracked, or at least looked at."""
         state, estimate, events = made
-        counts = self.pointer.report(estimate).counts
+        counts = self.pointer.counts(estimate)[0]
         f: Any = state.filter
         numbers = (
             f.attitude,

@@ -1,5 +1,4 @@
 """Findings of sources and outputs about their devices, which are not opened."""
-# pyright: reportGeneralTypeIssues=false, reportOptionalSubscript=false
 
 import os
 import stat
@@ -114,7 +113,7 @@ def test_a_log_of_motions_may_be_appended_to_and_other_files_may_not(tmp_path):
     assert (finding.verdict, finding.passing) == (WRONG, False)
     assert output.probe(f"text:{tmp_path}")[0].verdict is WRONG
     log.write_text("a letter")
-    with pytest.raises(OutputError, match="no log of motions"):
+    with pytest.raises(OutputError, match="no log in this format"):
         output.probe(f"text:{log}")
     log.unlink()
     with text.open(str(log)) as opened:

@@ -73,8 +73,8 @@ def _seen(tracker: Tracker, start: TrackState, there: World, motion: Profile, st
 
 def _as_told(tracker: Tracker, motions: list[Estimate], stamps: Array) -> Told:
     counter = Counter(_matrix(tracker))
-    reports = [counter.report(m) for m in motions]
-    counts, rate = np.array([r.counts for r in reports]), np.array([r.rate for r in reports])
+    made = [counter.counts(m) for m in motions]
+    counts, rate = np.array([c for c, _ in made]), np.array([rate or (0.0, 0.0, 0.0) for _, rate in made])
     return Told(stamps, counts, rate, np.array([m.confirmed for m in motions]))
 
 

@@ -86,7 +86,7 @@ def _plan(
     if not Path(recording).exists() and ":" not in recording:
         raise SourceError(f"{recording}: no such recording; name a dataset folder or a video")
     plan = read_run_config(
-        CommandLineOverrides(config, tuple(assignments), recording, "null", rig, camera, no_map=True)
+        CommandLineOverrides(config, tuple(assignments), recording, ("null",), rig, camera, no_map=True)
     )
     if plan.configuration.tracker == "wand":
         raise ConfigurationError("tracker: wand is for balls in a hand; --tracker so3 is for one on a trackball")

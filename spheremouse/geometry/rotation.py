@@ -129,6 +129,14 @@ def log(R: Array) -> Array:
     return v
 
 
+def to_quaternion(R: Array) -> Array:
+    """Return the unit quaternion (w, x, y, z) of a rotation matrix, w >= 0, (..., 3, 3) -> (..., 4)."""
+    v = log(R)
+    angle = np.linalg.norm(v, axis=-1, keepdims=True)
+    half_sinc = 0.5 * np.sinc(angle / (2.0 * np.pi))  # sin(angle / 2) / angle
+    return np.concatenate([np.cos(0.5 * angle), half_sinc * v], axis=-1)
+
+
 def left_jacobian(v: Array) -> Array:
     """Return Jl with exp(v + dv) = exp(Jl(v) dv) exp(v) to first order, (..., 3) -> (..., 3, 3)."""
     v = np.asarray(v, dtype=np.float64)

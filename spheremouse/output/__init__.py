@@ -7,51 +7,52 @@ add outputs by entry points in the group `spheremouse.output`.
 import sys
 from dataclasses import dataclass
 from types import TracebackType
-from typing import NamedTuple, Protocol, Self, runtime_checkable
+from typing import NamedTuple, Protocol, Self
 
 from spheremouse.errors import OutputError
 from spheremouse.files import registry
 from spheremouse.finding import Finding, ok
+from spheremouse.output.sample import Sample
 from spheremouse.output.third_axis import left_out, sent_as
-from spheremouse.tracker import Estimate, unknown
+from spheremouse.tracker import Estimate
 
 KINDS = ("auto", "desktop", "null", "serial", "text", "uinput")
 
+Counts = tuple[int, int, int]  # x, y and third axis
+Rate = tuple[float, float, float]  # counts/s
+
 
 class Report(NamedTuple):
-    """Counts since the last report, and the motion that they represent."""
+    """Counts since the last report, and the samples of a frame."""
 
-    counts: tuple[int, int, int]  # x, y and third axis
-    rate: tuple[float, float, float]  # counts/s at its end
-    estimate: Estimate
-    balls: tuple[Estimate, ...] = ()  # of all hand-held balls, the one that moves the pointer included
+    counts: Counts
+    rate: Rate | None  # of the counts at its end; None if no frame confirms it
+    stamp: float  # s, of the motion's end
+    samples: tuple[Sample, ...] = ()  # of all balls; empty between two frames
+    pointing: int = 0  # index of the ball that makes the counts
 
 
-def no_report(stamp: float) -> Report:
-    """Return a report without motion."""
-    return Report((0, 0, 0), (0.0, 0.0, 0.0), unknown(stamp))
+class Mapping(Protocol):
+    """Converts the motion of a ball to counts of a mouse. It carries fractions of a count to the next call."""
+
+    def counts(self, estimate: Estimate) -> tuple[Counts, Rate | None]:
+        """Return the counts of an estimate, and their rate; None if the estimate is not confirmed."""
+        ...
+
+    def interrupted(self) -> None:
+        """Count no motion across a break in the frames, if it cannot be known."""
+        ...
+
+
+def report_of(samples: tuple[Sample, ...], mapping: Mapping, pointing: int = 0) -> Report:
+    """Return the report of a frame: its samples, and the counts of the ball at index `pointing`."""
+    estimate = samples[pointing].estimate
+    counts, rate = mapping.counts(estimate)
+    return Report(counts, rate, estimate.stamp, samples, pointing)
 
 
 class OutputClosed(Exception):  # noqa: N818  an end, not an error
     """The reader of the output is gone. Leaving the output's `with` block suppresses it: a normal end."""
-
-
-class Output(Protocol):
-    """Sends reports; closed by leaving its `with` block. A report that cannot be sent raises OutputError."""
-
-    def send(self, report: Report) -> None:
-        """Send one report."""
-        ...
-
-    def describe(self, report: Report) -> str:
-        """Return the effect that `send` would have now, in one line of text; empty for none."""
-        ...
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> bool | None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,26 +60,54 @@ class DeliveryStatus:
     """Counts of x, y and third axis that were sent since the output was opened and have not arrived."""
 
     trouble: str = ""  # reason why nothing arrives although the output is open; empty: it works
-    waiting: tuple[int, int, int] = (0, 0, 0)  # may still arrive
-    lost: tuple[int, int, int] = (0, 0, 0)  # will not arrive, or their arrival is unknown
+    waiting: Counts = (0, 0, 0)  # may still arrive
+    lost: Counts = (0, 0, 0)  # will not arrive, or their arrival is unknown
 
 
-@runtime_checkable
-class Acknowledged(Protocol):
-    """An output with a receiver that acknowledges counts. After a failure it recovers by itself if reports continue."""
+_ALL_ARRIVED = DeliveryStatus()
+
+
+class Output:
+    """Sends reports. Derive an output from it, and override `send` and, if need be, the others.
+
+    An output whose receiver acknowledges counts overrides `delivery` and `drop_waiting`. After a failure such an output
+    recovers by itself if reports continue.
+    """
+
+    paced: bool = False  # True: counts at a steady rate, predicted between frames; False: a report a frame
+    hang_hint: str = ""  # usual reason why a call hangs
+
+    def send(self, report: Report) -> None:
+        """Send one report. Raise OutputError if that fails, or OutputClosed if its reader is gone."""
+        raise NotImplementedError
+
+    def describe(self, report: Report) -> str:
+        """Return the effect that `send` would have now, in one line of text; empty for none."""
+        return ""
 
     def delivery(self) -> DeliveryStatus:
         """Return the counts that have not arrived, from any thread."""
-        ...
+        return _ALL_ARRIVED
 
     def drop_waiting(self) -> None:
         """Drop the waiting counts, because later they would make the pointer jump."""
-        ...
+
+    def close(self) -> None:
+        """Release the device, file or socket."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> bool | None:
+        self.close()
+        return isinstance(error, OutputClosed)
 
 
 def open_output(spec: str) -> Output:
-    """Open the output `KIND:ARGUMENT`. Raise OutputError if it does not exist or lacks a method of `Output`."""
-    members = ("send", "describe", "__enter__", "__exit__")
+    """Open the output `KIND:ARGUMENT`. Raise OutputError if it does not exist or lacks a member of `Output`."""
+    members = ("send", "describe", "delivery", "drop_waiting", "paced", "hang_hint", "__enter__", "__exit__")
     return registry.opened(sys.modules[__name__], "output", spec, OutputError, members)
 
 

@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from spheremouse.geometry.rotation import Array
-from spheremouse.output import Report
+from spheremouse.output import Counts, Rate
 from spheremouse.settings import FACTOR, PER_RADIAN, param
 from spheremouse.tracker import Estimate
 
@@ -156,7 +156,7 @@ class CatchUp:
 
 
 class Counter:
-    """Makes reports of a ball's motions. Fractions of a count carry over to the next report."""
+    """Mapping of a ball in its frame. Fractions of a count carry over to the next call."""
 
     def __init__(self, matrix: Array) -> None:
         """Take the counts per radian, (3, 3), as `MotionSettings.matrix` returns them."""
@@ -164,17 +164,20 @@ class Counter:
 
     @property
     def withheld(self) -> Array:
-        """Confirmed rotation vector (3,) rad that is not reported yet."""
+        """Confirmed rotation vector (3,) rad that is not counted yet."""
         return np.array(self._catch_up.pending)
 
-    def report(self, estimate: Estimate) -> Report:
-        """Return the report of an estimate. If it is not confirmed, the next ones report its counts (`CatchUp`).
+    def counts(self, estimate: Estimate) -> tuple[Counts, Rate | None]:
+        """Return counts and counts/s of an estimate. If it is not confirmed, the next ones have its counts (`CatchUp`).
 
         The sum of all counts stays within one of the integral of the motion.
         """
         rotation, self._catch_up = self._catch_up.update(estimate)
         if not estimate.confirmed:
-            return Report((0, 0, 0), (0.0, 0.0, 0.0), estimate)
+            return (0, 0, 0), None
         counts, self._remainder = to_counts(rotation, self.matrix, self._remainder)
         x, y, z = (self.matrix @ estimate.rate[:3]).tolist()
-        return Report(counts, (x, y, z), estimate)
+        return counts, (x, y, z)
+
+    def interrupted(self) -> None:
+        """Change nothing: the increment after a break is known, or zero."""

@@ -7,19 +7,21 @@ Programs that read the mouse and not the pointer receive nothing. Wayland lets n
 
 import os
 import sys
-from typing import Any, Self
+from typing import Any
 
 from spheremouse.errors import OutputError
 from spheremouse.finding import Finding, absent, ok
-from spheremouse.output import Report
+from spheremouse.output import Output, Report
 from spheremouse.output.third_axis import parse_third, whole_notches
 
 _PLACE = "desktop: "  # begins each message
 _MAX_STEP_PX = 10_000  # X11 takes positions of 16 bits, and no screen is wider
 
 
-class Desktop:
+class Desktop(Output):
     """The desktop's pointer."""
+
+    paced = True
 
     def __init__(self, mouse: Any, third: str) -> None:
         """Take a `pynput.mouse.Controller`."""
@@ -50,10 +52,8 @@ class Desktop:
         notches, left = whole_notches(self._notch + (z if self._third == "wheel" else 0))
         return _clip(x), _clip(y), notches, left
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
+    def close(self) -> None:
+        """Disconnect from the display."""
         self._mouse = None  # pynput disconnects from the display when the last reference is deleted
 
 

@@ -1,27 +1,15 @@
 """`null`: discard all reports, for measurements of everything else."""
 
-from typing import Self
-
 from spheremouse.errors import OutputError
 from spheremouse.finding import Finding, warning
-from spheremouse.output import Report
+from spheremouse.output import Output, Report
 
 
-class Null:
+class Null(Output):
     """An output that discards all reports."""
 
     def send(self, report: Report) -> None:
         """Discard the report."""
-
-    def describe(self, report: Report) -> str:
-        """Return an empty text."""
-        return ""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
 
 
 def open(argument: str) -> Null:

@@ -15,10 +15,8 @@ ball comes back.
 from dataclasses import dataclass, replace
 from math import floor, inf, isfinite
 
+from spheremouse.output import Counts, Rate
 from spheremouse.settings import param
-
-Counts = tuple[int, int, int]  # x, y and third axis
-Rate = tuple[float, float, float]  # counts/s
 
 _NO_RATE: Rate = (0.0, 0.0, 0.0)
 _ROUNDING_TOLERANCE = 1e-6  # counts
@@ -52,7 +50,6 @@ class PointerSettings:
         ge=0,
         le=1,
     )
-    text: bool = param(False, "-", "true: outputs text and null receive each report; false: one line a frame")
 
 
 @dataclass(frozen=True, slots=True)

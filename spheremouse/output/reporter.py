@@ -2,8 +2,8 @@
 
 The thread wakes for each frame and, while the pointer's prediction runs, at a steady rate. No exception of an output
 leaves the thread. If an output fails, the thread closes it and opens it again after a growing delay. It counts the
-motion of that time as unsent. An `Acknowledged` output that reports trouble stays open and receives empty reports until
-it recovers. The thread cannot notice that it hangs itself in a call of the output. The callers of `submit` and of
+motion of that time as unsent. An output that reports trouble of its receiver stays open and gets empty reports until it
+recovers. The thread cannot notice that it hangs itself in a call of the output. The callers of `submit` and of
 `failed` notice it.
 
 On every axis: submitted counts = sent + unsent - ahead. Counts that the output's other end has not acknowledged were
@@ -21,11 +21,8 @@ from math import floor
 
 import numpy as np
 
-from spheremouse.output import Acknowledged, DeliveryStatus, Output, OutputClosed, Report, no_report, pointer
-from spheremouse.output.null import Null
-from spheremouse.output.pointer import Counts, PointerSettings, Resampler, minus, plus
-from spheremouse.output.text import Text
-from spheremouse.tracker import unknown
+from spheremouse.output import Counts, DeliveryStatus, Output, OutputClosed, Report, pointer
+from spheremouse.output.pointer import PointerSettings, Resampler, minus, plus
 
 RETRY_DELAYS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0)  # s
 MAX_QUEUE_TIME = 0.25  # s; counts that waited longer in the queue become unsent
@@ -57,6 +54,7 @@ class ReporterStatus:
     failed: str | None  # reason of a failure; None: the output works
     ended: bool  # the reader of the output closed it; it is not opened again
     reports: int  # reports with counts
+    dropped: int  # frames that were not sent: during a failure or pause, too late, or more than the queue holds
     sent: Counts  # acknowledged ones alone, if the output acknowledges
     unsent: Counts  # submitted during a failure or pause, or too late; or lost on the way
     ahead: Counts  # sent before the ball made them; negative: made by the ball and not sent yet
@@ -82,17 +80,19 @@ class OutputThread:
         log: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
         start: Callable[[threading.Thread], None] = threading.Thread.start,
+        name: str = "output",
     ) -> None:
-        """Start the thread, which calls `open_output` and `log`; `clock` (s) is monotonic.
+        """Start the thread, which calls `open_output` and `log`; `clock` (s) is monotonic; log lines begin with `name`.
 
         Exceptions of `start`, which starts the thread, propagate, because the system may refuse a new thread.
         """
-        self._open, self._settings, self._log, self._clock = open_output, settings, log, clock
+        self._open, self._settings, self._log, self._clock, self._name = open_output, settings, log, clock, name
         # Releasing this lock wakes the thread. A condition would make the caller wait for the lock inside it.
         self._wakeup = threading.Lock()
         self._wakeup.acquire()
         self._queue: deque[_QueuedReport] = deque()
         self._sum, self._overflow = _NONE, _NONE  # counts submitted, and those of them that overflowed the queue
+        self._overflowed = 0  # frames
         self._over = self._paused = self._ended = False
         self._output: Output | None = None
         self._failed: str | None = None
@@ -103,7 +103,7 @@ class OutputThread:
         # The pending call of the output, and the one that a caller saw last with the time (s) of the first sight.
         self._pending_call: _PendingCall | None = None
         self._seen_call: tuple[_PendingCall, float] | None = None
-        self._reports = self._frames = 0
+        self._reports = self._frames = self._dropped = 0
         self._latency = np.zeros(LATENCY_COUNT)
         self._last: _QueuedReport | None = None
         self._grid, self._period = 0.0, 1.0 / settings.rate  # s; reports follow a frame at whole periods
@@ -121,12 +121,13 @@ class OutputThread:
         if len(self._queue) > MAX_QUEUED_FRAMES:
             with contextlib.suppress(IndexError):  # the thread has emptied the queue
                 self._overflow = plus(self._overflow, self._queue.popleft().report.counts)
+                self._overflowed += 1
         self._wake_thread()
         self.failed  # noqa: B018  checks whether the output hangs
 
     def end_prediction(self, now: float) -> None:
         """End the prediction, because no frame will correct it."""
-        self._queue.append(_QueuedReport(no_report(now), now, True, self._clock(), frame=False))
+        self._queue.append(_QueuedReport(_empty(now), now, True, self._clock(), frame=False))
         self._wake_thread()
 
     def pause(self, paused: bool) -> None:
@@ -145,7 +146,8 @@ class OutputThread:
         if n:
             p50, p99 = np.percentile(self._latency[:n], (50.0, 99.0)).tolist()
             latency = Latency(p50, p99, float(self._latency[:n].max()))
-        return ReporterStatus(failed, self._ended, self._reports, arrived, unsent, ahead, latency)
+        dropped = self._dropped + self._overflowed
+        return ReporterStatus(failed, self._ended, self._reports, dropped, arrived, unsent, ahead, latency)
 
     @property
     def queued(self) -> Counts:
@@ -183,7 +185,7 @@ class OutputThread:
         reason = f"the output hangs: {call.what}{call.hint} for {took:.1f} s"
         if not call.hangs:
             call.hangs = True
-            self._log(f"output: {reason}")
+            self._log(f"{self._name}: {reason}")
         return reason
 
     @property
@@ -248,9 +250,9 @@ class OutputThread:
             now = self._clock()
             late = now - queued.submitted > MAX_QUEUE_TIME and not self._per_frame
             if self._failed is not None or self._output is None or self._paused or late or not queued.wanted:
-                self._unsent = plus(self._unsent, queued.report.counts)
+                self._unsent, self._dropped = plus(self._unsent, queued.report.counts), self._dropped + 1
                 if self._output is not None and self._failed is not None and not self._paused:
-                    self._send(_without_rotation(queued.report), self._sent)
+                    self._send(_empty(queued.report.stamp), self._sent)
             else:
                 self._take(queued, now)
         if self._output is not None and (now := self._clock()) >= self._next:
@@ -259,7 +261,7 @@ class OutputThread:
     def _take(self, queued: _QueuedReport, now: float) -> None:
         """Send a frame's report at once, even an empty one: some outputs use it as a sign of life."""
         settings, report = self._settings, queued.report
-        rate = report.rate if report.estimate.confirmed and not self._per_frame else None
+        rate = None if self._per_frame else report.rate
         self._resampler = pointer.take(self._resampler, self._sent, report.counts, rate, queued.taken, now, settings)
         self._last, self._grid, self._period = queued, now, 1.0 / settings.rate
         self._plan(now)
@@ -275,8 +277,8 @@ class OutputThread:
         due = pointer.due(self._resampler, now)
         if due != self._sent:
             assert self._last is not None
-            last = _without_rotation(self._last.report, now - self._last.taken)
-            self._send(last._replace(counts=minus(due, self._sent)), due)
+            stamp = self._last.report.stamp + now - self._last.taken
+            self._send(Report(minus(due, self._sent), self._last.report.rate, stamp), due)
 
     def _plan(self, now: float) -> None:
         """Set the time of the next report: on a grid without drift, and once after the end of the prediction."""
@@ -287,7 +289,7 @@ class OutputThread:
     @property
     def _per_frame(self) -> bool:
         """True if the output gets one report a frame, without prediction."""
-        return isinstance(self._output, Text | Null) and not self._settings.text
+        return self._output is not None and not self._output.paced
 
     def _send(self, report: Report, due: Counts) -> bool:
         assert self._output is not None
@@ -306,7 +308,7 @@ class OutputThread:
             self._reports += 1
             self._failures = 0  # reset by a report, not by opening: an output may open and never send
         if call.hangs:
-            self._log("output: works again")
+            self._log(f"{self._name}: works again")
             self._reset()  # the counts of that time would make the pointer jump
         return True
 
@@ -322,30 +324,29 @@ class OutputThread:
         self._next = np.inf
 
     def _check_delivery(self) -> None:
-        """Log the start and the end of trouble that an open `Acknowledged` output reports."""
-        if not isinstance(self._output, Acknowledged):
+        """Log the start and the end of trouble that an open output reports."""
+        if self._output is None:
             return
         trouble = self._output.delivery().trouble
         if trouble and self._failed is None:
             self._reset()
             self._output.drop_waiting()
-            self._log(f"output: {trouble}")
+            self._log(f"{self._name}: {trouble}")
         if trouble:
             self._failed = trouble
         elif self._failed is not None:
             self._works_again()
 
     def _works_again(self) -> None:
-        self._log("output: works again")
+        self._log(f"{self._name}: works again")
         self._drop_queue()
         self._failed = None
 
     @contextlib.contextmanager
     def _pending(self, what: str) -> Iterator["_PendingCall"]:
         """Mark a call of the output as pending, because it may never return."""
-        self._pending_call = call = _PendingCall(
-            what, " (its reader does not read)" if isinstance(self._output, Text) else ""
-        )
+        hint = "" if self._output is None else self._output.hang_hint
+        self._pending_call = call = _PendingCall(what, f" ({hint})" if hint else "")
         try:
             yield call
         finally:
@@ -355,7 +356,7 @@ class OutputThread:
         """Close the output, log the reason and set the time of the next attempt."""
         self._close(error)
         if reason != self._failed:
-            self._log(f"output: {reason}" + ("" if self._ended else "; trying again until it works"))
+            self._log(f"{self._name}: {reason}" + ("" if self._ended else "; trying again until it works"))
         self._failed = reason
         self._retry_time = self._clock() + RETRY_DELAYS[min(self._failures, len(RETRY_DELAYS) - 1)]
         self._failures += 1
@@ -381,7 +382,7 @@ class OutputThread:
     def _drop_queue(self) -> None:
         """Count the queued reports as unsent: sent all at once they would make the pointer jump."""
         for _ in range(len(self._queue)):
-            self._unsent = plus(self._unsent, self._queue.popleft().report.counts)
+            self._unsent, self._dropped = plus(self._unsent, self._queue.popleft().report.counts), self._dropped + 1
 
 
 @dataclass(slots=True, eq=False)
@@ -393,15 +394,14 @@ class _PendingCall:
     hangs: bool = False
 
 
-def _without_rotation(report: Report, later: float = 0.0) -> Report:
-    """Return a report without counts and rotation, `later` s after another one."""
-    estimate = unknown(report.estimate.stamp + later)
-    return Report(_NONE, report.rate, estimate._replace(rate=report.estimate.rate))
+def _empty(stamp: float) -> Report:
+    """Return a report without motion."""
+    return Report(_NONE, None, stamp)
 
 
 def _delivery(output: Output | None) -> DeliveryStatus:
-    """Return the counts that have not arrived; none for an output that does not acknowledge."""
-    return output.delivery() if isinstance(output, Acknowledged) else _ALL_ARRIVED
+    """Return the counts that have not arrived; none if no output is open."""
+    return _ALL_ARRIVED if output is None else output.delivery()
 
 
 def _reason(error: Exception) -> str:

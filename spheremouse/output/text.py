@@ -1,8 +1,8 @@
-"""`text:-` and `text:FILE`: one line per report, after a header line that begins with `#`.
+"""`text:-` and `text:FILE[,format=json|counts|reports]`: write reports as lines.
 
-A line is `stamp dx dy dz rx ry rz wx wy wz`: s, counts, rotation vector since the last line (rad, obj), rate (rad/s,
-obj), with all digits. Every line is flushed. The output appends to FILE, so a second run or a full disk costs no line.
-Each opening writes the header line again. A file with other contents is refused.
+Every line is flushed. The output appends to FILE, so a second run or a full disk costs no line. Each opening writes the
+header line of the format again, if it has one. A file with other contents is refused. `reports` writes the counts that
+a mouse would get, also those between two frames.
 """
 
 import contextlib
@@ -11,37 +11,38 @@ import stat
 import sys
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Self, TextIO
-
-import numpy as np
+from typing import TextIO
 
 from spheremouse.errors import OutputError
 from spheremouse.files.access import STATE_FOLDER
 from spheremouse.files.safe_files import is_stream, open_to_append
 from spheremouse.finding import Finding, absent, ok, wrong
-from spheremouse.output import OutputClosed, Report
+from spheremouse.output import Output, OutputClosed, Report
+from spheremouse.output.lines import LineFormat, parse_address
 
-NAMES = "# stamp dx dy dz rx ry rz wx wy wz"
-HEADER = f"{NAMES} (s, counts, rotation since the last line in rad and rate in rad/s, both in obj)"
-
-_MAX_LINE_BYTES = 65_536  # a line of a wand has 600
+_MAX_LINE_BYTES = 65_536  # a JSON object has 2,000
 
 
-class Text:
+class Text(Output):
     """Writes reports as lines."""
 
-    def __init__(self, file: TextIO, name: str, header: str = HEADER) -> None:
-        self._file, self._name, self._reader_gone = file, name, False
-        with contextlib.suppress(OutputClosed):  # the first `send` raises it, inside the `with` block
-            self._write(header)
+    hang_hint = "its reader does not read"
+
+    def __init__(self, file: TextIO, name: str, form: LineFormat) -> None:
+        self._file, self._name, self._form, self._reader_gone = file, name, form, False
+        self.paced = form.paced
+        if form.header:
+            with contextlib.suppress(OutputClosed):  # the first `send` raises it, inside the `with` block
+                self._write(form.header)
 
     def send(self, report: Report) -> None:
-        """Write one line."""
-        self._write(line(report))
+        """Write the lines of a report."""
+        for line in self._form.lines(report):
+            self._write(line)
 
     def describe(self, report: Report) -> str:
-        """Return the line."""
-        return line(report)
+        """Return the lines as one."""
+        return " | ".join(self._form.lines(report))
 
     def _write(self, text: str) -> None:
         if self._reader_gone:
@@ -64,33 +65,47 @@ class Text:
             os.dup2(null, self._file.fileno())
             os.close(null)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: object, error: object, trace: object) -> bool:
+    def close(self) -> None:
+        """Close the file."""
         if self._file is not sys.stdout:
             self._file.close()
-        return isinstance(error, OutputClosed)
 
 
 def open(argument: str) -> Text:
-    """Open standard output (`-` or nothing) or a file."""
-    return Text(*open_log(argument, NAMES))
+    """Open standard output (`-` or nothing) or a file to append to."""
+    name, form = parse_address("text", argument)
+    if name in ("", "-"):
+        return Text(sys.stdout, "standard output", form)
+    path = Path(name)
+    try:
+        _refuse_other_files(path, form.start)
+        file = open_to_append(path)
+        _drop_unfinished_line(path, file.fileno())
+        return Text(TextIOWrapper(file, encoding="utf-8"), str(path), form)
+    except (OSError, ValueError) as e:
+        reason = (e.strerror if isinstance(e, OSError) else None) or e
+        raise OutputError(f"{path}: cannot be written: {reason}") from None
 
 
 def check(argument: str) -> None:
-    """Raise OutputError if the file exists and is not such a log."""
-    if argument in ("", "-"):
-        return
-    with contextlib.suppress(OSError, ValueError):  # `open` reports these
-        _refuse_other_files(Path(argument), NAMES)
+    """Raise OutputError if the argument is invalid, or if the file exists and is not such a log."""
+    name, form = parse_address("text", argument)
+    if name not in ("", "-"):
+        with contextlib.suppress(OSError, ValueError):  # `open` reports these
+            _refuse_other_files(Path(name), form.start)
+
+
+def file_of(argument: str) -> Path | None:
+    """Return the file that an argument names; None for standard output."""
+    name, _ = parse_address("text", argument)
+    return None if name in ("", "-") else Path(name)
 
 
 def probe(argument: str) -> list[Finding]:
     """Return whether this account may write the file."""
-    if argument in ("", "-"):
+    path = file_of(argument)
+    if path is None:
         return [ok("output", "text to standard output")]
-    path = Path(argument)
     if not path.parent.is_dir():
         missing = wrong if path.parent != STATE_FOLDER else absent
         return [missing("output", f"{path.parent}: no such folder", "make it, or name another")]
@@ -99,32 +114,9 @@ def probe(argument: str) -> list[Finding]:
     return [ok("output", f"text to {path}")]
 
 
-def open_log(argument: str, names: str) -> tuple[TextIO, str]:
-    """Open a file to append lines to; return it and its name for messages. Its first line must begin with `names`."""
-    if argument in ("", "-"):
-        return sys.stdout, "standard output"
-    path = Path(argument)
-    try:
-        _refuse_other_files(path, names)
-        file = open_to_append(path)
-        _drop_unfinished_line(path, file.fileno())
-        return TextIOWrapper(file, encoding="utf-8"), str(path)
-    except (OSError, ValueError) as e:
-        reason = (e.strerror if isinstance(e, OSError) else None) or e
-        raise OutputError(f"{path}: cannot be written: {reason}") from None
-
-
-def line(report: Report) -> str:
-    """Return a report as a line. Each number reads back exactly."""
-    estimate = report.estimate
-    rate = estimate.rate[:3] if estimate.confirmed else np.zeros(3)
-    exact = [float(v) for v in (*estimate.increment[:3], *rate)]
-    return " ".join([repr(float(estimate.stamp)), *(str(int(n)) for n in report.counts), *map(repr, exact)])
-
-
-def _refuse_other_files(path: Path, names: str) -> None:
-    if _is_other_file(path, names):
-        raise OutputError(f"{path}: exists and is no log of motions; choose another name or remove it")
+def _refuse_other_files(path: Path, start: str) -> None:
+    if _is_other_file(path, start):
+        raise OutputError(f"{path}: exists and is no log in this format; choose another name or remove it")
 
 
 def _drop_unfinished_line(path: Path, descriptor: int) -> None:
@@ -141,8 +133,8 @@ def _drop_unfinished_line(path: Path, descriptor: int) -> None:
         os.ftruncate(descriptor, start + kept)
 
 
-def _is_other_file(path: Path, names: str) -> bool:
-    """Return True if a regular file exists and its first line does not begin with `names`."""
+def _is_other_file(path: Path, start: str) -> bool:
+    """Return True if a regular file exists and its first line does not begin with `start`."""
     try:
         status = path.stat()
     except FileNotFoundError:
@@ -150,4 +142,4 @@ def _is_other_file(path: Path, names: str) -> bool:
     if not stat.S_ISREG(status.st_mode) or status.st_size == 0:
         return False
     with path.open("rb") as file:
-        return file.read(len(names)) != names.encode()
+        return file.read(len(start)) != start.encode()

@@ -10,12 +10,12 @@ REL_WHEEL_HI_RES (one unit a count, 120 a notch), and REL_WHEEL for each whole n
 import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from spheremouse.errors import OutputError
 from spheremouse.files.access import access_problem
 from spheremouse.finding import Finding, absent, ok, wrong
-from spheremouse.output import Report
+from spheremouse.output import Output, Report
 from spheremouse.output.third_axis import parse_third, whole_notches
 
 NAME = "spheremouse"
@@ -54,8 +54,10 @@ def to_events(report: Report, third: str, notch: int = 0) -> Events:
     return Events(tuple((code, value) for code, value in events if value), notch)
 
 
-class UInput:
+class UInput(Output):
     """The kernel's mouse."""
+
+    paced = True
 
     def __init__(self, device: Any, third: str) -> None:
         self._device, self._third, self._notch = device, third, 0
@@ -76,10 +78,8 @@ class UInput:
         """Return the report's events, as in `REL_X +3 REL_Y -2 SYN`."""
         return str(to_events(report, self._third, self._notch))
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
+    def close(self) -> None:
+        """Remove the mouse."""
         self._device.close()
 
 

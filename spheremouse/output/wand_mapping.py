@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from spheremouse.geometry.rotation import Array
-from spheremouse.output import Report
+from spheremouse.output import Counts, Rate
 from spheremouse.output.counts import AxisSettings, Remainder, to_counts
 from spheremouse.settings import PER_RADIAN, param
 from spheremouse.tracker import Estimate, Status
@@ -81,25 +81,25 @@ class PointingState:
         return PointingState(remainder=self.remainder)
 
 
-def point(state: PointingState, estimate: Estimate, settings: PointingSettings) -> tuple[PointingState, Report]:
-    """Return the next state, and the report of a frame with the motion since the last confirmed estimate.
+def point(
+    state: PointingState, estimate: Estimate, settings: PointingSettings
+) -> tuple[PointingState, Counts, Rate | None]:
+    """Return the next state, and counts and counts/s of the motion since the last confirmed estimate.
 
     A ball that was hidden for a moment moves the pointer when it is seen again. A ball that was lost does not.
     """
-    still = Report((0, 0, 0), (0.0, 0.0, 0.0), estimate)
     if estimate.status is not Status.TRACKING:
-        return state.reset(), still
+        return state.reset(), (0, 0, 0), None
     if not estimate.confirmed:
-        return state, still
+        return state, (0, 0, 0), None
     rate = pointing_rate(estimate.rate, settings)
     if not state.counting or not estimate.increment_covariance.any():  # found again: no motion without an error
-        begins = estimate._replace(increment=np.zeros(6), increment_covariance=np.zeros((6, 6)))
-        return replace(state.reset(), counting=True), still._replace(rate=rate, estimate=begins)
+        return replace(state.reset(), counting=True), (0, 0, 0), rate
     part = slice(0, 3) if settings.by == "turn" else slice(3, 6)
     sigma = np.sqrt(np.diag(estimate.covariance)[part].clip(0.0))
     slack, passed = apply_backlash(state.slack, estimate.increment[part], settings.play * sigma)
     counts, remainder = to_counts(passed, settings.matrix(), state.remainder)
-    return PointingState(True, slack, remainder), Report(counts, rate, estimate)
+    return PointingState(True, slack, remainder), counts, rate
 
 
 def pointing_rate(rate: Array, settings: PointingSettings) -> tuple[float, float, float]:
@@ -121,15 +121,15 @@ def apply_backlash(slack: Array, displacement: Array, half_width: Array) -> tupl
 
 
 class WandMapping:
-    """Makes the pointer's reports from the estimates of a run."""
+    """Mapping of a hand-held ball."""
 
     def __init__(self, settings: PointingSettings) -> None:
         self._settings, self._state = settings, PointingState()
 
-    def report(self, estimate: Estimate) -> Report:
-        """Return the report of an estimate."""
-        self._state, report = point(self._state, estimate, self._settings)
-        return report
+    def counts(self, estimate: Estimate) -> tuple[Counts, Rate | None]:
+        """Return counts and counts/s of an estimate, as `point` does."""
+        self._state, counts, rate = point(self._state, estimate, self._settings)
+        return counts, rate
 
     def interrupted(self) -> None:
         """Reset after a break in the frames: the motion to the next pose moves nothing."""

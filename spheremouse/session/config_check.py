@@ -56,8 +56,8 @@ def validate(file: Path, c: Configuration) -> Found:
         if size is not None and calibrated is not None:
             problem = size_problem(size, (calibrated.width, calibrated.height), where)
             found.wrong += [] if problem is None else [Problem(key, "; ".join(problem))]
-    if c.output is not None:
-        _probe(("output",), output.probe, c.output, found)
+    for spec in c.outputs:
+        _probe(("output",), output.probe, spec, found)
     return found
 
 
@@ -74,8 +74,6 @@ def _files(file: Path, c: Configuration, found: Found) -> InteriorOrientation | 
             _read(("map",), path, lambda p: check_fits(saved, rig, p), found)
     for k, name in enumerate(c.wand.balls):
         _read(("wand", "balls", k), beside(file, name), load_wand, found)
-    if c.wand.axes and c.wand.axes != "-":
-        _folder_there(("wand", "axes"), Path(c.wand.axes), found)
     folder = beside(file, c.record.folder)
     if folder is not None and folder.exists() and not folder.is_dir():
         found.wrong.append(Problem(("record", "folder"), f"{folder}: is no folder; name another"))

@@ -70,7 +70,7 @@ def given(overrides: CommandLineOverrides) -> tuple[str, ...]:
     """Return the keys that the command line sets; no file changes them."""
     options = {
         "source": overrides.source,
-        "output": overrides.output,
+        "output": overrides.outputs,
         "rig": overrides.rig,
         "camera_file": overrides.camera,
         "map": overrides.map or overrides.no_map,
@@ -122,15 +122,14 @@ def differences(before: RunConfig, now: RunConfig) -> list[str]:
     a, b = before.configuration, now.configuration
     if b.tracker == "wand":
         tuned = any(getattr(a.wand, f) != getattr(b.wand, f) for f in (*WandSettings.__dataclass_fields__, "points"))
-        moved, axes = a.wand.pointing != b.wand.pointing, a.wand.axes != b.wand.axes
+        moved = a.wand.pointing != b.wand.pointing
     else:
         tuned = any(getattr(a, f) != getattr(b, f) for f in Settings.__dataclass_fields__)
-        moved, axes = a.motion != b.motion, False
+        moved = a.motion != b.motion
     found = {
         "tracker": tuned,
         "source": before.source != now.source or a.camera != b.camera,
-        "output": before.output != now.output,
-        "axes": axes,
+        "output": before.outputs != now.outputs,
         "rig": before.rig_path != now.rig_path
         or not _same(before.rig, now.rig)
         or not _same(before.camera, now.camera),

@@ -1,7 +1,7 @@
 """Track a recording from its first frame to its last, with either tracker, and measure times."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain, islice
 from typing import Protocol
@@ -19,10 +19,10 @@ from spheremouse.ball.state import Epoch, Tracker, TrackState
 from spheremouse.ball.track import step as step_ball
 from spheremouse.ball.warm import warm_up as warm_up_ball
 from spheremouse.compiling import told
-from spheremouse.errors import PoseError, SourceError
+from spheremouse.errors import OutputError, PoseError, SourceError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.output import Output
+from spheremouse.output import Output, OutputClosed, Report, report_of
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.tracker import Frame, check_size
 from spheremouse.wand.state import WandEpoch, WandState, WandTracker
@@ -97,26 +97,40 @@ class View(Protocol):
         """Print one or more lines, which stay."""
         ...
 
-    def show(self, made: FrameResult, adapter: TrackerAdapter) -> None:
-        """Show a tracked frame of an adapter."""
+    def show(self, made: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
+        """Show a tracked frame of an adapter, and its report."""
         ...
 
 
-def follow(frames: Iterable[Frame], adapter: TrackerAdapter, sinks: Sequence[Output], view: View) -> None:
-    """Track every frame of a recording, send each report to all `sinks`, and display the frame in `view`.
+def follow(frames: Iterable[Frame], adapter: TrackerAdapter, outputs: dict[str, Output], view: View) -> None:
+    """Track every frame of a recording, send each report to all `outputs`, and display the frame in `view`.
 
-    `view` also logs changes, with the frame's stamp. Frames for which the adapter returns None are skipped.
+    `view` also logs changes, with the frame's stamp. Frames for which the adapter returns None are skipped. An output
+    that fails or whose reader is gone is logged and left out. The error of the last one ends the run.
     """
+    working = dict(outputs)
     for frame in frames:
         made = adapter.follow(frame)
         if made is None:
             continue
-        for sink in sinks:
-            sink.send(made.report)
+        report = report_of(made.samples, adapter.mapping, made.pointing)
+        _send(report, working, view)
         change, more = adapter.take_messages()
         for text in filter(None, (change, *more)):
             view.log(f"{frame.stamp:9.3f} s  {text}")
-        view.show(made, adapter)
+        view.show(made, report, adapter)
+
+
+def _send(report: Report, working: dict[str, Output], view: View) -> None:
+    """Send a report to each output, and remove those that fail. Raise the error of the last one."""
+    for spec, output in tuple(working.items()):
+        try:
+            output.send(report)
+        except (OutputError, OutputClosed) as e:
+            if len(working) == 1:
+                raise
+            del working[spec]
+            view.log(f"output {spec}: {e if isinstance(e, OutputError) else 'the reader of the output is gone'}")
 
 
 def track(frames: Iterator[Frame], tracker: Tracker, known: DiscMap | None = None) -> Iterator[Epoch]:

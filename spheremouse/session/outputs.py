@@ -1,17 +1,19 @@
-"""The outputs of a run: the pointer's and further ones, each with a thread. They can be exchanged between frames.
+"""The outputs of a run, each with a queue and a thread of its own. They can be exchanged between frames.
 
-The worker calls all methods. Any thread may call `status` and `troubles`. Only `close` waits.
+The first output is the main one: the state of the run, the sums of counts and the latency are its own. The worker calls
+all methods. Any thread may call `status` and `troubles`. Only `close` waits.
 """
 
 import threading
 from collections.abc import Callable, Sequence
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import partial
 
 from spheremouse.errors import ControlError
-from spheremouse.output import Output, Report
+from spheremouse.output import Counts, Output, Report, open_output
 from spheremouse.output.null import Null
-from spheremouse.output.pointer import Counts, PointerSettings, minus, plus
-from spheremouse.output.reporter import Latency, OutputThread
+from spheremouse.output.pointer import PointerSettings, minus, plus
+from spheremouse.output.reporter import OutputThread, ReporterStatus
 from spheremouse.session.process.threads import WorkerPool, begin
 
 OUTPUT = "output"  # kind of the pool's work
@@ -20,12 +22,20 @@ Open = Callable[[], Output]
 _NONE: Counts = (0, 0, 0)
 
 
+@dataclass(frozen=True, slots=True)
+class RunOutput:
+    """An output `KIND:ARGUMENT` of a run, and its thread."""
+
+    spec: str
+    thread: OutputThread
+
+
 class Outputs:
-    """The outputs of one run. The first of them is the pointer's."""
+    """The outputs of one run."""
 
     def __init__(
         self,
-        openers: Sequence[Open],
+        specs: Sequence[str],
         settings: PointerSettings,
         *,
         log: Callable[[str], None],
@@ -33,12 +43,12 @@ class Outputs:
         call: Callable[[Callable[[], None]], None],
     ) -> None:
         """`workers` closes exchanged outputs; `call` has the worker run a call, from any thread."""
-        self._log, self._workers, self._call = log, workers, call
+        self._log, self._workers, self._call, self._settings = log, workers, call, settings
         self._late: list[threading.Thread] | None = []  # started by `begin`
         self._paused = False
-        self._given = _NONE  # sum of the counts that the pointer's output was given
-        self.past: tuple[int, Counts] = (0, _NONE)  # reports and unsent counts of the pointer's outputs before this one
-        self.pointer, *self.others = self._threads(openers, settings)
+        self._submitted = _NONE  # sum of the counts that the main output was given
+        self._past: tuple[int, Counts] = (0, _NONE)  # reports and unsent counts of the main outputs before this one
+        self._all = self._threads([(spec, partial(open_output, spec)) for spec in specs], several=len(specs) > 1)
 
     def begin(self) -> None:
         """Start the threads, which open the outputs. Raises ControlError if the system refuses a thread."""
@@ -46,118 +56,116 @@ class Outputs:
         for thread in late or ():
             begin(thread)
 
-    def give(self, report: Report, taken: float, wanted: bool) -> None:
-        """Submit a frame's report, taken at a time (s), to the pointer first."""
-        self.pointer.submit(report, taken, wanted)
-        for other in self.others:
-            other.submit(report, taken)
-        self._given = plus(self._given, report.counts)
+    def submit(self, report: Report, taken: float, wanted: bool) -> None:
+        """Submit a frame's report, taken at a time (s, monotonic), to each output. Only the main one heeds `wanted`."""
+        for output in self._all:
+            output.thread.submit(report, taken, wanted or output is not self.main)
+        self._submitted = plus(self._submitted, report.counts)
 
-    def rest(self, now: float) -> None:
-        """Stop the pointer's extrapolation."""
-        self.pointer.end_prediction(now)
+    def end_prediction(self, now: float) -> None:
+        """End the extrapolation of the pointer, because no frame will correct it."""
+        for output in self._all:
+            output.thread.end_prediction(now)
 
     def pause(self, paused: bool) -> None:
         """Begin or end a pause, in which nothing is sent."""
         self._paused = paused
-        for thread in self._all:
-            thread.pause(paused)
+        for output in self._all:
+            output.thread.pause(paused)
 
     def change(self, settings: PointerSettings) -> None:
         """Change the pointer's settings."""
-        for thread in self._all:
-            thread.change(settings)
+        self._settings = settings
+        for output in self._all:
+            output.thread.change(settings)
 
-    def exchange(self, openers: Sequence[Open], settings: PointerSettings) -> None:
-        """Exchange all outputs. ControlError if there is no thread; the old ones then stay."""
-        old, given = self.pointer, self._given
-
-        def closed() -> None:
-            self._call(lambda: self._count_past(old, given))
-
-        self.pointer, *self.others = self._next(self._all, openers, settings, closed)
-        self._given = _NONE
-
-    def exchange_others(self, openers: Sequence[Open], settings: PointerSettings) -> None:
-        """Exchange all outputs but the pointer's. ControlError as in `exchange`."""
-        self.others = self._next(self.others, openers, settings, lambda: None)
-
-    def close(self) -> None:
-        """Close each; waits for it, if it does not take too long. The pointer's is closed first."""
-        for thread in self._all:
-            thread.close()
-
-    @property
-    def ended(self) -> bool:
-        """True if the reader of an output has gone."""
-        return any(thread.ended for thread in self._all)
-
-    @property
-    def unsent(self) -> Counts:
-        """Counts of the run that the pointer's output will not send."""
-        return plus(self.past[1], self.pointer.unsent)
-
-    @property
-    def troubles(self) -> str | None:
-        """Return the reasons of the outputs that fail; None if all work."""
-        return "; ".join(filter(None, (thread.failed for thread in self._all))) or None
-
-    def status(self) -> tuple[dict[str, Any], Latency | None]:
-        """Return the sums of the run, as defined in docs/control.md, and the latency."""
-        report, (reports, unsent) = self.pointer.status(), self.past
-        sums = {
-            "failed": self.troubles,
-            "reports": reports + report.reports,
-            "unsent": list(plus(unsent, report.unsent)),
-            "ahead": list(report.ahead),
-        }
-        return sums, report.latency
-
-    @property
-    def _all(self) -> list[OutputThread]:
-        return [self.pointer, *self.others]
-
-    def _next(
-        self, old: list[OutputThread], openers: Sequence[Open], settings: PointerSettings, closed: Callable[[], None]
-    ) -> list[OutputThread]:
-        """Threads for the next ones; `closed` is called once those before are."""
-        exchange = _Exchange(old)
+    def exchange(self, specs: Sequence[str], settings: PointerSettings) -> None:
+        """Use other outputs; those that stay go on. ControlError if the system refuses a thread: then all stay."""
+        self.change(settings)
+        kept = {output.spec: output for output in self._all if output.spec in specs}
+        gone = [output for output in self._all if output.spec not in specs]
+        before, submitted = self.main, self._submitted
+        exchange = _Exchange([output.thread for output in gone])
+        openers = [(spec, exchange.after(partial(open_output, spec))) for spec in specs if spec not in kept]
         try:
-            made = self._threads([exchange.after(open_next) for open_next in openers], settings, exchange.give_up)
+            made = {o.spec: o for o in self._threads(openers, several=len(specs) > 1, give_up=exchange.give_up)}
         finally:
             exchange.decided.set()
-        for thread in made:
-            thread.pause(self._paused)
+        for output in made.values():
+            output.thread.pause(self._paused)
+        self._all = [(kept | made)[spec] for spec in specs]
+        if self.main is not before:
+            self._submitted = _NONE
 
         def retire() -> None:
             exchange.close()
-            closed()
+            if self.main is not before:
+                self._call(lambda: self._count_past(before.thread, submitted))
 
         self._workers.do(OUTPUT, retire)
-        return made
+
+    def close(self) -> None:
+        """Close each; waits for it, if it does not take too long. The main one is closed first."""
+        for output in self._all:
+            output.thread.close()
+
+    @property
+    def main(self) -> RunOutput:
+        """The first output."""
+        return self._all[0]
+
+    @property
+    def threads(self) -> list[int]:
+        """Ids of the threads in the operating system."""
+        return [native for output in self._all if (native := output.thread.native_id) is not None]
+
+    @property
+    def ended(self) -> bool:
+        """True if the readers of all outputs have gone."""
+        return all(output.thread.ended for output in self._all)
+
+    @property
+    def failed(self) -> str:
+        """Reason why the main output fails; empty if it works, or if its reader is gone and others go on."""
+        thread = self.main.thread
+        return "" if thread.ended and not self.ended else thread.failed or ""
+
+    @property
+    def unsent(self) -> Counts:
+        """Counts of the run that the main output will not send."""
+        return plus(self._past[1], self.main.thread.unsent)
+
+    def status(self) -> list[tuple[str, ReporterStatus]]:
+        """Return each output's text and status. The sums of the main output are those of the run."""
+        (reports, unsent), (first, *others) = self._past, [(o.spec, o.thread.status()) for o in self._all]
+        spec, main = first
+        whole = replace(main, reports=reports + main.reports, unsent=plus(unsent, main.unsent))
+        return [(spec, whole), *others]
 
     def _threads(
-        self, openers: Sequence[Open], settings: PointerSettings, give_up: Callable[[], None] = lambda: None
-    ) -> list[OutputThread]:
+        self, openers: Sequence[tuple[str, Open]], *, several: bool, give_up: Callable[[], None] = lambda: None
+    ) -> list[RunOutput]:
         """Return a thread for each output. Raises ControlError, after `give_up`, if the system refuses one."""
-        begun: list[OutputThread] = []
+        begun: list[RunOutput] = []
         try:
-            for open_it in openers:
-                begun.append(OutputThread(open_it, settings, self._log, start=self._begin))
+            for spec, open_it in openers:
+                name = f"output {spec}" if several else "output"
+                thread = OutputThread(open_it, self._settings, self._log, start=self._begin, name=name)
+                begun.append(RunOutput(spec, thread))
         except ControlError:
             give_up()
-            for thread in begun:
-                thread.close()
+            for output in begun:
+                output.thread.close()
             raise
         return begun
 
     def _begin(self, thread: threading.Thread) -> None:
         begin(thread) if self._late is None else self._late.append(thread)
 
-    def _count_past(self, old: OutputThread, given: Counts) -> None:
+    def _count_past(self, old: OutputThread, submitted: Counts) -> None:
         """Add the counts that a closed output did not send, those in its queue included."""
-        status, (reports, unsent) = old.status(), self.past
-        self.past = (reports + status.reports, plus(unsent, minus(given, status.sent)))
+        status, (reports, unsent) = old.status(), self._past
+        self._past = (reports + status.reports, plus(unsent, minus(submitted, status.sent)))
 
 
 class _Exchange:

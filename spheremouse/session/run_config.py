@@ -75,7 +75,7 @@ class CommandLineOverrides:
     file: Path | None = None  # the configuration
     assignments: tuple[str, ...] = ()  # KEY=VALUE
     source: str | None = None
-    output: str | None = None
+    outputs: tuple[str, ...] = ()
     rig: Path | None = None
     camera: Path | None = None
     map: Path | None = None
@@ -90,7 +90,7 @@ class RunConfig:
 
     configuration: Configuration
     source: str
-    output: str
+    outputs: tuple[str, ...]  # the main one first
     rig: Rig | None  # None: the source brings its own
     rig_path: Path | None
     camera: InteriorOrientation | None
@@ -116,19 +116,19 @@ def read_run_config(overrides: CommandLineOverrides) -> RunConfig:
         c = config.override(c, change, label="")
     if c.record.folder is not None:
         c = replace(c, record=replace(c.record, folder=str(beside(overrides.file, c.record.folder))))
-    source, output = overrides.source or c.source, overrides.output or c.output
+    source, to = overrides.source or c.source, overrides.outputs or c.outputs
     source = None if source is None else sources.full_spec(source)
-    if output is None and c.tracker == "wand" and c.wand.axes is not None:
-        output = "null"
     if source is None:
         raise ConfigurationError(
             "no source: give --source, for example v4l2:/dev/video0, or `source:` in --config FILE"
         )
-    if output is None:
+    if not to:
         raise ConfigurationError(
             "no output: give --output, for example uinput or text:-, or `output:` in --config FILE "
             '(in quotes, "null", where motion is to go nowhere)'
         )
+    if twice := next((spec for k, spec in enumerate(to) if spec in to[:k]), None):
+        raise ConfigurationError(f"output: {twice} is given twice; leave one out")
     if overrides.map is not None and overrides.no_map:
         raise ConfigurationError("--map and --no-map: give one of the two")
     given_map = overrides.map or beside(overrides.file, c.map)
@@ -147,7 +147,7 @@ def read_run_config(overrides: CommandLineOverrides) -> RunConfig:
     if len(ball_paths) > MOST_BALLS:
         raise ConfigurationError(f"--ball: given {len(ball_paths)} times; at most {MOST_BALLS} balls are tracked")
     balls = read_balls(ball_paths)
-    return RunConfig(c, source, output, rig, rig_path, camera, camera_path, map_file, balls, ball_paths)
+    return RunConfig(c, source, to, rig, rig_path, camera, camera_path, map_file, balls, ball_paths)
 
 
 def check_kinds(plan: RunConfig, before: RunConfig | None = None) -> None:
@@ -162,8 +162,9 @@ def check_kinds(plan: RunConfig, before: RunConfig | None = None) -> None:
         )
     if before is None or plan.source != before.source:
         check(sources, "source", plan.source, SourceError)
-    if before is None or plan.output != before.output:
-        check(outputs, "output", plan.output, OutputError)
+    for spec in plan.outputs:
+        if before is None or spec not in before.outputs:
+            check(outputs, "output", spec, OutputError)
 
 
 def without_map(plan: RunConfig) -> RunConfig:

@@ -16,7 +16,8 @@ from rich.text import Text
 
 from spheremouse.ball.state import Epoch
 from spheremouse.geometry.rotation import Array, to_euler
-from spheremouse.output.pointer import Counts, minus, plus
+from spheremouse.output import Counts
+from spheremouse.output.pointer import minus, plus
 from spheremouse.session.timing import FrameTimes
 from spheremouse.tracker import Status
 from spheremouse.wand.axes import axes_of

@@ -18,8 +18,10 @@ from spheremouse.capture.fetch import Capture
 from spheremouse.capture.newest import LatestFrame
 from spheremouse.capture.signals import SignalHandler, on_hang_up
 from spheremouse.errors import ControlError
-from spheremouse.output.pointer import Counts, minus, plus
+from spheremouse.output import Counts, Report, report_of
+from spheremouse.output.pointer import minus, plus
 from spheremouse.output.rate_limited_logger import RateLimitedLogger
+from spheremouse.output.reporter import ReporterStatus
 from spheremouse.output.third_axis import left_out
 from spheremouse.session.cameras import held
 from spheremouse.session.config_reloader import READING, ConfigReloader, given
@@ -45,7 +47,7 @@ _EVERY = 1.0  # s between two checks of the files, and of the memory and process
 _COMPILING = 900.0  # s that a small computer may take to compile
 _USELESS = 5.0  # s of frames that cannot be used, after which the daemon opens the camera again
 
-Show = Callable[[FrameResult, TrackerAdapter], None]
+Show = Callable[[FrameResult, Report, TrackerAdapter], None]
 
 
 class Daemon:
@@ -59,7 +61,7 @@ class Daemon:
         camera: Callable[[RunConfig], OpenCamera],
         *,
         log: Callable[[str], None],
-        show: Show = lambda _, __: None,
+        show: Show = lambda _, __, ___: None,
         frames: int | None = None,
     ) -> None:
         """`camera` returns the function that opens the camera of a plan.
@@ -90,7 +92,7 @@ class Daemon:
         adapter = setup.adapter(plan, self._log, self._workers.do)
         self._worker = Worker(adapter, self._log)
         self._outputs = Outputs(
-            adapter.outputs, plan.configuration.pointer, log=self._log, workers=self._workers, call=call
+            plan.outputs, plan.configuration.pointer, log=self._log, workers=self._workers, call=call
         )
         self._counts: Counts = (0, 0, 0)  # of all frames
         self._monitor = StateMonitor(
@@ -145,7 +147,7 @@ class Daemon:
     @property
     def latency(self) -> tuple[float, float] | None:
         """s from a frame's stamp until its motion was sent: median, 99 %; None without frames."""
-        _, latency = self._outputs.status()
+        latency = self._outputs.main.thread.status().latency
         return None if latency is None else (latency.p50, latency.p99)
 
     # ---- the loop ----
@@ -178,19 +180,23 @@ class Daemon:
             self._ending |= self._outputs.ended
 
     def _publish(self, made: FrameResult, taken: float) -> None:
-        """Pass the result of a frame to all subscribers, the pointer first."""
+        """Pass the result of a frame to all subscribers, the outputs first."""
+        latency = time.monotonic() - taken
+        wall = time.time() - latency
+        samples = tuple(sample._replace(wall=wall, latency=latency) for sample in made.samples)
+        report = report_of(samples, self.adapter.mapping, made.pointing)
         # if the output works again since the last update of the state, the next frame is the first one for it
-        self._outputs.give(made.report, taken, self._monitor.state is not State.FAILED_OUTPUT)
-        self._counts = plus(self._counts, made.report.counts)
+        self._outputs.submit(report, taken, self._monitor.state is not State.FAILED_OUTPUT)
+        self._counts = plus(self._counts, report.counts)
         self._archive.keep(made, self.adapter, lambda: minus(self._counts, self.unsent))
-        self._show(made, self.adapter)
+        self._show(made, report, self.adapter)
         if self._limit is not None and self._worker.frames >= self._limit:
             self._ending = True
 
     def _update_state(self, now: float) -> None:
         """Update the state. Without frames, stop the pointer and the requests that need one."""
         if self._monitor.update(now):
-            self._outputs.rest(now)
+            self._outputs.end_prediction(now)
             self.adapter.interrupted(self._monitor.reason)
             self._archive.interrupted(self._monitor.reason)
 
@@ -249,20 +255,20 @@ class Daemon:
         self._realtime = self._reloader.plan.configuration.realtime == "auto"
         self._scheduling = realtime.prepare(self._realtime)
         self._quiet = self._stack.enter_context(contextlib.closing(realtime.GcPause()))
-        self._claim(self._outputs.pointer.native_id)
+        self._claim(*self._outputs.threads)
         begin(self._capture)
         self._claim(self._capture.native_id)
         self._arrivals.begin()
 
     def _log_left_out(self, plan: RunConfig) -> None:
-        if words := left_out(plan.output):
+        for words in filter(None, map(left_out, plan.outputs)):
             self._log(words)
 
     def _log_progress(self, progress: str) -> None:
         self._monitor.starting = f"the program is made ready: {progress}"
 
-    def _claim(self, thread: int | None) -> None:
-        if self._realtime:
+    def _claim(self, *threads: int | None) -> None:
+        for thread in threads if self._realtime else ():
             realtime.claim(thread)
 
     def _close(self) -> None:
@@ -359,16 +365,14 @@ class Daemon:
         """Prepare another plan for `ConfigReloader`."""
         change = self.adapter.prepare(plan, changed)
         if "output" in changed:
-            self._outputs.exchange(change.outputs, plan.configuration.pointer)
+            self._outputs.exchange(plan.outputs, plan.configuration.pointer)
             self._log_left_out(plan)
-            self._claim(self._outputs.pointer.native_id)
-        elif "axes" in changed:
-            self._outputs.exchange_others(change.outputs[1:], plan.configuration.pointer)
+            self._claim(*self._outputs.threads)
 
         def apply() -> bool:
             another = not {"tracker", "rig", "balls"}.isdisjoint(changed)
             ended = another and self._archive.configuration_changes()
-            self._worker.adapter = change.apply()
+            self._worker.adapter = change()
             if "source" in changed:
                 self._capture.reopen(self._camera(plan))
             if "pointer" in changed and "output" not in changed:
@@ -383,14 +387,14 @@ class Daemon:
         """Return the status, from any thread."""
         now = time.monotonic()
         worker, plan, monitor, overrides = self._worker, self._reloader.plan, self._monitor, self._reloader.overrides
-        sums, latency = self._outputs.status()
+        outputs = [_output_status(spec, status) for spec, status in self._outputs.status()]
         return StatusReport(
             **dict(self.adapter.tracker_status(monitor.state not in (State.STARTING, State.NO_CAMERA))),
             state=str(monitor.state),
             reason=monitor.reason,
             since_s=now - monitor.since,
             fps=self._arrivals.rate(now),
-            latency_ms=None if latency is None else _ms(latency.p50, latency.p99, max=1e3 * latency.max),
+            latency_ms=outputs[0].latency_ms,
             stages_ms={name: _ms(*quantiles) for name, quantiles in worker.stages.items()},
             tracker=plan.configuration.tracker,
             frames=worker.frames,
@@ -398,7 +402,7 @@ class Daemon:
             dropped=self._capture.dropped,
             damaged=worker.damaged,
             counts=list(self._counts),
-            output=OutputStatus(spec=plan.output, left_out=left_out(plan.output) or None, **sums),
+            outputs=outputs,
             source=SourceStatus(spec=plan.source, description=self._capture.description),
             unseen_s=monitor.unseen,
             lost_count=worker.lost,
@@ -417,6 +421,20 @@ class Daemon:
             scheduling=self._scheduling,
             paused=bool(monitor.paused),
         )
+
+
+def _output_status(spec: str, status: ReporterStatus) -> OutputStatus:
+    latency = status.latency
+    return OutputStatus(
+        spec=spec,
+        left_out=left_out(spec) or None,
+        failed=status.failed,
+        reports=status.reports,
+        unsent=list(status.unsent),
+        ahead=list(status.ahead),
+        dropped=status.dropped,
+        latency_ms=None if latency is None else _ms(latency.p50, latency.p99, max=1e3 * latency.max),
+    )
 
 
 def _absolute(path: Path | None) -> str | None:

@@ -85,11 +85,6 @@ class WandRunSettings(WandSettings):
     points: int = param(
         1, "-", "number of the ball that moves the pointer, in the order of `balls`", ge=1, le=MOST_BALLS
     )
-    axes: str | None = param(
-        None,
-        "-",
-        "file for the six axes as text, in addition to `output`; - is standard output",
-    )
     pointing: PointingSettings = field(default_factory=PointingSettings)
 
 
@@ -119,12 +114,20 @@ class Configuration(Settings):
         "-",
         "source of the frames, as --source: v4l2:/dev/v4l/by-id/..., opencv:INDEX, dataset:FOLDER or video:FILE",
     )
-    output: str | None = param(
+    output: str | tuple[str, ...] | None = param(
         None,
         "-",
-        "destination of the motion, as --output: auto, uinput, serial:auto, desktop or text:FILE; null discards it",
+        "destination of the motion, as --output, or a list of them: auto, uinput, serial:auto, desktop, text:FILE and "
+        "others (docs/outputs.md); null discards it",
         null="null",
+        most=16,
     )
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Destinations of the motion."""
+        return (self.output,) if isinstance(self.output, str) else self.output or ()
+
     rig: str | None = param(None, "-", "rig file of the calibrated device, relative to this file's folder")
     camera_file: str | None = param(
         None, "-", "camera file that replaces the rig's interior orientation, relative to this file's folder"

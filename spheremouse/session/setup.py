@@ -11,7 +11,7 @@ from spheremouse.errors import ConfigurationError, SourceError
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import open_wand
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.session.ball.adapter import BallAdapter, outputs_of
+from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.cameras import is_camera
 from spheremouse.session.offline import make_ready, make_wand_ready
@@ -64,7 +64,7 @@ class Setup:
         keeper = None
         if plan.map_path is not None:
             keeper = MapKeeper(plan.map_path, rig, log, elsewhere=partial(do, MAP))
-        return BallAdapter(rig, plan.configuration, keeper, log, do, self.rig, outputs_of(plan))
+        return BallAdapter(rig, plan.configuration, keeper, log, do, self.rig)
 
     def wand_tracker(self, plan: RunConfig) -> WandTracker:
         """Return the tracker of the plan's balls, else of the recording's own, else of Grzonka's."""

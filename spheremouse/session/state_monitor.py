@@ -116,6 +116,6 @@ class StateMonitor:
             paused=self.paused,
             targets=worker.adapter.waiting,
             ball=worker.adapter.reason,
-            output=self._outputs.pointer.failed or "",
+            output=self._outputs.failed,
             tracker=worker.adapter.status,
         )

@@ -1,6 +1,6 @@
 """The interface of trackers for the service and for the loop over recordings.
 
-An adapter keeps the tracker's state from frame to frame. It turns motion into reports and events into sentences, and
+An adapter keeps the tracker's state from frame to frame. It turns estimates into samples and events into sentences, and
 gives status, recordings and snapshots their contents.
 """
 
@@ -10,8 +10,8 @@ from typing import Any, NamedTuple, Protocol
 
 from spheremouse.errors import SpheremouseError
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.output import Output, Report
-from spheremouse.output.pointer import Counts
+from spheremouse.output import Counts, Mapping
+from spheremouse.output.sample import Sample
 from spheremouse.session.control.status import TrackerStatus
 from spheremouse.session.overlay.pen import Image
 from spheremouse.session.process.threads import Work
@@ -34,7 +34,8 @@ class FrameResult:
     """The result of a tracked frame."""
 
     frame: Frame
-    report: Report
+    samples: tuple[Sample, ...]  # of all balls
+    pointing: int  # index of the ball that moves the pointer
     seconds: dict[str, float]  # time of each stage
     epoch: Any  # the tracker's own record
 
@@ -44,13 +45,6 @@ class LogMessages(NamedTuple):
 
     change: str = ""  # of the ball that moves the pointer, with the state that it leads to
     more: tuple[str, ...] = ()  # others
-
-
-class Change(NamedTuple):
-    """A prepared change to another plan."""
-
-    outputs: tuple[Callable[[], Output], ...]  # functions that open each output; the pointer's first
-    apply: Callable[[], "TrackerAdapter"]  # applies it, and returns the adapter from then on
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +65,11 @@ class TrackerAdapter(Protocol):
     waiting: str  # reason why nothing can be tracked yet; empty if it can
     status: Status  # of the ball that moves the pointer
     untracked: int  # frames that came before anything could be tracked
-    outputs: tuple[Callable[[], Output], ...]  # functions that open each output; the pointer's first
+
+    @property
+    def mapping(self) -> Mapping:
+        """Conversion of the pointing ball's motion to counts."""
+        ...
 
     @property
     def reason(self) -> str:
@@ -107,8 +105,11 @@ class TrackerAdapter(Protocol):
         """Search the ball again with the next frame."""
         ...
 
-    def prepare(self, plan: RunConfig, changed: Collection[str]) -> Change:
-        """Prepare another plan, in which these sections have changed. Raise SpheremouseError to refuse it."""
+    def prepare(self, plan: RunConfig, changed: Collection[str]) -> Callable[[], "TrackerAdapter"]:
+        """Prepare another plan, in which these sections have changed. Raise SpheremouseError to refuse it.
+
+        The result applies the plan, and returns the adapter from then on.
+        """
         ...
 
     def reinitialise(self, answer: Callable[[str | None, str], None], wanted: Callable[[], bool]) -> None:

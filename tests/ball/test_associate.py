@@ -1,5 +1,4 @@
 """Identification of discs: random attitudes, symmetric maps, other balls and chance."""
-# pyright: reportCallIssue=false, reportOptionalMemberAccess=false
 
 import numpy as np
 import pytest

@@ -1,5 +1,4 @@
 """The watch on the targets: a camera that stands, one that was pushed, people in front; and the pose that follows."""
-# pyright: reportArgumentType=false, reportGeneralTypeIssues=false
 
 from dataclasses import dataclass, replace
 

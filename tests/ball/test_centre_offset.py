@@ -1,5 +1,4 @@
 """The ball's centre from the discs of one frame: exact shifts found again, its covariance, and what is no shift."""
-# pyright: reportArgumentType=false, reportCallIssue=false, reportOptionalMemberAccess=false
 
 import numpy as np
 import pytest

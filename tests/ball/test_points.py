@@ -1,5 +1,4 @@
 """Rays meet the ball: closed form, the published Gauss-Helmert model, and the scatter of samples."""
-# pyright: reportIndexIssue=false
 
 from dataclasses import fields, replace
 

@@ -1,5 +1,4 @@
 """The camera's pose from targets: exact projections, Monte-Carlo scatter, eccentricity, ambiguity, refusals."""
-# pyright: reportOperatorIssue=false, reportPossiblyUnboundVariable=false
 
 from dataclasses import replace
 from itertools import permutations

@@ -1,5 +1,4 @@
 """The whole use phase after detection: a ball seen as disc centres, from a still start to lens caps and bad clocks."""
-# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportPossiblyUnboundVariable=false
 
 from dataclasses import dataclass, replace
 from itertools import pairwise

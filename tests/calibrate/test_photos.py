@@ -1,5 +1,4 @@
 """Photos: pixels as the sensor read them, and whatever a camera, a phone or a copy can spoil is said with its file."""
-# pyright: reportArgumentType=false
 
 import hashlib
 import io

@@ -112,7 +112,7 @@ def test_the_status_as_json_is_the_plain_dict(ctl, daemon):
         "frames",
         "skipped",
         "pose",
-        "output",
+        "outputs",
         "uptime_s",
         "version",
     }
@@ -129,7 +129,7 @@ def test_every_state_has_a_colour(state):
 def test_a_status_that_knows_nothing_yet_is_shown_too():
     empty = {"state": "starting", "reason": "", "since_s": 0.2, "fps": None, "latency_ms": None, "pose": None}
     text = shown(
-        {**empty, "output": {"spec": "uinput", "failed": "/dev/uinput: permission denied", "unsent": [0, 0, 0]}}
+        {**empty, "outputs": [{"spec": "uinput", "failed": "/dev/uinput: permission denied", "unsent": [0, 0, 0]}]}
     )
     assert "● starting for 0.2 s" in text
     assert "not known" in text
@@ -139,10 +139,10 @@ def test_a_status_that_knows_nothing_yet_is_shown_too():
 
 def test_why_the_output_failed_is_said_once():
     failed = "/dev/uinput: permission denied"
-    text = shown({"state": "failed-output", "reason": failed, "output": {"spec": "uinput", "failed": failed}})
+    text = shown({"state": "failed-output", "reason": failed, "outputs": [{"spec": "uinput", "failed": failed}]})
     assert text.count("permission denied") == 1
     assert "uinput: failed" in text
-    text = shown({"state": "lost", "reason": "hands", "output": {"spec": "uinput", "failed": "uinput: not there"}})
+    text = shown({"state": "lost", "reason": "hands", "outputs": [{"spec": "uinput", "failed": "uinput: not there"}]})
     assert text.count("uinput") == 1
 
 
@@ -168,9 +168,9 @@ def test_the_daemons_own_words_come_first(ctl, path, words, reply, said):
 @pytest.mark.parametrize(
     ("change", "key"),
     [
-        ({"output": {"spec": "null", "failed": None, "reports": 1, "unsent": [0.5, 0.0, 1.0], "ahead": [0, 0, 0]}},
-         "output.unsent.0"),
-        ({"output": {"spec": "null", "failed": None, "reports": 1, "unsent": 5, "ahead": [0, 0, 0]}}, "output.unsent"),
+        ({"outputs": [{"spec": "null", "failed": None, "reports": 1, "unsent": [0.5, 0.0, 1.0], "ahead": [0, 0, 0]}]},
+         "outputs.0.unsent.0"),
+        ({"outputs": [{"spec": "null", "failed": None, "reports": 1, "unsent": 5}]}, "outputs.0.unsent"),
         ({"source": "v4l2:"}, "source"),
         ({"latency_ms": {"p50": "a", "p99": 1.0}}, "latency_ms.p50"),
         ({"balls": [{"name": "a", "state": "tracking", "position_m": [1.0], "angles_deg": None, "sigma_mm": None,
@@ -195,7 +195,7 @@ def test_a_recording_is_shown_while_it_runs():
 
 def test_what_the_daemon_quotes_does_not_steer_the_terminal():
     bad = "\x1b[2J\x1b]0;owned\x07[bold]x[/bold]"
-    status = {"state": bad, "reason": bad, "output": {"spec": bad, "failed": bad}, "source": {"description": bad}}
+    status = {"state": bad, "reason": bad, "outputs": [{"spec": bad, "failed": bad}], "source": {"description": bad}}
     text = shown(status, 200)
     assert "\x1b" not in text
     assert "\x07" not in text

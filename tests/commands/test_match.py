@@ -1,5 +1,4 @@
 """`spheremouse match` from the recording to the configuration, on a small simulated film and a simulated trackball."""
-# pyright: reportArgumentType=false, reportOptionalMemberAccess=false
 
 import json
 from dataclasses import replace

@@ -1,5 +1,4 @@
 """A match of ball and trackball returns the simulated scale, axes and lag within its standard deviations."""
-# pyright: reportArgumentType=false, reportOptionalMemberAccess=false
 
 import numpy as np
 import pytest

@@ -1,5 +1,4 @@
 """Files of strangers: what says that it is huge is refused before memory is taken for it, and nothing hangs."""
-# pyright: reportAttributeAccessIssue=false
 
 import json
 import os

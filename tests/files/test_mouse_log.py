@@ -1,5 +1,4 @@
 """Logs of mice: the kernel's events in, lines out and back; which mouse is meant. Without a device."""
-# pyright: reportArgumentType=false
 
 import os
 import signal

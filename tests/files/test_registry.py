@@ -3,13 +3,15 @@
 import sys
 
 import pytest
+from reporting import report
 
 from spheremouse.capture import full_spec, open_source
 from spheremouse.errors import OutputError, SourceError
-from spheremouse.output import no_report, open_output
+from spheremouse.output import open_output
 
 OUTPUT = """
-class Lamp:
+from spheremouse.output import Output
+class Lamp(Output):
     def __init__(self, argument): self.argument, self.sent = argument, []
     def __enter__(self): return self
     def __exit__(self, *_): return None
@@ -42,7 +44,7 @@ def installed(tmp_path, monkeypatch):
 def test_an_output_of_another_distribution_is_opened_by_its_name(installed):
     installed("spheremouse.output", OUTPUT)
     with open_output("lamp:red") as lamp:
-        lamp.send(no_report(0.5))
+        lamp.send(report(stamp=0.5))
     assert (lamp.argument, len(lamp.sent)) == ("red", 1)
     with pytest.raises(OutputError, match=r"'lmap'; .*; did you mean lamp\?"):
         open_output("lmap")
@@ -78,7 +80,10 @@ def test_so_is_a_source(installed):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (OUTPUT.replace("def send", "def emit"), "output lamp: breaks the contract: has no send; update it"),
+        (
+            OUTPUT.replace("Lamp(Output)", "Lamp").replace("def send", "def emit"),
+            "contract: has no send, ",
+        ),
         (OUTPUT.replace("def open", "def begin"), r"lamp_plugin breaks the contract: has no function `open`; update"),
         ("import a_module_that_is_missing", r"cannot be loaded \(ModuleNotFoundError: No module named 'a_module"),
         ("def open(:", r"cannot be loaded \(SyntaxError: "),
@@ -109,7 +114,7 @@ def test_an_exception_of_an_output_names_the_plug_in(installed, text):
     installed("spheremouse.output", text)
     message = r"output lamp: the plug-in lamp_plugin fails \(KeyError: 'red'\); update it, or uninstall it"
     with pytest.raises(OutputError, match=message), open_output("lamp:red") as lamp:
-        lamp.send(no_report(0.5))
+        lamp.send(report(stamp=0.5))
 
 
 def test_an_exception_of_a_source_names_the_plug_in(installed):

@@ -1,5 +1,4 @@
 """Files of hand-held balls: they read back, those we give out are sound, mistakes are told with their line."""
-# pyright: reportArgumentType=false
 
 from dataclasses import replace
 from pathlib import Path

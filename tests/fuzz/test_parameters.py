@@ -222,9 +222,8 @@ def follow(tracker: state_module.WandTracker, frames: list[Frame], c: Configurat
             lambda f=frame: wand.step(wand.begin(usual, 1, f.stamp), f, usual),
         )
         state = found.state
-        pointing, report = point(pointing, found.estimate, c.wand.pointing)
-        sound(report.estimate)
-        assert all(math.isfinite(rate) for rate in report.rate)
+        pointing, counts, rate = point(pointing, found.estimate, c.wand.pointing)
+        assert all(map(math.isfinite, (*counts, *(rate or ()))))
         for pose in state.poses:
             assert pose.position is None or np.all(np.isfinite(pose.position))
             assert pose.covariance is None or np.all(np.isfinite(pose.covariance))

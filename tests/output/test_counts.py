@@ -81,7 +81,7 @@ def reported(motions, per_radian=1e4):
     """Rotation vectors, (n, 3) rad, that reports stand for, to a part of `per_radian`."""
     matrix = MotionSettings(counts_per_radian=per_radian).matrix(RADIUS)
     counter = Counter(matrix)
-    return np.array([counter.report(m).counts for m in motions]) @ np.linalg.inv(matrix).T
+    return np.array([counter.counts(m)[0] for m in motions]) @ np.linalg.inv(matrix).T
 
 
 frames = st.lists(

@@ -102,7 +102,7 @@ try:
         print("open", flush=True)
         for line in sys.stdin:
             counts = tuple(map(int, line.split()))
-            output.send(Report(counts, (0.0, 0.0, 0.0), unknown(0.0)))
+            output.send(Report(counts, None, 0.0))
             print("sent", flush=True)
 except OutputError as e:
     print(e, flush=True)

@@ -9,7 +9,7 @@ from spheremouse.session.config_reloader import check_read, check_settable, give
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 
 SAID = CommandLineOverrides(
-    assignments=("motion.scale_x=2",), source="synthetic:", output="null", no_map=True, balls=(Path("b"),)
+    assignments=("motion.scale_x=2",), source="synthetic:", outputs=("null",), no_map=True, balls=(Path("b"),)
 )
 
 
@@ -48,7 +48,7 @@ def test_what_set_may_change_though_the_command_line_said_it():
 )
 def test_what_nothing_reads_is_refused(tracker, unread, read):
     plan = read_run_config(
-        CommandLineOverrides(assignments=(f"tracker={tracker}",), source="synthetic:", output="null")
+        CommandLineOverrides(assignments=(f"tracker={tracker}",), source="synthetic:", outputs=("null",))
     )
     check_read(plan, (f"{read}=1", f"tracker={tracker}"))
     with pytest.raises(ControlError, match=f"{unread}: the tracker in use, {tracker}, does not read this setting"):
@@ -56,10 +56,10 @@ def test_what_nothing_reads_is_refused(tracker, unread, read):
 
 
 def test_values_are_of_what_differs_and_of_what_was_assigned():
-    before = read_run_config(CommandLineOverrides(source="synthetic:", output="null"))
+    before = read_run_config(CommandLineOverrides(source="synthetic:", outputs=("null",)))
     now = read_run_config(
         CommandLineOverrides(
-            assignments=("motion.scale_x=2", "discs.polarity=light"), source="synthetic:", output="null"
+            assignments=("motion.scale_x=2", "discs.polarity=light"), source="synthetic:", outputs=("null",)
         )
     )
     found = values(before, now, ("motion.scale_y=1",))

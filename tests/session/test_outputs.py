@@ -1,5 +1,6 @@
 """The outputs of a run: the next are opened after those before are closed; where a thread is missing, never."""
 
+import threading
 import time
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from reporting import PATIENCE, report, until
 
 from spheremouse.errors import ControlError
+from spheremouse.output import OutputClosed
 from spheremouse.output.null import Null
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.session import outputs as module
@@ -21,12 +23,19 @@ class Sink(Null):
 
     def __init__(self, name, diary):
         self.name, self.diary, self.counts = name, diary, np.zeros(3, int)
+        self.ends, self.gate = False, None
 
     def open(self):
         self.diary.append(f"{self.name} opened")
         return self
 
+    paced = True
+
     def send(self, given):
+        if self.ends:
+            raise OutputClosed(self.name)
+        if self.gate is not None:
+            self.gate.wait(PATIENCE)
         self.counts += given.counts
 
     def __exit__(self, *error):
@@ -37,26 +46,31 @@ class Sink(Null):
 class Run:
     """Outputs, and the worker that does what it is asked to."""
 
-    def __init__(self, *names):
+    def __init__(self, monkeypatch, *names):
         self.diary, self.said, self.todo = [], [], []
         self.workers = WorkerPool((OUTPUT,), self.said.append)
         self.workers.begin()
-        self.sinks = [Sink(name, self.diary) for name in names]
-        self.outputs = Outputs(
-            [s.open for s in self.sinks], EXACT, log=self.said.append, workers=self.workers, call=self.todo.append
-        )
+        self.by_name = {}
+        monkeypatch.setattr(module, "open_output", lambda name: self.by_name[name].open())
+        self.sinks = self.made(names)
+        self.outputs = Outputs(names, EXACT, log=self.said.append, workers=self.workers, call=self.todo.append)
         self.outputs.begin()
         self.frames, self.sum = 0, np.zeros(3, int)
 
+    def made(self, names):
+        sinks = [Sink(name, self.diary) for name in names if name not in self.by_name]
+        self.by_name |= {sink.name: sink for sink in sinks}
+        return sinks
+
     def next(self, *names):
-        sinks = [Sink(name, self.diary) for name in names]
-        self.outputs.exchange([s.open for s in sinks], EXACT)
+        sinks = self.made(names)
+        self.outputs.exchange(names, EXACT)
         return sinks
 
     def give(self, *counts):
         self.frames += 1
         self.sum += counts
-        self.outputs.give(report(*counts, stamp=float(self.frames), confirmed=True), time.monotonic(), wanted=True)
+        self.outputs.submit(report(*counts, stamp=float(self.frames), confirmed=True), time.monotonic(), wanted=True)
 
     def close(self):
         self.outputs.close()
@@ -64,11 +78,11 @@ class Run:
 
 
 @pytest.fixture
-def run():
+def run(monkeypatch):
     begun = []
 
     def begin(*names):
-        begun.append(Run(*names))
+        begun.append(Run(monkeypatch, *names))
         until(lambda: len(begun[-1].diary) == len(names))
         return begun[-1]
 
@@ -99,10 +113,10 @@ def test_what_was_given_is_what_arrived_and_what_is_told_as_unsent(run):
         action()
     until(lambda: len(made.diary) == 11)
     made.give(1, 1, 1)
-    until(lambda: not any(made.outputs.pointer.queued))
-    status, _ = made.outputs.status()
-    until(lambda: np.array_equal(sum(s.counts for s in sinks) + made.outputs.status()[0]["unsent"], made.sum))
-    assert status["failed"] is None
+    until(lambda: not any(made.outputs.main.thread.queued))
+    status = made.outputs.status()[0][1]
+    until(lambda: np.array_equal(sum(s.counts for s in sinks) + made.outputs.status()[0][1].unsent, made.sum))
+    assert status.failed is None
 
 
 def test_where_a_thread_is_missing_those_before_stay_and_no_other_is_opened(run, monkeypatch):
@@ -130,7 +144,39 @@ def test_paused_nothing_is_sent_by_those_to_come_either(run):
     (after,) = made.next("b")
     until(lambda: len(made.diary) == 3)
     made.give(5, 0, 0)
-    until(lambda: made.outputs.status()[0]["unsent"] == [5, 0, 0])
+    until(lambda: made.outputs.status()[0][1].unsent == (5, 0, 0))
     made.outputs.pause(False)
     made.give(1, 0, 0)
     until(lambda: np.array_equal(after.counts, (1, 0, 0)))
+
+
+def test_an_output_that_stays_in_the_list_is_not_opened_again(run):
+    """A file is not cut in two because a socket is added."""
+    made = run("a", "b")
+    (added,) = made.next("c", "a")
+    until(lambda: len(made.diary) == 4)
+    assert made.diary[2:] == ["b closed", "c opened"]
+    made.give(1, 2, 3)
+    until(lambda: np.array_equal(added.counts, (1, 2, 3)) and np.array_equal(made.sinks[0].counts, (1, 2, 3)))
+
+
+def test_the_run_goes_on_until_all_outputs_have_ended(run):
+    made = run("a", "b")
+    made.sinks[0].ends = True
+    made.give(1, 0, 0)
+    until(lambda: made.outputs.status()[0][1].ended)
+    assert not made.outputs.ended
+    assert made.outputs.failed == ""
+    made.sinks[1].ends = True
+    made.give(1, 0, 0)
+    until(lambda: made.outputs.ended)
+
+
+def test_an_output_that_hangs_delays_no_other(run):
+    made = run("a", "b")
+    made.sinks[0].gate = threading.Event()
+    for _ in range(20):
+        made.give(1, 0, 0)
+    until(lambda: np.array_equal(made.sinks[1].counts, (20, 0, 0)))
+    assert not np.any(made.sinks[0].counts)
+    made.sinks[0].gate.set()

@@ -29,7 +29,7 @@ def folder(tmp_path, rig):
 def test_the_configuration_says_it_all(folder, rig, monkeypatch):
     monkeypatch.chdir("/")  # its paths are relative to itself
     plan = read_run_config(CommandLineOverrides(folder / "config.yaml"))
-    assert (plan.source, plan.output) == ("v4l2:/dev/video9", "uinput")
+    assert (plan.source, plan.outputs) == ("v4l2:/dev/video9", ("uinput",))
     assert (plan.rig_path, plan.map_path) == (folder / "rig.yaml", folder / "rig.map.yaml")
     assert plan.device(None).ball.radius == rig.ball.radius
     assert plan.camera is None
@@ -43,19 +43,19 @@ def test_the_command_line_comes_first(folder):
         folder / "config.yaml",
         ("motion.scale_x=2", "motion.scale_x=3"),
         "opencv:0",
-        "null",
+        ("null",),
         other / "r.yaml",
         map=other / "m.yaml",
     )
     plan = read_run_config(overrides)
-    assert (plan.source, plan.output, plan.rig_path, plan.map_path) == (
-        "opencv:0", "null", other / "r.yaml", other / "m.yaml",
+    assert (plan.source, plan.outputs, plan.rig_path, plan.map_path) == (
+        "opencv:0", ("null",), other / "r.yaml", other / "m.yaml",
     )  # fmt: skip
     assert plan.configuration.motion.scale_x == 3.0
 
 
 def test_without_a_file_the_defaults_hold():
-    plan = read_run_config(CommandLineOverrides(source="opencv:0", output="null"))
+    plan = read_run_config(CommandLineOverrides(source="opencv:0", outputs=("null",)))
     assert plan.configuration == Configuration()
     assert (plan.rig, plan.rig_path, plan.map_path) == (None, None, None)
     with pytest.raises(ConfigurationError, match="--rig FILE"):
@@ -65,7 +65,7 @@ def test_without_a_file_the_defaults_hold():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"file": None, "output": "null"}, "no source: give --source"),
+        ({"file": None, "outputs": ("null",)}, "no source: give --source"),
         ({"file": None, "source": "opencv:0"}, "no output: give --output"),
         ({"map": Path("x"), "no_map": True}, "one of the two"),
         ({"assignments": ("tracker=ekf1",), "map": Path("x")}, "keeps no map"),

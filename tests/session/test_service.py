@@ -3,7 +3,6 @@
 Laws that hold in every test, checked at its end: nothing is sent in any state but tracking; what frames gave is what
 was sent, was counted as unsent, or is still withheld; every frame was looked at or counted as skipped, and given back.
 """
-# pyright: reportOptionalSubscript=false, reportOptionalMemberAccess=false, reportOptionalIterable=false
 
 import contextlib
 import dataclasses
@@ -52,7 +51,7 @@ def film():
 
 @pytest.fixture
 def world(film, tmp_path, quick_daemon):
-    yield from quick_daemon(World(film, tmp_path), "spheremouse.session.ball.adapter.open_output")
+    yield from quick_daemon(World(film, tmp_path), "spheremouse.session.outputs.open_output")
 
 
 @pytest.fixture
@@ -144,8 +143,9 @@ def test_counts_are_the_integral_of_the_motion(playing):
     status = ask(world, "status")
     assert status["state"] == "tracking"
     assert (status["damaged"], status["unseen_s"], status["lost_count"]) == (0, 0.0, 0)
-    assert status["output"] == {"spec": "sink:quiet", "failed": None, "reports": status["output"]["reports"],
-                                "unsent": [0, 0, 0], "ahead": [0, 0, 0], "left_out": None}  # fmt: skip
+    assert status["outputs"][0] == {"spec": "sink:quiet", "failed": None, "reports": status["outputs"][0]["reports"],
+                                "unsent": [0, 0, 0], "ahead": [0, 0, 0], "left_out": None, "dropped": 0,
+                                    "latency_ms": status["latency_ms"]}  # fmt: skip
     world.until(lambda: set(ask(world, "status")["stages_ms"]) == {"wait", "decode", "detect", "filter"})
     assert status["discs"] >= 4
     assert status["pose"]["position_m"][2] == pytest.approx(2.35, abs=0.01)
@@ -327,7 +327,7 @@ def test_an_output_that_fails_is_opened_again_and_what_it_missed_is_counted(play
     world.reach("tracking")
     world.settle()
     assert np.array_equal(world.counts, before)  # no jump
-    assert any(ask(world, "status")["output"]["unsent"])
+    assert any(ask(world, "status")["outputs"][0]["unsent"])
 
 
 # ---- the configuration ----
@@ -395,14 +395,14 @@ def test_each_section_is_applied_between_two_frames(playing, monkeypatch):
 def test_an_output_that_leaves_the_third_axis_out_says_so_when_it_is_taken(playing, monkeypatch):
     monkeypatch.setattr(loader_module, "check_kinds", lambda *_: None)  # this world has kinds of its own
     world, words = playing, "the third axis (the ball's spin) is not sent: output "
-    assert ask(world, "status")["output"]["left_out"] is None  # nobody knows of this world's outputs
+    assert ask(world, "status")["outputs"][0]["left_out"] is None  # nobody knows of this world's outputs
     for spec, told in (("uinput", 1), ("uinput:third=wheel", 1), ("desktop", 2)):
         ask(world, "set", assignments=[f"output={spec}"])
-        left_out = ask(world, "status")["output"]["left_out"]
+        left_out = ask(world, "status")["outputs"][0]["left_out"]
         assert (left_out or "").startswith(words + spec) is ("third=" not in spec)
         assert times(world, words) == told
     sent = sum(any(m.counts) for m in world.sent)
-    world.until(lambda: ask(world, "status")["output"]["reports"] == sent)  # those before are closed, and counted
+    world.until(lambda: ask(world, "status")["outputs"][0]["reports"] == sent)  # those before are closed, and counted
 
 
 @pytest.mark.parametrize("slip", ["output=nonsense", "source=vl42:/dev/video0"])
@@ -542,7 +542,7 @@ def test_while_paused_nothing_moves_and_nothing_is_made_up_for(playing):
     since = world.stamp
     world.turn()
     assert np.abs(world.counts - before - world.true_counts(since)).max() < CLOSE
-    assert np.abs(ask(world, "status")["output"]["unsent"]).max() > 100
+    assert np.abs(ask(world, "status")["outputs"][0]["unsent"]).max() > 100
 
 
 def test_a_snapshot_while_targets_are_sought(world):
@@ -1050,7 +1050,7 @@ def test_without_another_thread_to_be_had_only_what_needs_one_fails(film):
             daemon.ask("record")
         with pytest.raises(ControlError, match="refuses a new thread"):
             daemon.ask("set", assignments=["output=text:/dev/null"])
-        assert daemon.ask("status")["output"]["spec"] == "null"
+        assert daemon.ask("status")["outputs"][0]["spec"] == "null"
         assert daemon.ask("reload")["changed"] == []
         assert daemon.ask("set", assignments=["motion.scale_x=2"])["changed"] == ["motion"]
         assert daemon.ask("reinit")["message"]
@@ -1069,7 +1069,7 @@ def test_who_is_refused_has_emptied_no_file(playing, tmp_path):
     """A second run with the same configuration finds the socket taken before it opens its output."""
     path = tmp_path / "out.txt"
     path.write_text("what the first run has written\n")
-    overrides = CommandLineOverrides(playing.config, output=f"text:{path}")
+    overrides = CommandLineOverrides(playing.config, outputs=(f"text:{path}",))
     other = run_module.Daemon(
         overrides, read_run_config(overrides), Setup(), lambda _: playing.open_camera, log=lambda _: None
     )  # fmt: skip

@@ -19,13 +19,13 @@ class Run:
         self.adapter = SimpleNamespace(waiting="", reason="", status=Status.TRACKING, take_messages=self.take_messages)
         self.worker = SimpleNamespace(adapter=self.adapter, trouble="", seen=1)
         self.capture = SimpleNamespace(trouble="", attempts=1, opening=False)
-        self.pointer = SimpleNamespace(failed=None)
+        self.outputs = SimpleNamespace(failed="")
         self.arrivals = Arrivals()
         self.judgement = StateMonitor(
             self.worker,
             self.capture,
             self.arrivals,
-            SimpleNamespace(pointer=self.pointer),
+            self.outputs,
             log=self.said.append,
             notify=self.told.append,
         )
@@ -56,7 +56,7 @@ def test_the_time_in_which_nobody_saw_the_ball_is_that_between_having_seen_it(ru
     assert (run.judgement.state, run.judgement.unseen) == (State.LOST, 0.0)
     run.adapter.status = Status.TRACKING
     run.after(1.0)
-    run.pointer.failed = "gone"
+    run.outputs.failed = "gone"
     run.after(1.0)
     run.after(1.0)
     assert (run.judgement.state, run.judgement.unseen) == (State.FAILED_OUTPUT, 0.0)

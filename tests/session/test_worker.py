@@ -82,13 +82,13 @@ def test_targets_first_in_colour_then_the_ball_in_grey(film):
     made = [play(k) for k in range(24)]
     assert all(m is not None for m in made)
     assert play.asked == [False]
-    assert made[-1].report.estimate.confirmed
+    assert made[-1].samples[0].estimate.confirmed
     assert made[-1].epoch.state.status is Status.TRACKING
     assert (play.worker.frames, play.worker.seen) == (24, 26)
     assert {k: t.count for k, t in play.worker.times.items()} == dict.fromkeys(
         ("wait", "decode", "detect", "filter"), 24
     )
-    rates = np.array([m.report.rate for m in made])
+    rates = np.array([m.samples[0].rate for m in made])
     assert np.abs(rates[:2]).max() < np.abs(rates[8:16]).max()
 
 
@@ -98,7 +98,8 @@ def test_frames_of_read_only_memory_are_tracked_the_same(film):
     for flags in (True, False):
         play = Play(film)
         made = [play(k, flags=flags) for k in (0, 0, *range(24))]
-        counts.append([m.report.counts for m in made if m is not None])
+        estimates = [m.samples[0].estimate for m in made if m is not None]
+        counts.append([play.adapter.mapping.counts(e)[0] for e in estimates])
     assert counts[0] == counts[1]
     assert np.abs(np.sum(counts[0], axis=0)).max() > 50
 
@@ -168,18 +169,18 @@ def test_other_settings_from_the_next_frame_on(film):
     play()
     tracker = play.adapter.tracker
     other = replace(SETTINGS, motion=replace(SETTINGS.motion, scale_x=2.0))
-    play.adapter.prepare(plan(other), {"motion"}).apply()  # before the first frame
+    play.adapter.prepare(plan(other), {"motion"})()  # before the first frame
     play()
     other = replace(SETTINGS, motion=replace(SETTINGS.motion, scale_x=4.0))
-    apply = play.adapter.prepare(plan(other), {"motion"}).apply
+    apply = play.adapter.prepare(plan(other), {"motion"})
     assert play.adapter.settings.motion.scale_x == 2.0  # nothing has changed
     assert apply() is play.adapter
     play()
     assert play.adapter.tracker is tracker  # a scale is not the tracker's
-    play.adapter.prepare(plan(replace(other, detector="blobs")), {"tracker"}).apply()
+    play.adapter.prepare(plan(replace(other, detector="blobs")), {"tracker"})()
     assert play.adapter.tracker is not tracker
     assert play.adapter.tracker is not None
-    assert np.allclose(play.adapter._counter.matrix, replace(SETTINGS.motion, scale_x=4.0).matrix(film.rig.ball.radius))
+    assert np.allclose(play.adapter.mapping.matrix, replace(SETTINGS.motion, scale_x=4.0).matrix(film.rig.ball.radius))
     assert play.adapter.settings.motion.scale_x == 4.0
 
 

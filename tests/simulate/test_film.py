@@ -1,5 +1,4 @@
 """The simulator against closed forms, OpenCV's projection, its own laws, and an independent renderer."""
-# pyright: reportOperatorIssue=false, reportOptionalMemberAccess=false
 
 import csv
 import json

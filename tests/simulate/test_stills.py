@@ -3,7 +3,6 @@
 The board is checked against rays cast one by one through OpenCV's lens, corners against OpenCV's finder; targets and
 discs against the detectors of this project, which other tests check against pictures that are not from here.
 """
-# pyright: reportArgumentType=false, reportOptionalMemberAccess=false
 
 import json
 from dataclasses import replace

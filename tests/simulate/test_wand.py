@@ -1,5 +1,4 @@
 """The wand's films: its paths against their own laws, its renderer against OpenCV and an independent path tracer."""
-# pyright: reportOptionalMemberAccess=false
 
 from dataclasses import replace
 

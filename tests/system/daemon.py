@@ -450,7 +450,7 @@ def test_the_sum_of_events_is_what_the_ball_has_turned_with_frames_missing(cabin
     assert status["state"] == "tracking"
     assert status["lost_count"] == 0
     assert status["unseen_s"] == 0
-    assert status["output"]["unsent"] == [0, 0, 0]
+    assert status["outputs"][0]["unsent"] == [0, 0, 0]
     assert 0 < status["latency_ms"]["p50"] <= status["latency_ms"]["p99"] <= status["latency_ms"]["max"] < 60_000
     print({key: status[key] for key in ("fps", "latency_ms", "stages_ms", "skipped", "dropped", "memory_mb")})
 
@@ -458,9 +458,9 @@ def test_the_sum_of_events_is_what_the_ball_has_turned_with_frames_missing(cabin
 @pytest.mark.slow
 def test_with_prediction_the_events_are_the_truth_and_what_the_pointer_is_ahead(cabinet):
     cabinet.told("set", assignments=["pointer.horizon=0.1"])
-    before = cabinet.status()["output"]["ahead"]
+    before = cabinet.status()["outputs"][0]["ahead"]
     counts, truth, path = cabinet.play(cabinet.onward(24))
-    ahead = np.subtract(cabinet.status()["output"]["ahead"], before)
+    ahead = np.subtract(cabinet.status()["outputs"][0]["ahead"], before)
     print(f"ahead by {ahead.tolist()}")
     check("predicted", (counts - ahead, truth, path))
     assert cabinet.told("set", assignments=["pointer.horizon=0"])["changed"] == ["pointer"]
@@ -480,10 +480,10 @@ def test_another_daemon_on_the_camera_is_refused_and_told_the_first_one_s_number
 
 def test_while_paused_nothing_moves_and_nothing_is_saved_up(cabinet):
     assert cabinet.told("pause")["state"] == "paused"
-    before = cabinet.status()["output"]["unsent"]
+    before = cabinet.status()["outputs"][0]["unsent"]
     counts, truth, path = cabinet.play(cabinet.onward(12))
     np.testing.assert_array_equal(counts, 0)
-    unsent = np.subtract(cabinet.status()["output"]["unsent"], before)
+    unsent = np.subtract(cabinet.status()["outputs"][0]["unsent"], before)
     assert np.all(np.abs(unsent - truth) <= 0.01 * path + 2.0)
     assert cabinet.told("resume")["state"] == "tracking"
     before = cabinet.mouse.counts
@@ -578,17 +578,17 @@ def test_the_output_fails_and_comes_back(cabinet):
     np.testing.assert_array_equal(cabinet.play(cabinet.onward(12))[0], 0)
     status = cabinet.reach("failed-output")
     print(f"failed-output: {status['reason']}; unsent {status['output']['unsent']}")
-    assert status["output"]["failed"] == status["reason"]
+    assert status["outputs"][0]["failed"] == status["reason"]
     assert mice() == []
     barred.rename("/dev/uinput")
-    assert cabinet.reach("tracking")["output"]["failed"] is None
+    assert cabinet.reach("tracking")["outputs"][0]["failed"] is None
     cabinet.mouse.close()
     cabinet.mouse = Reader(cabinet.folder)
     np.testing.assert_array_equal(cabinet.mouse.counts, 0)
-    unsent = cabinet.status()["output"]["unsent"]
+    unsent = cabinet.status()["outputs"][0]["unsent"]
     assert any(unsent)
     check("after it came back", cabinet.play(cabinet.onward(12)), 1.0)
-    assert cabinet.status()["output"]["unsent"] == unsent
+    assert cabinet.status()["outputs"][0]["unsent"] == unsent
 
 
 def test_killed_it_leaves_no_mouse_and_the_next_one_knows_the_ball(cabinet):

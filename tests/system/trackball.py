@@ -1,5 +1,4 @@
 """`spheremouse log-mouse` on a trackball that the kernel has, made with uinput. Run by tests/system/run."""
-# pyright: reportOptionalMemberAccess=false
 
 import os
 import signal

@@ -1,5 +1,4 @@
 """Balls: the measures of the thesis, no symmetry, and the conversion of the left-handed frame."""
-# pyright: reportAssignmentType=false
 
 import itertools
 

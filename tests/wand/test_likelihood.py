@@ -1,5 +1,4 @@
 """Likelihood: greatest at the truth, no gain by hidden points, curvature of the refinement, outline, glare."""
-# pyright: reportCallIssue=false
 
 from dataclasses import replace
 

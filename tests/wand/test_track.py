@@ -1,5 +1,4 @@
 """Tracker: accuracy on films of the independent renderer, hidden and lost balls, events, distractors."""
-# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportOptionalMemberAccess=false, reportPossiblyUnboundVariable=false
 
 from dataclasses import replace
 

@@ -57,7 +57,7 @@ def axes(
             raise ConfigurationError(f"{config}: this account may not write it; use sudo, or only look with --dry-run")
     file, told = config if there else None, (*(assignments or ()), *said)
     overrides = CommandLineOverrides(
-        file, told, source, "null", rig, camera, None, no_map=True, balls=tuple(balls or ())
+        file, told, source, ("null",), rig, camera, None, no_map=True, balls=tuple(balls or ())
     )
     plan = read_run_config(overrides)
     live = is_camera(plan.source)

@@ -9,6 +9,7 @@ import numpy as np
 from spheremouse.capture.signals import SignalHandler
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.rotation import Array
+from spheremouse.output import Report
 from spheremouse.output.counts import MotionSettings, Player
 from spheremouse.output.gestures import DirectionMatch, GestureDetector, match_directions
 from spheremouse.session.directions import Directions, of_ball, of_hand
@@ -90,10 +91,10 @@ class Dialogue:
         """Lines of the run."""
         print(text, file=sys.stderr, flush=True)
 
-    def show(self, made: FrameResult, adapter: TrackerAdapter) -> None:
+    def show(self, made: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
         """Look at the motion of a frame."""
-        self.tally.add(made.report.counts, sum(made.seconds.values()))
-        estimate = made.report.estimate
+        self.tally.add(report.counts, sum(made.seconds.values()))
+        estimate = made.samples[made.pointing].estimate
         if not estimate.confirmed or self.found is not None:
             return
         if not self._begun:

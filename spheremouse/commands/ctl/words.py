@@ -47,7 +47,8 @@ def status_table(s: StatusReport) -> Panel:
     rows.add_row("motion", _motion(s))
     if s.changes:
         rows.add_row("set", _text(f"{', '.join(s.changes)} (until the next start; `ctl save` keeps it)"))
-    rows.add_row("output", _output(s.output, s.reason))
+    for output in s.outputs or ():
+        rows.add_row("output", _output(output, s.reason))
     source = s.source or SourceStatus()
     rows.add_row("source", _text(source.description or source.spec or "-"))
     rows.add_row("unseen", f"{_span(s.unseen_s)} of {_span(s.uptime_s)}, lost {_n(s.lost_count)} times")
@@ -73,8 +74,8 @@ def event_line(event: StatusReport | str, clock: str) -> Text:
     state.pad_right(max(0, _WIDEST - len(state)))
     if event.motion:
         parts.append(printable(event.motion.words or ""))
-    failed = event.output.failed if event.output else None
-    words = event.reason if event.state != "tracking" else f"output: {failed}" if failed else ""
+    failed = next((f"output {o.spec}: {o.failed}" for o in event.outputs or () if o.failed), "")
+    words = event.reason if event.state != "tracking" else failed
     tail = f"  {printable(words)}" if words else ""
     return Text.assemble((clock, "dim"), "  ", state, "  ", "  ".join(parts), tail)
 
@@ -121,9 +122,7 @@ def _pose(pose: PoseStatus | None) -> str:
     return f"{_span(pose.age_s)} old" + (f", within {max(pose.sigma_mm):.1f} mm (1 sigma)" if pose.sigma_mm else "")
 
 
-def _output(output: OutputStatus | None, reason: str | None) -> Text:
-    if output is None:
-        return Text("-")
+def _output(output: OutputStatus, reason: str | None) -> Text:
     spec = output.spec or "-"
     text = _text(spec)
     if output.failed:

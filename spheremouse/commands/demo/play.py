@@ -27,8 +27,9 @@ from spheremouse.errors import ConfigurationError, PoseError
 from spheremouse.evaluate.metrics import History, Reference, Run, report
 from spheremouse.evaluate.plot import plot_run
 from spheremouse.geometry.rotation import rotation_between
-from spheremouse.output import open_output
+from spheremouse.output import open_output, report_of
 from spheremouse.output.counts import Counter
+from spheremouse.output.sample import Sample
 from spheremouse.session import messages
 from spheremouse.session.offline import Start, initialise, make_ready, track
 from spheremouse.session.overlay.ball import Overlay, target_marks
@@ -153,7 +154,7 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
     large = Overlay(tracker, marks, scale=2)
     counter = Counter(_SETTINGS.motion.matrix(tracker.rig.radius_m))
     with (
-        open_output(f"text:{out / 'motion.txt'}") as motions,
+        open_output(f"text:{out / 'motion.txt'},format=counts") as motions,
         OverlayFile(out / "overlay.mp4", fps) as video,
         StatusTable("spheremouse demo", True, tally, console) as screen,
     ):
@@ -161,7 +162,7 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
             screen.log(messages.standing(start.resection, tracker.rig))
         video.begin(tracker, marks)
         for epoch in track(start.frames, tracker):
-            report = counter.report(epoch.estimate)
+            report = report_of((Sample(epoch.estimate),), counter)
             motions.send(report)
             tally.add(report.counts, sum(epoch.seconds.values()))
             history.add(epoch)

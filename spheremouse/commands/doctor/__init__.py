@@ -21,7 +21,7 @@ def doctor(
         typer.Option(metavar="KIND:ARG", help="As of run.  [default: as configured, else the first camera]"),
     ] = None,
     output: Annotated[
-        str | None, typer.Option(metavar="KIND:ARG", help="As of run.  [default: as configured, else auto]")
+        list[str] | None, typer.Option(metavar="KIND:ARG", help="As of run.  [default: as configured, else auto]")
     ] = None,
     rig: RigFile = None,
     camera: CameraFile = None,
@@ -51,7 +51,7 @@ def doctor(
         raise ConfigurationError("--ball: goes with --tracker wand; add that, or leave it out")
     assignments = [] if tracker is None else [f"tracker={tracker}"]
     assignments += [f"wand.balls={json.dumps([str(path.absolute()) for path in balls])}"] if balls else []
-    overrides = CommandLineOverrides(config, tuple(assignments), source, output, rig, camera)
+    overrides = CommandLineOverrides(config, tuple(assignments), source, tuple(output or ()), rig, camera)
     console = Console(highlight=False, soft_wrap=False)
     sections: list[Section] = []
     with _waiting(quiet=as_json) as progress:

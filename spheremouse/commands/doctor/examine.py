@@ -106,8 +106,8 @@ class _Run:
             progress(f"looking for {'the ball' if self.of_wand else 'targets and discs'}")
             if findings := tuple(picture(self.footage)):
                 yield Section("picture", findings)
-        if self.live or self.overrides.output or self.plan.configuration.output:
-            findings = tuple(_guarded("output", output.probe, self.plan.output))
+        if self.live or self.overrides.outputs or self.plan.configuration.outputs:
+            findings = tuple(f for spec in self.plan.outputs for f in _guarded("output", output.probe, spec))
         else:
             advice = "give --output KIND:ARG to have it looked at"
             findings = (unchecked("output", "none is named, and a recording needs none", advice),)

@@ -43,7 +43,7 @@ def _of_daemon(status: StatusReport) -> CommandLineOverrides:
     return CommandLineOverrides(
         file=_path(status.config),
         source=status.source.spec if status.source else None,
-        output=status.output.spec if status.output else None,
+        outputs=tuple(output.spec for output in status.outputs or () if output.spec),
         rig=_path(status.rig),
         map=_path(status.map),
         no_map=status.map is None,
@@ -67,7 +67,7 @@ def read(overrides: CommandLineOverrides, camera: str | None) -> tuple[RunConfig
     attempts = [
         overrides,
         replace(bare, no_map=True, map=None),
-        CommandLineOverrides(None, (), overrides.source, overrides.output),
+        CommandLineOverrides(None, (), overrides.source, overrides.outputs),
     ]
     plan: RunConfig | None = None
     for attempt in attempts:
@@ -97,7 +97,7 @@ def _completed(overrides: CommandLineOverrides, camera: str | None) -> CommandLi
     return replace(
         overrides,
         source=overrides.source or c.source or camera or "v4l2:",
-        output=overrides.output or c.output or "auto",
+        outputs=overrides.outputs or c.outputs or ("auto",),
     )
 
 

@@ -6,7 +6,7 @@ from spheremouse import __version__
 from spheremouse.errors import ControlError
 from spheremouse.finding import Finding, Verdict, classify, ok, unchecked, wrong
 from spheremouse.session.control.client import Client, NoDaemonError
-from spheremouse.session.control.status import StatusReport
+from spheremouse.session.control.status import OutputStatus, StatusReport
 
 _MAX_LOST = 0.01  # of the frames; the filter bridges fewer
 _MAX_INTERVALS = 2.0  # from mid-exposure to the event: one to read the frame out and carry it here, one to work on it
@@ -37,8 +37,9 @@ def ask(socket: Path | None = None) -> tuple[StatusReport | None, Finding]:
 
 def check(status: StatusReport) -> list[Finding]:
     """Return findings about a status; missing values are left out."""
-    checks = (_state, _frames, _latency, _discs, _motion, _output)
-    return [found for each in checks if (found := each(status)) is not None]
+    checks = (_state, _frames, _latency, _discs, _motion)
+    found = [finding for each in checks if (finding := each(status)) is not None]
+    return found + [_output(output) for output in status.outputs or ()]
 
 
 def _state(s: StatusReport) -> Finding:
@@ -100,10 +101,7 @@ def _motion(s: StatusReport) -> Finding | None:
     return ok("motion", text, **s.motion.model_dump(exclude_unset=True))
 
 
-def _output(s: StatusReport) -> Finding | None:
-    output = s.output
-    if output is None:
-        return None
+def _output(output: OutputStatus) -> Finding:
     if output.failed:
         text, _, advice = output.failed.removeprefix(f"{output.spec}: ").partition("; ")
         return wrong("sending", f"{output.spec}: {text}", advice)

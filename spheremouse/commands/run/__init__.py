@@ -1,6 +1,5 @@
 """`spheremouse run`: track the frames of a source and send the motion to an output."""
 
-import json
 import sys
 from contextlib import ExitStack, nullcontext
 from itertools import islice
@@ -32,8 +31,8 @@ def run(
         list[str] | None,
         typer.Option(
             metavar="KIND:ARG",
-            help="Target of the motion: auto, uinput, serial:auto, serial:PORT, desktop, text:-, text:FILE or null.  "
-            "[default: `output` of the configuration]",
+            help="Target of the motion: auto, uinput, serial:auto, serial:PORT, desktop, text:-, text:FILE or null. "
+            "Repeat it for several; the first is the main one.  [default: `output` of the configuration]",
         ),
     ] = None,
     tracker: Annotated[
@@ -79,10 +78,6 @@ def run(
     frames: Annotated[int | None, typer.Option(metavar="N", min=1, help="Stop after N tracked frames.")] = None,
     verbose: Annotated[bool, typer.Option("--verbose", help="Also print the correlations of the camera pose.")] = False,
     balls: Balls = None,
-    axes: Annotated[
-        str | None,
-        typer.Option(metavar="FILE|-", help="Wand: also write the six axes as text; --output text: has them anyway."),
-    ] = None,
 ) -> None:
     """Track the ball and send its motion.
 
@@ -99,30 +94,39 @@ def run(
     """
     from spheremouse.session.run_config import CommandLineOverrides, check_kinds, read_run_config
 
-    if output is not None and len(output) > 1:
-        raise ConfigurationError(f"--output: given {len(output)} times; motion goes to one place, choose one")
-    to = output[0] if output else None
     said = [] if tracker is None else [f"tracker={tracker}"]
-    said += [] if axes is None else [f"wand.axes={json.dumps(axes)}"]
     overrides = CommandLineOverrides(
-        config, (*(assignments or ()), *said), source, to, rig, camera, map_file, no_map, tuple(balls or ())
+        config,
+        (*(assignments or ()), *said),
+        source,
+        tuple(output or ()),
+        rig,
+        camera,
+        map_file,
+        no_map,
+        tuple(balls or ()),
     )
     plan = read_run_config(overrides)
     check_kinds(plan)
     if overlay is not None:
         _refuse_loss(overlay, plan, (config, rig, camera, map_file, *(balls or ())))
-    for name, value in (("--ball", balls), ("--axes", axes)):
-        if value and plan.configuration.tracker != "wand":
-            raise ConfigurationError(f"{name}: goes with --tracker wand; add that, or leave it out")
+    if balls and plan.configuration.tracker != "wand":
+        raise ConfigurationError("--ball: goes with --tracker wand; add that, or leave it out")
     _run(overrides, plan, realtime, _has_terminal(plan) if table is None else table, overlay, frames, verbose)
 
 
 def _has_terminal(plan: "RunConfig") -> bool:
     """Return True if standard error is a terminal to which no output writes."""
-    configuration = plan.configuration
-    on_output = configuration.tracker == "wand" and configuration.wand.axes == "-"
-    shared = plan.output in ("text:-", "text:", "text") or on_output
+    shared = any(kind == "text" and file is None for kind, file in _files(plan))
     return sys.stderr.isatty() and not (shared and sys.stdout.isatty())
+
+
+def _files(plan: "RunConfig") -> list[tuple[str, Path | None]]:
+    """Return kind and file of each output; None for standard output, and for an output without a file."""
+    from spheremouse.output.text import file_of
+
+    specs = [spec.partition(":") for spec in plan.outputs]
+    return [(kind, file_of(argument) if kind == "text" else None) for kind, _, argument in specs]
 
 
 def _run(
@@ -167,9 +171,9 @@ def _run(
 def _refuse_loss(overlay: Path, plan: "RunConfig", given: tuple[Path | None, ...]) -> None:
     """Raise ConfigurationError if the overlay would replace another file that the run reads or writes."""
     _, _, source = plan.source.partition(":")
-    kind, _, output = plan.output.partition(":")
     others = [path for path in (*given, plan.rig_path, plan.camera_path, plan.map_path) if path is not None]
-    others += [Path(name) for name in (source, output if kind == "text" else "", plan.configuration.wand.axes) if name]
+    others += [file for _, file in _files(plan) if file is not None]
+    others += [Path(source)] if source else []
     here = overlay.resolve()
     if any(here == other.resolve() for other in others):
         raise ConfigurationError(f"--overlay: {overlay} is read or written by this run besides; name another file")
@@ -224,6 +228,7 @@ def follow(
     frames: int | None,
 ) -> tuple[SpheremouseError | None, tuple[str, ...]]:
     """Track every frame of a recording, one after the other. Return error and last words."""
+    from spheremouse.output import open_output
     from spheremouse.output.third_axis import left_out
     from spheremouse.session import offline
     from spheremouse.session.tracker_adapter import here
@@ -234,13 +239,13 @@ def follow(
         source = stack.enter_context(setup.source)
         adapter = setup.adapter(plan, view.log, here)
         stack.callback(adapter.close)
-        sinks = [stack.enter_context(open_it()) for open_it in adapter.outputs]
+        to = {spec: stack.enter_context(open_output(spec)) for spec in plan.outputs}
         setup.make_ready(plan)
-        if words := left_out(plan.output):
+        for words in filter(None, map(left_out, plan.outputs)):
             view.log(words)
         try:
             tracked = islice(adapter.begin(stopping.frames(iter(source))), frames)
-            offline.follow(stopping.frames(tracked), adapter, sinks, view)
+            offline.follow(stopping.frames(tracked), adapter, to, view)
             failure = None if stopping.asked else adapter.failure("")
         except PoseError as e:
             failure = None if stopping.asked else e  # a signal ended the frames

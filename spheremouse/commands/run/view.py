@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Protocol
 
 from spheremouse.ball.pose import describe
+from spheremouse.output import Report
 from spheremouse.session import offline
 from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.overlay.ball import target_marks
@@ -44,9 +45,9 @@ class BallView:
         """One or more lines, which stay."""
         self._screen.log(text)
 
-    def show(self, made: FrameResult, adapter: TrackerAdapter) -> None:
+    def show(self, made: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
         """Table and overlay."""
-        self.tally.add(made.report.counts, sum(made.seconds.values()))
+        self.tally.add(report.counts, sum(made.seconds.values()))
         if self._verbose and self.tally.frames == 1 and isinstance(adapter, BallAdapter) and adapter.resection:
             self.log(describe(adapter.resection, adapter.rig))
         self._screen.show(made.epoch)
@@ -75,9 +76,9 @@ class WandView:
         """One or more lines, which stay."""
         self._screen.log(text)
 
-    def show(self, made: FrameResult, adapter: TrackerAdapter) -> None:
+    def show(self, made: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
         """Line and overlay."""
-        self.tally.add(made.report.counts, sum(made.seconds.values()))
+        self.tally.add(report.counts, sum(made.seconds.values()))
         self._screen.show(made.frame.stamp, made.epoch.poses)
         if self.overlay is not None:
             assert isinstance(adapter, WandAdapter)

@@ -15,13 +15,12 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
 
 from spheremouse.errors import OutputError
 from spheremouse.files.access import access_problem
 from spheremouse.files.registry import options
 from spheremouse.finding import Finding, absent, ok
-from spheremouse.output import DeliveryStatus, Report
+from spheremouse.output import DeliveryStatus, Output, Report
 from spheremouse.output.rate_limited_logger import RateLimitedLogger
 from spheremouse.output.serial.link import Link
 from spheremouse.output.serial.messages import Flags, Identity, Status
@@ -71,8 +70,10 @@ class Statistics:
         return f"{text}; " + (f"counts that did not arrive: {short}" if short else "every count arrived")
 
 
-class Serial:
+class Serial(Output):
     """Sends reports to a board."""
+
+    paced = True
 
     def __init__(self, find_port: Callable[[], str], baud: int, third: str, log: Callable[[str], None]) -> None:
         """Open the port that `find_port` returns, now and after each loss, and wait for the board's first answer."""
@@ -178,12 +179,6 @@ class Serial:
     def settled(self) -> bool:
         """True if the board has confirmed all counts."""
         return self._link.settled
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Wait a moment for confirmation of all counts, release the buttons and close the port."""

@@ -21,9 +21,9 @@ from spheremouse.ball.state import Epoch, Tracker, TrackState, current
 from spheremouse.ball.track import step, wants_colour, with_pose, with_settings
 from spheremouse.errors import PoseError, SpheremouseError
 from spheremouse.geometry.camera import Pose
-from spheremouse.output import Output, open_output
+from spheremouse.output import Counts
 from spheremouse.output.counts import Counter
-from spheremouse.output.pointer import Counts
+from spheremouse.output.sample import Sample
 from spheremouse.session import messages
 from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.ball.recorded import ball_subject, picture, sought
@@ -38,7 +38,6 @@ from spheremouse.session.tracker_adapter import (
     MAP,
     POSE,
     TARGETS,
-    Change,
     Do,
     FrameResult,
     LogMessages,
@@ -70,16 +69,15 @@ class BallAdapter:
         log: Callable[[str], None],
         do: Do = here,
         given: Rig | None = None,
-        outputs: tuple[Callable[[], Output], ...] = (),
     ) -> None:
         """Create the adapter, which tracks at once if the rig has the camera's pose.
 
         `keeper` saves the map of the discs; None saves none. `log` prints a line. `do` has another thread do work.
-        `given` is the rig of the source, if it has one. `outputs` open each output, the pointer's first. Raises
-        PoseError if the rig has neither the camera's pose nor three targets, or if the ball is not in view.
+        `given` is the rig of the source, if it has one. Raises PoseError if the rig has neither the camera's pose nor
+        three targets, or if the ball is not in view.
         """
         self.rig, self.settings, self._keeper, self._log = rig, settings, keeper, log
-        self._do, self._given, self.outputs = do, given, outputs
+        self._do, self._given = do, given
         self.pose: Pose | None = None
         self.resection: Resection | None = None  # of the first pose
         self._posed = 0.0  # s, time.monotonic() when the pose was found
@@ -90,7 +88,7 @@ class BallAdapter:
         self.untracked = 0  # frames before the first pose
         self._tracker: Tracker | None = None
         self._subject: Subject | None = None
-        self._counter = Counter(settings.motion.matrix(rig.radius_m))
+        self.mapping = Counter(settings.motion.matrix(rig.radius_m))
         self._estimate: Estimate | None = None  # of the last frame
         self._forget_views()
         self._reinitialisation: _Reinitialisation | None = None
@@ -182,13 +180,13 @@ class BallAdapter:
         self._messages.restart(reason)
         self._forget_views()
 
-    def prepare(self, plan: RunConfig, changed: Collection[str]) -> Change:
+    def prepare(self, plan: RunConfig, changed: Collection[str]) -> Callable[[], TrackerAdapter]:
         """Prepare other settings, another map or another device; `changed` are the names of the plan's changed parts.
 
-        `apply` saves the map before it reads another. Raises SpheremouseError, and changes nothing, if the plan is
+        The result saves the map before it reads another. Raises SpheremouseError, and changes nothing, if the plan is
         invalid.
         """
-        settings, outputs = plan.configuration, outputs_of(plan)
+        settings = plan.configuration
         rig = plan.device(self._given) if "rig" in changed else self.rig
         mapped = not {"rig", "map"}.isdisjoint(changed)
         if "rig" in changed:
@@ -208,18 +206,18 @@ class BallAdapter:
                 self._keeper = self._next_keeper(plan, rig)
             if "rig" in changed:
                 self.interrupted("another rig is in use now")
-                return BallAdapter(rig, settings, self._keeper, self._log, self._do, self._given, outputs)
-            self.state, self._tracker, self._subject, self.outputs = state, tracker, None, outputs
+                return BallAdapter(rig, settings, self._keeper, self._log, self._do, self._given)
+            self.state, self._tracker, self._subject = state, tracker, None
             self.status = Status.SEARCHING if state is None else state.status
             if settings.tracker != self.settings.tracker:
                 self._messages.restart("another filter begins")
             self.settings = settings
-            self._counter.matrix = settings.motion.matrix(self.rig.radius_m)
+            self.mapping.matrix = settings.motion.matrix(self.rig.radius_m)
             if tuned:
                 self._forget_views()
             return self
 
-        return Change(outputs, apply)
+        return apply
 
     def reinitialise(self, answer: Callable[[str | None, str], None], wanted: Callable[[], bool]) -> None:
         """Estimate the camera's pose again while tracking continues with the old one.
@@ -348,7 +346,8 @@ class BallAdapter:
         seconds = {"detect": self._detected - begun, "filter": time.monotonic() - self._detected}
         self._remember(made, frame, tracker)
         epoch = Epoch(frame, made.state, made.estimate, made.events, seconds)
-        return FrameResult(frame, self._counter.report(made.estimate), seconds, epoch)
+        sample = Sample(made.estimate, events=tuple(event.name for event in made.events))
+        return FrameResult(frame, (sample,), 0, seconds, epoch)
 
     def _note_detected(self) -> None:
         self._detected = time.monotonic()
@@ -399,11 +398,6 @@ class BallAdapter:
             self.pose, self._posed = pose, time.monotonic()
         if self._keeper is not None:
             self._keeper.keep(made.state)
-
-
-def outputs_of(plan: RunConfig) -> tuple[Callable[[], Output], ...]:
-    """Return the function that opens the plan's output."""
-    return (partial(open_output, plan.output),)
 
 
 def _discard(_: str) -> None:

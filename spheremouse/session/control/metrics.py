@@ -126,7 +126,7 @@ def families(status: StatusReport, started: float) -> Iterator[Any]:
     """Yield the metric families of a status; `started` in s since 1970. A value that is not known is left out."""
     from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
 
-    kinds = {"source": _kind(status.source), "output": _kind(status.output)}
+    kinds = {"source": _kind(status.source), "output": _kind((status.outputs or [None])[0])}
     yield InfoMetricFamily("spheremouse", "What runs.", {"version": status.version or "", **kinds})
     for metrics, family in ((_gauges(status, started), GaugeMetricFamily), (_counters(status), CounterMetricFamily)):
         for name, text, samples in metrics:
@@ -138,7 +138,7 @@ def families(status: StatusReport, started: float) -> Iterator[Any]:
 
 
 def _counters(s: StatusReport) -> Iterator[tuple[str, str, Samples]]:
-    output = s.output or OutputStatus()
+    reports = sum(output.reports or 0 for output in s.outputs or ())
     for name, text, value in (
         ("not_tracked_seconds", "Time since the start without tracking.", s.unseen_s),
         ("lost", "Number of times that the ball was lost.", s.lost_count),
@@ -147,13 +147,13 @@ def _counters(s: StatusReport) -> Iterator[tuple[str, str, Samples]]:
         ("skipped_frames", "Frames that a newer one replaced.", s.skipped),
         ("dropped_frames", "Frames that the driver did not deliver.", s.dropped),
         ("damaged_frames", "Frames that could not be decoded.", s.damaged),
-        ("reports", "Reports sent.", output.reports),
+        ("reports", "Reports sent.", reports),
     ):
         yield name, text, [({}, value)]
 
 
 def _gauges(s: StatusReport, started: float) -> Iterator[tuple[str, str, Samples]]:
-    output, pose = s.output or OutputStatus(), s.pose or PoseStatus()
+    output, pose = (s.outputs or [OutputStatus()])[0], s.pose or PoseStatus()
     memory = None if s.memory_mb is None else 1e6 * s.memory_mb
     for name, text, value in (
         ("start_time_seconds", "Start time of the daemon, since 1970.", started),

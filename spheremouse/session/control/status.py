@@ -86,7 +86,7 @@ class BallStatus(_Part):
 
 
 class OutputStatus(_Part):
-    """The output."""
+    """An output."""
 
     spec: Text | None = None
     left_out: Text | None = None
@@ -94,6 +94,8 @@ class OutputStatus(_Part):
     reports: int | None = None
     unsent: Counts | None = None
     ahead: Counts | None = None
+    dropped: int | None = None
+    latency_ms: Quantiles | None = None
 
 
 class SourceStatus(_Part):
@@ -140,7 +142,7 @@ class StatusReport(TrackerStatus):
     dropped: int | None = None
     damaged: int | None = None
     counts: Counts | None = None
-    output: OutputStatus | None = None
+    outputs: list[OutputStatus] | None = None  # the main one first
     source: SourceStatus | None = None
     unseen_s: float | None = None
     lost_count: int | None = None

@@ -11,7 +11,7 @@ import cv2
 from spheremouse.ball.state import Epoch, Tracker
 from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import NewFolder, replace
-from spheremouse.output.pointer import Counts
+from spheremouse.output import Counts
 from spheremouse.session.overlay.ball import Overlay
 from spheremouse.session.overlay.pen import Image, Mark
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from spheremouse.errors import ControlError, OutputError, SpheremouseError
-from spheremouse.output.pointer import Counts
+from spheremouse.output import Counts
 from spheremouse.session.control.protocol import Record, Snapshot, internal_error, refused
 from spheremouse.session.control.request_queue import PendingRequest
 from spheremouse.session.control.status import RecordingStatus

@@ -133,7 +133,7 @@ class Recorder:
         if not self._done.wait(timeout):
             raise DatasetError(f"{self._folder}: still being written")
         if self._failed:
-            raise DatasetError(self._ended)
+            raise DatasetError(self._ended or "")
         return self._folder
 
     def status(self) -> RecorderStatus:

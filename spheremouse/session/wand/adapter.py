@@ -1,22 +1,19 @@
-"""The tracker of hand-held balls: one of them moves the pointer, and the axes of all go to text outputs."""
+"""The tracker of hand-held balls, of which one moves the pointer."""
 
 import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 
 import cv2
 import numpy as np
 
-from spheremouse.errors import ConfigurationError, SourceError, SpheremouseError
+from spheremouse.errors import SourceError, SpheremouseError
 from spheremouse.files.dataset.format import BALL_FILES
 from spheremouse.files.dataset.wand import wand_scene
 from spheremouse.files.wand import wand_text
 from spheremouse.geometry.camera import sphere_outline
-from spheremouse.output import Output, open_output
-from spheremouse.output import axes as axes_output
-from spheremouse.output.pointer import Counts
+from spheremouse.output import Counts
+from spheremouse.output.sample import Sample
 from spheremouse.output.wand_mapping import WandMapping
 from spheremouse.session.control.status import BallStatus, TrackerStatus
 from spheremouse.session.directions import of_hand
@@ -25,10 +22,11 @@ from spheremouse.session.overlay.pen import Image, in_blocks
 from spheremouse.session.overlay.wand import WandOverlay
 from spheremouse.session.run_config import RunConfig
 from spheremouse.session.settings import Configuration, configuration_text
-from spheremouse.session.tracker_adapter import Change, FrameResult, LogMessages, Subject, TrackerAdapter
+from spheremouse.session.tracker_adapter import FrameResult, LogMessages, Subject, TrackerAdapter
 from spheremouse.session.wand.messages import WandMessages
-from spheremouse.tracker import Estimate, Frame, Status
+from spheremouse.tracker import Estimate, Event, Frame, Status
 from spheremouse.wand.axes import axes_of as six_axes
+from spheremouse.wand.events import BallEvent
 from spheremouse.wand.state import WandEpoch, WandPose, WandState, WandTracker
 from spheremouse.wand.track import begin, step
 
@@ -42,7 +40,7 @@ class WandAdapter:
     def __init__(self, make: Make, plan: RunConfig, log: Callable[[str], None]) -> None:
         """`make` builds the tracker of a plan. Raises ConfigurationError."""
         self._make, self._log = make, log
-        self._hand = WandMapping(plan.configuration.wand.pointing)
+        self.mapping = WandMapping(plan.configuration.wand.pointing)
         self._state: WandState | None = None
         self._poses: tuple[WandPose, ...] = ()
         self._estimate: Estimate | None = None  # of the last frame
@@ -57,7 +55,6 @@ class WandAdapter:
         self.points = plan.configuration.wand.points - 1  # index of the ball that moves the pointer
         self._plan, self.tracker = plan, replace(tracker, points=self.points)
         self.subject = wand_subject(self.tracker, plan.configuration)
-        self.outputs = outputs_of(plan)
 
     @property
     def reason(self) -> str:
@@ -82,14 +79,26 @@ class WandAdapter:
         check_wand_frame(frame, self.tracker)
         begun = time.perf_counter()
         state = self._state or begin(self.tracker, 0, frame.stamp)
-        self._state, self._estimate, _ = step(state, frame, self.tracker)
+        self._state, self._estimate, events = step(state, frame, self.tracker)
         self._poses = self._state.poses
         epoch = WandEpoch(frame, self._state, self._estimate, time.perf_counter() - begun)
-        report = self._hand.report(self._estimate)._replace(balls=self._state.estimates)
+        samples = self._samples(self._state.estimates, events)
         self._frames += 1
         self.status = self._poses[self.points].phase
         self._messages.add(frame.stamp, self._poses, frame.image)
-        return FrameResult(frame, report, {"track": epoch.seconds}, epoch)
+        return FrameResult(frame, samples, self.points, {"track": epoch.seconds}, epoch)
+
+    def _samples(self, estimates: tuple[Estimate, ...], events: tuple[Event, ...]) -> tuple[Sample, ...]:
+        """Return a sample for each ball, with its events; those of no ball go with the one that points."""
+        named = [[] for _ in estimates]
+        names = [ball.name for ball in self.tracker.balls]
+        for event in events:
+            whose = names.index(event.ball) if isinstance(event, BallEvent) else self.points
+            named[whose].append(event.name)
+        return tuple(
+            Sample(estimate, k + 1, name, "cam", tuple(of))
+            for k, (estimate, name, of) in enumerate(zip(estimates, names, named, strict=True))
+        )
 
     def take_messages(self) -> LogMessages:
         """Return the log lines since the previous call."""
@@ -97,16 +106,16 @@ class WandAdapter:
 
     def interrupted(self, reason: str) -> None:
         """Count no motion to the place where the ball is seen next."""
-        self._hand.interrupted()
+        self.mapping.interrupted()
         self._messages.interrupted()
 
     def restart(self, reason: str) -> None:
         """Search for all balls again."""
         self._state, self._poses, self.status = None, (), Status.SEARCHING
-        self._hand.interrupted()
+        self.mapping.interrupted()
         self._messages.reason = reason
 
-    def prepare(self, plan: RunConfig, changed: Collection[str]) -> Change:
+    def prepare(self, plan: RunConfig, changed: Collection[str]) -> Callable[[], TrackerAdapter]:
         """Prepare other parameters, with the balls tracked on; with other balls or another camera, search again."""
         if {"balls", "rig"} & set(changed):
             other = WandAdapter(self._make, plan, self._log)
@@ -115,20 +124,20 @@ class WandAdapter:
                 other.introduce()
                 return other
 
-            return Change(other.outputs, begin_other)
-        outputs, tracker = outputs_of(plan), self._make(plan) if "tracker" in changed else self.tracker
+            return begin_other
+        tracker = self._make(plan) if "tracker" in changed else self.tracker
 
         def apply() -> TrackerAdapter:
             before = self.points
             self._set_tracker(plan, tracker)
             if "motion" in changed or self.points != before:
-                self._hand = WandMapping(plan.configuration.wand.pointing)
+                self.mapping = WandMapping(plan.configuration.wand.pointing)
             if self.points != before:
                 self._messages = WandMessages(self.points, tracker.balls[self.points].name)
                 self.status = self._poses[self.points].phase if self._poses else Status.SEARCHING
             return self
 
-        return Change(outputs, apply)
+        return apply
 
     def reinitialise(self, answer: Callable[[str | None, str], None], wanted: Callable[[], bool]) -> None:
         """Search for all balls again with the next frame, in case the tracker follows something else."""
@@ -184,7 +193,7 @@ def wand_subject(tracker: WandTracker, settings: Configuration) -> Subject:
             name: wand_text(ball, {c: tracker.colours[c] for c in ball.colours})
             for name, ball in zip(BALL_FILES, tracker.balls, strict=False)
         }
-        wand = replace(settings.wand, balls=tuple(balls), axes=None)
+        wand = replace(settings.wand, balls=tuple(balls))
         return {**balls, "config.yaml": configuration_text(settings, wand=wand)}
 
     return Subject(
@@ -212,25 +221,6 @@ def picture(
     overlay = WandOverlay(tracker, points, max(1, round(1280 / tracker.camera.width)))
     overlay.remember(shown)
     return overlay.draw(shown, counts)
-
-
-def outputs_of(plan: RunConfig) -> tuple[Callable[[], Output], ...]:
-    """Return functions that open the pointer's output and that of the axes. A text output carries both.
-
-    ConfigurationError if one occurs twice.
-    """
-    kind, _, argument = plan.output.partition(":")
-    first = partial(axes_output.open, argument) if kind == "text" else partial(open_output, plan.output)
-    further = plan.configuration.wand.axes
-    if further is None:
-        return (first,)
-    if kind == "text" and _place(argument) == _place(further):
-        raise ConfigurationError(f"--axes {further}: is the output already, which has the axes; leave it out")
-    return first, partial(axes_output.open, further)
-
-
-def _place(argument: str) -> str:
-    return "-" if argument in ("", "-") else str(Path(argument).absolute())
 
 
 def _ball_status(pose: WandPose) -> BallStatus:

@@ -1,5 +1,4 @@
 """Pictures full of what has the targets' colours: the same targets as by trying every pair, for bounded work."""
-# pyright: reportOptionalMemberAccess=false
 
 import threading
 import time

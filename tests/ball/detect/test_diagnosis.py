@@ -1,5 +1,4 @@
 """Why no disc is found: each cause made, and told from the others."""
-# pyright: reportArgumentType=false
 
 from dataclasses import replace
 

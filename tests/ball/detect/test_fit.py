@@ -1,5 +1,4 @@
 """The fit of a disc: against ellipses that are rendered another way (supersampled, then blurred), with known noise."""
-# pyright: reportArgumentType=false
 
 import cv2
 import numpy as np

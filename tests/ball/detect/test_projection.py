@@ -1,5 +1,4 @@
 """Projections of colours: their values, Fisher's weights against known pixels, and the choice between them."""
-# pyright: reportArgumentType=false
 
 import cv2
 import numpy as np

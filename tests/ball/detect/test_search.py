@@ -1,5 +1,4 @@
 """The search for unknown discs: lattices against the mask, discs drawn at any place, what is none, what is put off."""
-# pyright: reportArgumentType=false
 
 from dataclasses import replace
 

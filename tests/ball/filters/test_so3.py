@@ -1,5 +1,4 @@
 """The default filter: its derivatives, its covariance against sampling and NEES, its map, and a hand on the ball."""
-# pyright: reportArgumentType=false, reportCallIssue=false
 
 from dataclasses import replace
 

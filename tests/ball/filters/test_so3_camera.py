@@ -1,5 +1,4 @@
 """The camera of the default filter: pose and ball, wrong in every frame alike, and a rolling shutter."""
-# pyright: reportArgumentType=false, reportPossiblyUnboundVariable=false
 
 from dataclasses import replace
 

@@ -1,5 +1,4 @@
 """The classic filters, against the printed equations, finite differences, and a ball whose motion is known."""
-# pyright: reportOperatorIssue=false, reportPossiblyUnboundVariable=false
 
 from dataclasses import replace
 

@@ -1,5 +1,4 @@
 """Corners of a board in an image, and the camera they give: against OpenCV, against truth, against chance."""
-# pyright: reportArgumentType=false, reportCallIssue=false
 
 import cv2
 import numpy as np

@@ -1,5 +1,4 @@
 """`spheremouse calibrate print`: pages are true to scale, OpenCV and the tracker find what is on them."""
-# pyright: reportOptionalSubscript=false
 
 import re
 from pathlib import Path

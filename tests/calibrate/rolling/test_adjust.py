@@ -1,5 +1,4 @@
 """Rolling: the ball's place, the discs and their covariances, from sightings simulated and from recordings."""
-# pyright: reportArgumentType=false, reportOptionalMemberAccess=false, reportPossiblyUnboundVariable=false
 
 import json
 from dataclasses import replace

@@ -1,5 +1,4 @@
 """`spheremouse doctor`: each fault is reported with its number and remedy, whatever else is wrong."""
-# pyright: reportArgumentType=false, reportOptionalMemberAccess=false
 
 import json
 import os
@@ -58,7 +57,7 @@ def one(found, subject, name):
 
 def film_of(options, seconds, size="[512,384]"):
     spec = f"synthetic:seconds={seconds + 0.1},size={size},{options}"
-    return film(read_run_config(CommandLineOverrides(source=spec, output="null")), seconds, None)
+    return film(read_run_config(CommandLineOverrides(source=spec, outputs=("null",))), seconds, None)
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +71,7 @@ def seen(good):
     """The camera's pose from the targets of that film, and what sees discs."""
     footage = good
     rig = footage.rig
-    settings = read_run_config(CommandLineOverrides(source="null", output="null")).configuration
+    settings = read_run_config(CommandLineOverrides(source="null", outputs=("null",))).configuration
     pose, _ = sights.targets(footage.views, rig, settings)
     return sights.sight(rig, pose, settings)[0]
 
@@ -148,14 +147,14 @@ def test_a_configuration_that_cannot_be_read_is_told_with_its_line_and_the_rest_
 def test_each_problem_of_a_file_is_a_line_with_its_advice(tmp_path):
     config = tmp_path / "config.yaml"
     config.write_text("schema: 2\ndiscs:\n  contrast: much\n  contrst: 1\nrig: gone.yaml\n")
-    _, found = files.read(CommandLineOverrides(config, source="null", output="null"), None)
+    _, found = files.read(CommandLineOverrides(config, source="null", outputs=("null",)), None)
     assert [f.text.partition(": ")[0] for f in found] == [f"{config}:3", f"{config}:4"]
     assert all(str(config) not in f.advice for f in found)
     assert [f.verdict for f in found] == [WRONG, WRONG]
 
 
 def test_a_source_that_gives_nothing_leaves_the_other_subjects(tmp_path):
-    found = examined(source=f"dataset:{tmp_path / 'gone'}", output="text:-")
+    found = examined(source=f"dataset:{tmp_path / 'gone'}", outputs=("text:-",))
     assert one(found, "camera", "film").verdict is WRONG
     assert ("picture", "targets") not in found
     assert one(found, "output", "output").verdict is OK
@@ -356,7 +355,7 @@ def test_blur_is_a_matter_of_how_long_the_shutter_is_open(seen):
 
 
 def test_targets_that_moved_against_the_rig_are_told(far26):
-    plan = read_run_config(CommandLineOverrides(source=f"dataset:{far26}", output="null"))
+    plan = read_run_config(CommandLineOverrides(source=f"dataset:{far26}", outputs=("null",)))
     footage = film(plan, 0.5, None)
     rig, settings = footage.rig, plan.configuration
     assert rig is not None
@@ -382,7 +381,7 @@ def test_targets_that_moved_against_the_rig_are_told(far26):
 
 
 def test_discs_that_are_too_small_or_a_covered_ball_are_told(far26):
-    plan = read_run_config(CommandLineOverrides(source=f"dataset:{far26}", output="null"))
+    plan = read_run_config(CommandLineOverrides(source=f"dataset:{far26}", outputs=("null",)))
     footage = film(plan, 0.2, None)
     rig, settings = footage.rig, plan.configuration
     assert rig is not None
@@ -504,11 +503,11 @@ def test_what_the_daemon_was_told_on_its_command_line_is_looked_at(tmp_path):
     config = Place(tmp_path).configuration / "config.yaml"
     config.parent.mkdir(parents=True)
     config.write_text("schema: 2\n")
-    told = {"config": None, "rig": "/r.yaml", "map": None, **{k: STATUS[k] for k in ("source", "output")}}
+    told = {"config": None, "rig": "/r.yaml", "map": None, **{k: STATUS[k] for k in ("source", "outputs")}}
     for kept in (None, "/m.yaml"):
         assert files.usual(CommandLineOverrides(), StatusReport.read({**told, "map": kept})) == CommandLineOverrides(
             source="v4l2:/dev/video7",
-            output="uinput",
+            outputs=("uinput",),
             rig=Path("/r.yaml"),
             map=kept and Path(kept),
             no_map=kept is None,
@@ -544,7 +543,7 @@ STATUS = {
     "state": "tracking", "reason": "the ball is followed", "fps": 60.0,
     "latency_ms": {"p50": 9.0, "p99": 14.0, "max": 20.0},
     "discs": 9, "discs_seen": 11, "discs_known": 26, "frames": 10000, "skipped": 3, "dropped": 2, "damaged": 0,
-    "pose": {"age_s": 7200.0}, "output": {"spec": "uinput", "failed": None, "reports": 5},
+    "pose": {"age_s": 7200.0}, "outputs": [{"spec": "uinput", "failed": None, "reports": 5}],
     "source": {"spec": "v4l2:/dev/video7", "description": "/dev/video7: MJPG"}, "version": doctor.running.__version__,
     "pid": 812, "uptime_s": 3600.0,
 }  # fmt: skip
@@ -561,7 +560,7 @@ STATUS = {
         ({"dropped": 500}, "frames", WARNING),
         ({"latency_ms": {"p50": 9.0, "p99": 40.0, "max": 50.0}}, "latency", WARNING),
         ({"discs": 2}, "discs", WARNING),
-        ({"output": {"spec": "uinput", "failed": "gone; plug it in", "reports": 5}}, "sending", WRONG),
+        ({"outputs": [{"spec": "uinput", "failed": "gone; plug it in", "reports": 5}]}, "sending", WRONG),
     ],
 )
 def test_what_the_daemon_says_of_itself(change, name, verdict):
@@ -585,7 +584,7 @@ def test_a_daemon_that_runs_keeps_its_camera(tmp_path_factory, monkeypatch):
     with ControlServer(path, ControlSettings(), lambda pending: pending.answer(dict(STATUS))):
         sections = {
             s.subject: s.findings
-            for s in doctor.examine(CommandLineOverrides(source="v4l2:7", output="null"), socket=path)
+            for s in doctor.examine(CommandLineOverrides(source="v4l2:7", outputs=("null",)), socket=path)
         }
     (told,) = [f for f in sections["camera"] if f.name == "film"]
     assert told.verdict is UNCHECKED

@@ -1,5 +1,4 @@
 """The measuring instrument: figures against hand-made errors, SciPy and a batch adjustment; the command's words."""
-# pyright: reportArgumentType=false, reportOptionalMemberAccess=false, reportCallIssue=false
 
 import json
 import math

@@ -1,5 +1,4 @@
 """Datasets: what is written comes back, and what is wrong with a folder is said in one line that names the file."""
-# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
 import csv
 import json

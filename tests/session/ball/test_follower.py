@@ -47,10 +47,11 @@ def watched(options, covered=(0.0, 0.0), level=170, disc=1.0):
         made = adapter.follow(replace(filmed.frame, image=image))
         assert made is not None
         seen.reasons.append(adapter.reason)
-        seen.confirmed.append(made.report.estimate.confirmed)
+        seen.confirmed.append(made.samples[0].estimate.confirmed)
         seen.stamps.append(stamp)
-        seen.counts = np.concatenate([seen.counts, [made.report.counts]])
-        seen.integral = seen.integral + matrix @ made.report.estimate.increment[:3]
+        counts, _ = adapter.mapping.counts(made.samples[0].estimate)
+        seen.counts = np.concatenate([seen.counts, [counts]])
+        seen.integral = seen.integral + matrix @ made.samples[0].estimate.increment[:3]
         seen.fastest = max(seen.fastest, float(np.linalg.norm(filmed.rate)))
         if line := adapter.take_messages().change:
             seen.news.append((stamp, line))

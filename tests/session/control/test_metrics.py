@@ -82,7 +82,7 @@ def test_the_figures_are_those_of_the_status(scrape):
     for name, key in counters.items():
         assert value(name) == status[key]
         assert kinds["spheremouse_" + name] == "counter"
-    assert value("reports_total") == status["output"]["reports"]
+    assert value("reports_total") == status["outputs"][0]["reports"]
     for quantile, key in (("0.5", "p50"), ("0.99", "p99"), ("1", "max")):
         assert value("latency_seconds", quantile=quantile) == pytest.approx(status["latency_ms"][key] / 1000, rel=1e-12)
     for stage, values in status["stages_ms"].items():
@@ -107,7 +107,7 @@ def test_what_is_not_known_is_left_out(scrape):
 
 def test_a_failed_output_and_a_recording_show(scrape):
     status = a_status()
-    status["output"] |= {"failed": "/dev/uinput: gone"}
+    status["outputs"][0] |= {"failed": "/dev/uinput: gone"}
     status["recording"] = {"folder": "/r", "frames": 1, "seconds": 1.0, "bytes": 1, "dropped": 0}
     samples, _ = scrape(status)
     assert samples["spheremouse_output_failed", ()] == 1.0
@@ -116,7 +116,7 @@ def test_a_failed_output_and_a_recording_show(scrape):
 
 def test_no_path_of_a_file_is_given_out(monkeypatch):
     monkeypatch.setattr(metrics, "_REST", 0.0)
-    status = a_status() | {"reason": "/home/somebody/secret", "output": {"spec": "text:/home/somebody/log"}}
+    status = a_status() | {"reason": "/home/somebody/secret", "outputs": [{"spec": "text:/home/somebody/log"}]}
     with serve(lambda: StatusReport.read(status)) as server:
         text = get(server)[1]
     assert "/" not in re.sub(r"^# .*", "", text, flags=re.M)

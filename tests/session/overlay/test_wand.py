@@ -162,7 +162,7 @@ def test_an_overlay_destroys_nothing_that_the_run_needs(tmp_path, name):
     save_wand(tmp_path / "ball.avi", BALL)
     (tmp_path / "folder.mp4").mkdir()
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
-    words = ["--output", f"text:{tmp_path / 'out.mp4'}", "--axes", str(tmp_path / "axes.png")]
+    words = ["--output", f"text:{tmp_path / 'out.mp4'}", "--output", f"text:{tmp_path / 'axes.png'}"]
     told = CliRunner().invoke(
         app, ["run", "--tracker", "wand", "--source", f"dataset:{tmp_path / 'film'}", *words,
               "--ball", str(tmp_path / "ball.avi"), "--overlay", str(tmp_path / name)],

@@ -4,6 +4,7 @@ Laws that hold in every test, checked at its end: nothing is sent but while the 
 was sent or was counted as unsent; every raw frame was given back.
 """
 
+import json
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -35,7 +36,7 @@ realtime: "off"
 pointer: {{horizon: 0}}
 control: {{socket: {folder}/s}}
 record: {{folder: {folder}/recordings, seconds: 20}}
-wand: {{axes: {axes}}}
+wand: {{points: 1}}
 """
 PATIENCE = 30.0  # s
 
@@ -44,7 +45,7 @@ class WandWorld(World):
     """A hand-held ball before the daemon's camera."""
 
     def __init__(self, film, shots, folder):
-        (folder / "config.yaml").write_text(CONFIG.format(folder=folder, axes="null"))
+        (folder / "config.yaml").write_text(CONFIG.format(folder=folder))
         images = [s.frame.image for s in shots]
         super().__init__(Film(images, images, np.array([s.rotation[0] for s in shots]), None), folder)
         self.scene, self.setup = film.scene, Setup(camera=film.scene.camera)
@@ -57,9 +58,9 @@ class WandWorld(World):
             return np.full_like(image, 90)
         return image[:, :, 0] if fault == "grey" else image
 
-    def start(self, axes=None, frames=None):
-        self.config.write_text(CONFIG.format(axes="null" if axes is None else axes, folder=self.folder))
-        super().start(watch=lambda made, _: self.frames.append((made.epoch, made.report)), frames=frames)
+    def start(self, frames=None):
+        self.config.write_text(CONFIG.format(folder=self.folder))
+        super().start(watch=lambda made, report, _: self.frames.append((made.epoch, report)), frames=frames)
 
     def log_after_start(self):
         """What was logged since it began to track."""
@@ -90,10 +91,10 @@ class WandWorld(World):
 
     def check_laws(self):
         given = np.sum([r.counts for _, r in self.frames], axis=0) if self.frames else np.zeros(3)
-        status = self.daemon._outputs.pointer.status()
+        status = self.daemon._outputs.status()[0][1]
         assert np.array_equal(self.counts + status.unsent + left_over(self.daemon), given)
         seen = {e.frame.stamp for e, _ in self.frames if e.poses[0].seen}
-        assert all(m.estimate.stamp in seen for m in self.sent if any(m.counts))
+        assert all(m.stamp in seen for m in self.sent if any(m.counts))
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +106,7 @@ def film():
 
 @pytest.fixture
 def world(film, tmp_path, quick_daemon):
-    yield from quick_daemon(WandWorld(*film, tmp_path), "spheremouse.session.wand.adapter.open_output")
+    yield from quick_daemon(WandWorld(*film, tmp_path), "spheremouse.session.outputs.open_output")
 
 
 @pytest.fixture
@@ -197,16 +198,18 @@ def test_it_ends_when_the_reader_has_gone_and_after_as_many_frames_as_were_wante
     assert other.error is None
 
 
-def test_axes_are_written_beside_the_pointer(world, tmp_path):
-    path = tmp_path / "axes.txt"
-    world.start(path)
+def test_samples_are_written_beside_the_pointer(world, tmp_path):
+    path = tmp_path / "samples.jsonl"
+    world.start()
+    world.heard("tracking: grzonka is followed")
+    world.config.write_text(world.config.read_text().replace("sink:quiet", f"['sink:quiet', 'text:{path}']"))
+    world.client.ask("reload")
     world.turn(10)
     world.asked = True
     world.join()
-    rows = [line.split() for line in path.read_text().splitlines() if not line.startswith("#")]
-    stamps = {repr(e.frame.stamp): r.counts for e, r in world.frames}
-    assert len(rows) > 10
-    assert all(tuple(map(int, row[13:16])) == stamps[row[0]] for row in rows)
+    counts = {e.frame.stamp: list(r.counts) for e, r in world.frames}
+    assert len(rows(path)) > 10
+    assert all(row["counts"] == counts[row["stamp"]] for row in rows(path))
 
 
 # ---- what is asked of it ----
@@ -270,7 +273,7 @@ def test_other_balls_are_looked_for_and_a_changed_file_is_heard_of(playing, monk
     monkeypatch.setattr("spheremouse.session.service._EVERY", 0.05)
     ball = playing.scene.balls[0].ball
     (playing.folder / "mine.yaml").write_text(wand_text(replace(ball, name="mine")))
-    playing.config.write_text(playing.config.read_text().replace("axes: null", "balls: [mine.yaml]"))
+    playing.config.write_text(playing.config.read_text().replace("points: 1", "balls: [mine.yaml]"))
     playing.heard("configuration applied: wand.balls [] → ['mine.yaml'], balls")
     playing.heard("tracking: mine is followed")
     (playing.folder / "mine.yaml").write_text(wand_text(replace(ball, name="hers")))
@@ -279,41 +282,36 @@ def test_other_balls_are_looked_for_and_a_changed_file_is_heard_of(playing, monk
 
 
 def rows(path):
-    return [line.split() for line in path.read_text().splitlines() if not line.startswith("#")] if path.exists() else []
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
-def test_axes_begin_when_they_are_asked_for_and_the_pointer_stays(playing):
-    path, opened = playing.folder / "axes.txt", len(playing.outputs)
-    assert playing.client.ask("set", assignments=[f"wand.axes={path}"])["changed"] == ["axes"]
-    playing.until(lambda: len(rows(path)) > 10, "axes")
-    assert len(playing.outputs) == opened
+def test_a_second_output_begins_when_it_is_asked_for_and_goes_on_with_other_balls(playing):
+    path, ball, opened = playing.folder / "axes.txt", playing.scene.balls[0].ball, len(playing.outputs)
+    main = playing.outputs[0]
+    assert playing.client.ask("set", assignments=[f"output=['{main}', 'text:{path}']"])["changed"] == ["output"]
+    playing.until(lambda: len(rows(path)) > 10, "samples")
+    assert len(playing.outputs) == opened + 1  # the pointer's stays open
     near(*playing.turn(20))
-
-
-def test_axes_go_on_with_other_balls(playing):
-    path, ball = playing.folder / "axes.txt", playing.scene.balls[0].ball
-    playing.client.ask("set", assignments=[f"wand.axes={path}"])
-    playing.until(lambda: len(rows(path)) > 3, "axes")
     (playing.folder / "mine.yaml").write_text(wand_text(replace(ball, name="mine")))
     playing.client.ask("set", assignments=["wand.balls=[mine.yaml]"])
     playing.heard("tracking: mine is followed")
-    n = len(rows(path))
-    playing.until(lambda: len(rows(path)) > n + 5, "axes")
+    playing.until(lambda: rows(path)[-1]["name"] == "mine", "samples")
+    assert len(rows(path)[-1]["position"]) == 3
 
 
 def test_without_another_thread_no_output_is_changed(playing, monkeypatch):
-    path, other = playing.folder / "axes.txt", playing.folder / "other.txt"
-    playing.client.ask("set", assignments=[f"wand.axes={path}"])
-    playing.until(lambda: len(rows(path)) > 3, "axes")
+    path, main = playing.folder / "axes.txt", playing.outputs[0]
+    playing.client.ask("set", assignments=[f"output=['{main}', 'text:{path}']"])
+    playing.until(lambda: len(rows(path)) > 3, "samples")
 
     def none(_):
         raise ControlError("refuses a new thread")
 
     monkeypatch.setattr("spheremouse.session.outputs.begin", none)
     with pytest.raises(ControlError, match="refuses a new thread"):
-        playing.client.ask("set", assignments=[f"wand.axes={other}"])
+        playing.client.ask("set", assignments=["output=['null']"])
     n = len(rows(path))
-    playing.until(lambda: len(rows(path)) > n + 5, "axes")
+    playing.until(lambda: len(rows(path)) > n + 5, "samples")
     near(*playing.turn(20))
 
 
@@ -354,7 +352,7 @@ def test_a_recording_is_tracked_again_to_the_last_bit(world, tmp_path):
     recording = open_wand(folder)
     live = {e.frame.stamp: (e, r) for e, r in world.frames}
     setup = Setup(camera=recording.camera)
-    plan = read_run_config(CommandLineOverrides(folder / "config.yaml", source=f"dataset:{folder}", output="null"))
+    plan = read_run_config(CommandLineOverrides(folder / "config.yaml", source=f"dataset:{folder}", outputs=("null",)))
     adapter = setup.adapter(plan, lambda _: None, lambda _, work: work())
     seen = 0
     for frame in read_frames(recording):
@@ -362,7 +360,7 @@ def test_a_recording_is_tracked_again_to_the_last_bit(world, tmp_path):
         assert np.array_equal(frame.image, epoch.frame.image)
         assert frame.sequence == epoch.frame.sequence
         made = adapter.follow(frame)
-        assert made.report.counts == report.counts
+        assert adapter.mapping.counts(made.samples[0].estimate)[0] == report.counts
         (a,), (b,) = made.epoch.poses, epoch.poses
         assert a.seen == b.seen
         if a.seen:

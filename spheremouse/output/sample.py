@@ -1,0 +1,161 @@
+"""A sample: the estimate of one ball at one frame, as a run publishes it, and its form in JSON.
+
+Every output gets the same samples. All numbers are in SI units and radians. docs/outputs.md and
+docs/sample.schema.json describe the JSON object.
+"""
+
+import json
+from math import isfinite
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from spheremouse.geometry.rotation import Array, to_quaternion
+from spheremouse.tracker import Estimate, Status
+from spheremouse.wand.axes import estimated_axes
+
+StillAxes = Literal["obj", "cam"]
+
+
+class Sample(NamedTuple):
+    """The estimate of one ball at one frame, with wall clock, latency and events."""
+
+    estimate: Estimate
+    ball: int = 1  # number of the ball, from 1
+    name: str = "ball"
+    coordinates: StillAxes = "obj"  # of all vectors: obj of the ball in its frame, cam of a hand-held ball
+    events: tuple[str, ...] = ()  # names of changes with this frame, for example "ball-lost"
+    wall: float | None = None  # s since 1970 (UTC) at the exposure; None for a recording
+    latency: float | None = None  # s from the exposure to publication; None for a recording
+
+    @property
+    def sequence(self) -> int:
+        """Number of frames since the tracker began."""
+        return self.estimate.sequence
+
+    @property
+    def stamp(self) -> float:
+        """Mid-exposure, s, on the source's own clock."""
+        return self.estimate.stamp
+
+    @property
+    def status(self) -> Status:
+        """Phase of tracking."""
+        return self.estimate.status
+
+    @property
+    def confirmed(self) -> bool:
+        """True if this frame supports the estimate; False if it is a prediction."""
+        return self.estimate.confirmed
+
+    @property
+    def rotation(self) -> Array:
+        """Attitude, (3, 3), from the ball's axes to the still axes."""
+        return self.estimate.rotation
+
+    @property
+    def quaternion(self) -> Array:
+        """Attitude as a unit quaternion (w, x, y, z), w >= 0."""
+        return to_quaternion(self.estimate.rotation)
+
+    @property
+    def position(self) -> Array:
+        """Position, (3,) m; zero for the ball in its frame."""
+        return self.estimate.position
+
+    @property
+    def rate(self) -> Array:
+        """Angular velocity, (3,) rad/s."""
+        return self.estimate.rate[:3]
+
+    @property
+    def velocity(self) -> Array:
+        """Velocity of the centre, (3,) m/s."""
+        return self.estimate.rate[3:]
+
+    @property
+    def increment(self) -> Array:
+        """Rotation vector since the last confirmed estimate, (3,) rad."""
+        return self.estimate.increment[:3]
+
+    @property
+    def shift(self) -> Array:
+        """Motion of the centre since the last confirmed estimate, (3,) m."""
+        return self.estimate.increment[3:]
+
+    @property
+    def attitude_covariance(self) -> Array:
+        """Covariance of the attitude error e, exp(e) @ rotation, (3, 3) rad²."""
+        return self.estimate.covariance[:3, :3]
+
+    @property
+    def position_covariance(self) -> Array:
+        """Covariance of the position, (3, 3) m²."""
+        return self.estimate.covariance[3:6, 3:6]
+
+    @property
+    def rate_covariance(self) -> Array:
+        """Covariance of the angular velocity, (3, 3) rad²/s²."""
+        return self.estimate.covariance[6:9, 6:9]
+
+    @property
+    def increment_covariance(self) -> Array:
+        """Covariance of the increment, (3, 3) rad²."""
+        return self.estimate.increment_covariance[:3, :3]
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations of the attitude about the still axes, (3,) rad."""
+        return np.sqrt(np.diag(self.attitude_covariance).clip(0.0))
+
+    @property
+    def statistics(self) -> dict[str, float]:
+        """Figures of the frame by name, for example `discs_used`."""
+        return dict(self.estimate.statistics)
+
+
+def to_object(sample: Sample, counts: tuple[int, int, int]) -> dict[str, Any]:
+    """Return the sample and its mouse counts as a JSON object. Values that are unknown are None.
+
+    Attitude, motion and their covariances are None unless the ball is tracked. A hand-held ball has position, velocity
+    and yaw, pitch, roll besides.
+    """
+    tracked = sample.status is Status.TRACKING
+    made: dict[str, Any] = {
+        "sequence": sample.sequence,
+        "stamp": float(sample.stamp),
+        "wall": sample.wall,
+        "latency": sample.latency,
+        "ball": sample.ball,
+        "name": sample.name,
+        "coordinates": sample.coordinates,
+        "status": str(sample.status),
+        "confirmed": bool(sample.confirmed),
+        "events": list(sample.events),
+        "counts": list(counts),
+        "quaternion": _numbers(sample.quaternion, tracked),
+        "rate": _numbers(sample.rate, tracked),
+        "increment": _numbers(sample.increment, tracked),
+        "attitude_covariance": _numbers(sample.attitude_covariance, tracked),
+        "rate_covariance": _numbers(sample.rate_covariance, tracked),
+        "increment_covariance": _numbers(sample.increment_covariance, tracked),
+    }
+    if sample.coordinates == "cam":
+        made |= {
+            "position": _numbers(sample.position, tracked),
+            "velocity": _numbers(sample.velocity, tracked),
+            "shift": _numbers(sample.shift, tracked),
+            "position_covariance": _numbers(sample.position_covariance, tracked),
+            "yaw_pitch_roll": _numbers(estimated_axes(sample.estimate).angles, True) if tracked else None,
+        }
+    made["statistics"] = {name: v if isfinite(v) else None for name, v in sample.estimate.statistics.items()}
+    return made
+
+
+def to_json(sample: Sample, counts: tuple[int, int, int]) -> str:
+    """Return the JSON object of `to_object` in one line; every number reads back exactly."""
+    return json.dumps(to_object(sample, counts), separators=(",", ":"), allow_nan=False)
+
+
+def _numbers(values: Array, known: bool) -> list[Any] | None:
+    return values.tolist() if known and np.isfinite(values).all() else None

@@ -1,0 +1,79 @@
+"""A sample as JSON: it is the estimate, digit by digit; unknown values are null."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from spheremouse.output import Report
+from spheremouse.output.lines import json_lines
+from spheremouse.output.sample import Sample, to_json
+from spheremouse.tracker import Status, unknown
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def estimate(seed, status=Status.TRACKING):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(12, 12))
+    return unknown(rng.normal(), 7, status)._replace(
+        rotation=Rotation.random(random_state=rng).as_matrix(),
+        position=rng.normal(size=3),
+        rate=rng.normal(size=6),
+        covariance=A @ A.T,
+        increment=rng.normal(size=6),
+        increment_covariance=(A @ A.T)[:6, :6],
+        confirmed=True,
+        statistics={"discs_used": 5, "chi2": float("nan")},
+    )
+
+
+@given(SEEDS)
+def test_every_number_reads_back_exactly(seed):
+    e = estimate(seed)
+    read = json.loads(to_json(Sample(e, wall=1.7e9, latency=0.01, events=("ball-lost",)), (1, -2, 3)))
+    assert (read["sequence"], read["stamp"], read["wall"], read["latency"]) == (7, e.stamp, 1.7e9, 0.01)
+    assert (read["coordinates"], read["status"], read["confirmed"], read["counts"]) == (
+        "obj",
+        "tracking",
+        True,
+        [1, -2, 3],
+    )
+    assert (read["events"], read["statistics"]) == (["ball-lost"], {"discs_used": 5, "chi2": None})
+    assert np.array_equal(read["rate"], e.rate[:3])
+    assert np.array_equal(read["increment"], e.increment[:3])
+    assert np.array_equal(read["attitude_covariance"], e.covariance[:3, :3])
+    assert np.array_equal(read["rate_covariance"], e.covariance[6:9, 6:9])
+    assert np.array_equal(read["increment_covariance"], e.increment_covariance[:3, :3])
+    w, x, y, z = read["quaternion"]
+    assert w >= 0.0
+    assert np.allclose(Rotation.from_quat([x, y, z, w]).as_matrix(), e.rotation, rtol=0.0, atol=1e-14)
+
+
+@given(SEEDS)
+def test_a_ball_in_a_hand_has_a_position_too(seed):
+    e = estimate(seed)
+    read = json.loads(to_json(Sample(e, 2, "blue", "cam"), (0, 0, 0)))
+    assert (read["ball"], read["name"], read["coordinates"]) == (2, "blue", "cam")
+    assert np.array_equal(read["position"], e.position)
+    assert np.array_equal(read["velocity"], e.rate[3:])
+    assert np.array_equal(read["shift"], e.increment[3:])
+    assert np.array_equal(read["position_covariance"], e.covariance[3:6, 3:6])
+    assert len(read["yaw_pitch_roll"]) == 3
+
+
+@pytest.mark.parametrize("status", [Status.SEARCHING, Status.LOST])
+def test_a_ball_that_is_not_tracked_has_no_attitude(status):
+    read = json.loads(to_json(Sample(estimate(1, status)), (0, 0, 0)))
+    assert read["status"] == str(status)
+    assert read["quaternion"] is read["rate"] is read["attitude_covariance"] is None
+
+
+def test_the_counts_are_those_of_the_ball_that_points():
+    samples = tuple(Sample(estimate(k), k + 1, coordinates="cam") for k in range(3))
+    lines = [json.loads(line) for line in json_lines(Report((4, 5, 6), None, 0.0, samples, pointing=1))]
+    assert [line["counts"] for line in lines] == [[0, 0, 0], [4, 5, 6], [0, 0, 0]]
+    assert [line["ball"] for line in lines] == [1, 2, 3]
