@@ -137,6 +137,15 @@ def to_quaternion(R: Array) -> Array:
     return np.concatenate([np.cos(0.5 * angle), half_sinc * v], axis=-1)
 
 
+def from_quaternion(q: Array) -> Array:
+    """Return the rotation matrix, (3, 3), of a quaternion (w, x, y, z) of any length but zero, else ValueError."""
+    if not q.any():
+        raise ValueError("the quaternion is zero")
+    u = q / np.linalg.norm(q)
+    w, V = u[0], hat(u[1:])
+    return np.eye(3) + 2.0 * (w * V + V @ V)
+
+
 def left_jacobian(v: Array) -> Array:
     """Return Jl with exp(v + dv) = exp(Jl(v) dv) exp(v) to first order, (..., 3) -> (..., 3, 3)."""
     v = np.asarray(v, dtype=np.float64)

@@ -5,13 +5,14 @@ docs/sample.schema.json describe the JSON object.
 """
 
 import json
+from collections.abc import Mapping
 from math import isfinite
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from spheremouse.geometry.rotation import Array, to_quaternion
-from spheremouse.tracker import Estimate, Status
+from spheremouse.geometry.rotation import Array, from_quaternion, to_quaternion
+from spheremouse.tracker import Estimate, Status, unknown
 from spheremouse.wand.axes import estimated_axes
 
 StillAxes = Literal["obj", "cam"]
@@ -155,6 +156,49 @@ def to_object(sample: Sample, counts: tuple[int, int, int]) -> dict[str, Any]:
 def to_json(sample: Sample, counts: tuple[int, int, int]) -> str:
     """Return the JSON object of `to_object` in one line; every number reads back exactly."""
     return json.dumps(to_object(sample, counts), separators=(",", ":"), allow_nan=False)
+
+
+def from_object(read: Mapping[str, Any]) -> Sample:
+    """Return the sample of a JSON object of `to_object`, without its counts. Raises ValueError if it is none.
+
+    The object has no covariances between attitude, position and rate, and none of the velocity: they are zero. So are
+    values that are None, except that an unknown attitude is the identity, and an unknown figure of the statistics nan.
+    """
+    try:
+        quaternion = read["quaternion"]
+        zero = unknown(float(read["stamp"]), int(read["sequence"]), Status(read["status"]))
+        covariance, increment_covariance = zero.covariance.copy(), zero.increment_covariance.copy()
+        covariance[:3, :3] = _array(read, "attitude_covariance", 3, 3)
+        covariance[3:6, 3:6] = _array(read, "position_covariance", 3, 3)
+        covariance[6:9, 6:9] = _array(read, "rate_covariance", 3, 3)
+        increment_covariance[:3, :3] = _array(read, "increment_covariance", 3, 3)
+        estimate = zero._replace(
+            rotation=zero.rotation if quaternion is None else from_quaternion(_array(read, "quaternion", 4)),
+            position=_array(read, "position", 3),
+            rate=np.concatenate([_array(read, "rate", 3), _array(read, "velocity", 3)]),
+            covariance=covariance,
+            increment=np.concatenate([_array(read, "increment", 3), _array(read, "shift", 3)]),
+            increment_covariance=increment_covariance,
+            confirmed=bool(read["confirmed"]),
+            statistics={str(k): np.nan if v is None else float(v) for k, v in read["statistics"].items()},
+        )
+        wall, latency = (None if read[key] is None else float(read[key]) for key in ("wall", "latency"))
+        still: StillAxes = "cam" if read["coordinates"] == "cam" else "obj"
+        return Sample(
+            estimate, int(read["ball"]), str(read["name"]), still, tuple(map(str, read["events"])), wall, latency
+        )
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as e:
+        raise ValueError(f"this is no JSON object of a sample: {e}") from None
+
+
+def _array(read: Mapping[str, Any], key: str, *shape: int) -> Array:
+    """Return finite numbers of a shape; zeros if there are none."""
+    if read.get(key) is None:
+        return np.zeros(shape)
+    values = np.array(read[key], dtype=float)
+    if values.shape != shape or not np.isfinite(values).all():
+        raise ValueError(f"{key} must be finite numbers of shape {shape}")
+    return values
 
 
 def _numbers(values: Array, known: bool) -> list[Any] | None:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from spheremouse.output import Report
 from spheremouse.output.lines import json_lines
-from spheremouse.output.sample import Sample, to_json
+from spheremouse.output.sample import Sample, from_object, to_json, to_object
 from spheremouse.tracker import Status, unknown
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -77,3 +77,38 @@ def test_the_counts_are_those_of_the_ball_that_points():
     lines = [json.loads(line) for line in json_lines(Report((4, 5, 6), None, 0.0, samples, pointing=1))]
     assert [line["counts"] for line in lines] == [[0, 0, 0], [4, 5, 6], [0, 0, 0]]
     assert [line["ball"] for line in lines] == [1, 2, 3]
+
+
+def read_back(sample):
+    return from_object(json.loads(to_json(sample, (0, 0, 0))))
+
+
+@pytest.mark.parametrize("status", Status)
+@pytest.mark.parametrize("coordinates", ["obj", "cam"])
+@given(SEEDS)
+def test_the_object_of_a_sample_is_that_of_the_sample_read_from_it(coordinates, status, seed):
+    sample = Sample(estimate(seed, status), 2, "blue", coordinates, ("ball-lost", "map-begun"), 1.7e9, 0.01)
+    there, again = (to_object(s, (0, 0, 0)) for s in (sample, read_back(sample)))
+    for key in ("quaternion", "yaw_pitch_roll"):  # these alone are rounded
+        one, other = there.pop(key, None), again.pop(key, None)
+        assert (one is None) == (other is None)
+        assert one is None or np.allclose(one, other, rtol=0.0, atol=1e-9)
+    assert there == again
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"status": "asleep"},
+        {"stamp": None},
+        {"quaternion": [1.0, 0.0, 0.0]},
+        {"quaternion": [0.0, 0.0, 0.0, 0.0]},
+        {"rate": [1.0, 2.0, "fast"]},
+        {"rate": [1.0, 2.0, 1e999]},
+        {"statistics": [1]},
+        {"events": 3},
+    ],
+)
+def test_another_object_is_refused(change):
+    with pytest.raises(ValueError, match="no JSON object of a sample"):
+        from_object(to_object(Sample(estimate(1)), (0, 0, 0)) | change)
