@@ -31,8 +31,9 @@ def run(
         list[str] | None,
         typer.Option(
             metavar="KIND:ARG",
-            help="Target of the motion: auto, uinput, serial:auto, serial:PORT, desktop, text:-, text:FILE or null. "
-            "Repeat it for several; the first is the main one.  [default: `output` of the configuration]",
+            help="Target of the motion, for example uinput, serial:auto, text:-, csv:FILE, osc:HOST:PORT or null "
+            "(docs/outputs.md has all). Repeat it for several; the first is the main one.  "
+            "[default: `output` of the configuration]",
         ),
     ] = None,
     tracker: Annotated[
