@@ -577,7 +577,7 @@ def test_the_output_fails_and_comes_back(cabinet):
     until(lambda: cabinet.mouse.gone, "the mouse is still there")
     np.testing.assert_array_equal(cabinet.play(cabinet.onward(12))[0], 0)
     status = cabinet.reach("failed-output")
-    print(f"failed-output: {status['reason']}; unsent {status['output']['unsent']}")
+    print(f"failed-output: {status['reason']}; unsent {status['outputs'][0]['unsent']}")
     assert status["outputs"][0]["failed"] == status["reason"]
     assert mice() == []
     barred.rename("/dev/uinput")

@@ -1,9 +1,10 @@
-"""A hand-held ball between a camera and a mouse of a real kernel: a film on v4l2loopback; events and axes read back.
+"""A hand-held ball between a camera and a mouse of a real kernel: a film on v4l2loopback; events and samples read back.
 
 Run by tests/system/run after daemon.py, whose camera, mouse and processes it shares. FILMS names what film.py made.
 The camera gives YUYV, in which two columns share a colour: so the pictures are not those of the simulation.
 """
 
+import json
 import signal
 import subprocess
 from contextlib import suppress
@@ -52,10 +53,11 @@ class CameraRun:
     """A camera, and `spheremouse run` before it."""
 
     def __init__(self, folder):
-        self.folder, self.film, self.axes = folder, Hand(FILMS / "wand"), folder / "axes.txt"
+        self.folder, self.film, self.samples = folder, Hand(FILMS / "wand"), folder / "samples.jsonl"
         self.writer = Writer(self.film, 9, "YUYV", 0)
         source = f"v4l2:/dev/video9,width={W},height={H}"
-        words = ["--camera", self.film.folder / "camera.yaml", "--output", "uinput:third=rz", "--axes", self.axes]
+        words = ["--camera", self.film.folder / "camera.yaml", "--output", "uinput:third=rz"]
+        words += ["--output", f"text:{self.samples}"]
         words += ["--set", "pointer.horizon=0"]  # what is predicted too far on so slow a guest would stay ahead
         words += ["--set", f"control.socket={folder / 's'}"]
         self.client = Client(folder / "s")
@@ -66,32 +68,26 @@ class CameraRun:
         self.missed = self.counts() - self.mouse.counts  # while the first poses settled, and nobody read yet
 
     def counts(self):
-        """(3,) of all frames, as the axes tell them."""
-        told = np.genfromtxt(self.axes, names=True, dtype=None, encoding="utf-8")
-        return np.array([told[name].sum() for name in ("dx", "dy", "dz")])
+        """(3,) of all frames, as the samples have them."""
+        whole = self.samples.read_text().split("\n")[:-1]
+        return np.sum([json.loads(line)["counts"] for line in whole], axis=0)
 
     def last(self):
-        """The last whole line of the axes, by column."""
-        if not self.axes.exists():
-            return {}
-        head, _, *lines = [
-            *self.axes.read_text().split("\n")[:-1],
-            "",
-            "",
-        ]  # names, units, and two more while it is begun
-        return dict(zip(head.lstrip("# ").split(), lines[-3].split(), strict=True)) if len(lines) > 2 else {}
+        """The last whole sample."""
+        lines = self.samples.read_text().split("\n") if self.samples.exists() else []
+        return json.loads(lines[-2]) if len(lines) > 1 else {}
 
     def reach(self, state):
         def there():
             assert self.program.ended() is None, self.program.said
-            return self.last().get("state") == state
+            return self.last().get("status") == state
 
         until(there, lambda: f"not {state} but {self.last()}: {self.program.said}")
 
     def settle(self, seconds=4.0):
         """Wait until frames came for so long."""
-        now = float(self.last()["t"])
-        until(lambda: float(self.last()["t"]) > now + seconds, "no frames come")
+        now = float(self.last()["stamp"])
+        until(lambda: float(self.last()["stamp"]) > now + seconds, "no frames come")
 
     def play(self, way):
         """(3,) events that came for it."""
@@ -99,6 +95,11 @@ class CameraRun:
         self.writer.play(way, min(2.0 * INTERVAL, LONGEST))
         self.settle()
         return self.mouse.counts - before
+
+
+def sigma_of(sample):
+    """Largest standard deviation of the attitude, degrees."""
+    return np.degrees(np.sqrt(np.diag(sample["attitude_covariance"]).max()))
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +122,7 @@ def test_the_sum_of_events_is_what_the_hand_has_turned(desk):
     events = desk.play(way)
     truth, path = desk.film.counts(way)
     off, last = events - truth, desk.last()
-    sigma = max(float(last[angle]) for angle in ("syaw", "spitch", "sroll"))
+    sigma = sigma_of(last)
     print(f"hand: events {events.tolist()}, off {np.round(off).tolist()} of a path of {np.round(path).tolist()}")
     print(f"      the last pose is good to {sigma:.2f} degrees, of {COUNTS:.0f} counts")
     skipped = np.abs(desk.film.counts(way[::4])[0] - truth)  # turns do not commute: a frame may stand for several
@@ -130,11 +131,11 @@ def test_the_sum_of_events_is_what_the_hand_has_turned(desk):
     assert np.any(np.abs(truth) > 300.0), "nothing was asked"
 
 
-def test_axes_say_where_the_ball_is(desk):
-    last = {name: float(value) for name, value in desk.last().items() if name not in ("state", "ball")}
-    off = np.array([last[axis] for axis in "xyz"]) - desk.film.position[-1]
-    print(f"axes: off by {np.round(1e3 * off, 1).tolist()} mm")
-    sigma = np.array([last[f"s{axis}"] for axis in "xyz"])
+def test_samples_have_the_position_of_the_ball(desk):
+    last = desk.last()
+    off = np.array(last["position"]) - desk.film.position[-1]
+    print(f"position: off by {np.round(1e3 * off, 1).tolist()} mm")
+    sigma = np.sqrt(np.diag(last["position_covariance"]))
     assert np.all(np.abs(off) < 4.0 * sigma + (1e-3, 1e-3, 5e-3))
     assert np.all(sigma < (3e-3, 3e-3, 3e-2))
 
@@ -152,7 +153,7 @@ def test_it_is_asked_and_told_as_any_service(desk):
     until(lambda: desk.client.ask("status")["frames"] > worked_on + 20, "no frames come")  # of the ball at rest
     desk.client.ask("resume")
     desk.settle()
-    still = float(desk.last()["syaw"]) * COUNTS  # it may come to rest by as much
+    still = sigma_of(desk.last()) * COUNTS  # it may come to rest by as much
     assert np.all(np.abs(desk.mouse.counts - before) <= still + 1.0), "nothing moves while it is paused"
 
 
@@ -170,7 +171,7 @@ def test_a_camera_that_goes_is_waited_for_and_moves_nothing(desk):
 def test_ended_it_has_sent_what_it_tells(desk):
     assert desk.program.kill(signal.SIGTERM) == 0
     until(lambda: desk.mouse.gone, "the mouse is still there")
-    # the mouse's ledger: a frame under way at the pause may be in the axes and not here, or here and not there
+    # the mouse's ledger: a frame under way at the pause may be in the samples and not here, or here and not there
     np.testing.assert_array_equal(told_at_the_end(desk.program), desk.mouse.counts + desk.missed)
     assert "internal error" not in desk.program.said
     assert Path("/dev/video9").exists()
