@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from spheremouse.errors import OutputError
-from spheremouse.output import Report, open_output
+from spheremouse.output import Report, open_output, report_of
 from spheremouse.output.counts import Counter, MotionSettings
 from spheremouse.output.sample import Sample
-from spheremouse.tracker import unknown
+from spheremouse.tracker import Status, unknown
 
 PATIENCE = 20.0  # s, for what takes milliseconds
 
@@ -38,6 +38,12 @@ def report(
     increment = np.array([*rotation, 0.0, 0.0, 0.0], dtype=float)
     estimate = unknown(stamp)._replace(increment=increment, rate=turning, confirmed=confirmed)
     return Report((x, y, z), counts_rate if confirmed else None, stamp, (Sample(estimate),))
+
+
+def rolling(rate, settings=MotionSettings(), *, status=Status.TRACKING, confirmed=True, seen=Sample):  # noqa: B008
+    """One of a ball of 1.2 m diameter that turns at a rate (3,) rad/s in obj; `seen` makes the sample."""
+    moving = unknown(0.0, status=status)._replace(rate=np.array([*rate, 0, 0, 0], dtype=float), confirmed=confirmed)
+    return report_of((seen(moving),), Counter(settings.matrix(0.6)))
 
 
 def counts_of(motions, rig, settings=MotionSettings()):  # noqa: B008  frozen

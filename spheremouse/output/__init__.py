@@ -16,7 +16,7 @@ from spheremouse.output.sample import Sample
 from spheremouse.output.third_axis import left_out, sent_as
 from spheremouse.tracker import Estimate
 
-KINDS = ("auto", "desktop", "null", "osc", "serial", "text", "uinput")
+KINDS = ("auto", "desktop", "gamepad", "null", "osc", "serial", "text", "uinput")
 
 Counts = tuple[int, int, int]  # x, y and third axis
 Rate = tuple[float, float, float]  # counts/s

@@ -8,6 +8,7 @@ REL_WHEEL_HI_RES (one unit a count, 120 a notch), and REL_WHEEL for each whole n
 """
 
 import importlib.util
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -86,7 +87,8 @@ class UInput(Output):
 def open(argument: str) -> UInput:
     """Create the mouse."""
     third = check(argument)
-    return UInput(_create(third), third)
+    buttons, axes = [BTN_LEFT, BTN_RIGHT, BTN_MIDDLE], [REL_X, REL_Y, *_AXES[third]]
+    return UInput(create("uinput", NAME, PRODUCT, {EV_KEY: buttons, EV_REL: axes}), third)
 
 
 def check(argument: str) -> str:
@@ -96,10 +98,15 @@ def check(argument: str) -> str:
 
 def probe(argument: str, node: Path | None = None) -> list[Finding]:
     """Return whether this account may create a mouse."""
+    return probe_device("uinput", node)
+
+
+def probe_device(kind: str, node: Path | None = None) -> list[Finding]:
+    """Return whether this account may create a device for an output of a `kind`."""
     node = NODE if node is None else node
     if obstacle := _obstacle(node):
-        return [absent("uinput", *obstacle)] if _has_evdev() else [wrong("uinput", *obstacle)]
-    return [ok("uinput", f"{node} may be written")]
+        return [absent(kind, *obstacle)] if _has_evdev() else [wrong(kind, *obstacle)]
+    return [ok(kind, f"{node} may be written")]
 
 
 def _has_evdev() -> bool:
@@ -107,7 +114,7 @@ def _has_evdev() -> bool:
 
 
 def _obstacle(node: Path) -> tuple[str, str] | None:
-    """Return the reason why this account cannot create a mouse, and the remedy; None if it can."""
+    """Return the reason why this account cannot create a device, and the remedy; None if it can."""
     if not _has_evdev():
         return "needs Linux and the Python package evdev", "use another output: desktop, serial:auto"
     if not node.exists():
@@ -115,28 +122,29 @@ def _obstacle(node: Path) -> tuple[str, str] | None:
     return access_problem(node)
 
 
-def _create(third: str) -> Any:
+def create(kind: str, name: str, product: int, capabilities: dict[int, Sequence[Any]]) -> Any:
+    """Create an input device with evdev's `capabilities`. Raise OutputError with the `kind` of output if it cannot."""
     if obstacle := _obstacle(NODE):
         problem, hint = obstacle
-        raise OutputError(f"uinput: {problem}", hint)
+        raise OutputError(f"{kind}: {problem}", hint)
     import evdev
 
-    class Mouse(evdev.UInput):
+    class Device(evdev.UInput):
         """Does not open its own event node, because a service may write uinput but read no input device."""
 
         def _find_device(self, fd: int) -> Any:
             return None
 
     try:
-        return Mouse(
-            {EV_KEY: [BTN_LEFT, BTN_RIGHT, BTN_MIDDLE], EV_REL: [REL_X, REL_Y, *_AXES[third]]},
-            name=NAME,
+        return Device(
+            capabilities,
+            name=name,
             vendor=VENDOR,
-            product=PRODUCT,
+            product=product,
             version=VERSION,
             bustype=BUS,
-            phys=f"{NAME}/input0",
-            max_effects=0,  # the default of evdev declares force feedback, which no mouse has
+            phys=f"{name}/input0",
+            max_effects=0,  # the default of evdev declares force feedback, which none has
         )
     except (OSError, evdev.UInputError) as e:
-        raise OutputError(f"uinput: the kernel refuses to create the mouse: {' '.join(str(e).split())}") from None
+        raise OutputError(f"{kind}: the kernel refuses to create it: {' '.join(str(e).split())}") from None

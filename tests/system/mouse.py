@@ -1,4 +1,7 @@
-"""The mouse that output `uinput` makes, as another process sees it through the kernel. Run by tests/system/run."""
+"""The mouse and the gamepad of outputs `uinput` and `gamepad`, as another process sees them through the kernel.
+
+Run by tests/system/run.
+"""
 
 import json
 import os
@@ -12,7 +15,7 @@ import pytest
 import reporting
 
 from spheremouse.errors import OutputError
-from spheremouse.output import open_output, uinput
+from spheremouse.output import gamepad, open_output, uinput
 
 evdev = pytest.importorskip("evdev")
 e = evdev.ecodes
@@ -35,16 +38,16 @@ for event in device.read_loop():
 """
 
 
-def devices():
+def devices(name=uinput.NAME):
     """Input devices of our name."""
     found = [evdev.InputDevice(path) for path in evdev.list_devices()]
-    return [d for d in found if d.name == uinput.NAME]
+    return [d for d in found if d.name == name]
 
 
 @contextmanager
-def reading():
-    """A function that waits for the next report of the only mouse of our name, as {code: value}."""
-    (device,) = devices()
+def reading(name=uinput.NAME, type_=e.EV_REL):
+    """A function that waits for the next report of the only device of our name, as {code: value}."""
+    (device,) = devices(name)
     with subprocess.Popen([sys.executable, "-c", READER, device.path], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         lines = process.stdout
@@ -52,7 +55,7 @@ def reading():
 
         def report():
             events = json.loads(lines.readline())
-            assert all(kind == e.EV_REL for kind, _, _ in events), events
+            assert all(kind == type_ for kind, _, _ in events), events
             return {code: value for _, code, value in events}
 
         try:
@@ -137,6 +140,36 @@ def test_the_text_twin_says_what_arrives():
             seen = {f"{e.REL[code]}": f"{value:+d}" for code, value in report().items()}
             assert words.pop() == "SYN"
             assert dict(zip(words[::2], words[1::2], strict=True)) == seen
+
+
+def test_name_ids_and_capabilities_of_the_gamepad():
+    with open_output("gamepad"):
+        (device,) = devices(gamepad.NAME)
+        info = device.info
+        assert (info.bustype, info.vendor, info.product, info.version) == (e.BUS_VIRTUAL, 0x5350, 0x4D32, 1)
+        capabilities = device.capabilities()
+        assert {e.BTN_SOUTH, e.BTN_EAST, e.BTN_NORTH, e.BTN_WEST} <= set(capabilities[e.EV_KEY])
+        axes = dict(capabilities[e.EV_ABS])
+        assert sorted(axes) == [e.ABS_X, e.ABS_Y, e.ABS_RX, e.ABS_RY]
+        assert {(a.value, a.min, a.max) for a in axes.values()} == {(0, -32767, 32767)}
+        entries = Path("/proc/bus/input/devices").read_text().split("\n\n")
+        (entry,) = [t for t in entries if f'Name="{gamepad.NAME}"' in t]
+        assert "mouse" not in entry.partition("Handlers=")[2].splitlines()[0]
+    assert devices(gamepad.NAME) == []
+
+
+def test_the_sticks_arrive_as_their_text_twin_and_are_centred_when_reports_stop():
+    rng = np.random.default_rng(12)
+    seen = {e.ABS_X: 0, e.ABS_Y: 0, e.ABS_RX: 0}
+    with open_output("gamepad:full=90,dead=0,curve=2") as output, reading(gamepad.NAME, e.EV_ABS) as report:
+        for rate in rng.uniform(-2.0, 2.0, (50, 3)):
+            output.send(reporting.rolling(rate))
+            words = output.describe(reporting.rolling(rate)).split(" ")
+            wanted = {e.ecodes[name]: int(value) for name, value in zip(words[::2], words[1::2], strict=True)}
+            while seen != wanted:  # a slow guest may release them in between
+                seen.update(report())
+        while any(seen.values()):
+            seen.update(report())
 
 
 def test_without_permission_the_error_says_what_to_do():

@@ -1,0 +1,88 @@
+"""Deflections of a stick from the angular velocity of the ball, for outputs that send rates in place of counts."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from spheremouse.errors import OutputError
+from spheremouse.files.registry import options
+from spheremouse.geometry.rotation import Array
+from spheremouse.output import Report
+from spheremouse.tracker import Status
+
+RELEASE_TIME = 0.3  # s without a confirmed frame; a camera at 5 Hz takes 0.2 s
+_BOUNDS = {"full": (1.0, 10_000.0), "dead": (0.0, 0.9), "curve": (0.2, 5.0)}
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """Deflection as a function of the rate."""
+
+    full: float = 180.0  # deg/s, of full deflection; a hand rolls a ball at 60 to 170 deg/s in ordinary play
+    dead: float = 0.02  # dead zone as a fraction of `full`
+    curve: float = 1.0  # exponent; above 1, slow motion deflects less
+
+    def deflection(self, rate: Array) -> Array:
+        """Return the deflection of a rate (n,) rad/s, with length 0 to 1 and the same direction."""
+        size = float(np.linalg.norm(rate))
+        excess = (np.degrees(size) / self.full - self.dead) / (1.0 - self.dead)
+        return rate * (min(excess, 1.0) ** self.curve / size) if excess > 0.0 and size > 0.0 else np.zeros_like(rate)
+
+
+def parse_response(text: str, spec: str, keys: tuple[str, ...]) -> Response:
+    """Return the response that `KEY=VALUE,KEY=VALUE` describes. Raise OutputError with the output `spec` if invalid."""
+    given = options(text, dict.fromkeys(keys, float), spec, OutputError)
+    for key, value in given.items():
+        low, high = _BOUNDS[key]
+        if not low <= float(value) <= high:
+            raise OutputError(f"{spec}: {key} must be {low:g} to {high:g}, is {value:g}")
+    return Response(**{key: float(value) for key, value in given.items()})
+
+
+def pointer_rate(report: Report) -> Array | None:
+    """Return the ball's angular velocity along the directions of the counts (x, y, third axis), (3,) rad/s.
+
+    Its direction is that of the counts' rate, and its length that of the angular velocity. It is zero if the ball is
+    not tracked, and None if this frame does not confirm it.
+    """
+    if not report.samples or report.samples[report.pointing].status is not Status.TRACKING:
+        return np.zeros(3)
+    if report.rate is None:
+        return None
+    counts = np.array(report.rate)
+    size = float(np.linalg.norm(counts))
+    speed = float(np.linalg.norm(report.samples[report.pointing].rate))
+    return counts * (speed / size) if size > 0.0 else np.zeros(3)
+
+
+class Watchdog:
+    """Calls a function from its own thread if nothing feeds it for some time.
+
+    A stick keeps its deflection, so a pause or a camera that stops would leave it deflected.
+    """
+
+    def __init__(self, release: Callable[[], None], timeout: float = RELEASE_TIME) -> None:
+        """Call `release` once, `timeout` (s) after the last call of `feed`."""
+        self._release, self._timeout, self._fed, self._over = release, timeout, threading.Event(), False
+        self._thread = threading.Thread(target=self._run, name="watchdog", daemon=True)
+        self._thread.start()
+
+    def feed(self) -> None:
+        """Start the time again."""
+        self._fed.set()
+
+    def close(self) -> None:
+        """End the thread without a call."""
+        self._over = True
+        self._fed.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while self._fed.wait() and not self._over:
+            while self._fed.is_set() and not self._over:
+                self._fed.clear()
+                self._fed.wait(self._timeout)
+            if not self._over:
+                self._release()

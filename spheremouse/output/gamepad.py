@@ -1,0 +1,103 @@
+"""`gamepad[:full=DEG_PER_S,dead=FRACTION,curve=EXPONENT]`: a gamepad of the Linux kernel, for cockpit games and SDL.
+
+Its left stick goes where the pointer goes, and its deflection is the ball's angular velocity: `full` is a full
+deflection. The right stick's X is the spin, positive clockwise from above. The sticks are in the centre if the ball is
+not tracked, and after 0.3 s without a confirmed frame. No button is ever pressed; games recognise a gamepad by them.
+Name and ids never change: name "spheremouse gamepad", bus 0x06 (virtual), vendor 0x5350, product 0x4d32, version 1.
+"""
+
+import contextlib
+import threading
+from typing import Any
+
+import numpy as np
+
+from spheremouse.errors import OutputError
+from spheremouse.finding import Finding
+from spheremouse.output import Output, Report, uinput
+from spheremouse.output.deflection import Response, Watchdog, parse_response, pointer_rate
+
+NAME = "spheremouse gamepad"
+PRODUCT = 0x4D32
+FULL_DEFLECTION = 32767  # as of most gamepads, so that the centre is 0
+
+# Linux, input-event-codes.h
+EV_ABS = 0x03
+ABS_X, ABS_Y, ABS_RX, ABS_RY = 0x00, 0x01, 0x03, 0x04
+BTN_SOUTH, BTN_EAST, BTN_NORTH, BTN_WEST, BTN_SELECT, BTN_START = 0x130, 0x131, 0x133, 0x134, 0x13A, 0x13B
+_BUTTONS = [BTN_SOUTH, BTN_EAST, BTN_NORTH, BTN_WEST, BTN_SELECT, BTN_START]
+
+Sticks = tuple[int, int, int]  # ABS_X, ABS_Y, ABS_RX
+_CENTRE: Sticks = (0, 0, 0)
+
+
+def to_sticks(report: Report, response: Response) -> Sticks | None:
+    """Return the positions of the sticks; None if the frame is not confirmed and they keep theirs."""
+    rate = pointer_rate(report)
+    if rate is None:
+        return None
+    if report.samples and report.samples[report.pointing].coordinates == "obj":
+        rate[2] = -rate[2]  # counter-clockwise from above; that of a hand-held ball is clockwise
+    x, y = np.rint(FULL_DEFLECTION * response.deflection(rate[:2])).astype(int).tolist()
+    (spin,) = np.rint(FULL_DEFLECTION * response.deflection(rate[2:])).astype(int).tolist()
+    return x, y, spin
+
+
+class Gamepad(Output):
+    """The kernel's gamepad."""
+
+    def __init__(self, device: Any, response: Response) -> None:
+        self._device, self._response, self._lock = device, response, threading.Lock()
+        self._watchdog = Watchdog(self._release)
+
+    def send(self, report: Report) -> None:
+        """Move the sticks."""
+        sticks = to_sticks(report, self._response)
+        if sticks is None:
+            return
+        self._watchdog.feed()
+        try:
+            self._move(sticks)
+        except OSError as e:
+            raise OutputError(f"gamepad: the kernel takes no more events ({e.strerror or e})", "start again") from None
+
+    def describe(self, report: Report) -> str:
+        """Return the positions of the sticks, as in `ABS_X +16384 ABS_Y +0 ABS_RX -500`; empty if they keep theirs."""
+        sticks = to_sticks(report, self._response)
+        return "" if sticks is None else "ABS_X {:+d} ABS_Y {:+d} ABS_RX {:+d}".format(*sticks)
+
+    def _move(self, sticks: Sticks) -> None:
+        with self._lock:
+            for code, value in zip((ABS_X, ABS_Y, ABS_RX), sticks, strict=True):
+                self._device.write(EV_ABS, code, value)
+            self._device.syn()
+
+    def _release(self) -> None:
+        with contextlib.suppress(OSError):  # the next report raises it
+            self._move(_CENTRE)
+
+    def close(self) -> None:
+        """Centre the sticks and remove the gamepad."""
+        self._watchdog.close()
+        self._release()
+        self._device.close()
+
+
+def open(argument: str) -> Gamepad:
+    """Create the gamepad."""
+    response = check(argument)
+    stick = (0, -FULL_DEFLECTION, FULL_DEFLECTION, 0, 0, 0)  # value, min, max, fuzz, flat, resolution
+    # SDL takes ABS_RX for the right stick only if there is ABS_RY.
+    axes = [(code, stick) for code in (ABS_X, ABS_Y, ABS_RX, ABS_RY)]
+    return Gamepad(uinput.create("gamepad", NAME, PRODUCT, {uinput.EV_KEY: _BUTTONS, EV_ABS: axes}), response)
+
+
+def check(argument: str) -> Response:
+    """Return the response. Raise OutputError if the argument is invalid."""
+    return parse_response(argument, f"gamepad:{argument}", ("full", "dead", "curve"))
+
+
+def probe(argument: str) -> list[Finding]:
+    """Return whether this account may create a gamepad."""
+    check(argument)
+    return uinput.probe_device("gamepad")
