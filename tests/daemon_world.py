@@ -5,6 +5,8 @@ then plays the film forwards and backwards; what was shown is known, so that wha
 attributes, changed while it runs.
 """
 
+import contextlib
+import json
 import threading
 import time
 from collections.abc import Callable
@@ -23,7 +25,7 @@ from spheremouse.files.rig import rig_text
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output import Output, OutputClosed, open_output
 from spheremouse.output.counts import MotionSettings
-from spheremouse.session.control.client import Client
+from spheremouse.session.control.client import Client, NoDaemonError
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.service import Daemon
 from spheremouse.session.setup import Setup
@@ -376,3 +378,28 @@ def left_over(daemon: Daemon) -> Array:
 def matrix(rig: Rig) -> Array:
     """(3, 3) counts per radian, by default."""
     return MotionSettings().matrix(rig.ball.radius)
+
+
+def check_samples(world: World, file: Path, frames: int) -> None:
+    """Play frames, and compare the samples of a client with the lines of a text output of the same run."""
+    world.start()
+    world.reach("tracking")
+    world.client.ask("set", assignments=[f"output=[sink:quiet, 'text:{file}']"])
+    world.until(lambda: file.exists() and file.stat().st_size, "a line of the text output")
+    samples: list[Any] = []
+    ended = threading.Thread(target=_collect, args=(Client(world.socket), samples))
+    ended.start()
+    world.until(lambda: samples, "a sample")
+    world.turn(frames)
+    world.stop()
+    ended.join(PATIENCE)
+    written = [json.loads(line) for line in file.read_text().splitlines()]
+    first = written.index(samples[0])
+    assert len(samples) >= frames
+    assert samples == written[first : first + len(samples)]
+    assert any(any(sample["counts"]) for sample in samples)
+
+
+def _collect(client: Client, samples: list[Any]) -> None:
+    with client, contextlib.suppress(NoDaemonError):
+        samples.extend(client.sample_objects())

@@ -118,7 +118,7 @@ def probe(spec: str) -> list[Finding]:
     """
     findings = registry.probe(sys.modules[__name__], "output", spec, OutputError)
     if missing := left_out(spec):
-        findings.append(ok("third axis", *missing.split("; ")))
+        findings.append(ok("third axis", missing.problem, missing.hint))
     elif sent := sent_as(spec):
         findings.append(ok("third axis", f"the ball's spin is sent as {sent}"))
     return findings

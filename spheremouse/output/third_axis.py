@@ -34,14 +34,14 @@ def whole_notches(counts: int) -> tuple[int, int]:
     return notches, counts - notches * NOTCH
 
 
-def left_out(spec: str) -> str:
-    """Return the hint for an output `KIND:ARGUMENT` that does not send the spin; empty if it does or is a plug-in."""
+def left_out(spec: str) -> OutputError | None:
+    """Return problem and hint of an output `KIND:ARGUMENT` that omits the spin; None for others and plug-ins."""
     kind, _, argument = spec.partition(":")
     if kind not in VALUES or _given(argument) != NONE:
-        return ""
+        return None
     values = " or ".join(f"third={value}" for value in VALUES[kind])
     problem = "the third axis (the ball's spin) is not sent"
-    return f"{problem}: output {kind} has no `third=`; {values} sends it (docs/outputs.md)"
+    return OutputError(f"{problem}: output {kind} has no `third=`", f"{values} sends it (docs/outputs.md)")
 
 
 def sent_as(spec: str) -> str:

@@ -186,7 +186,9 @@ class Daemon:
         samples = tuple(sample._replace(wall=wall, latency=latency) for sample in made.samples)
         report = report_of(samples, self.adapter.mapping, made.pointing)
         # if the output works again since the last update of the state, the next frame is the first one for it
-        self._outputs.submit(report, taken, self._monitor.state is not State.FAILED_OUTPUT)
+        wanted = self._monitor.state is not State.FAILED_OUTPUT
+        for subscriber in (self._outputs, self._endpoints):
+            subscriber.submit(report, taken, wanted)
         self._counts = plus(self._counts, report.counts)
         self._archive.keep(made, self.adapter, lambda: minus(self._counts, self.unsent))
         self._show(made, report, self.adapter)
@@ -261,8 +263,8 @@ class Daemon:
         self._arrivals.begin()
 
     def _log_left_out(self, plan: RunConfig) -> None:
-        for words in filter(None, map(left_out, plan.outputs)):
-            self._log(words)
+        for notice in filter(None, map(left_out, plan.outputs)):
+            self._log(str(notice))
 
     def _log_progress(self, progress: str) -> None:
         self._monitor.starting = f"the program is made ready: {progress}"
@@ -424,10 +426,10 @@ class Daemon:
 
 
 def _output_status(spec: str, status: ReporterStatus) -> OutputStatus:
-    latency = status.latency
+    latency, notice = status.latency, left_out(spec)
     return OutputStatus(
         spec=spec,
-        left_out=left_out(spec) or None,
+        left_out=None if notice is None else str(notice),
         failed=status.failed,
         reports=status.reports,
         unsent=list(status.unsent),

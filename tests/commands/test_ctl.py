@@ -21,13 +21,17 @@ from typer.testing import CliRunner
 
 from spheremouse.commands import ctl as cli_ctl
 from spheremouse.commands.ctl import words as said_of
+from spheremouse.output import Report
+from spheremouse.output.lines import json_lines
+from spheremouse.output.sample import Sample
 from spheremouse.session.control import client as client_module
 from spheremouse.session.control import protocol
 from spheremouse.session.control import status as status_module
 from spheremouse.session.control.client import Client, NoDaemonError
-from spheremouse.session.control.server import ControlServer
+from spheremouse.session.control.server import ControlServer, Limits
 from spheremouse.session.control.status import StatusReport
 from spheremouse.session.settings import ControlSettings
+from spheremouse.tracker import unknown
 
 
 class Recorder(Daemon):
@@ -305,25 +309,44 @@ def test_an_event_is_a_line():
     assert line("lost: hands") == "12:00:00  lost: hands"
 
 
-@pytest.mark.parametrize("as_json", [False, True])
-def test_watching_streams_until_interrupted(path, daemon, as_json):
-    """In a process of its own, for the signal; status and log arrive while it runs, not when it ends."""
-    words = ["watch", "--interval", "0.1", *(["--json"] if as_json else [])]
+def watching(path, *words):
+    """Return the first three lines of `ctl watch`, and standard error and exit code after Ctrl-C, in a process."""
     hearing = (
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # a job in the background is deaf
     )
-    code = f"{hearing}; from spheremouse.commands.ctl import app; app({[*words, '--socket', str(path)]!r})"
+    code = f"{hearing}; from spheremouse.commands.ctl import app; app({['watch', *words, '--socket', str(path)]!r})"
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     lines = [process.stdout.readline() for _ in range(3)]
     process.send_signal(signal.SIGINT)
-    rest, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == (0, "")
-    if as_json:
-        assert all(json.loads(line)["state"] == "tracking" for line in lines)
-    else:
-        assert all(re.match(r"\d\d:\d\d:\d\d  ● tracking ", line) for line in lines)
-    assert rest.count("\n") < 100
+    return lines, process.communicate(timeout=60)[1], process.returncode
+
+
+def test_watching_streams_until_interrupted(path, daemon):
+    lines, err, code = watching(path, "--interval", "0.1")
+    assert (err, code) == ("", 0)
+    assert all(re.match(r"\d\d:\d\d:\d\d  ● tracking ", line) for line in lines)
+
+
+def test_watching_as_json_prints_samples_and_in_the_end_the_number_of_dropped_ones(path):
+    """Of each report of four balls, the server keeps the last three."""
+    balls = tuple(Sample(unknown(0.5), ball) for ball in (1, 2, 3, 4))
+    report = Report((1, 2, 3), None, 0.5, balls, 2)
+    ended = threading.Event()
+
+    def publish():
+        while not ended.wait(0.02):
+            server.submit(report, 0.0, True)
+
+    with ControlServer(path, ControlSettings(), Recorder(), limits=Limits(samples=3)) as server:
+        publisher = threading.Thread(target=publish)
+        publisher.start()
+        lines, err, code = watching(path, "--json")
+        ended.set()
+        publisher.join()
+    assert [line.rstrip() for line in lines] == json_lines(report)[1:]
+    assert re.fullmatch(r"spheremouse: \d+ samples dropped, because their reader was too slow\n", err)
+    assert code == 0
 
 
 def test_watching_a_daemon_that_ends_is_exit_code_3(ctl, path):

@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 import pytest
 from control_world import conversations
-from daemon_world import DT, Film, World
+from daemon_world import DT, Film, World, check_samples
 
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.errors import ConfigurationError, ControlError
@@ -1063,6 +1063,10 @@ def test_without_another_thread_to_be_had_only_what_needs_one_fails(film):
     finally:
         daemon.end()
         shutil.rmtree(folder)
+
+
+def test_a_client_gets_the_samples_that_a_text_output_writes(world, tmp_path):
+    check_samples(world, tmp_path / "run.jsonl", 40)
 
 
 def test_who_is_refused_has_emptied_no_file(playing, tmp_path):

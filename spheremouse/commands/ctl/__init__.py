@@ -198,10 +198,15 @@ def snapshot(
 @app.command(epilog="Example: spheremouse ctl watch --interval 5")
 def watch(
     interval: Annotated[float, typer.Option(metavar="S", min=0.1, max=60.0, help="Between two lines, in s.")] = 1.0,
-    as_json: _Json = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the sample of each ball and frame as JSON instead (docs/outputs.md).")
+    ] = False,
     socket: _Socket = None,
 ) -> None:
     """Print a line of status every second, and the lines of the daemon's log, until Ctrl-C."""
+    if as_json:
+        _print_samples(socket)
+        return
     from rich.console import Console
 
     from spheremouse.commands.ctl.words import event_line
@@ -210,12 +215,21 @@ def watch(
     console = Console(highlight=False)
     with _failing(), contextlib.suppress(KeyboardInterrupt), Client(socket) as client:
         for event in client.watch(interval):
-            if as_json:
-                log = {"event": "log", "text": event}
-                message = log if isinstance(event, str) else {"event": "status", **event.as_json()}
-                print(json.dumps(message), flush=True)
-            else:
-                console.print(event_line(event, time.strftime("%H:%M:%S")), soft_wrap=True)
+            console.print(event_line(event, time.strftime("%H:%M:%S")), soft_wrap=True)
+
+
+def _print_samples(socket: Path | None) -> None:
+    from spheremouse.session.control.client import Client
+
+    with _failing(), Client(socket) as client:
+        try:
+            for sample in client.sample_objects():
+                print(json.dumps(sample, separators=(",", ":")), flush=True)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            if client.dropped:
+                terminal.error(f"{client.dropped} samples dropped, because their reader was too slow")
 
 
 @app.command()

@@ -242,8 +242,8 @@ def follow(
         stack.callback(adapter.close)
         to = {spec: stack.enter_context(open_output(spec)) for spec in plan.outputs}
         setup.make_ready(plan)
-        for words in filter(None, map(left_out, plan.outputs)):
-            view.log(words)
+        for notice in filter(None, map(left_out, plan.outputs)):
+            view.log(str(notice))
         try:
             tracked = islice(adapter.begin(stopping.frames(iter(source))), frames)
             offline.follow(stopping.frames(tracked), adapter, to, view)

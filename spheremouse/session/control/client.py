@@ -12,6 +12,7 @@ from typing import Any, Self
 
 from spheremouse.errors import ControlError, printable
 from spheremouse.files import plain_json
+from spheremouse.output.sample import Sample, from_object
 from spheremouse.session.control import socket_file
 from spheremouse.session.control.protocol import MAX_LINE
 from spheremouse.session.control.socket_file import peer_of
@@ -19,6 +20,7 @@ from spheremouse.session.control.status import StatusReport
 
 _START = "start one with `spheremouse run` or `systemctl start spheremouse`"
 _TIMEOUTS = {"status": 5.0, "watch": 5.0}  # s; other commands may take the daemon a while
+_SIGN_OF_LIFE = 5.0  # s between two statuses, which show that the daemon works if no frame comes
 _CONNECT_TIMEOUT = 5.0  # s
 _TIMEOUT = 65.0  # s; the daemon itself gives up after 60 s
 
@@ -39,6 +41,7 @@ class Client:
         self._path = path or socket_file.find_socket()
         self._socket: socket.socket | None = None
         self._received = bytearray()
+        self.dropped = 0  # samples that this client read too slowly
 
     def __enter__(self) -> Self:
         return self
@@ -80,10 +83,34 @@ class Client:
 
     def watch(self, interval: float = 1.0) -> Iterator[StatusReport | str]:
         """Yield a status every `interval` s, and each line of the daemon's log. NoDaemonError if the daemon ends."""
-        self.ask("watch", interval=interval)
-        while True:
-            event = self._receive(max(_TIMEOUTS["watch"], 3.0 * interval))
+        for event in self._events(interval, samples=False):
             yield self._status(event) if event.pop("event", None) == "status" else str(event.get("text", ""))
+
+    def sample_objects(self) -> Iterator[dict[str, Any]]:
+        """Yield each sample of the run as a JSON object of `output.sample`. NoDaemonError if the daemon ends.
+
+        If this program reads too slowly, the daemon drops samples; `dropped` has their number.
+        """
+        for event in self._events(_SIGN_OF_LIFE, samples=True):
+            if event.get("event") == "sample" and isinstance(sample := event.get("sample"), dict):
+                self.dropped = event.get("dropped", 0)
+                yield sample
+
+    def samples(self) -> Iterator[Sample]:
+        """Yield each sample of the run, as `sample_objects` does."""
+        for read in self.sample_objects():
+            try:
+                yield from_object(read)
+            except ValueError as e:
+                self.close()
+                raise NoDaemonError(
+                    f"{self._path}: {printable(str(e))}; if the daemon has another version, restart it"
+                ) from None
+
+    def _events(self, interval: float, *, samples: bool) -> Iterator[dict[str, Any]]:
+        self.ask("watch", interval=interval, samples=samples or None)
+        while True:
+            yield self._receive(max(_TIMEOUTS["watch"], 3.0 * interval))
 
     def _status(self, reply: dict[str, Any]) -> StatusReport:
         try:

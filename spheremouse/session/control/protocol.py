@@ -82,9 +82,10 @@ class Snapshot(Request):
 
 
 class Watch(Request):
-    """Send the status every `interval` s, and each line that the daemon logs."""
+    """Send the status every `interval` s, each line that the daemon logs, and the samples of each frame if asked."""
 
     interval: float = Field(default=1.0, ge=0.1, le=60.0, description="the default is 1 s")
+    samples: bool = Field(default=False, description="true sends the samples of each frame")
 
 
 _REQUESTS: dict[str, type[Request]] = {

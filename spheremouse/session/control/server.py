@@ -11,6 +11,7 @@ import select
 import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -19,6 +20,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from spheremouse.errors import ControlError, SpheremouseError, one_line
+from spheremouse.output import Report
+from spheremouse.output.lines import json_lines
 from spheremouse.session.control import socket_file
 from spheremouse.session.control.metrics import MetricsServer
 from spheremouse.session.control.protocol import (
@@ -55,8 +58,9 @@ class Limits:
     interval: float = 0.005  # s from one request to the next, of all clients together: each takes the interpreter
     idle: float = 30.0  # s in which a client must send a request, unless it watches
     answer: float = 60.0  # s in which the daemon must answer
-    stalled: float = 5.0  # s in which a client must read a line
+    stalled: float = 5.0  # s in which a client must read a line, unless it gets samples
     events: int = 1000  # that wait for a client that watches
+    samples: int = 240  # that wait for a client that gets them, 2 s of two balls at 60 Hz
 
 
 class ControlServer:
@@ -78,6 +82,7 @@ class ControlServer:
         self._limits = limits or Limits()
         self._next = 0.0  # s of the loop's clock, of the next request
         self._clients: dict[asyncio.Task[None], _Client] = {}
+        self._subscribers: tuple[_Client, ...] = ()  # to samples; replaced as a whole, since the worker reads it
         self._stack = contextlib.ExitStack()
         self._listener = self._stack.enter_context(socket_file.listening(path, settings.group))
         self._loop = asyncio.new_event_loop()
@@ -102,6 +107,14 @@ class ControlServer:
         """Send an event to the clients that watch, from any thread. A slow client loses its oldest events."""
         if self._clients:
             self._call(self._publish, event)
+
+    def submit(self, report: Report, _taken: float, _wanted: bool) -> None:
+        """Send the samples of a frame to the clients that subscribe, from any thread. It never blocks.
+
+        A slow client loses its oldest samples and gets their number with the next one.
+        """
+        if self._subscribers:
+            self._call(self._send_samples, report)
 
     def close(self) -> None:
         """Send the replies that come within half a second, and remove the socket."""
@@ -135,6 +148,11 @@ class ControlServer:
             if client.watching is not None:
                 client.push(event)
 
+    def _send_samples(self, report: Report) -> None:
+        lines = json_lines(report)
+        for client in self._subscribers:
+            client.push_samples(lines)
+
     # ---- one client ----
 
     async def _admit(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -161,6 +179,7 @@ class ControlServer:
             self._log(f"control: a client dropped: internal error ({type(e).__name__}: {one_line(str(e))})")
         finally:
             del self._clients[task]
+            self._subscribe(client, False)
             if client.watching is not None:
                 client.watching.cancel()
             writer.close()
@@ -185,7 +204,7 @@ class ControlServer:
             else:
                 if isinstance(request, Watch):
                     await client.send(done({}, request.id))
-                    self._watch(client, request.interval)
+                    self._watch(client, request)
                 else:
                     await client.send(await self._ask(client, request))
             client.busy = False
@@ -216,28 +235,36 @@ class ControlServer:
         finally:
             pending.cancelled = not reply.done()
 
-    def _watch(self, client: "_Client", interval: float) -> None:
-        """Begin to send events to a client, or change the interval of its statuses."""
+    def _watch(self, client: "_Client", request: Watch) -> None:
+        """Begin to send events to a client, or change their kinds and the interval of its statuses."""
         if client.watching is not None:
             client.watching.cancel()
-        client.watching = self._loop.create_task(self._send_events(client, interval))
+        self._subscribe(client, request.samples)
+        client.watching = self._loop.create_task(self._send_events(client, request.interval))
+
+    def _subscribe(self, client: "_Client", wanted: bool) -> None:
+        client.subscribed = wanted
+        self._subscribers = tuple(other for other in self._clients.values() if other.subscribed)
 
     async def _send_events(self, client: "_Client", interval: float) -> None:
         due = self._loop.time()
         with contextlib.suppress(OSError):
             while True:
-                try:
-                    async with asyncio.timeout_at(due):
-                        event = await client.events.get()
-                except TimeoutError:
+                if self._loop.time() >= due:
                     due = max(due + interval, self._loop.time())
-                    await self._pace()
-                    status = await self._ask(client, Request(command="status"))
-                    event = {"event": "status", **{k: v for k, v in status.items() if k != "ok"}}
-                    if not status["ok"]:
-                        event = {"event": "log", "text": f"no status: {status['error']}"}
-                await client.send(event)
+                    await client.send(await self._status_event(client))
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout_at(due):
+                        await client.has_events.wait()
+                await client.send_next()
         client.drop()
+
+    async def _status_event(self, client: "_Client") -> dict[str, Any]:
+        await self._pace()
+        status = await self._ask(client, Request(command="status"))
+        if not status["ok"]:
+            return {"event": "log", "text": f"no status: {status['error']}"}
+        return {"event": "status", **{k: v for k, v in status.items() if k != "ok"}}
 
 
 class _Client:
@@ -251,7 +278,11 @@ class _Client:
         self.trusted = self.uid in (own, 0)
         self.busy = False  # a request is under way
         self.watching: asyncio.Task[None] | None = None
-        self.events: asyncio.Queue[dict[str, Any]] = asyncio.Queue(limits.events)
+        self.subscribed = False  # to samples
+        self.has_events = asyncio.Event()  # events or samples wait
+        self._events: deque[dict[str, Any]] = deque(maxlen=limits.events)
+        self._samples: deque[str] = deque(maxlen=limits.samples)  # JSON objects
+        self._dropped = 0  # samples
         writer.transport.set_write_buffer_limits(0)  # `drain` then waits until the system has all of it
 
     @property
@@ -280,9 +311,22 @@ class _Client:
         except ValueError as e:
             text = f"{e}; {MAX_LINE} is the most"
             line = encode({"event": "log", "text": text} if "event" in message else refused(text, message.get("id")))
+        await self._write(line)
+
+    async def send_next(self) -> None:
+        """Send an event or else a sample, if one waits."""
+        if self._events:
+            await self.send(self._events.popleft())
+        elif self._samples:
+            sample = self._samples.popleft()
+            await self._write(f'{{"event":"sample","dropped":{self._dropped},"sample":{sample}}}\n'.encode())
+        else:
+            self.has_events.clear()
+
+    async def _write(self, line: bytes) -> None:
         self._writer.write(line)
         try:
-            async with asyncio.timeout(self._limits.stalled):
+            async with asyncio.timeout(None if self.subscribed else self._limits.stalled):
                 await self._writer.drain()
         except TimeoutError:
             self.drop()
@@ -290,9 +334,14 @@ class _Client:
 
     def push(self, event: dict[str, Any]) -> None:
         """Add an event; if too many wait, the oldest is dropped."""
-        if self.events.full():
-            self.events.get_nowait()
-        self.events.put_nowait(event)
+        self._events.append(event)
+        self.has_events.set()
+
+    def push_samples(self, samples: list[str]) -> None:
+        """Add samples as JSON objects; if too many wait, the oldest are dropped and counted."""
+        self._dropped += max(0, len(self._samples) + len(samples) - self._limits.samples)
+        self._samples.extend(samples)
+        self.has_events.set()
 
     def drop(self) -> None:
         """Disconnect at once."""
@@ -353,6 +402,11 @@ class Endpoints:
             with contextlib.suppress(ControlError):
                 self._listen(control)
                 self._log("control: `spheremouse ctl` can ask this run now")
+
+    def submit(self, report: Report, taken: float, wanted: bool) -> None:
+        """Send the samples of a frame to the clients that subscribe, from any thread."""
+        if self._server is not None:
+            self._server.submit(report, taken, wanted)
 
     def publish(self, text: str) -> None:
         """Send a line of the log to the clients that watch, from any thread."""

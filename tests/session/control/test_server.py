@@ -14,8 +14,12 @@ from pathlib import Path
 
 import pytest
 from control_world import FINE, OTHER, PAGE, STATUS, Daemon, Wire, a_group, answer, conversations, wait_for
+from scipy.spatial.transform import Rotation
 
 from spheremouse.errors import ControlError
+from spheremouse.output import Report
+from spheremouse.output.lines import json_lines
+from spheremouse.output.sample import Sample
 from spheremouse.session.control import protocol, socket_file
 from spheremouse.session.control import server as control
 from spheremouse.session.control.client import Client
@@ -24,6 +28,7 @@ from spheremouse.session.control.server import ControlServer, Limits
 from spheremouse.session.control.socket_file import Peer
 from spheremouse.session.control.status import STATES, StatusReport
 from spheremouse.session.settings import ControlSettings
+from spheremouse.tracker import Status, unknown
 
 pytestmark = pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="no peer credentials on this system")
 
@@ -224,6 +229,61 @@ def test_a_watcher_that_never_reads_is_dropped_and_others_are_served(serve, path
             return True
 
     wait_for(dropped)
+
+
+def turning(sequence):
+    """A report of one ball, with another attitude at each frame."""
+    attitude = Rotation.from_rotvec([0.01 * sequence, 0.2, 0.3]).as_matrix()
+    estimate = unknown(sequence / 60, sequence, Status.TRACKING)._replace(rotation=attitude)
+    return Report((sequence, 0, 0), None, estimate.stamp, (Sample(estimate),))
+
+
+def subscribed(path):
+    wire = Wire(path)
+    assert wire.ask('{"command": "watch", "interval": 60, "samples": true}\n') == {"ok": True}
+    assert wire.read()["event"] == "status"
+    return wire
+
+
+def test_every_subscriber_gets_all_samples_and_other_watchers_get_none(serve, path):
+    server = serve()
+    wires = [subscribed(path) for _ in range(10)]
+    watcher = Wire(path)
+    assert watcher.ask('{"command": "watch", "interval": 60}\n') == {"ok": True}
+    assert watcher.read()["event"] == "status"
+    reports = [turning(k) for k in range(100)]
+    for report in reports:
+        server.submit(report, 0.0, True)
+    expected = [{"event": "sample", "dropped": 0, "sample": json.loads(json_lines(r)[0])} for r in reports]
+    for wire in wires:
+        assert [wire.read() for _ in reports] == expected
+    server.publish({"event": "log", "text": "after them"})
+    assert watcher.read() == {"event": "log", "text": "after them"}
+    assert wires[0].ask('{"command": "watch", "interval": 60}\n')["event"] == "log"
+    assert wires[0].read() == {"ok": True}
+    assert wires[0].read()["event"] == "status"
+    server.submit(turning(100), 0.0, True)
+    server.publish({"event": "log", "text": "no sample before this"})
+    assert wires[0].read() == {"event": "log", "text": "no sample before this"}
+
+
+def test_a_subscriber_that_stops_reading_loses_its_own_samples_and_gets_their_number(serve, path):
+    """It stays connected, others get every sample, and its next samples are the latest ones."""
+    limits = Limits(stalled=0.05, samples=20)
+    server = serve(limits=limits)
+    deaf, other = subscribed(path), subscribed(path)
+    count = 600  # more than the system's buffer of the socket
+    for k in range(count):
+        server.submit(turning(k), 0.0, True)
+        event = other.read()
+        assert (event["dropped"], event["sample"]["sequence"]) == (0, k)
+    events = [deaf.read()]
+    while events[-1]["sample"]["sequence"] < count - 1:
+        events.append(deaf.read())
+    sequences = [event["sample"]["sequence"] for event in events]
+    assert sequences == sorted(set(sequences))
+    assert sequences[-limits.samples :] == list(range(count - limits.samples, count))
+    assert events[-1]["dropped"] == count - len(events) > 0
 
 
 def test_ten_megabytes_without_an_end_of_line_are_not_kept(serve, path):

@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from daemon_world import Film, World, left_over
+from daemon_world import Film, World, check_samples, left_over
 from scipy.spatial.transform import Rotation
 
 from spheremouse.errors import ControlError
@@ -128,6 +128,10 @@ def test_counts_are_the_turn_of_the_ball(playing):
     playing.settle(20)
     assert playing.log_after_start() == ["tracking: grzonka is followed"]
     assert playing.daemon.latency is not None
+
+
+def test_a_client_gets_the_samples_that_a_text_output_writes(world, tmp_path):
+    check_samples(world, tmp_path / "run.jsonl", 20)
 
 
 def test_a_camera_is_missing_goes_and_comes_back(world):
