@@ -1,5 +1,6 @@
 """The third axis: what is said of an output is what it does with a report of nothing but spin."""
 
+from importlib import import_module
 from types import SimpleNamespace
 
 import pytest
@@ -42,8 +43,13 @@ def test_of_a_text_of_nothing_and_of_others_outputs_nothing_is_said(tmp_path):
 
 
 def test_every_output_with_a_third_axis_is_known_here():
-    """A kind of ours is either told of, or has no `third=`."""
-    assert set(VALUES) == {"auto", "desktop", "serial", "uinput"} == set(outputs.KINDS) - {"text", "null"}
+    """Each output that reads `third=` with the functions of this module has its values in the table."""
+    readers = {
+        kind
+        for kind in outputs.KINDS
+        if {"parse_third", "validate_third"} & set(vars(import_module(f"spheremouse.output.{kind}")))
+    }
+    assert set(VALUES) == readers
 
 
 @pytest.mark.parametrize(
