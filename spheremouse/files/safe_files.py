@@ -86,7 +86,7 @@ def lines(file: BufferedReader) -> Iterator[str]:
 # ---- write to streams, and append ----
 
 
-def open_to_append(path: Path) -> BinaryIO:
+def open_to_append(path: Path) -> BufferedWriter:
     """Open the file, stream or pipe that a person named, to write at its end; a missing file is made."""
     return os.fdopen(_open_to_write(path, os.O_CREAT | os.O_APPEND), "ab")
 

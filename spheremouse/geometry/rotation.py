@@ -4,6 +4,8 @@ Arrays have leading batch axes: (..., 3) vectors, (..., 3, 3) matrices. Angles a
 Deray, Atchuthan 2018, "A micro Lie theory", section VII. Euler angles: Wittich 2017, eq. 9.
 """
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -130,11 +132,11 @@ def log(R: Array) -> Array:
 
 
 def to_quaternion(R: Array) -> Array:
-    """Return the unit quaternion (w, x, y, z) of a rotation matrix, w >= 0, (..., 3, 3) -> (..., 4)."""
-    v = log(R)
-    angle = np.linalg.norm(v, axis=-1, keepdims=True)
-    half_sinc = 0.5 * np.sinc(angle / (2.0 * np.pi))  # sin(angle / 2) / angle
-    return np.concatenate([np.cos(0.5 * angle), half_sinc * v], axis=-1)
+    """Return the unit quaternion, (4,), as (w, x, y, z), w >= 0, of a rotation matrix, (3, 3)."""
+    x, y, z = log(R).tolist()
+    angle = math.hypot(x, y, z)
+    s = math.sin(0.5 * angle) / angle if angle else 0.5
+    return np.array([math.cos(0.5 * angle), s * x, s * y, s * z])
 
 
 def from_quaternion(q: Array) -> Array:

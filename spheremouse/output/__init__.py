@@ -5,9 +5,11 @@ add outputs by entry points in the group `spheremouse.output`.
 """
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Protocol, Self
 
 from spheremouse.errors import OutputError
 from spheremouse.files import registry
@@ -16,10 +18,11 @@ from spheremouse.output.sample import Sample
 from spheremouse.output.third_axis import left_out, sent_as
 from spheremouse.tracker import Estimate
 
-KINDS = ("auto", "desktop", "gamepad", "null", "osc", "serial", "text", "uinput")
+KINDS = ("auto", "csv", "desktop", "gamepad", "null", "osc", "serial", "text", "uinput")
 
 Counts = tuple[int, int, int]  # x, y and third axis
 Rate = tuple[float, float, float]  # counts/s
+DescribeRun = Callable[[], dict[str, Any]]  # returns configuration, rig, source and versions of a run, for JSON
 
 
 class Report(NamedTuple):
@@ -77,6 +80,9 @@ class Output:
     paced: bool = False  # True: counts at a steady rate, predicted between frames; False: a report a frame
     hang_hint: str = ""  # usual reason why a call hangs
 
+    def begin(self, describe_run: DescribeRun) -> None:
+        """Take the function that describes the run, before the first report."""
+
     def send(self, report: Report) -> None:
         """Send one report. Raise OutputError if that fails, or OutputClosed if its reader is gone."""
         raise NotImplementedError
@@ -107,8 +113,15 @@ class Output:
 
 def open_output(spec: str) -> Output:
     """Open the output `KIND:ARGUMENT`. Raise OutputError if it does not exist or lacks a member of `Output`."""
-    members = ("send", "describe", "delivery", "drop_waiting", "paced", "hang_hint", "__enter__", "__exit__")
+    members = ("send", "begin", "describe", "delivery", "drop_waiting", "paced", "hang_hint", "__enter__", "__exit__")
     return registry.opened(sys.modules[__name__], "output", spec, OutputError, members)
+
+
+def file_of(spec: str) -> Path | None:
+    """Return the file that the output `KIND:ARGUMENT` writes; None if it writes none, or to standard output."""
+    module, argument = registry.resolve(sys.modules[__name__], "output", spec, OutputError)
+    find: Callable[[str], Path | None] | None = getattr(module, "file_of", None)
+    return None if find is None else find(argument)
 
 
 def probe(spec: str) -> list[Finding]:

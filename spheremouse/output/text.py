@@ -7,20 +7,17 @@ a mouse would get, also those between two frames.
 
 import contextlib
 import os
-import stat
 import sys
 from io import TextIOWrapper
 from pathlib import Path
 from typing import TextIO
 
 from spheremouse.errors import OutputError
-from spheremouse.files.access import STATE_FOLDER
-from spheremouse.files.safe_files import is_stream, open_to_append
-from spheremouse.finding import Finding, absent, ok, wrong
+from spheremouse.files.safe_files import open_to_append
+from spheremouse.finding import Finding, ok
 from spheremouse.output import Output, OutputClosed, Report
 from spheremouse.output.lines import LineFormat, parse_address
-
-_MAX_LINE_BYTES = 65_536  # a JSON object has 2,000
+from spheremouse.output.log_file import drop_unfinished_line, probe_file, refuse_other_files
 
 
 class Text(Output):
@@ -78,9 +75,9 @@ def open(argument: str) -> Text:
         return Text(sys.stdout, "standard output", form)
     path = Path(name)
     try:
-        _refuse_other_files(path, form.start)
+        refuse_other_files(path, form.start.encode())
         file = open_to_append(path)
-        _drop_unfinished_line(path, file.fileno())
+        drop_unfinished_line(path, file.fileno())
         return Text(TextIOWrapper(file, encoding="utf-8"), str(path), form)
     except (OSError, ValueError) as e:
         reason = (e.strerror if isinstance(e, OSError) else None) or e
@@ -92,7 +89,7 @@ def check(argument: str) -> None:
     name, form = parse_address("text", argument)
     if name not in ("", "-"):
         with contextlib.suppress(OSError, ValueError):  # `open` reports these
-            _refuse_other_files(Path(name), form.start)
+            refuse_other_files(Path(name), form.start.encode())
 
 
 def file_of(argument: str) -> Path | None:
@@ -106,40 +103,4 @@ def probe(argument: str) -> list[Finding]:
     path = file_of(argument)
     if path is None:
         return [ok("output", "text to standard output")]
-    if not path.parent.is_dir():
-        missing = wrong if path.parent != STATE_FOLDER else absent
-        return [missing("output", f"{path.parent}: no such folder", "make it, or name another")]
-    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
-        return [wrong("output", f"{path} may not be written", "name a file elsewhere")]
-    return [ok("output", f"text to {path}")]
-
-
-def _refuse_other_files(path: Path, start: str) -> None:
-    if _is_other_file(path, start):
-        raise OutputError(f"{path}: exists and is no log in this format; choose another name or remove it")
-
-
-def _drop_unfinished_line(path: Path, descriptor: int) -> None:
-    """Remove the last line of a file if its end is missing, as after a full disk. Its last number may be cut."""
-    status = os.fstat(descriptor)
-    if not stat.S_ISREG(status.st_mode) or status.st_size == 0 or is_stream(path):
-        return
-    with path.open("rb") as file:
-        start = max(0, status.st_size - _MAX_LINE_BYTES)
-        file.seek(start)
-        end = file.read(_MAX_LINE_BYTES)
-    kept = end.rfind(b"\n") + 1
-    if kept < len(end) and (kept or start == 0):
-        os.ftruncate(descriptor, start + kept)
-
-
-def _is_other_file(path: Path, start: str) -> bool:
-    """Return True if a regular file exists and its first line does not begin with `start`."""
-    try:
-        status = path.stat()
-    except FileNotFoundError:
-        return False
-    if not stat.S_ISREG(status.st_mode) or status.st_size == 0:
-        return False
-    with path.open("rb") as file:
-        return file.read(len(start)) != start.encode()
+    return probe_file(path, "text")

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from spheremouse.errors import ControlError
-from spheremouse.output import Counts, Output, Report, open_output
+from spheremouse.output import Counts, DescribeRun, Output, Report, open_output
 from spheremouse.output.null import Null
 from spheremouse.output.pointer import PointerSettings, minus, plus
 from spheremouse.output.reporter import OutputThread, ReporterStatus
@@ -41,14 +41,19 @@ class Outputs:
         log: Callable[[str], None],
         workers: WorkerPool,
         call: Callable[[Callable[[], None]], None],
+        describe_run: DescribeRun = dict,
     ) -> None:
-        """`workers` closes exchanged outputs; `call` has the worker run a call, from any thread."""
+        """`workers` closes exchanged outputs; `call` has the worker run a call, from any thread.
+
+        Outputs call `describe_run` in their threads.
+        """
+        self._describe_run = describe_run
         self._log, self._workers, self._call, self._settings = log, workers, call, settings
         self._late: list[threading.Thread] | None = []  # started by `begin`
         self._paused = False
         self._submitted = _NONE  # sum of the counts that the main output was given
         self._past: tuple[int, Counts] = (0, _NONE)  # reports and unsent counts of the main outputs before this one
-        self._all = self._threads([(spec, partial(open_output, spec)) for spec in specs], several=len(specs) > 1)
+        self._all = self._threads([(spec, partial(self._open, spec)) for spec in specs], several=len(specs) > 1)
 
     def begin(self) -> None:
         """Start the threads, which open the outputs. Raises ControlError if the system refuses a thread."""
@@ -86,7 +91,7 @@ class Outputs:
         gone = [output for output in self._all if output.spec not in specs]
         before, submitted = self.main, self._submitted
         exchange = _Exchange([output.thread for output in gone])
-        openers = [(spec, exchange.after(partial(open_output, spec))) for spec in specs if spec not in kept]
+        openers = [(spec, exchange.after(partial(self._open, spec))) for spec in specs if spec not in kept]
         try:
             made = {o.spec: o for o in self._threads(openers, several=len(specs) > 1, give_up=exchange.give_up)}
         finally:
@@ -158,6 +163,11 @@ class Outputs:
                 output.thread.close()
             raise
         return begun
+
+    def _open(self, spec: str) -> Output:
+        output = open_output(spec)
+        output.begin(self._describe_run)
+        return output
 
     def _begin(self, thread: threading.Thread) -> None:
         begin(thread) if self._late is None else self._late.append(thread)

@@ -36,6 +36,7 @@ from spheremouse.session.process.threads import WorkerPool, as_future, begin
 from spheremouse.session.record.archive import RECORDING, SNAPSHOT, Archive
 from spheremouse.session.record.places import recordings_folder, tidy
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig
+from spheremouse.session.run_description import describe_run
 from spheremouse.session.setup import Setup
 from spheremouse.session.state_monitor import StateMonitor
 from spheremouse.session.timing import Arrivals, CpuShare, memory_mb
@@ -92,7 +93,12 @@ class Daemon:
         adapter = setup.adapter(plan, self._log, self._workers.do)
         self._worker = Worker(adapter, self._log)
         self._outputs = Outputs(
-            plan.outputs, plan.configuration.pointer, log=self._log, workers=self._workers, call=call
+            plan.outputs,
+            plan.configuration.pointer,
+            log=self._log,
+            workers=self._workers,
+            call=call,
+            describe_run=lambda: describe_run(self._reloader.plan, self._capture.description),
         )
         self._counts: Counts = (0, 0, 0)  # of all frames
         self._monitor = StateMonitor(

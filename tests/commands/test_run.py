@@ -4,6 +4,7 @@ One small simulated recording serves all; the damaged ones are made from its fra
 runs in a process of its own, the rest in this one.
 """
 
+import hashlib
 import json
 import os
 import re
@@ -16,6 +17,7 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 from conftest import directions
 
@@ -184,6 +186,28 @@ def test_the_second_run_of_a_device_knows_the_attitude_from_its_first_frame(sphe
     difference = motions(first)[:, 1:4].sum(axis=0) - motions(again)[:, 1:4].sum(axis=0)
     assert np.max(np.abs(difference)) < 0.2 / 57.3 * 600  # 0.2 degrees
     assert sorted(p.name for p in device.parent.iterdir()) == ["rig.map.yaml", "rig.yaml"]
+
+
+@pytest.mark.parametrize("live", [(), ("--realtime",)])
+def test_a_table_has_the_samples_of_the_text_and_the_description_of_its_run(spheremouse, roll, device, tmp_path, live):
+    path = tmp_path / "a.csv"
+    words = ("--output", f"text:{tmp_path / 'a.txt'}", "--output", f"csv:{path}", "--rig", device, "--no-map")
+    code, _, err = spheremouse("run", "--source", f"dataset:{roll}", *words, "--frames", "20", *live, *QUICK)
+    assert code == 0, err
+    samples = [json.loads(line) for line in (tmp_path / "a.txt").read_text().splitlines()]
+    table = pd.read_csv(path, comment="#")
+    for name in ("quaternion", "rate", "increment", "count"):
+        rows = [s["counts" if name == "count" else name] for s in samples if s["quaternion"] is not None]
+        known = table[table["status"] == "tracking"]
+        np.testing.assert_allclose(known.filter(regex=f"^{name}_[wxyz]$").to_numpy(), rows, rtol=1e-12)
+    (run,) = json.loads(path.with_suffix(".json").read_text())["runs"]
+    assert run["rows"] == len(samples) == 20
+    assert run["configuration"]["pose"]["frames"] == 2
+    assert run["rig"] == {"file": str(device), "sha256": hashlib.sha256(device.read_bytes()).hexdigest()}
+    assert (run["source"]["spec"], run["versions"]["numpy"]) == (f"dataset:{roll}", np.__version__)
+    names = sorted(p.relative_to(roll).as_posix() for p in roll.rglob("*") if p.is_file())
+    lines = [f"{hashlib.sha256((roll / name).read_bytes()).hexdigest()}  {name}\n" for name in names]
+    assert run["source"]["recording"]["sha256"] == hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
 def test_another_balls_map_is_not_recognised_and_kept_aside(spheremouse, roll, device):

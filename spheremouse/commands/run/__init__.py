@@ -2,6 +2,7 @@
 
 import sys
 from contextlib import ExitStack, nullcontext
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -118,16 +119,10 @@ def run(
 
 def _has_terminal(plan: "RunConfig") -> bool:
     """Return True if standard error is a terminal to which no output writes."""
-    shared = any(kind == "text" and file is None for kind, file in _files(plan))
+    from spheremouse.output import file_of
+
+    shared = any(spec.partition(":")[0] == "text" and file_of(spec) is None for spec in plan.outputs)
     return sys.stderr.isatty() and not (shared and sys.stdout.isatty())
-
-
-def _files(plan: "RunConfig") -> list[tuple[str, Path | None]]:
-    """Return kind and file of each output; None for standard output, and for an output without a file."""
-    from spheremouse.output.text import file_of
-
-    specs = [spec.partition(":") for spec in plan.outputs]
-    return [(kind, file_of(argument) if kind == "text" else None) for kind, _, argument in specs]
 
 
 def _run(
@@ -171,9 +166,11 @@ def _run(
 
 def _refuse_loss(overlay: Path, plan: "RunConfig", given: tuple[Path | None, ...]) -> None:
     """Raise ConfigurationError if the overlay would replace another file that the run reads or writes."""
+    from spheremouse.output import file_of
+
     _, _, source = plan.source.partition(":")
     others = [path for path in (*given, plan.rig_path, plan.camera_path, plan.map_path) if path is not None]
-    others += [file for _, file in _files(plan) if file is not None]
+    others += [file for spec in plan.outputs if (file := file_of(spec)) is not None]
     others += [Path(source)] if source else []
     here = overlay.resolve()
     if any(here == other.resolve() for other in others):
@@ -232,6 +229,7 @@ def follow(
     from spheremouse.output import open_output
     from spheremouse.output.third_axis import left_out
     from spheremouse.session import offline
+    from spheremouse.session.run_description import describe_run
     from spheremouse.session.tracker_adapter import here
 
     assert setup.source is not None
@@ -241,6 +239,8 @@ def follow(
         adapter = setup.adapter(plan, view.log, here)
         stack.callback(adapter.close)
         to = {spec: stack.enter_context(open_output(spec)) for spec in plan.outputs}
+        for output in to.values():
+            output.begin(partial(describe_run, plan))
         setup.make_ready(plan)
         for notice in filter(None, map(left_out, plan.outputs)):
             view.log(str(notice))

@@ -1,0 +1,111 @@
+"""`csv:FILE`: write samples as a table of text.
+
+Comment lines give unit, frame and meaning of each column. Each row is written at once, so a program that is killed
+loses none. Every number reads back exactly. Unknown values are empty.
+"""
+
+import contextlib
+import csv
+from collections.abc import Sequence
+from io import RawIOBase, StringIO
+from pathlib import Path
+from typing import Any
+
+from spheremouse.errors import OutputError
+from spheremouse.files.safe_files import is_stream, open_to_append
+from spheremouse.finding import Finding
+from spheremouse.output.columns import Column
+from spheremouse.output.log_file import drop_unfinished_line, probe_file, refuse_other_files
+from spheremouse.output.table import Table, table_file
+
+_START = "# spheremouse samples"
+
+
+class CsvWriter:
+    """Writes rows to a CSV file."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the file to append to. Raise OSError or ValueError if that fails."""
+        self._path, self._stream = path, is_stream(path)
+        self._file: RawIOBase = open_to_append(path).detach()  # unbuffered
+        drop_unfinished_line(path, self._file.fileno())
+        self._size = 0 if self._stream else path.stat().st_size  # of whole rows
+
+    def begin(self, columns: Sequence[Column]) -> None:
+        """Write the head, unless the file has it."""
+        head = header(columns)
+        found = b""
+        if not self._stream:
+            with self._path.open("rb") as file:
+                found = file.read(len(head))
+        if found == head:
+            return
+        if not head.startswith(found):
+            raise OutputError(f"{self._path}: exists and has other columns", "choose another name or remove it")
+        if found:  # a full disk cut the head
+            self._file.truncate(0)
+            self._size = 0
+        self._write(head)
+
+    def write(self, rows: list[list[Any]]) -> None:
+        """Write rows. If that fails, the file keeps whole rows."""
+        self._write(_lines(rows))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _write(self, data: bytes) -> None:
+        left = memoryview(data)
+        try:
+            while left:
+                left = left[self._file.write(left) or 0 :]
+        except OSError:
+            if not self._stream:
+                with contextlib.suppress(OSError):
+                    self._file.truncate(self._size)
+            raise
+        self._size += len(data)
+
+
+def header(columns: Sequence[Column]) -> bytes:
+    """Return the comment lines and the line of names."""
+    comments = [f"{_START}, one row a ball and frame; column [unit, frame]: meaning"]
+    for column in columns:
+        units = ", ".join(filter(None, (column.unit, column.frame)))
+        comments.append(f"# {column.name}{f' [{units}]' if units else ''}: {column.meaning}")
+    return "".join(f"{line}\n" for line in comments).encode() + _lines([[column.name for column in columns]])
+
+
+def _lines(rows: list[list[Any]]) -> bytes:
+    text = StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue().encode()
+
+
+def open(argument: str) -> Table:
+    """Open a file to append to. Raise OutputError if it is not such a table."""
+    path = file_of(argument)
+    try:
+        refuse_other_files(path, _START.encode())
+        return Table(path, CsvWriter(path))
+    except (OSError, ValueError) as e:
+        reason = (e.strerror if isinstance(e, OSError) else None) or e
+        raise OutputError(f"{path}: cannot be written: {reason}") from None
+
+
+def check(argument: str) -> None:
+    """Raise OutputError if the argument is invalid, or if the file exists and is not such a table."""
+    path = file_of(argument)
+    with contextlib.suppress(OSError, ValueError):  # `open` reports these
+        refuse_other_files(path, _START.encode())
+
+
+def file_of(argument: str) -> Path:
+    """Return the file that an argument names."""
+    return table_file("csv", argument)
+
+
+def probe(argument: str) -> list[Finding]:
+    """Return whether this account may write the file."""
+    return probe_file(file_of(argument), "table")

@@ -1,0 +1,150 @@
+"""Tables of text, read by pandas."""
+
+import json
+import os
+
+import numpy as np
+import pandas as pd
+import pytest
+from reporting import refused
+from tables import frame, full_disk, write_and_be_killed
+
+from spheremouse.errors import OutputError
+from spheremouse.output import open_output
+from spheremouse.output.columns import columns
+from spheremouse.tracker import Status
+
+# pandas 3 reads every digit without being asked to
+EXACT = {} if int(pd.__version__.partition(".")[0]) >= 3 else {"float_precision": "round_trip"}
+FULL = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+
+
+def written(path, *frames):
+    with open_output(f"csv:{path}") as output:
+        for report in frames:
+            output.send(report)
+    return read(path)
+
+
+def read(path):
+    return pd.read_csv(path, comment="#", **EXACT)
+
+
+def names(start, suffixes):
+    return [f"{start}_{suffix}" for suffix in suffixes]
+
+
+@pytest.mark.parametrize("coordinates", ["obj", "cam"])
+def test_pandas_reads_every_number_exactly(tmp_path, coordinates):
+    frames = [frame(k, coordinates=coordinates, balls=2, pointing=1) for k in range(1, 30)]
+    table = written(tmp_path / "a.csv", *frames)
+    samples = [sample for report in frames for sample in report.samples]
+    upper = np.triu_indices(3)
+    pairs = ("xx", "xy", "xz", "yy", "yz", "zz")
+    exact = {
+        ("stamp",): [[s.stamp] for s in samples],
+        ("wall",): [[s.wall] for s in samples],
+        ("sequence", "ball"): [[s.sequence, s.ball] for s in samples],
+        tuple(names("quaternion", "wxyz")): [s.quaternion for s in samples],
+        tuple(names("rate", "xyz")): [s.rate for s in samples],
+        tuple(names("increment", "xyz")): [s.increment for s in samples],
+        tuple(names("attitude_covariance", pairs)): [s.attitude_covariance[upper] for s in samples],
+        tuple(names("rate_covariance", pairs)): [s.rate_covariance[upper] for s in samples],
+        tuple(names("count", "xyz")): [c for r in frames for c in ((0, 0, 0), r.counts)],
+        ("latency",): [[s.latency] for s in samples],
+    }
+    if coordinates == "cam":
+        exact |= {
+            tuple(names("position", "xyz")): [s.position for s in samples],
+            tuple(names("velocity", "xyz")): [s.velocity for s in samples],
+            tuple(names("position_covariance", pairs)): [s.position_covariance[upper] for s in samples],
+        }
+    else:
+        exact[("discs_used", "discs_seen", "discs_known", "nis")] = [list(s.statistics.values()) for s in samples]
+    for group, values in exact.items():
+        assert np.array_equal(table[list(group)].to_numpy(), values), group
+    assert set(table["status"]) == {"tracking"}
+    assert table["confirmed"].dtype == bool
+    assert set(table["events"]) == {"turned ball-lost"}
+    left = set(table) - {name for group in exact for name in group}
+    assert left == {"status", "confirmed", "events"}
+
+
+def test_each_column_has_its_unit_and_frame_in_the_head(tmp_path):
+    written(tmp_path / "a.csv", frame(1))
+    head = (tmp_path / "a.csv").read_text().splitlines()
+    assert "# rate_x [rad/s, obj]: angular velocity, x" in head
+    assert "# quaternion_w [obj from ball]: attitude, a unit quaternion, w" in head
+    assert [line[2:].split(" [")[0].split(":")[0] for line in head[1:-2]] == [c.name for c in columns("obj")]
+
+
+@pytest.mark.parametrize("status", [Status.SEARCHING, Status.LOST])
+def test_a_ball_that_is_not_tracked_has_no_attitude(tmp_path, status):
+    table = written(tmp_path / "a.csv", frame(1), frame(2, status))
+    assert table["status"].tolist() == ["tracking", str(status)]
+    unknown = table.columns[table.loc[1].isna()]
+    assert list(unknown) == [c.name for c in columns("obj") if c.frame]
+
+
+def test_a_table_is_continued_and_no_other_file_is_written_to(tmp_path):
+    path = tmp_path / "a.csv"
+    path.touch()
+    for runs in (1, 2, 3):
+        assert written(path, frame(runs))["sequence"].tolist() == [*range(1, runs + 1)]
+    with pytest.raises(OutputError, match="exists and has other columns; choose another name or remove it"):
+        written(path, frame(4, coordinates="cam"))
+    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
+    assert refused(f"csv:{tmp_path / 'other.csv'}").endswith("choose another name or remove it")
+    assert len(read(path)) == 3
+
+
+def test_a_full_disk_is_one_line_and_leaves_whole_rows(tmp_path):
+    path = tmp_path / "a.csv"
+    size = len(written(path, frame(1))) and path.stat().st_size
+    for more in (10, 700, 5000):
+        path.unlink()
+        with full_disk(size + more), pytest.raises(OutputError, match=r"a\.csv: cannot be written: File too large$"):
+            written(path, *(frame(k) for k in range(1, 40)))
+        rows = len(read(path))
+        assert path.read_bytes().endswith(b"\n")
+        assert written(path, frame(99))["sequence"].tolist() == [*range(1, rows + 1), 99]
+
+
+def test_a_head_that_a_full_disk_has_cut_is_written_again(tmp_path):
+    path = tmp_path / "a.csv"
+    for size in (100, 2000):
+        with full_disk(size), pytest.raises(OutputError, match="File too large"):
+            written(path, frame(1))
+        assert written(path, frame(1))["sequence"].tolist() == [1]
+        path.unlink()
+
+
+@FULL
+def test_a_stream_takes_a_table_without_a_description_of_the_run():
+    with pytest.raises(OutputError, match=r"^/dev/full: cannot be written: No space left on device$"):
+        written("/dev/full", frame(1))
+
+
+def test_a_run_that_is_killed_loses_no_row_and_its_description_has_no_end(tmp_path):
+    write_and_be_killed(f"csv:{tmp_path / 'a.csv'}")
+    assert read(tmp_path / "a.csv")["sequence"].tolist() == [*range(1, 101)]
+    (run,) = json.loads((tmp_path / "a.json").read_text())["runs"]
+    assert (run["end"], run["source"]) == (None, "a test")
+
+
+@pytest.mark.parametrize("spec", ["csv", "csv:", "csv:-"])
+def test_a_table_needs_a_file(spec):
+    assert refused(spec).endswith("needs a file; write csv:FILE")
+
+
+def test_files_that_cannot_be_written(tmp_path):
+    assert "Is a directory" in refused(f"csv:{tmp_path}")
+    assert "No such file or directory" in refused(f"csv:{tmp_path / 'no' / 'a.csv'}")
+    assert "cannot be written" in refused("csv:a\0b")
+    assert refused("csv:a.json").endswith("the run is described in this file; write csv:FILE.csv")
+
+
+def test_the_text_twin_is_the_row(tmp_path):
+    with open_output(f"csv:{tmp_path / 'a.csv'}") as output:
+        output.send(frame(3))
+        assert output.describe(frame(3)) == (tmp_path / "a.csv").read_text().splitlines()[-1]
