@@ -33,16 +33,26 @@ def install(
     dry_run: _DryRun = False,
     root: _Root = _ROOT,
     start: Annotated[bool, typer.Option("--start/--no-start", help="Start or restart the service.")] = True,
+    allow: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Network address, or network, of outputs and metrics; repeat it. The list replaces the last one. "
+            "[default: none but this machine]",
+        ),
+    ] = None,
 ) -> None:
     """Place the unit, its user, udev rules and a first configuration; safe to repeat.
 
     If you have edited a file, the command keeps yours as FILE.bak. It never changes an existing configuration.
     """
     place = _place(root, user)
+    if user and allow:
+        raise ServiceError("--allow: the service of your own account has no filter of addresses", "leave --allow out")
     program, trouble = service.executable(place)
     if trouble and not dry_run:
         raise ServiceError(trouble)
-    actions = list(service.install(place, program, service.systemd_version()))
+    actions = list(service.install(place, program, service.systemd_version(), allow or ()))
     if dry_run:
         _would(actions)
     else:
@@ -144,10 +154,10 @@ def _again(place: Place, command: str) -> str:
 
 def _allowed(place: Place, actions: list[service.FileAction], command: str) -> None:
     if actions and not service.may(place):
-        given = [a for a in sys.argv[1:] if a.startswith("-")] if "service" in sys.argv else []
+        given = sys.argv[sys.argv.index(command) + 1 :] if {"service", command} <= set(sys.argv) else []
         raise ServiceError(
             f"service: this account may not write below {place.inside(place.unit.parent.parent)}; repeat it with: "
-            f"{_again(place, command)}{''.join(f' {shlex.quote(a)}' for a in given)}"
+            f"{_again(place, command)}{''.join(f' {shlex.quote(a)}' for a in given if a != '--user')}"
         )
 
 

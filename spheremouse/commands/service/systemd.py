@@ -12,9 +12,10 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from ipaddress import ip_network
 from pathlib import Path
 from typing import Literal
 
@@ -27,11 +28,13 @@ USER = "spheremouse"  # and its group
 RESTART_STEPS = 254  # the first systemd with RestartSteps
 _MARK = "# Placed by `spheremouse service install`; do not edit (digest of what follows: {})\n"
 _MARKED = re.compile(re.escape(_MARK.strip()).replace(r"\{\}", "([0-9a-f]{16})"))
+_NETWORKS = ("multicast", "link-local", "localhost")  # names of IPAddressAllow, systemd.resource-control(5)
 _UNREACHABLE = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # the unit's ProtectHome and PrivateTmp
 
 # folders that the installation may have made
 _MADE = (
-    "spheremouse", "xorg.conf.d", "X11", "sysusers.d", "autostart", "default.target.wants", "user", "systemd",
+    "spheremouse", f"{UNIT}.d", "xorg.conf.d", "X11", "sysusers.d", "autostart", "default.target.wants", "user",
+    "systemd",
 )  # fmt: skip
 
 State = Literal["missing", "ok", "older", "edited"]
@@ -63,6 +66,11 @@ class Place:
     def changes(self) -> Path:
         """Folder of the changes by `systemctl edit`."""
         return self.unit.with_name(f"{UNIT}.d")
+
+    @property
+    def network(self) -> Path:
+        """The file that allows network addresses."""
+        return self.changes / "spheremouse-network.conf"
 
     @property
     def state(self) -> Path:
@@ -176,7 +184,7 @@ def _unseen(path: Path) -> str:
 
 def refuse_unsafe(place: Place) -> None:
     """Raise ServiceError if a link leads out of the root, or if this is root and others may change a folder."""
-    folders = [place.root, place.link.parent, place.changes.parent, place.configuration, place.state.parent]
+    folders = [place.root, place.link.parent, place.changes, place.configuration, place.state.parent]
     folders += [place.cache.parent, *(path.parent for _, path in place.files())]
     for folder in dict.fromkeys(map(_existing, folders)):
         try:
@@ -194,11 +202,16 @@ def refuse_unsafe(place: Place) -> None:
 # ---- plan ----
 
 
-def install(place: Place, program: str, systemd: int | None) -> Iterator[FileAction]:
-    """Yield the actions that are left until the service is in place. `systemd` is its version, if known."""
+def install(place: Place, program: str, systemd: int | None, allow: Sequence[str] = ()) -> Iterator[FileAction]:
+    """Yield the actions that are left until the service is in place. `systemd` is its version, if known.
+
+    If network addresses are given in `allow`, they replace those of the last installation.
+    """
     fresh = not place.unit.exists()
-    for name, path in place.files():
-        text = rendered(name, program, systemd)
+    texts = {path: rendered(name, program, systemd) for name, path in place.files()}
+    if allow:
+        texts[place.network] = network_text(allow)
+    for path, text in texts.items():
         state = state_of(path, text)
         if state == "edited":
             yield _backup(path)
@@ -216,7 +229,7 @@ def uninstall(place: Place, purge: bool) -> Iterator[FileAction]:
     """Yield the actions that remove the service. Configuration, calibration and map stay unless `purge`."""
     if place.link.is_symlink():
         yield FileAction("disable", place.link, place.link.unlink)
-    for _, path in place.files():
+    for path in (*(path for _, path in place.files()), place.network):
         if path.exists() or path.is_symlink():
             if state_of(path, None) == "edited" and not purge:
                 yield _backup(path)
@@ -241,7 +254,8 @@ def left(place: Place) -> list[Path]:
 
 def tidy(place: Place) -> None:
     """Remove our empty folders; below another root than / all empty ones."""
-    folders = (place.configuration, place.state, place.cache, place.link.parent, *(p.parent for _, p in place.files()))
+    folders = (place.changes, place.configuration, place.state, place.cache, place.link.parent)
+    folders += tuple(path.parent for _, path in place.files())
     for folder in folders:
         for path in (p for p in (folder, *folder.parents) if p.is_relative_to(place.root) and p != place.root):
             if place.root == Path("/") and path.name not in _MADE:
@@ -270,7 +284,25 @@ def rendered(name: str, program: str, systemd: int | None) -> str:
     text = (service_files() / name).read_text(encoding="utf-8").replace("@EXECUTABLE@", program)
     known = systemd is not None and systemd >= RESTART_STEPS
     text = re.sub(r"^@254@(.*\n)", r"\1" if known else "", text, flags=re.M)
-    return _MARK.format(_digest(text)) + text
+    return _marked(text)
+
+
+def network_text(addresses: Sequence[str]) -> str:
+    """Return the text of the file that allows addresses besides this machine's. ServiceError if one is invalid.
+
+    An address is an IP address, a network such as 192.168.1.0/24, or one of systemd's names, such as `multicast`.
+    """
+    for address in addresses:
+        try:
+            if address not in _NETWORKS:
+                ip_network(address.replace("%", "/%"))  # no scope, whose text Python does not check
+        except ValueError as e:
+            why = "has bits after its prefix" if "host bits" in str(e) else "is neither an IP address nor a network"
+            raise ServiceError(
+                f"--allow {address}: {why}", f"write for example 192.168.1.7, 192.168.1.0/24 or {_NETWORKS[0]}"
+            ) from None
+    lines = "\n".join(f"IPAddressAllow={address}" for address in dict.fromkeys(addresses))
+    return _marked(f"# Addresses of network outputs and metrics.\n[Service]\n{lines}\n")
 
 
 def configuration(place: Place) -> str:
@@ -331,6 +363,10 @@ def _umask(mask: int) -> Iterator[None]:
         yield
     finally:
         os.umask(before)
+
+
+def _marked(text: str) -> str:
+    return _MARK.format(_digest(text)) + text
 
 
 def _digest(text: str) -> str:

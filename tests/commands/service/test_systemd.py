@@ -270,6 +270,56 @@ def test_without_rights_the_command_to_repeat_is_said(root, monkeypatch):
     assert tree(root) == {}
 
 
+# ---- network addresses ----
+
+NETWORK = f"{UNIT}.d/spheremouse-network.conf"
+
+
+def test_allowed_addresses_are_in_a_file_beside_the_unit_until_others_are_given(root):
+    call("install", root=root)
+    before = tree(root)
+    call("install", "--allow", "192.168.1.7", "--allow", "2001:db8::/32", "--allow", "multicast", root=root)
+    lines = (root / NETWORK).read_text().splitlines()
+    assert lines[2:] == ["[Service]", *(f"IPAddressAllow={a}" for a in ("192.168.1.7", "2001:db8::/32", "multicast"))]
+    assert "all files are in place" in call("install", root=root)
+    call("install", "--allow", "10.0.0.0/8", root=root)
+    text = (root / NETWORK).read_text()
+    assert text.splitlines()[2:] == ["[Service]", "IPAddressAllow=10.0.0.0/8"]
+    (root / NETWORK).write_text(text + "IPAddressAllow=any\n")
+    call("uninstall", root=root)
+    assert [p.name for p in (root / NETWORK).parent.iterdir()] == ["spheremouse-network.conf.bak"]
+    call("uninstall", "--purge", root=root)
+    assert tree(root) == {}
+    call("install", root=root)
+    assert tree(root) == before
+
+
+@pytest.mark.parametrize(
+    ("address", "why"),
+    [
+        ("192.168.1.300", "is neither an IP address nor a network"),
+        ("192.168.1.7/24", "has bits after its prefix"),
+        ("cabinet.local", "is neither an IP address nor a network"),
+        ("10.0.0.1\nDeviceAllow=/dev/mem", "is neither an IP address nor a network"),
+        ("10.0.0.1\n", "is neither an IP address nor a network"),
+        ("fe80::1%1\nDeviceAllow=/dev/mem", "is neither an IP address nor a network"),
+        ("", "is neither an IP address nor a network"),
+    ],
+)
+def test_another_address_is_refused_and_nothing_is_placed(root, address, why):
+    with pytest.raises(ServiceError) as e:
+        call("install", "--allow", "10.0.0.1", "--allow", address, root=root)
+    assert e.value.problem == f"--allow {address}: {why}"
+    assert e.value.hint == "write for example 192.168.1.7, 192.168.1.0/24 or multicast"
+    assert tree(root) == {}
+
+
+def test_the_service_of_an_account_refuses_addresses_since_it_filters_none(root, home):
+    with pytest.raises(ServiceError, match="has no filter of addresses; leave --allow out"):
+        call("install", "--user", "--allow", "10.0.0.1", root=root)
+    assert tree(root) == {}
+
+
 # ---- the program's path ----
 
 
@@ -422,6 +472,10 @@ def test_systemd_finds_nothing_wrong_with_the_unit(tmp_path, monkeypatch, user):
     path.write_text(
         unit("systemd/spheremouse-user.service" if user else "systemd/spheremouse.service", int(version[1]))
     )
+    if not user:
+        path.with_name(f"{path.name}.d").mkdir()
+        text = service.network_text(["192.168.1.7", "10.0.0.0/8", "2001:db8::/32", "link-local", "multicast"])
+        (path.with_name(f"{path.name}.d") / "spheremouse-network.conf").write_text(text)
     code, said = judged("systemd-analyze", "verify", *(["--user"] if user else []), str(path))
     if "Failed to initialize manager" in said or "Operation not permitted" in said:
         pytest.skip(f"systemd-analyze verify does not work here: {said.strip()}")
