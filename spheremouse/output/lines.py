@@ -1,17 +1,20 @@
 """Forms of a report as lines of text, for outputs that write or send lines.
 
 `json` has one object a ball and frame, with attitude, rate and their covariances. `counts` has the stamp and the counts
-of a mouse.
+of a mouse. `fictrac` has FicTrac's 25 columns.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from spheremouse.errors import OutputError
 from spheremouse.files.registry import options
 from spheremouse.files.validate import nearest
-from spheremouse.output import Report
+from spheremouse.output import Report, fictrac
 from spheremouse.output.sample import to_json
+
+OptionType = type[int] | type[float] | type[str]
+Options = dict[str, int | float | str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,17 +40,36 @@ def count_lines(report: Report) -> list[str]:
 
 
 _COUNTS = "# stamp dx dy dz"
-_FORMATS: dict[str, Callable[[], LineFormat]] = {
-    "json": lambda: LineFormat(json_lines, '{"sequence":'),
-    "counts": lambda: LineFormat(count_lines, _COUNTS, f"{_COUNTS} (s, counts)"),
-    "reports": lambda: LineFormat(count_lines, _COUNTS, f"{_COUNTS} (s, counts)", paced=True),
+_OPTIONS = {"format": str, "frame": str, "forward": float}
+_FICTRAC = ("frame", "forward")  # options of that format alone
+_FORMATS: dict[str, Callable[[Options], LineFormat]] = {
+    "json": lambda _: LineFormat(json_lines, '{"sequence":'),
+    "counts": lambda _: LineFormat(count_lines, _COUNTS, f"{_COUNTS} (s, counts)"),
+    "reports": lambda _: LineFormat(count_lines, _COUNTS, f"{_COUNTS} (s, counts)", paced=True),
+    "fictrac": lambda given: LineFormat(
+        fictrac.FicTrac(str(given.get("frame", "camera")), float(given.get("forward", 0.0))).lines, "FT, "
+    ),
 }
 
 
 def parse_address(kind: str, argument: str) -> tuple[str, LineFormat]:
     """Return the address or file of `ADDRESS[,format=NAME]`, and its format. Raise OutputError if it is invalid."""
+    return parse_target(kind, argument, {})[:2]
+
+
+def parse_target(kind: str, argument: str, known: Mapping[str, OptionType]) -> tuple[str, LineFormat, Options]:
+    """Return address, format and all options. `known` has the types of the options that the kind adds to the format's.
+
+    Raise OutputError if one is invalid.
+    """
     address, _, rest = argument.partition(",")
-    name = str(options(rest, {"format": str}, f"{kind}:{argument}", OutputError).get("format", "json"))
+    place = f"{kind}:{argument}"
+    given = options(rest, _OPTIONS | dict(known), place, OutputError)
+    name = str(given.get("format", "json"))
     if name not in _FORMATS:
-        raise OutputError(f"{kind}:{argument}: unknown format {name!r}; {nearest(name, list(_FORMATS))}")
-    return address, _FORMATS[name]()
+        raise OutputError(f"{place}: unknown format {name!r}", nearest(name, list(_FORMATS)))
+    if name != "fictrac" and (unused := [key for key in _FICTRAC if key in given]):
+        raise OutputError(f"{place}: {unused[0]} is an option of format=fictrac")
+    if (frame := str(given.get("frame", "camera"))) not in fictrac.FRAMES:
+        raise OutputError(f"{place}: unknown frame {frame!r}", nearest(frame, list(fictrac.FRAMES)))
+    return address, _FORMATS[name](given), given

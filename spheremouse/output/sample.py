@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, from_quaternion, to_quaternion
 from spheremouse.tracker import Estimate, Status, unknown
 from spheremouse.wand.axes import estimated_axes
@@ -28,6 +29,7 @@ class Sample(NamedTuple):
     events: tuple[str, ...] = ()  # names of changes with this frame, for example "ball-lost"
     wall: float | None = None  # s since 1970 (UTC) at the exposure; None for a recording
     latency: float | None = None  # s from the exposure to publication; None for a recording
+    camera: Pose | None = None  # in obj; None for a hand-held ball, and for a sample read from JSON
 
     @property
     def sequence(self) -> int:

@@ -346,7 +346,8 @@ class BallAdapter:
         seconds = {"detect": self._detected - begun, "filter": time.monotonic() - self._detected}
         self._remember(made, frame, tracker)
         epoch = Epoch(frame, made.state, made.estimate, made.events, seconds)
-        sample = Sample(made.estimate, events=tuple(event.name for event in made.events))
+        events, camera = tuple(event.name for event in made.events), current(made.state, tracker).pose
+        sample = Sample(made.estimate, events=events, camera=camera)
         return FrameResult(frame, (sample,), 0, seconds, epoch)
 
     def _note_detected(self) -> None:

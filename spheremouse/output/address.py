@@ -1,0 +1,47 @@
+"""Addresses `HOST:PORT` of outputs to a network. `PORT` alone is a port of this computer."""
+
+import os
+import socket
+from typing import Any
+
+from spheremouse.errors import OutputError
+from spheremouse.finding import Finding, ok, refused
+
+LOOPBACK = "127.0.0.1"
+
+
+def parse_host(kind: str, address: str) -> tuple[str, int]:
+    """Return host and port of `HOST:PORT`, or loopback and port of `PORT`. Raise OutputError otherwise."""
+    host, _, port = address.rpartition(":")
+    if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
+        raise OutputError(f"{kind}:{address}: is not HOST:PORT", f"write for example {kind}:{LOOPBACK}:9000")
+    return host.removeprefix("[").removesuffix("]") or LOOPBACK, int(port)
+
+
+def resolve(name: str, host: str, port: int, kind: socket.SocketKind) -> tuple[socket.AddressFamily, Any]:
+    """Return family and numeric address of a host. Raise OutputError if it is unknown; `name` begins the message."""
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=kind)[0]
+    except (OSError, UnicodeError) as e:
+        raise OutputError(f"{name}: unknown host: {getattr(e, 'strerror', None) or e}") from None
+    return family, address
+
+
+def probe_port(kind: str, host: str, port: int) -> list[Finding]:
+    """Return whether a port is free. It is bound for a moment."""
+    try:
+        bind(f"{kind}:{host}:{port}", host, port).close()
+    except OutputError as e:
+        return [refused(kind, e)]
+    return [ok(kind, f"port {port} of {host} is free")]
+
+
+def bind(name: str, host: str, port: int) -> socket.socket:
+    """Return a socket that listens on a port. Raise OutputError if that fails; `name` begins the message."""
+    family, address = resolve(name, host, port, socket.SOCK_STREAM)
+    try:
+        return socket.create_server(address[:2], family=family)
+    except OSError as e:
+        raise OutputError(
+            f"{name}: {os.strerror(e.errno or 0)}", "stop the other program, or take another port"
+        ) from None

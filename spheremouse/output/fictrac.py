@@ -1,0 +1,108 @@
+"""FicTrac's 25 columns, for programs that read FicTrac's socket.
+
+The columns and their frames are those of FicTrac's `doc/data_header.txt` and `doc/coordinate_frames.md` (Moore et al.
+2014, https://doi.org/10.1016/j.jneumeth.2014.01.010). docs/outputs.md lists each column as written here. A frame that
+does not confirm the estimate gets no line, as in FicTrac.
+
+The laboratory frame is right-handed: X in the animal's forward direction, Y to its right, Z down. With `forward=0` the
+animal looks away from the camera: X is -Z of `obj`, Y is X, Z is -Y. For a hand-held ball X, Y, Z are z, x, y of `cam`.
+"""
+
+import time
+from math import atan2, cos, hypot, pi, radians, sin, sqrt
+
+import numpy as np
+
+from spheremouse.geometry.rotation import Array, exp, log
+from spheremouse.output import Report
+from spheremouse.output.sample import Sample
+from spheremouse.tracker import Status
+
+FRAMES = ("camera", "window")
+_R_LAB_OBJ = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+_R_LAB_CAM = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+class FicTrac:
+    """Integrates the path of an animal that walks on the ball which makes the counts."""
+
+    def __init__(self, frame: str = "camera", forward: float = 0.0) -> None:
+        """`frame` is that of columns 2-4 and 9-11.
+
+        `forward` is the animal's forward direction, degrees to the right of the direction away from the camera.
+        """
+        self._window = frame == "window"
+        c, s = cos(radians(forward)), sin(radians(forward))
+        self._turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        self._x = self._y = self._heading = self._forward = self._side = 0.0  # rad
+        self._first: int | None = None  # sequence number of the first line since the ball was found
+        self._last = 0.0  # s, stamp of the line before
+
+    def lines(self, report: Report) -> list[str]:
+        """Return the line of a frame; none if the ball is not tracked or the frame does not confirm the estimate."""
+        if not report.samples:
+            return []
+        sample = report.samples[report.pointing]
+        if sample.status is not Status.TRACKING:
+            self._first = None
+        elif sample.confirmed:
+            return [self._line(sample)]
+        return []
+
+    def _line(self, sample: Sample) -> str:
+        if self._first is None:  # the way while the ball was lost is unknown
+            self._first, self._last = sample.sequence, sample.stamp
+            self._x = self._y = self._heading = 0.0
+        R_lab = self._turn @ (_R_LAB_CAM if sample.coordinates == "cam" else _R_LAB_OBJ)
+        R_cam = self._camera_axes(sample)
+        attitude, error = log(sample.rotation), sqrt(max(0.0, np.trace(sample.increment_covariance)))
+        lab = R_lab @ sample.increment
+        forward, side = float(lab[1]), -float(lab[0])
+        self._integrate(forward, side, -float(lab[2]))
+        capture = sample.stamp if sample.wall is None else sample.wall
+        values = [*R_cam @ sample.increment, error, *lab, *R_cam @ attitude, *R_lab @ attitude]
+        values += [self._x, self._y, self._heading, atan2(side, forward) % (2 * pi), hypot(forward, side)]
+        values += [self._forward, self._side, 1e3 * capture]
+        times = [
+            1e3 * (sample.stamp - self._last),
+            1e3 * (capture if sample.wall is None else _since_midnight(capture)),
+        ]
+        self._last = sample.stamp
+        whole = str(sample.sequence + 1), str(sample.sequence - self._first + 1)
+        return ", ".join(["FT", whole[0], *map(_number, values), whole[1], *map(_number, times)])
+
+    def _integrate(self, forward: float, side: float, turn: float) -> None:
+        """Add a step (rad) along a circular arc: heading and motion change evenly between two frames."""
+        middle, chord = self._heading + turn / 2, float(np.sinc(turn / (2 * pi)))
+        self._x += chord * (forward * cos(middle) - side * sin(middle))
+        self._y += chord * (forward * sin(middle) + side * cos(middle))
+        self._heading = (self._heading + turn) % (2 * pi)
+        self._forward += forward
+        self._side += side
+
+    def _camera_axes(self, sample: Sample) -> Array:
+        """Return the rotation from the still axes to the camera or the window, (3, 3); nan if it is unknown."""
+        if sample.coordinates == "cam":
+            R_cam, centre = np.eye(3), sample.position
+        elif sample.camera is None:
+            return np.full((3, 3), np.nan)
+        else:
+            R_cam, centre = sample.camera.rotation.T, sample.camera.to_cam(np.zeros(3))
+        return _window_axes(centre) @ R_cam if self._window else R_cam
+
+
+def _window_axes(centre: Array) -> Array:
+    """Return the smallest rotation that turns the direction of the ball's centre, (3,) m in cam, to z."""
+    axis = np.cross(centre, (0.0, 0.0, 1.0))
+    length = float(np.linalg.norm(axis))
+    return exp(axis * (atan2(length, centre[2]) / length)) if length else np.eye(3)
+
+
+def _since_midnight(wall: float) -> float:
+    """Return the seconds since the last midnight of the local time."""
+    local = time.localtime(wall)
+    return 3600 * local.tm_hour + 60 * local.tm_min + local.tm_sec + wall % 1.0
+
+
+def _number(value: float) -> str:
+    return f"{value:.14g}"

@@ -1,0 +1,91 @@
+"""`ws:HOST:PORT[,format=NAME][,origin=URL]`: a WebSocket server that sends each line as a message, for browsers.
+
+`ws:PORT` listens on this computer alone. A page of this computer may connect, from a file or from a server on loopback.
+`origin=https://example.org` admits the pages of another server, and `origin=*` all. A program that is no browser names
+no origin, and may connect. A client that does not read is dropped when its buffer is full.
+"""
+
+import importlib.util
+import re
+from typing import TYPE_CHECKING, Any
+
+from spheremouse.errors import OutputError
+from spheremouse.finding import Finding
+from spheremouse.output.address import parse_host, probe_port
+from spheremouse.output.line_server import Client, LineServer
+from spheremouse.output.lines import LineFormat, parse_target
+
+if TYPE_CHECKING:
+    from websockets.server import ServerProtocol
+
+# Not "null": a sandboxed frame of any page has that origin.
+_LOCAL_PAGE = re.compile(r"file://|https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
+_GOING_AWAY = 1001
+
+
+class _Client(Client):
+    """WebSocket, RFC 6455, without input or output."""
+
+    ready = False
+
+    def __init__(self, protocol: "ServerProtocol") -> None:
+        self._protocol = protocol
+
+    def receive(self, data: bytes) -> tuple[bytes, bool]:
+        from websockets.http11 import Request
+        from websockets.protocol import State
+
+        self._protocol.receive_data(data) if data else self._protocol.receive_eof()
+        for event in self._protocol.events_received():
+            if isinstance(event, Request):
+                self._protocol.send_response(self._protocol.accept(event))
+        self.ready = self._protocol.state is State.OPEN
+        parts = self._protocol.data_to_send()
+        over = b"" in parts or not data
+        return b"".join(parts), not over
+
+    def last_bytes(self) -> bytes:
+        if self.ready:
+            self._protocol.send_close(_GOING_AWAY)
+        return b"".join(self._protocol.data_to_send())
+
+
+class WebSocket(LineServer):
+    """Sends lines as messages to the clients of a WebSocket server."""
+
+    def __init__(self, name: str, host: str, port: int, form: LineFormat, origin: str) -> None:
+        """`origin` is admitted besides local pages; `*` admits all."""
+        self._origins: list[Any] | None = None if origin == "*" else [None, _LOCAL_PAGE, origin or None]
+        super().__init__(name, host, port, form)
+
+    def connect(self) -> _Client:
+        """Return the protocol of a new client, which gets lines after its handshake."""
+        from websockets.server import ServerProtocol
+
+        return _Client(ServerProtocol(origins=self._origins, max_size=4096))
+
+    def encode(self, line: str) -> bytes:
+        """Return the line as a text frame."""
+        from websockets.frames import Frame, Opcode
+
+        return Frame(Opcode.TEXT, line.encode()).serialize(mask=False)
+
+
+def open(argument: str) -> WebSocket:
+    """Bind the port."""
+    return WebSocket(f"ws:{argument}", *check(argument))
+
+
+def check(argument: str) -> tuple[str, int, LineFormat, str]:
+    """Return host, port, format and origin. Raise OutputError if one is invalid or websockets is missing."""
+    address, form, options = parse_target("ws", argument, {"origin": str})
+    host, port = parse_host("ws", address)
+    if importlib.util.find_spec("websockets") is None:
+        raise OutputError("ws: needs the package websockets", "pip install 'spheremouse[network]'")
+    return host, port, form, str(options.get("origin", ""))
+
+
+def probe(argument: str) -> list[Finding]:
+    """Return whether the port is free."""
+    host, port, *_ = check(argument)
+    return probe_port("ws", host, port)
