@@ -24,8 +24,8 @@ from experiments.kit.render import (
     tidy,
     where,
 )
-from spheremouse.evaluate.bound import Bound
-from spheremouse.evaluate.metrics import Run, run_bound
+from spheremouse.evaluation.bound import Bound
+from spheremouse.evaluation.metrics import Run, run_bound
 from spheremouse.simulate.ball.film import prepare
 
 TITLE = "Number of discs (Wittich 2017, table 20)"

@@ -21,7 +21,7 @@ from experiments.kit.film import (
 )
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import ATTITUDE, RATE, Part, Table, tidy
-from spheremouse.evaluate.metrics import Run
+from spheremouse.evaluation.metrics import Run
 from spheremouse.simulate.ball.film import prepare
 
 TITLE = "Filter models (Wittich 2017, table 19)"

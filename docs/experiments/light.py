@@ -24,7 +24,7 @@ from experiments.kit.film import (
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import ATTITUDE, ERRORS, RATE, Part, Plot, Table, by, filter_rows, rms, tidy, where
 from spheremouse.errors import PoseError
-from spheremouse.evaluate.metrics import Run, run_bound
+from spheremouse.evaluation.metrics import Run, run_bound
 from spheremouse.simulate.ball.events import degraded
 from spheremouse.simulate.ball.film import prepare
 

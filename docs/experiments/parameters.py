@@ -14,7 +14,7 @@ from experiments.kit import detections, r1
 from experiments.kit.film import Film, film_from_dataset, film_of, options_of, settings_of, tracked
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import ATTITUDE, RATE, Part, Plot, Table, tidy
-from spheremouse.evaluate.metrics import Run
+from spheremouse.evaluation.metrics import Run
 from spheremouse.simulate.ball.film import prepare
 
 TITLE = "Assumed acceleration and noise of the discs (Wittich 2017, tables 14 to 18)"

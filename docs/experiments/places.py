@@ -21,7 +21,7 @@ from experiments.kit.render import ATTITUDE, RATE, Part, Plot, Table, tidy, wher
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.ball.truth import VISIBLE, Truth
-from spheremouse.evaluate.bound import MATCH, Sight, distances, posterior_bound
+from spheremouse.evaluation.bound import MATCH, Sight, distances, posterior_bound
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, tangent_basis

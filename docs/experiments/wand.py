@@ -15,7 +15,7 @@ import pandas as pd
 from experiments import wand_films as wand
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import Part, Table
-from spheremouse.evaluate.wand import errors
+from spheremouse.evaluation.wand import errors
 
 TITLE = "The hand-held ball (Grzonka 2005, chapter 4)"
 SPEEDS = "speeds"

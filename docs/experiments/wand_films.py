@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.evaluate.wand import WandHistory, WandRun, followed, found_from, is_lost
+from spheremouse.evaluation.wand import WandHistory, WandRun, followed, found_from, is_lost
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import open_wand
 from spheremouse.geometry.rotation import Array

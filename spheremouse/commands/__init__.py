@@ -20,6 +20,9 @@ _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 _COMMANDS = {
     # name: module, function or group in it, last line of its help
     "run": ("run", "run", "Example: spheremouse run --source dataset:demo/roll --output text:-"),
+    "track": (
+        "track", "track", "Example: spheremouse track demo/roll --smooth --output text:roll.jsonl",
+    ),
     "demo": ("demo", "demo", "Example: spheremouse demo --seconds 20 --seed 2"),
     "simulate": (
         "simulate", "simulate", "Example: spheremouse simulate demo/roll --motion roll --turns 1 --noise 3",

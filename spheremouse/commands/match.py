@@ -12,8 +12,8 @@ from spheremouse.errors import ConfigurationError, DatasetError, PoseError, Sour
 
 if TYPE_CHECKING:
     from spheremouse.ball.rig import Rig
-    from spheremouse.evaluate.metrics import Run
-    from spheremouse.evaluate.trackball import Match, Verdict
+    from spheremouse.evaluation.metrics import Run
+    from spheremouse.evaluation.trackball import Match, Verdict
     from spheremouse.output.counts import MotionSettings
     from spheremouse.session.run_config import RunConfig
 
@@ -46,7 +46,7 @@ def match(
     Exit codes: 0 the two agree, 1 they do not or the ball did not move enough, 2 unusable input.
     """
     from spheremouse.calibrate.outputs import check_outputs
-    from spheremouse.evaluate.trackball import judge, settings_of
+    from spheremouse.evaluation.trackball import judge, settings_of
     from spheremouse.files.safe_files import write_atomically, write_json
 
     check_outputs([out], [log, config, rig, camera], force)
@@ -95,7 +95,7 @@ def _plan(
 
 def _matched(recording: str, plan: "RunConfig", log: Path) -> "tuple[Match, Rig]":
     """Track the recording and match it with the log; DatasetError if one of them has too little."""
-    from spheremouse.evaluate.trackball import MIN_COMMON_S, RotationSteps, match
+    from spheremouse.evaluation.trackball import MIN_COMMON_S, RotationSteps, match
     from spheremouse.files.mouse_log import read_log
 
     trackball = read_log(log)
@@ -123,7 +123,7 @@ def track_recording(recording: str, plan: "RunConfig") -> "tuple[Run, Rig]":
     from spheremouse.ball.build import build
     from spheremouse.capture import open_source
     from spheremouse.commands.terminal import progress_bar
-    from spheremouse.evaluate.metrics import History
+    from spheremouse.evaluation.metrics import History
     from spheremouse.session.offline import initialise, track
 
     history = History()

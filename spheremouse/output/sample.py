@@ -7,7 +7,7 @@ docs/sample.schema.json describe the JSON object.
 import json
 from collections.abc import Mapping
 from math import isfinite
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, from_quaternion, to_quaternion
 from spheremouse.tracker import Estimate, Status, unknown
 from spheremouse.wand.axes import estimated_axes
+
+if TYPE_CHECKING:
+    from spheremouse.ball.smooth import Observation
 
 StillAxes = Literal["obj", "cam"]
 
@@ -30,6 +33,7 @@ class Sample(NamedTuple):
     wall: float | None = None  # s since 1970 (UTC) at the exposure; None for a recording
     latency: float | None = None  # s from the exposure to publication; None for a recording
     camera: Pose | None = None  # in obj; None for a hand-held ball, and for a sample read from JSON
+    observation: "Observation | None" = None  # information of the frame alone, for the smoother; None: not kept
 
     @property
     def sequence(self) -> int:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, islice
 from typing import Protocol
 
@@ -12,17 +12,20 @@ from numpy.typing import NDArray
 from spheremouse.ball.build import begin as begin_ball
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.filters.so3_settings import So3Settings
 from spheremouse.ball.pose import Resection, find_pose
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
+from spheremouse.ball.smooth import smooth
 from spheremouse.ball.state import Epoch, Tracker, TrackState
 from spheremouse.ball.track import step as step_ball
 from spheremouse.ball.warm import warm_up as warm_up_ball
 from spheremouse.compiling import told
-from spheremouse.errors import OutputError, PoseError, SourceError
+from spheremouse.errors import ConfigurationError, OutputError, PoseError, SourceError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.output import Output, OutputClosed, Report, report_of
+from spheremouse.output.sample import Sample
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.tracker import Frame, check_size
 from spheremouse.wand.state import WandEpoch, WandState, WandTracker
@@ -102,22 +105,49 @@ class View(Protocol):
         ...
 
 
-def follow(frames: Iterable[Frame], adapter: TrackerAdapter, outputs: dict[str, Output], view: View) -> None:
-    """Track every frame of a recording, send each report to all `outputs`, and display the frame in `view`.
+def results(frames: Iterable[Frame], adapter: TrackerAdapter) -> Iterator[FrameResult]:
+    """Track every frame, and yield the results of those that the adapter could track."""
+    return (made for frame in frames if (made := adapter.follow(frame)) is not None)
 
-    `view` also logs changes, with the frame's stamp. Frames for which the adapter returns None are skipped. An output
-    that fails or whose reader is gone is logged and left out. The error of the last one ends the run.
+
+def smoothed(tracked: Iterable[FrameResult], adapter: TrackerAdapter, settings: So3Settings) -> list[FrameResult]:
+    """Return the results with estimates given all frames, and without images."""
+    kept, samples = list[FrameResult](), list[Sample]()
+    for made in tracked:
+        samples.append(made.samples[0]._replace(observation=adapter.observation(made)))
+        frame = replace(made.frame, image=np.zeros((0, 0), np.uint8))
+        kept.append(replace(made, frame=frame, epoch=replace(made.epoch, frame=frame)))
+    smoothed_samples = smooth_samples(samples, settings)
+    return [replace(made, samples=(sample,)) for made, sample in zip(kept, smoothed_samples, strict=True)]
+
+
+def smooth_samples(samples: Iterable[Sample], settings: So3Settings) -> list[Sample]:
+    """Return the samples with estimates given all of them. Raise ConfigurationError without their observations."""
+    samples, observations = list(samples), []
+    for sample in samples:
+        if sample.observation is None:
+            raise ConfigurationError(
+                f"smooth: the sample of frame {sample.sequence} has no observation",
+                "only samples of `track` can be smoothed, of a ball in its frame and by tracker so3",
+            )
+        observations.append(sample.observation)
+    estimates = smooth(observations, settings)
+    return [s._replace(estimate=e, observation=None) for s, e in zip(samples, estimates, strict=True)]
+
+
+def follow(tracked: Iterable[FrameResult], adapter: TrackerAdapter, outputs: dict[str, Output], view: View) -> None:
+    """Send a report of each tracked frame of a recording to all `outputs`, and display the frame in `view`.
+
+    `view` also logs changes, with the frame's stamp. An output that fails or whose reader is gone is logged and left
+    out. The error of the last one ends the run.
     """
     working = dict(outputs)
-    for frame in frames:
-        made = adapter.follow(frame)
-        if made is None:
-            continue
+    for made in tracked:
         report = report_of(made.samples, adapter.mapping, made.pointing)
         _send(report, working, view)
         change, more = adapter.take_messages()
         for text in filter(None, (change, *more)):
-            view.log(f"{frame.stamp:9.3f} s  {text}")
+            view.log(f"{made.frame.stamp:9.3f} s  {text}")
         view.show(made, report, adapter)
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
+from spheremouse.ball.smooth import Observation
 from spheremouse.errors import SpheremouseError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.output import Counts, Mapping
@@ -91,6 +92,10 @@ class TrackerAdapter(Protocol):
 
     def follow(self, frame: Frame) -> FrameResult | None:
         """Track a frame. Return None if it was not tracked. Raise SourceError if it cannot be used."""
+        ...
+
+    def observation(self, tracked: FrameResult) -> Observation | None:
+        """Return the information of the last frame for the smoother; None if there is no smoother for this tracker."""
         ...
 
     def take_messages(self) -> LogMessages:

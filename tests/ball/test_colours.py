@@ -13,7 +13,7 @@ from spheremouse.ball.events import DiscColours
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracking, disc_map
 from spheremouse.ball.track import step, wants_colour, with_pose, with_settings
-from spheremouse.evaluate.metrics import attitude_error
+from spheremouse.evaluation.metrics import attitude_error
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame, Status
 

@@ -8,7 +8,7 @@ from experiments import wand_films as wand_experiments
 from experiments.kit.job import Request
 from experiments.wand_films import Film, Variant
 
-from spheremouse.evaluate.wand import errors
+from spheremouse.evaluation.wand import errors
 from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.ball import grzonka_ball

@@ -16,8 +16,8 @@ from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Epoch
 from spheremouse.ball.track import advance
 from spheremouse.ball.truth import VISIBLE
-from spheremouse.evaluate.bound import Bound, Sight, posterior_bound
-from spheremouse.evaluate.metrics import (
+from spheremouse.evaluation.bound import Bound, Sight, posterior_bound
+from spheremouse.evaluation.metrics import (
     History,
     Reference,
     Run,

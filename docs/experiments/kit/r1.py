@@ -12,8 +12,8 @@ import numpy as np
 
 from experiments.kit.film import Film, film_of, options_of
 from spheremouse.ball.truth import Truth
-from spheremouse.evaluate.metrics import Run, pearson, surface_travel
-from spheremouse.evaluate.trackball import CountPath
+from spheremouse.evaluation.metrics import Run, pearson, surface_travel
+from spheremouse.evaluation.trackball import CountPath
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.simulate.ball.film import prepare

@@ -24,8 +24,8 @@ from spheremouse.ball.state import Epoch, Tracker
 from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.capture.signals import SignalHandler
 from spheremouse.errors import ConfigurationError, PoseError
-from spheremouse.evaluate.metrics import History, Reference, Run, report
-from spheremouse.evaluate.plot import plot_run
+from spheremouse.evaluation.metrics import History, Reference, Run, report
+from spheremouse.evaluation.plot import plot_run
 from spheremouse.geometry.rotation import rotation_between
 from spheremouse.output import open_output, report_of
 from spheremouse.output.counts import Counter

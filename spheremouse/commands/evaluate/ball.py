@@ -7,27 +7,23 @@ from typing import Any, NamedTuple
 
 from rich.console import Console
 
-from spheremouse.ball.build import build
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.rig import Rig, in_metres
+from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.commands import terminal
 from spheremouse.commands.evaluate import Options, about
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
-from spheremouse.evaluate.metrics import History, Reference, Run, report
-from spheremouse.evaluate.plot import plot_run
-from spheremouse.evaluate.table import ball_table, consistency, path_notes
+from spheremouse.evaluation.metrics import Run
+from spheremouse.evaluation.plot import plot_run
+from spheremouse.evaluation.table import ball_table, consistency, path_notes
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import Recording, open_dataset
-from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.rig import load_camera, load_rig, with_camera
-from spheremouse.geometry.camera import Pose
 from spheremouse.session.ball.map_keeper import open_map
-from spheremouse.session.offline import initialise, track
+from spheremouse.session.evaluate import BallRun, ball_reports, numbered_frames, rig_of, run_ball
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.events import degraded
 
-_FILTERED, _SMOOTHED = "", ", smoothed"  # suffixes of a recording's name in the report
 _NO_TRUTH = "no truth.csv: no errors are known; the table has the frames tracked, NIS and times"
 
 
@@ -46,25 +42,20 @@ def evaluate_balls(options: Options, out: Console, err: Console) -> tuple[list[d
     if options.plot_file is not None and tracks[0].recording.truth is None:
         raise DatasetError(f"{tracks[0].recording.path}: no truth.csv, which --plot compares with")
     results: list[dict[str, Any]] = []
-    tracker, failed = settings.tracker, False
+    failed = False
     for each in tracks:
         recording = each.recording
-        reference = Reference(recording.truth, recording.discs, recording.pose, recording.truth_directions)
-        name, frames = recording.name, recording.frames
         try:
-            runs, found = _run(each, settings, options, err)
-            for kind, run in runs.items():
-                label = f"{name}{kind}"
-                results.append(
-                    report(run, reference, each.rig, dataset=label, tracker=tracker, frames=frames, found=found)
-                )
+            run = _run(each, settings, options, err)
+            results += ball_reports(run, recording, options.smooth)
             if options.plot_file is not None:
-                _plot(runs[_FILTERED], recording, options.plot_file)
+                _plot(run.history.run(), recording, options.plot_file)
         except SpheremouseError as e:
             terminal.error(about(recording.path, str(e)))
             failed = True
     if results:
-        out.print(ball_table(results, f"{tracker} with detector {settings.detector}, {options.pose} camera pose"))
+        method = f"{settings.tracker} with detector {settings.detector}, {options.pose} camera pose"
+        out.print(ball_table(results, method))
         for line in [line for result in results for line in (*path_notes(result), *consistency(result))]:
             out.print(line, markup=False)
         for each in tracks:
@@ -93,9 +84,7 @@ def _tracks(options: Options, settings: Settings) -> Iterator[_Track]:
         raise ConfigurationError(f"--map: tracker {settings.tracker} keeps no map; use so3, or leave --map out")
     for path in options.datasets:
         recording = open_dataset(path)
-        rig = recording.rig if given is None else given
-        if rig.scale_free and not recording.rig.scale_free:  # the truth is in metres
-            rig = in_metres(rig, recording.rig.ball.radius / rig.ball.radius)
+        rig = rig_of(recording, given)
         rig = rig if camera is None else with_camera(rig, camera)
         if options.pose == "known":
             if recording.pose is None:
@@ -105,30 +94,19 @@ def _tracks(options: Options, settings: Settings) -> Iterator[_Track]:
         yield _Track(recording, rig, known)
 
 
-def _run(each: _Track, settings: Settings, options: Options, err: Console) -> tuple[dict[str, Run], Pose | None]:
-    """Track a recording from its first frame. Also return the camera's pose if it was found from the images.
-
-    The runs have the suffix of the recording's name in the report as key. With `--smooth` there are two.
-    """
+def _run(each: _Track, settings: Settings, options: Options, err: Console) -> BallRun:
+    """Track a recording from its first frame, with a progress bar."""
     recording, rig, known = each
-    # numbered as the rows of the truth: a live camera also counts the frames that it dropped
-    numbered = (replace(frame, sequence=i) for i, frame in enumerate(read_frames(recording)))
-    frames = degraded(numbered, options.noise, options.brightness)
     with terminal.progress_bar() as progress:
         task = progress.add_task(recording.name, total=recording.frames)
+        frames = progress.track(numbered_frames(recording), recording.frames, task_id=task)
         passed_over: list[str] = []  # reasons why the first views gave no pose, if later ones did
-        start = initialise(frames, rig, settings, report=passed_over.append)
-        for text in passed_over:
-            err.print(f"{about(recording.path, text)} (first frames passed over)", markup=False)
-        history = History()
-        tracker = build(rig, start.pose, settings)
-        for epoch in track(start.frames, tracker, known):
-            history.add(epoch)
-            progress.update(task, completed=epoch.frame.sequence + 1)
-    runs = {_FILTERED: history.run()}
-    if options.smooth:
-        runs[_SMOOTHED] = history.smoothed(tracker).run()
-    return runs, None if start.resection is None else start.pose
+        run = run_ball(
+            degraded(iter(frames), options.noise, options.brightness), rig, settings, known, passed_over.append
+        )
+    for text in passed_over:
+        err.print(f"{about(recording.path, text)} (first frames passed over)", markup=False)
+    return run
 
 
 def _plot(run: Run, recording: Recording, path: Path) -> None:

@@ -8,13 +8,14 @@ from rich.console import Console
 from spheremouse.commands import terminal
 from spheremouse.commands.evaluate import Options, about
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
-from spheremouse.evaluate.table import consistency, wand_table
-from spheremouse.evaluate.wand import WandHistory, followed, wand_report
+from spheremouse.evaluation.table import consistency, wand_table
+from spheremouse.evaluation.wand import WandHistory
 from spheremouse.files import config
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import WandRecording, open_wand
 from spheremouse.files.rig import load_camera
-from spheremouse.session.offline import Known, track_wand
+from spheremouse.session.evaluate import run_wand, wand_reports
+from spheremouse.session.offline import Known
 from spheremouse.session.run_config import read_balls, told_apart
 from spheremouse.session.settings import Configuration
 from spheremouse.session.wand.messages import sentence
@@ -52,8 +53,7 @@ def evaluate_wands(options: Options, out: Console, err: Console) -> tuple[list[d
             terminal.error(about(recording.path, str(e)))
             failed = True
             continue
-        first, *more = _reports(recording, balls, histories)
-        results.append({**first, "more_balls": more} if more else first)
+        results.append(wand_reports(recording, balls, histories))
         lines = [f"frame {frame}: {sentence(event)}" for frame, event in histories[0].events()[:_MAX_EVENTS]]
         lines += _never_found(balls, histories)
         for line in [*lines, *([] if recording.truth is not None else [_NO_TRUTH])]:
@@ -68,35 +68,10 @@ def evaluate_wands(options: Options, out: Console, err: Console) -> tuple[list[d
 
 def _run(recording: WandRecording, tracker: WandTracker, seed: int, known: Known | None) -> WandHistory:
     """Track a recording once."""
-    history = WandHistory()
     with terminal.progress_bar() as progress:
         task = progress.add_task(f"{recording.name}, seed {seed}", total=recording.frames)
-        for epoch in track_wand(read_frames(recording), tracker, seed, known):
-            history.add(epoch)
-            progress.update(task, completed=len(history.stamps))
-    return history
-
-
-def _reports(
-    recording: WandRecording, balls: Sequence[WandBall], histories: Sequence[WandHistory]
-) -> list[dict[str, Any]]:
-    """Compare each ball with the ball of the film that it follows."""
-    runs = [[history.run(k) for k in range(len(balls))] for history in histories]
-    truths = [followed(each, balls, recording.truths, recording.balls) for each in runs]
-    reports = []
-    for k, ball in enumerate(balls):
-        of_ball = [run[k] for run in runs]
-        true = [truth for each in truths if (truth := each[k]) is not None]
-        reports.append(
-            wand_report(
-                of_ball,
-                true if len(true) == len(of_ball) else None,  # more balls than were filmed
-                dataset=recording.name if k == 0 else f"{recording.name}, ball {k + 1}",
-                frames=recording.frames,
-                radius=ball.radius,
-            )
-        )
-    return reports
+        frames = progress.track(read_frames(recording), recording.frames, task_id=task)
+        return run_wand(frames, tracker, seed, known)
 
 
 def _never_found(balls: Sequence[WandBall], histories: Sequence[WandHistory]) -> Iterator[str]:

@@ -114,7 +114,7 @@ def run(
         _refuse_loss(overlay, plan, (config, rig, camera, map_file, *(balls or ())))
     if balls and plan.configuration.tracker != "wand":
         raise ConfigurationError("--ball: goes with --tracker wand; add that, or leave it out")
-    _run(overrides, plan, realtime, _has_terminal(plan) if table is None else table, overlay, frames, verbose)
+    run_plan(overrides, plan, realtime, _has_terminal(plan) if table is None else table, overlay, frames, verbose)
 
 
 def _has_terminal(plan: "RunConfig") -> bool:
@@ -125,14 +125,15 @@ def _has_terminal(plan: "RunConfig") -> bool:
     return sys.stderr.isatty() and not (shared and sys.stdout.isatty())
 
 
-def _run(
+def run_plan(
     overrides: "CommandLineOverrides",
     plan: "RunConfig",
-    realtime: bool,
-    table: bool,
-    overlay: Path | None,
-    frames: int | None,
-    verbose: bool,
+    realtime: bool = False,
+    table: bool = False,
+    overlay: Path | None = None,
+    frames: int | None = None,
+    verbose: bool = False,
+    smooth: bool = False,
 ) -> None:
     """Run from the first frame to the summary, then raise the error that ended the run."""
     from spheremouse.capture.signals import SignalHandler
@@ -151,7 +152,8 @@ def _run(
             plan = setup.planned(overrides, plan)
             shown = view(plan, table, overlay, None if setup.source is None else setup.source.fps, stack, verbose)
             try:
-                failure, words = (serve if live else follow)(overrides, plan, setup, stopping, shown, frames)
+                work = serve if live else partial(follow, smooth=smooth)
+                failure, words = work(overrides, plan, setup, stopping, shown, frames)
             except SpheremouseError as e:  # before the first frame
                 failure = e
         if shown.overlay is not None and shown.overlay.written:
@@ -224,6 +226,7 @@ def follow(
     stopping: "SignalHandler",
     view: "Counting",
     frames: int | None,
+    smooth: bool = False,
 ) -> tuple[SpheremouseError | None, tuple[str, ...]]:
     """Track every frame of a recording, one after the other. Return error and last words."""
     from spheremouse.output import open_output
@@ -240,13 +243,16 @@ def follow(
         stack.callback(adapter.close)
         to = {spec: stack.enter_context(open_output(spec)) for spec in plan.outputs}
         for output in to.values():
-            output.begin(partial(describe_run, plan))
+            output.begin(lambda: describe_run(plan) | {"smoothed": smooth})
         setup.make_ready(plan)
         for notice in filter(None, map(left_out, plan.outputs)):
             view.log(str(notice))
         try:
-            tracked = islice(adapter.begin(stopping.frames(iter(source))), frames)
-            offline.follow(stopping.frames(tracked), adapter, to, view)
+            chosen = islice(adapter.begin(stopping.frames(iter(source))), frames)
+            tracked = offline.results(stopping.frames(chosen), adapter)
+            if smooth:
+                tracked = offline.smoothed(tracked, adapter, plan.configuration.so3)
+            offline.follow(tracked, adapter, to, view)
             failure = None if stopping.asked else adapter.failure("")
         except PoseError as e:
             failure = None if stopping.asked else e  # a signal ended the frames

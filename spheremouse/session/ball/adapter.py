@@ -17,6 +17,7 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.events import CameraMoved
 from spheremouse.ball.pose import Resection
 from spheremouse.ball.rig import Rig
+from spheremouse.ball.smooth import Observation, observe
 from spheremouse.ball.state import Epoch, Tracker, TrackState, current
 from spheremouse.ball.track import step, wants_colour, with_pose, with_settings
 from spheremouse.errors import PoseError, SpheremouseError
@@ -161,6 +162,13 @@ class BallAdapter:
             self._look_for_targets(frame)
             return None
         return self._track(frame, self._tracker)
+
+    def observation(self, tracked: FrameResult) -> Observation | None:
+        """Return the information of the last frame for the smoother; None with a published filter."""
+        tracker, epoch = self.tracker, tracked.epoch
+        if tracker is None or self.settings.tracker != "so3":
+            return None
+        return observe(epoch.estimate, epoch.state.filter, epoch.state.points, tracker.filter)
 
     def take_messages(self) -> LogMessages:
         """Return the log lines about the ball since the previous call."""

@@ -100,6 +100,9 @@ class WandAdapter:
             for k, (estimate, name, of) in enumerate(zip(estimates, names, named, strict=True))
         )
 
+    def observation(self, tracked: FrameResult) -> None:
+        """Return None: a hand-held ball has no smoother."""
+
     def take_messages(self) -> LogMessages:
         """Return the log lines since the previous call."""
         return self._messages.take()

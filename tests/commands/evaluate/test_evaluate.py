@@ -18,9 +18,9 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.errors import ConfigurationError
-from spheremouse.evaluate import plot
-from spheremouse.evaluate.bound import Bound, Sight, manoeuvre, posterior_bound
-from spheremouse.evaluate.metrics import (
+from spheremouse.evaluation import plot
+from spheremouse.evaluation.bound import Bound, Sight, manoeuvre, posterior_bound
+from spheremouse.evaluation.metrics import (
     Reference,
     Run,
     attitude_error,
@@ -38,7 +38,7 @@ from spheremouse.evaluate.metrics import (
     report,
     surface_speeds,
 )
-from spheremouse.evaluate.table import consistency, path_notes
+from spheremouse.evaluation.table import consistency, path_notes
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.disc_map import save_map, saved_now
 from spheremouse.geometry.camera import InteriorOrientation, Pose

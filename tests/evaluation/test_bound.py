@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth
-from spheremouse.evaluate.bound import measured, semi_minor_axes
+from spheremouse.evaluation.bound import measured, semi_minor_axes
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import from_euler, tangent_basis
 

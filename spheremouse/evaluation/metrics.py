@@ -17,8 +17,8 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.smooth import observe, smooth
 from spheremouse.ball.state import Epoch, Tracker, current
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth, Truth
-from spheremouse.evaluate.bound import MATCH, Bound, distances, measured, posterior_bound, semi_minor_axes
-from spheremouse.evaluate.scale import scale_and_drift
+from spheremouse.evaluation.bound import MATCH, Bound, distances, measured, posterior_bound, semi_minor_axes
+from spheremouse.evaluation.scale import scale_and_drift
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, log

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spheremouse.ball.truth import Truth
-from spheremouse.evaluate.trackball import CountPath, RotationSteps, judge, match, settings_of
+from spheremouse.evaluation.trackball import CountPath, RotationSteps, judge, match, settings_of
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.output.counts import MotionSettings

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.evaluate.metrics import attitude_error
+from spheremouse.evaluation.metrics import attitude_error
 from spheremouse.files.report.style import BLUE, GREEN, INK, MUTED, RED, styled
 from spheremouse.files.safe_files import write
 from spheremouse.geometry.rotation import Array, log

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from spheremouse.evaluate.scale import scale_and_drift
+from spheremouse.evaluation.scale import scale_and_drift
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.ball.profile import play
 

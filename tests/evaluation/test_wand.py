@@ -7,7 +7,7 @@ import pytest
 from experiments.wand_films import kept_of
 from scipy.stats import chi2
 
-from spheremouse.evaluate.wand import WandRun, alike, errors, followed, found_from, is_lost, off, wand_report
+from spheremouse.evaluation.wand import WandRun, alike, errors, followed, found_from, is_lost, off, wand_report
 from spheremouse.geometry.rotation import exp
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.ball import WandTruth, contrast_ball, grzonka_ball

@@ -1,0 +1,129 @@
+"""The functions of `import spheremouse as sm`. docs/python.md describes them."""
+
+import logging
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from spheremouse.ball.rig import Rig
+from spheremouse.capture import Source, Stream
+from spheremouse.errors import ConfigurationError
+from spheremouse.files import config
+from spheremouse.files.dataset import ball
+from spheremouse.files.dataset.frames import read_frames
+from spheremouse.files.dataset.wand import WandRecording, is_wand, open_wand
+from spheremouse.files.rig import load_rig as _load_rig
+from spheremouse.output.sample import Sample
+from spheremouse.session import evaluate as evaluation
+from spheremouse.session import offline
+from spheremouse.session.control.client import Client
+from spheremouse.session.run_config import RunConfig, told_apart
+from spheremouse.session.settings import Configuration
+from spheremouse.session.setup import Setup
+from spheremouse.session.tracker_adapter import here
+from spheremouse.wand.build import build
+
+Recording = ball.Recording | WandRecording
+
+_log = logging.getLogger("spheremouse").info
+
+
+def open_dataset(path: str | Path) -> Recording:
+    """Return the description of a recording of either tracker, with its truth if it has one.
+
+    It can be tracked any number of times. Raises DatasetError if the folder has no valid recording.
+    """
+    return open_wand(Path(path)) if is_wand(path) else ball.open_dataset(path)
+
+
+def load_rig(path: str | Path) -> Rig:
+    """Return the calibrated device of a rig file. Raises ConfigurationError with a line for each problem."""
+    return _load_rig(Path(path))
+
+
+def load_configuration(path: str | Path | None = None, *assignments: str) -> Configuration:
+    """Return the settings of a configuration file, or the defaults, with assignments such as "so3.levels=3".
+
+    Raises ConfigurationError with file and line.
+    """
+    return config.in_force(None if path is None else Path(path), assignments, Configuration)
+
+
+def track(
+    source: Source | Recording, rig: Rig | None = None, settings: Configuration | None = None
+) -> Iterator[Sample]:
+    """Yield a sample for each ball and frame, from the first frame that shows where the camera is.
+
+    `rig` replaces that of the source. Of the settings, source, output, files and map do not count. By default a
+    recording of a hand-held ball is tracked as such, and any other source as a ball in its frame. The caller closes a
+    source.
+
+    Raises ConfigurationError if the source does not match the settings or has no rig, and PoseError or SourceError if
+    the recording ends before anything was tracked.
+    """
+    of_wand = isinstance(source, WandRecording)
+    settings = settings or Configuration(tracker="wand" if of_wand else "so3")
+    if isinstance(source, ball.Recording | WandRecording) and of_wand is not (settings.tracker == "wand"):
+        needed = "wand" if of_wand else "so3"
+        raise ConfigurationError(
+            f"{source.path}: tracker {settings.tracker} cannot track this recording", f"use tracker={needed}"
+        )
+    name = "source"
+    if isinstance(source, WandRecording):
+        name, setup = str(source.path), Setup(Stream(read_frames(source)), source.camera, source.balls)
+    elif isinstance(source, ball.Recording):
+        name, setup = str(source.path), Setup(Stream(read_frames(source), source.rig))
+    else:
+        setup = Setup(source)
+    return _samples(setup, RunConfig(settings, name, (), rig, None, None, None, None))
+
+
+def _samples(setup: Setup, plan: RunConfig) -> Iterator[Sample]:
+    """Yield the samples of a plan; those of a ball in its frame have their observation."""
+    source = setup.source
+    assert source is not None
+    adapter = setup.adapter(plan, _log, here)
+    setup.make_ready(plan, _log)
+    frames = iter(source) if source.live else adapter.begin(iter(source))
+    for tracked in offline.results(frames, adapter):
+        for sample in tracked.samples:
+            yield sample._replace(observation=adapter.observation(tracked))
+    if (failure := adapter.failure("")) is not None:
+        raise failure
+
+
+def smooth(samples: Iterable[Sample], settings: Configuration | None = None) -> list[Sample]:
+    """Return samples of `track` with estimates given all of them, also the later ones.
+
+    It is the fixed-interval smoother of Rauch, Tung and Striebel (1965), for a ball in its frame and tracker so3. Give
+    it the settings of `track`. Raises ConfigurationError for other samples.
+    """
+    return offline.smooth_samples(samples, (settings or Configuration()).so3)
+
+
+def evaluate(
+    recording: Recording, rig: Rig | None = None, settings: Configuration | None = None, *, smooth: bool = False
+) -> dict[str, Any]:
+    """Track a recording, and return the report of `spheremouse evaluate --json` with its errors.
+
+    With `smooth` it is the report of the smoother. Values are None without a truth. Raises SpheremouseError if the
+    recording cannot be tracked.
+    """
+    if isinstance(recording, WandRecording):
+        chosen = (settings or Configuration(tracker="wand")).wand
+        balls = told_apart(recording.balls)
+        tracker = build(recording.camera, balls, chosen)
+        return evaluation.wand_reports(recording, balls, [evaluation.run_wand(read_frames(recording), tracker)])
+    frames, device = evaluation.numbered_frames(recording), evaluation.rig_of(recording, rig)
+    run = evaluation.run_ball(frames, device, settings or Configuration())
+    return evaluation.ball_reports(run, recording, smooth)[-1]
+
+
+def connect(socket: str | Path | None = None) -> Iterator[Sample]:
+    """Yield the samples of the running service, from now on.
+
+    `socket` is the path of its control socket; by default it is found as by `spheremouse ctl`. Raises SpheremouseError
+    if no service runs, if you have no access to the socket, or when the service ends.
+    """
+    with Client(None if socket is None else Path(socket)) as client:
+        yield from client.samples()

@@ -1,0 +1,53 @@
+"""`spheremouse track`: track a recording once, and send its samples to outputs."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spheremouse.commands.options import Assignments, Balls, CameraFile, ConfigFile, RigFile
+from spheremouse.errors import ConfigurationError
+
+
+def track(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", show_default=False, help="Folder of a recording.")],
+    output: Annotated[
+        list[str], typer.Option(metavar="KIND:ARG", help="Target of the samples, as of `run`; repeat it for several.")
+    ],
+    smooth: Annotated[
+        bool, typer.Option("--smooth", help="Estimate each state from all frames, also the later ones (so3).")
+    ] = False,
+    rig: RigFile = None,
+    camera: CameraFile = None,
+    config: ConfigFile = None,
+    assignments: Assignments = None,
+    balls: Balls = None,
+) -> None:
+    """Track a recording and send its samples to files or programs.
+
+    It is `spheremouse run --source dataset:RECORDING --no-map` without a display. The source, output, rig, camera and
+    map of a configuration file do not count. The filter uses the frames up to the present one. --smooth uses all
+    frames, also the later ones, so the angular velocity has about half the error.
+    """
+    from spheremouse.commands.run import run_plan
+    from spheremouse.files.dataset.wand import is_wand
+    from spheremouse.session.run_config import CommandLineOverrides, check_kinds, read_run_config
+
+    of_wand = ("tracker=wand",) if is_wand(recording) else ()
+    overrides = CommandLineOverrides(
+        config,
+        (*of_wand, *(assignments or ())),
+        f"dataset:{recording}",
+        tuple(output),
+        rig,
+        camera,
+        no_map=True,
+        balls=tuple(balls or ()),
+    )
+    plan = read_run_config(overrides)
+    check_kinds(plan)
+    if smooth and plan.configuration.tracker != "so3":
+        raise ConfigurationError(
+            f"--smooth: there is no smoother for {plan.configuration.tracker}; use so3, or leave it out"
+        )
+    run_plan(overrides, plan, smooth=smooth)

@@ -1,0 +1,112 @@
+"""Run a tracker on a recording and compare it with the recording's truth, as `spheremouse evaluate` reports it."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from spheremouse.ball.build import build
+from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.rig import Rig, in_metres
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.state import Tracker
+from spheremouse.evaluation.metrics import History, Reference, report
+from spheremouse.evaluation.wand import WandHistory, followed, wand_report
+from spheremouse.files.dataset.ball import Recording
+from spheremouse.files.dataset.frames import read_frames
+from spheremouse.files.dataset.wand import WandRecording
+from spheremouse.geometry.camera import Pose
+from spheremouse.session.offline import Known, initialise, track, track_wand
+from spheremouse.tracker import Frame
+from spheremouse.wand.ball import WandBall
+from spheremouse.wand.state import WandTracker
+
+
+class BallRun(NamedTuple):
+    """Results of a tracker on the frames of a recording."""
+
+    history: History
+    tracker: Tracker[Any]
+    found: Pose | None  # of the camera; None if the rig has it
+
+
+def numbered_frames(recording: Recording) -> Iterator[Frame]:
+    """Yield the frames numbered as the rows of the truth: a live camera also counts the frames that it dropped."""
+    return (replace(frame, sequence=i) for i, frame in enumerate(read_frames(recording)))
+
+
+def rig_of(recording: Recording, given: Rig | None) -> Rig:
+    """Return the given rig in the unit of the truth, else that of the recording."""
+    if given is None:
+        return recording.rig
+    if given.scale_free and not recording.rig.scale_free:  # the truth is in metres
+        return in_metres(given, recording.rig.ball.radius / given.ball.radius)
+    return given
+
+
+def run_ball(
+    frames: Iterator[Frame],
+    rig: Rig,
+    settings: Settings,
+    known: DiscMap | None = None,
+    log: Callable[[str], None] = lambda _: None,
+) -> BallRun:
+    """Track frames, with a `known` map of the discs or without. `log` gets the problem of first views without a pose.
+
+    Raises PoseError if no views show enough targets.
+    """
+    start = initialise(frames, rig, settings, report=log)
+    history, tracker = History(), build(rig, start.pose, settings)
+    for epoch in track(start.frames, tracker, known):
+        history.add(epoch)
+    return BallRun(history, tracker, None if start.resection is None else start.pose)
+
+
+def ball_reports(run: BallRun, recording: Recording, smooth: bool = False) -> list[dict[str, Any]]:
+    """Return the report of the filter, and with `smooth` that of the smoother, whose dataset ends in `, smoothed`."""
+    reference = Reference(recording.truth, recording.discs, recording.pose, recording.truth_directions)
+    histories = {"": run.history}
+    if smooth:
+        histories[", smoothed"] = run.history.smoothed(run.tracker)
+    return [
+        report(
+            history.run(),
+            reference,
+            run.tracker.rig,
+            dataset=f"{recording.name}{suffix}",
+            tracker=run.tracker.settings.tracker,
+            frames=recording.frames,
+            found=run.found,
+        )
+        for suffix, history in histories.items()
+    ]
+
+
+def run_wand(frames: Iterable[Frame], tracker: WandTracker, seed: int = 1, known: Known | None = None) -> WandHistory:
+    """Track frames of balls in a hand, with the `known` poses at the first frame or without."""
+    history = WandHistory()
+    for epoch in track_wand(frames, tracker, seed, known):
+        history.add(epoch)
+    return history
+
+
+def wand_reports(
+    recording: WandRecording, balls: Sequence[WandBall], histories: Sequence[WandHistory]
+) -> dict[str, Any]:
+    """Compare each ball with the ball of the film that it follows. Other balls are in `more_balls` of the first."""
+    runs = [[history.run(k) for k in range(len(balls))] for history in histories]
+    truths = [followed(each, balls, recording.truths, recording.balls) for each in runs]
+    reports = []
+    for k, ball in enumerate(balls):
+        of_ball = [run[k] for run in runs]
+        true = [truth for each in truths if (truth := each[k]) is not None]
+        reports.append(
+            wand_report(
+                of_ball,
+                true if len(true) == len(of_ball) else None,  # more balls than were filmed
+                dataset=recording.name if k == 0 else f"{recording.name}, ball {k + 1}",
+                frames=recording.frames,
+                radius=ball.radius,
+            )
+        )
+    first, *more = reports
+    return {**first, "more_balls": more} if more else first
