@@ -1,8 +1,9 @@
 """`ws:HOST:PORT[,format=NAME][,origin=URL]`: a WebSocket server that sends each line as a message, for browsers.
 
-`ws:PORT` listens on this computer alone. A page of this computer may connect, from a file or from a server on loopback.
-`origin=https://example.org` admits the pages of another server, and `origin=*` all. A program that is no browser names
-no origin, and may connect. A client that does not read is dropped when its buffer is full.
+`ws:PORT` listens on this computer alone. A page may connect if a server on loopback gave it to the browser.
+`origin=https://example.org` admits the pages of another server, `origin=null` pages from files, and `origin=*` all.
+Pages from files are not admitted without it, because a sandboxed frame of any page has the origin null, too. A program
+that is no browser names no origin, and may connect. A client that does not read is dropped when its buffer is full.
 """
 
 import importlib.util
@@ -18,8 +19,7 @@ from spheremouse.output.lines import LineFormat, parse_target
 if TYPE_CHECKING:
     from websockets.server import ServerProtocol
 
-# Not "null": a sandboxed frame of any page has that origin.
-_LOCAL_PAGE = re.compile(r"file://|https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
+_LOCAL_PAGE = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 _GOING_AWAY = 1001
 
 
