@@ -18,7 +18,22 @@ from spheremouse.output.sample import Sample
 from spheremouse.output.third_axis import left_out, sent_as
 from spheremouse.tracker import Estimate
 
-KINDS = ("auto", "csv", "desktop", "gamepad", "null", "osc", "serial", "spacenav", "tcp", "text", "udp", "uinput", "ws")
+KINDS = (
+    "auto",
+    "csv",
+    "desktop",
+    "gamepad",
+    "null",
+    "osc",
+    "parquet",
+    "serial",
+    "spacenav",
+    "tcp",
+    "text",
+    "udp",
+    "uinput",
+    "ws",
+)
 
 Counts = tuple[int, int, int]  # x, y and third axis
 Rate = tuple[float, float, float]  # counts/s

@@ -15,10 +15,10 @@ from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import is_stream, open_to_append
 from spheremouse.finding import Finding
 from spheremouse.output.columns import Column
-from spheremouse.output.log_file import drop_unfinished_line, probe_file, refuse_other_files
-from spheremouse.output.table import Table, table_file
+from spheremouse.output.log_file import drop_unfinished_line, probe_file
+from spheremouse.output.table import Table, check_table, open_table, table_file
 
-_START = "# spheremouse samples"
+_START = b"# spheremouse samples"
 
 
 class CsvWriter:
@@ -70,7 +70,7 @@ class CsvWriter:
 
 def header(columns: Sequence[Column]) -> bytes:
     """Return the comment lines and the line of names."""
-    comments = [f"{_START}, one row a ball and frame; column [unit, frame]: meaning"]
+    comments = [f"{_START.decode()}, one row a ball and frame; column [unit, frame]: meaning"]
     for column in columns:
         units = ", ".join(filter(None, (column.unit, column.frame)))
         comments.append(f"# {column.name}{f' [{units}]' if units else ''}: {column.meaning}")
@@ -84,21 +84,13 @@ def _lines(rows: list[list[Any]]) -> bytes:
 
 
 def open(argument: str) -> Table:
-    """Open a file to append to. Raise OutputError if it is not such a table."""
-    path = file_of(argument)
-    try:
-        refuse_other_files(path, _START.encode())
-        return Table(path, CsvWriter(path))
-    except (OSError, ValueError) as e:
-        reason = (e.strerror if isinstance(e, OSError) else None) or e
-        raise OutputError(f"{path}: cannot be written: {reason}") from None
+    """Open a file to append to. Raise OutputError if it is another file."""
+    return open_table(file_of(argument), _START, CsvWriter)
 
 
 def check(argument: str) -> None:
     """Raise OutputError if the argument is invalid, or if the file exists and is not such a table."""
-    path = file_of(argument)
-    with contextlib.suppress(OSError, ValueError):  # `open` reports these
-        refuse_other_files(path, _START.encode())
+    check_table(file_of(argument), _START)
 
 
 def file_of(argument: str) -> Path:

@@ -3,7 +3,8 @@
 A file with the same columns is continued. Each opening of it is one run of the JSON file.
 """
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -11,6 +12,7 @@ from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import is_stream
 from spheremouse.output import DescribeRun, Output, OutputClosed, Report
 from spheremouse.output.columns import Column, columns, rows
+from spheremouse.output.log_file import refuse_other_files
 from spheremouse.output.run_json import RunRecord
 
 
@@ -78,6 +80,21 @@ class Table(Output):
         self._begun = True
 
 
+def open_table(path: Path, start: bytes, open_writer: Callable[[Path], RowWriter]) -> Table:
+    """Open a file that begins with `start`, or a new one. Raise OutputError if that fails, or for another file."""
+    try:
+        refuse_other_files(path, start)
+        return Table(path, open_writer(path))
+    except (OSError, ValueError) as e:
+        raise _cannot_be_written(path, e) from None
+
+
+def check_table(path: Path, start: bytes) -> None:
+    """Raise OutputError if the file exists and does not begin with `start`."""
+    with contextlib.suppress(OSError, ValueError):  # `open_table` reports these
+        refuse_other_files(path, start)
+
+
 def table_file(kind: str, argument: str) -> Path:
     """Return the file of `KIND:FILE`. Raise OutputError if there is none."""
     if argument in ("", "-"):
@@ -93,5 +110,5 @@ def beside(path: Path) -> Path:
     return path.with_suffix(".json")
 
 
-def _cannot_be_written(path: Path, error: OSError) -> OutputError:
-    return OutputError(f"{path}: cannot be written: {error.strerror or error}")
+def _cannot_be_written(path: Path, error: Exception) -> OutputError:
+    return OutputError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}")
