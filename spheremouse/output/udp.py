@@ -4,42 +4,27 @@
 start and stop at any time.
 """
 
-import socket
-
-from spheremouse.errors import OutputError
-from spheremouse.finding import Finding, ok, refused
-from spheremouse.output import Output, Report
-from spheremouse.output.address import parse_host, resolve
+from spheremouse.finding import Finding
+from spheremouse.output import Report
+from spheremouse.output.address import parse_host
+from spheremouse.output.datagram import DatagramOutput, probe_receiver
 from spheremouse.output.lines import LineFormat, parse_address
 
 
-class Udp(Output):
+class Udp(DatagramOutput):
     """Sends lines as datagrams, each with the end of its line."""
 
     def __init__(self, name: str, host: str, port: int, form: LineFormat) -> None:
-        self._name, self._form, self.paced = name, form, form.paced
-        family, self._address = resolve(name, host, port, socket.SOCK_DGRAM)
-        self._socket = socket.socket(family, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        super().__init__(name, host, port)
+        self._form, self.paced = form, form.paced
 
-    def send(self, report: Report) -> None:
-        """Send the lines. A line that the system's buffer does not hold is lost."""
-        for line in self._form.lines(report):
-            try:
-                self._socket.sendto(line.encode() + b"\n", self._address)
-            except BlockingIOError:
-                continue
-            except OSError as e:
-                raise OutputError(f"{self._name}: cannot be sent: {e.strerror or e}") from None
+    def datagrams(self, report: Report) -> list[bytes]:
+        """Return the lines."""
+        return [line.encode() + b"\n" for line in self._form.lines(report)]
 
     def describe(self, report: Report) -> str:
         """Return the lines as one."""
         return " | ".join(self._form.lines(report))
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
 
 
 def open(argument: str) -> Udp:
@@ -56,8 +41,4 @@ def check(argument: str) -> tuple[str, int, LineFormat]:
 def probe(argument: str) -> list[Finding]:
     """Return whether the host is known. Nothing is sent."""
     host, port, _ = check(argument)
-    try:
-        _, address = resolve(f"udp:{argument}", host, port, socket.SOCK_DGRAM)
-    except OutputError as e:
-        return [refused("udp", e)]
-    return [ok("udp", f"sends to {address[0]} port {port}")]
+    return probe_receiver("udp", f"udp:{argument}", host, port)

@@ -142,12 +142,12 @@ def test_the_text_twin_has_the_messages():
     assert text == "/spheremouse/2/status lost | /spheremouse/2/counts 3 -2 1"
 
 
-@pytest.mark.parametrize("argument", ["", "9000", ":9000", "127.0.0.1", "127.0.0.1:", "127.0.0.1:0", "a:65536", "a:-1"])
+@pytest.mark.parametrize("argument", ["", "127.0.0.1", "127.0.0.1:", "127.0.0.1:0", "a:65536", "a:-1"])
 def test_a_bad_address_names_a_right_one(argument):
     assert refused(f"osc:{argument}") == f"osc:{argument}: is not HOST:PORT; write for example osc:127.0.0.1:9000"
 
 
-def test_an_unknown_host_and_an_unreachable_one():
+def test_an_unknown_host():
     assert refused("osc:host.invalid:9000").startswith("osc:host.invalid:9000: unknown host: ")
     assert "unknown host" in osc.probe("host.invalid:9000")[0].text
 
