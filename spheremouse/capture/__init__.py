@@ -27,7 +27,7 @@ class Source(Protocol):
 
     @property
     def rig(self) -> Rig | None:
-        """The device, if the source contains it."""
+        """The device; None if the source does not contain it."""
         ...
 
     @property
@@ -37,7 +37,7 @@ class Source(Protocol):
 
     @property
     def fps(self) -> float | None:
-        """Nominal frames per second, for display only. Time steps come from the stamps."""
+        """Nominal frames per second, for display only; None if unknown. Time steps come from the stamps."""
         ...
 
     @property

@@ -11,7 +11,10 @@ from spheremouse.finding import Finding
 
 
 def open(argument: str, realtime: bool) -> Stream:
-    """Open the frames of a dataset, and its rig."""
+    """Open the frames of a dataset, and its rig; `realtime` plays them at their own pace.
+
+    Raises SourceError without a folder, DatasetError if the dataset is invalid.
+    """
     if not argument:
         raise SourceError("dataset: needs a folder; write dataset:DIR")
     recording = open_dataset(Path(argument))

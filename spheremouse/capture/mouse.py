@@ -141,7 +141,7 @@ class Listener:
             self._device.close()
 
     def listen(self, add: Callable[[MouseReport], None], ended: Callable[[], bool]) -> str | None:
-        """Pass every report to `add` until `ended`. If the mouse is unplugged before, return a message.
+        """Pass every report to `add` until `ended`; return None. If the mouse is unplugged before, return a message.
 
         The first and the last report are empty. They give the time of listening.
         """

@@ -26,7 +26,7 @@ _PROPERTIES = {"width": cv2.CAP_PROP_FRAME_WIDTH, "height": cv2.CAP_PROP_FRAME_H
 
 
 def open(argument: str, realtime: bool) -> Stream:  # a camera is always real time
-    """Open camera number INDEX."""
+    """Open camera number INDEX. Raises SourceError if it does not open, or has not the size in `argument`."""
     index, wanted = check(argument)
     capture = open_capture(int(index))
     if capture is None:

@@ -119,7 +119,10 @@ def _matched(recording: str, plan: "RunConfig", log: Path) -> "tuple[Match, Rig]
 
 
 def track_recording(recording: str, plan: "RunConfig") -> "tuple[Run, Rig]":
-    """Track the recording. If it is cut short, keep the frames before the end."""
+    """Track the recording. If it is cut short, keep the frames before the end.
+
+    Raises PoseError if the camera's pose is not found, DatasetError or SourceError if no frame can be tracked.
+    """
     from spheremouse.ball.build import build
     from spheremouse.capture import open_source
     from spheremouse.commands.terminal import progress_bar

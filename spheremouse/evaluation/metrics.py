@@ -49,12 +49,12 @@ class Run:
 
     @property
     def tracked(self) -> NDArray[np.intp]:
-        """Indices of the frames in Status.TRACKING."""
+        """Indices, (k,), of the frames in Status.TRACKING."""
         return np.flatnonzero([p is Status.TRACKING for p in self.status])
 
     @property
     def steps(self) -> NDArray[np.intp]:
-        """Indices of the tracked frames after a tracked frame."""
+        """Indices, (k,), of the tracked frames after a tracked frame."""
         return self.tracked[np.isin(self.tracked - 1, self.tracked)]
 
 
@@ -360,7 +360,8 @@ def _ratio(part: int | np.intp, whole: int | np.intp) -> float | None:
 def pose_error(found: Pose, true: Pose) -> dict[str, list[float | None]]:
     """Return the error of the camera's pose, `found` less `true`, in the axes of `obj`, and its standard deviations.
 
-    Position in mm, rotation vector of R_est R_true^T in degrees, as in the error model of `camera.Pose`.
+    Position in mm, rotation vector of R_est R_true^T in degrees, as in the error model of `camera.Pose`. None replaces
+    a number that is not finite.
     """
     sigma = np.sqrt(np.diag(found.covariance))
     return {

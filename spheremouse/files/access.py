@@ -41,7 +41,7 @@ def account() -> str:
 
 
 def group_of(path: Path) -> str | None:
-    """Return the name of a node's group."""
+    """Return the name of a node's group; None if the node or the name does not exist."""
     try:
         return path.group()
     except (OSError, KeyError, NotImplementedError):

@@ -76,7 +76,8 @@ def assigned(settings: Any, assignments: Iterable[str]) -> dict[tuple[str, ...],
 def override(settings: S, assignment: str, *, label: str = "--set ") -> S:
     """Return settings with one `KEY=VALUE`, such as `so3.acceleration_sigma=0.5`; the value is YAML.
 
-    Messages begin with `label`, the place of the assignment.
+    Messages begin with `label`, the place of the assignment. Raises ConfigurationError for an unknown key or an invalid
+    value.
     """
     key, equals, text = assignment.partition("=")
     key = key.strip()

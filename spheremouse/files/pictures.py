@@ -36,7 +36,10 @@ class Header(NamedTuple):
 
 
 def decoded(data: bytes, *, upright: bool = False) -> NDArray[np.uint8]:
-    """Decode a file after a check of its header: (h, w, 3) blue, green, red, as stored or `upright`."""
+    """Decode a file after a check of its header: (h, w, 3) blue, green, red, as stored or `upright`.
+
+    Raises OSError if OpenCV cannot decode it.
+    """
     turned = 0 if upright else cv2.IMREAD_IGNORE_ORIENTATION
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | turned)

@@ -99,7 +99,10 @@ def read_document(path: Path) -> Document:
 
 
 def parse_bytes(raw: bytes, name: str) -> Document:
-    """Return the document in the bytes of a file; messages call it `name`."""
+    """Return the document in the bytes of a file; messages call it `name`.
+
+    Raises ConfigurationError if the file is too large, not UTF-8, or not valid YAML.
+    """
     if len(raw) > MAX_BYTES:
         raise ConfigurationError(f"{name}: larger than {MAX_BYTES} bytes; this is not a file of spheremouse")
     try:
@@ -111,7 +114,7 @@ def parse_bytes(raw: bytes, name: str) -> Document:
 
 
 def parse_document(text: str, name: str) -> Document:
-    """Return the document in a text; messages call it `name`."""
+    """Return the document in a text; messages call it `name`. Raises ConfigurationError if it is empty or invalid."""
     try:
         root = _compose(text, name)
     except YAMLError as e:

@@ -14,7 +14,7 @@ from spheremouse.output.third_axis import NONE, parse_third
 
 
 def open(argument: str) -> Output:
-    """Open the first output that works."""
+    """Open the first that works of uinput, serial and desktop. Raises OutputError with all reasons if none does."""
     third = check(argument)
     option = f"third={third}" if third != NONE else ""
     failures: list[str] = []

@@ -168,8 +168,9 @@ class Counter:
         return np.array(self._catch_up.pending)
 
     def counts(self, estimate: Estimate) -> tuple[Counts, Rate | None]:
-        """Return counts and counts/s of an estimate. If it is not confirmed, the next ones have its counts (`CatchUp`).
+        """Return counts and counts/s of an estimate.
 
+        If it is not confirmed, the counts are 0 and the rate is None. The next estimates have its counts (`CatchUp`).
         The sum of all counts stays within one of the integral of the motion.
         """
         rotation, self._catch_up = self._catch_up.update(estimate)

@@ -29,7 +29,7 @@ class Desktop(Output):
         self._third, self._notch = third, 0
 
     def send(self, report: Report) -> None:
-        """Move the pointer, and scroll if whole notches are due."""
+        """Move the pointer, and scroll if whole notches are due. Raises OutputError if the desktop has ended."""
         x, y, notches, left = self._steps(report)
         try:
             if x or y:

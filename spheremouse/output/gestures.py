@@ -49,7 +49,7 @@ class GestureDetector:
         self._max_distance, self._last_motion = 0.0, 0.0
 
     def add(self, stamp: float, motion: Array) -> Gesture | None:
-        """Add a motion (3,) rad or m since the one before; return the gesture that ended by `stamp` (s), if any."""
+        """Add a motion (3,) rad or m since the one before; return the gesture that ended by `stamp` (s), or None."""
         self._position = self._position + motion
         self._recent.append((stamp, self._position))
         while stamp - self._recent[0][0] > _SPEED_WINDOW:

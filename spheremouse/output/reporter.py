@@ -195,7 +195,7 @@ class OutputThread:
 
     @property
     def native_id(self) -> int | None:
-        """Thread id of the operating system."""
+        """Thread id of the operating system; None before the thread starts."""
         return self._thread.native_id
 
     def close(self) -> None:

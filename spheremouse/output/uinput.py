@@ -64,7 +64,7 @@ class UInput(Output):
         self._device, self._third, self._notch = device, third, 0
 
     def send(self, report: Report) -> None:
-        """Write the report, unless it is empty."""
+        """Write the report, unless it is empty. Raises OutputError if the kernel refuses it."""
         report_events = to_events(report, self._third, self._notch)
         try:
             for code, value in report_events.events:

@@ -86,7 +86,8 @@ def point(
 ) -> tuple[PointingState, Counts, Rate | None]:
     """Return the next state, and counts and counts/s of the motion since the last confirmed estimate.
 
-    A ball that was hidden for a moment moves the pointer when it is seen again. A ball that was lost does not.
+    A ball that was hidden for a moment moves the pointer when it is seen again. A ball that was lost does not. The
+    rate is None unless the estimate is confirmed in Status.TRACKING.
     """
     if estimate.status is not Status.TRACKING:
         return state.reset(), (0, 0, 0), None
@@ -127,7 +128,7 @@ class WandMapping:
         self._settings, self._state = settings, PointingState()
 
     def counts(self, estimate: Estimate) -> tuple[Counts, Rate | None]:
-        """Return counts and counts/s of an estimate, as `point` does."""
+        """Return counts and counts/s of an estimate, as `point` does. Without a confirmed estimate the rate is None."""
         self._state, counts, rate = point(self._state, estimate, self._settings)
         return counts, rate
 

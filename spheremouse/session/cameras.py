@@ -75,12 +75,12 @@ def held(plan: RunConfig) -> AbstractContextManager[None]:
 
 
 def node_of(plan: RunConfig) -> Path | None:
-    """Return the device node of a plan's camera, on Linux."""
+    """Return the device node of a plan's camera; None for another source, or outside Linux."""
     return node_of_source(plan.source)
 
 
 def node_of_source(source: str) -> Path | None:
-    """Return the device node of a source, if it is a camera on Linux."""
+    """Return the device node of a source; None if it is no camera, or outside Linux."""
     kind, _, argument = source.partition(":")
     name = argument.partition(",")[0].strip()
     if kind not in ("v4l2", "opencv") or not sys.platform.startswith("linux"):

@@ -148,7 +148,7 @@ def _is_software(name: str) -> bool:
 
 
 def size_problem(size: Size, calibrated: Size, where: str) -> tuple[str, str] | None:
-    """Return problem and remedy if pictures have another size than the calibration of `where`."""
+    """Return problem and remedy if pictures have another size than the calibration of `where`; None if they agree."""
     if size == calibrated:
         return None
     return (

@@ -100,7 +100,7 @@ class RunConfig:
     ball_paths: tuple[Path, ...] = ()
 
     def device(self, given: Rig | None) -> Rig:
-        """Return the calibrated device; `given` is that of the source."""
+        """Return the calibrated device; `given` is that of the source. Raises ConfigurationError if there is none."""
         rig = self.rig or given
         if rig is None:
             raise ConfigurationError(
@@ -173,7 +173,7 @@ def without_map(plan: RunConfig) -> RunConfig:
 
 
 def beside(file: Path | None, name: str | None) -> Path | None:
-    """Return a path of the configuration, relative to its folder."""
+    """Return a path of the configuration, relative to its folder; None for None."""
     if name is None:
         return None
     path = Path(name).expanduser()

@@ -33,7 +33,7 @@ class Setup:
 
     @property
     def rig(self) -> Rig | None:
-        """The device that the source brings."""
+        """The device that the source brings; None without a source, or if it brings none."""
         return None if self.source is None else self.source.rig
 
     def planned(self, overrides: CommandLineOverrides, plan: RunConfig) -> RunConfig:
@@ -67,7 +67,10 @@ class Setup:
         return BallAdapter(rig, plan.configuration, keeper, log, do, self.rig)
 
     def wand_tracker(self, plan: RunConfig) -> WandTracker:
-        """Return the tracker of the plan's balls, else of the recording's own, else of Grzonka's."""
+        """Return the tracker of the plan's balls, else of the recording's own, else of Grzonka's.
+
+        Raises ConfigurationError if no file describes the camera, or if `wand.points` exceeds the number of balls.
+        """
         settings = plan.configuration.wand
         camera = plan.camera or (None if plan.rig is None else plan.rig.camera) or self.camera
         if camera is None:
@@ -83,7 +86,10 @@ class Setup:
 
 
 def open_setup(plan: RunConfig, realtime: bool = False) -> Setup:
-    """Return the setup of a plan. It opens a recording; `realtime` plays it at its own pace."""
+    """Return the setup of a plan. It opens a recording; `realtime` plays it at its own pace.
+
+    Raises SourceError or DatasetError if the source does not open, or if a wand's source is `synthetic`.
+    """
     if is_camera(plan.source):
         return Setup()
     kind, _, argument = plan.source.partition(":")

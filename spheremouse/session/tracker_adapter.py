@@ -140,7 +140,7 @@ class TrackerAdapter(Protocol):
         ...
 
     def failure(self, unused: str) -> SpheremouseError | None:
-        """Return the error if no frame of the run could be tracked.
+        """Return the error if no frame of the run could be tracked, else None.
 
         `unused` is the reason why the frames that came could not be used.
         """

@@ -12,7 +12,10 @@ _MAX_NOISE_SIGMAS = 3.0  # error of a pose beside the fastest motion of a hand
 
 
 def measured_pose(before: MeasuredPose | None, pose: WandPose, stamp: float) -> MeasuredPose | None:
-    """Return the last measured pose after a frame, from which the next increment counts. A lost ball has none."""
+    """Return the last measured pose after a frame, from which the next increment counts; None for a lost ball.
+
+    A frame that does not show the ball keeps the pose `before`.
+    """
     if pose.phase is not Status.TRACKING or pose.position is None or pose.rotation is None or pose.covariance is None:
         return None
     return MeasuredPose(stamp, pose.position, pose.rotation, pose.covariance) if pose.seen else before

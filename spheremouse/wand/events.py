@@ -73,7 +73,7 @@ def colours_turned_away(tracker: WandTracker, tracks: list[Track]) -> set[str]:
 
 
 def colour_problem(whole: Fields, turned_away: set[str]) -> tuple[Event | None, float]:
-    """Return the problem with the bounds of the colours, and the number of searches for which it must last.
+    """Return the problem with the bounds of the colours, or None, and the number of searches for which it must last.
 
     A colour of `turned_away` may be missing for longer: after that time its bounds are wrong, and so is the pose.
     """
@@ -94,7 +94,7 @@ def second_ball_unconfirmed(track: Track) -> bool:
 def update_second_ball(
     track: Track, modes: Modes, first: Array | None, dt: float, context: SearchContext
 ) -> tuple[Track, SecondBall | None]:
-    """Count sightings of a second ball in a search of the whole picture; return the track and the event.
+    """Count sightings of a second ball in a search of the whole picture; return the track, and the event or None.
 
     `first` (3,) m is the position of the tracked ball. A second ball lies beside it in the picture, has half its
     evidence, and passes without a prior three times in a row, no farther from the last sighting than it can move in

@@ -116,7 +116,7 @@ def hsv(image: NDArray[np.uint8]) -> tuple[Array, Array, Array]:
 
 
 def hue_distance(hue: Array, name: str) -> Array:
-    """Return the distance of hues from a named colour, 0 to 180 degrees."""
+    """Return the distance of hues (degrees, any shape) from the hue of a named colour, 0 to 180 degrees."""
     return np.abs((hue - HUES[name] + 180.0) % 360.0 - 180.0)
 
 
@@ -342,7 +342,10 @@ def _narrow(loosest: float, disc: Array, rest: Array, pixels: int) -> float:
 
 
 def draw_selection(image: NDArray[np.uint8], picked: PickedBounds) -> NDArray[np.uint8]:
-    """Return the picture in grey with the selected pixels in colour and the ball circled, and the enlarged ball."""
+    """Return a figure, (h, w + h // 2, 3) BGR, of the bounds that were picked from a picture (h, w, 3) BGR.
+
+    The picture is grey, with the selected pixels in colour and the ball circled. Beside it is the enlarged ball.
+    """
     grey = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
     shown = np.asarray(0.45 * grey + 40.0, dtype=np.uint8)
     selected = colour_fields(image, picked.colours, tuple(picked.colours))

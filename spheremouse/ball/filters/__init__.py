@@ -45,7 +45,7 @@ class FilterState(Protocol):
 
     @property
     def used(self) -> NDArray[np.intp]:
-        """Indices of the points that the last update used."""
+        """Indices, (k,), of the points that the last update used."""
         ...
 
     def clone_attitude(self) -> Self:

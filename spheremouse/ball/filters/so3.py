@@ -121,7 +121,7 @@ class So3Filter:
         return state if self.settings.levels == before.settings.levels else replace(state, weights=np.zeros(0))
 
     def visible(self, state: So3State) -> NDArray[np.intp]:
-        """Indices of the discs that face the camera."""
+        """Indices, (k,), of the discs that face the camera."""
         return np.flatnonzero(state.discs @ (self.towards_camera @ state.attitude) > self.horizon)
 
     def detection_probability(self, state: So3State) -> Array:

@@ -40,7 +40,7 @@ class So3Settings:
 
 @cache
 def squared_levels(levels: tuple[float, ...]) -> Array:
-    """Variances of the levels over that of the first."""
+    """Variances of the levels over that of the first, (l,)."""
     return np.square(np.array(levels) / levels[0])
 
 
@@ -52,7 +52,7 @@ def variances(acceleration_sigma: float, levels: tuple[float, ...]) -> Array:
 
 @cache
 def prior_of_levels(levels: tuple[float, ...]) -> Array:
-    """Probabilities of the levels before anything is seen: the livelier the rarer."""
+    """Probabilities of the levels, (l,), before the first observation; they fall with the acceleration."""
     usual = 1.0 / np.array(levels)
     return usual / usual.sum()
 

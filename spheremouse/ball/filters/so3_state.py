@@ -55,7 +55,7 @@ class So3State:
 
     @property
     def body(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Attitude, rate, acceleration, discs and their axes, as `so3_match` takes them."""
+        """The fields attitude, rate, acceleration, discs (m, 3) and basis (m, 3, 2), as `so3_match` takes them."""
         return self.attitude, self.rate, self.acceleration, self.discs, self.basis
 
     @property

@@ -126,7 +126,10 @@ def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
 
 
 def start(views: Sequence[View], size: tuple[int, int]) -> Array:
-    """Return a camera without distortion, of the best focal length for most views, and the views' poses."""
+    """Return the unknowns of a `Bundle`, (9 + 6v,), to start from: no distortion, the best focal length for most views.
+
+    `size` is width and height in px. Raises CalibrationError if no focal length gives poses that explain the corners.
+    """
     width, height = size
     cx, cy = 0.5 * (width - 1), 0.5 * (height - 1)
     best, least = None, np.inf

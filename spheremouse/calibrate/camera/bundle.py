@@ -69,7 +69,7 @@ class BoardAdjustment:
         return np.sqrt(np.diag(self.camera.covariance))
 
     def unknowns(self) -> Array:
-        """The unknowns of a `Bundle`."""
+        """The unknowns of a `Bundle`, (9 + 6v,)."""
         poses = np.stack([np.array([log(R) for R in self.rotations]), self.translations], axis=1)
         return np.concatenate([interior_vector(self.camera), poses.ravel()])
 
@@ -101,7 +101,10 @@ def rms_of(residual: Array) -> float:
 
 
 class Bundle:
-    """Residuals and Jacobian of some views. Unknowns: the nine, then rotation vector and translation of each view."""
+    """Residuals and Jacobian of some views.
+
+    The unknowns x, (9 + 6v,), are the nine `PARAMETERS`, then each view's rotation vector (rad) and translation (m).
+    """
 
     def __init__(self, views: Sequence[View], size: tuple[int, int], free: NDArray[np.bool_]) -> None:
         self.views, self.size, self.free = views, size, free
@@ -151,9 +154,10 @@ class Bundle:
         return (residual * weight[:, None]).ravel(), jacobian
 
     def solve(self, x: Array, sigma: Array, robust: float | None = None) -> Array:
-        """Return the unknowns at the minimum of squares, or of Huber's function; fixed ones keep their value.
+        """Return the unknowns (9 + 6v,) at the minimum of squares, from the start x; fixed ones keep their value.
 
-        Each view's six are eliminated. Raises CalibrationError if it does not converge.
+        `sigma` (v,) px is that of a coordinate in each view. With a knee `robust`, in sigmas, Huber's function replaces
+        the square. Each view's six are eliminated. Raises CalibrationError if it does not converge.
         """
         weight = 1.0 / sigma[self.of]
 
@@ -179,7 +183,7 @@ class Bundle:
         return Normal(N[:, :9, :9].sum(axis=0), down[:, :9].sum(axis=0), N[:, 9:, 9:], N[:, 9:, :9], down[:, 9:])
 
     def jacobian(self, x: Array, sigma: Array) -> tuple[Array, Jacobian]:
-        """Return residuals and the estimated columns of the Jacobian."""
+        """Return the residuals of `evaluate`, (2n,), and the e estimated columns of their Jacobian, (2n, e)."""
         residual, jacobian = self.evaluate(x, sigma)
         return residual, _of_columns(jacobian, self._open)
 

@@ -159,7 +159,10 @@ def adjust_device(
 def adjust_bundle(
     views: TargetViews, discs: DiscViews, block: Block, device: Device, camera: InteriorOrientation
 ) -> BundleResult:
-    """Adjust bundle and sphere: robustly, then without outliers, then with estimated variances."""
+    """Adjust bundle and sphere: robustly, then without outliers, then with estimated variances.
+
+    Raises CalibrationError if a target does not fit the photos, or if outliers remain after 40 rounds.
+    """
     n = len(device.ids)
     image = ImagePoints(
         np.concatenate([views.image.photo, discs.photo]),

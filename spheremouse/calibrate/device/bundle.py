@@ -208,9 +208,9 @@ def apply_step(block: Block, columns: Columns, x: Array) -> Block:
 
 
 def evaluate(problem: Problem, block: Block, columns: Columns, x: Array, slopes: Array) -> tuple[Array, Jacobian]:
-    """Return normalised residuals, predicted minus measured, and their Jacobian by the free unknowns.
+    """Return normalised residuals, (r,), predicted minus measured, and their Jacobian by the free unknowns, (r, f).
 
-    `slopes` are those of `eccentricity_slopes` near the block.
+    `x` (f,) is the step that led from the start to the block. `slopes` (n, 2, 6) are those of `eccentricity_slopes`.
     """
     full = np.zeros(columns.all)
     full[columns.free] = x

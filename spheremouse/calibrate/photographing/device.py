@@ -75,7 +75,7 @@ class DeviceSelector:
         return self.count >= DEVICE_MOST or (self.count >= DEVICE_ENOUGH and good)
 
     def check(self, picture: Image) -> FrameCheck:
-        """Check the next frame."""
+        """Check the next frame, (h, w, 3) BGR. Raises CalibrationError if it is grey."""
         if picture.ndim == 2:
             raise CalibrationError("the camera gives grey pictures, but the targets differ only in colour")
         found = detect_targets(picture, self._device.target_radii, self._rings)
@@ -122,7 +122,7 @@ class DeviceSelector:
         return [f"{self.count} photos of {DEVICE_ENOUGH} to {DEVICE_MOST}{words}"]
 
     def pending_work(self) -> Callable[[], None] | None:
-        """Return the adjustment of the photos so far, unless it is done."""
+        """Return the adjustment of the photos so far; None if it is done, or if the photos are too few for one."""
         n, reads = self.count, list(self._read)
         if n < _MIN_PHOTOS or n == self.assessment.photos:
             return None

@@ -161,7 +161,7 @@ def take_photos(
 
 
 def store(picture: Image, folder: Path) -> Path:
-    """Write a photo under the next unused number."""
+    """Write a photo under the next unused number, and return its path. Raises CalibrationError if that fails."""
     number = 0
     while (path := folder / f"view_{number:03d}.png").exists():
         number += 1

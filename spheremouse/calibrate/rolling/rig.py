@@ -59,7 +59,7 @@ class AxesFrom:
 
     @property
     def disc_radius(self) -> float | None:
-        """Radius of a disc by device or rig, m."""
+        """Radius of a disc by device or rig, m; None without both, or if they do not give it."""
         if self.device is not None:
             return self.device.disc_radius
         return None if self.rig is None else self.rig.disc_radius
@@ -278,8 +278,9 @@ def target_ball_covariance(axes: Axes, radius: float) -> Array:
 
 
 def rescale_targets(targets: Targets, free: Ball, ball: Ball) -> tuple[Targets, Array]:
-    """Convert targets of a free scale, in which the ball is `free`, to metres, with their covariance with the ball.
+    """Convert n targets of a free scale, in which the ball is `free`, to metres.
 
+    The array is their covariance with the ball, (3n, 4) m², in the order of their own covariances.
     The correlation of ratio and targets is neglected, so the covariance is a little too large.
     """
     unit = ball.radius / free.radius

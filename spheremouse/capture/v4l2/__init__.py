@@ -193,7 +193,10 @@ def largest_size(argument: str, limit: tuple[int, int]) -> tuple[int, int] | Non
 
 
 def open_camera(argument: str, settings: CameraSettings) -> V4L2Camera:
-    """Open the camera `DEVICE[,KEY=VALUE...]`, set its controls and start it. The argument overrides `settings`."""
+    """Open the camera `DEVICE[,KEY=VALUE...]`, set its controls and start it. The argument overrides `settings`.
+
+    Raises SourceError outside Linux, for an invalid argument, or if the camera refuses.
+    """
     if not sys.platform.startswith("linux"):
         raise SourceError("v4l2: works on Linux alone; write opencv:0 for the first camera here")
     from spheremouse.capture.v4l2.controls import read_controls
@@ -242,7 +245,7 @@ def planned_size(argument: str, settings: CameraSettings) -> tuple[int, int]:
 
 
 def parse(argument: str, settings: CameraSettings) -> tuple[str, CameraSettings]:
-    """Return DEVICE, and the settings with the other parts of the argument."""
+    """Return DEVICE, and the settings with the other parts of the argument. Raises SourceError if one is invalid."""
     name, _, rest = argument.partition(",")
     label = f"v4l2:{argument}"
     given = options(rest, {**_SIZE, "fps": float, "format": str}, label, SourceError)
@@ -275,7 +278,10 @@ def probe(argument: str) -> list[Finding]:
 
 
 def newest_frames(camera: V4L2Camera) -> Iterator[Frame]:
-    """Yield the newest frame in colour, and skip the older ones."""
+    """Yield the newest frame in colour, and skip the older ones and single damaged ones.
+
+    Raises SourceError if no frame comes in time, or after too many damaged frames in a row.
+    """
     damaged = 0
     while True:
         raw = camera.next(FRAME_TIMEOUT)

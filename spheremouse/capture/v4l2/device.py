@@ -298,7 +298,7 @@ class Device:
 
 
 def find(text: str) -> Path:
-    """Return the node of a number or path."""
+    """Return the node of a number or path. Raises SourceError for an empty text."""
     text = text.strip()
     if not text:
         raise SourceError(f"v4l2: needs a device; write v4l2:/dev/video0 ({cameras_here()})")

@@ -97,7 +97,7 @@ class Stamps:
 
 
 def correct_stamp(state: Stamps, raw: float, arrival: Arrival, timing: Timing) -> tuple[Stamps, float, str | None]:
-    """Return the next state, a frame's stamp (s), and a note on a new kind of problem.
+    """Return the next state, a frame's stamp (s), and a note on a new kind of problem, or None.
 
     `raw` is the driver's stamp (s). The returned stamp is later than the last one and not later than the arrival.
     Stamps in the future are all shifted by the same time, so they keep their regular steps.

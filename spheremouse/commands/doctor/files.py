@@ -33,7 +33,7 @@ def usual(overrides: CommandLineOverrides, status: StatusReport | None) -> Comma
 
 
 def service_state(overrides: CommandLineOverrides) -> Path | None:
-    """Return the folder of map and recordings, if the configuration is that of the system's service."""
+    """Return the service's folder of map and recordings; None if the configuration is not that of the service."""
     place = Place()
     return place.state if overrides.file == place.configuration / "config.yaml" else None
 
@@ -55,7 +55,7 @@ def _path(name: str | None) -> Path | None:
 
 
 def read(overrides: CommandLineOverrides, camera: str | None) -> tuple[RunConfig | None, list[Finding]]:
-    """Return as much of the plan as can be read, and the problems. `camera` is the source if none is named.
+    """Return as much of the plan as can be read, or None, and the problems. `camera` is the source if none is named.
 
     Hand-held balls are not read here: they have a finding of their own.
     """

@@ -51,7 +51,10 @@ class Sight:
 
 
 def targets(views: tuple[Frame, ...], rig: Rig, settings: Settings) -> tuple[Pose | None, Finding]:
-    """Return the camera's pose from the targets, and a finding about their residual."""
+    """Return the camera's pose from the targets, and a finding about their residual.
+
+    A pose in the rig comes first. It is None with fewer than three targets, in grey pictures, or if no pose is found.
+    """
     if rig.pose is not None:
         return rig.pose, ok("targets", "none are needed: the rig knows where the camera is")
     if len(rig.targets.codes) < 3:

@@ -23,7 +23,10 @@ _MIN_FOUND = 0.5  # of the pictures: a ball before the camera is in view in most
 def tracker_of(
     plan: RunConfig, overrides: CommandLineOverrides, given: Setup | None
 ) -> tuple[WandTracker | None, Finding]:
-    """Return the tracker of a run; `given` is the setup of a recording."""
+    """Return the tracker of a run, or None if its configuration is invalid, and the finding on its balls.
+
+    `given` is the setup of a recording.
+    """
     try:
         balls = read_balls(
             named_balls(overrides, config.in_force(overrides.file, overrides.assignments, Configuration))

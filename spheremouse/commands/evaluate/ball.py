@@ -36,7 +36,11 @@ class _Track(NamedTuple):
 
 
 def evaluate_balls(options: Options, out: Console, err: Console) -> tuple[list[dict[str, Any]], bool]:
-    """Print a table of the datasets. Return their reports, and True if one of them failed."""
+    """Print a table of the datasets. Return their reports, and True if one of them failed.
+
+    Raises DatasetError if a dataset does not open or lacks the truth that an option needs, ConfigurationError for
+    `--map` with a tracker that keeps none.
+    """
     settings = _settings(options)
     tracks = list(_tracks(options, settings))
     if options.plot_file is not None and tracks[0].recording.truth is None:

@@ -28,7 +28,10 @@ _MAX_EVENTS = 10  # printed of the first run
 
 
 def evaluate_wands(options: Options, out: Console, err: Console) -> tuple[list[dict[str, Any]], bool]:
-    """Print a table of the datasets. Return their reports, and True if one of them failed."""
+    """Print a table of the datasets. Return their reports, and True if one of them failed.
+
+    Raises ConfigurationError for `--runs` below 1, and DatasetError if `--pose known` lacks truth.
+    """
     if options.runs < 1:
         raise ConfigurationError(f"--runs: must be 1 or more, is {options.runs}")
     settings = config.in_force(options.config_file, options.assignments, Configuration).wand

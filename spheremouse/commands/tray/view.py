@@ -137,7 +137,7 @@ class Notices:
     _unresolved: bool = False  # a problem was shown, and its end was not
 
     def update(self, v: View, now: float) -> str | None:
-        """Return the text of a notice that is due now."""
+        """Return the text of the notice that is due at `now` (s), or None."""
         if v.state != self._state:
             self._state, self._since = v.state, now
         if v.state == "tracking":

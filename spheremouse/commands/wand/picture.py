@@ -13,7 +13,10 @@ from spheremouse.files.safe_files import read_bytes
 
 
 def read_picture(path: Path) -> NDArray[np.uint8]:
-    """Return a picture, (h, w, 3) BGR, or the first frame of a wand's dataset."""
+    """Return a picture, (h, w, 3) BGR, or the first frame of a wand's dataset.
+
+    Raises ConfigurationError if the file cannot be read, or if its picture is below 32 px.
+    """
     if path.is_dir():
         return next(read_frames(open_wand(path))).image
     if not path.exists():

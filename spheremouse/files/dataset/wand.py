@@ -54,7 +54,7 @@ class WandRecording(Recorded):
 
     @property
     def truth(self) -> WandTruth | None:
-        """The truth of the first ball."""
+        """The truth of the first ball; None if the dataset has no truth."""
         return self.truths[0] if self.truths else None
 
 

@@ -87,7 +87,7 @@ class Normal:
 
 
 def no_groups(shared: int) -> tuple[Array, Array, Array]:
-    """Return the parts of a `Normal` without local unknowns."""
+    """Return `own`, `cross` and `own_right` of a `Normal` with `shared` unknowns and no local ones, all empty."""
     return np.zeros((0, 0, 0)), np.zeros((0, 0, shared)), np.zeros((0, 0))
 
 
@@ -173,7 +173,10 @@ def _weighted(evaluate: Evaluate, x: Array, weight: Array | None) -> Array:
 
 
 def huber(residual: Array, knee: float | None) -> Array:
-    """Return the factors on residuals and Jacobian that turn squares into Huber's function; 1 without a knee."""
+    """Return the factors on residuals and Jacobian that turn squares into Huber's function; 1 without a knee.
+
+    They have the shape of `residual`. Residual and knee are in standard deviations.
+    """
     size = np.maximum(np.abs(residual), 1e-12)
     return np.ones_like(residual) if knee is None else np.sqrt(np.minimum(1.0, knee / size))
 

@@ -94,7 +94,10 @@ class Serial(Output):
         self._thread.start()
 
     def send(self, report: Report) -> None:
-        """Add the counts, and write a frame if the line takes one now. Never waits."""
+        """Add the counts, and write a frame if the line takes one now. Never waits.
+
+        Raises OutputError after a failure of the output's thread.
+        """
         x, y, z = report.counts
         counts = [x, y, 0, 0]
         if self._third != NONE:
@@ -172,7 +175,7 @@ class Serial(Output):
 
     @property
     def identity(self) -> Identity | None:
-        """Identity of the board that answered."""
+        """Identity of the board that answered last; None before the first answer."""
         return self._link.identity
 
     @property
@@ -331,7 +334,10 @@ def open(argument: str) -> Serial:
 
 
 def check(argument: str) -> tuple[str, str | None, int, str]:
-    """Return port or `auto`, the board's serial number, baud and `third=`. Raise OutputError if one is invalid."""
+    """Return port or `auto`, the board's USB serial number (None: any board), baud and `third=`.
+
+    Raises OutputError if one is invalid.
+    """
     name, _, rest = argument.partition(",")
     name, whole = "auto" if name.lower() == "auto" else name, f"serial:{argument}".removesuffix(":")
     given = options(rest, {"baud": int, "third": str, "id": str}, whole, OutputError)

@@ -76,7 +76,7 @@ def format_version(version: Version | None) -> str:
 
 
 def read_drive(path: Path) -> Drive:
-    """Return the board of a drive, from the drive's files."""
+    """Return the board of a drive, from the drive's files. Raises OutputError unless CircuitPython runs on it."""
     boot_out = _bytes(path / _BOOT_OUT)
     if boot_out is None:
         if (path / _BOOT_LOADER_INFO).exists():
@@ -186,7 +186,7 @@ def _is_ours(there: bytes, here: bytes) -> bool:
 
 
 def copy(source: Path, target: Path, names: list[str]) -> None:
-    """Copy files atomically, and read them back."""
+    """Copy files atomically, and read them back. Raises OutputError if one cannot be written, or differs."""
     for name in names:
         data = (source / name).read_bytes()
         try:

@@ -46,7 +46,7 @@ class Port:
         self._posix = os.name == "posix"
 
     def read(self, timeout: float) -> bytes:
-        """Return the received bytes after at most `timeout` (s)."""
+        """Return the received bytes after at most `timeout` (s). Raises PortGoneError if the port fails."""
         try:
             if not self._posix:
                 return self._read_elsewhere(timeout)
@@ -62,7 +62,7 @@ class Port:
         return data
 
     def write(self, data: bytes) -> int:
-        """Write without waiting; return the number of bytes that the system took."""
+        """Write without waiting; return the number of bytes that the system took. Raises PortGoneError if it fails."""
         try:
             return os.write(self._port.fileno(), data) if self._posix else int(self._port.write(data) or 0)
         except BlockingIOError:
@@ -79,7 +79,7 @@ class Port:
             time.sleep(0.001)
 
     def queued(self) -> int:
-        """Return the number of bytes in the system's queue."""
+        """Return the number of bytes in the system's queue. Raises PortGoneError if the port fails."""
         try:
             return int(self._port.out_waiting)
         except (OSError, ValueError, TypeError) as e:
@@ -103,7 +103,8 @@ class Port:
 def find_board(identifier: str | None = None, ports: list[Any] | None = None, adapters: bool = True) -> str:
     """Return the port of the board with a USB serial number, or of the only board; `ports` as pyserial lists them.
 
-    If no board is found and `adapters` are allowed, return the port of the only adapter.
+    If no board is found and `adapters` are allowed, return the port of the only adapter. Raises OutputError if none or
+    several are found.
     """
     ports = [p for p in (connected_ports() if ports is None else ports) if p.vid is not None]
     boards = [board for board in _boards(ports) if _has_data_port(board)]
@@ -131,7 +132,7 @@ def find_board(identifier: str | None = None, ports: list[Any] | None = None, ad
 
 
 def connected_ports() -> list[Any]:
-    """Return all serial ports, as pyserial lists them."""
+    """Return all serial ports, as pyserial lists them. Raises OutputError while a board is being unplugged."""
     from serial.tools import list_ports
 
     try:

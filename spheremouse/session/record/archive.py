@@ -186,7 +186,7 @@ class Archive:
         self._workers.do(RECORDING, lambda: self._answer(pending, finish))
 
     def status(self) -> RecordingStatus | None:
-        """Return the status of the recording, from any thread."""
+        """Return the status of the recording, from any thread; None while nothing is recorded."""
         recorder = self._recorder
         if recorder is None:
             return None

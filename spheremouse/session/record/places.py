@@ -65,7 +65,10 @@ def _removed(left: Path) -> bool:
 
 
 def marked(folder: Path) -> IO[Any]:
-    """Lock the mark of an unfinished recording, and move it into the folder."""
+    """Lock the mark of an unfinished recording, and move it into the folder; return its open file.
+
+    Raises DatasetError if that fails.
+    """
     new = folder / f"{_MARK}.new"
     try:
         mark = new.open("wb")

@@ -171,7 +171,7 @@ class WandAdapter:
         return lambda: image if everything else in_blocks(image, np.zeros(image.shape[:2], np.uint8))
 
     def failure(self, unused: str) -> SpheremouseError | None:
-        """Return SourceError if the ball that points was never seen."""
+        """Return SourceError if the ball that points was never seen, else None."""
         if self.points in self._messages.found:
             return None
         frames = f"{self._frames} frame{'' if self._frames == 1 else 's'}"

@@ -82,7 +82,7 @@ class Caps:
         self._pixel = float(gap / scene.ball_radius / focal)  # rad on the ball, square to the ray
 
     def row_offset(self, v: Array) -> Array:
-        """s, when image rows `v` are exposed, relative to the middle row."""
+        """Return the time, s, when image rows `v` (px, any shape) are exposed, relative to the middle row."""
         h = self.scene.camera.height
         return (v - 0.5 * (h - 1)) / h * self.scene.readout_s
 

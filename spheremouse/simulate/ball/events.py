@@ -28,7 +28,7 @@ class Dimming:
     factor: float  # on the grey values, as on the light: the camera is linear
 
     def at(self, t: Array) -> Array:
-        """Return the factor at times `t`. A change takes 0.2 s."""
+        """Return the factor at times `t` (s, any shape). A change takes 0.2 s."""
         x = np.clip(np.minimum(t - self.start, self.end - t) / 0.2, 0.0, 1.0)
         return 1.0 + (self.factor - 1.0) * x * x * (3.0 - 2.0 * x)
 
@@ -41,7 +41,7 @@ class Flicker:
     mains: float = 50.0  # Hz
 
     def at(self, t: Array, exposure: float) -> Array:
-        """Return the mean brightness factor of exposures of `exposure` s centred on times `t`."""
+        """Return the mean brightness factor of exposures of `exposure` s centred on times `t` (s, any shape)."""
         f = 2.0 * self.mains
         return 1.0 + self.depth * np.sinc(f * exposure) * np.cos(2.0 * np.pi * f * t)
 

@@ -55,7 +55,8 @@ _ROLLS = (0.0, -90.0, 0.0, 90.0, 0.0, 180.0)  # deg, of the photos beyond these,
 def device_stations(scene: Scene, n: int, rng: np.random.Generator) -> tuple[Pose, ...]:
     """Poses for `n` photos that show the whole ball and three targets or more.
 
-    The first ones as a careful person takes them, the others as far from all before as the targets allow.
+    The first ones as a careful person takes them, the others as far from all before as the targets allow. Raises
+    ConfigurationError if no place is left.
     """
     found = [_station(scene, station, rng) for station in _STATIONS[:n]]
     if n > len(_STATIONS):
@@ -175,6 +176,7 @@ def board_stations(board: Board, camera: InteriorOrientation, n: int, rng: np.ra
     """Return poses for `n` photos of the whole board. Together they fill the picture, with tilts in all directions.
 
     Of many random hand-held poses, each photo takes the one with most corners in regions with few corners so far.
+    Raises ConfigurationError if the board does not fit into the picture.
     """
     seen = np.zeros((_CELLS[1], _CELLS[0]))
     found: list[Pose] = []

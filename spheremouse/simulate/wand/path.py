@@ -81,7 +81,7 @@ class Drive:
         return float(self._start[-1]) + REST_AFTER
 
     def pose(self, t: Array) -> tuple[Array, Array]:
-        """As WandPath."""
+        """Return centres (n, 3) m in cam, and R_cam_ball (n, 3, 3), at times (n,) s."""
         yaw, way = np.interp(t, self._start, self._yaw), np.interp(t, self._start, self._way)
         x, z = (np.interp(t, self._start, self._place[:, k]) for k in (0, 1))
         world = np.stack([x, np.full_like(x, CAMERA_HEIGHT - BALL_HEIGHT), z], axis=-1)
@@ -128,7 +128,7 @@ class Hand:
         return self.length
 
     def pose(self, t: Array) -> tuple[Array, Array]:
-        """As WandPath."""
+        """Return centres (n, 3) m in cam, and R_cam_ball (n, 3, 3), at times (n,) s."""
         place, angle = _sum(self.sway, t), _sum(self.turn, t)
         zero = np.zeros(len(angle))
         nod = exp(np.stack([angle[:, 0], angle[:, 1], zero], axis=-1))

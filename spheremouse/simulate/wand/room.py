@@ -33,7 +33,11 @@ _LINES = (0.15, 0.10, 0.004)  # m: between lines across and along the field (Grz
 
 
 def paint_faces(faces: Sequence[tuple[Array, Colour]], camera: InteriorOrientation, margin: int = 1) -> Layer | None:
-    """Polygons in `cam`, (k, 3) m, with their light (blue, green, red; linear), the first ones behind the others."""
+    """Polygons in `cam`, (k, 3) m, with their light (blue, green, red; linear), the first ones behind the others.
+
+    A face nearer than 5 cm to the camera's plane is left out. The layer has `margin` px round the faces. None if
+    nothing is in the picture.
+    """
     outlines, colours = [], []
     for corners, colour in faces:
         if np.all(corners[:, 2] > _NEAR):
@@ -255,7 +259,10 @@ class Passing:
 
 
 def robot(centre: Array, rotation: Array, camera: InteriorOrientation, light: float) -> Layer | None:
-    """The robot under a ball at `centre` (3,) m with R_cam_ball (3, 3); `light` 1 is that of a bright room."""
+    """The robot under a ball at `centre` (3,) m in cam with R_cam_ball (3, 3), or None if it is out of sight.
+
+    `light` 1 is that of a bright room.
+    """
     flat = [(corners, colour) for corners, colour in _robot_faces() if colour is not None]
     placed = [(corners @ rotation.T + centre, colour) for corners, colour in flat]
     facing = []
@@ -287,7 +294,7 @@ def _robot_faces() -> list[tuple[Array, Colour]]:
 
 
 def shadow(centre: Array, rotation: Array, camera: InteriorOrientation) -> Layer | None:
-    """The dark place on the floor under a robot."""
+    """The dark place on the floor under a robot, or None if it is out of sight. The pose is as in `robot`."""
     x0, y0, _ = _BODY[0]
     x1, y1, _ = _BODY[1]
     z = -0.152
@@ -300,7 +307,10 @@ def shadow(centre: Array, rotation: Array, camera: InteriorOrientation) -> Layer
 
 
 def stick(centre: Array, rotation: Array, radius: float, camera: InteriorOrientation, light: float) -> Layer | None:
-    """The stick from the ball's lower pole down to the hand."""
+    """The stick from the ball's lower pole down to the hand, or None if it is out of sight.
+
+    The ball has its centre at (3,) m in cam, R_cam_ball (3, 3) and `radius` m. `light` 1 is that of a bright room.
+    """
     length, thin, thick = _STICK
     down = -rotation[:, 2]
     top, end = centre + 0.9 * radius * down, centre + (radius + length) * down
@@ -319,7 +329,10 @@ def grip(centre: Array, rotation: Array, radius: float) -> tuple[Array, Array]:
 def hand_at(
     drawing: NDArray[np.float32], palm: Array, fingers: Array, camera: InteriorOrientation, light: float
 ) -> Layer | None:
-    """Place a hand from `linear_hand`, with its palm at (3,) m in cam. `fingers` (3,) is their direction."""
+    """Place a hand from `linear_hand`, with its palm at (3,) m in cam. `fingers` (3,) is their direction in cam.
+
+    None if a part of the hand is nearer than 10 cm, or if it is out of sight. `light` 1 is that of a bright room.
+    """
     up = fingers / np.linalg.norm(fingers) * (1.0, 1.0, 0.0)
     up = up / np.linalg.norm(up) if np.linalg.norm(up) > 0.1 else np.array([0.0, -1.0, 0.0])
     right = np.array([-up[1], up[0], 0.0])
@@ -332,7 +345,7 @@ def hand_at(
 
 
 def linear_hand(drawing: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Convert a drawing of `hands.draw_hand` from screen grey values to linear light, and its blue sleeve to grey.
+    """Convert a drawing of `draw_hand`, (h, w, 4), from screen grey values to linear light. Its blue sleeve gets grey.
 
     A passing object has one colour of the ball only.
     """
@@ -345,7 +358,10 @@ def linear_hand(drawing: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def card(centre: Array, colours: tuple[str, ...], camera: InteriorOrientation, light: float) -> Layer | None:
-    """Draw a distractor: a white card that faces the camera, with discs in the colours and layout of a ball."""
+    """Draw a distractor: a white card that faces the camera, with discs in the colours and layout of a ball.
+
+    Its centre is at (3,) m in cam. `light` 1 is that of a bright room. None if it is out of sight.
+    """
     square = _CARD * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=float)
     faces = [(square + centre, _dimmed("white", light))]
     circle = np.stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros_like(_ROUND)], axis=-1)

@@ -23,7 +23,10 @@ _FULL_COLOUR = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACT
 
 
 def device_of(dataset: Path) -> DeviceShape:
-    """Return ball, targets and discs of a dataset, with the attitude of its first frame."""
+    """Return ball, targets and discs of a dataset, with the attitude of its first frame.
+
+    Raises CalibrationError without the true places of the discs, or with fewer than three targets.
+    """
     recording = open_dataset(dataset)
     rig, directions = recording.rig, recording.truth_directions
     if directions is None:
@@ -37,7 +40,7 @@ def device_of(dataset: Path) -> DeviceShape:
 
 
 def write_stills(folder: Path, stills: Stills, quality: int) -> Iterator[Path]:
-    """Write all files into an empty folder; yield each photo's path."""
+    """Write all files into an empty folder; yield each photo's path. Raises CalibrationError if a photo fails."""
     (folder / "board").mkdir()
     (folder / "device").mkdir()
     for photo in photos(stills):
