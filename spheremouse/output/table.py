@@ -99,15 +99,12 @@ def table_file(kind: str, argument: str) -> Path:
     """Return the file of `KIND:FILE`. Raise OutputError if there is none."""
     if argument in ("", "-"):
         raise OutputError(f"{kind}:{argument}: needs a file", f"write {kind}:FILE")
-    path = Path(argument)
-    if path.suffix == ".json":
-        raise OutputError(f"{kind}:{argument}: the run is described in this file", f"write {kind}:FILE.{kind}")
-    return path
+    return Path(argument)
 
 
 def beside(path: Path) -> Path:
     """Return the file that describes the runs of a table."""
-    return path.with_suffix(".json")
+    return path.with_name(f"{path.name}.json")
 
 
 def _cannot_be_written(path: Path, error: Exception) -> OutputError:

@@ -200,7 +200,7 @@ def test_a_table_has_the_samples_of_the_text_and_the_description_of_its_run(sphe
         rows = [s["counts" if name == "count" else name] for s in samples if s["quaternion"] is not None]
         known = table[table["status"] == "tracking"]
         np.testing.assert_allclose(known.filter(regex=f"^{name}_[wxyz]$").to_numpy(), rows, rtol=1e-12)
-    (run,) = json.loads(path.with_suffix(".json").read_text())["runs"]
+    (run,) = json.loads((tmp_path / "a.csv.json").read_text())["runs"]
     assert run["rows"] == len(samples) == 20
     assert run["configuration"]["pose"]["frames"] == 2
     assert run["rig"] == {"file": str(device), "sha256": hashlib.sha256(device.read_bytes()).hexdigest()}
@@ -506,7 +506,9 @@ def test_the_demo_writes_its_files_and_its_counts_are_the_true_ones(spheremouse,
         assert (tmp_path / "demo" / name).stat().st_size > 1000
     assert sorted(p.name for p in (tmp_path / "demo").iterdir()) == sorted(demo.FILES)
     sent, exact = re.search(r"counts sent +(\S+ \S+ \S+) +exact would be (\S+ \S+ \S+)", out).groups()
-    assert np.loadtxt(tmp_path / "demo" / "motion.txt")[:, 1:4].sum(axis=0).tolist() == [int(n) for n in sent.split()]
+    table = pd.read_csv(tmp_path / "demo" / "motion.csv", comment="#")
+    assert table.filter(regex="count_[xyz]").sum().tolist() == [int(n) for n in sent.split()]
+    assert "60 of 60 rows" in (tmp_path / "demo" / "motion.csv.json").read_text()
     assert max(abs(int(a) - int(b)) for a, b in zip(sent.split(), exact.split(), strict=True)) <= 2
     assert "60 of 60" in out
     assert re.search(r"next:\n  \S*spheremouse demo --seed 2 +another ball", out)

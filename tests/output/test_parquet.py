@@ -76,7 +76,7 @@ def test_a_run_that_is_killed_loses_at_most_a_second_and_is_finished_by_the_next
         assert pa.ipc.open_stream(part).read_all()["sequence"].to_pylist() == [*range(1, 92)]
     with open_output(f"parquet:{path}"):
         assert pq.read_table(path)["sequence"].to_pylist() == [*range(1, 92)]
-    assert json.loads((tmp_path / "a.json").read_text())["runs"][0]["end"] is None
+    assert json.loads((tmp_path / "a.parquet.json").read_text())["runs"][0]["end"] is None
     assert written(path, frame(200))["sequence"].to_pylist() == [*range(1, 92), 200]
 
 

@@ -16,7 +16,7 @@ def described(path, *frames, run=dict):
         output.begin(run)
         for report in frames:
             output.send(report)
-    return json.loads(path.with_suffix(".json").read_text())
+    return json.loads(path.with_name(f"{path.name}.json").read_text())
 
 
 def test_losses_and_missing_frames_are_counted_and_the_verdict_says_so(tmp_path):
@@ -45,7 +45,7 @@ def test_each_opening_of_a_table_is_a_run(tmp_path):
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"schema": 1, "runs": 3}'])
 def test_another_file_is_not_replaced(tmp_path, text):
-    (tmp_path / "a.json").write_text(text)
-    with pytest.raises(OutputError, match=r"a\.json: exists and is no description of runs; choose another name"):
+    (tmp_path / "a.csv.json").write_text(text)
+    with pytest.raises(OutputError, match=r"a\.csv\.json: exists and is no description of runs; choose another name"):
         described(tmp_path / "a.csv", frame(1))
-    assert (tmp_path / "a.json").read_text() == text
+    assert (tmp_path / "a.csv.json").read_text() == text

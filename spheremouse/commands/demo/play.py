@@ -8,7 +8,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,7 @@ from spheremouse.session.offline import Start, initialise, make_ready, track
 from spheremouse.session.overlay.ball import Overlay, target_marks
 from spheremouse.session.overlay.file import OverlayFile, write_picture
 from spheremouse.session.overlay.pen import Image
+from spheremouse.session.run_description import versions
 from spheremouse.session.screen import StatusTable, Tally
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, prepare, simulate
@@ -45,8 +46,10 @@ FILES = {
     "overlay.png": "one picture with the targets, discs and axes that the tracker found",
     "overlay.mp4": "the same as a video",
     "plot.png": "attitude and angular velocity against the truth, with three standard deviations",
-    "motion.txt": "the mouse motion, one line for each frame: time, counts, rotation, angular velocity",
+    "motion.csv": "the motion as a table, one row for each frame: attitude, angular velocity, covariances, counts",
+    "motion.csv.json": "the description of the run: settings, versions, losses",
 }
+_TABLE = ("motion.csv", "motion.csv.json")
 _NEXT = (
     ("demo --seed 2", "another ball, another play"),
     ("run --source synthetic --output text:-", "a simulated camera as the source, motion as text"),
@@ -62,6 +65,8 @@ def play(out: Path, seconds: float, seed: int) -> None:
     simulation = prepare(SimulationOptions(motion="play", seconds=seconds, noise=_NOISE, seed=seed))
     try:
         out.mkdir(parents=True, exist_ok=True)
+        for name in _TABLE:  # of an earlier demo, which would be continued
+            (out / name).unlink(missing_ok=True)
     except OSError as e:
         raise ConfigurationError(f"--out {out}: cannot be made: {e.strerror or e}") from None
     console = Console(file=sys.stderr, highlight=False)
@@ -154,10 +159,11 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
     large = Overlay(tracker, marks, scale=2)
     counter = Counter(_SETTINGS.motion.matrix(tracker.rig.radius_m))
     with (
-        open_output(f"text:{out / 'motion.txt'},format=counts") as motions,
+        open_output(f"csv:{out / 'motion.csv'}") as motions,
         OverlayFile(out / "overlay.mp4", fps) as video,
         StatusTable("spheremouse demo", True, tally, console) as screen,
     ):
+        motions.begin(lambda: {"configuration": asdict(_SETTINGS), "source": "demo", "versions": versions()})
         if start.resection is not None:
             screen.log(messages.standing(start.resection, tracker.rig))
         video.begin(tracker, marks)
