@@ -34,6 +34,10 @@ S = TypeVar("S")
 
 KIND = "configuration"
 
+_PROFILES = "profiles"  # key of the named sets of settings
+PROFILE_NAME = re.compile(r"[A-Za-z0-9_-]{1,50}")
+Profiles = dict[str, tuple[str, ...]]  # assignments KEY=VALUE by name
+
 _WIDTH = 110
 _JOINED = "\u00a0"  # a space at which a comment does not wrap
 
@@ -51,7 +55,35 @@ def loads(document: Document, root: type[S]) -> S:
     if len(strange) > max(2, len(document.data) // 2):  # too many for mistyped keys
         what = f"is this a configuration? It has no keys {', '.join(map(str, strange))}"
         raise document.error([Problem((strange[0],), f"{what}; name a rig file in a configuration, by `rig:`")])
-    return _applied(document, root())
+    if _PROFILES not in document.data or _PROFILES not in names:
+        return _applied(document, root())
+    data = {key: value for key, value in document.data.items() if key != _PROFILES}
+    settings = _applied(dataclasses.replace(document, data=data), root())
+    return dataclasses.replace(typing.cast(Any, settings), profiles=_profiles(document, settings))
+
+
+def _profiles(document: Document, settings: Any) -> Profiles:
+    """Return the profiles of a document, each checked as a change of its settings."""
+    found: Profiles = {}
+    sections = document.data[_PROFILES] or {}
+    if not isinstance(sections, dict):
+        raise document.error([Problem((_PROFILES,), "must be sections, one for each profile")])
+    for name, values in sections.items():
+        key: Key = (_PROFILES, name)
+        if not PROFILE_NAME.fullmatch(name):
+            raise document.error([Problem(key, "must be a name of letters, digits, '_' and '-'")])
+        if not isinstance(values, dict):
+            raise document.error([Problem(key, "must be a section of `motion.scale_x: 2` lines")])
+        changed, assignments = settings, []
+        for setting, value in values.items():
+            place = f"{document.place((*key, setting))}{dotted(key)}: "
+            if isinstance(value, dict):
+                advice = f"write `{setting}.KEY: VALUE` lines in place of a section"
+                raise ConfigurationError(f"{place}{setting}: {advice}")
+            assignments.append(f"{setting}={to_yaml(value)}")
+            changed = override(changed, assignments[-1], label=place)
+        found[name] = tuple(assignments)
+    return found
 
 
 def in_force(file: Path | None, assignments: Iterable[str], root: type[S]) -> S:

@@ -19,6 +19,7 @@ from spheremouse.files.wand import load_wand
 from spheremouse.files.yaml import Key, Problem
 from spheremouse.finding import Finding, Verdict
 from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.session.config_reloader import AT_START, key_of
 from spheremouse.session.run_config import beside
 from spheremouse.session.settings import Configuration
 
@@ -56,6 +57,11 @@ def validate(file: Path, c: Configuration) -> Found:
         if size is not None and calibrated is not None:
             problem = size_problem(size, (calibrated.width, calibrated.height), where)
             found.wrong += [] if problem is None else [Problem(key, "; ".join(problem))]
+    for name, assignments in c.profiles.items():
+        late = (key for key in map(key_of, assignments) if key.partition(".")[0] in AT_START)
+        found.wrong += [
+            Problem(("profiles", name, key), "read at the start only; move it out of the profile") for key in late
+        ]
     for spec in c.outputs:
         _probe(("output",), output.probe, spec, found)
     return found

@@ -16,11 +16,13 @@ import numpy as np
 from spheremouse.ball.settings import Settings
 from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.files import config
+from spheremouse.files.validate import nearest
 from spheremouse.files.yaml import dotted
 from spheremouse.session.control.protocol import internal_error, refused
 from spheremouse.session.control.request_queue import PendingRequest
 from spheremouse.session.process.threads import WorkerPool
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig, check_kinds, read_run_config
+from spheremouse.session.settings import Configuration
 from spheremouse.session.setup import Setup
 from spheremouse.wand.settings import WandSettings
 
@@ -190,17 +192,34 @@ class ConfigReloader:
 
     def set(self, assignments: tuple[str, ...], pending: PendingRequest) -> None:
         """Change parameters, KEY=VALUE. ControlError if one could not take effect."""
-        check_settable(self.overrides, assignments)
-        wanted = replace(self.overrides, changes=latest((*self.overrides.changes, *assignments)))
-        if not set(map(key_of, assignments)).isdisjoint(_READ_FILES):
-            self._load(wanted, pending, assignments)
+        self._change(self.plan.configuration, self.overrides.changes, assignments, pending)
+
+    def profile(self, name: str | None, pending: PendingRequest) -> None:
+        """Replace all changes by those of a profile of the configuration file; None lists the profiles."""
+        profiles = self.plan.configuration.profiles
+        if name is None:
+            pending.answer({"profiles": profiles})
+        elif name not in profiles:
+            hint = nearest(name, list(profiles)) if profiles else "write `profiles:` into the configuration file"
+            raise ControlError(f"profile: there is no profile {name!r}", hint)
+        else:
+            self._change(self.plan.unchanged, (), profiles[name], pending)
+
+    def _change(
+        self, configuration: Configuration, changes: tuple[str, ...], assigned: tuple[str, ...], pending: PendingRequest
+    ) -> None:
+        """Assign values to a configuration that has these changes already."""
+        check_settable(self.overrides, assigned)
+        wanted = replace(self.overrides, changes=latest((*changes, *assigned)))
+        dropped = set(map(key_of, self.overrides.changes)) - set(map(key_of, wanted.changes))
+        if not (dropped | set(map(key_of, assigned))).isdisjoint(_READ_FILES):
+            self._load(wanted, pending, assigned)
             return
-        configuration = self.plan.configuration
-        for assignment in assignments:
+        for assignment in assigned:
             configuration = config.override(configuration, assignment, label="")
         plan = replace(self.plan, configuration=configuration)
-        check_read(plan, assignments)
-        self._apply(wanted, plan, self._files, pending, assignments)
+        check_read(plan, assigned)
+        self._apply(wanted, plan, self._files, pending, assigned)
 
     def reload(self, pending: PendingRequest) -> None:
         """Read all files again, and drop the values of `set`."""

@@ -98,6 +98,7 @@ class RunConfig:
     map_path: Path | None  # None: no map is kept
     balls: Balls = field(default_factory=Balls)  # in a hand; none: the source's own, or Grzonka's
     ball_paths: tuple[Path, ...] = ()
+    unchanged: Configuration = field(default_factory=Configuration)  # without the changes by `ctl set`
 
     def device(self, given: Rig | None) -> Rig:
         """Return the calibrated device; `given` is that of the source. Raises ConfigurationError if there is none."""
@@ -111,11 +112,10 @@ class RunConfig:
 
 def read_run_config(overrides: CommandLineOverrides) -> RunConfig:
     """Read all files and settings of a request. Raise ConfigurationError, with file and line for an error in a file."""
-    c = config.in_force(overrides.file, overrides.assignments, Configuration)
+    c = unchanged = _with_folder(config.in_force(overrides.file, overrides.assignments, Configuration), overrides.file)
     for change in overrides.changes:
         c = config.override(c, change, label="")
-    if c.record.folder is not None:
-        c = replace(c, record=replace(c.record, folder=str(beside(overrides.file, c.record.folder))))
+    c = _with_folder(c, overrides.file)
     source, to = overrides.source or c.source, overrides.outputs or c.outputs
     source = None if source is None else sources.full_spec(source)
     if source is None:
@@ -147,7 +147,7 @@ def read_run_config(overrides: CommandLineOverrides) -> RunConfig:
     if len(ball_paths) > MOST_BALLS:
         raise ConfigurationError(f"--ball: given {len(ball_paths)} times; at most {MOST_BALLS} balls are tracked")
     balls = read_balls(ball_paths)
-    return RunConfig(c, source, to, rig, rig_path, camera, camera_path, map_file, balls, ball_paths)
+    return RunConfig(c, source, to, rig, rig_path, camera, camera_path, map_file, balls, ball_paths, unchanged)
 
 
 def check_kinds(plan: RunConfig, before: RunConfig | None = None) -> None:
@@ -183,6 +183,13 @@ def beside(file: Path | None, name: str | None) -> Path | None:
 def named_balls(overrides: CommandLineOverrides, c: Configuration) -> tuple[Path, ...]:
     """Return the wand files of the command line, else those of the configuration."""
     return overrides.balls or tuple(path for name in c.wand.balls if (path := beside(overrides.file, name)) is not None)
+
+
+def _with_folder(c: Configuration, file: Path | None) -> Configuration:
+    """Return the configuration with the path of the recordings' folder, which is relative to its file."""
+    if c.record.folder is None:
+        return c
+    return replace(c, record=replace(c.record, folder=str(beside(file, c.record.folder))))
 
 
 def _usual_map(rig_path: Path) -> Path:

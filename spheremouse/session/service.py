@@ -25,7 +25,7 @@ from spheremouse.output.reporter import ReporterStatus
 from spheremouse.output.third_axis import left_out
 from spheremouse.session.cameras import held
 from spheremouse.session.config_reloader import READING, ConfigReloader, given
-from spheremouse.session.control.protocol import Record, Request, Set, Snapshot, refused
+from spheremouse.session.control.protocol import Profile, Record, Request, Set, Snapshot, refused
 from spheremouse.session.control.request_queue import PendingRequest, RequestQueue
 from spheremouse.session.control.server import Endpoints
 from spheremouse.session.control.status import OutputStatus, Quantiles, SourceStatus, State, StatusReport
@@ -319,6 +319,8 @@ class Daemon:
         request = pending.request
         if isinstance(request, Set):
             self._reloader.set(request.assignments, pending)
+        elif isinstance(request, Profile):
+            self._reloader.profile(request.name, pending)
         elif isinstance(request, Record):
             self._record(request, pending)
         elif isinstance(request, Snapshot):

@@ -147,6 +147,8 @@ class Configuration(Settings):
     record: RecordSettings = field(default_factory=RecordSettings)
     metrics: MetricsSettings = field(default_factory=MetricsSettings)
     wand: WandRunSettings = field(default_factory=WandRunSettings)
+    # Not a setting: named assignments KEY=VALUE of the section `profiles`, for `spheremouse ctl profile`.
+    profiles: config.Profiles = field(default_factory=dict)
 
 
 def configuration_text(c: Configuration, **changes: Any) -> str:

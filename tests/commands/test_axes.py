@@ -48,6 +48,23 @@ def test_a_player_on_the_far_side_is_understood_and_the_file_told(tmp_path):
 
 
 @pytest.mark.slow
+def test_the_directions_are_saved_into_a_profile_alone(tmp_path):
+    file = tmp_path / "config.yaml"
+    file.write_text("schema: 2\nmotion: {player: left}\nprofiles:\n  doom: {motion.scale_x: 2}  # fast\n")
+    for name in ("doom", "menu"):
+        code, _, err = spheremouse("axes", "--config", file, "--profile", name, "--source", FILM)
+        assert code == 0, err
+    saved = config.load(file, Configuration)
+    assert saved.motion.player == "left"
+    assert set(saved.profiles["doom"]) == {"motion.scale_x=2", "motion.player='far-side'"}
+    assert saved.profiles["menu"] == ("motion.player='far-side'",)
+    assert "# fast" in file.read_text()
+    code, _, err = spheremouse("axes", "--profile", "doom", "--source", FILM)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "--profile doom: needs --config FILE" in err
+
+
+@pytest.mark.slow
 def test_a_configuration_is_begun_with_what_the_command_line_said(tmp_path):
     """So that `run --config` needs nothing else."""
     config_file = tmp_path / "cabinet" / "config.yaml"
@@ -98,8 +115,8 @@ class Played:
     def frame(self, turn, shift):
         self._t += 0.05
         estimate = unknown(self._t)._replace(increment=np.concatenate([turn, shift]), confirmed=True)
-        report = SimpleNamespace(counts=(0, 0, 0), estimate=estimate)
-        self.dialogue.show(SimpleNamespace(report=report, seconds={}), None)
+        result = SimpleNamespace(samples=(SimpleNamespace(estimate=estimate),), pointing=0, seconds={})
+        self.dialogue.show(result, SimpleNamespace(counts=(0, 0, 0)), None)
 
     def rest(self):
         for _ in range(30):

@@ -254,6 +254,43 @@ foo: {a: 1}
     ]
 
 
+def test_profiles_are_assignments_that_are_checked_and_not_in_force(tmp_path):
+    path = tmp_path / "c.yaml"
+    path.write_text(
+        "schema: 2\nprofiles:\n  doom:\n    motion.scale_x: 2\n    output: [uinput, 'text:a b']\n"
+        "  menu: {motion.invert_y: true}\nmotion: {scale_x: 3}\n"
+    )
+    read = config.load(path, Configuration)
+    assert (read.motion.scale_x, read.output) == (3.0, None)
+    assert read.profiles == {
+        "doom": ("motion.scale_x=2", "output=[uinput, 'text:a b']"),
+        "menu": ("motion.invert_y=true",),
+    }
+    changed = config.in_force(path, read.profiles["doom"], Configuration)
+    assert (changed.motion.scale_x, changed.outputs) == (2.0, ("uinput", "text:a b"))
+
+
+@pytest.mark.parametrize(
+    ("profiles", "problem"),
+    [
+        ("[a]", "2: profiles: must be sections, one for each profile"),
+        ("\n  a b: {}", "3: profiles.a b: must be a name of letters, digits, '_' and '-'"),
+        ("\n  a: 2", "3: profiles.a: must be a section of `motion.scale_x: 2` lines"),
+        ("\n  a:\n    motion:\n      scale_x: 2", "4: profiles.a: motion: write `motion.KEY: VALUE` lines in place of"),
+        ("\n  a:\n    motion.scale_q: 2", "4: profiles.a: motion.scale_q: unknown key; did you mean motion.scale_"),
+        ("\n  a:\n    motion.scale_x: two", "4: profiles.a: motion.scale_x: must be a number, is 'two'; the default"),
+        ("\n  a:\n    profiles: 2", "4: profiles.a: profiles: "),
+    ],
+)
+def test_a_wrong_profile_is_refused_with_its_line(tmp_path, profiles, problem):
+    path = tmp_path / "c.yaml"
+    path.write_text(f"schema: 2\nprofiles: {profiles}\n")
+    with pytest.raises(ConfigurationError) as e:
+        config.load(path, Configuration)
+    assert str(e.value).startswith(f"{path}:{problem}")
+    assert "\n" not in str(e.value)
+
+
 def test_a_dataclass_that_checks_itself_is_heard(problems):
     text = "schema: 2\nso3:\n  mask:\n    lower: 5\n    upper: 3\n"
     assert problems(text) == ["3: so3.mask: lower 5 is above upper 3; exchange them"]

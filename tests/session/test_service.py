@@ -392,6 +392,39 @@ def test_each_section_is_applied_between_two_frames(playing, monkeypatch):
     assert not said(world, "output: ")  # the second was opened when the first was closed, and not before
 
 
+def test_a_profile_replaces_what_was_set_and_another_profile(playing, monkeypatch):
+    monkeypatch.setattr(loader_module, "check_kinds", lambda *_: None)  # this world has kinds of its own
+    world = playing
+    assert ask(world, "profile") == {"profiles": {}}
+    assert "there is no profile 'doom'; write `profiles:` into" in refused(world, "profile", name="doom")
+    text = (
+        "profiles: {doom: {motion.scale_x: 2, output: sink:doom}, menu: {motion.scale_y: 3}, late: {realtime: auto}}\n"
+    )
+    world.config.write_text(world.config.read_text() + text)
+    ask(world, "reload")
+    assert list(ask(world, "profile")["profiles"]) == ["doom", "menu", "late"]
+    ask(world, "set", assignments=["motion.invert_x=true"])
+    values = ask(world, "profile", name="doom")["values"]
+    assert values == {
+        "motion.scale_x": [1.0, 2.0],
+        "motion.invert_x": [True, False],
+        "output": ["sink:quiet", "sink:doom"],
+    }
+    assert ask(world, "status")["changes"] == ["motion.scale_x=2", "output='sink:doom'"]
+    ask(world, "profile", name="menu")
+    status = ask(world, "status")
+    assert (status["changes"], status["outputs"][0]["spec"]) == (["motion.scale_y=3"], "sink:quiet")
+    world.settle()
+    before, since = world.counts, world.stamp
+    world.turn()
+    assert np.abs(world.counts - before - world.true_counts(since) * (1, 3, 1)).max() < 3 * CLOSE
+    assert "did you mean menu?" in refused(world, "profile", name="menus")
+    assert "realtime: read at the start only" in refused(world, "profile", name="late")
+    assert ask(world, "status")["changes"] == ["motion.scale_y=3"]
+    ask(world, "reload")
+    assert ask(world, "status")["changes"] == []
+
+
 def test_an_output_that_leaves_the_third_axis_out_says_so_when_it_is_taken(playing, monkeypatch):
     monkeypatch.setattr(loader_module, "check_kinds", lambda *_: None)  # this world has kinds of its own
     world, words = playing, "the third axis (the ball's spin) is not sent: output "

@@ -32,6 +32,10 @@ def axes(
     ] = None,
     balls: Balls = None,
     assignments: Assignments = None,
+    profile: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Save the directions into this profile, for `ctl profile NAME`."),
+    ] = None,
     dry: Annotated[bool, typer.Option("--dry-run", help="Print the result, and save nothing.")] = False,
 ) -> None:
     """Set the pointer's directions by three gestures.
@@ -43,12 +47,17 @@ def axes(
     from spheremouse.capture.signals import SignalHandler
     from spheremouse.commands.axes.dialogue import Dialogue
     from spheremouse.commands.run import follow, serve
+    from spheremouse.files.config import PROFILE_NAME
     from spheremouse.files.edit import check_place
     from spheremouse.session.cameras import is_camera, opener
     from spheremouse.session.process.standard_error import nonblocking_stderr
     from spheremouse.session.run_config import CommandLineOverrides, read_run_config
     from spheremouse.session.setup import open_setup
 
+    if profile is not None and (config is None or not PROFILE_NAME.fullmatch(profile)):
+        raise ConfigurationError(
+            f"--profile {profile}: needs --config FILE, and a name of letters, digits, '_' and '-'"
+        )
     said = () if tracker is None else (f"tracker={tracker}",)
     there = config is not None and config.exists()
     if config is not None and not dry:
@@ -77,7 +86,8 @@ def axes(
     for key, value, before in values:
         print(f"{key}: {_shown(value)} ({'as it was' if value == before else f'was {_shown(before)}'})")
     kept = {} if config is None else _told(plan, overrides, config)
-    kept |= {tuple(key.split(".")): value for key, value, _ in values}
+    for key, value, _ in values:
+        kept[tuple(key.split(".")) if profile is None else ("profiles", profile, key)] = value
     _keep(config, kept, dry)
     if config is not None and not (dry or there or ("source",) in kept):
         print(f"it names no camera yet: add a line such as `source: {default_camera()}`")

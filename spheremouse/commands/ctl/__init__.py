@@ -99,6 +99,28 @@ def set_(
         _print_json(reply)
 
 
+@app.command(epilog="Example: spheremouse ctl profile doom")
+def profile(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Of the configuration's `profiles`.")] = None,
+    as_json: _Json = False,
+    socket: _Socket = None,
+) -> None:
+    """Use a profile of the configuration file until the next start or reload; without NAME, list the profiles.
+
+    A profile replaces the changes by `set` and by another profile. `reload` ends it, and `save` keeps it.
+    """
+    reply = _ask(socket, "profile", name=name)
+    if as_json or name is not None:
+        _report(reply, as_json, f"profile {name}")
+        return
+    profiles = reply.get("profiles")
+    if isinstance(profiles, dict) and profiles:
+        for key, values in profiles.items():
+            typer.echo(printable(f"{key}: {', '.join(map(str, values)) if isinstance(values, list) else values}"))
+    else:
+        typer.echo("there are no profiles; write `profiles:` into the configuration file (docs/configuration.md)")
+
+
 @app.command()
 def save(config: _Config = None, as_json: _Json = False, socket: _Socket = None) -> None:
     """Write what was set into the daemon's configuration file. Comments stay, and it holds at the next start."""

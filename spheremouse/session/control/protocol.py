@@ -53,7 +53,9 @@ class Request(BaseModel):
     """A request without arguments."""
 
     model_config = _MODEL
-    command: Literal["status", "reinit", "pause", "resume", "reload", "stop", "set", "record", "snapshot", "watch"]
+    command: Literal[
+        "status", "reinit", "pause", "resume", "reload", "stop", "set", "profile", "record", "snapshot", "watch"
+    ]
     id: Id | None = None
 
 
@@ -63,6 +65,12 @@ class Set(Request):
     assignments: tuple[Annotated[str, Field(max_length=1000)], ...] = Field(
         min_length=1, max_length=50, description='write for example ["motion.scale_x=2"]'
     )
+
+
+class Profile(Request):
+    """Use a profile of the configuration file until the next start or reload, in place of all changes by `set`."""
+
+    name: str | None = Field(default=None, max_length=50, description="leave it out for the list of profiles")
 
 
 class Record(Request):
@@ -91,6 +99,7 @@ class Watch(Request):
 _REQUESTS: dict[str, type[Request]] = {
     **dict.fromkeys(("status", "reinit", "pause", "resume", "reload", "stop"), Request),
     "set": Set,
+    "profile": Profile,
     "record": Record,
     "snapshot": Snapshot,
     "watch": Watch,
