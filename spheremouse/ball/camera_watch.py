@@ -92,7 +92,7 @@ def begin(rig: Rig, pose: Pose) -> CameraMonitor | None:
 def remember_targets(
     watch: CameraMonitor, image: Image, which: NDArray[np.intp], rig: Rig, rings: RingSettings
 ) -> CameraMonitor:
-    """Store the current patches of the targets `which`.
+    """Store the current patches of the targets `which`, (k,) indices.
 
     A patch is stored only if it shows a target: it has contrast and is point-symmetric.
     """
@@ -171,7 +171,7 @@ def displaced(shift: Array, limit: float) -> bool | None:
 
 
 def is_still(before: Array, now: Array) -> bool:
-    """Return whether the shifts of the targets, (n, 2) px, are the same in two frames."""
+    """Return whether the shifts of the targets, (n, 2) px, are the same in frames `before` and `now`."""
     if len(before) != len(now):
         return False
     step = np.hypot(*(now - before).T)

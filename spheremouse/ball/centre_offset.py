@@ -78,7 +78,7 @@ def is_off(found: CentreOffset, radius: float, lifted: float, out_of_round: bool
 
 
 def fits(found: CentreOffset, radius: float, lifted: float) -> bool:
-    """Return True if the discs fit a rotation about the centre; `lifted` as in `is_off`."""
+    """Return True if the discs fit a rotation about the centre of a ball of `radius` m; `lifted` as in `is_off`."""
     far = found.distance > 0.5 * lifted * radius and found.mahalanobis > 0.5 * _MIN_MAHALANOBIS
     return not far and found.chi2_rotation < _MOST
 

@@ -41,8 +41,8 @@ class Comparison:
     rotation: Array  # (3, 3), directions of b ~ those of a @ rotation.T
     stayed: NDArray[np.intp]  # (k, 2) indices (a, b)
     moved: NDArray[np.intp]  # (l, 2) indices (a, b)
-    gone: NDArray[np.intp]  # of a
-    new: NDArray[np.intp]  # of b
+    gone: NDArray[np.intp]  # (p,) indices of a
+    new: NDArray[np.intp]  # (q,) indices of b
 
     @property
     def same_ball(self) -> bool:
@@ -89,7 +89,7 @@ def variances(disc_map: DiscMap) -> Array:
 
 
 def turned(disc_map: DiscMap, rotation: Array) -> DiscMap:
-    """Return the map in a rotated frame: the new directions are the old ones @ rotation.T."""
+    """Return the map in a frame rotated by (3, 3): the new directions are the old ones @ rotation.T."""
     before = disc_map.directions
     after = before @ rotation.T
     axes = tangent_basis(after).transpose(0, 2, 1) @ rotation @ tangent_basis(before)  # (m, 2, 2)

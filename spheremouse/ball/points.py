@@ -43,7 +43,7 @@ class SpherePoints:
         return len(self.position)
 
     def take(self, keep: NDArray[np.bool_] | NDArray[np.intp] | slice) -> "SpherePoints":
-        """Return the entries of a mask, of indices or of a slice."""
+        """Return the entries of a mask (n,), of indices (k,) or of a slice."""
         return SpherePoints(*(getattr(self, name)[keep] for name in self.__slots__))
 
 

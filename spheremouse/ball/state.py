@@ -234,7 +234,10 @@ def clear_matches(filter_state: Any) -> Any:
 def start_tracking(
     state: TrackState[F], phase: Learning | Tracking, filtered: F, reported: Array, stamp: float
 ) -> TrackState[F]:
-    """Return the state of a ball tracked from this frame on by a new filter; motion counts from `reported`."""
+    """Return the state of a ball that a new filter tracks from `stamp` (s) on.
+
+    Motion counts from the attitude `reported`, R_obj_ball (3, 3).
+    """
     return replace(
         state,
         phase=phase,

@@ -107,8 +107,8 @@ class Stream:
     frames: Iterator[Frame]
     rig: Rig | None = None
     live: bool = False
-    fps: float | None = None
-    count: int | None = None
+    fps: float | None = None  # nominal frames/s; None: unknown
+    count: int | None = None  # frames; None: unknown
     close: Callable[[], None] | None = None
 
     def __iter__(self) -> Iterator[Frame]:

@@ -44,7 +44,10 @@ def open(argument: str, realtime: bool) -> Stream:
 
 
 def read_frames(capture: cv2.VideoCapture, path: Path, fps: float | None, count: int | None) -> Iterator[Frame]:
-    """Yield the frames. Raises SourceError at the end if the file has none, or fewer than its header promises."""
+    """Yield the frames. Raises SourceError at the end if the file has none, or fewer than its header promises.
+
+    `fps` and `count` are frames/s and frames by the header; None: unknown.
+    """
     read, last = 0, -math.inf
     while True:
         try:

@@ -122,7 +122,7 @@ class Bound:
     rate: Array  # (n, 3, 3) rad²/s², obj
 
     def take(self, index: NDArray[np.intp]) -> "Bound":
-        """Return the entries of some frames."""
+        """Return the entries of the frames in `index` (k,)."""
         return Bound(self.attitude[index], self.rate[index])
 
 

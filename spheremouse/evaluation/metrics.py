@@ -259,7 +259,10 @@ def nees(error: Array, covariance: Array) -> Array:
 
 
 def mean_nees(error: Array, covariance: Array) -> float | None:
-    """Return the mean of `nees`; k if the covariances are right. None without errors, or if a value is not finite."""
+    """Return the mean of `nees` of errors (n, k) with covariances (n, k, k); k if the covariances are right.
+
+    None without errors, or if a value is not finite.
+    """
     if len(error) == 0 or not (np.all(np.isfinite(error)) and np.all(np.isfinite(covariance))):
         return None
     return number(np.mean(nees(error, covariance)))
@@ -389,8 +392,9 @@ def frame_times(seconds: dict[str, Array]) -> dict[str, float | None]:
 def bound_ratio(attitude: Array | None, rate: Array | None, bound: Bound | None) -> dict[str, float | None]:
     """Return the RMS errors of attitude and rate over the posterior Cramer-Rao bound; 1 is the best possible.
 
-    The axes are combined. The first tracked frame is left out, since its attitude defines the reference and its rate is
-    unknown. None if errors or bound are missing.
+    `attitude` (n, 3) rad and `rate` (n, 3) rad/s are the errors in the n tracked frames. The axes are combined. The
+    first frame is left out, since its attitude defines the reference and its rate is unknown. None if errors or bound
+    are missing.
     """
     if attitude is None or rate is None or bound is None:
         return {"attitude": None, "rate": None}

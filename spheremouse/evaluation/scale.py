@@ -40,10 +40,10 @@ class ScaleAndDrift:
     nan if the ball turned so steadily that scale and drift are inseparable. The scale then contains the drift.
     """
 
-    scale: Array  # -
-    scale_width: Array
-    drift: Array  # rad/s
-    drift_width: Array  # rad/s
+    scale: Array  # (3,) measured over true
+    scale_width: Array  # (3,)
+    drift: Array  # (3,) rad/s
+    drift_width: Array  # (3,) rad/s
 
 
 def scale_and_drift(seconds: Array, measured: Array, true: Array) -> ScaleAndDrift | None:

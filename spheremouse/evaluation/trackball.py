@@ -96,7 +96,7 @@ class Match:
     r: Array  # (2,) Pearson's r of x and y over intervals of 0.1 s
     rmse: Array  # (2,) counts/s over the same intervals
     rate: Array  # (3,) rad/s, RMS about each axis of obj that rotation about the other axes does not explain
-    seconds: float  # compared
+    seconds: float  # s, length of the compared motion
     outliers: int  # intervals with lost reports or slip
     intervals: int
 

@@ -221,9 +221,9 @@ def _fps(runs: Sequence[WandRun]) -> float | None:
 class WandHistory:
     """Results of a run, frame by frame, without the pictures."""
 
-    stamps: list[float] = field(default_factory=list)
+    stamps: list[float] = field(default_factory=list)  # s, of the frames
     poses: list[tuple[WandPose, ...]] = field(default_factory=list)
-    seconds: list[float] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)  # s, wall time of each step
 
     def add(self, epoch: WandEpoch) -> None:
         """Add the results of a frame."""

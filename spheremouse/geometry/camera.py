@@ -91,7 +91,10 @@ class Pose:
 
 
 def pose_from_matrix(T: Array, covariance: Array | None = None) -> Pose:
-    """Return the pose of a homogeneous T_obj_cam, (4, 4), with the nearest orthonormal rotation."""
+    """Return the pose of a homogeneous T_obj_cam, (4, 4), with the nearest orthonormal rotation.
+
+    `covariance` (6, 6) is that of `Pose`; None: zero.
+    """
     u, _, vt = np.linalg.svd(np.asarray(T, dtype=float)[:3, :3])
     return Pose(u @ vt, np.array(T, dtype=float)[:3, 3].copy(), np.zeros((6, 6)) if covariance is None else covariance)
 

@@ -126,7 +126,7 @@ class OutputThread:
         self.failed  # noqa: B018  checks whether the output hangs
 
     def end_prediction(self, now: float) -> None:
-        """End the prediction, because no frame will correct it."""
+        """End the prediction at `now` (s, monotonic), because no frame will correct it."""
         self._queue.append(_QueuedReport(_empty(now), now, True, self._clock(), frame=False))
         self._wake_thread()
 

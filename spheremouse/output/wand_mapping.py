@@ -73,7 +73,7 @@ class PointingState:
     """State of the mapping between two frames."""
 
     counting: bool = False  # False: the ball was never seen, or it was lost; the motion to its next pose moves nothing
-    slack: Array = field(default_factory=lambda: np.zeros(3))  # rad or m, cam: motion within the backlash
+    slack: Array = field(default_factory=lambda: np.zeros(3))  # (3,) rad or m, cam: motion within the backlash
     remainder: Remainder = field(default_factory=Remainder)  # counts
 
     def reset(self) -> "PointingState":

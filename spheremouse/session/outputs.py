@@ -68,7 +68,7 @@ class Outputs:
         self._submitted = plus(self._submitted, report.counts)
 
     def end_prediction(self, now: float) -> None:
-        """End the extrapolation of the pointer, because no frame will correct it."""
+        """End the extrapolation of the pointer at `now` (s, monotonic), because no frame will correct it."""
         for output in self._all:
             output.thread.end_prediction(now)
 

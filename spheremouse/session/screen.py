@@ -232,7 +232,7 @@ class WandStatusTable(Screen):
         self._tally = tally
 
     def show(self, stamp: float, poses: tuple[WandPose, ...]) -> None:
-        """Set the newest poses, and draw them if the last ones are old enough."""
+        """Set the newest poses, of `stamp` (s), and draw them if the last ones are old enough."""
 
         def text() -> str:
             return "\n".join(pose_line(stamp, pose, self._tally) for pose in poses)
@@ -241,7 +241,7 @@ class WandStatusTable(Screen):
 
 
 def pose_line(stamp: float, pose: WandPose, tally: Tally) -> str:
-    """Return the pose of a ball in one line."""
+    """Return the pose of a ball at `stamp` (s) in one line."""
     where = "                                                   "
     if pose.position is not None and pose.rotation is not None and pose.covariance is not None:
         axes = axes_of(pose.position, pose.rotation, pose.covariance)

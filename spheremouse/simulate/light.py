@@ -53,7 +53,10 @@ class Lighting:
     ball_radius: float  # m
 
     def on_room(self, points: Array, normals: Array) -> Array:
-        """Return the light on points of the room, (n, 3). The ball and the struts block a part of it."""
+        """Return the light, (n, 3) blue, green, red, on points (n, 3) m, obj, with unit `normals` (n, 3), of the room.
+
+        The ball and the struts block a part of it.
+        """
         towards = -points
         distance = _length(towards)
         facing = _dot(normals, towards) / distance
@@ -65,7 +68,7 @@ class Lighting:
         return light
 
     def on_ball(self, points: Array) -> Array:
-        """Light that falls on points of the ball, (n, 3)."""
+        """Return the light, (n, 3) blue, green, red, that falls on points (n, 3) m, obj, of the ball."""
         normals = points / self.ball_radius
         covered = sum((_form_factor(points, normals, s.corners()) for s in self.strips), np.zeros(len(points)))
         light = _ambient(normals) * (1.0 - np.clip(covered, 0.0, 1.0))[:, None]
@@ -75,7 +78,10 @@ class Lighting:
         return light
 
     def gloss(self, points: Array, eye: Array) -> Array:
-        """Light thrown back by the coat of the ball towards `eye`, (n, 3): blurred lamps, room at the limb."""
+        """Return the light, (n, 3), that the coat of the ball reflects from points (n, 3) m, obj, to `eye`, (3,) m.
+
+        It consists of blurred lamps, and of the room at the limb.
+        """
         normals = points / self.ball_radius
         view = eye - points
         view /= _length(view)[:, None]

@@ -134,7 +134,10 @@ def box(low: Vector, high: Vector, colour: Colour, turn: float = 0.0) -> list[Fa
 def post(
     foot: Vector, top: Vector, radius: float, colour: Colour, *, top_radius: float | None = None, sides: int = 16
 ) -> list[Face]:
-    """Faces around a post, cone or lampshade between two points, without its ends."""
+    """Return the faces around a post, cone or lampshade between two points, without its ends.
+
+    All lengths are in m. `radius` is that at the foot, `top_radius` that at the top; None: the same.
+    """
     a, b = np.array(foot), np.array(top)
     axis = (b - a) / np.linalg.norm(b - a)
     u = np.cross(axis, (0.31, 0.17, 0.93))

@@ -28,7 +28,7 @@ class Axes:
 
 
 def axes_of(position: Array, rotation: Array, covariance: Array) -> Axes:
-    """Return the axes of a pose T_cam_ball with covariance (6, 6) m, rad of `WandPose`."""
+    """Return the axes of a pose, (3,) m in cam and R_cam_ball (3, 3), with covariance (6, 6) m, rad of `WandPose`."""
     omega, phi, kappa = to_euler(rotation)
     angles = wrapped(np.array([-_QUARTER - kappa, omega - _QUARTER, phi]))
     if np.cos(phi) > _MIN_COS_PHI:

@@ -34,8 +34,9 @@ def measure_edges(
 ) -> Array:
     """Return edges across the outline of a ball, (24, 5): u, v px, outward normal in the picture, 1 for a found one.
 
-    `discs` (m, 4) are directions in `ball` and angular radii; the search stays clear of their rims. `lens` is that of
-    the model, and one step of the search is `f` px.
+    The ball has its centre at (3,) m in cam, R_cam_ball (3, 3) and `radius` m. `discs` (m, 4) are directions in `ball`
+    and angular radii; the search stays clear of their rims. `lens` is that of the model, and one step of the search is
+    `f` px.
     """
     found = np.zeros((DIRECTIONS, 5))
     _measure(image, position, rotation, discs, radius, lens, float(f), found)

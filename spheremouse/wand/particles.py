@@ -55,7 +55,7 @@ class PeakMixture:
 
 
 def effective_number(weight: Array) -> float:
-    """Return the effective number of particles, 1 / sum w², of normalised weights."""
+    """Return the effective number of particles, 1 / sum w², of normalised weights (n,)."""
     return float(1.0 / np.sum(weight * weight))
 
 
@@ -116,7 +116,7 @@ def regularised_covariance(sample: Array, count: float, expected: Array) -> Arra
 
 
 def scatter(position: Array, rotation: Array, covariance: Array, n: int, rng: np.random.Generator) -> Particles:
-    """Draw n particles of equal weight about a pose with covariance (6, 6)."""
+    """Draw n particles of equal weight about a pose, (3,) m in cam and R_cam_ball (3, 3), with covariance (6, 6)."""
     d = rng.standard_normal((n, 6)) @ np.linalg.cholesky(covariance).T
     return Particles(position + d[:, :3], exp(d[:, 3:]) @ rotation, np.full(n, 1.0 / n))
 

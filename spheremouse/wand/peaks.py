@@ -100,7 +100,7 @@ class Modes:
         return np.array([k.rotation for k in self.peaks]).reshape(-1, 3, 3)
 
     def select(self, kept: list[int] | NDArray[np.int64]) -> "Modes":
-        """Return the peaks of these indices, in their order."""
+        """Return the peaks of these indices, (k,), in their order."""
         peaks = tuple(self.peaks[i] for i in kept)
         return replace(self, peaks=peaks, log_likelihood=self.log_likelihood[kept], match=self.match[kept])
 

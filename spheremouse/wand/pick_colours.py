@@ -87,7 +87,7 @@ def check_bounds(
     circle: Circle,
     remedy: str = "narrow them, or have others picked without --check",
 ) -> PickedBounds:
-    """Return the fractions that bounds select inside a circle and elsewhere.
+    """Return the fractions of a picture (h, w, 3) BGR that bounds select inside a circle and elsewhere.
 
     Raises ConfigurationError if they select nothing on the ball, or half of the picture; `remedy` advises on the
     latter.
@@ -130,7 +130,10 @@ def circle_mask(shape: tuple[int, ...], circle: Circle, scale: float) -> NDArray
 
 
 def find_ball(image: NDArray[np.uint8], ball: WandBall) -> Circle:
-    """Return the circle with the colours and the body of a ball; raise ConfigurationError without one."""
+    """Return the circle, px, with the colours and the body of a ball in a picture (h, w, 3) BGR.
+
+    Raises ConfigurationError if there is none.
+    """
     scale = min(1.0, _MAX_SIDE / max(image.shape[:2]))
     small = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     grey = np.asarray(cv2.GaussianBlur(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), (0, 0), 1.0), dtype=np.uint8)

@@ -33,7 +33,10 @@ class PoseVelocityState:
 
 
 def initialise(stamp: float, position: Array, rotation: Array, covariance: Array) -> PoseVelocityState:
-    """Return the state after one pose with covariance (6, 6): at rest, with the velocity of a hand as uncertainty."""
+    """Return the state after one pose: at rest, with the velocity of a hand as uncertainty.
+
+    The pose at `stamp` (s) is (3,) m in cam and R_cam_ball (3, 3), with covariance (6, 6) m, rad.
+    """
     P = np.zeros((12, 12))
     P[:6, :6], P[6:, 6:] = covariance, np.diag(_INITIAL_VELOCITY_SIGMA**2)
     return PoseVelocityState(stamp, position, rotation, np.zeros(6), P)
@@ -65,7 +68,7 @@ def predicted_velocity_covariance(state: PoseVelocityState, stamp: float, accele
 def update(
     state: PoseVelocityState, stamp: float, position: Array, rotation: Array, covariance: Array, acceleration: Array
 ) -> PoseVelocityState:
-    """Return the state after a measured pose with covariance (6, 6).
+    """Return the state after a measured pose, as in `initialise`; `acceleration` (6,) as in `predict`.
 
     A pose more than six standard deviations off restarts the filter: with the velocity that leads to the pose, or at
     rest if no hand is that fast.
@@ -92,7 +95,10 @@ def update(
 
 
 def pose_difference(position: Array, rotation: Array, to_position: Array, to_rotation: Array) -> Array:
-    """Return the difference of two poses, (6,) m and rad in `cam`: position + d, exp(theta) @ rotation."""
+    """Return the difference of two poses, (6,) m and rad in `cam`: position + d, exp(theta) @ rotation.
+
+    Positions are (3,) m, rotations R_cam_ball (3, 3).
+    """
     return np.concatenate([to_position - position, log(to_rotation @ rotation.T)])
 
 

@@ -131,6 +131,8 @@ def evidence_without_prior(
 ) -> tuple[int, float]:  # fmt: skip
     """Return the evidence for a pose without a predicted one: discs that show, fraction of bare points that look bare.
 
+    The pose is (3,) m in cam and R_cam_ball (3, 3), the picture (h, w, 3) BGR.
+
     Some pose explains any two spots, since six numbers have six unknowns. A third disc is evidence, and so is the body:
     white is paler than print and evenly bright except for its shadow, black is darker than the discs.
     """
@@ -167,6 +169,8 @@ def distinct_poses(
     position: Array, rotation: Array, radius: float, count: int = _MAX_HYPOTHESES, kept: int = 0
 ) -> list[int]:
     """Return the indices of at most `count` poses, best first, without those close to a better one.
+
+    The poses, (n, 3) m in cam and R_cam_ball (n, 3, 3), are in order, the best first. The ball has `radius` m.
 
     The first `kept` poses are kept in any case.
     """

@@ -63,10 +63,10 @@ class Track:
 
     phase: Status = Status.SEARCHING
     particles: Particles | None = None
-    pose: tuple[Array, Array, Array] | None = None  # position, rotation, covariance
+    pose: tuple[Array, Array, Array] | None = None  # (3,) m in cam, R_cam_ball (3, 3), covariance (6, 6) m, rad
     pose_velocity: PoseVelocityState | None = None  # of the followed peak; None unless tracked
     motion_probability: Array = field(default_factory=PRIOR_MOTION_PROBABILITY.copy)  # (3,)
-    measurement_covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))  # of the last frame's peak
+    measurement_covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))  # (6, 6) m, rad: last frame's peak
     stamp: float = 0.0  # s, of the particles
     seen: float = -np.inf  # s, last measurement
     unseen_frames: int = 0

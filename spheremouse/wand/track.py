@@ -83,7 +83,10 @@ _KNOWN_POSE_COVARIANCE = np.diag([0.02**2] * 2 + [0.05**2] + [0.1**2] * 3)  # mÂ
 def begin(
     tracker: WandTracker, seed: int = 0, stamp: float = 0.0, poses: dict[int, tuple[Array, Array]] | None = None
 ) -> WandState:
-    """Return the state before the first frame. `poses` has known positions and rotations in `cam` by ball index."""
+    """Return the state before the first frame, at `stamp` (s).
+
+    `poses` has known positions (3,) m in cam and R_cam_ball (3, 3) by ball index.
+    """
     rng = np.random.default_rng(seed)
     tracks = []
     for i in range(len(tracker.balls)):
@@ -194,7 +197,7 @@ def follow(
 
 
 def acquire(track: Track, stamp: float, context: SearchContext, rng: np.random.Generator) -> tuple[Track, WandPose]:
-    """Search the whole picture for a ball without a pose and draw particles from the peaks."""
+    """Search the whole picture at `stamp` (s) for a ball without a pose and draw particles from the peaks."""
     s, ball = context.tracker.settings, context.ball
     modes = search_picture(context, track.next_spot)
     track = replace(track, next_spot=modes.next_spot)

@@ -140,7 +140,8 @@ def log_evidence(
 ) -> float:
     """Return the log density of all seen and unseen directions, integrated over attitudes about R (Laplace 1774).
 
-    The prior over attitudes is uniform. `column` and `det` are those of `refine_attitude`.
+    The prior over attitudes is uniform. `column` (n,) and `det` are those of `refine_attitude`. `seen` (n, 3) obj and
+    `known` (m, 3) ball are unit vectors, `variance` (n,) rad² that of a seen one per axis.
     """
     if det <= 0.0:
         return -np.inf
@@ -176,7 +177,8 @@ def refine_attitudes(
 ) -> tuple[Array, NDArray[np.intp], Array, Array]:
     """Refine each start, (h, 3, 3); return rotations, columns (h, n), information (h, 3, 3) and log evidence (h,).
 
-    The evidence is -inf for a start that ends with the matches of an earlier one.
+    The evidence is -inf for a start that ends with the matches of an earlier one. The directions are those of
+    `log_evidence`.
     """
     h, n = len(starts), len(seen)
     R, columns, A, value = np.empty((h, 3, 3)), np.empty((h, n), dtype=np.intp), np.empty((h, 3, 3)), np.empty(h)
@@ -196,7 +198,8 @@ def two_match_log_evidence(
 ) -> float:
     """Return the log evidence that only the two directions of a hypothesis match, summed over all hypotheses.
 
-    It is estimated from a sample of `sample_size` hypotheses. R and `origin` are those of `attitude_hypotheses`.
+    It is estimated from a sample of `sample_size` hypotheses. R (h, 3, 3) and `origin` (h, 4) are those of
+    `attitude_hypotheses`, the directions those of `log_evidence`.
     """
     if len(R) == 0:
         return -np.inf

@@ -171,7 +171,8 @@ def best_hypotheses(
     """Return the rotations, out of (h, 3, 3), with the best scores, (k, 3, 3), best first, one within 3 sigma.
 
     A direction near a known one scores `gain` nats minus half its squared distance in standard deviations. The result
-    has at most `max_count` rotations, none worse than the best one by more than `margin` nats.
+    has at most `max_count` rotations, none worse than the best one by more than `margin` nats. `inflation` (h,) is that
+    of `attitude_hypotheses`. `seen` (n, 3) and `known` (m, 3) are unit vectors, with `sigma` rad.
     """
     n = len(seen)
     columns = np.ascontiguousarray(known.T)

@@ -24,7 +24,7 @@ class Detections:
         return len(self.centre)
 
     def take(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> "Detections":
-        """Return the entries of a mask or of indices, in that order."""
+        """Return the entries of a mask (n,) or of indices (k,), in that order."""
         index = np.flatnonzero(keep) if keep.dtype == bool else keep
         contours = tuple(self.contours[i] for i in index) if self.contours else ()
         return Detections(self.centre[index], self.covariance[index], self.area[index], contours)

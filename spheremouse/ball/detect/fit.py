@@ -66,7 +66,7 @@ class FitSettings(NamedTuple):
     kernel: NDArray[np.float32]  # (2 EDGE + 1,), the smoothing
     blur: float  # px, standard deviation of a rim's blur: pixels, lens and smoothing
     contrast: float  # least contrast over the light of the lighter of disc and ball
-    size_tolerance: float
+    size_tolerance: float  # largest deviation of fitted over expected size from 1
     rim: float  # least part of the rim that fits
     sigma: float  # px, floor of a centre's standard deviation
 

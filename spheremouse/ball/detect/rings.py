@@ -134,7 +134,10 @@ def spots_of(image: Image, settings: RingSettings) -> dict[str, Spots]:
 def candidates_of(
     spots: dict[str, Spots], proportion: Array, settings: RingSettings, shape: tuple[int, ...]
 ) -> tuple[list[Candidate], bool]:
-    """Spots in one another, as a target's are, in a picture of that shape; and whether there were more than `MOST`."""
+    """Return spots in one another, as a target's are, and whether there were more than `MOST`.
+
+    `proportion` (2,) has the radii of inner disc and middle ring over that of the outer one. `shape` is the picture's.
+    """
     candidates: list[Candidate] = []
     crowded = False
     for code in permutations(COLOURS):

@@ -47,8 +47,8 @@ Innovation = tuple[Array, Array, Array, Array]  # H, (2k, 9), H P, (2k, n), z, (
 class Pairing(NamedTuple):
     """Points taken for discs."""
 
-    rows: NDArray[np.intp]  # into the points
-    columns: NDArray[np.intp]  # into the discs
+    rows: NDArray[np.intp]  # (k,) indices into the points
+    columns: NDArray[np.intp]  # (k,) indices into the discs
     complete: bool = True  # all that could pair does, each in its place
     plain: bool = False  # no other pair was possible, and half of all or more are in their places
     innovation: Innovation | None = None  # of the pairs, if known
@@ -63,7 +63,7 @@ class So3Filter:
     horizon: float  # least cosine with it of a disc that can be seen
     disc_angle: float  # rad, angular radius of a disc
     radius: float  # m, of the ball
-    considered: Array = field(default_factory=lambda: np.zeros(2 * (CONSIDERED_DIM,)))  # of pose, centre and radius
+    considered: Array = field(default_factory=lambda: np.zeros(2 * (CONSIDERED_DIM,)))  # (10, 10) m, rad: pose, ball
     readout_sigma: float = 0.0  # s, of the rolling shutter's time
 
     def initial(self, stamp: float, attitude: Array) -> So3State:
@@ -376,7 +376,10 @@ class So3Filter:
         pairing: Pairing,
         may_start_landmark: NDArray[np.bool_] | None = None,
     ) -> So3State:
-        """Count sightings, drop discs that did not last their trial, and add those of the points that may start one."""
+        """Count sightings, drop discs that did not last their trial, and add points as new discs.
+
+        `may_start_landmark` is a mask (n,) of the points that may become discs; None: all.
+        """
         hits, missed, hidden, keep, known_seen, known_missed = so3_sightings.count_sightings(
             state.attitude,
             state.discs,
@@ -397,7 +400,7 @@ class So3Filter:
         return augment(state, points, new[: self._room(state)], self.radius)
 
     def with_discs(self, state: So3State, points: SpherePoints, which: NDArray[np.intp]) -> So3State:
-        """Return the state with the points `which` as discs, but for those that are a disc of the map already."""
+        """Return the state with the points `which`, (k,) indices, as discs, unless the map has them already."""
         free = np.zeros(len(points), dtype=np.bool_)
         free[which] = True
         return augment(state, points, self._new_discs(state, points, free, _NONE)[: self._room(state)], self.radius)

@@ -24,10 +24,10 @@ _HANDS_STAY = 1.0  # s, after which a hand has moved
 
 @njit(cache=True, error_model="numpy")
 def detection_probability(attitude: Array, discs: Array, hidden: Array, towards: Array, horizon: float) -> Array:
-    """Return the probability, (m,), that each disc is detected.
+    """Return the probability, (m,), that each disc is detected, at R_obj_ball (3, 3).
 
-    `hidden` (m,) is the probability that something hides it. `towards` (3,) points to the camera, obj. The camera sees
-    directions with a cosine to `towards` above `horizon`.
+    `discs` (m, 3) are unit vectors in ball. `hidden` (m,) is the probability that something hides a disc. `towards`
+    (3,) points to the camera, obj. The camera sees directions with a cosine to `towards` above `horizon`.
     """
     probability = np.empty(len(discs))
     for k in range(len(discs)):
@@ -39,7 +39,8 @@ def detection_probability(attitude: Array, discs: Array, hidden: Array, towards:
 def carry_hidden(attitude: Array, rate: Array, discs: Array, hidden: Array, dt: float, disc_angle: float) -> Array:
     """Return the probabilities, (m,), that something hides each disc, `dt` s later.
 
-    The information decays as the disc travels by its own diameter, 2 `disc_angle` rad, or as hands move.
+    The information decays as the disc travels by its own diameter, 2 `disc_angle` rad, or as hands move. `attitude` is
+    R_obj_ball (3, 3), `rate` (3,) rad/s is w_obj, `discs` (m, 3) are unit vectors in ball.
     """
     carried = np.empty(len(discs))
     for k in range(len(discs)):

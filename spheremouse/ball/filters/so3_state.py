@@ -33,9 +33,9 @@ class So3State:
     hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
     hidden: Array = field(default_factory=lambda: np.zeros(0))  # (m,) probability that something lies before the disc
-    used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # into the last points
+    used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (k,) of the last points
     weights: Array = field(default_factory=lambda: np.zeros(0))  # (l,) probability of each level; empty: as usual
-    process: Array = field(default_factory=_NO_PROCESS.copy)  # of the last prediction, at the first level
+    process: Array = field(default_factory=_NO_PROCESS.copy)  # (9, 9) noise of the last prediction, at the first level
     manoeuvre_level: float = 1.0  # factor on the acceleration of a ball left alone that the last step was made at, rms
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says
@@ -153,7 +153,11 @@ def inject(
     used: NDArray[np.intp] | None = None,
     nis: float = 0.0,
 ) -> So3State:
-    """Move the state by an error vector, (23 + 2m,); then its covariance is `joint`, and no prediction is pending."""
+    """Move the state by an error vector, (23 + 2m,); then no prediction is pending.
+
+    The new covariance is `joint` (23 + 2m, 23 + 2m), the probability of the levels `weights` (l,); None keeps the old
+    one. `used` (k,) are indices of the points in the update.
+    """
     attitude, discs, basis = np.empty((3, 3)), np.empty_like(state.discs), np.empty_like(state.basis)
     kernel.move(state.attitude, state.discs, state.basis, dx, attitude, discs, basis)
     return So3State(
@@ -193,7 +197,7 @@ def drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
 
 
 def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radius: float) -> So3State:
-    """Take up new discs with their covariance and their correlation with all else.
+    """Take up the points `index`, (k,), on a ball of `radius` m as discs, with covariance and correlations.
 
     d = R^T b; a rotation error e turns it by R^T (b x e), an error of pose or ball by R^T db: the inverse observation
     of EKF-SLAM, which Wittich 2017, eq. 171 leaves out.

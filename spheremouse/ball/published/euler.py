@@ -41,8 +41,8 @@ class EulerState:
     angle_rates: Array  # (3,) rad/s
     points: Array  # (m, 3) m, ball: stored discs
     state_covariance: Array  # (6, 6) or (6 + 3m, 6 + 3m): angles, rates, points (eq. 121, 151)
-    used: NDArray[np.intp]  # indices into the last update's points that were associated
-    reference: Array = field(default_factory=lambda: np.zeros((3, 3)))  # rad², of the attitude that motion counts from
+    used: NDArray[np.intp]  # (k,) indices of the last update's points that were associated
+    reference: Array = field(default_factory=lambda: np.zeros((3, 3)))  # (3, 3) rad², attitude that motion counts from
 
     @property
     def attitude(self) -> Array:
@@ -148,7 +148,10 @@ class ConstantDiscsFilter(_EulerFilter):
     def update(
         self, state: EulerState, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None
     ) -> EulerState:
-        """Correct angles and rates with the associated points, store new points, and delete unseen discs."""
+        """Correct angles and rates with the associated points, store new points, and delete unseen discs.
+
+        `may_start_landmark` is a mask (n,) of the points that may be stored; None: all.
+        """
         noise = _noise(points, self.settings)
         expected, dexpected_dangles = turned(state.angles, state.points)
         i, j = _associate(expected, points.position, self.settings.gate)

@@ -32,7 +32,7 @@ class View:
     uv: Array  # (n, 2) px
 
     def take(self, mask: NDArray[np.bool_]) -> "View":
-        """Select corners."""
+        """Select corners by a mask (n,)."""
         return View(self.points[mask], self.uv[mask])
 
 
@@ -126,7 +126,7 @@ class Bundle:
         return [slice(int(e - 2 * n), int(e)) for e, n in zip(ends, self.counts, strict=True)]
 
     def only(self, used: NDArray[np.bool_]) -> "Bundle":
-        """Return the adjustment of some views."""
+        """Return the adjustment of the views in a mask (v,)."""
         return Bundle([v for v, u in zip(self.views, used, strict=True) if u], self.size, self.free)
 
     def linear(self, x: Array) -> tuple[Array, Array]:

@@ -96,7 +96,7 @@ def find_board(image: NDArray[np.uint8], pattern: Pattern, searched: float = SEA
 
 
 def detect_dictionary(image: NDArray[np.uint8]) -> str | None:
-    """Return the smallest dictionary with most markers in an image; None below four markers of each."""
+    """Return the smallest dictionary with most markers in an image, (h, w) or (h, w, 3); None below four of each."""
     most, best = 3, None
     for name in DICTIONARIES:
         _, ids, _ = cv2.aruco.ArucoDetector(_dictionary(name)).detectMarkers(image)

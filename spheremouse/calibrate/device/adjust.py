@@ -140,10 +140,10 @@ class BundleResult:
 
     problem: Problem  # of the image points used
     everything: ImagePoints
-    used: NDArray[np.bool_]
+    used: NDArray[np.bool_]  # (n,) of `everything`
     solution: Solution
     sphere: Sphere
-    factors: tuple[float, float]
+    factors: tuple[float, float]  # variance factors of targets and discs: estimated over assumed
 
 
 def adjust_device(

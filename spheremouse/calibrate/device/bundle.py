@@ -42,7 +42,7 @@ class ImagePoints:
         return len(self.photo)
 
     def take(self, keep: NDArray[np.bool_]) -> "ImagePoints":
-        """Select by a mask."""
+        """Select by a mask (n,)."""
         return ImagePoints(self.photo[keep], self.point[keep], self.centre[keep], self.covariance[keep])
 
 
@@ -77,7 +77,7 @@ class Columns:
 
     photos: int
     points: int
-    free: NDArray[np.intp]  # those that are adjusted
+    free: NDArray[np.intp]  # (f,) indices of the adjusted ones
 
     @property
     def all(self) -> int:
@@ -117,7 +117,10 @@ def columns_of(problem: Problem, photos: int, points: int) -> Columns:
 
 
 def solve_block(problem: Problem, block: Block, robust: float | None = None) -> Solution:
-    """Adjust a block from an approximation; LinAlgError if an unknown is not determined."""
+    """Adjust a block from an approximation; LinAlgError if an unknown is not determined.
+
+    `robust` is the knee of Huber's function in standard deviations; None: least squares.
+    """
     columns = columns_of(problem, len(block.poses), len(block.points))
     adjusted = None
     for _ in range(2):  # the second time from the solution: rotations are zero there, and slopes exact
@@ -196,7 +199,7 @@ def eccentricity_slopes(problem: Problem, block: Block) -> Array:
 
 
 def apply_step(block: Block, columns: Columns, x: Array) -> Block:
-    """Apply a step of the free unknowns."""
+    """Apply a step x, (f,), of the free unknowns, in the order of `Columns.free`."""
     full = np.zeros(columns.all)
     full[columns.free] = x
     camera = with_interior(block.camera, interior_vector(block.camera) + full[:INTERIOR])

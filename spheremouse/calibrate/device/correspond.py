@@ -144,7 +144,7 @@ def directions_on_ball(
 
 
 def ball_rig(camera: InteriorOrientation, centre: Array, radius: float, disc_radius: float) -> Rig:
-    """Return a rig with camera, ball and size of the discs alone, in any frame."""
+    """Return a rig with camera, ball and size of the discs alone, in any frame; `centre` (3,) and both radii in m."""
     return Rig(camera, Ball(radius, centre), NO_TARGETS, disc_radius)
 
 
@@ -235,7 +235,7 @@ def _firmest(points: _Points) -> _Points:
 
 
 def has_wide_rays(poses: Sequence[Pose], points: Array) -> bool:
-    """Return True if two photos see the middle of the points from directions ten degrees apart."""
+    """Return True if two photos see the middle of the points, (n, 3) m, from directions ten degrees apart."""
     away = np.array([p.position for p in poses]) - points.mean(axis=0)
     away /= np.linalg.norm(away, axis=1, keepdims=True)
     return bool(np.min(away @ away.T) < np.cos(MIN_RAY_ANGLE))

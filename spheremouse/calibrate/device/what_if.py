@@ -40,7 +40,7 @@ class Network:
     centre: Array  # (3,)
     radius: float
     roughness: float  # out of round, standard deviation
-    unit: float
+    unit: float  # m, as in `DeviceCalibration`
     target_variance: float  # px², of a coordinate
     disc_variance: float  # px², over the share of discs that are found
     density: float  # discs per steradian where the photos show the ball
@@ -178,7 +178,10 @@ def visible_discs(net: Network, pose: Pose, points: Array) -> NDArray[np.bool_]:
 
 
 def camera_towards(net: Network, direction: Array, distance: float) -> Pose:
-    """Return a camera at `distance` m from the aim, rotated about its line of sight like the nearest pose."""
+    """Return a camera at `distance` m from the aim, in the unit `direction` (3,) of the bundle's frame.
+
+    It is rotated about its line of sight like the nearest pose.
+    """
     towards = np.array([pose.position - net.aim for pose in net.block.poses])
     near = int(np.argmax(towards @ direction / np.linalg.norm(towards, axis=1)))
     z = -direction

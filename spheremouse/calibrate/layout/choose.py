@@ -47,13 +47,16 @@ def choose_directions(n: int, view_angle: float, min_distance: float, seed: int)
 
 
 def min_in_view(directions: Array, view_angle: float) -> int:
-    """Return the smallest number of discs within `view_angle` of the direction to a camera, over 5,000 of these."""
+    """Return the smallest number of discs within `view_angle` rad of the direction to a camera, over 5,000 cameras.
+
+    The discs have unit `directions` (n, 3).
+    """
     seen = fibonacci_sphere(_CAMERA_DIRECTIONS) @ directions.T > np.cos(view_angle)
     return int(seen.sum(axis=1).min())
 
 
 def nearest(directions: Array) -> tuple[float, tuple[int, int]]:
-    """Return the angle between the two nearest discs, and their indices."""
+    """Return the angle, rad, between the two nearest of unit `directions` (n, 3), and their indices."""
     cosine = directions @ directions.T - 3.0 * np.eye(len(directions))
     i, j = divmod(int(np.argmax(cosine)), len(directions))
     return float(np.arccos(np.clip(cosine[i, j], -1.0, 1.0))), (i, j)
@@ -73,7 +76,10 @@ def on_the_tape(directions: Array, radius: float) -> Array:
 
 
 def places(directions: Array, radius: float) -> list[Place]:
-    """Return the lengths to measure for each disc, with checks by the two nearest of the discs before it."""
+    """Return the lengths to measure for discs at `directions` (n, 3) on a ball of `radius` m.
+
+    The two nearest of the discs before each one give its checks.
+    """
     step, mm = tape_step(radius), 1e3 * radius
     angle = np.arccos(np.clip(directions @ directions.T, -1.0, 1.0))
 

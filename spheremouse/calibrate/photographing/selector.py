@@ -75,7 +75,10 @@ class FrameMotion:
         self._min_points, self._before = min_points, {}
 
     def update(self, keys: Sequence[int | str], uv: Array) -> float:
-        """Return the median motion since the last frame, px; inf if too few points are in both."""
+        """Return the median motion since the last frame, px; inf if too few points are in both.
+
+        The points have `keys`, and places `uv` (n, 2) px.
+        """
         before, self._before = self._before, dict(zip(keys, uv, strict=True))
         moved = [float(np.linalg.norm(at - before[key])) for key, at in self._before.items() if key in before]
         return float(np.median(moved)) if len(moved) >= self._min_points else float("inf")

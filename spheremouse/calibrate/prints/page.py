@@ -100,14 +100,14 @@ def figure_of(page: Page) -> "Figure":
 
 
 def disc(x: float, y: float, radius: float, colour: Colour = BLACK) -> "Artist":
-    """Return a filled circle."""
+    """Return a filled circle about (x, y) mm of the paper; `radius` in mm."""
     from matplotlib.patches import Circle
 
     return Circle((x, y), radius, facecolor=colour, linewidth=0.0)
 
 
 def circle(x: float, y: float, radius: float, colour: Colour, width: float) -> "Artist":
-    """Return a circular line."""
+    """Return a circular line about (x, y) mm of the paper; `radius` and `width` of the line in mm."""
     from matplotlib.patches import Circle
 
     return Circle((x, y), radius, fill=False, edgecolor=colour, linewidth=width * _POINTS_PER_MM)

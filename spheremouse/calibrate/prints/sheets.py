@@ -138,9 +138,9 @@ class Pattern:
 
     name: str  # on the page
     file: str
-    black: Array  # (n, 4)
+    black: Array  # (n, 4) mm: left, bottom, right, top
     board: Board
-    square: float
+    square: float  # mm
 
 
 def largest_square(board: Board, paper_name: str) -> float:

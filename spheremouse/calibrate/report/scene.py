@@ -59,7 +59,7 @@ def scene_axes(figure: "Figure", columns: int) -> list["Axes"]:
 
 
 def circle(centre: Array, normal: Array, radius: float) -> Array:
-    """Return the points of a circle in space, (n, 3), for a unit normal."""
+    """Return points of a circle in space, (n, 3), about a centre (3,) with a unit normal (3,)."""
     basis = tangent_basis(normal[None])[0]  # (3, 2)
     angle = np.linspace(0.0, 2.0 * np.pi, _CIRCLE_POINTS)
     return centre + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ basis.T
@@ -78,7 +78,7 @@ def draw_camera(axes: "Axes", view: View, camera: InteriorOrientation, pose: Pos
 
 
 def draw_axes(axes: "Axes", view: View, length: float) -> None:
-    """Draw the coordinate axes from the origin, but for one that points to the viewer."""
+    """Draw the coordinate axes, of `length` in the unit of the figure, but for one that points to the viewer."""
     for name, colour, axis in zip("XYZ", (RED, GREEN, GOLD), np.eye(3), strict=True):
         if abs(axis @ view.towards) > 0.95:
             continue
@@ -99,7 +99,7 @@ def draw_ellipse(axes: "Axes", centre: Array, covariance: Array, colour: str) ->
 
 
 def draw_ball(axes: "Axes", view: View, radius: float) -> None:
-    """Draw the outline of a ball at the origin."""
+    """Draw the outline of a ball at the origin; `radius` in the unit of the figure."""
     outline = view(circle(np.zeros(3), view.towards, radius))
     axes.fill(*outline.T, facecolor=MUTED, alpha=0.13, lw=0.0, zorder=1.0)
     axes.plot(*outline.T, color=MUTED, lw=1.0, zorder=1.2)

@@ -43,9 +43,9 @@ class Views:
     colour: list[Image] = field(default_factory=list)
     grey: list[tuple[float, Image]] = field(default_factory=list)
     first: float | None = None  # s, stamp of the first frame
-    last: float = 0.0
+    last: float = 0.0  # s, stamp of the last frame
     due: float = -np.inf  # s, when the next grey view is kept
-    colour_due: float = -np.inf
+    colour_due: float = -np.inf  # s, when the next colour view is kept
 
     def add(self, frame: Frame) -> None:
         """Keep a frame if it is due."""
@@ -70,7 +70,7 @@ class Solution:
     tracked: TrackedRolling
     disc_angle: float  # rad, radius of the discs over the ball's, as seen
     views: Views
-    seconds: float
+    seconds: float  # s, from the first frame to the last
 
 
 Progress = Callable[[str, Iterator[Frame]], Iterator[Frame]]

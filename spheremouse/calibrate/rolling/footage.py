@@ -31,8 +31,8 @@ def recorded(source: str, at_most: float | None) -> Footage:
 class FrameBuffer:
     """Frames of a live camera in memory, without loss; grey but for some in colour, which targets need."""
 
-    stored: list[tuple[bytes, float, int]] = field(default_factory=list)
-    size: int = 0
+    stored: list[tuple[bytes, float, int]] = field(default_factory=list)  # PNG, stamp (s), sequence
+    size: int = 0  # bytes
     coloured: float = -np.inf  # s, stamp of the last in colour
 
     def append(self, frame: Frame) -> None:

@@ -29,7 +29,7 @@ class Sightings:
         return len(self.frame)
 
     def take(self, keep: NDArray[np.bool_]) -> "Sightings":
-        """Select by a mask; frame and disc keep their numbers."""
+        """Select by a mask (n,); frame and disc keep their numbers."""
         return Sightings(self.frame[keep], self.disc[keep], self.centre[keep], self.covariance[keep])
 
 

@@ -54,7 +54,10 @@ class _Segment:
 
 
 def provisional_pose(direction: Array, ratio: float) -> Pose:
-    """Return the camera in `obj` with the axes of the picture, for a ball of radius 1."""
+    """Return the camera in `obj` with the axes of the picture, for a ball of radius 1.
+
+    `direction` (3,) is the unit vector in cam to the ball's centre, at `ratio` radii.
+    """
     return Pose(R_OBJ_CAM, -ratio * (R_OBJ_CAM @ direction))
 
 

@@ -68,7 +68,7 @@ class Flicker:
     lamp: float  # Hz
     seen_at: float  # Hz, in the film: how far from a whole multiple of its rate
     depth: float  # of the mean grey value, amplitude
-    chance: float  # that noise alone does this
+    chance: float  # probability that noise alone does this
 
 
 def flicker(footage: Footage, mask: Image | None, settings: DiscSettings) -> Finding:
@@ -101,7 +101,9 @@ def flicker(footage: Footage, mask: Image | None, settings: DiscSettings) -> Fin
 
 
 def search(grid: Array, stamps: Array, sequence: Array, mask: Image | None) -> tuple[list[Flicker], tuple[float, ...]]:
-    """Return the flicker at each lamp frequency that the film can show, and the frequencies that it cannot.
+    """Return the flicker at each lamp frequency that the film can show, and the frequencies, Hz, that it cannot.
+
+    `grid`, `stamps` (s) and `sequence` are those of `Footage`. `mask` (h, w) is the ball in the picture; None: all.
 
     A film of F frames/s shows f as |f - n F|: at less than one and a half turns in the film it looks like a slow
     change, and within a turn of F/2 its depth is not determined. Strips of rows each have a phase of their own, for a

@@ -31,7 +31,7 @@ class View:
 
     state: str
     reason: str = ""
-    fps: float | None = None
+    fps: float | None = None  # frames/s
     paused: bool = False
     recording: str | None = None  # folder of the recording that runs
 

@@ -115,7 +115,7 @@ def read_description(folder: Path, read: Callable[[Document], Scene]) -> Scene:
 
 
 def check_frames(path: Path, table: Mapping[str, Array], frames: int) -> None:
-    """Raise DatasetError unless the table has a row for each frame, with its number."""
+    """Raise DatasetError unless the column "frame", (n,), has the numbers 0 to `frames` - 1."""
     number = table["frame"]
     if len(number) != frames:
         rows = f"more than {frames}" if len(number) > frames else len(number)  # those that are more are not read

@@ -56,7 +56,7 @@ class Recorded:
     path: Path
     name: str
     camera: InteriorOrientation
-    fps: float
+    fps: float  # nominal frames/s
     frames: int
     exposure_s: float
     stamps: Stamps | None = None

@@ -182,7 +182,7 @@ def huber(residual: Array, knee: float | None) -> Array:
 
 
 def huber_cost(residual: Array, knee: float | None) -> float:
-    """Return twice Huber's function of the residuals; without a knee the sum of squares."""
+    """Return twice Huber's function, summed over residuals of any shape; without a knee the sum of squares."""
     size = np.abs(residual)
     return float(np.sum(size**2 if knee is None else np.where(size < knee, size**2, knee * (2.0 * size - knee))))
 

@@ -156,7 +156,7 @@ class Link:
         self._session = 0
 
     def receive(self, data: bytes, now: float) -> None:
-        """Process bytes from the device."""
+        """Process bytes that came from the device by `now` (s)."""
         for frame in self._splitter.take(data):
             if frame.version != VERSION:
                 if frame.type == IDENTITY:

@@ -58,7 +58,7 @@ class Pen:
         cv2.addWeighted(layer, 0.55, self._canvas, 0.45, 0.0, dst=self._canvas)
 
     def contour(self, points: NDArray[np.int32], weight: float) -> None:
-        """A contour as OpenCV gives it; a `weight` below 1 makes it greyer."""
+        """A contour as OpenCV gives it, (n, 1, 2) px; a `weight` below 1 makes it greyer."""
         self._closed(points.reshape(-1, 2).astype(float), WHITE, weight)
 
     def line(self, points: Array, colour: Colour, weight: float = 1.0, width: int = 1) -> None:
@@ -67,7 +67,7 @@ class Pen:
             self._stroke(points, _dull(colour, weight), width * self.width)
 
     def ellipse(self, centre: Array, shape: Array, colour: Colour, weight: float = 1.0) -> None:
-        """An ellipse of a shape, (2, 2) px²."""
+        """An ellipse about a centre, (2,) px, of a shape, (2, 2) px²."""
         angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
         rim = centre + np.stack([np.cos(angle), np.sin(angle)], axis=1) @ np.linalg.cholesky(shape).T
         self._closed(rim, colour, weight)
@@ -88,7 +88,7 @@ class Pen:
         self._canvas[rows, columns] = np.rint(mixed).astype(np.uint8)
 
     def cross(self, centre: Array) -> None:
-        """A diagonal cross on a look-alike."""
+        """A diagonal cross on a look-alike, (2,) px."""
         r = 5.0 * self.width / self._scale
         for arm in (np.array([r, r]), np.array([r, -r])):
             self._stroke(np.array([centre - arm, centre + arm]), BLUE, 2 * self.width)

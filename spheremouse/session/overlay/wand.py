@@ -54,7 +54,10 @@ class WandOverlay:
 
 
 def rims(ball: WandBall, position: Array, rotation: Array, camera: InteriorOrientation) -> list[Array]:
-    """Arcs, (n, 2) px, of the discs' rims that face the camera, of a ball at a position with R_cam_ball."""
+    """Return arcs, (n, 2) px each, of the discs' rims that face the camera.
+
+    The ball has its centre at (3,) m in cam and R_cam_ball (3, 3).
+    """
     angle = np.linspace(0.0, 2.0 * np.pi, _STEPS + 1)
     round_ = np.stack([np.cos(angle), np.sin(angle)])
     arcs = []
@@ -71,7 +74,7 @@ def rims(ball: WandBall, position: Array, rotation: Array, camera: InteriorOrien
 
 
 def pin(ball: WandBall, position: Array, rotation: Array, camera: InteriorOrientation) -> Array:
-    """Return the visible part of a pin in the pole of a ball, (n, 2) px."""
+    """Return the visible part of a pin in the pole of a ball, (n, 2) px; the pose is as in `rims`."""
     away = float(np.linalg.norm(position))
     place = position + np.linspace(1.0, 1.0 + _PIN, 16)[:, None] * ball.radius * rotation[:, 2]
     far = np.linalg.norm(place, axis=1)

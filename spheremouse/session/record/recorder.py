@@ -128,7 +128,10 @@ class Recorder:
         self._full.put(None)
 
     def finish(self, timeout: float | None = None) -> Path:
-        """Stop, wait until all frames are written, and return the folder. Raise DatasetError if nothing was kept."""
+        """Stop, wait at most `timeout` (s; None: for ever) until all frames are written, and return the folder.
+
+        Raises DatasetError if nothing was kept, or at the timeout.
+        """
         self.stop()
         if not self._done.wait(timeout):
             raise DatasetError(f"{self._folder}: still being written")

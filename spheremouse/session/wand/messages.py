@@ -61,7 +61,7 @@ class WandMessages:
         self._began = None
 
     def add(self, stamp: float, poses: tuple[WandPose, ...], image: NDArray[np.uint8]) -> None:
-        """Update the texts from the poses of a frame."""
+        """Update the texts from the poses of a frame at `stamp` (s), with its image (h, w, 3) BGR."""
         self._began = stamp if self._began is None else self._began
         for k, pose in enumerate(poses):
             new = self._phase(k, pose)

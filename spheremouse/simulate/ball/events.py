@@ -119,7 +119,7 @@ class HandVisit:
     start: float  # s
     end: float  # s
     right: bool  # the right hand, on the right of the ball
-    size: float = 1.0  # of the hand
+    size: float = 1.0  # factor on the size of the hand
 
 
 def draw_hand() -> NDArray[np.float32]:
@@ -156,7 +156,7 @@ class PlacedHand(NamedTuple):
 
 
 def place_hand(hand: NDArray[np.float32], visit: HandVisit, scene: Scene, t: float) -> PlacedHand | None:
-    """Return the hand in the image at time `t`, or None while it is away or out of sight."""
+    """Return a hand of `draw_hand` in the image at time `t` (s), or None while it is away or out of sight."""
     if not visit.start < t < visit.end:
         return None
     side = 1.0 if visit.right else -1.0

@@ -162,7 +162,7 @@ class Gestures:
 
 
 def still(seconds: float = 10.0) -> Gestures:
-    """A ball at rest."""
+    """A ball at rest for `seconds` s."""
     return Gestures((), seconds)
 
 

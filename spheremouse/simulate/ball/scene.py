@@ -41,7 +41,7 @@ LAMPS = (
 
 
 def frame(targets: Targets, bolt_radius: float) -> list[Shape]:
-    """Struts, feet, cradle, bolts, and the targets on their cards."""
+    """Return struts, feet, cradle, bolts of `bolt_radius` m, and the targets on their cards."""
     shapes: list[Shape] = []
     for strip in STRIPS:
         (x0, x1), (y0, y1) = strip.x, strip.y
@@ -234,7 +234,10 @@ def default_scene(
     height: int = 480,
     distortion: Array | None = None,
 ) -> Scene:
-    """Return the reference geometry. `seed` places the discs. Other sizes than 640 x 480 keep the whole view."""
+    """Return the reference geometry. `seed` places the discs. Other sizes than 640 x 480 keep the whole view.
+
+    `distortion` (5,) is k1, k2, p1, p2, k3; None: a lens without distortion.
+    """
     focal, position, angles = _VIEWS[view]
     scale = min(width / 640.0, height / 480.0)
     camera = InteriorOrientation(

@@ -64,7 +64,10 @@ def disc_paints(ball: WandBall) -> Array:
 
 
 def window(centre: Array, radius: float, camera: InteriorOrientation, margin: float = 2.0) -> tuple[int, ...]:
-    """First and last+1 column, first and last+1 row that may show a sphere, cut to the picture."""
+    """Return first and last+1 column, first and last+1 row that may show a sphere, cut to the picture.
+
+    The sphere has its centre at (3,) m in cam and `radius` m. `margin` px are added on each side.
+    """
     middle, outline = project_sphere(centre, radius)
     uv, shape = ellipse_to_pixel(middle[None], outline[None], camera)
     half = np.sqrt(np.diag(shape[0])) + margin
@@ -110,7 +113,10 @@ def paint_ball(
 def label_at(
     uv: Array, centre: Array, rotation: Array, ball: WandBall, camera: InteriorOrientation
 ) -> NDArray[np.int64]:
-    """Return the labels, (n,), of the surfaces at pixels (n, 2): -1 nothing, 0 the body, k + 1 the k-th disc."""
+    """Return the labels, (n,), of the surfaces at pixels (n, 2): -1 nothing, 0 the body, k + 1 the k-th disc.
+
+    The ball has its centre at (3,) m in cam and R_cam_ball (3, 3).
+    """
     directions = np.array([d.direction for d in ball.discs]).reshape(-1, 3)
     cosines = np.cos([d.angle for d in ball.discs]).reshape(-1)
     found, normal = np.empty(len(uv), dtype=np.int64), np.empty(3)

@@ -67,7 +67,7 @@ class WandScene:
 
 
 def indoor_light(gloss: float = 0.25) -> WandLight:
-    """Lamps at the ceiling and a window at the right."""
+    """Return lamps at the ceiling and a window at the right; `gloss` is the brightness of the ball's highlights."""
     R = world_to_cam()
     towards = np.array([[-0.35, -0.85, -0.45], [0.75, -0.35, -0.55]])
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)

@@ -92,7 +92,10 @@ def background(
 
 
 def lay(picture: NDArray[np.float32], layer: Layer, origin: tuple[int, int] = (0, 0)) -> None:
-    """Paint a layer over a part of the picture that has its first pixel at `origin`. Clip the layer to that part."""
+    """Paint a layer in place over `picture`, (h, w, 3) linear light, the part with its first pixel at `origin` (px).
+
+    Clip the layer to that part.
+    """
     x, y = layer.place[0] - origin[0], layer.place[1] - origin[1]
     h, w = layer.paint.shape[:2]
     x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + w, picture.shape[1]), min(y + h, picture.shape[0])
@@ -322,7 +325,10 @@ def stick(centre: Array, rotation: Array, radius: float, camera: InteriorOrienta
 
 
 def grip(centre: Array, rotation: Array, radius: float) -> tuple[Array, Array]:
-    """Point where a hand holds the stick, (3,) m in cam, and direction of its fingers, (3,) unit vector."""
+    """Return the point where a hand holds the stick, (3,) m in cam, and the unit vector of its fingers, (3,).
+
+    The ball has its centre at (3,) m in cam, R_cam_ball (3, 3) and `radius` m.
+    """
     return centre - (radius + _STICK[0] - 0.05) * rotation[:, 2], rotation[:, 2]
 
 
