@@ -23,6 +23,7 @@ KINDS = (
     "csv",
     "desktop",
     "gamepad",
+    "lsl",
     "null",
     "osc",
     "parquet",

@@ -115,7 +115,7 @@ def _arrow(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
-        raise OutputError("parquet: pyarrow is not installed", "pip install 'spheremouse[parquet]'") from None
+        raise OutputError("parquet: needs the package pyarrow", "pip install 'spheremouse[parquet]'") from None
 
 
 def open(argument: str) -> Table:

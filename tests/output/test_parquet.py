@@ -1,11 +1,10 @@
 """Parquet tables, read by pyarrow and pandas."""
 
 import json
+import sys
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from reporting import refused
 from tables import frame, full_disk, write_and_be_killed
@@ -14,6 +13,9 @@ from spheremouse.errors import OutputError
 from spheremouse.output import open_output, parquet
 from spheremouse.output.columns import columns, rows
 from spheremouse.tracker import Status
+
+pa = pytest.importorskip("pyarrow")
+pq = pytest.importorskip("pyarrow.parquet")
 
 
 @pytest.fixture
@@ -106,5 +108,5 @@ def test_arguments_that_are_none(tmp_path):
 
 
 def test_without_pyarrow_the_remedy_is_named(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
-    assert refused("parquet:a") == "parquet: pyarrow is not installed; pip install 'spheremouse[parquet]'"
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert refused("parquet:a") == "parquet: needs the package pyarrow; pip install 'spheremouse[parquet]'"
