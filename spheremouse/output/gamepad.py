@@ -19,7 +19,7 @@ from spheremouse.output.deflection import Response, Watchdog, parse_response, po
 
 NAME = "spheremouse gamepad"
 PRODUCT = 0x4D32
-FULL_DEFLECTION = 32767  # as of most gamepads, so that the centre is 0
+FULL_DEFLECTION = 32767
 
 # Linux, input-event-codes.h
 EV_ABS = 0x03
@@ -86,7 +86,8 @@ class Gamepad(Output):
 def open(argument: str) -> Gamepad:
     """Create the gamepad."""
     response = check(argument)
-    stick = (0, -FULL_DEFLECTION, FULL_DEFLECTION, 0, 0, 0)  # value, min, max, fuzz, flat, resolution
+    # Value, min, max, fuzz, flat, resolution. SDL scales any other range to this one, and moves the centre.
+    stick = (0, -FULL_DEFLECTION - 1, FULL_DEFLECTION, 0, 0, 0)
     # SDL takes ABS_RX for the right stick only if there is ABS_RY.
     axes = [(code, stick) for code in (ABS_X, ABS_Y, ABS_RX, ABS_RY)]
     return Gamepad(uinput.create("gamepad", NAME, PRODUCT, {uinput.EV_KEY: _BUTTONS, EV_ABS: axes}), response)

@@ -38,6 +38,23 @@ for event in device.read_loop():
 """
 
 
+# A game that uses SDL: prints the axes of its only gamepad for each line that it reads.
+GAME = """
+import os, sys
+os.environ["SDL_VIDEODRIVER"] = "dummy"
+import pygame
+from pygame._sdl2 import controller
+pygame.display.init()
+controller.init()
+(pad,) = [controller.Controller(i) for i in range(controller.get_count()) if controller.is_controller(i)]
+print("ready", flush=True)
+axes = [pygame.CONTROLLER_AXIS_LEFTX, pygame.CONTROLLER_AXIS_LEFTY, pygame.CONTROLLER_AXIS_RIGHTX]
+for _ in sys.stdin:
+    pygame.event.pump()
+    print(*(pad.get_axis(axis) for axis in axes), flush=True)
+"""
+
+
 def devices(name=uinput.NAME):
     """Input devices of our name."""
     found = [evdev.InputDevice(path) for path in evdev.list_devices()]
@@ -151,7 +168,7 @@ def test_name_ids_and_capabilities_of_the_gamepad():
         assert {e.BTN_SOUTH, e.BTN_EAST, e.BTN_NORTH, e.BTN_WEST} <= set(capabilities[e.EV_KEY])
         axes = dict(capabilities[e.EV_ABS])
         assert sorted(axes) == [e.ABS_X, e.ABS_Y, e.ABS_RX, e.ABS_RY]
-        assert {(a.value, a.min, a.max) for a in axes.values()} == {(0, -32767, 32767)}
+        assert {(a.value, a.min, a.max) for a in axes.values()} == {(0, -32768, 32767)}
         entries = Path("/proc/bus/input/devices").read_text().split("\n\n")
         (entry,) = [t for t in entries if f'Name="{gamepad.NAME}"' in t]
         assert "mouse" not in entry.partition("Handlers=")[2].splitlines()[0]
@@ -170,6 +187,30 @@ def test_the_sticks_arrive_as_their_text_twin_and_are_centred_when_reports_stop(
                 seen.update(report())
         while any(seen.values()):
             seen.update(report())
+
+
+def test_sdl_takes_it_for_a_gamepad():
+    pytest.importorskip("pygame")
+    rolls = reporting.rolling([np.radians(45), np.radians(-90), np.radians(-45)])
+    with (
+        open_output("gamepad:full=180,dead=0") as output,
+        subprocess.Popen(
+            [sys.executable, "-c", GAME], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        ) as game,
+    ):
+        assert game.stdin is not None
+        assert game.stdout is not None
+        while game.stdout.readline() not in ("ready\n", ""):  # pygame prints its version
+            pass
+        seen = []
+        for _ in range(200):  # the first ones may be late, and a slow guest may release the sticks in between
+            output.send(rolls)
+            print(file=game.stdin, flush=True)
+            seen.append(game.stdout.readline().split())
+            if "0" not in seen[-1]:
+                break
+        assert [f"{int(value):+d}" for value in seen[-1]] == output.describe(rolls).split(" ")[1::2]
+        game.stdin.close()
 
 
 def test_without_permission_the_error_says_what_to_do():
