@@ -1,5 +1,6 @@
 """Deflections of a stick from the angular velocity of the ball, for outputs that send rates in place of counts."""
 
+import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,8 +27,8 @@ class Response:
 
     def deflection(self, rate: Array) -> Array:
         """Return the deflection of a rate (n,) rad/s, with length 0 to 1 and the same direction."""
-        size = float(np.linalg.norm(rate))
-        excess = (np.degrees(size) / self.full - self.dead) / (1.0 - self.dead)
+        size = math.sqrt(rate @ rate)
+        excess = (math.degrees(size) / self.full - self.dead) / (1.0 - self.dead)
         return rate * (min(excess, 1.0) ** self.curve / size) if excess > 0.0 and size > 0.0 else np.zeros_like(rate)
 
 
@@ -52,8 +53,7 @@ def pointer_rate(report: Report) -> Array | None:
     if report.rate is None:
         return None
     counts = np.array(report.rate)
-    size = float(np.linalg.norm(counts))
-    speed = float(np.linalg.norm(report.samples[report.pointing].rate))
+    size, speed = math.hypot(*report.rate), math.hypot(*report.samples[report.pointing].rate)
     return counts * (speed / size) if size > 0.0 else np.zeros(3)
 
 
