@@ -10,7 +10,7 @@ from reporting import refused
 from tables import frame, full_disk, write_and_be_killed
 
 from spheremouse.errors import OutputError
-from spheremouse.output import open_output, parquet
+from spheremouse.output import open_output, parquet, parquet_part
 from spheremouse.output.columns import columns, rows
 from spheremouse.tracker import Status
 
@@ -22,7 +22,7 @@ pq = pytest.importorskip("pyarrow.parquet")
 def each_row(monkeypatch):
     """Write each row to the part at once, and two to a row group."""
     monkeypatch.setattr(parquet, "_PERIOD", 0.0)
-    monkeypatch.setattr(parquet, "_GROUP_ROWS", 2)
+    monkeypatch.setattr(parquet_part, "_GROUP_ROWS", 2)
 
 
 def written(path, *frames):
@@ -80,6 +80,16 @@ def test_a_run_that_is_killed_loses_at_most_a_second_and_is_finished_by_the_next
         assert pq.read_table(path)["sequence"].to_pylist() == [*range(1, 92)]
     assert json.loads((tmp_path / "a.parquet.json").read_text())["runs"][0]["end"] is None
     assert written(path, frame(200))["sequence"].to_pylist() == [*range(1, 92), 200]
+
+
+def test_a_second_run_takes_no_row_from_the_first(tmp_path, each_row):
+    path = tmp_path / "a.parquet"
+    with open_output(f"parquet:{path}") as first:
+        first.send(frame(1))
+        line = f"{path}.part: another run writes it; choose another name, or stop that run"
+        assert refused(f"parquet:{path}") == line
+        first.send(frame(2))
+    assert pq.read_table(path)["sequence"].to_pylist() == [1, 2]
 
 
 def test_a_table_that_cannot_be_read_costs_no_row_of_the_part(tmp_path):
