@@ -233,7 +233,7 @@ def fibonacci_sphere(n: int) -> Array:
 
 
 def align(a: Array, b: Array, weights: Array | None = None) -> Array:
-    """Return the rotation R, (3, 3), that minimises sum w |b - R a|^2 over pairs of vectors, both (n, 3).
+    """Return the rotation R, (3, 3), that minimises sum w |b - R a|^2 over pairs of vectors (n, 3) with weights (n,).
 
     Wahba's problem by singular value decomposition (Markley 1988). The result is unique if two directions differ.
     """

@@ -108,11 +108,11 @@ class MotionSettings(AxisSettings):
 class Remainder:
     """Fractions of counts that are not sent yet: in (-1, 1), and in [-1/2, 1/2] after a report on that axis."""
 
-    value: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    value: tuple[float, float, float] = (0.0, 0.0, 0.0)  # counts x, y, third axis
 
 
 def to_counts(rotation: Array, matrix: Array, remainder: Remainder) -> tuple[tuple[int, int, int], Remainder]:
-    """Return the whole counts of a rotation vector (3,) rad, and the fractions left over.
+    """Return the whole counts of a rotation vector (3,) rad by a matrix (3, 3) counts/rad, and the fractions left over.
 
     The sum of all counts stays within one of the integral of the motion. An axis sends nothing until a whole count is
     due, and then the nearest number. This hysteresis of half a count keeps a ball at rest from sending counts back and

@@ -195,7 +195,10 @@ class ConfigReloader:
         self._change(self.plan.configuration, self.overrides.changes, assignments, pending)
 
     def profile(self, name: str | None, pending: PendingRequest) -> None:
-        """Replace all changes by those of a profile of the configuration file; None lists the profiles."""
+        """Replace all changes by those of a profile of the configuration file; None lists the profiles.
+
+        Raises ControlError for an unknown profile.
+        """
         profiles = self.plan.configuration.profiles
         if name is None:
             pending.answer({"profiles": profiles})

@@ -72,7 +72,7 @@ class Arrivals:
         self._last = time.monotonic()
 
     def add(self, now: float) -> None:
-        """Count a frame."""
+        """Count a frame that arrived at `now`."""
         self._last = now
         self._times.add(0.0, now)
 

@@ -42,7 +42,7 @@ class Face:
         return self._normal
 
     def hit(self, origin: Array, rays: Array) -> Array:
-        """Distance in units of each ray, (n,); inf where it misses."""
+        """Return distances, (n,), in lengths of the `rays` (n, 3) from `origin` (3,) m, obj; inf for a miss."""
         with np.errstate(divide="ignore", invalid="ignore"):
             s = ((self.corners[0] - origin) @ self._normal) / (rays @ self._normal)
             inside = s > 0.0
@@ -82,7 +82,7 @@ class Ring:
         return self.across
 
     def hit(self, origin: Array, rays: Array) -> Array:
-        """Distance in units of each ray, (n,); inf where it misses."""
+        """Return distances, (n,), in lengths of the `rays` (n, 3) from `origin` (3,) m, obj; inf for a miss."""
         with np.errstate(divide="ignore", invalid="ignore"):
             s = ((self.centre - origin) @ self.across) / (rays @ self.across)
             offset = origin - self.centre
@@ -105,7 +105,7 @@ class Sphere:
         return self.centre + self.radius * sign
 
     def hit(self, origin: Array, rays: Array) -> Array:
-        """Distance in units of each ray, (n,); inf where it misses."""
+        """Return distances, (n,), in lengths of the `rays` (n, 3) from `origin` (3,) m, obj; inf for a miss."""
         offset = self.centre - origin
         a = np.einsum("ni,ni->n", rays, rays)
         b = rays @ offset

@@ -147,7 +147,7 @@ def refine_modes(
     outline: bool = True,
     sufficient: float = 0.0,
 ) -> Modes:
-    """Refine the `count` best of n poses, (n, 3) m and (n, 3, 3), to peaks of the likelihood.
+    """Refine the `count` best of n poses, (n, 3) m in cam and R_cam_ball (n, 3, 3), to peaks of the likelihood.
 
     If the best log-likelihood exceeds `sufficient`, refine that pose alone.
     """

@@ -44,7 +44,10 @@ class Peak:
 def refine_pose(
     position: Array, rotation: Array, model: Model, fields: Fields, edges: Array, rounds: int = _MAX_ROUNDS
 ) -> Peak:
-    """Return the peak near a pose, position (3,) m and R_cam_ball. `edges` (24, 5) are those of the outline, or 0."""
+    """Return the peak near a pose, (3,) m in cam and R_cam_ball (3, 3), after at most `rounds` steps.
+
+    `edges` (24, 5) are those of the outline, or 0.
+    """
     p, R, covariance = position.copy(), rotation.copy(), np.empty((6, 6))
     points = model.points
     slope = _refine(

@@ -198,7 +198,9 @@ def _nests(
 
 
 def within(inside: Spots, outer: Spots, which: NDArray[np.intp], share: float, settings: RingSettings) -> _Pairs:
-    """Spots `inside` those of `which` in `outer`, concentric and of about that `share` of the radius: both's indices.
+    """Return pairs of a spot of `inside` and one of `outer` round it, (p,) indices each, concentric.
+
+    The inner radius is about `share` of the outer one. `which` (k,) are indices of the outer spots to consider.
 
     Place and size are sought as one box, with sizes stretched to its shape: how many outlines of about one size a place
     has room for is limited, how many small ones lie within a large one is not.

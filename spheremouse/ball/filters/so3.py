@@ -166,6 +166,8 @@ class So3Filter:
     ) -> So3State | None:
         """Return the result of `update` for a frame with certain pairs; None for any other frame.
 
+        `may_start_landmark` is a mask (n,) of the points that may become discs.
+
         The pairs are certain if at least two discs pair and one of three conditions holds:
         - the attitude is known well and most points pair,
         - chance does not explain so many pairs,

@@ -34,7 +34,7 @@ class Hypothesis(NamedTuple):
     """A possible state, and the logarithm of its probability."""
 
     state: So3State
-    log_probability: float
+    log_probability: float  # nats
 
 
 class _Node(NamedTuple):

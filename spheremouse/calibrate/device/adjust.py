@@ -72,11 +72,11 @@ class DeviceCalibration:
     camera: InteriorOrientation  # adjusted, with covariance
     photos: tuple[int, ...]  # those used, in the order of the photos given
     poses: tuple[Pose, ...]
-    targets: Array  # (n, 3)
-    radius: float
-    discs: Array  # (m, 3), on the ball
+    targets: Array  # (n, 3) m
+    radius: float  # m
+    discs: Array  # (m, 3) m, on the ball
     sightings: NDArray[np.intp]  # (m,) number of photos that show each
-    covariance: Array
+    covariance: Array  # (k, k) m, rad, in the order above
     centre: Array  # (3,) of the ball in the frame of the bundle, with its origin at the first target of the axes
     ball_covariance: Array  # (4, 4) of that centre and the radius
     out_of_round: float  # standard deviation of the discs from the sphere; 0: round

@@ -130,7 +130,7 @@ class Notices:
     after: dict[str, float] = field(
         default_factory=lambda: {"no-camera": 5.0, "lost": 15.0, "failed-output": 5.0, NO_DAEMON: 15.0}
     )  # hands and bystanders hide the ball for moments, and an upgrade restarts the daemon
-    min_interval: float = 300.0
+    min_interval: float = 300.0  # s
     _state: str = ""
     _since: float = 0.0
     _shown: dict[str, float] = field(default_factory=dict)  # time of the last notice of each state

@@ -175,7 +175,7 @@ def _weighted(evaluate: Evaluate, x: Array, weight: Array | None) -> Array:
 def huber(residual: Array, knee: float | None) -> Array:
     """Return the factors on residuals and Jacobian that turn squares into Huber's function; 1 without a knee.
 
-    They have the shape of `residual`. Residual and knee are in standard deviations.
+    They have the shape of `residual`, which can be any. Residual and knee are in standard deviations.
     """
     size = np.maximum(np.abs(residual), 1e-12)
     return np.ones_like(residual) if knee is None else np.sqrt(np.minimum(1.0, knee / size))
