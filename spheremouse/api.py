@@ -61,21 +61,28 @@ def track(
     Raises ConfigurationError if the source does not match the settings or has no rig, and PoseError or SourceError if
     the recording ends before anything was tracked.
     """
-    of_wand = isinstance(source, WandRecording)
-    settings = settings or Configuration(tracker="wand" if of_wand else "so3")
-    if isinstance(source, ball.Recording | WandRecording) and of_wand is not (settings.tracker == "wand"):
-        needed = "wand" if of_wand else "so3"
-        raise ConfigurationError(
-            f"{source.path}: tracker {settings.tracker} cannot track this recording", f"use tracker={needed}"
-        )
     name = "source"
     if isinstance(source, WandRecording):
         name, setup = str(source.path), Setup(Stream(read_frames(source)), source.camera, source.balls)
+        settings = _settings_for(source, settings)
     elif isinstance(source, ball.Recording):
         name, setup = str(source.path), Setup(Stream(read_frames(source), source.rig))
+        settings = _settings_for(source, settings)
     else:
-        setup = Setup(source)
+        setup, settings = Setup(source), settings or Configuration()
     return _samples(setup, RunConfig(settings, name, (), rig, None, None, None, None))
+
+
+def _settings_for(recording: Recording, given: Configuration | None) -> Configuration:
+    """Return the given settings, or the defaults of the recording's tracker. ConfigurationError for another tracker."""
+    of_wand = isinstance(recording, WandRecording)
+    settings = given or Configuration(tracker="wand" if of_wand else "so3")
+    if of_wand is not (settings.tracker == "wand"):
+        raise ConfigurationError(
+            f"{recording.path}: tracker {settings.tracker} cannot track this recording",
+            f"use tracker={'wand' if of_wand else 'so3'}",
+        )
+    return settings
 
 
 def _samples(setup: Setup, plan: RunConfig) -> Iterator[Sample]:
@@ -106,16 +113,18 @@ def evaluate(
 ) -> dict[str, Any]:
     """Track a recording, and return the report of `spheremouse evaluate --json` with its errors.
 
-    With `smooth` it is the report of the smoother. Values are None without a truth. Raises SpheremouseError if the
-    recording cannot be tracked.
+    With `smooth` it is the report of the smoother, for a ball in its frame and tracker so3. Values are None without a
+    truth. Raises SpheremouseError if the recording cannot be tracked.
     """
+    settings = _settings_for(recording, settings)
+    if smooth and settings.tracker != "so3":
+        raise ConfigurationError(f"smooth: there is no smoother for tracker {settings.tracker}", "use so3")
     if isinstance(recording, WandRecording):
-        chosen = (settings or Configuration(tracker="wand")).wand
         balls = told_apart(recording.balls)
-        tracker = build(recording.camera, balls, chosen)
+        tracker = build(recording.camera, balls, settings.wand)
         return evaluation.wand_reports(recording, balls, [evaluation.run_wand(read_frames(recording), tracker)])
     frames, device = evaluation.numbered_frames(recording), evaluation.rig_of(recording, rig)
-    run = evaluation.run_ball(frames, device, settings or Configuration())
+    run = evaluation.run_ball(frames, device, settings)
     return evaluation.ball_reports(run, recording, smooth)[-1]
 
 

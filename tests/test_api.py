@@ -123,8 +123,18 @@ def test_a_hand_held_ball_has_samples_and_a_report(tmp_path):
     assert np.linalg.norm(off, axis=1).max() < 0.02  # m, of a ball of 0.1 m
     with pytest.raises(sm.SpheremouseError, match="no observation"):
         sm.smooth(samples)
-    with pytest.raises(sm.SpheremouseError, match="cannot track this recording; use tracker=wand"):
-        sm.track(recording, settings=sm.load_configuration(None, "tracker=so3"))
+    for use in (sm.track, sm.evaluate):
+        with pytest.raises(sm.SpheremouseError, match="cannot track this recording; use tracker=wand"):
+            use(recording, settings=sm.load_configuration(None, "tracker=so3"))
+
+
+def test_another_tracker_is_refused_before_the_first_frame(recording):
+    wand, published = (sm.load_configuration(None, f"tracker={name}") for name in ("wand", "ekf1"))
+    for use in (sm.track, sm.evaluate):
+        with pytest.raises(sm.SpheremouseError, match="cannot track this recording; use tracker=so3"):
+            use(recording, settings=wand)
+    with pytest.raises(sm.SpheremouseError, match="no smoother for tracker ekf1; use so3"):
+        sm.evaluate(recording, settings=published, smooth=True)
 
 
 def test_a_source_is_tracked_with_a_rig(recording, tmp_path):
