@@ -15,7 +15,7 @@ from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import is_stream, open_to_append
 from spheremouse.finding import Finding
 from spheremouse.output.columns import Column
-from spheremouse.output.log_file import drop_unfinished_line, probe_file
+from spheremouse.output.log_file import drop_unfinished_line, lock, probe_file
 from spheremouse.output.table import Table, check_table, open_table, table_file
 
 _START = b"# spheremouse samples"
@@ -28,6 +28,8 @@ class CsvWriter:
         """Open the file to append to. Raise OSError or ValueError if that fails."""
         self._path, self._stream = path, is_stream(path)
         self._file: RawIOBase = open_to_append(path).detach()  # unbuffered
+        if not self._stream:
+            lock(path, self._file.fileno())
         drop_unfinished_line(path, self._file.fileno())
         self._size = 0 if self._stream else path.stat().st_size  # of whole rows
 

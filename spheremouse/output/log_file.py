@@ -2,6 +2,7 @@
 
 import os
 import stat
+import sys
 from pathlib import Path
 
 from spheremouse.errors import OutputError
@@ -24,6 +25,17 @@ def refuse_other_files(path: Path, start: bytes) -> None:
         if file.read(len(start)) == start:
             return
     raise OutputError(f"{path}: exists and is no log in this format", "choose another name or remove it")
+
+
+def lock(path: Path, descriptor: int) -> None:
+    """Lock an open file until it is closed. Raise OutputError if another run writes it. Windows has no such lock."""
+    if sys.platform != "win32":
+        import fcntl
+
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise OutputError(f"{path}: another run writes it", "choose another name, or stop that run") from None
 
 
 def drop_unfinished_line(path: Path, descriptor: int) -> None:

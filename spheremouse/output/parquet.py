@@ -14,8 +14,8 @@ from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import is_stream, open_to_append
 from spheremouse.finding import Finding
 from spheremouse.output.columns import Column
-from spheremouse.output.log_file import probe_file
-from spheremouse.output.parquet_part import arrow, lock, move_part
+from spheremouse.output.log_file import lock, probe_file
+from spheremouse.output.parquet_part import arrow, move_part
 from spheremouse.output.table import Table, check_table, open_table, table_file
 
 _START = b"PAR1"
@@ -35,7 +35,7 @@ class PartWriter:
         self._schema: Any = None
         move_part(self._part, self._path)
         self._file = open_to_append(self._part)
-        lock(self._file, self._part)
+        lock(self._part, self._file.fileno())
 
     def begin(self, columns: Sequence[Column]) -> None:
         """Write the head of the part."""

@@ -4,14 +4,13 @@ A part that a killed run or a full disk has cut is read up to its last whole bat
 """
 
 import importlib
-import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import NewFile
-from spheremouse.output.log_file import refuse_other_files
+from spheremouse.output.log_file import lock, refuse_other_files
 
 _START = b"\xff\xff\xff\xff"  # of a message of Arrow
 _GROUP_ROWS = 65_536  # 18 minutes of a ball at 60 Hz
@@ -27,7 +26,7 @@ def move_part(part: Path, path: Path) -> None:
         return
     refuse_other_files(part, _START)
     with part.open("rb") as file:
-        lock(file, part)
+        lock(part, file.fileno())
         try:
             stream = pa.ipc.open_stream(file)
         except pa.ArrowInvalid:  # its head is cut, and no row was written
@@ -40,17 +39,6 @@ def move_part(part: Path, path: Path) -> None:
                 for batches in _groups(stream):
                     table.write_table(pa.Table.from_batches(batches))
     part.unlink()
-
-
-def lock(file: IO[bytes], part: Path) -> None:
-    """Lock an open part until it is closed. Raise OutputError if another run writes it. Windows has no such lock."""
-    if sys.platform != "win32":
-        import fcntl
-
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise OutputError(f"{part}: another run writes it", "choose another name, or stop that run") from None
 
 
 def _groups(stream: Any) -> Iterator[list[Any]]:

@@ -132,6 +132,15 @@ def test_a_run_that_is_killed_loses_no_row_and_its_description_has_no_end(tmp_pa
     assert (run["end"], run["source"]) == (None, "a test")
 
 
+def test_a_second_run_does_not_write_into_the_table_of_the_first(tmp_path):
+    path = tmp_path / "a.csv"
+    with open_output(f"csv:{path}") as first:
+        first.send(frame(1))
+        assert refused(f"csv:{path}") == f"{path}: another run writes it; choose another name, or stop that run"
+        first.send(frame(2))
+    assert read(path)["sequence"].tolist() == [1, 2]
+
+
 @pytest.mark.parametrize("spec", ["csv", "csv:", "csv:-"])
 def test_a_table_needs_a_file(spec):
     assert refused(spec).endswith("needs a file; write csv:FILE")
