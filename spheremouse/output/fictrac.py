@@ -33,7 +33,8 @@ class FicTrac:
         """
         self._window = frame == "window"
         c, s = cos(radians(forward)), sin(radians(forward))
-        self._turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        self._R_lab = {"obj": turn @ _R_LAB_OBJ, "cam": turn @ _R_LAB_CAM}
         self._x = self._y = self._heading = self._forward = self._side = 0.0  # rad
         self._first: int | None = None  # sequence number of the first line since the ball was found
         self._last = 0.0  # s, stamp of the line before
@@ -53,14 +54,14 @@ class FicTrac:
         if self._first is None:  # the way while the ball was lost is unknown
             self._first, self._last = sample.sequence, sample.stamp
             self._x = self._y = self._heading = 0.0
-        R_lab = self._turn @ (_R_LAB_CAM if sample.coordinates == "cam" else _R_LAB_OBJ)
-        R_cam = self._camera_axes(sample)
-        attitude, error = log(sample.rotation), sqrt(max(0.0, np.trace(sample.increment_covariance)))
-        lab = R_lab @ sample.increment
-        forward, side = float(lab[1]), -float(lab[0])
-        self._integrate(forward, side, -float(lab[2]))
+        R_lab, R_cam = self._R_lab[sample.coordinates], self._camera_axes(sample)
+        attitude, error = log(sample.rotation), sqrt(max(0.0, float(sample.increment_covariance.trace())))
+        lab = (R_lab @ sample.increment).tolist()
+        forward, side = lab[1], -lab[0]
+        self._integrate(forward, side, -lab[2])
         capture = sample.stamp if sample.wall is None else sample.wall
-        values = [*R_cam @ sample.increment, error, *lab, *R_cam @ attitude, *R_lab @ attitude]
+        values = [*(R_cam @ sample.increment).tolist(), error, *lab]
+        values += [*(R_cam @ attitude).tolist(), *(R_lab @ attitude).tolist()]
         values += [self._x, self._y, self._heading, atan2(side, forward) % (2 * pi), hypot(forward, side)]
         values += [self._forward, self._side, 1e3 * capture]
         times = [
@@ -73,7 +74,7 @@ class FicTrac:
 
     def _integrate(self, forward: float, side: float, turn: float) -> None:
         """Add a step (rad) along a circular arc: heading and motion change evenly between two frames."""
-        middle, chord = self._heading + turn / 2, float(np.sinc(turn / (2 * pi)))
+        middle, chord = self._heading + turn / 2, sin(turn / 2) / (turn / 2) if turn else 1.0
         self._x += chord * (forward * cos(middle) - side * sin(middle))
         self._y += chord * (forward * sin(middle) + side * cos(middle))
         self._heading = (self._heading + turn) % (2 * pi)

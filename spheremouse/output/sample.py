@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from spheremouse.ball.smooth import Observation
 
 StillAxes = Literal["obj", "cam"]
+_ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False)
 
 
 class Sample(NamedTuple):
@@ -161,7 +162,7 @@ def to_object(sample: Sample, counts: tuple[int, int, int]) -> dict[str, Any]:
 
 def to_json(sample: Sample, counts: tuple[int, int, int]) -> str:
     """Return the JSON object of `to_object` in one line; every number reads back exactly."""
-    return json.dumps(to_object(sample, counts), separators=(",", ":"), allow_nan=False)
+    return _ENCODER.encode(to_object(sample, counts))
 
 
 def from_object(read: Mapping[str, Any]) -> Sample:
@@ -208,4 +209,4 @@ def _array(read: Mapping[str, Any], key: str, *shape: int) -> Array:
 
 
 def _numbers(values: Array, known: bool) -> list[Any] | None:
-    return values.tolist() if known and np.isfinite(values).all() else None
+    return values.tolist() if known and all(map(isfinite, values.ravel().tolist())) else None

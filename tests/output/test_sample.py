@@ -1,6 +1,8 @@
 """A sample as JSON: it is the estimate, digit by digit; unknown values are null."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -112,3 +114,30 @@ def test_the_object_of_a_sample_is_that_of_the_sample_read_from_it(coordinates, 
 def test_another_object_is_refused(change):
     with pytest.raises(ValueError, match="no JSON object of a sample"):
         from_object(to_object(Sample(estimate(1)), (0, 0, 0)) | change)
+
+
+SCHEMA = json.loads((Path(__file__).parents[2] / "docs" / "sample.schema.json").read_text())
+
+
+def accepted(read):
+    return pytest.importorskip("jsonschema").Draft202012Validator(SCHEMA).is_valid(read)
+
+
+@given(SEEDS, st.sampled_from(Status), st.sampled_from(["obj", "cam"]), st.sampled_from([None, 1.7e9]))
+def test_the_schema_accepts_every_sample(seed, status, coordinates, time):
+    made = Sample(estimate(seed, status), coordinates=coordinates, wall=time, latency=time, events=("ball-lost",))
+    assert accepted(json.loads(to_json(made, (1, -2, 3))))
+
+
+def test_the_schema_refuses_other_objects():
+    good = json.loads(to_json(Sample(estimate(1), coordinates="cam"), (1, -2, 3)))
+    assert accepted(good)
+    assert not any(accepted({k: v for k, v in good.items() if k != key}) for key in good)
+    bad = {"quaternion": [-1.0, 0, 0, 0], "rate": [0, 0], "coordinates": "ball", "counts": [0.5, 0, 0], "more": 1}
+    assert not any(accepted(good | {key: value}) for key, value in bad.items())
+
+
+def test_the_docs_list_every_key():
+    page = (Path(__file__).parents[2] / "docs" / "samples.md").read_text()
+    listed = re.findall(r"^\| `(\w+)` \|", page, re.M)
+    assert sorted(listed) == sorted(SCHEMA["properties"])
