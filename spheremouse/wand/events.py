@@ -96,9 +96,9 @@ def update_second_ball(
 ) -> tuple[Track, SecondBall | None]:
     """Count sightings of a second ball in a search of the whole picture; return the track, and the event or None.
 
-    `first` (3,) m is the position of the tracked ball. A second ball lies beside it in the picture, has half its
-    evidence, and passes without a prior three times in a row, no farther from the last sighting than it can move in
-    `dt` s.
+    `first` (3,) m is the position of the tracked ball. A second ball lies beside it in the picture, has half
+    its evidence, and passes without a prior three times in a row. Between two sightings it moves no farther than a ball
+    can in `dt` s.
     """
     s, ball = context.tracker.settings, context.ball
     if first is None or not modes.peaks:

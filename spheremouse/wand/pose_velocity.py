@@ -70,8 +70,8 @@ def update(
 ) -> PoseVelocityState:
     """Return the state after a measured pose, as in `initialise`; `acceleration` (6,) as in `predict`.
 
-    A pose more than six standard deviations off restarts the filter: with the velocity that leads to the pose, or at
-    rest if no hand is that fast.
+    A pose more than six standard deviations off restarts the filter with the velocity that leads to the pose. If no
+    hand is that fast, it restarts at rest.
     """
     before, dt = state, stamp - state.stamp
     if dt > _MAX_STEPS * _ACCELERATION_TIME:

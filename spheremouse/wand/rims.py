@@ -53,7 +53,7 @@ def rim_shift_by_brightness(image: Image, one: NDArray[np.uint8], bound: NDArray
     """Return `rim_shift` for a bound on brightness, with print and ground as bright as the picture shows them.
 
     `one` (h, w) is the binary picture of the colour, and `bound` (6,) has its bounds of hue, saturation and brightness.
-    Light mixes before the camera's gamma, so a bound half way between the grey values of print and white selects pixels
+    Light mixes before the camera's gamma. So a bound half way between the grey values of print and white selects pixels
     that are nearly all white. px are those of the picture, which is reduced `factor` times.
     """
     if bound[4] <= 0.0 and bound[5] >= _MAX_GREY:

@@ -133,8 +133,8 @@ def evidence_without_prior(
 
     The pose is (3,) m in cam and R_cam_ball (3, 3), the picture (h, w, 3) BGR.
 
-    Some pose explains any two spots, since six numbers have six unknowns. A third disc is evidence, and so is the body:
-    white is paler than print and evenly bright except for its shadow, black is darker than the discs.
+    Some pose explains any two spots, since six numbers have six unknowns. A third disc is evidence, and so is the body.
+    A white body is paler than print and evenly bright except for its shadow. A black one is darker than the discs.
     """
     u = model.points.table[:, :3] @ rotation.T
     x = position + ball.radius * u

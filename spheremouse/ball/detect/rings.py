@@ -202,8 +202,8 @@ def within(inside: Spots, outer: Spots, which: NDArray[np.intp], share: float, s
 
     The inner radius is about `share` of the outer one. `which` (k,) are indices of the outer spots to consider.
 
-    Place and size are sought as one box, with sizes stretched to its shape: how many outlines of about one size a place
-    has room for is limited, how many small ones lie within a large one is not.
+    The search takes place and size as one box, with sizes stretched to its shape. A place has room for few outlines of
+    one size, but a large outline may contain many small ones.
     """
     if not len(which) or not len(inside):
         return _NONE, _NONE

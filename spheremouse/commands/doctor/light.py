@@ -105,8 +105,8 @@ def search(grid: Array, stamps: Array, sequence: Array, mask: Image | None) -> t
 
     `grid`, `stamps` (s) and `sequence` are those of `Footage`. `mask` (h, w) is the ball in the picture; None: all.
 
-    A film of F frames/s shows f as |f - n F|: at less than one and a half turns in the film it looks like a slow
-    change, and within a turn of F/2 its depth is not determined. Strips of rows each have a phase of their own, for a
+    A film of F frames/s shows f as |f - n F|. At less than one and a half turns in the film it looks like a slow
+    change. Within a turn of F/2 its depth is not determined. Strips of rows each have a phase of their own, for a
     rolling shutter reads them at different times; their powers are added. Compared with the median power at all other
     frequencies, noise exceeds k times its mean with a chance of exp(-k) (a strip's power is exponentially
     distributed; strips may have their noise in common and count as one), times the number of frequencies tried.
