@@ -1,4 +1,4 @@
-"""`text:-` and `text:FILE[,format=json|counts|reports]`: write reports as lines.
+"""`text:-` and `text:FILE[,format=json|counts|reports|fictrac]`: write reports as lines.
 
 Every line is flushed. The output appends to FILE, so a second run or a full disk costs no line. Each opening writes the
 header line of the format again, if it has one. A file with other contents is refused. `reports` writes the counts that
