@@ -46,7 +46,7 @@ for settings in (WandSettings(), WandSettings(method="rims"), WandSettings(regio
     hand = WandMapping(PointingSettings())
     phases = set()
     for epoch in track_wand(frames(), tracker):
-        hand.report(epoch.estimate)
+        hand.counts(epoch.estimate)
         phases |= {pose.phase for pose in epoch.poses}
     assert settings.method == "rims" or len(phases) >= 2, phases
 late = {name: n for name, n in compiled().items() if n != before.get(name, 0)}
