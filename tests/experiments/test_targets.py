@@ -9,6 +9,8 @@ from experiments.targets import KINDS, NUMBERS, key, places
 
 from spheremouse.simulate.ball.scene import default_scene
 
+pytestmark = pytest.mark.slow  # films; `test_sections.py` runs each experiment in short
+
 
 @pytest.fixture(scope="module")
 def camera():
