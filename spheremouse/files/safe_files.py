@@ -239,7 +239,10 @@ class NewFolder:
         return self.path
 
     def finish(self) -> None:
-        """Move the folder to its place; then remove the one that was there."""
+        """Move the folder to its place; then remove the one that was there.
+
+        Raises OSError; the old folder is then put back if possible.
+        """
         if not self._place.exists():
             os.replace(self.path, self._place)
             return

@@ -1,7 +1,7 @@
 """The columns of a table of samples, one row a ball and frame, for the outputs `csv`, `parquet` and `lsl`.
 
 A table of a hand-held ball also has position and velocity. Values that are unknown are None: attitude, motion and their
-covariances unless the ball is tracked, and wall clock and latency of a recording.
+covariances unless the ball is tracked, and wall clock and latency unless a service or --realtime made them.
 """
 
 from collections.abc import Iterator

@@ -91,7 +91,7 @@ def open(argument: str) -> Table:
 
 
 def check(argument: str) -> None:
-    """Raise OutputError if the argument is invalid, or if the file exists and is not such a table."""
+    """Raise OutputError if the path is empty or `-`, or if the file does not begin as such a table."""
     check_table(file_of(argument), _START)
 
 

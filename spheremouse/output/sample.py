@@ -1,6 +1,6 @@
 """A sample: the estimate of one ball at one frame, as a run publishes it, and its form in JSON.
 
-Every output gets the same samples. All numbers are in SI units and radians. docs/outputs.md and
+Every output gets the same samples. All numbers are in SI units and radians. docs/samples.md and
 docs/sample.schema.json describe the JSON object.
 """
 
@@ -31,8 +31,8 @@ class Sample(NamedTuple):
     name: str = "ball"
     coordinates: StillAxes = "obj"  # of all vectors: obj of the ball in its frame, cam of a hand-held ball
     events: tuple[str, ...] = ()  # names of changes with this frame, for example "ball-lost"
-    wall: float | None = None  # s since 1970 (UTC) at the exposure; None for a recording
-    latency: float | None = None  # s from the exposure to publication; None for a recording
+    wall: float | None = None  # s since 1970 (UTC) at the exposure; None unless a service or --realtime made it
+    latency: float | None = None  # s from the exposure to publication; None as `wall`
     camera: Pose | None = None  # in obj; None for a hand-held ball, and for a sample read from JSON
     observation: "Observation | None" = None  # information of the frame alone, for the smoother; None: not kept
 

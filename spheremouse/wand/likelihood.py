@@ -252,7 +252,10 @@ def _weigh(
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def point_weight(facing, scale, solid_angle):
-    """Return the weight of a point of a disc, by its area in the picture; `facing` is that of the disc's centre."""
+    """Return the weight of a point of a disc, 0 to 1, by its area in the picture relative to the kernel's.
+
+    `facing` is the cosine at the disc's centre, `scale` px of the field per rad, `solid_angle` sr of the point.
+    """
     return min(max(facing, MIN_FACING) * scale * scale * solid_angle / _KERNEL_AREA, 1.0)
 
 

@@ -18,16 +18,17 @@ from spheremouse.geometry.rotation import exp_into, left_jacobian_into
 
 @njit(cache=True, error_model="numpy")
 def correct(prior, H, HP, z, S, rate, acceleration, steps, weights):
-    """Return the joint covariance, (n, n), the weights of the levels, (l,), and the correction, (n,).
+    """Return covariance (n, n), level weights (l,), correction (n,), log likelihood, normalised square and rms level.
 
-    `prior` is the covariance before; H, H P, z and S are those of `so3_match.innovation`. `steps` as in
-    `so3_motion.posterior`. A mixture over the steps is replaced by the normal distribution of its mean and
-    covariance once the innovations are taken in (generalised pseudo-Bayesian of order 1: Bar-Shalom, Li, Kirubarajan
-    2001, section 11.6.4). Also returns the log likelihood of z, its normalised square, and the rms level of the steps.
+    `prior` is the covariance before. H (2k, n), H P (2k, n), z (2k,) and S (2k, 2k) are those of
+    `so3_match.innovation`; `rate` (3,) rad/s, `acceleration` (3,) rad/s²; `steps` as in `so3_motion.posterior`. No
+    argument changes. Raises LinAlgError if S is not positive definite.
 
-    Considered parameters get no gain (Schmidt 1966), nor does the reference, since its increment was sent. The
-    covariance is Joseph's form multiplied out, which holds for any gain: P - K H P - (K H P)' + K S K' (Bierman 1977,
-    section V).
+    A mixture over the steps is replaced by the normal distribution of its mean and covariance once the innovations are
+    taken in (generalised pseudo-Bayesian of order 1: Bar-Shalom, Li, Kirubarajan 2001, section 11.6.4). Considered
+    parameters get no gain (Schmidt 1966), nor does the reference, since its increment was sent. The readout time gets
+    one only while the rate is significant. The covariance is Joseph's form multiplied out, which holds for any gain:
+    P - K H P - (K H P)' + K S K' (Bierman 1977, section V).
     """
     P, weights, k, n = prior.copy(), weights.copy(), len(z), len(prior)
     learn = _rate_is_significant(rate, P)

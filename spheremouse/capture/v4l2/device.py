@@ -144,7 +144,10 @@ class Device:
         return Mode(Layout(name, *got, 0 if name == "MJPG" else stride), fps)
 
     def largest(self, limit: tuple[int, int]) -> tuple[int, int] | None:
-        """Return the largest size within `limit` at a sufficient rate; None if the driver lists no size."""
+        """Return width and height, px, of the largest area within `limit` at a sufficient rate; None if none fits.
+
+        Of a stepwise range only `limit` itself counts. Raises SourceError if the device fails.
+        """
         found: set[tuple[int, int]] = set()
         try:
             for code in self._formats().values():
