@@ -52,7 +52,7 @@ assert before and not late, late
 """
 
 
-@pytest.mark.parametrize("tracker", ["so3", "ekf1"])
+@pytest.mark.parametrize("tracker", ["so3", pytest.param("ekf1", marks=pytest.mark.slow)])
 def test_nothing_is_compiled_in_play(tracker, hands_over_the_ball):
     made = subprocess.run(
         [sys.executable, "-c", FILM, hands_over_the_ball, tracker], capture_output=True, text=True, check=False

@@ -1,9 +1,6 @@
 """Errors against the number of discs: a tiny film."""
 
-import pytest
 from experiments.count import with_discs
-
-pytestmark = pytest.mark.slow  # films; `test_sections.py` runs each experiment in short
 
 
 def test_more_discs_are_seen_and_the_bound_sinks():

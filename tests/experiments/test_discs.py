@@ -7,8 +7,6 @@ import pytest
 from experiments import discs
 from experiments.discs import LAYOUTS, directions_of, in_rows
 
-pytestmark = pytest.mark.slow  # films; `test_sections.py` runs each experiment in short
-
 
 @pytest.mark.parametrize("kind", list(LAYOUTS))
 def test_layouts_are_unit_vectors_without_overlap(kind):

@@ -3,8 +3,6 @@
 import pytest
 from experiments.filters import play, simulated
 
-pytestmark = pytest.mark.slow  # films; `test_sections.py` runs each experiment in short
-
 
 def test_a_short_film_is_tracked_by_all():
     result = simulated(45)

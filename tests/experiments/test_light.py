@@ -1,9 +1,6 @@
 """Noise and brightness: laws of a tiny film."""
 
-import pytest
 from experiments.light import simulated
-
-pytestmark = pytest.mark.slow  # films; `test_sections.py` runs each experiment in short
 
 
 def test_noise_makes_centres_and_rates_worse():

@@ -14,8 +14,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from spheremouse.simulate.ball.scene import default_scene
 from spheremouse.tracker import Status
 
-pytestmark = pytest.mark.slow  # films; `test_sections.py` runs each experiment in short
-
 RIG = default_scene().rig()
 
 

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from experiments import near_far
 
-pytestmark = pytest.mark.slow  # films; `test_sections.py` runs each experiment in short
-
 
 @pytest.fixture(scope="module")
 def film():

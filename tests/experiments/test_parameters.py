@@ -1,9 +1,6 @@
 """The grid of sigma_w and sigma_b: a tiny film."""
 
-import pytest
 from experiments.parameters import simulated
-
-pytestmark = pytest.mark.slow  # films; `test_sections.py` runs each experiment in short
 
 
 def test_a_filter_that_weighs_right_beats_one_that_hardly_listens():

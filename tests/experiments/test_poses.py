@@ -12,8 +12,6 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import from_euler, to_euler
 from spheremouse.simulate.ball.scene import default_scene
 
-pytestmark = pytest.mark.slow  # films; `test_sections.py` runs each experiment in short
-
 
 def sightings(rig, centre):
     return [Sighting(k, c, 0.05**2 * np.eye(2), 30) for k, c in zip(rig.targets.codes, centre, strict=True)]

@@ -9,8 +9,6 @@ from experiments.targets import KINDS, NUMBERS, key, places
 
 from spheremouse.simulate.ball.scene import default_scene
 
-pytestmark = pytest.mark.slow  # films; `test_sections.py` runs each experiment in short
-
 
 @pytest.fixture(scope="module")
 def camera():

@@ -14,8 +14,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse.geometry.rotation import log
 
-pytestmark = pytest.mark.slow  # films; `test_sections.py` runs each experiment in short
-
 
 @pytest.fixture(scope="module")
 def film():
