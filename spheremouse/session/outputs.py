@@ -48,12 +48,13 @@ class Outputs:
         Outputs call `describe_run` in their threads.
         """
         self._describe_run = describe_run
-        self._log, self._workers, self._call, self._settings = log, workers, call, settings
+        self._log, self._workers, self._call = log, workers, call
         self._late: list[threading.Thread] | None = []  # started by `begin`
         self._paused = False
         self._submitted = _NONE  # sum of the counts that the main output was given
         self._past: tuple[int, Counts] = (0, _NONE)  # reports and unsent counts of the main outputs before this one
-        self._all = self._threads([(spec, partial(self._open, spec)) for spec in specs], several=len(specs) > 1)
+        openers = [(spec, partial(self._open, spec)) for spec in specs]
+        self._all = self._threads(openers, settings, len(specs) > 1)
 
     def begin(self) -> None:
         """Start the threads, which open the outputs. Raises ControlError if the system refuses a thread."""
@@ -80,31 +81,31 @@ class Outputs:
 
     def change(self, settings: PointerSettings) -> None:
         """Change the pointer's settings."""
-        self._settings = settings
         for output in self._all:
             output.thread.change(settings)
 
     def exchange(self, specs: Sequence[str], settings: PointerSettings) -> None:
         """Use other outputs; those that stay go on. ControlError if the system refuses a thread: then all stay."""
-        self.change(settings)
         kept = {output.spec: output for output in self._all if output.spec in specs}
         gone = [output for output in self._all if output.spec not in specs]
         before, submitted = self.main, self._submitted
         exchange = _Exchange([output.thread for output in gone])
         openers = [(spec, exchange.after(partial(self._open, spec))) for spec in specs if spec not in kept]
         try:
-            made = {o.spec: o for o in self._threads(openers, several=len(specs) > 1, give_up=exchange.give_up)}
+            made = {o.spec: o for o in self._threads(openers, settings, len(specs) > 1, exchange.give_up)}
         finally:
             exchange.decided.set()
         for output in made.values():
             output.thread.pause(self._paused)
         self._all = [(kept | made)[spec] for spec in specs]
-        if self.main is not before:
+        self.change(settings)
+        another_main = self.main is not before
+        if another_main:
             self._submitted = _NONE
 
         def retire() -> None:
             exchange.close()
-            if self.main is not before:
+            if another_main:
                 self._call(lambda: self._count_past(before.thread, submitted))
 
         self._workers.do(OUTPUT, retire)
@@ -148,14 +149,18 @@ class Outputs:
         return [(spec, whole), *others]
 
     def _threads(
-        self, openers: Sequence[tuple[str, Open]], *, several: bool, give_up: Callable[[], None] = lambda: None
+        self,
+        openers: Sequence[tuple[str, Open]],
+        settings: PointerSettings,
+        several: bool,
+        give_up: Callable[[], None] = lambda: None,
     ) -> list[RunOutput]:
         """Return a thread for each output. Raises ControlError, after `give_up`, if the system refuses one."""
         begun: list[RunOutput] = []
         try:
             for spec, open_it in openers:
                 name = f"output {spec}" if several else "output"
-                thread = OutputThread(open_it, self._settings, self._log, start=self._begin, name=name)
+                thread = OutputThread(open_it, settings, self._log, start=self._begin, name=name)
                 begun.append(RunOutput(spec, thread))
         except ControlError:
             give_up()

@@ -25,7 +25,7 @@ class Sink(Null):
 
     def __init__(self, name, diary):
         self.name, self.diary, self.counts = name, diary, np.zeros(3, int)
-        self.ends, self.gate = False, None
+        self.ends, self.gate, self.may_close = False, None, None
 
     def open(self):
         self.diary.append(f"{self.name} opened")
@@ -41,6 +41,8 @@ class Sink(Null):
         self.counts += given.counts
 
     def __exit__(self, *error):
+        if self.may_close is not None:
+            self.may_close.wait(PATIENCE)
         time.sleep(0.02)  # as devices take
         self.diary.append(f"{self.name} closed")
 
@@ -206,6 +208,22 @@ def test_an_output_that_stays_in_the_list_is_not_opened_again(run):
     assert made.diary[2:] == ["b closed", "c opened"]
     made.give(1, 2, 3)
     until(lambda: np.array_equal(added.counts, (1, 2, 3)) and np.array_equal(made.sinks[0].counts, (1, 2, 3)))
+
+
+def test_a_main_output_that_is_exchanged_while_others_are_still_closed_is_counted_once(run):
+    made = run("a", "b")
+    made.sinks[1].may_close = threading.Event()
+    made.next("a", "c")
+    made.give(1, 2, 3)
+    until(lambda: np.array_equal(made.sinks[0].counts, (1, 2, 3)))
+    made.next("d", "c")
+    made.sinks[1].may_close.set()
+    until(lambda: "d opened" in made.diary and "c opened" in made.diary)
+    made.workers.end(OUTPUT)
+    for action in made.todo:
+        action()
+    (_, status), *_ = made.outputs.status()
+    assert (status.reports, status.unsent) == (1, (0, 0, 0))
 
 
 def test_the_run_goes_on_until_all_outputs_have_ended(run):
