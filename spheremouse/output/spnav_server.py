@@ -100,7 +100,7 @@ def _send(connection: socket.socket, data: bytes) -> None:
 
 
 def _listen(path: Path) -> socket.socket:
-    """Return a socket that every account may connect to. A socket that nobody serves is replaced."""
+    """Return a socket that every account may connect to. A socket without a server is replaced."""
     listener = socket.socket(socket.AF_UNIX)
     try:
         with contextlib.suppress(ConnectionRefusedError, FileNotFoundError), socket.socket(socket.AF_UNIX) as other:
