@@ -50,6 +50,16 @@ class Report(NamedTuple):
     samples: tuple[Sample, ...] = ()  # of all balls; empty between two frames
     pointing: int = 0  # index of the ball that makes the counts
 
+    @property
+    def pointing_sample(self) -> Sample | None:
+        """Sample of the ball that makes the counts; None between two frames."""
+        return self.samples[self.pointing] if self.samples else None
+
+    @property
+    def counted(self) -> list[tuple[Sample, Counts]]:
+        """Each sample with its counts, which are zero for a ball that does not point."""
+        return [(s, self.counts if k == self.pointing else (0, 0, 0)) for k, s in enumerate(self.samples)]
+
 
 class Mapping(Protocol):
     """Converts the motion of a ball to counts of a mouse. It carries fractions of a count to the next call."""

@@ -53,7 +53,7 @@ def columns(coordinates: StillAxes) -> tuple[Column, ...]:
 
 def rows(report: Report) -> Iterator[list[Any]]:
     """Yield the row of each sample of a report, in the order of `columns`; the pointing ball has the counts."""
-    for k, sample in enumerate(report.samples):
+    for sample, counts in report.counted:
         held, known = sample.coordinates == "cam", sample.status is Status.TRACKING
         vectors = [
             sample.quaternion,
@@ -72,7 +72,7 @@ def rows(report: Report) -> Iterator[list[Any]]:
             str(sample.status),
             bool(sample.confirmed),
             *_numbers(np.concatenate(vectors), known),
-            *(report.counts if k == report.pointing else (0, 0, 0)),
+            *counts,
             *(() if held else _statistics(sample)),
             sample.latency,
             " ".join(sample.events),

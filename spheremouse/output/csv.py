@@ -15,8 +15,8 @@ from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import is_stream, open_to_append
 from spheremouse.finding import Finding
 from spheremouse.output.columns import Column
-from spheremouse.output.log_file import drop_unfinished_line, lock, probe_file
-from spheremouse.output.table import Table, check_table, open_table, table_file
+from spheremouse.output.log_file import check_file, drop_unfinished_line, lock, probe_file
+from spheremouse.output.table import Table, open_table, table_file
 
 _START = b"# spheremouse samples"
 
@@ -92,7 +92,7 @@ def open(argument: str) -> Table:
 
 def check(argument: str) -> None:
     """Raise OutputError if the path is empty or `-`, or if the file does not begin as such a table."""
-    check_table(file_of(argument), _START)
+    check_file(file_of(argument), _START)
 
 
 def file_of(argument: str) -> Path:

@@ -48,12 +48,13 @@ def pointer_rate(report: Report) -> Array | None:
     Its direction is that of the counts' rate, and its length that of the angular velocity. It is zero if the ball is
     not tracked, and None if this frame does not confirm it.
     """
-    if not report.samples or report.samples[report.pointing].status is not Status.TRACKING:
+    sample = report.pointing_sample
+    if sample is None or sample.status is not Status.TRACKING:
         return np.zeros(3)
     if report.rate is None:
         return None
     counts = np.array(report.rate)
-    size, speed = math.hypot(*report.rate), math.hypot(*report.samples[report.pointing].rate)
+    size, speed = math.hypot(*report.rate), math.hypot(*sample.rate)
     return counts * (speed / size) if size > 0.0 else np.zeros(3)
 
 

@@ -41,9 +41,9 @@ class FicTrac:
 
     def lines(self, report: Report) -> list[str]:
         """Return the line of a frame; none if the ball is not tracked or the frame does not confirm the estimate."""
-        if not report.samples:
+        sample = report.pointing_sample
+        if sample is None:
             return []
-        sample = report.samples[report.pointing]
         if sample.status is not Status.TRACKING:
             self._first = None
         elif sample.confirmed:

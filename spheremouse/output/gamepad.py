@@ -33,10 +33,10 @@ _CENTRE: Sticks = (0, 0, 0)
 
 def to_sticks(report: Report, response: Response) -> Sticks | None:
     """Return the positions of the sticks; None if the frame is not confirmed and they keep theirs."""
-    rate = pointer_rate(report)
+    rate, sample = pointer_rate(report), report.pointing_sample
     if rate is None:
         return None
-    if report.samples and report.samples[report.pointing].coordinates == "obj":
+    if sample is not None and sample.coordinates == "obj":
         rate[2] = -rate[2]  # counter-clockwise from above; that of a hand-held ball is clockwise
     x, y = np.rint(FULL_DEFLECTION * response.deflection(rate[:2])).astype(int).tolist()
     (spin,) = np.rint(FULL_DEFLECTION * response.deflection(rate[2:])).astype(int).tolist()
@@ -56,10 +56,7 @@ class Gamepad(Output):
         if sticks is None:
             return
         self._watchdog.feed()
-        try:
-            self._move(sticks)
-        except OSError as e:
-            raise OutputError(f"gamepad: the kernel takes no more events ({e.strerror or e})", "start again") from None
+        self._move(sticks)
 
     def describe(self, report: Report) -> str:
         """Return the positions of the sticks, as in `ABS_X +16384 ABS_Y +0 ABS_RX -500`; empty if they keep theirs."""
@@ -68,12 +65,11 @@ class Gamepad(Output):
 
     def _move(self, sticks: Sticks) -> None:
         with self._lock:
-            for code, value in zip((ABS_X, ABS_Y, ABS_RX), sticks, strict=True):
-                self._device.write(EV_ABS, code, value)
-            self._device.syn()
+            events = tuple(zip((ABS_X, ABS_Y, ABS_RX), sticks, strict=True))
+            uinput.write_events("gamepad", self._device, EV_ABS, events)
 
     def _release(self) -> None:
-        with contextlib.suppress(OSError):  # the next report raises it
+        with contextlib.suppress(OutputError):  # the next report raises it
             self._move(_CENTRE)
 
     def close(self) -> None:

@@ -69,7 +69,7 @@ class LineServer(Output):
 
     def describe(self, report: Report) -> str:
         """Return the lines as one."""
-        return " | ".join(self._form.lines(report))
+        return self._form.describe(report)
 
     def close(self) -> None:
         """Close the port and all connections."""

@@ -1,5 +1,6 @@
 """Files that an output continues: the check of their beginning and end, and findings about them."""
 
+import contextlib
 import os
 import stat
 import sys
@@ -11,6 +12,17 @@ from spheremouse.files.safe_files import is_stream
 from spheremouse.finding import Finding, absent, ok, wrong
 
 _MAX_LINE_BYTES = 65_536  # a JSON object has 2,000
+
+
+def check_file(path: Path, start: bytes) -> None:
+    """Raise OutputError if the file exists and does not begin with `start`. Opening it reports other problems."""
+    with contextlib.suppress(OSError, ValueError):
+        refuse_other_files(path, start)
+
+
+def cannot_be_written(place: object, error: Exception) -> OutputError:
+    """Return the error of a file or stream, named `place`, that the system refuses to open or write."""
+    return OutputError(f"{place}: cannot be written: {getattr(error, 'strerror', None) or error}")
 
 
 def refuse_other_files(path: Path, start: bytes) -> None:

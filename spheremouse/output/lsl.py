@@ -4,7 +4,6 @@ The channels are the numeric columns of a table. The time stamp is the mid-expos
 not played at its own pace has the time of sending.
 """
 
-import importlib
 import math
 import platform
 import sys
@@ -16,6 +15,7 @@ from spheremouse.errors import OutputError, has_control_characters
 from spheremouse.finding import Finding, ok
 from spheremouse.output import Output, Report
 from spheremouse.output.columns import Column, columns, rows
+from spheremouse.output.extras import import_extra
 
 
 class Lsl(Output):
@@ -85,9 +85,7 @@ def probe(argument: str) -> list[Finding]:
 
 def _pylsl() -> Any:
     try:
-        return importlib.import_module("pylsl")
-    except ImportError:
-        raise OutputError("lsl: needs the package pylsl", "pip install 'spheremouse[lsl]'") from None
+        return import_extra("lsl", "pylsl", "lsl")
     except RuntimeError as e:  # the wheel of this system has no library
         reason = " ".join(str(e).split())
         raise OutputError(f"lsl: {reason}", "install liblsl") from None

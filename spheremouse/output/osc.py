@@ -4,16 +4,15 @@
 recording. All vectors are in `obj`, and in `cam` for a hand-held ball. docs/outputs.md lists the addresses.
 """
 
-import importlib.util
 from typing import Any
 
 import numpy as np
 
-from spheremouse.errors import OutputError
 from spheremouse.finding import Finding
 from spheremouse.output import Counts, Report
 from spheremouse.output.address import parse_host
 from spheremouse.output.datagram import DatagramOutput, probe_receiver
+from spheremouse.output.extras import import_extra
 from spheremouse.output.sample import Sample
 from spheremouse.tracker import Status
 
@@ -34,20 +33,16 @@ def messages(sample: Sample, counts: Counts) -> list[Message]:
     return made + [(f"{place}/{name}", "f" * len(v), v.tolist()) for name, v in values.items() if np.isfinite(v).all()]
 
 
-def _pairs(report: Report) -> list[tuple[Sample, Counts]]:
-    return [(s, report.counts if k == report.pointing else (0, 0, 0)) for k, s in enumerate(report.samples)]
-
-
 class Osc(DatagramOutput):
     """Sends bundles."""
 
     def datagrams(self, report: Report) -> list[bytes]:
         """Return a bundle for each ball of a frame."""
-        return [encode(sample, counts) for sample, counts in _pairs(report)]
+        return [encode(sample, counts) for sample, counts in report.counted]
 
     def describe(self, report: Report) -> str:
         """Return the messages as text, as in `/spheremouse/1/status tracking | /spheremouse/1/counts 3 -2 0`."""
-        made = [message for sample, counts in _pairs(report) for message in messages(sample, counts)]
+        made = [message for sample, counts in report.counted for message in messages(sample, counts)]
         return " | ".join(" ".join(map(str, [address, *values])) for address, _, values in made)
 
 
@@ -76,8 +71,7 @@ def open(argument: str) -> Osc:
 def check(argument: str) -> tuple[str, int]:
     """Return host and port. Raise OutputError if the argument is invalid or python-osc is missing."""
     host, port = parse_host("osc", argument)
-    if importlib.util.find_spec("pythonosc") is None:
-        raise OutputError("osc: needs the package python-osc", "pip install 'spheremouse[network]'")
+    import_extra("osc", "python-osc", "network", "pythonosc")
     return host, port
 
 

@@ -14,9 +14,9 @@ from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import is_stream, open_to_append
 from spheremouse.finding import Finding
 from spheremouse.output.columns import Column
-from spheremouse.output.log_file import lock, probe_file
+from spheremouse.output.log_file import check_file, lock, probe_file
 from spheremouse.output.parquet_part import arrow, move_part
-from spheremouse.output.table import Table, check_table, open_table, table_file
+from spheremouse.output.table import Table, open_table, table_file
 
 _START = b"PAR1"
 _PERIOD = 1.0  # s between two writes
@@ -85,7 +85,7 @@ def check(argument: str) -> None:
     arrow("pyarrow")
     if is_stream(path):
         raise OutputError(f"{path}: is no regular file", "name one, or use csv")
-    check_table(path, _START)
+    check_file(path, _START)
 
 
 def file_of(argument: str) -> Path:

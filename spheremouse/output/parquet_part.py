@@ -3,13 +3,12 @@
 A part that a killed run or a full disk has cut is read up to its last whole batch.
 """
 
-import importlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import NewFile
+from spheremouse.output.extras import import_extra
 from spheremouse.output.log_file import lock, refuse_other_files
 
 _START = b"\xff\xff\xff\xff"  # of a message of Arrow
@@ -59,7 +58,4 @@ def _groups(stream: Any) -> Iterator[list[Any]]:
 
 def arrow(name: str) -> Any:
     """Return a module of pyarrow. Raise OutputError if it is not installed."""
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        raise OutputError("parquet: needs the package pyarrow", "pip install 'spheremouse[parquet]'") from None
+    return import_extra("parquet", "pyarrow", "parquet", name)

@@ -26,10 +26,10 @@ _ROTATIONS = {  # from the pointer's rate to rotations about the player's right,
 
 def to_rotation(report: Report, response: Response) -> Array | None:
     """Return rx, ry and rz, (3,) units; None if the frame is not confirmed and the rotation goes on."""
-    rate = pointer_rate(report)
-    if rate is None or not report.samples:
+    rate, sample = pointer_rate(report), report.pointing_sample
+    if rate is None or sample is None:
         return rate
-    return FULL_DEFLECTION * response.deflection(_ROTATIONS[report.samples[report.pointing].coordinates] @ rate)
+    return FULL_DEFLECTION * response.deflection(_ROTATIONS[sample.coordinates] @ rate)
 
 
 class SpaceNav(Output):

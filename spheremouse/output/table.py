@@ -3,7 +3,6 @@
 A file with the same columns is continued. Each opening of it is one run of the JSON file.
 """
 
-import contextlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,7 +11,7 @@ from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import is_stream
 from spheremouse.output import DescribeRun, Output, OutputClosed, Report
 from spheremouse.output.columns import Column, columns, rows
-from spheremouse.output.log_file import refuse_other_files
+from spheremouse.output.log_file import cannot_be_written, refuse_other_files
 from spheremouse.output.run_json import RunRecord
 
 
@@ -56,7 +55,7 @@ class Table(Output):
         except BrokenPipeError:
             raise OutputClosed(str(self._path)) from None
         except OSError as e:
-            raise _cannot_be_written(self._path, e) from None
+            raise cannot_be_written(self._path, e) from None
         if self._record is not None:
             self._record.add(report.samples)
 
@@ -69,7 +68,7 @@ class Table(Output):
         try:
             self._writer.close()
         except OSError as e:
-            raise _cannot_be_written(self._path, e) from None
+            raise cannot_be_written(self._path, e) from None
         if self._record is not None:
             self._record.finish()
 
@@ -86,13 +85,7 @@ def open_table(path: Path, start: bytes, open_writer: Callable[[Path], RowWriter
         refuse_other_files(path, start)
         return Table(path, open_writer(path))
     except (OSError, ValueError) as e:
-        raise _cannot_be_written(path, e) from None
-
-
-def check_table(path: Path, start: bytes) -> None:
-    """Raise OutputError if the file exists and does not begin with `start`."""
-    with contextlib.suppress(OSError, ValueError):  # `open_table` reports these
-        refuse_other_files(path, start)
+        raise cannot_be_written(path, e) from None
 
 
 def table_file(kind: str, argument: str) -> Path:
@@ -105,7 +98,3 @@ def table_file(kind: str, argument: str) -> Path:
 def beside(path: Path) -> Path:
     """Return the file that describes the runs of a table."""
     return path.with_name(f"{path.name}.json")
-
-
-def _cannot_be_written(path: Path, error: Exception) -> OutputError:
-    return OutputError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}")

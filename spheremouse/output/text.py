@@ -12,12 +12,17 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import TextIO
 
-from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import open_to_append
 from spheremouse.finding import Finding, ok
 from spheremouse.output import Output, OutputClosed, Report
 from spheremouse.output.lines import LineFormat, parse_address
-from spheremouse.output.log_file import drop_unfinished_line, probe_file, refuse_other_files
+from spheremouse.output.log_file import (
+    cannot_be_written,
+    check_file,
+    drop_unfinished_line,
+    probe_file,
+    refuse_other_files,
+)
 
 
 class Text(Output):
@@ -39,7 +44,7 @@ class Text(Output):
 
     def describe(self, report: Report) -> str:
         """Return the lines as one."""
-        return " | ".join(self._form.lines(report))
+        return self._form.describe(report)
 
     def _write(self, text: str) -> None:
         if self._reader_gone:
@@ -53,7 +58,7 @@ class Text(Output):
             raise OutputClosed(self._name) from None
         except OSError as e:
             self._drop_unwritten()
-            raise OutputError(f"{self._name}: cannot be written: {e.strerror or e}") from None
+            raise cannot_be_written(self._name, e) from None
 
     def _drop_unwritten(self) -> None:
         """Send the rest of the buffer to the null device; otherwise Python's flush at its exit prints an error."""
@@ -80,16 +85,14 @@ def open(argument: str) -> Text:
         drop_unfinished_line(path, file.fileno())
         return Text(TextIOWrapper(file, encoding="utf-8"), str(path), form)
     except (OSError, ValueError) as e:
-        reason = (e.strerror if isinstance(e, OSError) else None) or e
-        raise OutputError(f"{path}: cannot be written: {reason}") from None
+        raise cannot_be_written(path, e) from None
 
 
 def check(argument: str) -> None:
     """Raise OutputError if the argument is invalid, or if the file exists and is not such a log."""
     name, form = parse_address("text", argument)
     if name not in ("", "-"):
-        with contextlib.suppress(OSError, ValueError):  # `open` reports these
-            refuse_other_files(Path(name), form.start.encode())
+        check_file(Path(name), form.start.encode())
 
 
 def file_of(argument: str) -> Path | None:

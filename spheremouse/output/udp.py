@@ -24,7 +24,7 @@ class Udp(DatagramOutput):
 
     def describe(self, report: Report) -> str:
         """Return the lines as one."""
-        return " | ".join(self._form.lines(report))
+        return self._form.describe(report)
 
 
 def open(argument: str) -> Udp:

@@ -66,13 +66,7 @@ class UInput(Output):
     def send(self, report: Report) -> None:
         """Write the report, unless it is empty. Raises OutputError if the kernel refuses it."""
         report_events = to_events(report, self._third, self._notch)
-        try:
-            for code, value in report_events.events:
-                self._device.write(EV_REL, code, value)
-            if report_events.events:
-                self._device.syn()
-        except OSError as e:
-            raise OutputError(f"uinput: the kernel takes no more events ({e.strerror or e})", "start again") from None
+        write_events("uinput", self._device, EV_REL, report_events.events)
         self._notch = report_events.notch
 
     def describe(self, report: Report) -> str:
@@ -120,6 +114,17 @@ def _obstacle(node: Path) -> tuple[str, str] | None:
     if not node.exists():
         return f"{node} does not exist", "as root: modprobe uinput"
     return access_problem(node)
+
+
+def write_events(kind: str, device: Any, event_type: int, events: Sequence[tuple[int, int]]) -> None:
+    """Write events of one type, (code, value), as one report. Raise OutputError of the output `kind` if refused."""
+    try:
+        for code, value in events:
+            device.write(event_type, code, value)
+        if events:
+            device.syn()
+    except OSError as e:
+        raise OutputError(f"{kind}: the kernel takes no more events ({e.strerror or e})", "start again") from None
 
 
 def create(kind: str, name: str, product: int, capabilities: dict[int, Sequence[Any]]) -> Any:

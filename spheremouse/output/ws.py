@@ -6,13 +6,12 @@ Pages from files are not admitted without it, because a sandboxed frame of any p
 that is no browser names no origin, and may connect. A client that does not read is dropped when its buffer is full.
 """
 
-import importlib.util
 import re
 from typing import TYPE_CHECKING, Any
 
-from spheremouse.errors import OutputError
 from spheremouse.finding import Finding
 from spheremouse.output.address import parse_host, probe_port
+from spheremouse.output.extras import import_extra
 from spheremouse.output.line_server import Client, LineServer
 from spheremouse.output.lines import LineFormat, parse_target
 
@@ -80,8 +79,7 @@ def check(argument: str) -> tuple[str, int, LineFormat, str]:
     """Return host, port, format and origin. Raise OutputError if one is invalid or websockets is missing."""
     address, form, options = parse_target("ws", argument, {"origin": str})
     host, port = parse_host("ws", address)
-    if importlib.util.find_spec("websockets") is None:
-        raise OutputError("ws: needs the package websockets", "pip install 'spheremouse[network]'")
+    import_extra("ws", "websockets", "network")
     return host, port, form, str(options.get("origin", ""))
 
 

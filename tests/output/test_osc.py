@@ -2,6 +2,7 @@
 
 import contextlib
 import queue
+import sys
 import threading
 
 import numpy as np
@@ -153,5 +154,5 @@ def test_an_unknown_host():
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "pythonosc", None)
     assert refused("osc:127.0.0.1:9000") == "osc: needs the package python-osc; pip install 'spheremouse[network]'"

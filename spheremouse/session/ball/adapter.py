@@ -354,8 +354,7 @@ class BallAdapter:
         seconds = {"detect": self._detected - begun, "filter": time.monotonic() - self._detected}
         self._remember(made, frame, tracker)
         epoch = Epoch(frame, made.state, made.estimate, made.events, seconds)
-        events, camera = tuple(event.name for event in made.events), current(made.state, tracker).pose
-        sample = Sample(made.estimate, events=events, camera=camera)
+        sample = Sample(made.estimate, events=tuple(event.name for event in made.events), camera=self.pose)
         return FrameResult(frame, (sample,), 0, seconds, epoch)
 
     def _note_detected(self) -> None:
