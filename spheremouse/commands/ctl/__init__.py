@@ -221,7 +221,7 @@ def snapshot(
 def watch(
     interval: Annotated[float, typer.Option(metavar="S", min=0.1, max=60.0, help="Between two lines, in s.")] = 1.0,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print the sample of each ball and frame as JSON instead (docs/outputs.md).")
+        bool, typer.Option("--json", help="Print the sample of each ball and frame as JSON instead (docs/samples.md).")
     ] = False,
     socket: _Socket = None,
 ) -> None:
