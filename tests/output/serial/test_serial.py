@@ -103,7 +103,7 @@ def test_a_bad_line_and_resets_lose_no_more_than_is_reported():
         found = output.statistics()
         assert output.status(10.0) is not None
     assert board.resets == 4
-    assert found.sessions > 1
+    assert 1 < found.sessions <= 5  # two resets during one stall of the computer are one
     assert 3800 - found.uncertain - found.dropped <= board.moved[0] <= 3800
 
 
