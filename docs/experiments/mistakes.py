@@ -141,8 +141,8 @@ def mouse(run: Run, motion: Truth, assumed: float, true: float) -> dict[str, flo
     """Return the effect on the pointer: `sent` = A `made`, (2, 3), by least squares over the frames that were tracked.
 
     `scale`: how much faster it goes, %, mean of both axes. `direction`: by how many degrees it goes astray, in the
-    worst direction. `spin`: % of the turn about the vertical that gets into it. `wobble`: the residual of that fit, % of
-    the motion: no setting of scale or axes removes it. Radii in m: `assumed` is that by which it was sent.
+    worst direction. `spin`: % of the turn about the vertical that gets into it. `wobble`: the residual of that fit, %
+    of the motion: no setting of scale or axes removes it. Radii in m: `assumed` is that by which it was sent.
     """
     k = run.tracked
     k = k[np.isin(k - 1, k)]
