@@ -89,9 +89,8 @@ class DeviceCalibration:
     unit: float  # m, by the rings' size, of a free scale; 1 if the scale is metric
     skipped: tuple[tuple[int, str], ...]  # photos left out, with the reason
     doubtful: tuple[tuple[int, str], ...]  # photos without usable discs, with the reason
-    problem: Problem  # the weighted observations, for the design of further photos
+    problem: Problem  # the weighted observations
     solution: Solution  # the bundle, before the sphere, in its own frame and in m
-    sphere: Sphere  # in that frame
 
     @property
     def directions(self) -> Array:
@@ -253,7 +252,6 @@ def shift_to_ball(result: BundleResult, views: TargetViews, device: Device) -> D
         doubtful=(),
         problem=result.problem,
         solution=solution,
-        sphere=sphere,
     )
 
 
@@ -296,11 +294,9 @@ def _measured(result: BundleResult) -> MeasuredPoints:
 
 def check_distances(result: BundleResult, device: Device) -> None:
     """Raise DistanceError for a distance that contradicts photos and other distances."""
-    k, at = len(device.distances), 2 * len(result.problem.image)
-    residual = result.solution.adjusted.residual[at : at + k]
-    free = result.solution.columns.free
-    Q = result.solution.covariance[np.ix_(free, free)]
-    number = redundancy(sparse.csr_array(result.solution.adjusted.jacobian[at : at + k]), Q)[:, 0, 0]
+    at = 2 * len(result.problem.image)
+    residual = result.solution.adjusted.residual[at : at + len(device.distances)]
+    number = distance_redundancy(result.problem, result.solution)
     checked = number > 1e-3
     if not np.any(checked):
         return
@@ -316,6 +312,16 @@ def check_distances(result: BundleResult, device: Device) -> None:
         )
     by_others = device.distances[worst].metres + residual[worst] / number[worst] * device.distances[worst].sigma
     raise DistanceError(device, worst, by_others, float(sigmas[worst]))
+
+
+def distance_redundancy(problem: Problem, solution: Solution) -> Array:
+    """Return the redundancy numbers of the tape distances, (k,), from 0, unchecked, to 1, wholly checked."""
+    k, at = len(problem.device.distances), 2 * len(problem.image)
+    if k == 0:
+        return np.zeros(0)
+    free = solution.columns.free
+    rows = sparse.csr_array(solution.adjusted.jacobian[at : at + k])
+    return redundancy(rows, solution.covariance[np.ix_(free, free)])[:, 0, 0]
 
 
 def image_residuals(solution: Solution, n: int) -> tuple[Array, Array]:

@@ -1,17 +1,16 @@
 """Advice on a calibrated device, for the person who took the photos: faults, and the most useful further work.
 
-The design matrix gives the gains (`what_if`), residuals and redundancy the faults.
+Residuals and redundancy show the faults. The sides without photos and the tape distances show the further work.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
-from spheremouse.calibrate.device.adjust import DeviceCalibration, image_residuals
-from spheremouse.calibrate.device.plans import ENOUGH, NAMES, Advice, best_plans, length
-from spheremouse.geometry.least_squares.adjust import redundancy
+from spheremouse.calibrate.device.adjust import DeviceCalibration, distance_redundancy, image_residuals
 from spheremouse.geometry.rotation import Array, fibonacci_sphere
 from spheremouse.geometry.statistics import FALSE_ALARM, gate, ratio_gate
 
@@ -21,13 +20,36 @@ _MIN_RMS_RATIO = 2.0  # of an outlying photo over the others
 _MIN_SLANT_RATIO = 3.0  # of a disc's standard deviation near the ball's edge over the usual one
 _MIN_CHECKED_DISCS = 8  # in three photos or more: four determine a sphere, as many check it
 _GROUPS = ("target", "disc")
+_ENOUGH = 2.5e-3  # of the radius: half of the standard deviation in Wittich 2017, table 11
+_MIN_SIGMA = 1e-4  # m, the thickness of paper: a disc lies no closer on the ball
+_LARGE_SHARE = 0.5  # of the radius's variance: without it the standard deviation falls by 30 %
+# Least angles of a photo from a side, degrees: half of what a frame's targets allow; below, the floor is near.
+_MIN_ANGLES = {"from the left": 20.0, "from the right": 20.0, "from above": 20.0, "from below": 5.0}
+_COORDINATES = ("the ball's place sideways (X)", "the ball's height (Y)", "the ball's depth (Z)", "the radius")
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """One or two sentences."""
+
+    kind: Literal["good", "note", "warning"]
+    text: str
 
 
 def advise(calibration: DeviceCalibration, names: Sequence[str]) -> list[Advice]:
-    """Return a verdict, faults, and at most three plans by their gain; `names` of all photos given."""
+    """Return a verdict, faults and further work; `names` of all photos given."""
     found = list(_findings(calibration, names))
-    work = best_plans(calibration)
-    return [_verdict(calibration, any(a.kind == "warning" for a in found)), *found, *work]
+    verdict = _verdict(calibration, any(a.kind == "warning" for a in found))
+    return [verdict, *found, *_further_work(calibration, poor=verdict.kind == "warning")]
+
+
+def missing_sides(positions: Array, middle: Array) -> list[str]:
+    """Return the sides without a photo; `positions` of cameras, (k, 3), and `middle` of the targets, (3,), in obj."""
+    x, y, z = (positions - middle).T
+    azimuth, height = np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))
+    reached = (-azimuth.min(), azimuth.max(), height.max(), -height.min())
+    sides = zip(_MIN_ANGLES.items(), np.degrees(reached), strict=True)
+    return [side for (side, least), angle in sides if angle < least]
 
 
 def coverage(directions: Array) -> float:
@@ -61,16 +83,6 @@ def photo_px(calibration: DeviceCalibration) -> tuple[Array, Array]:
     return found, rms(image.photo, np.einsum("nij,nji->n", image.covariance, cofactor))
 
 
-def distance_redundancy(calibration: DeviceCalibration) -> Array:
-    """Return the redundancy numbers of the tape distances, (k,), from 0, unchecked, to 1, wholly checked."""
-    k, at = len(calibration.device.distances), 2 * len(calibration.problem.image)
-    if k == 0:
-        return np.zeros(0)
-    free = calibration.solution.columns.free
-    rows = sparse.csr_array(calibration.solution.adjusted.jacobian[at : at + k])
-    return redundancy(rows, calibration.solution.covariance[np.ix_(free, free)])[:, 0, 0]
-
-
 # ---- how good it is ----
 
 
@@ -78,12 +90,46 @@ def _verdict(calibration: DeviceCalibration, odd: bool) -> Advice:
     sigma = np.sqrt(np.diag(calibration.ball_covariance))
     worst = int(np.flatnonzero(sigma > 0.9 * sigma.max())[-1])  # of nearly equal ones the last: the radius
     part = sigma[worst] / calibration.radius
-    known = f"{NAMES[worst]} is the least certain, ± {length(sigma[worst], calibration)}"
+    known = f"{_COORDINATES[worst]} is the least certain, ± {_length(sigma[worst], calibration)}"
     if not calibration.scale_free:
         known += f", {100.0 * part:.2g} % of the radius"
-    if part > ENOUGH:
-        return Advice("warning", f"Not good yet: {known}; tracking wants {100.0 * ENOUGH:g} %.")
+    if part > _ENOUGH:
+        return Advice("warning", f"Not good yet: {known}; tracking wants {100.0 * _ENOUGH:g} %.")
     return Advice("note" if odd else "good", f"Good enough to play{', but see below' if odd else ''}: {known}.")
+
+
+def _length(value: float, calibration: DeviceCalibration) -> str:
+    """A length of `obj` in mm, or in percent of the radius if the scale is free."""
+    if calibration.scale_free:
+        return f"{100.0 * value:.2g} % of the radius"
+    return f"{1e3 * value:.{2 if value < 0.995e-3 else 1 if value < 99.5e-3 else 0}f} mm"
+
+
+# ---- further work ----
+
+
+def _further_work(c: DeviceCalibration, poor: bool) -> Iterator[Advice]:
+    kind = "warning" if poor else "note"
+    sides = missing_sides(np.array([pose.position for pose in c.poses]), c.targets.mean(axis=0))
+    if sides:
+        text = (
+            f"No photo is {' or '.join(sides)}: take two there, as far round as three targets are in view. Photos from "
+            "all sides help most."
+        )
+        yield Advice(kind, text)
+    sigma = float(np.sqrt(c.ball_covariance[3, 3]))
+    tape = 0.0 if c.scale_free else c.radius / np.sqrt(sum((d.metres / d.sigma) ** 2 for d in c.device.distances))
+    limits = sigma > _MIN_SIGMA and tape**2 > _LARGE_SHARE * sigma**2
+    if limits:
+        n = len(c.device.distances)
+        text = (
+            f"The scale rests on {n} tape distance{'' if n == 1 else 's'}, which leave{'s' if n == 1 else ''} the "
+            f"radius uncertain by {_length(tape, c)}. Measure further ones, the longest first, or measure again with a "
+            "steel tape held taut."
+        )
+        yield Advice(kind, text)
+    if poor and not (sides or limits):
+        yield Advice(kind, "Take further photos, from places between those there are and from nearer.")
 
 
 # ---- faults ----
@@ -98,11 +144,11 @@ def _findings(c: DeviceCalibration, names: Sequence[str]) -> Iterator[Advice]:
     yield from _scatter_findings(c, names)
     if c.out_of_round > 0.0:
         text = (
-            f"The ball is out of round, or its discs do not lie flat: they are {length(c.out_of_round, c)} off a "
+            f"The ball is out of round, or its discs do not lie flat: they are {_length(c.out_of_round, c)} off a "
             "sphere (standard deviation), more than the measurements explain. The radius is that of the best sphere. "
             "Its uncertainty includes this."
         )
-        yield Advice("warning" if c.out_of_round > ENOUGH * c.radius else "note", text)
+        yield Advice("warning" if c.out_of_round > _ENOUGH * c.radius else "note", text)
     often = int(np.count_nonzero(c.sightings >= 3))
     if often < min(_MIN_CHECKED_DISCS, len(c.discs)):
         text = (
@@ -131,7 +177,7 @@ def _scale_findings(c: DeviceCalibration) -> Iterator[Advice]:
             "printer's scale?). The result rests on the distances."
         )
         yield Advice("warning", text)
-    number = distance_redundancy(c)
+    number = distance_redundancy(c.problem, c.solution)
     if len(number) == 1:
         d = c.device.distances[0]
         text = (

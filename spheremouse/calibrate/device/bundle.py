@@ -140,13 +140,6 @@ def solve_block(problem: Problem, block: Block, robust: float | None = None) -> 
     return Solution(block, columns, covariance, adjusted)
 
 
-def design(problem: Problem, block: Block) -> tuple[Jacobian, Columns]:
-    """Return the Jacobian of the normalised residuals at a block; it needs no measurement."""
-    columns = columns_of(problem, len(block.poses), len(block.points))
-    slopes = eccentricity_slopes(problem, block)
-    return evaluate(problem, block, columns, np.zeros(len(columns.free)), slopes)[1], columns
-
-
 def predicted(block: Block, image: ImagePoints, problem: Problem) -> tuple[Array, Array, Array, Array]:
     """Return image points, (n, 2) px, Jacobians by points in cam, (n, 2, 3), and interior, (n, 2, 9), and those points.
 

@@ -90,10 +90,10 @@ class BoardSelector:
         """Count an existing photo with a board."""
         seen = find_board(read(), self.pattern)
         if len(seen.ids):
-            self.add(FrameCheck(seen, ""), read)
+            self.add(FrameCheck(seen, ""))
         return len(seen.ids) > 0
 
-    def add(self, check: FrameCheck, read: Callable[[], Image]) -> None:
+    def add(self, check: FrameCheck) -> None:
         """Count a checked frame as a view."""
         seen = check.seen
         assert isinstance(seen, Sighting)
@@ -107,9 +107,6 @@ class BoardSelector:
             except CalibrationError:
                 pass  # not yet
         self._rotations, _, _ = resect_views(self._views, self._camera)
-
-    def pending_work(self) -> None:
-        """Return nothing: no calculation takes long."""
 
     def wanted(self) -> list[str]:
         """List missing views as instructions; left and right as the camera sees them."""

@@ -1,22 +1,20 @@
-"""The choice of frames of a device: those from a new direction, where they help the adjustment most.
+"""The choice of frames of a device: those from a new direction.
 
-Targets place a frame among the photos, as at the start of `calibrate device`. The adjustment of all photos so far finds
-the next places by the same plans that `calibrate device` reports, so both want the same photos.
+Targets place a frame among the photos, as at the start of `calibrate device`. It reports the same missing sides.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from spheremouse.ball.detect.detections import Image
-from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.ball.device import Axes, Device
+from spheremouse.calibrate.device.advice import missing_sides
 from spheremouse.calibrate.device.bundle import Block
-from spheremouse.calibrate.device.calibrate import TARGET_SIGMA, calibrate_device
+from spheremouse.calibrate.device.calibrate import TARGET_SIGMA
 from spheremouse.calibrate.device.correspond import MIN_RAY_ANGLE
-from spheremouse.calibrate.device.plans import ENOUGH, best_plans
 from spheremouse.calibrate.device.start import first_block, target_views
 from spheremouse.calibrate.photographing.selector import (
     MAX_MOTION,
@@ -31,36 +29,21 @@ from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
 
 _NEARER = 0.8  # of the distance of the photos from there
-# Least angles of a photo from a side, degrees: half of what a frame's targets allow; below, the floor is near.
-_MIN_ANGLES = {"from the left": 20.0, "from the right": 20.0, "from above": 20.0, "from below": 5.0}
 _MIN_TARGETS = 3  # to place a camera
-_MIN_PHOTOS = 3  # for an adjustment
-
-
-@dataclass(frozen=True, slots=True)
-class Assessment:
-    """The adjustment of some photos, in short."""
-
-    photos: int
-    words: str  # accuracy so far, or why there is none
-    wanted: tuple[str, ...] = ()  # more photos, the best first
-    good: bool = False  # enough for the tracker
+_MIN_ADDED = 2  # photos of a session that continues, so that a complete set can grow
 
 
 class DeviceSelector:
     """The photos of a device so far, and the check of further frames; see `selector.Selector`."""
 
-    def __init__(
-        self, device: Device, camera: InteriorOrientation, rings: RingSettings | None, discs: DiscSettings | None
-    ) -> None:
+    def __init__(self, device: Device, camera: InteriorOrientation, rings: RingSettings | None = None) -> None:
         self._device = replace(device, distances=())  # a wrong distance is no fault of a photo
         self._camera = camera
-        self._rings, self._discs = rings or RingSettings(), discs or DiscSettings()
+        self._rings = rings or RingSettings()
         self._seen: list[TargetDetections] = []
-        self._read: list[Callable[[], Image]] = []
+        self._resumed = 0  # photos that were there before
         self._block: Block | None = None  # of the photos so far
         self._motion, self._sharpness = FrameMotion(_MIN_TARGETS), Sharpness()
-        self.assessment = Assessment(0, "")
 
     @property
     def count(self) -> int:
@@ -69,10 +52,9 @@ class DeviceSelector:
 
     @property
     def enough(self) -> bool:
-        """True for a good adjustment of enough photos, or for as many photos as the instructions allow."""
-        known = self.assessment
-        good = known.photos == self.count and known.good and not known.wanted
-        return self.count >= DEVICE_MOST or (self.count >= DEVICE_ENOUGH and good)
+        """True for enough photos from all sides, or for as many photos as the instructions allow."""
+        least = max(DEVICE_ENOUGH, self._resumed + _MIN_ADDED if self._resumed else 0)
+        return self.count >= DEVICE_MOST or (self.count >= least and not self._missing_sides())
 
     def check(self, picture: Image) -> FrameCheck:
         """Check the next frame, (h, w, 3) BGR. Raises CalibrationError if it is grey."""
@@ -97,52 +79,24 @@ class DeviceSelector:
         found = detect_targets(read(), self._device.target_radii, self._rings)
         if self._fault(found):
             return False
-        self.add(FrameCheck(found, ""), read)
+        self.add(FrameCheck(found, ""))
+        self._resumed += 1
         return True
 
-    def add(self, check: FrameCheck, read: Callable[[], Image]) -> None:
+    def add(self, check: FrameCheck) -> None:
         """Count a checked frame as a photo."""
         found = check.seen
         assert isinstance(found, TargetDetections)
         self._seen.append(found)
-        self._read.append(read)
         self._block = self._placed(self._seen)
 
     def wanted(self) -> list[str]:
         """List places to go to; left and right as the camera sees them."""
-        known = self.assessment
-        if known.wanted:
-            return list(known.wanted)
         return [f"take one {side}" for side in self._missing_sides()] or ["take more from places between"]
 
     def status(self) -> list[str]:
-        """Describe the photos, and the accuracy that they give."""
-        known = self.assessment
-        words = f"; of {known.photos}: {known.words}" if known.words else ""
-        return [f"{self.count} photos of {DEVICE_ENOUGH} to {DEVICE_MOST}{words}"]
-
-    def pending_work(self) -> Callable[[], None] | None:
-        """Return the adjustment of the photos so far; None if it is done, or if the photos are too few for one."""
-        n, reads = self.count, list(self._read)
-        if n < _MIN_PHOTOS or n == self.assessment.photos:
-            return None
-
-        def adjust() -> None:
-            self.assessment = self._assessed(n, reads)
-
-        return adjust
-
-    def _assessed(self, n: int, reads: Sequence[Callable[[], Image]]) -> Assessment:
-        try:
-            done = calibrate_device(reads, self._device, self._camera, self._rings, self._discs)
-        except CalibrationError as e:
-            return Assessment(n, str(e))
-        part = float(np.sqrt(np.diag(done.ball_covariance)).max()) / done.radius
-        often = int(np.count_nonzero(done.sightings >= 3))
-        words = f"{len(done.discs)} discs, {often} of them in three photos or more; ball to {100.0 * part:.2g} % of it"
-        odd = [f"photo {k + 1}: {why}" for k, why in (*done.skipped, *done.doubtful)]
-        plans = tuple(a.text for a in best_plans(done))
-        return Assessment(n, "; ".join([words, *odd]), plans, part <= ENOUGH)
+        """Count the photos."""
+        return [f"{self.count} photos of {DEVICE_ENOUGH} to {DEVICE_MOST}"]
 
     def _known(self, found: TargetDetections) -> set[str]:
         return set(found.codes) & set(self._device.codes)
@@ -198,14 +152,10 @@ class DeviceSelector:
     def _missing_sides(self) -> list[str]:
         """Sides without a photo, as far as the axes are known."""
         if self._block is None:
-            return list(_MIN_ANGLES) if self._seen else ["from the front"]
+            return ["from another side"] if self._seen else ["from the front"]
         if len(self._block.points) < len(self._device.codes):
             return []  # the axes may differ
-        x, y, z = (np.array([pose.position for pose in self._block.poses]) - self._block.points.mean(axis=0)).T
-        azimuth, height = np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))
-        reached = (-azimuth.min(), azimuth.max(), height.max(), -height.min())
-        sides = zip(_MIN_ANGLES.items(), np.degrees(reached), strict=True)
-        return [side for (side, least), angle in sides if angle < least]
+        return missing_sides(np.array([p.position for p in self._block.poses]), self._block.points.mean(axis=0))
 
 
 def _only(device: Device, codes: Sequence[str]) -> Device:

@@ -51,12 +51,8 @@ class Selector(Protocol):
         """Count an existing photo; return False if it shows nothing of use."""
         ...
 
-    def add(self, check: FrameCheck, read: Callable[[], Image]) -> None:
-        """Count a checked frame, which is a photo now; `read` reads it again."""
-        ...
-
-    def pending_work(self) -> Callable[[], None] | None:
-        """Return a long calculation about the photos so far, for any thread; None if there is none."""
+    def add(self, check: FrameCheck) -> None:
+        """Count a checked frame, which is a photo now."""
         ...
 
     def wanted(self) -> list[str]:

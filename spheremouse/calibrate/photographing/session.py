@@ -7,7 +7,6 @@ whole or not at all, under an unused number.
 import io
 import shutil
 import subprocess
-import threading
 import wave
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -122,9 +121,7 @@ def tones_as_wav(tones: Sequence[float]) -> bytes:
     return file.getvalue()
 
 
-def take_photos(
-    frames: Iterable[Frame], begin: Callable[[Size], Selector], folder: Path, live: bool, screen: Screen
-) -> Outcome:
+def take_photos(frames: Iterable[Frame], begin: Callable[[Size], Selector], folder: Path, screen: Screen) -> Outcome:
     """Take photos into `folder` until the selector has enough, or no more frames come.
 
     `begin` makes the selector for frames of a size. Raises CalibrationError if the folder cannot be used, or holds
@@ -135,22 +132,19 @@ def take_photos(
     except OSError as e:
         raise CalibrationError(f"{folder}: cannot be made: {e.strerror or e}") from None
     selector: Selector | None = None
-    background = BackgroundTask(live)
     count, hindrances, failure = 0, Counter[str](), None
     try:
         for frame in frames:
             count += 1
             if selector is None:
                 selector = _resumed(begin, frame.image, folder, screen)
-            background.start(selector)
             if selector.enough:
                 break
             check = selector.check(frame.image)
             hindrances[check.words.rpartition("; ")[2]] += 1
             if check.gain:
                 path = store(frame.image, folder)
-                selector.add(check, lambda path=path: image(read_photos([path], lambda _: None)[0]))
-                background.start(selector)
+                selector.add(check)
                 screen.taken(path, selector, check)
             screen.show(selector, check)
     except CalibrationError:
@@ -170,27 +164,6 @@ def store(picture: Image, folder: Path) -> Path:
     except OSError as e:
         raise CalibrationError(f"{path}: cannot be written: {e.strerror or e}") from None
     return path
-
-
-class BackgroundTask:
-    """Long calculations: at once for a recording, in a thread beside a live camera."""
-
-    def __init__(self, live: bool) -> None:
-        self._live = live
-        self._thread: threading.Thread | None = None
-
-    def start(self, selector: Selector) -> None:
-        """Start the selector's pending work, unless a thread is still running."""
-        if self._thread is not None and self._thread.is_alive():
-            return
-        calculate = selector.pending_work()
-        if calculate is None:
-            return
-        if not self._live:
-            calculate()
-            return
-        self._thread = threading.Thread(target=calculate, name="adjustment", daemon=True)  # Ctrl-C does not wait for it
-        self._thread.start()
 
 
 def _resumed(begin: Callable[[Size], Selector], picture: Image, folder: Path, screen: Screen) -> Selector:

@@ -12,9 +12,8 @@ import numpy as np
 from rich.padding import Padding
 from rich.table import Table
 
-from spheremouse.calibrate.device.adjust import DeviceCalibration
-from spheremouse.calibrate.device.advice import coverage, distance_redundancy, photo_px
-from spheremouse.calibrate.device.plans import Advice
+from spheremouse.calibrate.device.adjust import DeviceCalibration, distance_redundancy
+from spheremouse.calibrate.device.advice import Advice, coverage, photo_px
 from spheremouse.calibrate.photos import Photo, image
 from spheremouse.calibrate.report.device_figures import arrow_scale, ellipse_figure, photo_picture, scene_figure
 from spheremouse.calibrate.report.terminal import print_advice, print_table
@@ -63,7 +62,7 @@ def device_json(c: DeviceCalibration, names: Sequence[str], advice: Sequence[Adv
         "out_of_round": c.out_of_round,
         "skipped": [{"file": names[k], "why": why} for k, why in c.skipped],
         "doubtful": [{"file": names[k], "why": why} for k, why in c.doubtful],
-        "advice": [{"kind": a.kind, "text": a.text, "gain": a.gain, "improves": a.improves} for a in advice],
+        "advice": [{"kind": a.kind, "text": a.text} for a in advice],
     }
 
 
@@ -174,7 +173,7 @@ def _distance_rows(c: DeviceCalibration) -> list[list[str]]:
             f"{d['residual'] / d['sigma'] / np.sqrt(r):+.1f}" if r > 1e-3 else "-",
             f"{100.0 * r:.0f} %",
         ]
-        for d, r in zip(_distances(c), distance_redundancy(c), strict=True)
+        for d, r in zip(_distances(c), distance_redundancy(c.problem, c.solution), strict=True)
     ]
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from spheremouse.ball.device import Device
     from spheremouse.ball.settings import Settings
     from spheremouse.calibrate.device.adjust import DeviceCalibration
-    from spheremouse.calibrate.device.plans import Advice
+    from spheremouse.calibrate.device.advice import Advice
     from spheremouse.calibrate.photos import Photo
     from spheremouse.geometry.camera import InteriorOrientation
 

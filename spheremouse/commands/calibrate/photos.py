@@ -73,7 +73,7 @@ def photos(
     begin = _board_selector(known) if what == "camera" else _device_selector(folder, configured)
     with Screen(sound) as screen:
         with _opened(source, configured, folder, place, screen) as stream, SignalHandler() as stopping:
-            outcome = take_photos(stopping.frames(iter(stream)), begin, place, stream.live, screen)
+            outcome = take_photos(stopping.frames(iter(stream)), begin, place, screen)
         selector = outcome.selector
         if what == "camera" and selector is not None and selector.count:
             save_board(folder / NAME, known)
@@ -133,7 +133,7 @@ def _device_selector(folder: Path, configured: "Configuration") -> "Callable[[Si
             raise CalibrationError(
                 f"{lens} is for the mode {mode}, the camera gives {px(size)}: take the same mode for all photos"
             )
-        return DeviceSelector(device, camera, configured.rings, configured.discs)
+        return DeviceSelector(device, camera, configured.rings)
 
     return begin
 

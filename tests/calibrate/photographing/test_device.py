@@ -9,7 +9,6 @@ import pytest
 from photographed import looked, resumed
 
 from spheremouse.ball.device import Axes, Device
-from spheremouse.calibrate.device.plans import ENOUGH
 from spheremouse.calibrate.photographing.device import DeviceSelector
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import Pose
@@ -31,9 +30,9 @@ def pictures(stills):
 
 def selector_of(stills, *pictures, **changes):
     targets, scene = stills.scene.targets, stills.scene
-    device = Device(targets.ids, targets.codes, targets.radii, scene.disc_radius, Axes(*targets.ids[:3]))
+    device = Device(targets.ids, targets.codes, targets.radii, scene.disc_radius, Axes(2, 1, 3))
     camera = replace(scene.camera, covariance=1e-2 * np.eye(9) * np.array([1, 1, 1, 1, *[1e-6] * 5]))
-    return resumed(DeviceSelector(replace(device, **changes), camera, None, None), *pictures)
+    return resumed(DeviceSelector(replace(device, **changes), camera), *pictures)
 
 
 def photographed(stills, pose):
@@ -87,22 +86,25 @@ def test_too_few_targets_another_device_and_a_mirrored_picture_are_named(stills,
     assert "0 of 4 targets found" in looked(selector, np.full_like(pictures[0], 90)).words
     assert looked(selector, np.zeros_like(pictures[0])).words == "the picture is dark"
     assert not looked(selector, pictures[2][:, ::-1].copy()).gain
-    with pytest.raises(CalibrationError, match="colours"):
+    with pytest.raises(CalibrationError, match="colour"):
         selector.check(pictures[0][..., 0])
 
 
-def test_the_adjustment_says_how_good_it_is_and_where_to_go(stills, pictures):
-    """Photos from the front alone: it asks for the sides; from all sides: it is content."""
-    selector = selector_of(stills, pictures[0])
-    assert selector.pending_work() is None  # too few to adjust
-    assert "take one from the left" in selector.wanted()
+def test_photos_from_missing_sides_are_wanted_until_all_sides_have_one(stills, pictures):
+    selector = selector_of(stills, *pictures[:2])
+    assert "take one from the right" in selector.wanted()
+    assert "take one from the left" not in selector.wanted()
+    assert not selector.enough
+    selector = selector_of(stills)
+    for image in pictures:
+        selector.add(selector.check(image))
+    assert selector.wanted() == ["take more from places between"]
+    assert selector.enough
+
+
+def test_a_complete_set_grows_if_the_session_is_called_again(stills, pictures):
     selector = selector_of(stills, *pictures)
-    calculate = selector.pending_work()
-    calculate()
-    assert selector.pending_work() is None
-    known = selector.assessment
-    assert known.photos == len(pictures)
-    assert known.good
-    part = float(re.search(r"ball to ([\d.]+) % of it", known.words)[1])
-    assert part < 100.0 * ENOUGH
-    assert selector.enough == (not known.wanted)
+    assert not selector.enough
+    for _ in range(2):
+        selector.add(selector.check(pictures[0]))
+    assert selector.enough

@@ -1,14 +1,11 @@
 """A session: frames in, numbered photos in a folder out, whatever ends it."""
 
-import re
-
 import cv2
 import numpy as np
 import pytest
 from boards import CAMERA, PATTERN, picture, places
 
 from spheremouse.calibrate.photographing.board import BoardSelector
-from spheremouse.calibrate.photographing.selector import FrameCheck
 from spheremouse.calibrate.photographing.session import take_photos
 from spheremouse.errors import CalibrationError, SourceError
 from spheremouse.tracker import Frame
@@ -48,9 +45,9 @@ def film(pictures, rest=3):
             yield Frame(image, 0.1 * (k * rest + j), k * rest + j)
 
 
-def taken(frames, folder, begin=lambda size: BoardSelector(PATTERN, size), live=False):
+def taken(frames, folder):
     told = Recorder()
-    return take_photos(frames, begin, folder, live, told), told.lines
+    return take_photos(frames, lambda size: BoardSelector(PATTERN, size), folder, told), told.lines
 
 
 def test_each_view_is_kept_once_and_a_session_goes_on_where_it_was(tmp_path, pictures):
@@ -102,47 +99,3 @@ def test_a_folder_that_cannot_be_is_said_so(tmp_path, pictures):
 def test_what_hinders_most_is_known_at_the_end(tmp_path):
     outcome, lines = taken(film([np.full((480, 640, 3), 90, np.uint8)]), tmp_path)
     assert (outcome.hindrance, outcome.selector.count, lines) == ("it shows no chessboard", 0, [])
-
-
-class Slow:
-    """A selector that takes every picture and calculates after each."""
-
-    def __init__(self, size):
-        self.count, self.calculated, self.enough = 0, 0, False
-
-    def check(self, picture):
-        return FrameCheck(None, "", "new")
-
-    def resume(self, read):
-        return True
-
-    def add(self, check, read):
-        self.count += 1
-        assert read().shape == (480, 640, 3)
-
-    def pending_work(self):
-        if self.calculated == self.count:
-            return None
-        n = self.count
-
-        def calculate():
-            self.calculated = n
-            self.enough = n >= 2
-
-        return calculate
-
-    def wanted(self):
-        return []
-
-    def status(self):
-        return ["."]
-
-
-@pytest.mark.parametrize("live", [False, True])
-def test_it_ends_when_the_calculation_says_enough(tmp_path, pictures, live):
-    """Of a recording as soon as that is known; before a camera while frames come."""
-    outcome, _ = taken(film(pictures * 20, rest=1), tmp_path, Slow, live)
-    assert outcome.selector.enough
-    assert outcome.selector.count == 2 if not live else outcome.selector.count >= 2
-    assert sorted(p.name for p in tmp_path.iterdir())[:2] == ["view_000.png", "view_001.png"]
-    assert all(re.fullmatch(r"view_\d{3}\.png", p.name) for p in tmp_path.iterdir())
