@@ -11,17 +11,14 @@ from spheremouse.calibrate.camera.bundle import PARAMETERS
 from spheremouse.calibrate.camera.calibrate import CameraCalibration, inconsistent_views
 from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, join_words, missing_leans, missing_regions
 from spheremouse.calibrate.photos import image
-from spheremouse.calibrate.report.scene import View, draw_axes, draw_camera, new_figure, scene_axes
 from spheremouse.calibrate.report.terminal import print_advice, print_table
 from spheremouse.files.report.page import page, rendered
-from spheremouse.files.report.style import BLUE, GOLD, GRID, INK, MUTED, PAPER, RED, round_number, styled
+from spheremouse.files.report.style import BLUE, GRID, INK, PAPER, RED, round_number, styled
 from spheremouse.files.safe_files import write_atomically
-from spheremouse.geometry.camera import Pose, interior_vector
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.camera import interior_vector
 from spheremouse.geometry.statistics import correlation
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from rich.console import Console
 
@@ -202,15 +199,10 @@ def write_camera_report(path: Path, done: CameraCalibration, provenance: Mapping
             "camera.html",
             headlines=_headlines(done),
             advice=advise(done),
-            coverage=_coverage_figure(done),
-            places=_places_figure(done),
-            errors=_views_figure(done),
-            arrows=_arrows_figure(done),
+            corners=_corners_figure(done),
             arrow_scale=_magnification(done),
             values=_parameter_rows(done),
             widening=float(np.sqrt(done.found.contradiction)),
-            parameters=PARAMETERS,
-            correlation=C.tolist(),
             named_correlation=_NAMED_CORRELATION,
             correlated=[f"{PARAMETERS[j]} and {PARAMETERS[i]} ({C[i, j]:+.3f})" for _, i, j in strong],
             views=views,
@@ -246,27 +238,17 @@ def _headlines(done: CameraCalibration) -> list[tuple[str, str, str]]:
 # ---- figures ----
 
 
-def _used_corners(done: CameraCalibration) -> list[tuple[Array, Array]]:
-    """Places and residuals of the corners that took part, (n, 2) px each, of each view."""
-    found = done.found
-    each = zip(done.views, found.residuals, found.kept, found.used, strict=True)
-    return [(v.uv[k], r[k]) for v, r, k, used in each if used]
+def _corners_figure(done: CameraCalibration) -> "Figure":
+    """Residuals of all corners in one picture, in px, and the number of views with corners in each region."""
+    from matplotlib.figure import Figure
 
-
-def _picture_axes(figure: "Figure", done: CameraCalibration) -> "Axes":
-    """Axes that are the picture, in px."""
-    w, h = done.found.camera.width, done.found.camera.height
-    axes = figure.subplots()
+    figure = Figure(figsize=(9.4, 5.2), layout="constrained")
+    axes, found = figure.subplots(), done.found
+    w, h = found.camera.width, found.camera.height
     axes.set(xlim=(-0.5, w - 0.5), ylim=(h - 0.5, -0.5), aspect="equal", xlabel="px")
     axes.spines[["top", "right"]].set_visible(True)
-    return axes
-
-
-def _coverage_figure(done: CameraCalibration) -> "Figure":
-    figure = new_figure(4.6, 3.1)
-    axes = _picture_axes(figure, done)
     rows, columns = done.coverage.regions.shape
-    w, h = done.found.camera.width / columns, done.found.camera.height / rows
+    w, h = w / columns, h / rows
     for (i, j), views in np.ndenumerate(done.coverage.regions):
         x, y = w * j - 0.5, h * i - 0.5
         axes.plot([x, x + w, x + w], [y + h, y + h, y], color=GRID, lw=0.6)
@@ -275,67 +257,16 @@ def _coverage_figure(done: CameraCalibration) -> "Figure":
         box = {"boxstyle": "round,pad=0.25", "facecolor": PAPER, "edgecolor": "none", "alpha": 0.9}
         look = {"ha": "center", "va": "center", "fontsize": 13, "fontweight": "bold", "bbox": box, "zorder": 3}
         axes.annotate(str(views), (x + 0.5 * w, y + 0.5 * h), color=INK if views else RED, **look)
-    for uv, _ in _used_corners(done):
-        axes.plot(uv[:, 0], uv[:, 1], ".", color=BLUE, markersize=1.6, alpha=0.6)
-    return figure
-
-
-def _places_figure(done: CameraCalibration) -> "Figure":
-    figure = new_figure(4.6, 3.1)
-    (axes,) = scene_axes(figure, 1)
-    turn, rise = np.radians((35.0, 22.0))
-    # the board's frame is X right, Y down, Z into the board
-    view = View(
-        np.array([np.cos(turn), 0.0, np.sin(turn)]),
-        np.array([np.sin(turn) * np.sin(rise), -np.cos(rise), -np.cos(turn) * np.sin(rise)]),
-    )
-    pattern, found, side = done.pattern, done.found, done.pattern.square
-    for i in range(-1, pattern.rows):
-        for j in range(-1, pattern.columns):
-            if (i + j) % 2 == 0:
-                corners = np.array([[j, i, 0], [j + 1, i, 0], [j + 1, i + 1, 0], [j, i + 1, 0]])
-                axes.fill(*view(corners * side).T, color=INK, lw=0)
-    places = found.camera_positions()
-    size = 0.12 * float(np.median(np.linalg.norm(places, axis=1)))
-    for k in np.flatnonzero(found.used).tolist():
-        draw_camera(axes, view, found.camera, Pose(found.rotations[k].T, places[k]), size)
-    draw_axes(axes, view, 3.0 * side)
-    return figure
-
-
-def _views_figure(done: CameraCalibration) -> "Figure":
-    found, rms = done.found, done.found.view_rms()
-    shown = np.flatnonzero(found.used).tolist()
-    figure = new_figure(9.4, 2.6)
-    axes = figure.subplots()
-    x = np.arange(len(shown))
-    axes.bar(x - 0.19, rms[shown], width=0.36, color=BLUE, label="RMS")
-    axes.bar(x + 0.19, np.nan_to_num(done.held_out[shown]), width=0.36, color=GOLD, label="RMS held out")
-    axes.axhline(found.rms, color=MUTED, linewidth=0.8, linestyle="--")
-    axes.annotate(f"all {found.rms:.3f}", (len(shown) - 0.4, found.rms), fontsize=8, va="bottom", color=MUTED)
-    names = [done.photos[done.index[k]].path.stem for k in shown]
-    many = len(names) > 10
-    axes.set_xticks(x, names, rotation=40 if many else 0, ha="right" if many else "center", fontsize=7.5)
-    axes.set(ylabel="px", xlim=(-0.6, len(shown) + 0.3))
-    axes.grid(axis="y")
-    axes.set_axisbelow(True)
-    axes.legend(ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2)
+    look = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "color": BLUE, "width": 0.0012, "alpha": 0.85}
+    for view, residual, kept, used in zip(done.views, found.residuals, found.kept, found.used, strict=True):
+        if used:
+            axes.quiver(*view.uv[kept].T, *(_magnification(done) * residual[kept]).T, **look)
     return figure
 
 
 def _magnification(done: CameraCalibration) -> float:
     """A round number that makes the RMS a fortieth of the picture's width."""
     return round_number(done.found.camera.width / 40.0 / max(done.found.rms, 1e-6))
-
-
-def _arrows_figure(done: CameraCalibration) -> "Figure":
-    figure = new_figure(9.4, 5.2)
-    axes = _picture_axes(figure, done)
-    scale = _magnification(done)
-    for uv, r in _used_corners(done):
-        look = {"scale_units": "xy", "scale": 1.0, "color": BLUE, "width": 0.0012, "alpha": 0.85}
-        axes.quiver(*uv.T, *(scale * r).T, angles="xy", **look)
-    return figure
 
 
 def _thumbnail(done: CameraCalibration, k: int) -> tuple[bytes, str]:

@@ -8,23 +8,30 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 from rich.padding import Padding
 from rich.table import Table
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration, distance_redundancy
 from spheremouse.calibrate.device.advice import Advice, coverage, photo_px
 from spheremouse.calibrate.photos import Photo, image
-from spheremouse.calibrate.report.device_figures import arrow_scale, ellipse_figure, photo_picture, scene_figure
 from spheremouse.calibrate.report.terminal import print_advice, print_table
 from spheremouse.files.report.page import page, rendered
-from spheremouse.files.report.style import styled
+from spheremouse.files.report.style import BLUE, GOLD, INK, MUTED, round_number, styled
 from spheremouse.files.safe_files import write_atomically
+from spheremouse.geometry.camera import sphere_outline
 from spheremouse.geometry.rotation import Array
 from spheremouse.geometry.statistics import correlation
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from rich.console import Console
+
+_PHOTO_WIDTH = 900  # px, of a photo in the page
+_ARROW_LENGTH = 0.035  # of the picture's width, of a large residual
+_TARGET, _DISC, _FALSE, _LINE = (96, 170, 70), (214, 140, 40), (60, 60, 220), (235, 235, 235)  # BGR
 
 # ---- figures as JSON ----
 
@@ -186,16 +193,13 @@ def write_device_report(
     """Write one HTML file that needs no other; `photos` are all that were given, `provenance` is that of rig files."""
     show = _Lengths(c)
     with styled():
-        ellipses, ellipse_scale = ellipse_figure(c)
         body = rendered(
             "spheremouse.calibrate.report",
             "device.html",
             unit=show.unit,
             headlines=_headlines(c, show),
             advice=[(a.kind, a.text) for a in advice],
-            scene=scene_figure(c),
-            ellipses=ellipses,
-            ellipse_scale=ellipse_scale,
+            places=_places_figure(c),
             origin=c.device.axes.origin,
             scale_free=c.scale_free,
             out_of_round=f"{show(c.out_of_round)} {show.unit}" if c.out_of_round else "",
@@ -305,3 +309,75 @@ def _weight_rows(c: DeviceCalibration) -> list[list[str]]:
         count = str(int(np.count_nonzero(mine)))
         rows.append([name, count, f"{_rms(c.measured.residual[mine]):.3f}", f"{factor:.2f}"])
     return rows
+
+
+# ---- figures ----
+
+
+def _places_figure(c: DeviceCalibration) -> "Figure":
+    """Cameras, targets, discs and ball from the front and from above, at one scale."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.6, 4.4), layout="constrained")
+    views = (("from the front", np.array([[1, 0, 0], [0, 1, 0]])), ("from above", np.array([[1, 0, 0], [0, 0, -1]])))
+    for axes, (name, P) in zip(figure.subplots(1, 2), views, strict=True):
+        axes.set_title(name, loc="center", fontsize=9.0, color=MUTED)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_axis_off()
+        angle = np.linspace(0.0, 2.0 * np.pi, 97)
+        axes.fill(c.radius * np.cos(angle), c.radius * np.sin(angle), facecolor=MUTED, alpha=0.15)
+        axes.plot(*P @ c.discs.T, ".", color=INK, ms=3.0)
+        axes.plot(*P @ c.targets.T, "o", color=GOLD, ms=5.0)
+        cameras = np.array([pose.position for pose in c.poses])
+        towards = np.array([pose.rotation[:, 2] for pose in c.poses])
+        axes.quiver(*P @ cameras.T, *P @ towards.T, color=BLUE, width=0.004, scale=12.0)
+        named = [(c.targets, c.device.ids), (cameras, [k + 1 for k in c.photos])]
+        for places, numbers in named:
+            for place, number in zip(places, numbers, strict=True):
+                x, y = P @ place
+                axes.annotate(str(number), (x, y), (4.0, 4.0), textcoords="offset points", fontsize=7.5)
+    return figure
+
+
+def arrow_scale(c: DeviceCalibration, width: int) -> float:
+    """Return the factor on residual arrows in pictures of photos `width` px wide: 1, 2 or 5 times a power of ten."""
+    m = c.measured
+    large = float(np.percentile(np.linalg.norm(m.residual[m.used], axis=1), 95))
+    return round_number(_ARROW_LENGTH * width / max(large, 1e-3))
+
+
+def photo_picture(c: DeviceCalibration, photo: int, image: NDArray[np.uint8]) -> bytes:
+    """Return a JPEG of the k-th photo used, (h, w, 3) BGR, with image points, residual arrows and the ball's outline.
+
+    An arrow points from the measured place of a point to that by the adjusted device.
+    """
+    m = c.measured
+    height, width = image.shape[:2]
+    scale = _PHOTO_WIDTH / width
+    small = cv2.resize(image, (_PHOTO_WIDTH, round(height * scale)), interpolation=cv2.INTER_AREA)
+    grey = cv2.cvtColor(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
+    canvas = np.asarray(cv2.addWeighted(small, 0.55, grey, 0.25, 0.0), np.uint8)
+    outline = sphere_outline(c.poses[photo].to_cam(np.zeros(3)), c.radius, c.camera)
+    cv2.polylines(canvas, [np.rint(scale * outline).astype(np.int32)], True, _LINE, 1, cv2.LINE_AA)
+    times = arrow_scale(c, width)
+    for i in np.flatnonzero(m.photo == photo):
+        at = _pixel(scale * m.centre[i])
+        if not m.used[i]:
+            cv2.drawMarker(canvas, at, _FALSE, cv2.MARKER_TILTED_CROSS, 16, 2, cv2.LINE_AA)
+            continue
+        target = m.point[i] < len(c.targets)
+        colour, radius = (_TARGET, 13) if target else (_DISC, 9)
+        cv2.circle(canvas, at, radius, colour, 2, cv2.LINE_AA)
+        tip = _pixel(scale * (m.centre[i] + times * m.residual[i]))
+        if np.hypot(tip[0] - at[0], tip[1] - at[1]) > radius // 2:  # a shorter one hides the point
+            cv2.arrowedLine(canvas, at, tip, _LINE, 2, cv2.LINE_AA, tipLength=0.25)
+        if target:
+            name = str(c.device.ids[int(m.point[i])])
+            cv2.putText(canvas, name, (at[0] + 17, at[1] - 11), cv2.FONT_HERSHEY_SIMPLEX, 0.6, _LINE, 2, cv2.LINE_AA)
+    done, data = cv2.imencode(".jpg", canvas, [cv2.IMWRITE_JPEG_QUALITY, 82])
+    assert done
+    return data.tobytes()
+
+
+def _pixel(point: Array) -> tuple[int, int]:
+    return round(float(point[0])), round(float(point[1]))
