@@ -193,8 +193,8 @@ export SYSTEM
 # What is locked, checked against its hashes: first the wheels, those that build the rest among them.
 $(STAMP): pyproject.toml tests/requirements.lock
 	@bash -c "$$SYSTEM"
-	$(BIN)/python -m pip install --quiet --no-deps --require-hashes -r service/requirements.lock
-	$(BIN)/python -m pip install --quiet --no-deps --require-hashes --no-build-isolation -r tests/requirements.lock
+	$(BIN)/python -m pip install --quiet --no-compile --no-deps --require-hashes -r service/requirements.lock
+	$(BIN)/python -m pip install --quiet --no-compile --no-deps --require-hashes --no-build-isolation -r tests/requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	@$(BIN)/python -c 'import cv2' || \
 		{ echo "make: OpenCV does not load; on Debian: apt-get install libgl1 libglib2.0-0" >&2; exit 1; }

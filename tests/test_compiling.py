@@ -4,6 +4,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 CODE = """
 import numpy as np
 from spheremouse import compiling
@@ -23,6 +25,7 @@ def run(cache, code=CODE):
     return done.stdout.split("\n")[:-1], done.stderr
 
 
+@pytest.mark.slow
 def test_each_kernel_is_counted_once_and_what_is_on_disk_is_not_spoken_of(tmp_path):
     told, _ = run(tmp_path)
     counts = [line.partition(": ")[2].split()[:3] for line in told]

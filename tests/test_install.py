@@ -97,6 +97,7 @@ def entries(tmp_path):
     return sorted(p.name for p in (tmp_path / "opt").iterdir() if not p.name.startswith("."))
 
 
+@pytest.mark.slow
 def test_versions_stand_beside_each_other_and_change_places(tmp_path, wheels):
     code, said = call(tmp_path, "--wheelhouse", wheels)
     assert code == 0, said

@@ -43,7 +43,7 @@ def tilt(state, R):
 
 
 @pytest.mark.parametrize("spread", [None, 0.1])
-@pytest.mark.parametrize("number", [10, 15])
+@pytest.mark.parametrize("number", [10, pytest.param(15, marks=pytest.mark.slow)])
 def test_a_saved_map_is_used_among_false_candidates(number, spread):
     """Of 40 attitudes nearly all are recognised in the first frame, and each stays right while the ball starts."""
     tracker, recognised, unconfirmed = build(RIG, POSE, Settings()), 0, 0

@@ -83,7 +83,7 @@ def dots(t):
 
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("number", [12, pytest.param(26, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("passing", [sheet, sleeve, dots])
+@pytest.mark.parametrize("passing", [pytest.param(sheet, marks=pytest.mark.slow), sleeve, dots])
 def test_what_passes_before_a_standing_ball_sends_nothing_and_delays_no_play(passing, number, turned):
     states, counts, events = run(directions(number, 3), passing, turned)
     stands = round(8.0 / DT)

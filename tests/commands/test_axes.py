@@ -29,6 +29,7 @@ def spheremouse(*words):
     return done.returncode, done.stdout, done.stderr
 
 
+@pytest.mark.slow
 def test_a_player_on_the_far_side_is_understood_and_the_file_told(tmp_path):
     """The film shows 60° right, away, and counter-clockwise, as somebody opposite the camera does it."""
     file = tmp_path / "config.yaml"

@@ -416,7 +416,9 @@ def start(words, **streams):
     )
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "SIGINT"])
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)], ids=["SIGTERM", "SIGINT"]
+)
 def test_a_signal_ends_a_run_between_two_frames_with_everything_complete(roll, tmp_path, number):
     video = tmp_path / "seen.mkv"
     words = ("run", "--source", f"dataset:{roll}", "--realtime", "--output", "text:-", "--overlay", video, *QUICK)
@@ -433,6 +435,7 @@ def test_a_signal_ends_a_run_between_two_frames_with_everything_complete(roll, t
     assert video_frames(video) == len(table)
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_ends_a_run_quietly(roll):
     words = ("run", "--source", f"dataset:{roll}", "--output", "text:-", *QUICK)
     process = start(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)

@@ -122,6 +122,7 @@ def read_within(kind, path, limit=LIMIT):
     return done.stdout.strip()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="bounds the memory of a process")
 def test_what_says_that_it_is_huge_is_refused_within_little_memory(folder, tmp_path):
     huge = saved(tmp_path / "huge.png", png(32000, 32000, 1))

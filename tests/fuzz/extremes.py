@@ -20,7 +20,9 @@ def numbers(cls: type, prefix: str = "") -> Iterator[tuple[str, Any, dict[str, f
         if dataclasses.is_dataclass(hint):
             yield from numbers(typing.cast(type, hint), f"{prefix}{field.name}.")
         else:
-            yield f"{prefix}{field.name}", hint, field.metadata.get("bounds", {}), field.default
+            made = field.default_factory
+            default = field.default if made is dataclasses.MISSING else made()
+            yield f"{prefix}{field.name}", hint, field.metadata.get("bounds", {}), default
 
 
 def extremes(hint: Any, bounds: dict[str, float], default: Any) -> list[str]:

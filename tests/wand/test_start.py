@@ -58,7 +58,7 @@ def test_no_ball_in_a_room_of_red_and_blue_things(seed):
         assert pose.phase == Status.SEARCHING
 
 
-@pytest.mark.parametrize(("seed", "begins"), [(6, 0.0), (8, 90.0)])
+@pytest.mark.parametrize(("seed", "begins"), [(6, 0.0), pytest.param(8, 90.0, marks=pytest.mark.slow)])
 def test_ball_in_glare_is_found_in_the_first_frame(seed, begins):
     """The sun's image leaves a crescent of the largest disc."""
     film = prepare_wand(WandOptions(light="outdoor", seed=seed, begin=begins, seconds=1.3))

@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 FILM = """
 import sys
 from dataclasses import replace
@@ -54,6 +56,7 @@ assert before and not late, late
 """
 
 
+@pytest.mark.slow
 def test_tracking_compiles_nothing_after_warm_up():
     made = subprocess.run([sys.executable, "-c", FILM], capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stderr

@@ -62,10 +62,20 @@ def watched(options, covered=(0.0, 0.0), level=170, disc=1.0):
     ("options", "change", "told"),
     [
         ({}, {"covered": (0.0, 9.0), "level": 3}, "it is nearly black (3 of 255); uncover the lens, light the ball"),
-        ({}, {"covered": (0.0, 9.0), "level": 255}, "it is overexposed (255 of 255); a shorter exposure"),
+        pytest.param(
+            {},
+            {"covered": (0.0, 9.0), "level": 255},
+            "it is overexposed (255 of 255); a shorter exposure",
+            marks=pytest.mark.slow,
+        ),
         ({}, {"covered": (0.0, 9.0)}, "nothing on it stands out; uncover the ball"),
         ({"ball_colour": (40.0,) * 3, "disc_colour": (230.0,) * 3}, {}, "set discs.polarity to light"),
-        ({"ball_colour": (200.0,) * 3, "disc_colour": (165.0,) * 3, "discs": 40}, {}, "a smaller discs.contrast"),
+        pytest.param(
+            {"ball_colour": (200.0,) * 3, "disc_colour": (165.0,) * 3, "discs": 40},
+            {},
+            "a smaller discs.contrast",
+            marks=pytest.mark.slow,
+        ),
         ({}, {"disc": 1.8}, "correct disc_radius in the rig"),
     ],
 )
