@@ -1,0 +1,172 @@
+/** A control for a setting: name, number, slider, range, default and effect. */
+
+import { el, short, valueText, write } from "./dom.js";
+
+/** @typedef {import("./types.js").Setting} Setting */
+/** @typedef {import("./types.js").Value} Value */
+/** @typedef {import("./settings.js").Settings} Settings */
+
+const STEPS = 1000; // positions of a slider
+const DECADES = 1000; // a wider range has a logarithmic slider
+const LONG_UNIT = 10; // characters; a longer one is in the help alone
+const WIDEST = 1e5; // of a range from 0 that a linear slider still resolves
+
+/**
+ * Return the name of a setting for people: "motion.scale_x" is "Scale x".
+ * @param {string} key
+ */
+export function title(key) {
+  const words = (key.split(".").at(-1) ?? key).replaceAll("_", " ").replace(/ s$/, "").replace(/ per /, " per ");
+  return words.charAt(0).toUpperCase() + words.slice(1);
+}
+
+/**
+ * Return the value that was typed; a text that is none stays a text, which the daemon refuses in words.
+ * @param {Setting} setting
+ * @param {string} text
+ * @returns {Value}
+ */
+export function parse(setting, text) {
+  const typed = text.trim();
+  if (typed === "") return setting.default === null || setting.type === "text" ? null : "";
+  if (setting.type === "number" || setting.type === "integer") {
+    const number = Number(/^[-+]?\d+,\d+$/.test(typed) ? typed.replace(",", ".") : typed.replace("−", "-"));
+    return Number.isFinite(number) ? number : typed;
+  }
+  if (setting.type !== "list") return typed;
+  try {
+    return JSON.parse(typed);
+  } catch {
+    return typed;
+  }
+}
+
+/**
+ * Return the way between a slider's position, 0 to 1, and a value; null if no slider suits the range.
+ * @param {Setting} setting
+ */
+export function scale({ type, minimum: low, maximum: high }) {
+  if ((type !== "number" && type !== "integer") || low === null || high === null || !(high > low)) return null;
+  const logarithmic = low > 0 && high / low >= DECADES;
+  if (!logarithmic && high - low > WIDEST) return null;
+  const unit = 10 ** Math.floor(Math.log10((high - low) / 200));
+  return {
+    /** @param {number} at */
+    value(at) {
+      if (at <= 0) return low;
+      if (at >= 1) return high;
+      const raw = logarithmic ? low * (high / low) ** at : low + (high - low) * at;
+      if (type === "integer") return Math.round(raw);
+      return logarithmic ? Number(raw.toPrecision(2)) : Number((Math.round(raw / unit) * unit).toPrecision(6));
+    },
+    /** @param {number} value */
+    at(value) {
+      const share = logarithmic ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low);
+      return Math.min(1, Math.max(0, share));
+    },
+  };
+}
+
+/** @param {Setting} setting */
+function range({ minimum, maximum, unit, choices, type }) {
+  const words = unit && unit !== "-" ? ` ${unit}` : "";
+  if (choices?.length || type === "flag") return "";
+  if (minimum !== null && maximum !== null) return `${short(minimum)} to ${short(maximum)}${words}. `;
+  return words ? `In${words}. ` : "";
+}
+
+/** @param {Setting} setting */
+function defaultText(setting) {
+  const text = setting.type === "flag" ? (setting.default ? "on" : "off") : valueText(setting.default);
+  return `Default ${text === "" ? "not set" : text}.`;
+}
+
+/**
+ * Return the element of a setting, and a function that shows its value. A field that has focus is not overwritten.
+ * @param {Setting} setting
+ * @param {Settings} settings
+ * @param {string} prefix of ids
+ */
+export function control(setting, settings, prefix) {
+  const { key } = setting;
+  const id = `${prefix}-${key}`;
+  const change = (/** @type {Value} */ value) => settings.change(key, value);
+  const error = el("p", { class: "refused", id: `${id}-error`, role: "alert" });
+  const meaning = setting.meaning.replace(/\.?$/, ". ").split("`").map((part, i) => (i % 2 ? el("code", {}, part) : part));
+  const help = el("p", { class: "help", id: `${id}-help` }, ...meaning,
+    range(setting), defaultText(setting), setting.live ? "" : " Read at the start only.", " ", el("code", {}, key));
+  const state = { id, "aria-describedby": `${id}-help ${id}-error`, disabled: !setting.live };
+  const field = entry(setting, state, change);
+  const way = scale(setting);
+  const slider = way && el("input", {
+    type: "range", min: 0, max: STEPS, class: "slider", disabled: !setting.live,
+    "aria-label": `${title(key)}, slider`, "aria-describedby": `${id}-help`,
+    pointerdown: () => settings.hold(),
+    input() {
+      const value = way.value(Number(slider?.value) / STEPS);
+      setField(field, value);
+      announce(value);
+      change(value);
+    },
+  });
+  const announce = (/** @type {Value} */ value) => {
+    slider?.style.setProperty("--at", `${Number(slider.value) / (STEPS / 100)}%`);
+    slider?.setAttribute("aria-valuetext", `${valueText(value)} ${setting.unit === "-" ? "" : setting.unit}`);
+  };
+  const mark = el("span", { class: "unsaved" });
+  const reset = el("button", { type: "button", class: "quiet", click: () => change(setting.default),
+    "aria-label": `Default of ${title(key)}`, title: "Back to the default" }, "Default");
+  const unit = setting.unit === "-" || setting.unit.length > LONG_UNIT ? "" : setting.unit;
+  const row = el("div", { class: `setting ${setting.type}`, "data-key": key },
+    el("div", { class: "head" }, el("label", { for: id }, title(key)), mark, reset, field, el("span", { class: "unit" }, unit)),
+    ...(slider ? [slider] : []), help, error);
+
+  const show = () => {
+    const value = settings.value(key);
+    const refused = settings.refused.get(key) ?? "";
+    if (document.activeElement !== field && !refused) setField(field, value);
+    if (slider && way) {
+      slider.hidden = typeof value !== "number";
+      if (document.activeElement !== slider && typeof value === "number") slider.value = String(way.at(value) * STEPS);
+      announce(value);
+    }
+    write(error, refused);
+    field.toggleAttribute("aria-invalid", refused !== "");
+    write(mark, settings.unsaved.has(key) ? "unsaved" : "");
+    reset.hidden = !setting.live || JSON.stringify(settings.all.get(key)?.value ?? null) === JSON.stringify(setting.default);
+  };
+  for (const input of slider ? [field, slider] : [field]) input.addEventListener("blur", show);
+  show();
+  return { element: row, show };
+}
+
+/**
+ * @param {Setting} setting
+ * @param {Record<string, string | boolean>} state
+ * @param {(value: Value) => void} change
+ */
+function entry(setting, state, change) {
+  if (setting.type === "flag")
+    return el("input", { ...state, type: "checkbox", change: (event) => change(event.target.checked) });
+  if (setting.choices?.length) {
+    const given = setting.choices.map((choice) => el("option", { value: choice }, choice));
+    const none = setting.default === null ? [el("option", { value: "" }, "not set")] : [];
+    return el("select", { ...state, change: (event) => change(parse(setting, event.target.value)) }, ...none, ...given);
+  }
+  const short = setting.type === "number" || setting.type === "integer";
+  return el("input", {
+    ...state, type: "text", class: short ? "number" : "text", autocomplete: "off", spellcheck: "false",
+    inputmode: short && (setting.minimum ?? -1) >= 0 ? "decimal" : "text",
+    placeholder: setting.default === null ? "not set" : "",
+    change: (event) => change(parse(setting, event.target.value)),
+  });
+}
+
+/**
+ * @param {HTMLInputElement | HTMLSelectElement} field
+ * @param {Value} value
+ */
+function setField(field, value) {
+  if (field instanceof HTMLInputElement && field.type === "checkbox") field.checked = value === true;
+  else field.value = valueText(value);
+}

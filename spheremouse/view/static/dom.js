@@ -1,0 +1,112 @@
+/** Elements, numbers as text, and colours of the style sheet. */
+
+/**
+ * Return a new element. A function is a listener of the event of its name; a flag sets or omits its attribute.
+ * @template {keyof HTMLElementTagNameMap} T
+ * @param {T} tag
+ * @param {Record<string, string | number | boolean | ((event: any) => void)>} [attributes]
+ * @param {...(Node | string)} children
+ * @returns {HTMLElementTagNameMap[T]}
+ */
+export function el(tag, attributes = {}, ...children) {
+  const made = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (typeof value === "function") made.addEventListener(name, value);
+    else if (value === true) made.setAttribute(name, "");
+    else if (value !== false) made.setAttribute(name, String(value));
+  }
+  made.append(...children);
+  return made;
+}
+
+/**
+ * Return an element of the page by its id.
+ * @template {HTMLElement} T
+ * @param {string} id
+ * @param {new () => T} type
+ * @returns {T}
+ */
+export function byId(id, type) {
+  const found = document.getElementById(id);
+  if (!(found instanceof type)) throw new Error(`index.html: no ${type.name} with the id ${id}`);
+  return found;
+}
+
+/**
+ * Write a text only if it differs, so that screen readers announce changes alone.
+ * @param {HTMLElement} element
+ * @param {string} text
+ */
+export function write(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+/** @type {Map<string, string>} */
+const colours = new Map();
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => colours.clear());
+
+/**
+ * Return a colour of style.css, for example "--x".
+ * @param {string} name
+ */
+export function colour(name) {
+  let value = colours.get(name);
+  if (value === undefined) {
+    value = getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+    colours.set(name, value);
+  }
+  return value;
+}
+
+/**
+ * Match the canvas to its place on the screen. Returns its context in CSS pixels, cleared, with width and height.
+ * @param {HTMLCanvasElement} canvas
+ */
+export function begin(canvas) {
+  const { clientWidth: width, clientHeight: height } = canvas;
+  const ratio = devicePixelRatio || 1;
+  const [w, h] = [Math.round(width * ratio), Math.round(height * ratio)];
+  if (canvas.width !== w || canvas.height !== h) [canvas.width, canvas.height] = [w, h];
+  const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  return { context, width, height };
+}
+
+/**
+ * Return a number with at most `digits` digits that count.
+ * @param {number} value
+ */
+export function short(value, digits = 4) {
+  return Number.isInteger(value) ? String(value) : String(Number(value.toPrecision(digits)));
+}
+
+/**
+ * Return a number with its sign and a fixed number of decimals.
+ * @param {number} value
+ */
+export function signed(value, decimals = 1) {
+  const text = Math.abs(value).toFixed(decimals);
+  return (value < 0 && Number(text) !== 0 ? "−" : "+") + text;
+}
+
+/**
+ * Return a duration in the largest two units, for example "3 min 20 s".
+ * @param {number} seconds
+ */
+export function span(seconds) {
+  const s = Math.floor(seconds);
+  if (s < 60) return `${s} s`;
+  if (s < 3600) return `${Math.floor(s / 60)} min ${s % 60} s`;
+  return `${Math.floor(s / 3600)} h ${Math.floor((s % 3600) / 60)} min`;
+}
+
+/**
+ * Return the text of a value as it is typed.
+ * @param {any} value
+ */
+export function valueText(value) {
+  if (value === null || value === undefined) return "";
+  if (typeof value === "number") return short(value, 12);
+  return typeof value === "string" ? value : JSON.stringify(value).replaceAll(",", ", ");
+}

@@ -1,0 +1,328 @@
+/** Draw on the picture: rectangles without discs, and colours of targets and discs. */
+
+import { el, write } from "./dom.js";
+import { control } from "./controls.js";
+
+/** @typedef {import("./types.js").Rectangle} Rectangle */
+/** @typedef {import("./types.js").Point} Point */
+/** @typedef {import("./settings.js").Settings} Settings */
+/** @typedef {import("./picture.js").Picture} Picture */
+/** @typedef {{hint: string, take: (rgb: [number, number, number]) => void}} Pick */
+
+const MASKS = "discs.masks";
+const WEIGHTS = "discs.weights";
+const POLARITY = "discs.polarity";
+const EDGES = ["left", "top", "right", "bottom"];
+const TARGETS = ["rings.cyan", "rings.magenta", "rings.yellow"];
+const LIMITS = ["rings.saturation", "rings.value"];
+const HUE_HALF_WIDTH = 15; // OpenCV hue, for the light
+const GRIP = 9; // screen pixels about a corner
+const LEAST = 3; // px of a side
+
+/**
+ * Return OpenCV's hue, 0 to 180, and saturation, 0 to 255.
+ * @param {[number, number, number]} rgb
+ */
+export function hue([r, g, b]) {
+  const [high, low] = [Math.max(r, g, b), Math.min(r, g, b)];
+  const range = high - low || 1;
+  const sixth = high === r ? (g - b) / range : high === g ? 2 + (b - r) / range : 4 + (r - g) / range;
+  return { hue: Math.round(30 * ((sixth + 6) % 6)), saturation: Math.round((255 * (high - low)) / (high || 1)) };
+}
+
+export class DrawPanel {
+  /** @type {Rectangle[]} */ #masks = [];
+  #chosen = -1;
+  #active = false;
+  /** @type {Pick | null} */ #pick = null;
+  /** @type {Point} */ #cross = [0, 0];
+  /** @type {{from: Point, edges: number[], start: Rectangle} | null} */ #drag = null;
+  /** @type {(() => void)[]} */ #shows = [];
+  #list = el("ol", { class: "masks" });
+  #add = el("button", { type: "button", id: "add-mask", click: () => this.#insert() }, "Add rectangle");
+  #hint = el("p", { class: "hint", role: "status" });
+  #colours = el("div", {});
+  element = el("div", {}, this.#hint,
+    el("h3", {}, "Regions without discs"),
+    el("p", { class: "help" }, "The tracker looks for no disc in these rectangles: buttons, screws, reflections."),
+    el("p", { class: "help" }, "Pointer: drag on the picture to add one, drag it to move it, drag a corner to resize it."),
+    el("p", { class: "help" }, "Keys, with the picture in focus: arrows move it, Shift and arrows resize it, Page Down chooses " +
+      "the next one, Delete removes it."),
+    this.#list, el("div", { class: "row" }, this.#add), this.#colours);
+  #settings;
+  #picture;
+
+  /**
+   * @param {Settings} settings
+   * @param {Picture} picture
+   */
+  constructor(settings, picture) {
+    this.#settings = settings;
+    this.#picture = picture;
+    picture.painters.push((c, view) => this.#paint(c, view.scale));
+    const { canvas } = picture;
+    canvas.addEventListener("pointerdown", (event) => this.#down(event));
+    canvas.addEventListener("pointermove", (event) => this.#move(event));
+    for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, () => this.#up());
+    canvas.addEventListener("keydown", (event) => this.#key(event));
+    settings.listen(() => this.#show());
+  }
+
+  load() {
+    const make = (/** @type {string} */ key) => {
+      const setting = this.#settings.all.get(key);
+      return setting ? [control(setting, this.#settings, "draw")] : [];
+    };
+    const targets = TARGETS.flatMap((key) => make(key).map((c) => ({ key, ...c })));
+    /** @type {(() => void)[]} */
+    const bars = [];
+    for (const { key, element } of targets) {
+      const name = key.split(".")[1] ?? "";
+      const take = (/** @type {[number, number, number]} */ rgb) => {
+        const at = hue(rgb).hue;
+        this.#settings.change(key, [Math.max(0, at - HUE_HALF_WIDTH), Math.min(180, at + HUE_HALF_WIDTH)]);
+      };
+      const pick = this.#picker(`Pick ${name}`, [{ hint: `Click the ${name} ring of a target in the picture.`, take }]);
+      const bar = el("i", { class: "hues", "aria-hidden": "true" });
+      element.append(el("div", { class: "row" }, bar, pick));
+      bars.push(() => {
+        const [from = 0, to = 0] = /** @type {number[]} */ (this.#settings.value(key) ?? []);
+        bar.style.setProperty("--from", `${from / 1.8}%`);
+        bar.style.setProperty("--to", `${100 - to / 1.8}%`);
+      });
+    }
+    const limits = LIMITS.flatMap(make);
+    const discs = [POLARITY, WEIGHTS].flatMap(make);
+    this.#shows = [...bars, ...[...targets, ...limits, ...discs].map((c) => c.show)];
+    this.#colours.replaceChildren(
+      ...(targets.length ? [el("h3", {}, "Colours of the targets"), ...[...targets, ...limits].map((c) => c.element)] : []),
+      ...(discs.length ? [el("h3", {}, "Colours of the discs"), ...discs.map((c) => c.element)] : []));
+    if (this.#settings.all.has(WEIGHTS)) this.#colours.append(el("div", { class: "row" }, this.#discPicker()));
+    this.#add.disabled = !this.#settings.all.has(MASKS);
+    this.#show();
+  }
+
+  /** @param {boolean} active */
+  activate(active) {
+    this.#active = active;
+    this.#pick = null;
+    const { canvas } = this.#picture;
+    canvas.classList.toggle("drawing", active);
+    if (active) canvas.tabIndex = 0;
+    else canvas.removeAttribute("tabindex");
+    this.#refresh();
+  }
+
+  /**
+   * @param {string} words
+   * @param {Pick[]} steps
+   */
+  #picker(words, steps) {
+    const begin = () => {
+      const [first, ...rest] = steps;
+      if (!first) return;
+      const chain = (/** @type {Pick} */ step, /** @type {Pick[]} */ more) => {
+        this.#pick = { hint: step.hint, take: (rgb) => {
+          step.take(rgb);
+          this.#pick = null;
+          const [next, ...others] = more;
+          if (next) chain(next, others);
+        } };
+      };
+      chain(first, rest);
+      this.#cross = [this.#picture.view.width / 2, this.#picture.view.height / 2];
+      this.#picture.canvas.focus();
+      this.#refresh();
+    };
+    return el("button", { type: "button", click: begin }, words);
+  }
+
+  #discPicker() {
+    /** @type {[number, number, number]} */
+    let disc = [0, 0, 0];
+    return this.#picker("Pick disc and ball", [
+      { hint: "Click a disc in the picture.", take: (rgb) => (disc = rgb) },
+      { hint: "Now click the ball beside it.", take: (ball) => {
+        const difference = [2, 1, 0].map((i) => (ball[i] ?? 0) - (disc[i] ?? 0)); // blue, green, red
+        const largest = Math.max(...difference.map(Math.abs)) || 1;
+        this.#settings.change(WEIGHTS, difference.map((d) => Math.round((100 * d) / largest) / 100));
+      } },
+    ]);
+  }
+
+  // ---- rectangles ----
+
+  /** @param {number} chosen */
+  #send(chosen) {
+    this.#chosen = chosen;
+    this.#settings.change(MASKS, this.#masks.map((m) => m.map(Math.round)));
+  }
+
+  #insert() {
+    const { width, height } = this.#picture.view;
+    const [w, h] = [width / 10, height / 10].map(Math.round);
+    const [x, y] = [(width - (w ?? 0)) / 2, (height - (h ?? 0)) / 2].map(Math.round);
+    this.#masks.push([x ?? 0, y ?? 0, (x ?? 0) + (w ?? 0), (y ?? 0) + (h ?? 0)]);
+    this.#send(this.#masks.length - 1);
+  }
+
+  /** @param {number} index */
+  #remove(index) {
+    this.#masks.splice(index, 1);
+    this.#send(Math.min(index, this.#masks.length - 1));
+  }
+
+  /** @param {PointerEvent} event */
+  #down(event) {
+    if (!this.#active) return;
+    const at = this.#picture.locate(event);
+    if (this.#pick) {
+      this.#take(at);
+      return;
+    }
+    if (!this.#settings.all.has(MASKS)) return;
+    this.#settings.hold();
+    this.#picture.canvas.setPointerCapture(event.pointerId);
+    const grip = GRIP / this.#picture.view.scale;
+    const near = (/** @type {number} */ a, /** @type {number} */ b) => Math.abs(a - b) <= grip;
+    for (const [i, mask] of this.#masks.entries()) {
+      const x = [0, 2].find((e) => near(at[0], mask[e] ?? 0));
+      const y = [1, 3].find((e) => near(at[1], mask[e] ?? 0));
+      const inside = at[0] >= mask[0] && at[0] <= mask[2] && at[1] >= mask[1] && at[1] <= mask[3];
+      const edges = x !== undefined && y !== undefined ? [x, y] : inside ? [0, 1, 2, 3] : null;
+      if (!edges) continue;
+      this.#chosen = i;
+      this.#drag = { from: at, edges, start: [...mask] };
+      return;
+    }
+    this.#masks.push([at[0], at[1], at[0], at[1]]);
+    this.#chosen = this.#masks.length - 1;
+    this.#drag = { from: at, edges: [2, 3], start: [at[0], at[1], at[0], at[1]] };
+  }
+
+  /** @param {PointerEvent} event */
+  #move(event) {
+    if (!this.#drag) return;
+    const at = this.#picture.locate(event);
+    const { from, edges, start } = this.#drag;
+    const moved = /** @type {Rectangle} */ (start.map((v, e) => (edges.includes(e) ? v + (at[e % 2] ?? 0) - (from[e % 2] ?? 0) : v)));
+    this.#masks[this.#chosen] = ordered(moved);
+    this.#refresh();
+  }
+
+  #up() {
+    if (!this.#drag) return;
+    this.#drag = null;
+    this.#masks = this.#masks.filter((m) => m[2] - m[0] >= LEAST && m[3] - m[1] >= LEAST);
+    if (JSON.stringify(this.#masks.map((m) => m.map(Math.round))) !== JSON.stringify(this.#settings.value(MASKS)))
+      this.#send(Math.min(this.#chosen, this.#masks.length - 1));
+    this.#refresh();
+  }
+
+  /** @param {KeyboardEvent} event */
+  #key(event) {
+    if (!this.#active) return;
+    const arrows = /** @type {Record<string, Point>} */ ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] });
+    const arrow = arrows[event.key];
+    const mask = this.#masks[this.#chosen];
+    if (this.#pick && arrow) this.#cross = [this.#cross[0] + 4 * arrow[0], this.#cross[1] + 4 * arrow[1]];
+    else if (this.#pick && (event.key === "Enter" || event.key === " ")) this.#take(this.#cross);
+    else if (this.#pick && event.key === "Escape") this.#pick = null;
+    else if (arrow && mask) {
+      const step = event.ctrlKey ? 20 : 4;
+      const edges = event.shiftKey ? [2, 3] : [0, 1, 2, 3];
+      const moved = /** @type {Rectangle} */ (mask.map((v, e) => (edges.includes(e) ? v + step * (arrow[e % 2] ?? 0) : v)));
+      if (moved[2] - moved[0] >= LEAST && moved[3] - moved[1] >= LEAST) this.#masks[this.#chosen] = moved;
+      this.#send(this.#chosen);
+    } else if (event.key === "Delete" && mask) this.#remove(this.#chosen);
+    else if (event.key === "PageDown" && this.#masks.length) this.#chosen = (this.#chosen + 1) % this.#masks.length;
+    else return;
+    event.preventDefault();
+    this.#refresh();
+  }
+
+  /** @param {Point} at */
+  #take(at) {
+    const rgb = this.#picture.sample(at);
+    if (rgb) this.#pick?.take(rgb);
+    this.#refresh();
+  }
+
+  #show() {
+    for (const show of this.#shows) show();
+    if (this.#drag) return;
+    const value = this.#settings.value(MASKS);
+    if (!this.#list.contains(document.activeElement) || (Array.isArray(value) && value.length !== this.#masks.length)) {
+      this.#masks = Array.isArray(value) ? value.map((m) => /** @type {Rectangle} */ ([...m])) : [];
+      this.#list.replaceChildren(...this.#masks.map((mask, i) => this.#row(mask, i)));
+    }
+    this.#refresh();
+  }
+
+  /**
+   * @param {Rectangle} mask
+   * @param {number} i
+   */
+  #row(mask, i) {
+    const fields = EDGES.map((name, e) => el("label", {}, name, el("input", {
+      type: "number", value: Math.round(mask[e] ?? 0), step: 1,
+      focus: () => this.#choose(i),
+      change: (event) => {
+        this.#masks[i] = ordered(/** @type {Rectangle} */ (mask.map((v, k) => (k === e ? Number(event.target.value) : v))));
+        mask[e] = Number(event.target.value);
+        this.#send(i);
+      },
+    })));
+    return el("li", {}, ...fields, el("button", { type: "button", class: "quiet", "aria-label": `Remove rectangle ${i + 1}`,
+      click: () => this.#remove(i) }, "Remove"));
+  }
+
+  /** @param {number} index */
+  #choose(index) {
+    this.#chosen = index;
+    this.#refresh();
+  }
+
+  #refresh() {
+    const idle = this.#settings.refused.get(MASKS) ?? "";
+    write(this.#hint, this.#pick ? `${this.#pick.hint} Or move the cross with arrow keys and press Enter; Escape ends it.` : idle);
+    this.#picture.draw();
+  }
+
+  /**
+   * @param {CanvasRenderingContext2D} c
+   * @param {number} s
+   */
+  #paint(c, s) {
+    if (!this.#active) return;
+    for (const [i, [left, top, right, bottom]] of this.#masks.entries()) {
+      const place = /** @type {const} */ ([left * s, top * s, (right - left) * s, (bottom - top) * s]);
+      c.fillStyle = i === this.#chosen ? "rgba(255, 157, 46, .35)" : "rgba(255, 157, 46, .2)";
+      c.fillRect(...place);
+      [c.strokeStyle, c.lineWidth] = ["#ffb764", i === this.#chosen ? 2.5 : 1.5];
+      c.strokeRect(...place);
+      c.fillStyle = "#ffb764";
+      if (i === this.#chosen) for (const x of [left, right]) for (const y of [top, bottom]) c.fillRect(x * s - 4, y * s - 4, 8, 8);
+    }
+    if (!this.#pick) return;
+    const [x, y] = [this.#cross[0] * s, this.#cross[1] * s];
+    for (const [line, width] of /** @type {[string, number][]} */ ([["#000", 4], ["#fff", 1.5]])) {
+      [c.strokeStyle, c.lineWidth] = [line, width];
+      c.beginPath();
+      c.moveTo(x - 14, y);
+      c.lineTo(x + 14, y);
+      c.moveTo(x, y - 14);
+      c.lineTo(x, y + 14);
+      c.stroke();
+    }
+  }
+}
+
+/**
+ * Return the rectangle with left before right, and top before bottom.
+ * @param {Rectangle} mask
+ * @returns {Rectangle}
+ */
+function ordered([a, b, c, d]) {
+  return [Math.min(a, c), Math.min(b, d), Math.max(a, c), Math.max(b, d)];
+}

@@ -1,0 +1,190 @@
+/** The page: state and buttons at the top, picture, space and plots, and the panels at the side. */
+
+import { byId, el, span, write } from "./dom.js";
+import { DrawPanel } from "./draw.js";
+import { Link } from "./link.js";
+import { Picture } from "./picture.js";
+import { Plots, readSample } from "./plots.js";
+import { DoctorPanel, LogPanel, OutputsPanel } from "./reports.js";
+import { Settings } from "./settings.js";
+import { Space } from "./space.js";
+import { ExpertPanel, TunePanel } from "./tune.js";
+
+/** @typedef {import("./types.js").Status} Status */
+
+/** @type {Record<string, {word: string, look: string, advice: string}>} */
+const STATES = {
+  starting: { word: "starting", look: "wait", advice: "Wait a few seconds." },
+  "no-camera": { word: "no camera", look: "bad", advice: "Check the camera's cable. The service opens the camera as soon as it is there." },
+  "searching-targets": { word: "searching", look: "wait", advice: "The camera must see at least three targets. Clear its view, and add light." },
+  tracking: { word: "tracking", look: "good", advice: "" },
+  lost: { word: "lost", look: "wait", advice: "Take hands and cloths off the ball, and light it evenly. If the camera was moved, estimate its pose again." },
+  paused: { word: "paused", look: "wait", advice: "The pointer stands still. Press Resume." },
+  "failed-output": { word: "no output", look: "bad", advice: "The ball is followed, but its motion is not sent. Open Outputs." },
+};
+const MESSAGE_MS = 12000;
+
+let owner = true;
+/** @type {Status | null} */
+let status = null;
+/** @type {number[]} */
+const pictures = []; // times of the last ones, ms
+let messageTimer = 0;
+
+const link = new Link({ message: receive, frame: draw, lost });
+const settings = new Settings(link);
+const picture = new Picture(byId("picture", HTMLCanvasElement), byId("layers", HTMLElement));
+const space = new Space(byId("space", HTMLCanvasElement), byId("space-note", HTMLElement), byId("views", HTMLElement));
+const plots = new Plots();
+const tune = new TunePanel(settings, act);
+const expert = new ExpertPanel(settings, act);
+const log = new LogPanel();
+const drawing = new DrawPanel(settings, picture);
+const outputs = new OutputsPanel();
+const doctor = new DoctorPanel(act);
+
+/**
+ * Carry out an action and show its result. Returns null if it was refused.
+ * @type {import("./tune.js").Act}
+ */
+async function act(action, words = {}) {
+  try {
+    const done = await link.request("do", { action, arguments: words });
+    say(done.message, false);
+    return done;
+  } catch (error) {
+    say(/** @type {Error} */ (error).message, true);
+    return null;
+  }
+}
+
+/**
+ * @param {string} text
+ * @param {boolean} refused
+ */
+function say(text, refused) {
+  const line = byId("message", HTMLElement);
+  clearTimeout(messageTimer);
+  write(line, text);
+  line.classList.toggle("bad", refused);
+  line.hidden = !text;
+  if (!refused) messageTimer = setTimeout(() => (line.hidden = true), MESSAGE_MS);
+}
+
+/** @param {any} message */
+function receive(message) {
+  if (message.type === "hello") hello(message);
+  else if (message.type === "status") showStatus(message.status, message.reason ?? "");
+  else if (message.type === "values") settings.update(message);
+  else if (message.type === "log") log.add(message.lines);
+  else if (message.type === "trouble") say(message.text, true);
+  else if (message.type === "scene") space.load(message.scene);
+}
+
+/** @param {import("./types.js").Hello} message */
+function hello(message) {
+  owner = message.owner;
+  if (settings.load(message.settings)) {
+    expert.load(message);
+    drawing.load();
+    tune.load(message);
+  }
+  space.load(message.scene);
+  plots.load(message.scene?.balls ?? null);
+  log.load(message.log);
+}
+
+/**
+ * @param {import("./types.js").Frame} frame
+ * @param {ImageBitmap | null} bitmap
+ */
+function draw(frame, bitmap) {
+  const now = performance.now();
+  if (bitmap) pictures.push(now);
+  while (pictures[0] !== undefined && pictures[0] < now - 2000) pictures.shift();
+  const samples = frame.samples.map(readSample);
+  picture.take(frame, bitmap);
+  plots.take(samples);
+  space.take(samples);
+  const masked = owner ? "" : ", masked to ball and targets";
+  write(byId("picture-rate", HTMLElement), pictures.length ? `${Math.round(pictures.length / 2)} pictures/s${masked}` : "no picture");
+  plots.read(status);
+}
+
+function lost() {
+  showStatus(null, "The page process does not answer. The page connects again by itself.");
+}
+
+/**
+ * @param {Status | null} now null if no daemon answers
+ * @param {string} reason why not
+ */
+function showStatus(now, reason) {
+  status = now;
+  const known = STATES[now?.state ?? ""];
+  const word = now ? (known?.word ?? now.state ?? "unknown") : "offline";
+  const pill = byId("state", HTMLElement);
+  write(pill, word);
+  pill.dataset["look"] = now ? (known?.look ?? "wait") : "bad";
+  document.title = `${word} – spheremouse`;
+  write(byId("reason", HTMLElement), now ? (now.reason ?? "") : reason);
+  write(byId("advice", HTMLElement), now ? advice(now) : "Start the service: systemctl start spheremouse");
+  const recording = now?.recording;
+  const button = byId("record", HTMLButtonElement);
+  write(button, recording ? `Stop recording, ${span(recording.seconds ?? 0)}` : "Record");
+  button.classList.toggle("on", Boolean(recording));
+  write(byId("pause", HTMLElement), now?.paused ? "Resume" : "Pause");
+  write(byId("reinit", HTMLElement), now?.balls ? "Search for balls again" : "Estimate camera pose");
+  for (const id of ["reinit", "pause", "record", "snapshot"]) byId(id, HTMLButtonElement).disabled = !now;
+  outputs.show(now);
+  plots.read(now);
+}
+
+/** @param {Status} now */
+function advice(now) {
+  const missing = now.targets?.missing;
+  if (now.state === "searching-targets" && missing?.length) return `Not seen: targets ${missing.join(", ")}. Clear the view of them, and add light.`;
+  return STATES[now.state]?.advice ?? "";
+}
+
+// ---- buttons and panels ----
+
+byId("reinit", HTMLElement).addEventListener("click", () => void act("reinit"));
+byId("pause", HTMLElement).addEventListener("click", () => void act(status?.paused ? "resume" : "pause"));
+byId("record", HTMLElement).addEventListener("click", () => void act(status?.recording ? "stop-record" : "record"));
+byId("snapshot", HTMLElement).addEventListener("click", () => void act("snapshot"));
+
+/** @type {[name: string, element: HTMLElement, wide: boolean][]} */
+const PANELS = [
+  ["Tune", tune.element, false], ["Expert", expert.element, true], ["Log", log.element, true], ["Draw", drawing.element, false],
+  ["Outputs", outputs.element, true], ["Doctor", doctor.element, true],
+];
+
+/** @param {string} chosen */
+function show(chosen) {
+  for (const [name, , wide] of PANELS) {
+    const tab = byId(`tab-${name}`, HTMLElement);
+    const is = name === chosen;
+    tab.setAttribute("aria-selected", String(is));
+    tab.tabIndex = is ? 0 : -1;
+    byId(`panel-${name}`, HTMLElement).hidden = !is;
+    if (is) document.body.classList.toggle("wide", wide);
+  }
+  drawing.activate(chosen === "Draw");
+}
+
+const tabs = PANELS.map(([name], i) => el("button", {
+  type: "button", role: "tab", id: `tab-${name}`, "aria-controls": `panel-${name}`, click: () => show(name),
+  keydown: (event) => {
+    const to = { ArrowRight: i + 1, ArrowLeft: i - 1, Home: 0, End: PANELS.length - 1 }[/** @type {string} */ (event.key)];
+    if (to === undefined) return;
+    const next = PANELS.at(to % PANELS.length)?.[0] ?? name;
+    show(next);
+    byId(`tab-${next}`, HTMLElement).focus();
+  },
+}, name));
+byId("tabs", HTMLElement).append(...tabs);
+byId("tab-panels", HTMLElement).append(...PANELS.map(([name, element]) =>
+  el("div", { role: "tabpanel", id: `panel-${name}`, "aria-labelledby": `tab-${name}` }, element)));
+show("Tune");
+link.connect();

@@ -1,0 +1,244 @@
+/** The picture of the camera, and layers over it. */
+
+import { begin, colour, el } from "./dom.js";
+
+/** @typedef {import("./types.js").Annotations} Annotations */
+/** @typedef {import("./types.js").Point} Point */
+/** @typedef {import("./types.js").Shape} Shape */
+/** @typedef {import("./types.js").Frame} Frame */
+/** @typedef {{x: number, y: number, scale: number, width: number, height: number}} View place of the picture on the canvas */
+/** @typedef {(context: CanvasRenderingContext2D, view: View) => void} Painter */
+
+const TRAIL = 15; // pictures: a second
+const HALO = "rgba(0, 0, 0, .6)"; // keeps a line legible on a bright ball
+/** @type {[name: string, label: string, shown: boolean][]} */
+const LAYERS = [
+  ["contours", "contours", true], ["predicted", "predictions", true], ["targets", "targets", true],
+  ["trails", "trails", false], ["masked", "masked", false],
+];
+
+export class Picture {
+  /** @type {Painter[]} */ painters = [];
+  /** @type {View} */ view = { x: 0, y: 0, scale: 1, width: 640, height: 480 };
+  /** @type {ImageBitmap | null} */ #bitmap = null;
+  /** @type {Annotations} */ #annotations = {};
+  /** @type {Point[][]} */ #trail = [];
+  /** @type {Map<string, HTMLInputElement>} */ #shown = new Map();
+
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @param {HTMLElement} layers
+   */
+  constructor(canvas, layers) {
+    this.canvas = canvas;
+    for (const [name, label, shown] of LAYERS) {
+      const box = el("input", { type: "checkbox", id: `layer-${name}`, checked: shown, change: () => this.draw() });
+      this.#shown.set(name, box);
+      layers.append(el("label", { class: "check" }, box, el("i", { class: `key ${name}`, "aria-hidden": "true" }), label));
+    }
+    new ResizeObserver(() => this.draw()).observe(canvas);
+  }
+
+  /**
+   * Take a frame; without a picture the last one stays.
+   * @param {Frame} frame
+   * @param {ImageBitmap | null} bitmap
+   */
+  take(frame, bitmap) {
+    if (!bitmap) return;
+    this.#bitmap?.close();
+    this.#bitmap = bitmap;
+    this.#annotations = frame.annotations ?? {};
+    [this.view.width, this.view.height] = [frame.width, frame.height];
+    const used = this.#annotations.detected?.filter((d) => d.used) ?? [];
+    this.#trail = [...this.#trail.slice(1 - TRAIL), used.map((d) => /** @type {Point} */ ([d.x, d.y]))];
+    this.canvas.style.setProperty("--ratio", `${frame.width} / ${frame.height}`);
+    this.draw();
+  }
+
+  /**
+   * Return the place of a pointer in the picture, px.
+   * @param {PointerEvent} event
+   * @returns {Point}
+   */
+  locate(event) {
+    const box = this.canvas.getBoundingClientRect();
+    const { x, y, scale } = this.view;
+    return [(event.clientX - box.left - x) / scale - 0.5, (event.clientY - box.top - y) / scale - 0.5];
+  }
+
+  /**
+   * Return the mean colour [red, green, blue] of 5 x 5 px of the picture; null without a picture.
+   * @param {Point} point
+   * @returns {[number, number, number] | null}
+   */
+  sample([x, y]) {
+    if (!this.#bitmap) return null;
+    const scale = this.#bitmap.width / this.view.width;
+    const context = new OffscreenCanvas(5, 5).getContext("2d");
+    if (!context) return null;
+    context.drawImage(this.#bitmap, 2 - Math.round(x * scale), 2 - Math.round(y * scale));
+    const { data } = context.getImageData(0, 0, 5, 5);
+    const mean = (/** @type {number} */ c) => data.reduce((sum, v, i) => (i % 4 === c ? sum + v : sum), 0) / 25;
+    return [mean(0), mean(1), mean(2)];
+  }
+
+  draw() {
+    const { context: c, width, height } = begin(this.canvas);
+    const { view } = this;
+    view.scale = Math.min(width / view.width, height / view.height);
+    view.x = (width - view.width * view.scale) / 2;
+    view.y = (height - view.height * view.scale) / 2;
+    c.save();
+    c.beginPath();
+    c.roundRect(view.x, view.y, view.width * view.scale, view.height * view.scale, 6);
+    c.fillStyle = colour("--empty");
+    c.fill();
+    c.clip();
+    if (this.#bitmap) c.drawImage(this.#bitmap, view.x, view.y, view.width * view.scale, view.height * view.scale);
+    c.translate(view.x + view.scale / 2, view.y + view.scale / 2); // pixel (0, 0) is the centre of the first pixel
+    if (this.#bitmap) this.#layers(c, view.scale);
+    for (const paint of this.painters) paint(c, view);
+    c.restore();
+  }
+
+  /**
+   * @param {CanvasRenderingContext2D} c
+   * @param {number} s screen pixels in a pixel of the picture
+   */
+  #layers(c, s) {
+    const { outline, detected, predicted, targets, masked, strangers } = this.#annotations;
+    const on = (/** @type {string} */ name) => this.#shown.get(name)?.checked;
+    if (on("contours") && outline?.length) stroke(c, outline, s, "#8fd3ff", 1.2, false);
+    if (on("trails")) this.#trails(c, s);
+    if (on("predicted"))
+      for (const p of predicted ?? []) {
+        if (p.gate) ellipse(c, p.x, p.y, p.gate, s, "#ff9d94", 1, [3, 3]);
+        ellipse(c, p.x, p.y, p.shape, s, "#ff5a4f", 1.5);
+      }
+    if (on("contours"))
+      for (const d of detected ?? []) ellipse(c, d.x, d.y, d.shape, s, d.used ? "#ffffff" : "#ffd24a", 1.5, d.used ? [] : [2, 2]);
+    if (on("targets")) {
+      for (const t of targets ?? []) {
+        if (t.shape) ellipse(c, t.x, t.y, t.shape, s, "#5ee06e", 1.5);
+        label(c, t.code, t.x * s + 9, t.y * s - 7, "#8df29a");
+      }
+      for (const t of strangers ?? []) {
+        ring(c, t.x * s, t.y * s, Math.max(5, t.radius * s), "#ff9d2e");
+        label(c, `${t.code} ?`, t.x * s + 9, t.y * s - 7, "#ffb764");
+      }
+    }
+    if (on("masked")) for (const [x, y] of masked ?? []) cross(c, x * s, y * s, "#ff9d2e");
+  }
+
+  /**
+   * @param {CanvasRenderingContext2D} c
+   * @param {number} s
+   */
+  #trails(c, s) {
+    this.#trail.forEach((points, age) => {
+      c.fillStyle = `rgba(120, 220, 255, ${(age + 1) / this.#trail.length})`;
+      for (const [x, y] of points) {
+        c.beginPath();
+        c.arc(x * s, y * s, 1.6, 0, 2 * Math.PI);
+        c.fill();
+      }
+    });
+  }
+}
+
+/**
+ * Draw the line of the current path with a dark edge.
+ * @param {CanvasRenderingContext2D} c
+ * @param {string} line
+ * @param {number} width
+ * @param {number[]} [dash]
+ */
+function twice(c, line, width, dash = []) {
+  c.setLineDash(dash);
+  [c.strokeStyle, c.lineWidth] = [HALO, width + 1.6];
+  c.stroke();
+  [c.strokeStyle, c.lineWidth] = [line, width];
+  c.stroke();
+  c.setLineDash([]);
+}
+
+/**
+ * @param {CanvasRenderingContext2D} c
+ * @param {Point[]} points
+ * @param {number} s
+ * @param {string} line
+ * @param {number} width
+ * @param {boolean} close
+ */
+function stroke(c, points, s, line, width, close) {
+  c.beginPath();
+  for (const [x, y] of points) c.lineTo(x * s, y * s);
+  if (close) c.closePath();
+  twice(c, line, width);
+}
+
+/**
+ * Draw the ellipse (p - c)' A (p - c) = 1 with A = [[xx, xy], [xy, yy]].
+ * @param {CanvasRenderingContext2D} c
+ * @param {number} x
+ * @param {number} y
+ * @param {Shape} shape
+ * @param {number} s
+ * @param {string} line
+ * @param {number} width
+ * @param {number[]} [dash]
+ */
+function ellipse(c, x, y, [xx, xy, yy], s, line, width, dash) {
+  const mean = (xx + yy) / 2;
+  const spread = Math.hypot((xx - yy) / 2, xy);
+  const [small, large] = [mean - spread, mean + spread]; // eigenvalues: 1 / axis²
+  if (!(small > 0)) return;
+  const angle = Math.atan2(2 * xy, xx - yy) / 2; // of the short axis
+  c.beginPath();
+  c.ellipse(x * s, y * s, s / Math.sqrt(large), s / Math.sqrt(small), angle, 0, 2 * Math.PI);
+  twice(c, line, width, dash);
+}
+
+/**
+ * @param {CanvasRenderingContext2D} c
+ * @param {number} x
+ * @param {number} y
+ * @param {number} radius
+ * @param {string} line
+ */
+function ring(c, x, y, radius, line) {
+  c.beginPath();
+  c.arc(x, y, radius, 0, 2 * Math.PI);
+  twice(c, line, 1.5, [4, 3]);
+}
+
+/**
+ * @param {CanvasRenderingContext2D} c
+ * @param {number} x
+ * @param {number} y
+ * @param {string} line
+ */
+function cross(c, x, y, line) {
+  c.beginPath();
+  for (const d of [4, -4]) {
+    c.moveTo(x - 4, y - d);
+    c.lineTo(x + 4, y + d);
+  }
+  twice(c, line, 1.5);
+}
+
+/**
+ * @param {CanvasRenderingContext2D} c
+ * @param {string} text
+ * @param {number} x
+ * @param {number} y
+ * @param {string} fill
+ */
+function label(c, text, x, y, fill) {
+  c.font = "600 11px system-ui, sans-serif";
+  c.lineJoin = "round";
+  [c.lineWidth, c.strokeStyle, c.fillStyle] = [3, "rgba(0, 0, 0, .75)", fill];
+  c.strokeText(text, x, y);
+  c.fillText(text, x, y);
+}

@@ -1,0 +1,226 @@
+/** Plots of the last 10 s: rate with its band, counts, latency, discs. */
+
+import { begin, byId, colour, el, signed, write } from "./dom.js";
+
+/** @typedef {import("./types.js").Sample} Sample */
+/** @typedef {(sample: Sample) => number | null} Read */
+/** @typedef {{name: string, colour: string, dash: number[], read: Read, sigma?: Read}} Series */
+
+const SECONDS = 10;
+const BAND = 2; // standard deviations
+const DEGREES = 180 / Math.PI;
+const DASHES = [[], [6, 3], [2, 2]];
+const AXES = ["X", "Y", "Z"];
+
+/**
+ * Return a sample of the row of a frame message.
+ * @param {any[]} row
+ * @returns {Sample}
+ */
+export function readSample(row) {
+  const [stamp, ball, confirmed, qw, qx, qy, qz, wx, wy, wz, sx, sy, sz, cx, cy, cz, latency, discs, px, py, pz] = row;
+  const known = (/** @type {any} */ v) => v !== null && v !== undefined;
+  return {
+    stamp, ball, confirmed: Boolean(confirmed),
+    quaternion: known(qw) ? [qw, qx, qy, qz] : null,
+    rate: known(wx) ? [wx, wy, wz] : null,
+    sigma: known(sx) ? [sx, sy, sz] : null,
+    counts: [cx ?? 0, cy ?? 0, cz ?? 0], latency: latency ?? null, discs: discs ?? null,
+    position: known(px) && known(py) && known(pz) ? [px, py, pz] : null,
+  };
+}
+
+/**
+ * Return about `parts` round numbers within a range.
+ * @param {number} low
+ * @param {number} high
+ * @param {number} parts
+ */
+function ticks(low, high, parts) {
+  const raw = (high - low) / parts;
+  const power = 10 ** Math.floor(Math.log10(raw));
+  const step = ([1, 2, 5, 10].find((m) => m * power >= raw) ?? 10) * power;
+  const first = Math.ceil(low / step);
+  return Array.from({ length: Math.max(0, Math.floor(high / step) - first + 1) }, (_, i) => (first + i) * step);
+}
+
+class Plot {
+  /**
+   * @param {string} id
+   * @param {string} name
+   * @param {string} unit
+   * @param {Series[]} series
+   * @param {{least: number, symmetric?: boolean, whole?: boolean}} range
+   */
+  constructor(id, name, unit, series, range) {
+    this.canvas = byId(id, HTMLCanvasElement);
+    this.series = series;
+    this.range = range;
+    const keys = series.length > 1 ? series.map((s, i) =>
+      el("span", { class: `series ${s.name.toLowerCase()}` }, el("i", { class: `dash-${i}`, "aria-hidden": "true" }), s.name)) : [];
+    byId(`${id}-legend`, HTMLElement).append(el("b", {}, name), el("small", {}, unit), ...keys);
+  }
+
+  /**
+   * @param {Sample[]} samples
+   * @param {number} now stamp at the right edge, s
+   */
+  draw(samples, now) {
+    const { context: c, width, height } = begin(this.canvas);
+    const lines = this.series.map((s) => samples.map((sample) => s.read(sample)));
+    const values = lines.flat().filter((v) => v !== null);
+    const [left, bottom] = [38, height - 4];
+    let high = Math.max(this.range.least, ...values) * 1.08;
+    let low = 0;
+    if (this.range.symmetric) {
+      high = Math.max(high, -Math.min(0, ...values) * 1.08);
+      low = -high;
+    }
+    const x = (/** @type {number} */ stamp) => left + (width - left) * (1 + (stamp - now) / SECONDS);
+    const y = (/** @type {number} */ v) => bottom - ((v - low) / (high - low)) * (bottom - 6);
+    c.font = "11px system-ui, sans-serif";
+    c.textAlign = "right";
+    c.textBaseline = "middle";
+    for (const tick of ticks(low, high, Math.min(4, Math.max(1, height / 26)))) {
+      if (this.range.whole && !Number.isInteger(tick)) continue;
+      [c.strokeStyle, c.fillStyle, c.lineWidth] = [colour("--line"), colour("--muted"), 1];
+      c.beginPath();
+      c.moveTo(left, y(tick));
+      c.lineTo(width, y(tick));
+      c.stroke();
+      c.fillText(String(Number(tick.toPrecision(3))).replace("-", "−"), left - 6, y(tick));
+    }
+    c.save();
+    c.beginPath();
+    c.rect(left, 0, width - left, height);
+    c.clip();
+    c.lineWidth = 1.6;
+    c.lineJoin = "round";
+    this.series.forEach((series, i) => {
+      const line = lines[i] ?? [];
+      c.fillStyle = c.strokeStyle = colour(series.colour);
+      if (series.sigma) this.#band(c, samples, line, series.sigma, x, y);
+      c.setLineDash(series.dash);
+      c.beginPath();
+      let pen = false;
+      samples.forEach((sample, k) => {
+        const value = line[k] ?? null;
+        if (value !== null) c[pen ? "lineTo" : "moveTo"](x(sample.stamp), y(value));
+        pen = value !== null;
+      });
+      c.stroke();
+      c.setLineDash([]);
+    });
+    c.restore();
+  }
+
+  /**
+   * @param {CanvasRenderingContext2D} c
+   * @param {Sample[]} samples
+   * @param {(number | null)[]} line
+   * @param {Read} sigma
+   * @param {(stamp: number) => number} x
+   * @param {(value: number) => number} y
+   */
+  #band(c, samples, line, sigma, x, y) {
+    c.globalAlpha = 0.25;
+    /** @type {[number, number, number][]} */
+    let run = [];
+    const flush = () => {
+      c.beginPath();
+      for (const [at, value, half] of run) c.lineTo(at, y(value + half));
+      for (const [at, value, half] of run.reverse()) c.lineTo(at, y(value - half));
+      c.fill();
+      run = [];
+    };
+    samples.forEach((sample, k) => {
+      const [value, s] = [line[k] ?? null, sigma(sample)];
+      if (value === null || s === null) flush();
+      else run.push([x(sample.stamp), value, BAND * s]);
+    });
+    flush();
+    c.globalAlpha = 1;
+  }
+}
+
+export class Plots {
+  /** @type {Sample[]} */ #samples = [];
+  /** @type {{stamp: number, at: number}} */ #newest = { stamp: 0, at: 0 };
+  #balls = byId("ball", HTMLSelectElement);
+  #choice = byId("ball-choice", HTMLElement);
+  #readings = byId("readings", HTMLElement);
+  #plots;
+
+  constructor() {
+    const three = (/** @type {(sample: Sample, i: number) => number | null} */ read) =>
+      AXES.map((name, i) => ({ name, colour: `--${name.toLowerCase()}`, dash: DASHES[i] ?? [], read: (/** @type {Sample} */ s) => read(s, i) }));
+    const degrees = (/** @type {number | undefined} */ v) => (v === undefined ? null : v * DEGREES);
+    const rate = three((s, i) => degrees(s.rate?.[i])).map((s, i) =>
+      ({ ...s, sigma: (/** @type {Sample} */ sample) => degrees(sample.sigma?.[i]) }));
+    const one = (/** @type {string} */ name, /** @type {Read} */ read) => [{ name, colour: "--accent", dash: [], read }];
+    this.#plots = [
+      new Plot("rate", "Rate", `°/s, band ${BAND} σ`, rate, { least: 10, symmetric: true }),
+      new Plot("counts", "Counts", "a frame", three((s, i) => s.counts[i] ?? null), { least: 5, symmetric: true }),
+      new Plot("latency", "Latency", "ms", one("latency", (s) => (s.latency === null ? null : 1000 * s.latency)), { least: 5 }),
+      new Plot("discs", "Discs", "used", one("discs", (s) => s.discs), { least: 4, whole: true }),
+    ];
+    this.#balls.addEventListener("change", () => this.draw());
+    new ResizeObserver(() => this.draw()).observe(byId("rate", HTMLCanvasElement));
+  }
+
+  /** @param {string[] | null} names of balls in a hand */
+  load(names) {
+    this.#samples = [];
+    this.#choice.hidden = (names?.length ?? 0) < 2;
+    this.#balls.replaceChildren(...(names ?? ["ball"]).map((name, i) => el("option", { value: String(i + 1) }, name)));
+  }
+
+  /** @param {Sample[]} samples */
+  take(samples) {
+    const last = samples.at(-1);
+    if (last) {
+      if (last.stamp < this.#newest.stamp) this.#samples = []; // the source began again
+      this.#newest = { stamp: last.stamp, at: performance.now() };
+      this.#samples.push(...samples);
+    }
+    this.#samples = this.#samples.filter((s) => s.stamp > this.#newest.stamp - SECONDS - 1);
+    this.draw();
+  }
+
+  draw() {
+    const ball = Number(this.#balls.value || 1);
+    const now = this.#newest.stamp + (performance.now() - this.#newest.at) / 1000;
+    const samples = this.#samples.filter((s) => s.ball === ball);
+    for (const plot of this.#plots) plot.draw(samples, now);
+    this.last = samples.at(-1) ?? null;
+  }
+
+  /** @param {import("./types.js").Status | null} status */
+  read(status) {
+    const { rate = null, sigma = null } = this.last ?? {};
+    /** @type {[string, string][]} */
+    const rows = AXES.map((name, i) => [name, rate ? `${signed((rate[i] ?? 0) * DEGREES)} °/s` : "–"]);
+    if (sigma) rows.push(["σ", `${(Math.max(...sigma) * DEGREES).toFixed(2)} °/s`]);
+    if (status) {
+      rows.push(["motion", status.motion?.words ?? "not known"]);
+      rows.push(["counts", status.counts?.join(", ") ?? "–"]);
+      if (!status.balls) rows.push(["discs", `${status.discs ?? "–"} used, ${status.discs_seen ?? "–"} seen, ${status.discs_known ?? "–"} known`]);
+      for (const ball of status.balls ?? []) rows.push([ball.name ?? "ball", ballText(ball)]);
+      const { p50, p99 } = status.latency_ms ?? {};
+      rows.push(["latency", p50 === undefined ? "–" : `${p50} ms, 99 % ${p99} ms`], ["frames", `${status.fps ?? 0} /s`]);
+    }
+    const known = new Map([...this.#readings.children].map((row) => [row.firstElementChild?.textContent, row.lastElementChild]));
+    if (rows.length === known.size && rows.every(([name]) => known.has(name)))
+      for (const [name, value] of rows) write(/** @type {HTMLElement} */ (known.get(name)), value);
+    else this.#readings.replaceChildren(...rows.map(([name, value]) => el("div", {}, el("dt", {}, name), el("dd", {}, value))));
+  }
+}
+
+/** @param {Record<string, any>} ball of the status */
+function ballText({ state, position_m: place, angles_deg: angles, sigma_mm: sigma, sigma_deg: turned }) {
+  if (!place || !angles) return state ?? "not known";
+  const [x, y, z] = place.map((/** @type {number} */ v) => signed(v, 3));
+  const [yaw, pitch, roll] = angles.map((/** @type {number} */ v) => signed(v, 0));
+  const error = sigma && turned ? ` ± ${Math.max(...sigma).toFixed(0)} mm, ± ${Math.max(...turned).toFixed(1)}°` : "";
+  return `${state}: x ${x}, y ${y}, z ${z} m; yaw ${yaw}°, pitch ${pitch}°, roll ${roll}°${error}`;
+}

@@ -1,0 +1,119 @@
+/** The panels of the log, the outputs and the doctor. */
+
+import { el, span, write } from "./dom.js";
+
+/** @typedef {import("./types.js").Status} Status */
+/** @typedef {import("./tune.js").Act} Act */
+
+const MOST_LINES = 2000;
+
+export class LogPanel {
+  #filter = el("input", { type: "search", id: "log-filter", placeholder: "Text in the line", autocomplete: "off" });
+  #count = el("p", { class: "help" });
+  #lines = el("div", { class: "log", role: "log", tabindex: "0", "aria-label": "Lines of the log" });
+  element = el("div", { class: "logs" }, el("div", { class: "row" }, el("label", { for: "log-filter" }, "Filter"), this.#filter),
+    this.#count, this.#lines);
+
+  constructor() {
+    this.#filter.addEventListener("input", () => this.#show());
+  }
+
+  /** @param {string[]} lines the last ones before now */
+  load(lines) {
+    this.#lines.replaceChildren();
+    this.add(lines, "");
+  }
+
+  /** @param {string[]} lines */
+  add(lines, clock = new Date().toTimeString().slice(0, 8)) {
+    const { scrollTop, scrollHeight, clientHeight } = this.#lines;
+    const atEnd = scrollTop + clientHeight >= scrollHeight - 8;
+    this.#lines.append(...lines.map((line) => el("p", {}, el("time", {}, clock), line)));
+    while (this.#lines.children.length > MOST_LINES) this.#lines.firstElementChild?.remove();
+    this.#show();
+    if (atEnd) this.#lines.scrollTop = this.#lines.scrollHeight;
+  }
+
+  #show() {
+    const wanted = this.#filter.value.trim().toLowerCase();
+    let shown = 0;
+    for (const line of this.#lines.children) {
+      const hidden = !(line.textContent ?? "").toLowerCase().includes(wanted);
+      line.toggleAttribute("hidden", hidden);
+      shown += Number(!hidden);
+    }
+    write(this.#count, `${shown} of ${this.#lines.children.length} lines`);
+  }
+}
+
+export class OutputsPanel {
+  #table = el("tbody", {});
+  #facts = el("dl", { class: "facts" });
+  element = el("div", {},
+    el("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Table of the outputs" }, el("table", {},
+      el("thead", {}, el("tr", {}, ...["Output", "State", "Reports", "Dropped", "Latency, ms", "Not sent"].map((name) =>
+        el("th", { scope: "col" }, name)))), this.#table)),
+    el("h3", {}, "The run"), this.#facts);
+
+  /** @param {Status | null} status */
+  show(status) {
+    const rows = (status?.outputs ?? []).map((/** @type {any} */ o) => [
+      o.spec ?? "–", o.failed ?? o.left_out ?? "sends", o.reports ?? 0, o.dropped ?? 0,
+      o.latency_ms ? `${o.latency_ms.p50}, 99 % ${o.latency_ms.p99}` : "–", (o.unsent ?? []).join(", ") || "–"]);
+    fill(this.#table, rows, (row) => el("tr", {}, ...row.map((cell, i) => (i ? el("td", {}, cell) : el("th", { scope: "row" }, cell)))));
+    const s = status ?? {};
+    const pose = s.pose;
+    const facts = status ? [
+      ["Tracker", s.tracker], ["Source", s.source?.description ?? s.source?.spec], ["Configuration", s.config], ["Rig", s.rig], ["Map", s.map],
+      ["Frames", `${s.frames ?? 0} tracked, ${s.skipped ?? 0} skipped, ${s.dropped ?? 0} lost by the driver, ${s.damaged ?? 0} damaged`],
+      ["Camera pose", pose?.position_m ? `${pose.position_m.join(", ")} m, σ ${(pose.sigma_mm ?? []).join(", ")} mm` : "not known"],
+      ["Running", `${span(s.uptime_s ?? 0)}, without tracking ${span(s.unseen_s ?? 0)}, lost ${s.lost_count ?? 0} times`],
+      ["Process", `${s.memory_mb ?? "–"} MB, ${Math.round(100 * (s.cpu_share ?? 0))} % of a core, ${s.scheduling ?? ""}`],
+      ["Version", s.version]] : [["Tracker", "not running"]];
+    fill(this.#facts, facts.map(([name, value]) => [name, value ?? "none"]), ([name = "", value = ""]) => el("div", {}, el("dt", {}, name), el("dd", {}, value)));
+  }
+}
+
+/**
+ * Write rows of texts; the elements stay, so that a selection in them stays.
+ * @param {HTMLElement} parent
+ * @param {any[][]} rows
+ * @param {(row: string[]) => HTMLElement} make
+ */
+function fill(parent, rows, make) {
+  const texts = rows.map((row) => row.map(String));
+  while (parent.children.length > texts.length) parent.lastElementChild?.remove();
+  texts.forEach((row, i) => {
+    const present = parent.children[i];
+    if (!present) parent.append(make(row));
+    else row.forEach((cell, k) => write(/** @type {HTMLElement} */ (present.children[k]), cell));
+  });
+}
+
+export class DoctorPanel {
+  #run = el("button", { type: "button", id: "doctor", class: "main" }, "Examine");
+  #note = el("p", { class: "help", role: "status" }, "The doctor checks everything between the camera and the pointer.");
+  #list = el("div", {});
+  element = el("div", {}, el("div", { class: "row" }, this.#run), this.#note, this.#list);
+
+  /** @param {Act} act */
+  constructor(act) {
+    this.#run.addEventListener("click", async () => {
+      this.#run.disabled = true;
+      write(this.#note, "Examining. This takes a few seconds.");
+      const done = await act("doctor");
+      this.#run.disabled = false;
+      write(this.#note, done?.message || (done ? "" : "The doctor gave no report."));
+      if (done) this.#show(done.data.checks ?? []);
+    });
+  }
+
+  /** @param {{subject: string, name: string, verdict: string, text: string, advice: string}[]} checks */
+  #show(checks) {
+    const subjects = [...new Set(checks.map((c) => c.subject))];
+    this.#list.replaceChildren(...subjects.map((subject) => el("section", {}, el("h3", {}, subject),
+      el("ul", { class: "findings" }, ...checks.filter((c) => c.subject === subject).map((c) =>
+        el("li", { class: c.verdict.replace(" ", "-") }, el("b", {}, c.verdict), ` ${c.name}: ${c.text}`,
+          ...(c.advice ? [el("p", { class: "help" }, c.advice)] : [])))))));
+  }
+}

@@ -1,0 +1,154 @@
+/** The panels of settings: those of daily use, and all others by stage. */
+
+import { el, write } from "./dom.js";
+import { control, title } from "./controls.js";
+
+/** @typedef {import("./types.js").Setting} Setting */
+/** @typedef {import("./settings.js").Settings} Settings */
+/** @typedef {(action: string, words?: Record<string, any>) => Promise<import("./types.js").Done | null>} Act */
+
+export class TunePanel {
+  /** @type {(() => void)[]} */ #shows = [];
+  #list = el("div", { class: "settings" });
+  #undo = el("button", { type: "button", id: "undo" }, "Undo");
+  #save = el("button", { type: "button", id: "save", class: "main" }, "Save");
+  #mark = el("p", { class: "help", id: "unsaved", role: "status" });
+  #profile = el("select", { id: "profile" });
+  #apply = el("button", { type: "button", id: "apply-profile" }, "Apply");
+  #profiles = el("div", { class: "row" }, el("label", { for: "profile" }, "Profile"), this.#profile, this.#apply);
+  element = el("div", {}, this.#profiles, this.#list,
+    el("div", { class: "row sticky" }, this.#undo, this.#save, this.#mark));
+  #settings;
+
+  /**
+   * @param {Settings} settings
+   * @param {Act} act
+   */
+  constructor(settings, act) {
+    this.#settings = settings;
+    this.#undo.addEventListener("click", () => void act("undo"));
+    this.#save.addEventListener("click", () => void act("save"));
+    this.#apply.addEventListener("click", () => void act("profile", { name: this.#profile.value }));
+    settings.listen(() => this.#show());
+  }
+
+  /** @param {import("./types.js").Hello} hello */
+  load({ tune, profiles }) {
+    const controls = tune.flatMap((key) => {
+      const setting = this.#settings.all.get(key);
+      return setting ? [control(setting, this.#settings, "tune")] : [];
+    });
+    this.#shows = controls.map((c) => c.show);
+    this.#list.replaceChildren(...controls.map((c) => c.element));
+    this.#profiles.hidden = !Object.keys(profiles).length;
+    this.#profile.replaceChildren(...Object.entries(profiles).map(([name, changes]) =>
+      el("option", { value: name, title: changes.join(", ") }, name)));
+    this.#show();
+  }
+
+  #show() {
+    for (const show of this.#shows) show();
+    const { undo, unsaved } = this.#settings;
+    this.#undo.disabled = undo === 0;
+    this.#save.disabled = unsaved.size === 0;
+    write(this.#undo, undo ? `Undo (${undo})` : "Undo");
+    write(this.#mark, unsaved.size ? `${unsaved.size} unsaved: in force until the next start.` : "All settings are saved.");
+  }
+}
+
+const STAGES = /** @type {Record<string, string>} */ ({
+  "": "The run", camera: "Camera", rings: "Targets", pose: "Camera pose", discs: "Discs", blobs: "Discs, published detector",
+  so3: "Filter", euler: "Published filters", loss: "Loss and recovery", motion: "Motion to counts", pointer: "Reports",
+  wand: "Wand", "wand.pointing": "Wand, pointing", control: "Control socket", record: "Recordings", metrics: "Metrics",
+});
+
+export class ExpertPanel {
+  /** @type {{setting: Setting, element: HTMLElement, show: () => void}[]} */ #controls = [];
+  #search = el("input", { type: "search", id: "search", placeholder: "Name or effect", autocomplete: "off" });
+  #changed = el("input", { type: "checkbox", id: "changed-only" });
+  #reset = el("button", { type: "button", id: "reset-all" }, "Reset all");
+  #file = el("input", { type: "file", id: "import-file", accept: ".yaml,.yml,text/yaml", class: "unseen", tabindex: "-1",
+    "aria-label": "File of settings" });
+  #list = el("div", { class: "stages" });
+  #count = el("p", { class: "help", role: "status" });
+  element;
+  #settings;
+
+  /**
+   * @param {Settings} settings
+   * @param {Act} act
+   */
+  constructor(settings, act) {
+    this.#settings = settings;
+    const exporting = el("button", { type: "button", id: "export", click: async () => download(await act("export")) }, "Export");
+    const importing = el("button", { type: "button", id: "import", click: () => this.#file.click() }, "Import");
+    this.element = el("div", {},
+      el("div", { class: "row" }, el("label", { for: "search" }, "Search"), this.#search,
+        el("label", { class: "check" }, this.#changed, "changed only")),
+      el("div", { class: "row" }, this.#reset, exporting, importing, this.#file), this.#count, this.#list);
+    this.#search.addEventListener("input", () => this.#show());
+    this.#changed.addEventListener("change", () => this.#show());
+    this.#reset.addEventListener("click", () => {
+      const keys = this.#controls.map((c) => c.setting).filter((s) => s.live && this.#isChanged(s)).map((s) => s.key);
+      if (keys.length) void act("reset", { keys });
+    });
+    this.#file.addEventListener("change", async () => {
+      const file = this.#file.files?.[0];
+      if (file) await act("import", { text: await file.text() });
+      this.#file.value = "";
+    });
+    settings.listen(() => this.#show());
+  }
+
+  /** @param {import("./types.js").Hello} hello */
+  load({ tune }) {
+    const others = [...this.#settings.all.values()].filter((s) => !tune.includes(s.key));
+    this.#controls = others.map((setting) => ({ setting, ...control(setting, this.#settings, "expert") }));
+    const groups = group(this.#controls);
+    this.#list.replaceChildren(...[...groups].map(([name, controls]) =>
+      el("section", {}, el("h3", {}, STAGES[name] ?? title(name)), ...controls.map((c) => c.element))));
+    this.#show();
+  }
+
+  /** @param {Setting} setting */
+  #isChanged(setting) {
+    return JSON.stringify(this.#settings.value(setting.key)) !== JSON.stringify(setting.default);
+  }
+
+  #show() {
+    const words = this.#search.value.trim().toLowerCase().split(/\s+/);
+    let shown = 0;
+    for (const { setting, element, show } of this.#controls) {
+      show();
+      const text = `${setting.key} ${setting.meaning}`.toLowerCase();
+      element.hidden = !words.every((w) => text.includes(w)) || (this.#changed.checked && !this.#isChanged(setting));
+      shown += Number(!element.hidden);
+    }
+    for (const section of this.#list.children) {
+      const rows = [...section.querySelectorAll(".setting")];
+      section.toggleAttribute("hidden", rows.every((row) => row.hasAttribute("hidden")));
+    }
+    const changed = this.#controls.filter((c) => this.#isChanged(c.setting));
+    this.#reset.disabled = !changed.some((c) => c.setting.live);
+    write(this.#count, `${shown} of ${this.#controls.length} settings shown, ${changed.length} differ from the default.`);
+  }
+}
+
+/**
+ * @template {{setting: Setting}} T
+ * @param {T[]} controls
+ */
+function group(controls) {
+  /** @type {Map<string, T[]>} */
+  const groups = new Map();
+  for (const c of controls) groups.set(c.setting.group, [...(groups.get(c.setting.group) ?? []), c]);
+  return groups;
+}
+
+/** @param {import("./types.js").Done | null} done */
+function download(done) {
+  if (!done) return;
+  const url = URL.createObjectURL(new Blob([String(done.data.text ?? "")], { type: "text/yaml" }));
+  el("a", { href: url, download: "spheremouse-settings.yaml" }).click();
+  setTimeout(() => URL.revokeObjectURL(url), 10000);
+}
