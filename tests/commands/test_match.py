@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from experiments.kit.trackball import Trackball, rate_of, simulate_log, trackball_matrix
 
 from spheremouse.commands import match as cli_match
 from spheremouse.files import config
@@ -13,7 +14,6 @@ from spheremouse.files.mouse_log import LogFile, MouseReport, read_log
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
 from spheremouse.simulate.ball.profile import play
-from spheremouse.simulate.ball.trackball import Trackball, rate_of, simulate_log, trackball_matrix
 from spheremouse.simulate.to_dataset import write_simulation
 
 MATRIX = trackball_matrix(-480.0, 480.0)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from experiments.kit.trackball import Trackball, rate_of, simulate_log, trackball_matrix
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,7 +12,6 @@ from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.output.counts import MotionSettings
 from spheremouse.simulate.ball.profile import Gestures, play, stroke
-from spheremouse.simulate.ball.trackball import Trackball, rate_of, simulate_log, trackball_matrix
 
 FPS, RADIUS = 30.0, 0.6
 BEGIN = 5000.0  # s, of the frames' clock

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.device import Axes, Device, Distance
-from spheremouse.calibrate.device.adjust import DeviceCalibration, DiscViews, adjust_device
+from spheremouse.calibrate.device.adjust import DeviceCalibration, DiscViews, adjust_bundle, shift_to_ball
 from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, predicted
 from spheremouse.calibrate.device.start import TargetViews
 from spheremouse.geometry.camera import InteriorOrientation, Pose
@@ -93,7 +93,7 @@ def simulated_calibration(
 def calibrated(simulated: SimulatedCalibration) -> DeviceCalibration:
     """Adjust the observations."""
     s = simulated
-    return adjust_device(s.views, s.discs, s.start, s.device, s.camera)
+    return shift_to_ball(adjust_bundle(s.views, s.discs, s.start, s.device, s.camera), s.views, s.device)
 
 
 def normalised_errors(simulated: SimulatedCalibration, found: DeviceCalibration) -> dict[str, float]:

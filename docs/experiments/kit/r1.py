@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from experiments.kit.film import Film, film_of, options_of
+from experiments.kit.trackball import Trackball, simulate_log, trackball_matrix
 from spheremouse.ball.truth import Truth
 from spheremouse.evaluation.metrics import Run, pearson, surface_travel
 from spheremouse.evaluation.trackball import CountPath
@@ -18,7 +19,6 @@ from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.simulate.ball.film import prepare
 from spheremouse.simulate.ball.profile import Profile, play
-from spheremouse.simulate.ball.trackball import Trackball, simulate_log, trackball_matrix
 
 PACE = 0.5  # of `play`: at its full pace the published filters lose the ball too often for what R1 shows (`filters`)
 SECONDS = 30.0  # s

@@ -145,16 +145,6 @@ class BundleResult:
     factors: tuple[float, float]  # variance factors of targets and discs: estimated over assumed
 
 
-def adjust_device(
-    views: TargetViews, discs: DiscViews, block: Block, device: Device, camera: InteriorOrientation
-) -> DeviceCalibration:
-    """Calibrate a device from image points with known correspondence and an approximate block.
-
-    Raises the errors of `calibrate_device`.
-    """
-    return shift_to_ball(adjust_bundle(views, discs, block, device, camera), views, device)
-
-
 def adjust_bundle(
     views: TargetViews, discs: DiscViews, block: Block, device: Device, camera: InteriorOrientation
 ) -> BundleResult:

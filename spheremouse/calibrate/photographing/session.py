@@ -1,23 +1,16 @@
-"""A photo session: frames of a camera in, a folder of photos out, with words and a tone for the person.
+"""A photo session: frames of a camera in, a folder of photos out, with words and a bell for the person.
 
 The folder is the session: its photos count, so you can leave it at any time and continue it. Each photo is written
 whole or not at all, under an unused number.
 """
 
-import io
-import shutil
-import subprocess
-import wave
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import cv2
-import numpy as np
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
@@ -30,12 +23,6 @@ from spheremouse.files.pictures import Size, px
 from spheremouse.files.safe_files import replace
 from spheremouse.tracker import Frame
 
-TAKEN, ENOUGH = (880.0,), (660.0, 880.0, 1100.0)  # Hz
-
-_SAMPLE_RATE = 16_000  # Hz
-_TONE_SECONDS = 0.12
-_PLAYER = "aplay"  # of alsa-utils; plays its standard input
-
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
@@ -47,27 +34,22 @@ class Outcome:
     failure: SpheremouseError | None  # of the source
 
 
+@contextmanager
+def open_screen(bell: bool) -> Iterator["Screen"]:
+    """Open the person's view of a session on standard error; `bell` rings the terminal's bell for each photo."""
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    if not console.is_terminal:
+        console.width = 1000
+    with Live(console=console, transient=True) if console.is_terminal else nullcontext() as live:
+        yield Screen(console, live, bell)
+
+
 class Screen:
-    """The person's view of a session: a live picture on a terminal, elsewhere lines; a context manager."""
+    """The person's view of a session: a live picture on a terminal, elsewhere lines."""
 
-    def __init__(self, tones: bool, console: Console | None = None) -> None:
-        self._console = console or Console(stderr=True, highlight=False, soft_wrap=True)
-        if not self._console.is_terminal:
-            self._console.width = 1000
-        self._live = Live(console=self._console, transient=True) if self._console.is_terminal else None
-        self._tones = tones
+    def __init__(self, console: Console, live: Live | None, bell: bool) -> None:
+        self._console, self._live, self._bell = console, live, bell
         self._wanted = ""
-
-    def __enter__(self) -> Self:
-        if self._live is not None:
-            self._live.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._live is not None:
-            self._live.__exit__(kind, error, trace)
 
     def print(self, text: str) -> None:
         """Print a line that stays."""
@@ -90,35 +72,12 @@ class Screen:
     def taken(self, path: Path, selector: Selector, check: FrameCheck) -> None:
         """Report a new photo."""
         self.print(f"{path.name}: {check.gain} ({selector.count} photo{'' if selector.count == 1 else 's'})")
-        self.ring(TAKEN)
+        self.ring()
 
-    def ring(self, tones: Sequence[float]) -> None:
-        """Ring the terminal's bell, and play tones, Hz, if there is a player."""
-        if not self._tones:
-            return
-        if self._live is not None:
+    def ring(self) -> None:
+        """Ring the terminal's bell, if there is a terminal."""
+        if self._bell and self._live is not None:
             self._console.bell()
-        if player := shutil.which(_PLAYER):
-            quiet = subprocess.DEVNULL
-            with suppress(OSError):
-                playing = subprocess.Popen([player, "-q", "-"], stdin=subprocess.PIPE, stdout=quiet, stderr=quiet)
-                assert playing.stdin is not None
-                playing.stdin.write(tones_as_wav(tones))
-                playing.stdin.close()
-
-
-def tones_as_wav(tones: Sequence[float]) -> bytes:
-    """Return tones, Hz, one after the other as a WAV file."""
-    t = np.arange(round(_SAMPLE_RATE * _TONE_SECONDS)) / _SAMPLE_RATE
-    swell = 9000.0 * np.sin(np.pi * t / _TONE_SECONDS)  # an abrupt tone clicks
-    samples = np.concatenate([swell * np.sin(2.0 * np.pi * tone * t) for tone in tones])
-    file = io.BytesIO()
-    with wave.open(file, "wb") as sound:
-        sound.setnchannels(1)
-        sound.setsampwidth(2)
-        sound.setframerate(_SAMPLE_RATE)
-        sound.writeframes(samples.astype("<i2").tobytes())
-    return file.getvalue()
 
 
 def take_photos(frames: Iterable[Frame], begin: Callable[[Size], Selector], folder: Path, screen: Screen) -> Outcome:

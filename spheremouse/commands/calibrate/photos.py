@@ -47,7 +47,7 @@ def photos(
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter, as camera.focus=30.")
     ] = None,
-    sound: Annotated[bool, typer.Option("--sound/--no-sound", help="A tone for every photo.")] = True,
+    sound: Annotated[bool, typer.Option("--sound/--no-sound", help="Ring the terminal's bell for every photo.")] = True,
 ) -> None:
     """Take photos with the camera that will watch the ball: each by itself, when the picture is sharp, still and new.
 
@@ -56,7 +56,7 @@ def photos(
     """
     from spheremouse.calibrate.board import NAME, chosen_board, save_board
     from spheremouse.calibrate.guide.suggestions import camera_command, default_folder, device_command, photos_command
-    from spheremouse.calibrate.photographing.session import ENOUGH, Screen, take_photos
+    from spheremouse.calibrate.photographing.session import open_screen, take_photos
     from spheremouse.capture import full_spec
     from spheremouse.capture.signals import SignalHandler
     from spheremouse.commands.config import root
@@ -71,7 +71,7 @@ def photos(
     configured = in_force(config or (own if own.exists() else None), settings or (), root())
     place = folder / ("board" if what == "camera" else "device")
     begin = _board_selector(known) if what == "camera" else _device_selector(folder, configured)
-    with Screen(sound) as screen:
+    with open_screen(sound) as screen:
         with _opened(source, configured, folder, place, screen) as stream, SignalHandler() as stopping:
             outcome = take_photos(stopping.frames(iter(stream)), begin, place, screen)
         selector = outcome.selector
@@ -80,7 +80,7 @@ def photos(
         if config is None and selector is not None and selector.count:
             _save_settings(own, source, configured, settings or ())
         if selector is not None and selector.enough:
-            screen.ring(ENOUGH)
+            screen.ring()
     again = photos_command(folder, what, () if source is None else ("--source", source))
     follows = (camera_command if what == "camera" else device_command)(folder)
     _conclude(outcome, place, follows, again, _MIN_PHOTOS[what], stopping.asked)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.device import Axes, Device, Distance
-from spheremouse.calibrate.device.adjust import DiscViews, adjust_device
+from spheremouse.calibrate.device.adjust import DiscViews, adjust_bundle, shift_to_ball
 from spheremouse.calibrate.device.advice import advise, missing_sides, photo_px, photo_scatter
 from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, predicted
 from spheremouse.calibrate.device.start import TargetViews
@@ -70,13 +70,12 @@ def calibrated(stations, pairs=EDGES, tape=0.001, seed=0, discs=70, worse=None, 
     depth = np.concatenate([p.to_cam(TARGETS)[:, 2] for p in poses])
     seen, number = np.unique(point[~is_target], return_inverse=True)
     targets = image.take(is_target)
-    return adjust_device(
-        TargetViews(tuple(range(k)), targets, np.stack([depth, 0.02 * depth], axis=1), ()),
-        DiscViews(photo[~is_target], number, image.centre[~is_target], image.covariance[~is_target], points[seen]),
-        replace(true, points=points[:4]),
-        device,
-        CAMERA,
+    views = TargetViews(tuple(range(k)), targets, np.stack([depth, 0.02 * depth], axis=1), ())
+    seen_discs = DiscViews(
+        photo[~is_target], number, image.centre[~is_target], image.covariance[~is_target], points[seen]
     )
+    start = replace(true, points=points[:4])
+    return shift_to_ball(adjust_bundle(views, seen_discs, start, device, CAMERA), views, device)
 
 
 NAMES = [f"photo {k}" for k in range(1, 10)]

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from experiments.kit.r1 import LAG, SCALE, TRACKBALL, Slowed, agreement, of_truth
+from experiments.kit.trackball import simulate_log
 from numpy.testing import assert_allclose
 
 from spheremouse.ball.truth import Truth
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.profile import play
-from spheremouse.simulate.ball.trackball import simulate_log
 
 
 def motion(pace=0.5):
