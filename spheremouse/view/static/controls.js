@@ -6,8 +6,9 @@ import { el, short, valueText, write } from "./dom.js";
 /** @typedef {import("./types.js").Value} Value */
 /** @typedef {import("./settings.js").Settings} Settings */
 
-const STEPS = 1000; // positions of a slider
-const DECADES = 1000; // a wider range has a logarithmic slider
+const STEPS = 200; // positions of a slider, at most
+const RATIO = 1000; // a wider range has a logarithmic slider
+const AROUND = 20; // a logarithmic slider reaches this factor below and above the default; the number takes all values
 const LONG_UNIT = 10; // characters; a longer one is in the help alone
 const WIDEST = 1e5; // of a range from 0 that a linear slider still resolves
 
@@ -45,24 +46,27 @@ export function parse(setting, text) {
  * Return the way between a slider's position, 0 to 1, and a value; null if no slider suits the range.
  * @param {Setting} setting
  */
-export function scale({ type, minimum: low, maximum: high }) {
-  if ((type !== "number" && type !== "integer") || low === null || high === null || !(high > low)) return null;
-  const logarithmic = low > 0 && high / low >= DECADES;
-  if (!logarithmic && high - low > WIDEST) return null;
-  const unit = 10 ** Math.floor(Math.log10((high - low) / 200));
+export function scale({ type, minimum, maximum, default: usual }) {
+  if ((type !== "number" && type !== "integer") || minimum === null || maximum === null || !(maximum > minimum)) return null;
+  const logarithmic = minimum > 0 && maximum / minimum >= RATIO;
+  if (!logarithmic && maximum - minimum > WIDEST) return null;
+  const around = logarithmic && typeof usual === "number" && usual > 0;
+  const low = around ? Math.max(minimum, usual / AROUND) : minimum;
+  const high = around ? Math.min(maximum, usual * AROUND) : maximum;
+  const unit = 10 ** Math.floor(Math.log10((high - low) / STEPS));
   return {
-    /** @param {number} at */
-    value(at) {
-      if (at <= 0) return low;
-      if (at >= 1) return high;
-      const raw = logarithmic ? low * (high / low) ** at : low + (high - low) * at;
+    steps: type === "integer" && !logarithmic ? Math.min(STEPS, high - low) : STEPS,
+    /** @param {number} share 0 to 1 */
+    value(share) {
+      const raw = logarithmic ? low * (high / low) ** share : low + (high - low) * share;
       if (type === "integer") return Math.round(raw);
-      return logarithmic ? Number(raw.toPrecision(2)) : Number((Math.round(raw / unit) * unit).toPrecision(6));
+      const rounded = logarithmic ? Number(raw.toPrecision(2)) : Number((Math.round(raw / unit) * unit).toPrecision(6));
+      return Math.min(maximum, Math.max(minimum, rounded));
     },
     /** @param {number} value */
-    at(value) {
-      const share = logarithmic ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low);
-      return Math.min(1, Math.max(0, share));
+    share(value) {
+      const at = logarithmic ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low);
+      return Math.min(1, Math.max(0, at));
     },
   };
 }
@@ -99,18 +103,17 @@ export function control(setting, settings, prefix) {
   const field = entry(setting, state, change);
   const way = scale(setting);
   const slider = way && el("input", {
-    type: "range", min: 0, max: STEPS, class: "slider", disabled: !setting.live,
+    type: "range", min: 0, max: way.steps, class: "slider", disabled: !setting.live,
     "aria-label": `${title(key)}, slider`, "aria-describedby": `${id}-help`,
     pointerdown: () => settings.hold(),
     input() {
-      const value = way.value(Number(slider?.value) / STEPS);
+      const value = way.value(Number(slider?.value) / way.steps);
       setField(field, value);
       announce(value);
       change(value);
     },
   });
   const announce = (/** @type {Value} */ value) => {
-    slider?.style.setProperty("--at", `${Number(slider.value) / (STEPS / 100)}%`);
     slider?.setAttribute("aria-valuetext", `${valueText(value)} ${setting.unit === "-" ? "" : setting.unit}`);
   };
   const mark = el("span", { class: "unsaved" });
@@ -127,7 +130,7 @@ export function control(setting, settings, prefix) {
     if (document.activeElement !== field && !refused) setField(field, value);
     if (slider && way) {
       slider.hidden = typeof value !== "number";
-      if (document.activeElement !== slider && typeof value === "number") slider.value = String(way.at(value) * STEPS);
+      if (document.activeElement !== slider && typeof value === "number") slider.value = String(way.share(value) * way.steps);
       announce(value);
     }
     write(error, refused);

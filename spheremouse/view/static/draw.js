@@ -162,12 +162,14 @@ export class DrawPanel {
     const { width, height } = this.#picture.view;
     const [w, h] = [width / 10, height / 10].map(Math.round);
     const [x, y] = [(width - (w ?? 0)) / 2, (height - (h ?? 0)) / 2].map(Math.round);
+    this.#settings.release();
     this.#masks.push([x ?? 0, y ?? 0, (x ?? 0) + (w ?? 0), (y ?? 0) + (h ?? 0)]);
     this.#send(this.#masks.length - 1);
   }
 
   /** @param {number} index */
   #remove(index) {
+    this.#settings.release();
     this.#masks.splice(index, 1);
     this.#send(Math.min(index, this.#masks.length - 1));
   }

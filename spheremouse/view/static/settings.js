@@ -14,7 +14,7 @@ export class Settings {
   /** @type {{gesture: string, values: Record<string, Value>}[]} */ #queue = [];
   /** @type {Record<string, Value>} */ #underWay = {};
   #busy = false;
-  #gesture = { key: "", number: 0, at: -Infinity, held: false };
+  #gesture = { key: "", number: Math.floor(Math.random() * 1e9), at: -Infinity, held: false }; // another page has others
   /** @type {(() => void)[]} */ #listeners = [];
   #link;
 
@@ -67,6 +67,11 @@ export class Settings {
   /** Begin a gesture that lasts until the pointer is released. */
   hold() {
     this.#gesture = { key: "", number: this.#gesture.number + 1, at: performance.now(), held: true };
+  }
+
+  /** End the gesture: the next change is another step of undo. */
+  release() {
+    this.#gesture = { ...this.#gesture, key: "", held: false };
   }
 
   /**
