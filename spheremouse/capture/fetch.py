@@ -8,8 +8,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from spheremouse.capture import OpenCamera, RawFrame, Source
 from spheremouse.capture.newest import Arrival, LatestFrame
@@ -86,10 +85,8 @@ class Streamed:
         self._frames = iter(self._source.__enter__())
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._source.__exit__(kind, error, trace)
+    def __exit__(self, *exception: Any) -> None:
+        self._source.__exit__(*exception)
 
 
 class Capture(threading.Thread):

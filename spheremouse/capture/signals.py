@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Self
 
 from spheremouse.tracker import Frame
@@ -35,9 +35,7 @@ class SignalHandler:
         self._before = {s: signal.signal(s, self._hear) for s in _SIGNALS}
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._restore()
 
     def frames(self, frames: Iterator[Frame]) -> Iterator[Frame]:

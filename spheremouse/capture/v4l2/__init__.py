@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 from select import POLLIN, poll
 from threading import Lock
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, cast, get_args
 
 import numpy as np
@@ -97,9 +96,7 @@ class V4L2Camera:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def next(self, timeout: float) -> V4L2Frame | None:
