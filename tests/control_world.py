@@ -10,6 +10,7 @@ import pytest
 
 from spheremouse.errors import ControlError
 from spheremouse.session.control import protocol
+from spheremouse.session.control.pictures import PictureRing
 from spheremouse.session.control.protocol import Request
 
 PAGE = Path(__file__).parents[1] / "docs" / "control.md"
@@ -137,6 +138,8 @@ class Daemon:
             case Request(command="resume"):
                 self.paused = False
                 reply({"state": "tracking"})
+            case protocol.Pictures():
+                reply({"slots": 3, "slot_bytes": 987136, "ring": PictureRing(987136)})
             case Request(command="stop"):
                 reply({})
             case Request(command="reinit"):

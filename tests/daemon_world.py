@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.rig import Rig
+from spheremouse.capture import Payload
 from spheremouse.errors import DamagedFrameError, OutputError, SourceError
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.rotation import Array, log
@@ -95,6 +96,14 @@ class RawFrame:
         if self._fault == "size":
             image = image[:240, :320]
         return Frame(np.asarray(image, dtype=np.uint8), self.stamp, self.sequence)
+
+    def payload(self) -> Payload:
+        """The grey picture, if it is whole."""
+        assert self._out, "a raw frame that was given back is looked at"
+        if self._fault == "damaged":
+            raise DamagedFrameError("half of it is missing")
+        image = self._world.image(self.place, False, self._fault)
+        return Payload("grey", image.shape[1], image.shape[0], image.reshape(-1).data)
 
     def release(self) -> None:
         """Once, however often it is called."""

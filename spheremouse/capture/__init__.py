@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import Literal, NamedTuple, Protocol, Self
 
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import SourceError
@@ -51,6 +51,15 @@ class Source(Protocol):
     def __exit__(self, *_: object) -> bool | None: ...
 
 
+class Payload(NamedTuple):
+    """An image as a camera sent it. The data is a view, valid until the frame is released."""
+
+    format: Literal["jpeg", "yuyv", "nv12", "grey", "bgr"]
+    width: int  # px
+    height: int  # px
+    data: memoryview  # contiguous bytes: a JPEG file, or rows without padding
+
+
 class RawFrame(Protocol):
     """An image of a live camera that is not decoded yet."""
 
@@ -69,6 +78,10 @@ class RawFrame(Protocol):
 
         Raises DamagedFrameError if the image is incomplete.
         """
+        ...
+
+    def payload(self) -> Payload:
+        """Return the image as it was sent, which may be damaged. Raises DamagedFrameError if bytes are missing."""
         ...
 
     def release(self) -> None:

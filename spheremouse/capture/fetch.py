@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from typing import Any, Self
 
-from spheremouse.capture import OpenCamera, RawFrame, Source
+from spheremouse.capture import OpenCamera, Payload, RawFrame, Source
 from spheremouse.capture.newest import Arrival, LatestFrame
 from spheremouse.errors import SourceError, SpheremouseError
 from spheremouse.tracker import Frame
@@ -37,6 +37,12 @@ class Fetched:
     def frame(self, colour: bool) -> Frame:
         """Return the decoded frame, in colour or not."""
         return self._frame
+
+    def payload(self) -> Payload:
+        """Return the decoded image."""
+        image = self._frame.image
+        height, width = image.shape[:2]
+        return Payload("grey" if image.ndim == 2 else "bgr", width, height, image.reshape(-1).data)
 
     def release(self) -> None:
         """Do nothing: there is no buffer."""

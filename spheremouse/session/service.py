@@ -25,11 +25,12 @@ from spheremouse.output.reporter import ReporterStatus
 from spheremouse.output.third_axis import left_out
 from spheremouse.session.cameras import held
 from spheremouse.session.config_reloader import READING, ConfigReloader, given
-from spheremouse.session.control.protocol import Profile, Record, Request, Set, Snapshot, refused
+from spheremouse.session.control.protocol import Pictures, Profile, Record, Request, Set, Snapshot, refused
 from spheremouse.session.control.request_queue import PendingRequest, RequestQueue
 from spheremouse.session.control.server import Endpoints
 from spheremouse.session.control.status import OutputStatus, Quantiles, SourceStatus, State, StatusReport
 from spheremouse.session.outputs import OUTPUT, Outputs
+from spheremouse.session.picture_feed import PictureFeed
 from spheremouse.session.process import realtime
 from spheremouse.session.process.notify import Notifier
 from spheremouse.session.process.threads import WorkerPool, as_future, begin
@@ -88,6 +89,7 @@ class Daemon:
             overrides, plan, setup, self._prepare, workers=self._workers, call=call, log=self._log
         )
         self._archive = Archive(self._workers, call, self._log)
+        self._pictures = PictureFeed(self._log)
         self._capture = Capture(camera(plan), self._ring, self._log)
         self._arrivals = Arrivals()
         adapter = setup.adapter(plan, self._log, self._workers.do)
@@ -173,6 +175,7 @@ class Daemon:
                         self._publish(made, arrival.taken)
                     elif self._worker.untracked is not None:
                         self._archive.look(self._worker.untracked, self.adapter)
+                    self._pictures.show(now, arrival.raw, self.adapter, made)
                 finally:
                     self._worker.forget()
                     arrival.raw.release()
@@ -218,6 +221,7 @@ class Daemon:
         if now - self._checked_at < _EVERY:
             return
         self._checked_at = now
+        self._pictures.expire(now)
         self._cpu.look(now)
         worker.look()
         self._endpoints.retry(self._reloader.plan.configuration.control, now)
@@ -288,6 +292,7 @@ class Daemon:
             last.callback(self._archive.discard)
             last.callback(self._workers.end, RECORDING, SNAPSHOT, MAP, OUTPUT)  # its results are not used any more
             last.callback(self._archive.close)
+            last.callback(self._pictures.close)
             last.callback(self._outputs.close)
             last.callback(self._capture.close)
 
@@ -309,6 +314,10 @@ class Daemon:
             self._ending = True
             self._ring.wake()
             pending.answer({})
+        elif isinstance(pending.request, Pictures):
+            camera = self.adapter.camera
+            ring = self._pictures.lease(time.monotonic(), pending.request.interval, (camera.width, camera.height))
+            pending.answer({"slots": ring.slots, "slot_bytes": ring.slot_bytes, "ring": ring})
         elif monitor.starting and command not in ("pause", "resume"):
             pending.answer(refused(f"{monitor.state}: {monitor.starting}"))
         else:

@@ -78,6 +78,11 @@ class TrackerAdapter(Protocol):
         ...
 
     @property
+    def camera(self) -> InteriorOrientation:
+        """Interior orientation of the camera whose frames it tracks."""
+        ...
+
+    @property
     def subject(self) -> Subject | None:
         """Subject of a recording; None while nothing can be tracked."""
         ...
@@ -123,6 +128,10 @@ class TrackerAdapter(Protocol):
 
     def tracker_status(self, seeing: bool) -> TrackerStatus:
         """Return the tracker's part of the status, from any thread."""
+        ...
+
+    def annotations(self, tracked: FrameResult | None) -> dict[str, Any]:
+        """Return the marks on the last frame as plain data (docs/control.md); None: it was not tracked."""
         ...
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:

@@ -91,6 +91,7 @@ def test_what_is_answered_has_the_keys_that_the_page_shows(world):
         "record": {"seconds": 60, "folder": "bug-1"},
         "recordTrue": {"stop": True},
         "snapshot": {"file": "bug-1.png"},
+        "pictures": {"interval": 0.1},
         "stop": {},
     }.items():
         reply = ask(world, command.removesuffix("True"), **arguments)
@@ -640,6 +641,28 @@ def test_a_snapshot_is_for_owner_and_group_and_leaves_room_on_the_disk(playing, 
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=499e6))
     assert "less than 500 MB are free on the disk: remove recordings" in refused(playing, "snapshot", file="b.png")
     assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+@pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="no anonymous files on this system")
+def test_live_pictures_are_the_frames_with_their_marks_until_the_client_dies(world):
+    """Whether a frame is tracked or not; then the memory is given back."""
+    world.start()
+    for fault, status in (("hidden", "searching"), ("", "tracking")):
+        world.fault = fault
+        world.reach({"searching": "searching-targets"}.get(status, status))
+        with Client(world.socket) as client:
+            reader = client.pictures(0.05)
+            last = reader.latest()
+            world.settle()
+            world.until(lambda reader=reader, last=last: reader.latest(last.number if last else 0), "pictures")
+            picture = reader.latest()
+            assert "spheremouse-pictures" in Path("/proc/self/maps").read_text()
+        place = world.shown[picture.stamp]
+        assert picture.pixels == world.film.grey[place].tobytes()
+        assert picture.annotations["status"] == status
+        assert (picture.annotations["sequence"] is None) == (status == "searching")
+    del reader
+    world.until(lambda: "spheremouse-pictures" not in Path("/proc/self/maps").read_text(), "the memory is given back")
 
 
 # ---- clients that disconnect or send too much ----

@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any, Self, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.capture import Stream
+from spheremouse.capture import Payload, Stream
 from spheremouse.capture.nodes import nodes, persistent_name, probe_node
 from spheremouse.capture.settings import CameraSettings, PixelName
-from spheremouse.capture.v4l2.pixels import Layout, bgr, luma
+from spheremouse.capture.v4l2.pixels import Layout, bgr, luma, payload_of
 from spheremouse.capture.v4l2.stamps import Arrival, Count, Moment, Stamps, Timing, correct_stamp, unwrap_count
 from spheremouse.errors import DamagedFrameError, SourceError
 from spheremouse.files.registry import options
@@ -62,6 +62,12 @@ class V4L2Frame:
             raise DamagedFrameError("the driver lost a part of the frame")
         image = (bgr if colour else luma)(self._payload, self._layout)
         return Frame(image, self.stamp, self.sequence)
+
+    def payload(self) -> Payload:
+        """Return the buffer's image, without the padding of its rows. Raises DamagedFrameError if bytes are missing."""
+        if self._payload is None:
+            raise ValueError("this frame was released")
+        return payload_of(self._payload, self._layout)
 
     def release(self) -> None:
         """Return the buffer to the driver. A luma image of `frame` is invalid afterwards."""

@@ -7,13 +7,14 @@ colour is needed. It reports missing data, which it would fill by invented pixel
 
 import re
 from dataclasses import dataclass
-from typing import cast
+from typing import Literal, cast
 
 import cv2
 import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
+from spheremouse.capture import Payload
 from spheremouse.capture.settings import PixelName
 from spheremouse.errors import DamagedFrameError
 
@@ -69,6 +70,27 @@ def bgr(payload: Image, layout: Layout) -> Image:
     else:
         image = cv2.cvtColor(luma(payload, layout), cv2.COLOR_GRAY2BGR)
     return cast(Image, image)
+
+
+def payload_of(payload: Image, layout: Layout) -> Payload:
+    """Return the image of the bytes (n,), a view if its rows have no padding. Raises DamagedFrameError if incomplete.
+
+    The decoder can reject a JPEG.
+    """
+    _check_size(payload, layout)
+    if not len(payload):
+        raise DamagedFrameError("frame of 0 bytes")
+    w, h = layout.width, layout.height
+    if layout.format == "MJPG":
+        return Payload("jpeg", w, h, payload.data)
+    packed: dict[PixelName, tuple[Literal["yuyv", "nv12", "grey"], int, int]] = {  # bytes of a row, rows
+        "YUYV": ("yuyv", 2 * w, h),
+        "NV12": ("nv12", w, h + (h + 1) // 2),
+        "GREY": ("grey", w, h),
+    }
+    name, row, rows = packed[layout.format]
+    image = np.ndarray((rows, row), np.uint8, payload, 0, (layout.stride, 1))
+    return Payload(name, w, h, image.reshape(-1).data)
 
 
 def _check_size(payload: Image, layout: Layout) -> None:

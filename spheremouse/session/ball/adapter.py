@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from spheremouse.ball.smooth import Observation, observe
 from spheremouse.ball.state import Epoch, Tracker, TrackState, current
 from spheremouse.ball.track import step, wants_colour, with_pose, with_settings
 from spheremouse.errors import PoseError, SpheremouseError
-from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.output import Counts
 from spheremouse.output.counts import Counter
 from spheremouse.output.sample import Sample
@@ -108,6 +108,11 @@ class BallAdapter:
     def reason(self) -> str:
         """State of the ball in words; empty if there is nothing to report."""
         return self._messages.reason
+
+    @property
+    def camera(self) -> InteriorOrientation:
+        """The camera of the rig."""
+        return self.rig.camera
 
     @property
     def subject(self) -> Subject | None:
@@ -258,6 +263,10 @@ class BallAdapter:
             pose=self._pose_status(),
             targets=self._targets_status(),
         )
+
+    def annotations(self, tracked: FrameResult | None) -> dict[str, Any]:
+        """Return the marks on the last frame as plain data."""
+        return {"sequence": None if tracked is None else tracked.samples[0].sequence, "status": str(self.status)}
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
         """Return a function that draws the overlay for a tracked frame with the sum of `counts`.

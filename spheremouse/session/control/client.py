@@ -7,15 +7,18 @@ import socket
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from spheremouse.errors import ControlError, printable
 from spheremouse.files import plain_json
-from spheremouse.output.sample import Sample, from_object
 from spheremouse.session.control import socket_file
+from spheremouse.session.control.pictures import PictureReader
 from spheremouse.session.control.protocol import MAX_LINE
 from spheremouse.session.control.socket_file import peer_of
 from spheremouse.session.control.status import StatusReport
+
+if TYPE_CHECKING:
+    from spheremouse.output.sample import Sample
 
 _START = "start one with `spheremouse run` or `systemctl start spheremouse`"
 _TIMEOUTS = {"status": 5.0, "watch": 5.0}  # s; other commands may take the daemon a while
@@ -40,6 +43,8 @@ class Client:
         self._path = path or socket_file.find_socket()
         self._socket: socket.socket | None = None
         self._received = bytearray()
+        self._memory: int | None = None  # descriptor that came with the last message
+        self._pictures: PictureReader | None = None
         self.dropped = 0  # samples that this client read too slowly
 
     def __enter__(self) -> Self:
@@ -63,8 +68,9 @@ class Client:
         """Disconnect. The next request connects again."""
         if self._socket is not None:
             self._socket.close()
-        self._socket = None
+        self._socket, self._pictures = None, None
         self._received.clear()
+        self._forget_memory()
 
     def ask(self, command: str, **arguments: Any) -> dict[str, Any]:
         """Return the daemon's reply without `ok`. RefusedError has the daemon's reason; NoDaemonError: none answers."""
@@ -93,8 +99,25 @@ class Client:
                 self.dropped = event.get("dropped", 0)
                 yield sample
 
-    def samples(self) -> Iterator[Sample]:
+    def pictures(self, interval: float | None = None) -> PictureReader:
+        """Return a reader of live pictures, of which the daemon writes at most one each `interval` s.
+
+        The daemon stops 3 s after the last call. Call it each second, and at once if the reader is `replaced`: the
+        reader that it returns is the same one, unless the daemon has new memory.
+        """
+        reply = self.ask("pictures", interval=interval)
+        if reply.get("fresh") is True and self._memory is not None:
+            memory, self._memory = self._memory, None
+            self._pictures = PictureReader(memory)
+        if self._pictures is None:
+            self.close()
+            raise NoDaemonError(f"{self._path}: the daemon gives no memory with pictures; restart it")
+        return self._pictures
+
+    def samples(self) -> "Iterator[Sample]":
         """Yield each sample of the run, as `sample_objects` does."""
+        from spheremouse.output.sample import from_object  # loads SciPy, which few clients need
+
         for read in self.sample_objects():
             try:
                 yield from_object(read)
@@ -138,7 +161,10 @@ class Client:
         try:
             while (end := self._received.find(b"\n")) < 0:
                 connection.settimeout(max(deadline - time.monotonic(), 1e-3))  # one deadline for the whole line
-                data = connection.recv(MAX_LINE)
+                data, files, *_ = socket.recv_fds(connection, MAX_LINE, 1, getattr(socket, "MSG_CMSG_CLOEXEC", 0))
+                if files:
+                    self._forget_memory()
+                    self._memory = files[0]
                 if not data:
                     raise ConnectionResetError
                 self._received += data
@@ -159,6 +185,11 @@ class Client:
             self.close()
             raise NoDaemonError(f"{self._path}: the program that answers is no daemon of spheremouse") from None
         return message
+
+    def _forget_memory(self) -> None:
+        if self._memory is not None:
+            os.close(self._memory)
+        self._memory = None
 
     def _connected(self) -> socket.socket:
         if self._socket is not None:

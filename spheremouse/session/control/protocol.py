@@ -17,6 +17,7 @@ from spheremouse.files.yaml import Document
 
 MAX_LINE = 65536  # bytes of a message, with its end of line
 MAX_MARKS = 500  # brackets, braces and commas in a request: parsing JSON holds the interpreter, 0.1 ms a thousand
+LEASE = 3.0  # s after the last request for live pictures, in which the daemon writes them
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 Id = str | int
@@ -54,7 +55,18 @@ class Request(BaseModel):
 
     model_config = _MODEL
     command: Literal[
-        "status", "reinit", "pause", "resume", "reload", "stop", "set", "profile", "record", "snapshot", "watch"
+        "status",
+        "reinit",
+        "pause",
+        "resume",
+        "reload",
+        "stop",
+        "set",
+        "profile",
+        "record",
+        "snapshot",
+        "watch",
+        "pictures",
     ]
     id: Id | None = None
 
@@ -96,6 +108,12 @@ class Watch(Request):
     samples: bool = Field(default=False, description="true sends the samples of each frame")
 
 
+class Pictures(Request):
+    """Have the daemon write live pictures for `LEASE` s, at most one each `interval` s; or go on."""
+
+    interval: float = Field(default=1 / 15, ge=0.03, le=1.0, description="the default is 1/15 s")
+
+
 _REQUESTS: dict[str, type[Request]] = {
     **dict.fromkeys(("status", "reinit", "pause", "resume", "reload", "stop"), Request),
     "set": Set,
@@ -103,6 +121,7 @@ _REQUESTS: dict[str, type[Request]] = {
     "record": Record,
     "snapshot": Snapshot,
     "watch": Watch,
+    "pictures": Pictures,
 }
 COMMANDS = tuple(_REQUESTS)
 

@@ -23,6 +23,7 @@ from spheremouse.output import Report
 from spheremouse.output.lines import json_lines
 from spheremouse.session.control import socket_file
 from spheremouse.session.control.metrics import MetricsServer
+from spheremouse.session.control.pictures import PictureRing
 from spheremouse.session.control.protocol import (
     MAX_LINE,
     BadRequestError,
@@ -280,6 +281,7 @@ class _Client:
         self._events: deque[dict[str, Any]] = deque(maxlen=limits.events)
         self._samples: deque[str] = deque(maxlen=limits.samples)  # JSON objects
         self._dropped = 0  # samples
+        self._ring: PictureRing | None = None  # whose memory the client has
         writer.transport.set_write_buffer_limits(0)  # `drain` then waits until the system has all of it
 
     @property
@@ -302,12 +304,23 @@ class _Client:
             raise BadRequestError(f"a line of more than {MAX_LINE} bytes; send one JSON object a line") from None
 
     async def send(self, message: dict[str, Any]) -> None:
-        """Send a message. If the client does not read it, drop the client and raise TimeoutError."""
+        """Send a message. If the client does not read it, drop the client and raise TimeoutError.
+
+        The first message with a `ring` carries its memory.
+        """
+        ring, memory = message.pop("ring", None), None
+        if isinstance(ring, PictureRing) and ring is not self._ring:
+            try:
+                memory, self._ring, message = ring.duplicate(), ring, message | {"fresh": True}
+            except ControlError as e:
+                message = refused(str(e), message.get("id"))
         try:
             line = encode(message)
         except ValueError as e:
             text = f"{e}; {MAX_LINE} is the most"
             line = encode({"event": "log", "text": text} if "event" in message else refused(text, message.get("id")))
+        if memory is not None:
+            line = line[await self._send_memory(line, memory) :]
         await self._write(line)
 
     async def send_next(self) -> None:
@@ -319,6 +332,19 @@ class _Client:
             await self._write(f'{{"event":"sample","dropped":{self._dropped},"sample":{sample}}}\n'.encode())
         else:
             self.has_events.clear()
+
+    async def _send_memory(self, line: bytes, memory: int) -> int:
+        """Send a descriptor with a line (SCM_RIGHTS), which streams of asyncio cannot. Return the bytes sent."""
+        try:
+            while self._writer.transport.get_write_buffer_size():  # another task's line
+                await self._write(b"")
+            with self._socket.dup() as connection:
+                return socket.send_fds(connection, [line], [memory])
+        except BlockingIOError:  # the client does not read
+            self.drop()
+            raise
+        finally:
+            os.close(memory)
 
     async def _write(self, line: bytes) -> None:
         self._writer.write(line)

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,7 +12,7 @@ from spheremouse.errors import SourceError, SpheremouseError
 from spheremouse.files.dataset.format import BALL_FILES
 from spheremouse.files.dataset.wand import wand_scene
 from spheremouse.files.wand import wand_text
-from spheremouse.geometry.camera import sphere_outline
+from spheremouse.geometry.camera import InteriorOrientation, sphere_outline
 from spheremouse.output import Counts
 from spheremouse.output.sample import Sample
 from spheremouse.output.wand_mapping import WandMapping
@@ -55,6 +56,11 @@ class WandAdapter:
         self.points = plan.configuration.wand.points - 1  # index of the ball that moves the pointer
         self._plan, self.tracker = plan, replace(tracker, points=self.points)
         self.subject = wand_subject(self.tracker, plan.configuration)
+
+    @property
+    def camera(self) -> InteriorOrientation:
+        """The camera of the balls."""
+        return self.tracker.camera
 
     @property
     def reason(self) -> str:
@@ -157,6 +163,10 @@ class WandAdapter:
             poses = tuple(WandPose(b.name, None, None, None, Status.SEARCHING, None) for b in self.tracker.balls)
         balls = [_ball_status(pose) for pose in poses]
         return TrackerStatus(motion=motion, balls=balls)
+
+    def annotations(self, tracked: FrameResult | None) -> dict[str, Any]:
+        """Return the marks on the last frame as plain data."""
+        return {"sequence": None if tracked is None else tracked.samples[0].sequence, "status": str(self.status)}
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
         """Return a function that draws the overlay, black except around the balls unless `everything`."""

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spheremouse.capture.v4l2.pixels import Layout, bgr, luma
+from spheremouse.capture.v4l2.pixels import Layout, bgr, luma, payload_of
 from spheremouse.errors import DamagedFrameError
 
 W, H = 64, 48
@@ -192,3 +192,25 @@ def test_nothing_but_a_picture_or_a_damaged_frame_comes_of_any_bytes(data, colou
         return
     assert image.shape == ((H, W, 3) if colour else (H, W))
     assert image.dtype == np.uint8
+
+
+@pytest.mark.parametrize("name", RAW)
+@pytest.mark.parametrize("padding", [0, 32])
+def test_the_payload_is_what_the_camera_sent_without_padding(name, padding):
+    """The last row may lack its padding."""
+    payload, layout = RAW[name](GREY, padding=padding)
+    bare, _ = RAW[name](GREY)
+    for data in (payload, payload[: layout.size]):
+        image = payload_of(data, layout)
+        assert (image.format, image.width, image.height) == (name.lower(), W, H)
+        assert bytes(image.data) == bytes(bare)
+        assert np.shares_memory(np.frombuffer(image.data, np.uint8), data) == (padding == 0)
+    with pytest.raises(DamagedFrameError):
+        payload_of(payload[: layout.size - 1], layout)
+
+
+def test_the_payload_of_a_jpeg_is_its_bytes():
+    image = payload_of(array(JPEG), MJPG)
+    assert (image.format, image.width, image.height, bytes(image.data)) == ("jpeg", W, H, JPEG)
+    with pytest.raises(DamagedFrameError):
+        payload_of(array(b""), MJPG)

@@ -1,8 +1,13 @@
 """The client against the server, and against strangers."""
 
 import contextlib
+import gc
+import os
 import socket
+import subprocess
+import sys
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,12 +17,16 @@ from spheremouse.errors import ControlError
 from spheremouse.output import Report
 from spheremouse.output.sample import Sample
 from spheremouse.session.control.client import Client, NoDaemonError, RefusedError
+from spheremouse.session.control.pictures import LivePicture, PictureRing
 from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.status import StatusReport
 from spheremouse.session.settings import ControlSettings
 from spheremouse.tracker import Status, unknown
 
 pytestmark = pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="no peer credentials on this system")
+
+
+PICTURE = LivePicture(1, 12.5, "grey", 4, 2, b"12345678", {"sequence": 7})
 
 
 @pytest.fixture
@@ -69,6 +78,49 @@ def test_the_samples_of_the_client_are_those_of_the_run(path):
     assert (sample.sequence, sample.stamp, sample.status, sample.events) == (90, 1.5, "tracking", ("ball-lost",))
     assert (sample.wall, sample.latency, client.dropped) == (1.7e9, 0.01, 0)
     assert np.array_equal(sample.rate, sent.rate)
+
+
+def test_a_client_gets_the_memory_with_pictures_once_and_again_when_it_was_replaced(path):
+    """In another process than the daemon, which has the descriptor too; nothing stays open."""
+    rings, before = [PictureRing(100)], len(os.listdir("/proc/self/fd"))
+    with ControlServer(path, ControlSettings(), lambda p: p.answer({"slots": 3, "ring": rings[-1]})):
+        with Client(path) as client, Client(path) as other:
+            reader = client.pictures(0.1)
+            assert client.pictures() is reader
+            rings[0].write(PICTURE)
+            assert reader.latest() == other.pictures().latest() == PICTURE
+            rings.append(PictureRing(100))
+            rings[1].write(replace(PICTURE, number=2))
+            assert client.pictures().latest() == replace(PICTURE, number=2)
+            client.ask("status")  # whose reply the reader's memory does not disturb
+            client.close()
+            assert client.pictures().latest() == replace(PICTURE, number=2)
+        for ring in rings:
+            ring.close()
+        with Client(path) as client, pytest.raises(RefusedError, match="ask again"):
+            client.pictures()
+    del reader
+    gc.collect()
+    assert len(os.listdir("/proc/self/fd")) < before
+
+
+def test_a_daemon_that_gives_no_memory_is_refused(path):
+    with (
+        ControlServer(path, ControlSettings(), lambda p: p.answer({"slots": 3, "fresh": True})),
+        Client(path) as client,
+        pytest.raises(NoDaemonError, match="gives no memory with pictures"),
+    ):
+        client.pictures()
+
+
+def test_the_modules_of_a_client_load_no_compiled_kernels():
+    """A page or tray then needs a tenth of the tracker's memory."""
+    code = """import sys
+from spheremouse.session.control import client, pictures, protocol, socket_file, status
+from spheremouse.files import plain_json
+print(*sorted({"scipy", "cv2", "numba", "numpy"} & set(sys.modules)))"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == ""
 
 
 @pytest.mark.parametrize(

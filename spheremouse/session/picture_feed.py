@@ -1,0 +1,88 @@
+"""Live pictures for clients that request them: the raw frame with the tracker's marks, in shared memory.
+
+Without a lease it allocates, copies and computes nothing.
+"""
+
+import threading
+import traceback
+from collections.abc import Callable
+
+from spheremouse.capture import RawFrame
+from spheremouse.errors import ControlError, DamagedFrameError
+from spheremouse.session.control.pictures import LivePicture, PictureRing
+from spheremouse.session.control.protocol import LEASE
+from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
+
+_ANNOTATION_BYTES = 64 * 1024  # of a picture; 60 discs need 10,000
+
+
+class PictureFeed:
+    """Writes pictures while a lease lasts. Any thread may call `lease`, the worker calls the others."""
+
+    def __init__(self, log: Callable[[str], None]) -> None:
+        """`log` takes internal errors."""
+        self._log = log
+        self._lock = threading.Lock()  # held for microseconds
+        self._leases: dict[float, float] = {}  # s, end of the last lease of each interval
+        self._ring: PictureRing | None = None
+        self._due = 0.0  # s, of the next picture
+        self._number = 0  # of the last picture
+
+    def lease(self, now: float, interval: float, size: tuple[int, int]) -> PictureRing:
+        """Begin a lease at `now`, or renew it, and return the ring. `size` is the expected width and height, px.
+
+        Raises ControlError if the system has no memory.
+        """
+        with self._lock:
+            if self._ring is None:
+                self._ring = PictureRing(3 * size[0] * size[1] + _ANNOTATION_BYTES)
+            self._leases[interval] = now + LEASE
+            return self._ring
+
+    def show(self, now: float, raw: RawFrame, adapter: TrackerAdapter, made: FrameResult | None) -> None:
+        """Write a frame that is not yet released, if a picture is due; `made` is None if it was not tracked."""
+        if not self._leases or now < self._due:
+            return
+        interval = min(self._leases)
+        self._due = max(self._due + interval, now + 0.5 * interval)  # the mean interval, at any rate of the camera
+        try:
+            image = raw.payload()
+            marks = adapter.annotations(made)
+            self._number += 1
+            self._write(
+                LivePicture(self._number, raw.stamp, image.format, image.width, image.height, image.data, marks)
+            )
+        except DamagedFrameError:
+            pass
+        except ControlError as e:
+            self._log(str(e))
+            self.close()
+        except Exception:
+            self._log("internal error, please report it:\n" + traceback.format_exc().rstrip())
+
+    def expire(self, now: float) -> None:
+        """Free the memory if all leases have ended."""
+        if not self._leases:
+            return
+        with self._lock:
+            self._leases = {interval: end for interval, end in self._leases.items() if end > now}
+            if not self._leases:
+                self._close()
+
+    def close(self) -> None:
+        """Free the memory."""
+        with self._lock:
+            self._leases = {}
+            self._close()
+
+    def _write(self, picture: LivePicture) -> None:
+        with self._lock:
+            if self._ring is not None and not self._ring.write(picture):
+                self._ring.close()
+                self._ring = PictureRing(len(picture.pixels) + _ANNOTATION_BYTES)
+                self._ring.write(picture)
+
+    def _close(self) -> None:
+        if self._ring is not None:
+            self._ring.close()
+        self._ring = None
