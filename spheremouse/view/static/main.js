@@ -84,7 +84,7 @@ function receive(message) {
 /** @param {import("./types.js").Hello} message */
 function hello(message) {
   owner = message.owner;
-  if (settings.load(message.settings)) {
+  if (message.settings.length && settings.load(message.settings)) {
     expert.load(message);
     drawing.load();
     tune.load(message);

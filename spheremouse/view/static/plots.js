@@ -58,7 +58,7 @@ class Plot {
     this.range = range;
     const keys = series.length > 1 ? series.map((s, i) =>
       el("span", { class: `series ${s.name.toLowerCase()}` }, el("i", { class: `dash-${i}`, "aria-hidden": "true" }), s.name)) : [];
-    byId(`${id}-legend`, HTMLElement).append(el("b", {}, name), el("small", {}, unit), ...keys);
+    byId(`${id}-legend`, HTMLElement).replaceChildren(el("b", {}, name), el("small", {}, unit), ...keys);
   }
 
   /**
@@ -143,6 +143,15 @@ class Plot {
   }
 }
 
+/** @param {(sample: Sample, axis: number) => number | null} read */
+const three = (read) => AXES.map((name, i) =>
+  ({ name, colour: `--${name.toLowerCase()}`, dash: DASHES[i] ?? [], read: (/** @type {Sample} */ s) => read(s, i) }));
+
+/** @type {(name: string, read: Read) => Series[]} */
+const one = (name, read) => [{ name, colour: "--accent", dash: [], read }];
+
+const discs = () => new Plot("discs", "Discs", "used", one("discs", (s) => s.discs), { least: 4, whole: true });
+
 export class Plots {
   /** @type {Sample[]} */ #samples = [];
   /** @type {{stamp: number, at: number}} */ #newest = { stamp: 0, at: 0 };
@@ -152,17 +161,14 @@ export class Plots {
   #plots;
 
   constructor() {
-    const three = (/** @type {(sample: Sample, i: number) => number | null} */ read) =>
-      AXES.map((name, i) => ({ name, colour: `--${name.toLowerCase()}`, dash: DASHES[i] ?? [], read: (/** @type {Sample} */ s) => read(s, i) }));
     const degrees = (/** @type {number | undefined} */ v) => (v === undefined ? null : v * DEGREES);
     const rate = three((s, i) => degrees(s.rate?.[i])).map((s, i) =>
       ({ ...s, sigma: (/** @type {Sample} */ sample) => degrees(sample.sigma?.[i]) }));
-    const one = (/** @type {string} */ name, /** @type {Read} */ read) => [{ name, colour: "--accent", dash: [], read }];
     this.#plots = [
       new Plot("rate", "Rate", `°/s, band ${BAND} σ`, rate, { least: 10, symmetric: true }),
       new Plot("counts", "Counts", "a frame", three((s, i) => s.counts[i] ?? null), { least: 5, symmetric: true }),
       new Plot("latency", "Latency", "ms", one("latency", (s) => (s.latency === null ? null : 1000 * s.latency)), { least: 5 }),
-      new Plot("discs", "Discs", "used", one("discs", (s) => s.discs), { least: 4, whole: true }),
+      discs(),
     ];
     this.#balls.addEventListener("change", () => this.draw());
     new ResizeObserver(() => this.draw()).observe(byId("rate", HTMLCanvasElement));
@@ -171,6 +177,7 @@ export class Plots {
   /** @param {string[] | null} names of balls in a hand */
   load(names) {
     this.#samples = [];
+    this.#plots[3] = names ? new Plot("discs", "Position", "m", three((s, i) => s.position?.[i] ?? null), { least: 0.5, symmetric: true }) : discs();
     this.#choice.hidden = (names?.length ?? 0) < 2;
     this.#balls.replaceChildren(...(names ?? ["ball"]).map((name, i) => el("option", { value: String(i + 1) }, name)));
   }

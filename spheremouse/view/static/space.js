@@ -231,6 +231,9 @@ export class Space {
       c.stroke();
       c.setLineDash([]);
     }
+    const name = this.#scene?.balls?.[(sample?.ball ?? 1) - 1];
+    c.fillStyle = colour("--text");
+    if (name) text(c, name, x - 20, y + r + 32);
     const still = /** @type {[Vector, string][]} */ ([[[1, 0, 0], "X"], [[0, 1, 0], "Y"], [[0, 0, 1], "Z"]]);
     for (const [axis, name] of still) {
       const end = project(add(centre, this.#wand ? turn(axis) : axis, (this.#wand ? 2.2 : 1.3) * radius));
