@@ -7,13 +7,16 @@ photo when it is needed; none stays in memory.
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse import __version__
 from spheremouse.calibrate.outputs import note
 from spheremouse.errors import CalibrationError
 from spheremouse.files.pictures import MOST_BYTES, PHOTO_PIXELS, Header, Size, decoded, px, read_header
@@ -101,6 +104,24 @@ def check_size(photos: Sequence[Photo], camera: InteriorOrientation, camera_path
             f"{todo}"
         )
     raise CalibrationError(f"{begin}: another cut of the sensor; {todo}")
+
+
+def provenance(
+    command: str, photos: Sequence[Photo], left_out: Mapping[int, str], more: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the provenance of a file made from photos: program, date, `more`, and the photos used and left out.
+
+    `left_out` has the reason for each of their indices.
+    """
+    return {
+        "made_by": f"spheremouse {__version__}, {command}",
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        **more,
+        "photos": [{"file": p.path.name, "sha256": p.sha256} for i, p in enumerate(photos) if i not in left_out],
+        "left_out": [
+            {"file": photos[i].path.name, "why": why, "sha256": photos[i].sha256} for i, why in left_out.items()
+        ],
+    }
 
 
 # ---- which files ----

@@ -3,12 +3,11 @@
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from typing import Any, TypeGuard
 
 import numpy as np
 
-from spheremouse import __version__
+from spheremouse.calibrate import photos
 from spheremouse.calibrate.camera.adjust import MIN_VIEWS, calibrate_board, held_out
 from spheremouse.calibrate.camera.bundle import BoardAdjustment, View
 from spheremouse.calibrate.camera.corners import Pattern, Sighting, detect_dictionary, find_board, measure_in_plane
@@ -211,21 +210,11 @@ def _length(metres: float) -> str:
 def provenance(done: CameraCalibration) -> dict[str, Any]:
     """Return the provenance for the camera file: board, residual, photos with their hashes."""
     pattern = done.pattern
-    left_out = done.skipped | inconsistent_views(done)
-    made: dict[str, Any] = {
-        "made_by": f"spheremouse {__version__}, calibrate camera",
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "board": _words(pattern),
-        "square": pattern.square,
-    }
+    more: dict[str, Any] = {"board": _words(pattern), "square": pattern.square}
     if pattern.marker is not None:
-        made |= {"marker": pattern.marker, "dictionary": pattern.dictionary}
-    made["rms_px"] = round(done.found.rms, 4)
-    made["photos"] = [{"file": p.path.name, "sha256": p.sha256} for i, p in enumerate(done.photos) if i not in left_out]
-    made["left_out"] = [
-        {"file": done.photos[i].path.name, "why": why, "sha256": done.photos[i].sha256} for i, why in left_out.items()
-    ]
-    return made
+        more |= {"marker": pattern.marker, "dictionary": pattern.dictionary}
+    more["rms_px"] = round(done.found.rms, 4)
+    return photos.provenance("calibrate camera", done.photos, done.skipped | inconsistent_views(done), more)
 
 
 def inconsistent_views(done: CameraCalibration) -> dict[int, str]:

@@ -1,24 +1,31 @@
-"""Contents of a calibration's folder: photos, the files made from them, and the provenance of these files."""
+"""A calibration's folder: photos, the files made from them with their provenance, and commands for all of them."""
 
 import json
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import shlex
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from spheremouse.calibrate.board import options_from_provenance
+from spheremouse.ball.rig import Rig
+from spheremouse.calibrate.board import board_options
 from spheremouse.calibrate.photos import Photo, check_size, read_photos
+from spheremouse.capture.nodes import default_camera, in_size
 from spheremouse.errors import CalibrationError, ConfigurationError
+from spheremouse.files.device import untouched
 from spheremouse.files.rig import load_camera, load_rig
 from spheremouse.files.safe_files import read_bytes
 from spheremouse.files.yaml import read_document, without_schema
+from spheremouse.geometry.camera import InteriorOrientation
 
 BOARD, DEVICE = "board", "device"  # folders of photos
 CAMERA_FILE, DEVICE_FILE, RIG_FILE, CONFIG_FILE = "camera.yaml", "device.yaml", "rig.yaml", "config.yaml"
 FILM, TRUTH_FILE = "film", "truth.json"  # of a practice set: a dataset of three gestures, and the exact device
+
+DEFAULT = Path("cabinet")
 
 _MAX_TRUTH_BYTES = 1_000_000
 
@@ -49,25 +56,25 @@ class Result:
     path: Path
     found: str  # in words
     problem: tuple[str, ...] = ()  # why it cannot be used
-    hashes: frozenset[str] = frozenset()  # of all files it was made from
-    photo_hashes: frozenset[str] = frozenset()
-    left_out: frozenset[str] = frozenset()  # hashes of photos
-    board: tuple[str, ...] = ()  # options of `calibrate camera`
+    provenance: dict[str, Any] = field(default_factory=dict)
     size: tuple[int, int] | None = None  # px, of a camera
-    warnings: tuple[str, ...] = ()  # of the calibration itself
 
-    def precedes(self, path: Path, sha256: str) -> bool:
-        """Return True for a file that is newer than this result and not among its sources."""
-        if sha256 in self.hashes:
-            return False
-        state = path.stat()
-        return max(state.st_mtime_ns, state.st_ctime_ns) > self.path.stat().st_mtime_ns  # ctime: of the copying
+    def hashes(self, part: str) -> frozenset[str]:
+        """Return all SHA-256 in a part of the provenance; empty without the part."""
+
+        def walk(value: Any) -> Iterator[str]:
+            if isinstance(value, str) and re.fullmatch(r"[0-9a-f]{64}", value):
+                yield value
+            for inner in value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else ():
+                yield from walk(inner)
+
+        return frozenset(walk(self.provenance.get(part)))
 
     def changes(self, photos: Sequence[Photo]) -> str:
         """Describe how photos differ from the sources of this result; empty if they are the same, or all gone."""
-        new = sum(self.precedes(p.path, p.sha256) for p in photos)
-        here = {p.sha256 for p in photos}
-        gone = len(self.photo_hashes - here) if self.photo_hashes & here else 0
+        used, here = self.hashes("photos"), {p.sha256 for p in photos}
+        new = len(here - used - self.hashes("left_out")) if used else 0
+        gone = len(used - here) if used & here else 0
         words = [f"{count(new, 'photo')} came later"] if new else []
         words += [f"{count(gone, 'photo')} it was made from {'is' if gone == 1 else 'are'} gone"] if gone else []
         return ", ".join(words)
@@ -89,35 +96,32 @@ def read_photo_folder(folder: Path, camera_path: Path | None = None) -> Photos:
 
 def read_camera(folder: Path) -> Result | None:
     """Read the camera file; None if there is none."""
-    path = folder / CAMERA_FILE
-    if not path.exists():
-        return None
-    try:
-        camera = load_camera(path)
-    except ConfigurationError as e:
-        return Result(path, "cannot be used", tuple(str(e).splitlines()))
-    source = _provenance(path)
-    words = f"{camera.width}x{camera.height}, focal length {camera.fx:.1f} px"
-    size = camera.width, camera.height
-    used, left_out = _hashes(source.get("photos")), _hashes(source.get("left_out"))
-    return Result(path, words, (), _hashes(source), used, left_out, options_from_provenance(source), size)
+    return _result(folder / CAMERA_FILE, load_camera, lambda camera: camera)
 
 
 def read_rig(folder: Path) -> Result | None:
     """Read the rig file; None if there is none."""
-    path = folder / RIG_FILE
+    return _result(folder / RIG_FILE, load_rig, lambda rig: rig.camera)
+
+
+T = TypeVar("T", InteriorOrientation, Rig)
+
+
+def _result(path: Path, load: Callable[[Path], T], camera_of: Callable[[T], InteriorOrientation]) -> Result | None:
     if not path.exists():
         return None
     try:
-        rig = load_rig(path)
+        content = load(path)
     except ConfigurationError as e:
         return Result(path, "cannot be used", tuple(str(e).splitlines()))
-    source = _provenance(path)
-    size = "scale free" if rig.scale_free else f"ball of {rig.ball.radius:.3f} m radius"
-    words = f"{size}, {count(len(rig.targets.ids), 'target')}"
-    listed = source.get("warnings")
-    warnings = tuple(str(w) for w in listed) if isinstance(listed, tuple | list) else ()
-    return Result(path, words, (), _hashes(source), _hashes(source.get("photos")), warnings=warnings)
+    camera = camera_of(content)
+    words = f"{camera.width}x{camera.height}, focal length {camera.fx:.1f} px"
+    if isinstance(content, Rig):
+        size = "scale free" if content.scale_free else f"ball of {content.ball.radius:.3f} m radius"
+        words = f"{size}, {count(len(content.targets.ids), 'target')}"
+    data = read_document(path).data
+    source = data.get("provenance") if isinstance(data, dict) else None
+    return Result(path, words, (), source if isinstance(source, dict) else {}, (camera.width, camera.height))
 
 
 def practice_film(folder: Path) -> str | None:
@@ -163,19 +167,78 @@ def count(n: int, thing: str) -> str:
     return f"{n} {thing}{'' if n == 1 else 's'}"
 
 
-def _provenance(path: Path) -> dict[str, Any]:
-    data = read_document(path).data
-    source = data.get("provenance") if isinstance(data, dict) else None
-    return source if isinstance(source, dict) else {}
+# ---- commands for the folder, ready to copy into a terminal ----
 
 
-def _hashes(part: Any) -> frozenset[str]:
-    """Collect all SHA-256 in a part of a file."""
+def default_folder() -> Path:
+    """Return the folder meant if none is named: the current one if it has contents, else `cabinet`."""
+    has_contents = any(Path(name).exists() for name in (DEVICE_FILE, CAMERA_FILE, BOARD))
+    return Path() if has_contents and not DEFAULT.exists() else DEFAULT
 
-    def walk(value: Any) -> Iterator[str]:
-        if isinstance(value, str) and re.fullmatch(r"[0-9a-f]{64}", value):
-            yield value
-        for inner in value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else ():
-            yield from walk(inner)
 
-    return frozenset(walk(part))
+def init_command(folder: Path) -> str:
+    """Return the command that makes the folder."""
+    return calibrate_command("init", folder)
+
+
+def next_command(folder: Path) -> str:
+    """Return the command that shows the next step."""
+    return calibrate_command("next", *_unless_default(folder))
+
+
+def photos_command(folder: Path, what: Literal["camera", "device"], more: Sequence[str] = ()) -> str:
+    """Return the command that takes photos into the folder."""
+    return calibrate_command("photos", *_unless_default(folder), "--for", what, *more)
+
+
+def camera_command(folder: Path, board: Sequence[str] = (), *, again: bool = False) -> str:
+    """Return the command that makes camera.yaml from the photos in the folder."""
+    options = board or board_options(folder)
+    return calibrate_command("camera", folder / BOARD, *options, "--out", folder / CAMERA_FILE, again=again)
+
+
+def device_command(folder: Path, *, again: bool = False) -> str:
+    """Return the command that makes rig.yaml from the photos in the folder."""
+    options = ("--device", folder / DEVICE_FILE, "--camera", folder / CAMERA_FILE)
+    return calibrate_command("device", folder / DEVICE, *options, "--out", folder / RIG_FILE, again=again)
+
+
+def rolling_command(folder: Path, *, again: bool = False) -> str:
+    """Return the command that makes rig.yaml without photos of the device."""
+    options: list[str | Path] = ["--source", _source(folder), "--camera", folder / CAMERA_FILE]
+    if (folder / DEVICE_FILE).exists() and not untouched(folder / DEVICE_FILE):  # its targets give the axes
+        options += ["--device", folder / DEVICE_FILE]
+    return calibrate_command("rolling", *options, "--out", folder / RIG_FILE, again=again)
+
+
+def axes_command(rig: Path, source: str | None = None) -> str:
+    """Return the command that finds the player's position, by default with the camera that took the photos."""
+    folder = rig.parent
+    config = _config_or_empty(folder)
+    options = [] if rig.name == RIG_FILE and "rig" in config else ["--rig", str(rig)]
+    if source or practice_film(folder) or "source" not in config:
+        options += ["--source", source or practice_film(folder) or _source(folder)]
+    return shlex.join(["spheremouse", "axes", "--config", str(folder / CONFIG_FILE), *options])
+
+
+def calibrate_command(*words: str | Path, again: bool = False) -> str:
+    """Return a command of `spheremouse calibrate`; `again` replaces its files."""
+    return shlex.join(["spheremouse", "calibrate", *map(str, words), *(["--force"] if again else [])])
+
+
+def _unless_default(folder: Path) -> list[Path]:
+    return [] if folder == default_folder() else [folder]
+
+
+def _source(folder: Path) -> str:
+    """Return the camera that took the photos, in the calibrated mode."""
+    camera, source = read_camera(folder), _config_or_empty(folder).get("source")
+    return in_size(source if isinstance(source, str) else default_camera(), None if camera is None else camera.size)
+
+
+def _config_or_empty(folder: Path) -> dict[str, Any]:
+    """Read the configuration; empty if it is damaged, which the checklist reports in a step of its own."""
+    try:
+        return read_config(folder)
+    except ConfigurationError:
+        return {}

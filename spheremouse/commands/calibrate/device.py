@@ -1,13 +1,11 @@
 """`spheremouse calibrate device`: rig.yaml with its map of discs, and a report, from photos of a device."""
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from spheremouse import __version__
 from spheremouse.calibrate.outputs import check_outputs, copyable, note, sha256
 from spheremouse.commands.calibrate.options import Force, Report
 from spheremouse.commands.options import JsonFile
@@ -19,7 +17,6 @@ if TYPE_CHECKING:
     from spheremouse.ball.device import Device
     from spheremouse.ball.settings import Settings
     from spheremouse.calibrate.device.adjust import DeviceCalibration
-    from spheremouse.calibrate.device.advice import Advice
     from spheremouse.calibrate.photos import Photo
     from spheremouse.geometry.camera import InteriorOrientation
 
@@ -59,8 +56,8 @@ def device(
 
     from spheremouse.calibrate.device.adjust import DOUBTFUL_RMS
     from spheremouse.calibrate.device.advice import advise
-    from spheremouse.calibrate.guide.suggestions import axes_command
-    from spheremouse.calibrate.photos import check_size, read_photos
+    from spheremouse.calibrate.guide.folder import axes_command
+    from spheremouse.calibrate.photos import check_size, provenance, read_photos
     from spheremouse.calibrate.report.device import device_json, print_device, write_device_report
     from spheremouse.commands.config import root
     from spheremouse.files.config import in_force
@@ -89,10 +86,15 @@ def device(
             "this camera, mode and focus?"
         )
     rig = calibration.rig()
-    provenance = _provenance(found, calibration, device_file, camera_file, advice)
-    write_device_report(page, calibration, found, provenance, advice)
+    sources = {
+        "device": {"file": device_file.name, "sha256": sha256(device_file)},
+        "camera": {"file": camera_file.name, "sha256": sha256(camera_file)},
+        "warnings": [a.text for a in advice if a.kind == "warning"],
+    }
+    made_from = provenance("calibrate device", found, dict(calibration.skipped), sources)
+    write_device_report(page, calibration, found, made_from, advice)
     save_map(the_map, saved_now(calibration.disc_map(), rig))
-    save_rig(out, rig, provenance)  # last: it shows that all files are complete
+    save_rig(out, rig, made_from)  # last: it shows that all files are complete
     figures = device_json(calibration, names, advice)
     if json_file is not None and write_json(json_file, figures):
         return
@@ -139,22 +141,3 @@ def _calibrated(
         except DistanceError as e:
             line = read_document(device_file).line(("distances", e.index))
             raise CalibrationError(f"{device_file}:{line}: {e}") from None
-
-
-def _provenance(
-    photos: "Sequence[Photo]",
-    calibration: "DeviceCalibration",
-    device_file: Path,
-    camera_file: Path,
-    advice: "Sequence[Advice]",
-) -> dict[str, Any]:
-    used = [photos[k] for k in calibration.photos]
-    return {
-        "made_by": f"spheremouse {__version__}, calibrate device",
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "device": {"file": device_file.name, "sha256": sha256(device_file)},
-        "camera": {"file": camera_file.name, "sha256": sha256(camera_file)},
-        "warnings": [a.text for a in advice if a.kind == "warning"],
-        "photos": [{"file": p.path.name, "sha256": p.sha256} for p in used],
-        "left_out": [{"file": photos[k].path.name, "why": why} for k, why in calibration.skipped],
-    }

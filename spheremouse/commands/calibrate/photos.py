@@ -55,7 +55,7 @@ def photos(
     FOLDER/board or FOLDER/device, where `calibrate next` finds them.
     """
     from spheremouse.calibrate.board import NAME, chosen_board, save_board
-    from spheremouse.calibrate.guide.suggestions import camera_command, default_folder, device_command, photos_command
+    from spheremouse.calibrate.guide.folder import camera_command, default_folder, device_command, photos_command
     from spheremouse.calibrate.photographing.session import open_screen, take_photos
     from spheremouse.capture import full_spec
     from spheremouse.capture.signals import SignalHandler
@@ -109,7 +109,7 @@ def _board_selector(known: "BoardFile") -> "Callable[[Size], Selector]":
 
 
 def _device_selector(folder: Path, configured: "Configuration") -> "Callable[[Size], Selector]":
-    from spheremouse.calibrate.guide.suggestions import init_command, photos_command
+    from spheremouse.calibrate.guide.folder import init_command, photos_command
     from spheremouse.calibrate.outputs import note
     from spheremouse.calibrate.photographing.device import DeviceSelector
     from spheremouse.files.device import load_device, untouched

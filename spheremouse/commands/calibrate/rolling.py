@@ -2,13 +2,14 @@
 
 import math
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from spheremouse.calibrate.outputs import check_outputs
+from spheremouse.calibrate.outputs import check_outputs, sha256
 from spheremouse.commands.calibrate.options import Force
 from spheremouse.commands.options import JsonFile
 from spheremouse.errors import CalibrationError, ConfigurationError
@@ -120,7 +121,7 @@ def rolling(
     made = build_rig(solution, axes, lengths.radius, 0.0 if known is None else known.exposure_s)
     figures = rolling_json(solution, made.axes, made.source, made.rig)
     if out is not None:
-        _save(out, source, solution, made)
+        _save(out, source, solution, made, {"camera": camera, "device": device})
     _print(source, solution, made, out, err=json_file is not None and write_json(json_file, figures))
 
 
@@ -182,8 +183,10 @@ def _film(source: str, seconds: float, ask: bool) -> tuple["FrameBuffer", Any]:
     return buffer, tuple((a - first, b - first) for a, b in spans) if ask else None
 
 
-def _save(out: Path, source: str, solution: "Solution", made: "RollingCalibration") -> None:
-    """Write rig and map."""
+def _save(
+    out: Path, source: str, solution: "Solution", made: "RollingCalibration", files: Mapping[str, Path | None]
+) -> None:
+    """Write rig and map; `files` are those it was made from, by their part of the provenance."""
     from spheremouse.files.disc_map import map_path, save_map, saved_now
     from spheremouse.files.rig import save_rig
 
@@ -196,6 +199,7 @@ def _save(out: Path, source: str, solution: "Solution", made: "RollingCalibratio
         "seconds": round(solution.seconds, 1),
         "frames": len(solution.rolled.rolling.stamp),
         "axes": made.source,
+        **{part: {"file": path.name, "sha256": sha256(path)} for part, path in files.items() if path is not None},
     }
     save_rig(out, made.rig, provenance)
     save_map(map_path(out), saved)
@@ -203,7 +207,7 @@ def _save(out: Path, source: str, solution: "Solution", made: "RollingCalibratio
 
 def _print(source: str, solution: "Solution", made: "RollingCalibration", out: Path | None, err: bool) -> None:
     """Print the report and the next command, on standard error if `err`."""
-    from spheremouse.calibrate.guide.suggestions import axes_command
+    from spheremouse.calibrate.guide.folder import axes_command
     from spheremouse.calibrate.report.rolling import advise, rolling_text
     from spheremouse.files.disc_map import map_path
     from spheremouse.session.cameras import is_camera

@@ -41,8 +41,7 @@ def practice(
     them. A film from the first place shows three gestures, for `spheremouse axes` and `spheremouse run`. At the end
     `calibrate next` compares your calibration with the truth.
     """
-    from spheremouse.calibrate.guide.folder import FILM
-    from spheremouse.calibrate.guide.suggestions import camera_command, device_command, next_command
+    from spheremouse.calibrate.guide.folder import FILM, camera_command, device_command, next_command
     from spheremouse.commands.calibrate.practice.write import device_of, film_of, write_stills
     from spheremouse.simulate.ball.stills import prepare_stills
     from spheremouse.simulate.to_dataset import write_simulation
