@@ -1,16 +1,16 @@
 /** A control for a setting: name, number, slider, range, default and effect. */
 
-import { el, short, valueText, write } from "./dom.js";
+import { el, formatNumber, valueText, setText } from "./dom.js";
 
 /** @typedef {import("./types.js").Setting} Setting */
 /** @typedef {import("./types.js").Value} Value */
 /** @typedef {import("./settings.js").Settings} Settings */
 
 const STEPS = 200; // positions of a slider, at most
-const RATIO = 1000; // a wider range has a logarithmic slider
-const AROUND = 20; // a logarithmic slider reaches this factor below and above the default; the number takes all values
-const LONG_UNIT = 10; // characters; a longer one is in the help alone
-const WIDEST = 1e5; // of a range from 0 that a linear slider still resolves
+const MIN_LOG_RATIO = 1000; // a wider range has a logarithmic slider
+const LOG_REACH = 20; // a logarithmic slider reaches this factor below and above the default; the number takes all values
+const MAX_UNIT_LENGTH = 10; // characters; a longer one is in the help alone
+const MAX_LINEAR_RANGE = 1e5; // of a range from 0 that a linear slider still resolves
 
 /**
  * Return the name of a setting for people: "motion.scale_x" is "Scale x".
@@ -43,16 +43,16 @@ export function parse(setting, text) {
 }
 
 /**
- * Return the way between a slider's position, 0 to 1, and a value; null if no slider suits the range.
+ * Return the conversion between the position of a slider, 0 to 1, and a value; null if no slider suits the range.
  * @param {Setting} setting
  */
 export function scale({ type, minimum, maximum, default: usual }) {
   if ((type !== "number" && type !== "integer") || minimum === null || maximum === null || !(maximum > minimum)) return null;
-  const logarithmic = minimum > 0 && maximum / minimum >= RATIO;
-  if (!logarithmic && maximum - minimum > WIDEST) return null;
+  const logarithmic = minimum > 0 && maximum / minimum >= MIN_LOG_RATIO;
+  if (!logarithmic && maximum - minimum > MAX_LINEAR_RANGE) return null;
   const around = logarithmic && typeof usual === "number" && usual > 0;
-  const low = around ? Math.max(minimum, usual / AROUND) : minimum;
-  const high = around ? Math.min(maximum, usual * AROUND) : maximum;
+  const low = around ? Math.max(minimum, usual / LOG_REACH) : minimum;
+  const high = around ? Math.min(maximum, usual * LOG_REACH) : maximum;
   const unit = 10 ** Math.floor(Math.log10((high - low) / STEPS));
   return {
     steps: type === "integer" && !logarithmic ? Math.min(STEPS, high - low) : STEPS,
@@ -75,7 +75,7 @@ export function scale({ type, minimum, maximum, default: usual }) {
 function range({ minimum, maximum, unit, choices, type }) {
   const words = unit && unit !== "-" ? ` ${unit}` : "";
   if (choices?.length || type === "flag") return "";
-  if (minimum !== null && maximum !== null) return `${short(minimum)} to ${short(maximum)}${words}. `;
+  if (minimum !== null && maximum !== null) return `${formatNumber(minimum)} to ${formatNumber(maximum)}${words}. `;
   return words ? `In${words}. ` : "";
 }
 
@@ -101,13 +101,13 @@ export function control(setting, settings, prefix) {
     range(setting), defaultText(setting), setting.live ? "" : " Read at the start only.", " ", el("code", {}, key));
   const state = { id, "aria-describedby": `${id}-help ${id}-error`, disabled: !setting.live };
   const field = entry(setting, state, change);
-  const way = scale(setting);
-  const slider = way && el("input", {
-    type: "range", min: 0, max: way.steps, class: "slider", disabled: !setting.live,
+  const conversion = scale(setting);
+  const slider = conversion && el("input", {
+    type: "range", min: 0, max: conversion.steps, class: "slider", disabled: !setting.live,
     "aria-label": `${title(key)}, slider`, "aria-describedby": `${id}-help`,
     pointerdown: () => settings.hold(),
     input() {
-      const value = way.value(Number(slider?.value) / way.steps);
+      const value = conversion.value(Number(slider?.value) / conversion.steps);
       setField(field, value);
       announce(value);
       change(value);
@@ -119,7 +119,7 @@ export function control(setting, settings, prefix) {
   const mark = el("span", { class: "unsaved" });
   const reset = el("button", { type: "button", class: "quiet", click: () => change(setting.default),
     "aria-label": `Default of ${title(key)}`, title: "Back to the default" }, "Default");
-  const unit = setting.unit === "-" || setting.unit.length > LONG_UNIT ? "" : setting.unit;
+  const unit = setting.unit === "-" || setting.unit.length > MAX_UNIT_LENGTH ? "" : setting.unit;
   const row = el("div", { class: `setting ${setting.type}`, "data-key": key },
     el("div", { class: "head" }, el("label", { for: id }, title(key)), mark, reset, field, el("span", { class: "unit" }, unit)),
     ...(slider ? [slider] : []), help, error);
@@ -128,14 +128,14 @@ export function control(setting, settings, prefix) {
     const value = settings.value(key);
     const refused = settings.refused.get(key) ?? "";
     if (document.activeElement !== field && !refused) setField(field, value);
-    if (slider && way) {
+    if (slider && conversion) {
       slider.hidden = typeof value !== "number";
-      if (document.activeElement !== slider && typeof value === "number") slider.value = String(way.share(value) * way.steps);
+      if (document.activeElement !== slider && typeof value === "number") slider.value = String(conversion.share(value) * conversion.steps);
       announce(value);
     }
-    write(error, refused);
+    setText(error, refused);
     field.toggleAttribute("aria-invalid", refused !== "");
-    write(mark, settings.unsaved.has(key) ? "unsaved" : "");
+    setText(mark, settings.unsaved.has(key) ? "unsaved" : "");
     reset.hidden = !setting.live || JSON.stringify(settings.all.get(key)?.value ?? null) === JSON.stringify(setting.default);
   };
   for (const input of slider ? [field, slider] : [field]) input.addEventListener("blur", show);
@@ -156,10 +156,10 @@ function entry(setting, state, change) {
     const none = setting.default === null ? [el("option", { value: "" }, "not set")] : [];
     return el("select", { ...state, change: (event) => change(parse(setting, event.target.value)) }, ...none, ...given);
   }
-  const short = setting.type === "number" || setting.type === "integer";
+  const numeric = setting.type === "number" || setting.type === "integer";
   return el("input", {
-    ...state, type: "text", class: short ? "number" : "text", autocomplete: "off", spellcheck: "false",
-    inputmode: short && (setting.minimum ?? -1) >= 0 ? "decimal" : "text",
+    ...state, type: "text", class: numeric ? "number" : "text", autocomplete: "off", spellcheck: "false",
+    inputmode: numeric && (setting.minimum ?? -1) >= 0 ? "decimal" : "text",
     placeholder: setting.default === null ? "not set" : "",
     change: (event) => change(parse(setting, event.target.value)),
   });

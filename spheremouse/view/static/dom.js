@@ -37,7 +37,7 @@ export function byId(id, type) {
  * @param {HTMLElement} element
  * @param {string} text
  */
-export function write(element, text) {
+export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
@@ -62,7 +62,7 @@ export function colour(name) {
  * Match the canvas to its place on the screen. Returns its context in CSS pixels, cleared, with width and height.
  * @param {HTMLCanvasElement} canvas
  */
-export function begin(canvas) {
+export function prepareCanvas(canvas) {
   const { clientWidth: width, clientHeight: height } = canvas;
   const ratio = devicePixelRatio || 1;
   const [w, h] = [Math.round(width * ratio), Math.round(height * ratio)];
@@ -77,7 +77,7 @@ export function begin(canvas) {
  * Return a number with at most `digits` digits that count.
  * @param {number} value
  */
-export function short(value, digits = 4) {
+export function formatNumber(value, digits = 4) {
   return Number.isInteger(value) ? String(value) : String(Number(value.toPrecision(digits)));
 }
 
@@ -85,7 +85,7 @@ export function short(value, digits = 4) {
  * Return a number with its sign and a fixed number of decimals.
  * @param {number} value
  */
-export function signed(value, decimals = 1) {
+export function formatSigned(value, decimals = 1) {
   const text = Math.abs(value).toFixed(decimals);
   return (value < 0 && Number(text) !== 0 ? "−" : "+") + text;
 }
@@ -94,7 +94,7 @@ export function signed(value, decimals = 1) {
  * Return a duration in the largest two units, for example "3 min 20 s".
  * @param {number} seconds
  */
-export function span(seconds) {
+export function formatDuration(seconds) {
   const s = Math.floor(seconds);
   if (s < 60) return `${s} s`;
   if (s < 3600) return `${Math.floor(s / 60)} min ${s % 60} s`;
@@ -107,6 +107,6 @@ export function span(seconds) {
  */
 export function valueText(value) {
   if (value === null || value === undefined) return "";
-  if (typeof value === "number") return short(value, 12);
+  if (typeof value === "number") return formatNumber(value, 12);
   return typeof value === "string" ? value : JSON.stringify(value).replaceAll(",", ", ");
 }

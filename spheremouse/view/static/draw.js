@@ -1,6 +1,6 @@
 /** Draw on the picture: rectangles without discs, and colours of targets and discs. */
 
-import { el, write } from "./dom.js";
+import { el, setText } from "./dom.js";
 import { control } from "./controls.js";
 
 /** @typedef {import("./types.js").Rectangle} Rectangle */
@@ -16,8 +16,8 @@ const EDGES = ["left", "top", "right", "bottom"];
 const TARGETS = ["rings.cyan", "rings.magenta", "rings.yellow"];
 const LIMITS = ["rings.saturation", "rings.value"];
 const HUE_HALF_WIDTH = 15; // OpenCV hue, for the light
-const GRIP = 9; // screen pixels about a corner
-const LEAST = 3; // px of a side
+const GRIP_RADIUS = 9; // screen pixels about a corner
+const MIN_SIDE = 3; // px of a side
 
 /**
  * Return OpenCV's hue, 0 to 180, and saturation, 0 to 255.
@@ -185,7 +185,7 @@ export class DrawPanel {
     if (!this.#settings.all.has(MASKS)) return;
     this.#settings.hold();
     this.#picture.canvas.setPointerCapture(event.pointerId);
-    const grip = GRIP / this.#picture.view.scale;
+    const grip = GRIP_RADIUS / this.#picture.view.scale;
     const near = (/** @type {number} */ a, /** @type {number} */ b) => Math.abs(a - b) <= grip;
     for (const [i, mask] of this.#masks.entries()) {
       const x = [0, 2].find((e) => near(at[0], mask[e] ?? 0));
@@ -215,7 +215,7 @@ export class DrawPanel {
   #up() {
     if (!this.#drag) return;
     this.#drag = null;
-    this.#masks = this.#masks.filter((m) => m[2] - m[0] >= LEAST && m[3] - m[1] >= LEAST);
+    this.#masks = this.#masks.filter((m) => m[2] - m[0] >= MIN_SIDE && m[3] - m[1] >= MIN_SIDE);
     if (JSON.stringify(this.#masks.map((m) => m.map(Math.round))) !== JSON.stringify(this.#settings.value(MASKS)))
       this.#send(Math.min(this.#chosen, this.#masks.length - 1));
     this.#refresh();
@@ -234,7 +234,7 @@ export class DrawPanel {
       const step = event.ctrlKey ? 20 : 4;
       const edges = event.shiftKey ? [2, 3] : [0, 1, 2, 3];
       const moved = /** @type {Rectangle} */ (mask.map((v, e) => (edges.includes(e) ? v + step * (arrow[e % 2] ?? 0) : v)));
-      if (moved[2] - moved[0] >= LEAST && moved[3] - moved[1] >= LEAST) this.#masks[this.#chosen] = moved;
+      if (moved[2] - moved[0] >= MIN_SIDE && moved[3] - moved[1] >= MIN_SIDE) this.#masks[this.#chosen] = moved;
       this.#send(this.#chosen);
     } else if (event.key === "Delete" && mask) this.#remove(this.#chosen);
     else if (event.key === "PageDown" && this.#masks.length) this.#chosen = (this.#chosen + 1) % this.#masks.length;
@@ -287,7 +287,7 @@ export class DrawPanel {
 
   #refresh() {
     const idle = this.#settings.refused.get(MASKS) ?? "";
-    write(this.#hint, this.#pick ? `${this.#pick.hint} Or move the cross with arrow keys and press Enter; Escape ends it.` : idle);
+    setText(this.#hint, this.#pick ? `${this.#pick.hint} Or move the cross with arrow keys and press Enter; Escape ends it.` : idle);
     this.#picture.draw();
   }
 

@@ -1,6 +1,6 @@
 /** The page: state and buttons at the top, picture, space and plots, and the panels at the side. */
 
-import { byId, el, span, write } from "./dom.js";
+import { byId, el, formatDuration, setText } from "./dom.js";
 import { DrawPanel } from "./draw.js";
 import { Link } from "./link.js";
 import { Picture } from "./picture.js";
@@ -36,24 +36,24 @@ const settings = new Settings(link);
 const picture = new Picture(byId("picture", HTMLCanvasElement), byId("layers", HTMLElement));
 const space = new Space(byId("space", HTMLCanvasElement), byId("space-note", HTMLElement), byId("views", HTMLElement));
 const plots = new Plots();
-const tune = new TunePanel(settings, act);
-const expert = new ExpertPanel(settings, act);
+const tune = new TunePanel(settings, perform);
+const expert = new ExpertPanel(settings, perform);
 const log = new LogPanel();
 const drawing = new DrawPanel(settings, picture);
 const outputs = new OutputsPanel();
-const doctor = new DoctorPanel(act);
+const doctor = new DoctorPanel(perform);
 
 /**
  * Carry out an action and show its result. Returns null if it was refused.
  * @type {import("./tune.js").Act}
  */
-async function act(action, words = {}) {
+async function perform(action, words = {}) {
   try {
     const done = await link.request("do", { action, arguments: words });
-    say(done.message, false);
+    showMessage(done.message, false);
     return done;
   } catch (error) {
-    say(/** @type {Error} */ (error).message, true);
+    showMessage(/** @type {Error} */ (error).message, true);
     return null;
   }
 }
@@ -62,10 +62,10 @@ async function act(action, words = {}) {
  * @param {string} text
  * @param {boolean} refused
  */
-function say(text, refused) {
+function showMessage(text, refused) {
   const line = byId("message", HTMLElement);
   clearTimeout(messageTimer);
-  write(line, text);
+  setText(line, text);
   line.classList.toggle("bad", refused);
   line.hidden = !text;
   if (!refused) messageTimer = setTimeout(() => (line.hidden = true), MESSAGE_MS);
@@ -77,7 +77,7 @@ function receive(message) {
   else if (message.type === "status") showStatus(message.status, message.reason ?? "");
   else if (message.type === "values") settings.update(message);
   else if (message.type === "log") log.add(message.lines);
-  else if (message.type === "trouble") say(message.text, true);
+  else if (message.type === "trouble") showMessage(message.text, true);
   else if (message.type === "scene") space.load(message.scene);
 }
 
@@ -107,7 +107,7 @@ function draw(frame, bitmap) {
   plots.take(samples);
   space.take(samples);
   const masked = owner ? "" : ", masked to ball and targets";
-  write(byId("picture-rate", HTMLElement), pictures.length ? `${Math.round(pictures.length / 2)} pictures/s${masked}` : "no picture");
+  setText(byId("picture-rate", HTMLElement), pictures.length ? `${Math.round(pictures.length / 2)} pictures/s${masked}` : "no picture");
   plots.read(status);
 }
 
@@ -124,17 +124,17 @@ function showStatus(now, reason) {
   const known = STATES[now?.state ?? ""];
   const word = now ? (known?.word ?? now.state ?? "unknown") : "offline";
   const pill = byId("state", HTMLElement);
-  write(pill, word);
+  setText(pill, word);
   pill.dataset["look"] = now ? (known?.look ?? "wait") : "bad";
   document.title = `${word} – spheremouse`;
-  write(byId("reason", HTMLElement), now ? (now.reason ?? "") : reason);
-  write(byId("advice", HTMLElement), now ? advice(now) : "Start the service: systemctl start spheremouse");
+  setText(byId("reason", HTMLElement), now ? (now.reason ?? "") : reason);
+  setText(byId("advice", HTMLElement), now ? advice(now) : "Start the service: systemctl start spheremouse");
   const recording = now?.recording;
   const button = byId("record", HTMLButtonElement);
-  write(button, recording ? `Stop recording, ${span(recording.seconds ?? 0)}` : "Record");
+  setText(button, recording ? `Stop recording, ${formatDuration(recording.seconds ?? 0)}` : "Record");
   button.classList.toggle("on", Boolean(recording));
-  write(byId("pause", HTMLElement), now?.paused ? "Resume" : "Pause");
-  write(byId("reinit", HTMLElement), now?.balls ? "Search for balls again" : "Estimate camera pose");
+  setText(byId("pause", HTMLElement), now?.paused ? "Resume" : "Pause");
+  setText(byId("reinit", HTMLElement), now?.balls ? "Search for balls again" : "Estimate camera pose");
   for (const id of ["reinit", "pause", "record", "snapshot"]) byId(id, HTMLButtonElement).disabled = !now;
   outputs.show(now);
   plots.read(now);
@@ -149,10 +149,10 @@ function advice(now) {
 
 // ---- buttons and panels ----
 
-byId("reinit", HTMLElement).addEventListener("click", () => void act("reinit"));
-byId("pause", HTMLElement).addEventListener("click", () => void act(status?.paused ? "resume" : "pause"));
-byId("record", HTMLElement).addEventListener("click", () => void act(status?.recording ? "stop-record" : "record"));
-byId("snapshot", HTMLElement).addEventListener("click", () => void act("snapshot"));
+byId("reinit", HTMLElement).addEventListener("click", () => void perform("reinit"));
+byId("pause", HTMLElement).addEventListener("click", () => void perform(status?.paused ? "resume" : "pause"));
+byId("record", HTMLElement).addEventListener("click", () => void perform(status?.recording ? "stop-record" : "record"));
+byId("snapshot", HTMLElement).addEventListener("click", () => void perform("snapshot"));
 
 /** @type {[name: string, element: HTMLElement, wide: boolean][]} */
 const PANELS = [

@@ -1,6 +1,6 @@
 /** The picture of the camera, and layers over it. */
 
-import { begin, colour, el } from "./dom.js";
+import { prepareCanvas, colour, el } from "./dom.js";
 
 /** @typedef {import("./types.js").Annotations} Annotations */
 /** @typedef {import("./types.js").Point} Point */
@@ -84,7 +84,7 @@ export class Picture {
   }
 
   draw() {
-    const { context: c, width, height } = begin(this.canvas);
+    const { context: c, width, height } = prepareCanvas(this.canvas);
     const { view } = this;
     view.scale = Math.min(width / view.width, height / view.height);
     view.x = (width - view.width * view.scale) / 2;
@@ -154,7 +154,7 @@ export class Picture {
  * @param {number} width
  * @param {number[]} [dash]
  */
-function twice(c, line, width, dash = []) {
+function strokeWithHalo(c, line, width, dash = []) {
   c.setLineDash(dash);
   [c.strokeStyle, c.lineWidth] = [HALO, width + 1.6];
   c.stroke();
@@ -175,7 +175,7 @@ function stroke(c, points, s, line, width, close) {
   c.beginPath();
   for (const [x, y] of points) c.lineTo(x * s, y * s);
   if (close) c.closePath();
-  twice(c, line, width);
+  strokeWithHalo(c, line, width);
 }
 
 /**
@@ -197,7 +197,7 @@ function ellipse(c, x, y, [xx, xy, yy], s, line, width, dash) {
   const angle = Math.atan2(2 * xy, xx - yy) / 2; // of the short axis
   c.beginPath();
   c.ellipse(x * s, y * s, s / Math.sqrt(large), s / Math.sqrt(small), angle, 0, 2 * Math.PI);
-  twice(c, line, width, dash);
+  strokeWithHalo(c, line, width, dash);
 }
 
 /**
@@ -210,7 +210,7 @@ function ellipse(c, x, y, [xx, xy, yy], s, line, width, dash) {
 function ring(c, x, y, radius, line) {
   c.beginPath();
   c.arc(x, y, radius, 0, 2 * Math.PI);
-  twice(c, line, 1.5, [4, 3]);
+  strokeWithHalo(c, line, 1.5, [4, 3]);
 }
 
 /**
@@ -225,7 +225,7 @@ function cross(c, x, y, line) {
     c.moveTo(x - 4, y - d);
     c.lineTo(x + 4, y + d);
   }
-  twice(c, line, 1.5);
+  strokeWithHalo(c, line, 1.5);
 }
 
 /**

@@ -1,6 +1,6 @@
 /** Plots of the last 10 s: rate with its band, counts, latency, discs. */
 
-import { begin, byId, colour, el, signed, write } from "./dom.js";
+import { prepareCanvas, byId, colour, el, formatSigned, setText } from "./dom.js";
 
 /** @typedef {import("./types.js").Sample} Sample */
 /** @typedef {(sample: Sample) => number | null} Read */
@@ -66,7 +66,7 @@ class Plot {
    * @param {number} now stamp at the right edge, s
    */
   draw(samples, now) {
-    const { context: c, width, height } = begin(this.canvas);
+    const { context: c, width, height } = prepareCanvas(this.canvas);
     const lines = this.series.map((s) => samples.map((sample) => s.read(sample)));
     const values = lines.flat().filter((v) => v !== null);
     const [left, bottom] = [38, height - 4];
@@ -206,7 +206,7 @@ export class Plots {
   read(status) {
     const { rate = null, sigma = null } = this.last ?? {};
     /** @type {[string, string][]} */
-    const rows = AXES.map((name, i) => [name, rate ? `${signed((rate[i] ?? 0) * DEGREES)} °/s` : "–"]);
+    const rows = AXES.map((name, i) => [name, rate ? `${formatSigned((rate[i] ?? 0) * DEGREES)} °/s` : "–"]);
     if (sigma) rows.push(["σ", `${(Math.max(...sigma) * DEGREES).toFixed(2)} °/s`]);
     if (status) {
       rows.push(["motion", status.motion?.words ?? "not known"]);
@@ -218,7 +218,7 @@ export class Plots {
     }
     const known = new Map([...this.#readings.children].map((row) => [row.firstElementChild?.textContent, row.lastElementChild]));
     if (rows.length === known.size && rows.every(([name]) => known.has(name)))
-      for (const [name, value] of rows) write(/** @type {HTMLElement} */ (known.get(name)), value);
+      for (const [name, value] of rows) setText(/** @type {HTMLElement} */ (known.get(name)), value);
     else this.#readings.replaceChildren(...rows.map(([name, value]) => el("div", {}, el("dt", {}, name), el("dd", {}, value))));
   }
 }
@@ -226,8 +226,8 @@ export class Plots {
 /** @param {Record<string, any>} ball of the status */
 function ballText({ state, position_m: place, angles_deg: angles, sigma_mm: sigma, sigma_deg: turned }) {
   if (!place || !angles) return state ?? "not known";
-  const [x, y, z] = place.map((/** @type {number} */ v) => signed(v, 3));
-  const [yaw, pitch, roll] = angles.map((/** @type {number} */ v) => signed(v, 0));
+  const [x, y, z] = place.map((/** @type {number} */ v) => formatSigned(v, 3));
+  const [yaw, pitch, roll] = angles.map((/** @type {number} */ v) => formatSigned(v, 0));
   const error = sigma && turned ? ` ± ${Math.max(...sigma).toFixed(0)} mm, ± ${Math.max(...turned).toFixed(1)}°` : "";
   return `${state}: x ${x}, y ${y}, z ${z} m; yaw ${yaw}°, pitch ${pitch}°, roll ${roll}°${error}`;
 }

@@ -1,11 +1,11 @@
 /** The panels of the log, the outputs and the doctor. */
 
-import { el, span, write } from "./dom.js";
+import { el, formatDuration, setText } from "./dom.js";
 
 /** @typedef {import("./types.js").Status} Status */
 /** @typedef {import("./tune.js").Act} Act */
 
-const MOST_LINES = 2000;
+const MAX_LINES = 2000;
 
 export class LogPanel {
   #filter = el("input", { type: "search", id: "log-filter", placeholder: "Text in the line", autocomplete: "off" });
@@ -29,7 +29,7 @@ export class LogPanel {
     const { scrollTop, scrollHeight, clientHeight } = this.#lines;
     const atEnd = scrollTop + clientHeight >= scrollHeight - 8;
     this.#lines.append(...lines.map((line) => el("p", {}, el("time", {}, clock), line)));
-    while (this.#lines.children.length > MOST_LINES) this.#lines.firstElementChild?.remove();
+    while (this.#lines.children.length > MAX_LINES) this.#lines.firstElementChild?.remove();
     this.#show();
     if (atEnd) this.#lines.scrollTop = this.#lines.scrollHeight;
   }
@@ -42,7 +42,7 @@ export class LogPanel {
       line.toggleAttribute("hidden", hidden);
       shown += Number(!hidden);
     }
-    write(this.#count, `${shown} of ${this.#lines.children.length} lines`);
+    setText(this.#count, `${shown} of ${this.#lines.children.length} lines`);
   }
 }
 
@@ -67,7 +67,7 @@ export class OutputsPanel {
       ["Tracker", s.tracker], ["Source", s.source?.description ?? s.source?.spec], ["Configuration", s.config], ["Rig", s.rig], ["Map", s.map],
       ["Frames", `${s.frames ?? 0} tracked, ${s.skipped ?? 0} skipped, ${s.dropped ?? 0} lost by the driver, ${s.damaged ?? 0} damaged`],
       ["Camera pose", pose?.position_m ? `${pose.position_m.join(", ")} m, σ ${(pose.sigma_mm ?? []).join(", ")} mm` : "not known"],
-      ["Running", `${span(s.uptime_s ?? 0)}, without tracking ${span(s.unseen_s ?? 0)}, lost ${s.lost_count ?? 0} times`],
+      ["Running", `${formatDuration(s.uptime_s ?? 0)}, without tracking ${formatDuration(s.unseen_s ?? 0)}, lost ${s.lost_count ?? 0} times`],
       ["Process", `${s.memory_mb ?? "–"} MB, ${Math.round(100 * (s.cpu_share ?? 0))} % of a core, ${s.scheduling ?? ""}`],
       ["Version", s.version]] : [["Tracker", "not running"]];
     fill(this.#facts, facts.map(([name, value]) => [name, value ?? "none"]), ([name = "", value = ""]) => el("div", {}, el("dt", {}, name), el("dd", {}, value)));
@@ -86,7 +86,7 @@ function fill(parent, rows, make) {
   texts.forEach((row, i) => {
     const present = parent.children[i];
     if (!present) parent.append(make(row));
-    else row.forEach((cell, k) => write(/** @type {HTMLElement} */ (present.children[k]), cell));
+    else row.forEach((cell, k) => setText(/** @type {HTMLElement} */ (present.children[k]), cell));
   });
 }
 
@@ -96,14 +96,14 @@ export class DoctorPanel {
   #list = el("div", {});
   element = el("div", {}, el("div", { class: "row" }, this.#run), this.#note, this.#list);
 
-  /** @param {Act} act */
-  constructor(act) {
+  /** @param {Act} perform */
+  constructor(perform) {
     this.#run.addEventListener("click", async () => {
       this.#run.disabled = true;
-      write(this.#note, "Examining. This takes a few seconds.");
-      const done = await act("doctor");
+      setText(this.#note, "Examining. This takes a few seconds.");
+      const done = await perform("doctor");
       this.#run.disabled = false;
-      write(this.#note, done?.message || (done ? "" : "The doctor gave no report."));
+      setText(this.#note, done?.message || (done ? "" : "The doctor gave no report."));
       if (done) this.#show(done.data.checks ?? []);
     });
   }

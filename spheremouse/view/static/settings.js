@@ -21,7 +21,7 @@ export class Settings {
   /** @param {Link} link */
   constructor(link) {
     this.#link = link;
-    addEventListener("pointerup", () => (this.#gesture.held = false));
+    for (const end of ["pointerup", "pointercancel"]) addEventListener(end, () => (this.#gesture.held = false));
   }
 
   /** @param {() => void} listener called after every change of values */

@@ -1,6 +1,6 @@
 /** Ball, targets and camera in space on canvas 2-D. Drag, or press arrow keys, to turn the view. */
 
-import { begin, colour, el, write } from "./dom.js";
+import { prepareCanvas, colour, el, setText } from "./dom.js";
 
 /** @typedef {import("./types.js").Vector} Vector */
 /** @typedef {import("./types.js").Scene} Scene */
@@ -156,7 +156,7 @@ export class Space {
   }
 
   draw() {
-    const { context: c, width, height } = begin(this.canvas);
+    const { context: c, width, height } = prepareCanvas(this.canvas);
     const scene = this.#scene;
     const radius = scene?.radius ?? (this.#wand ? DEFAULT_RADIUS.wand : DEFAULT_RADIUS.ball);
     const balls = this.#wand ? [...this.#samples.values()].filter((s) => s.position) : [this.#samples.get(1) ?? null];
@@ -183,7 +183,7 @@ export class Space {
     for (const sample of balls) this.#ball(c, project, towards, scale, radius, sample);
     this.#targets(c, project, towards, true);
     if (camera && !far) this.#camera(c, project, radius, camera);
-    if (!scene) write(this.note, "not known yet");
+    if (!scene) setText(this.note, "not known yet");
   }
 
   /**
@@ -325,7 +325,7 @@ export class Space {
     c.fillStyle = colour("--text");
     if (!covariance) {
       text(c, "camera", apex[0] - 30, apex[1] + 30);
-      write(this.note, "");
+      setText(this.note, "");
       return;
     }
     const axes = cholesky(covariance);
@@ -339,7 +339,7 @@ export class Space {
     }
     text(c, `camera, ${SIGMA} σ${factor > 1 ? ` × ${factor}` : ""}`, apex[0] - 30, apex[1] + 30);
     const sigma = [0, 4, 8].map((i) => (1000 * Math.sqrt(covariance[i] ?? 0)).toPrecision(2));
-    write(this.note, `camera σ ${sigma.join(", ")} mm`);
+    setText(this.note, `camera σ ${sigma.join(", ")} mm`);
   }
 }
 

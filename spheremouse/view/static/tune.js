@@ -1,6 +1,6 @@
 /** The panels of settings: those of daily use, and all others by stage. */
 
-import { el, write } from "./dom.js";
+import { el, setText } from "./dom.js";
 import { control, title } from "./controls.js";
 
 /** @typedef {import("./types.js").Setting} Setting */
@@ -22,13 +22,13 @@ export class TunePanel {
 
   /**
    * @param {Settings} settings
-   * @param {Act} act
+   * @param {Act} perform
    */
-  constructor(settings, act) {
+  constructor(settings, perform) {
     this.#settings = settings;
-    this.#undo.addEventListener("click", () => void act("undo"));
-    this.#save.addEventListener("click", () => void act("save"));
-    this.#apply.addEventListener("click", () => void act("profile", { name: this.#profile.value }));
+    this.#undo.addEventListener("click", () => void perform("undo"));
+    this.#save.addEventListener("click", () => void perform("save"));
+    this.#apply.addEventListener("click", () => void perform("profile", { name: this.#profile.value }));
     settings.listen(() => this.#show());
   }
 
@@ -51,8 +51,8 @@ export class TunePanel {
     const { undo, unsaved } = this.#settings;
     this.#undo.disabled = undo === 0;
     this.#save.disabled = unsaved.size === 0;
-    write(this.#undo, undo ? `Undo (${undo})` : "Undo");
-    write(this.#mark, unsaved.size ? `${unsaved.size} unsaved: in force until the next start.` : "All settings are saved.");
+    setText(this.#undo, undo ? `Undo (${undo})` : "Undo");
+    setText(this.#mark, unsaved.size ? `${unsaved.size} unsaved: in force until the next start.` : "All settings are saved.");
   }
 }
 
@@ -76,11 +76,11 @@ export class ExpertPanel {
 
   /**
    * @param {Settings} settings
-   * @param {Act} act
+   * @param {Act} perform
    */
-  constructor(settings, act) {
+  constructor(settings, perform) {
     this.#settings = settings;
-    const exporting = el("button", { type: "button", id: "export", click: async () => download(await act("export")) }, "Export");
+    const exporting = el("button", { type: "button", id: "export", click: async () => download(await perform("export")) }, "Export");
     const importing = el("button", { type: "button", id: "import", click: () => this.#file.click() }, "Import");
     this.element = el("div", {},
       el("div", { class: "row" }, el("label", { for: "search" }, "Search"), this.#search,
@@ -90,11 +90,11 @@ export class ExpertPanel {
     this.#changed.addEventListener("change", () => this.#show());
     this.#reset.addEventListener("click", () => {
       const keys = this.#controls.map((c) => c.setting).filter((s) => s.live && this.#isChanged(s)).map((s) => s.key);
-      if (keys.length) void act("reset", { keys });
+      if (keys.length) void perform("reset", { keys });
     });
     this.#file.addEventListener("change", async () => {
       const file = this.#file.files?.[0];
-      if (file) await act("import", { text: await file.text() });
+      if (file) await perform("import", { text: await file.text() });
       this.#file.value = "";
     });
     settings.listen(() => this.#show());
@@ -130,7 +130,7 @@ export class ExpertPanel {
     }
     const changed = this.#controls.filter((c) => this.#isChanged(c.setting));
     this.#reset.disabled = !changed.some((c) => c.setting.live);
-    write(this.#count, `${shown} of ${this.#controls.length} settings shown, ${changed.length} differ from the default.`);
+    setText(this.#count, `${shown} of ${this.#controls.length} settings shown, ${changed.length} differ from the default.`);
   }
 }
 
