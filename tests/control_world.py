@@ -91,12 +91,17 @@ def conversations():
     return found
 
 
+def page_reply(command):
+    """The page's reply to a request without arguments."""
+    return next(r[0] for c in conversations() for q, r in c if q == f'{{"command": "{command}"}}')
+
+
 class Daemon:
     """Answers as a daemon in the situations of the page would."""
 
     def __init__(self):
         self.paused = False
-        self.status = next(r[0] for c in conversations() for q, r in c if q == '{"command": "status"}')
+        self.status = page_reply("status")
 
     def __call__(self, pending):
         request, reply = pending.request, pending.answer
@@ -138,6 +143,8 @@ class Daemon:
             case Request(command="resume"):
                 self.paused = False
                 reply({"state": "tracking"})
+            case Request(command="settings" | "scene"):
+                reply(page_reply(request.command))
             case protocol.Pictures():
                 reply({"slots": 3, "slot_bytes": 987136, "ring": PictureRing(987136)})
             case Request(command="stop"):

@@ -38,6 +38,7 @@ _PROFILES = "profiles"  # key of the named sets of settings
 PROFILE_NAME = re.compile(r"[A-Za-z0-9_-]{1,50}")
 Profiles = dict[str, tuple[str, ...]]  # assignments KEY=VALUE by name
 
+_KINDS = {bool: "flag", int: "integer", float: "number", str: "text"}
 _WIDTH = 110
 _JOINED = "\u00a0"  # a space at which a comment does not wrap
 
@@ -147,7 +148,7 @@ def dump(settings: S, default: S) -> str:
     before = dict(parameters(default))
     lines = [f"schema: {SCHEMAS[KIND]}"]
     section: Key = ()
-    for key, field, value in _fields(settings):
+    for key, field, _, value in _fields(settings):
         for depth in range(len(key) - 1):
             if section[: depth + 1] != key[: depth + 1]:
                 lines.append(f"{'  ' * depth}{key[depth]}:")
@@ -159,16 +160,44 @@ def dump(settings: S, default: S) -> str:
 
 def parameters(settings: Any) -> Iterator[tuple[Key, Any]]:
     """Yield every setting with its key and value, those outside of sections first."""
-    return ((key, value) for key, _, value in _fields(settings))
+    return ((key, value) for key, _, _, value in _fields(settings))
 
 
-def _fields(settings: Any, prefix: Key = ()) -> "Iterator[tuple[Key, dataclasses.Field[Any], Any]]":
+def described(settings: Any) -> Iterator[dict[str, Any]]:
+    """Yield key, value, unit, meaning, type, bounds and choices of every setting as plain data (docs/control.md)."""
+    for key, field, hint, value in _fields(settings):
+        about, bounds = field.metadata, field.metadata["bounds"]
+        choices = list(_choices(hint))
+        yield {
+            "key": dotted(key),
+            "group": dotted(key[:-1]),
+            "value": value,
+            "default": field.default,
+            "unit": "" if about["unit"] == "-" else about["unit"],
+            "meaning": about["meaning"],
+            "type": _kind(hint),
+            "minimum": bounds.get("ge", bounds.get("gt")),
+            "maximum": bounds.get("le", bounds.get("lt")),
+            "choices": choices or None,
+        }
+
+
+def _kind(hint: Any) -> str:
+    """Return the name of a setting's type: a list if it can be one, a choice if it has nothing else."""
+    kinds = get_args(hint) if get_origin(hint) in (typing.Union, types.UnionType) else (hint,)
+    if any(get_origin(kind) is tuple for kind in kinds):
+        return "list"
+    return next((_KINDS[kind] for kind in kinds if kind in _KINDS), "choice")
+
+
+def _fields(settings: Any, prefix: Key = ()) -> "Iterator[tuple[Key, dataclasses.Field[Any], Any, Any]]":
+    """Yield key, field, type and value of every setting."""
     for field in _ordered(type(settings)):
         key, value = (*prefix, field.name), getattr(settings, field.name)
         if _is_section(type(settings), field):
             yield from _fields(value, key)
         else:
-            yield key, field, value
+            yield key, field, _hints(type(settings))[field.name], value
 
 
 @functools.cache

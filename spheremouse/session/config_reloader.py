@@ -81,6 +81,21 @@ def given(overrides: CommandLineOverrides) -> tuple[str, ...]:
     return (*(key for key, said in options.items() if said), *map(key_of, overrides.assignments))
 
 
+def settings_in_use(overrides: CommandLineOverrides, plan: RunConfig) -> list[dict[str, Any]]:
+    """Return the settings that the tracker of a plan reads, as `config.described`; `live`: `set` can change it."""
+    options = given(replace(overrides, assignments=()))
+    named = {"source": plan.source, "output": plan.outputs, "rig": plan.rig_path, "camera_file": plan.camera_path,
+             "map": plan.map_path, "wand.balls": plan.ball_paths}  # fmt: skip
+    found = []
+    for about in config.described(plan.configuration):
+        key = about["key"]
+        section = key.partition(".")[0]
+        if section not in _UNREAD[plan.configuration.tracker]:
+            value = {"value": named[key]} if key in options else {}
+            found.append({**about, **value, "live": key not in options and section not in AT_START})
+    return found
+
+
 def check_settable(overrides: CommandLineOverrides, assignments: tuple[str, ...]) -> None:
     """Raise ControlError if an assignment could not take effect."""
     keys = [key_of(a) for a in assignments]

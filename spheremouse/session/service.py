@@ -24,7 +24,7 @@ from spheremouse.output.rate_limited_logger import RateLimitedLogger
 from spheremouse.output.reporter import ReporterStatus
 from spheremouse.output.third_axis import left_out
 from spheremouse.session.cameras import held
-from spheremouse.session.config_reloader import READING, ConfigReloader, given
+from spheremouse.session.config_reloader import READING, ConfigReloader, given, settings_in_use
 from spheremouse.session.control.protocol import Pictures, Profile, Record, Request, Set, Snapshot, refused
 from spheremouse.session.control.request_queue import PendingRequest, RequestQueue
 from spheremouse.session.control.server import Endpoints
@@ -310,6 +310,12 @@ class Daemon:
         monitor, command = self._monitor, pending.request.command
         if command == "status":
             pending.answer(self.status().as_json())
+        elif command == "settings":
+            reloader = self._reloader
+            settings = settings_in_use(reloader.overrides, reloader.plan)
+            pending.answer({"settings": settings, "changes": list(reloader.overrides.changes)})
+        elif command == "scene":
+            pending.answer(self.adapter.scene())
         elif command == "stop":
             self._ending = True
             self._ring.wake()

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 from spheremouse.ball.smooth import Observation
 from spheremouse.errors import SpheremouseError
-from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.output import Counts, Mapping
 from spheremouse.output.sample import Sample
 from spheremouse.session.control.status import TrackerStatus
@@ -58,6 +58,18 @@ class Subject:
     kept: Callable[[], Image]  # 255 where a recording keeps a pixel, else 0, (h, w) uint8; PoseError without a ball
     scene: Callable[[], dict[str, Any]]  # contents of scene.json
     files: Callable[[], dict[str, str]]  # other files, name and text, so that a replay tracks in the same way
+
+
+def camera_scene(camera: InteriorOrientation, pose: Pose | None) -> dict[str, Any]:
+    """Return a camera at a pose as plain data; its position, rotation and covariance are None if the pose is."""
+    return {
+        "position": None if pose is None else pose.position.tolist(),
+        "rotation": None if pose is None else pose.rotation.T.ravel().tolist(),  # R_cam_obj
+        "covariance": None if pose is None else pose.covariance[:3, :3].ravel().tolist(),
+        "focal": [camera.fx, camera.fy],
+        "centre": [camera.cx, camera.cy],
+        "size": [camera.width, camera.height],
+    }
 
 
 class TrackerAdapter(Protocol):
@@ -128,6 +140,10 @@ class TrackerAdapter(Protocol):
 
     def tracker_status(self, seeing: bool) -> TrackerStatus:
         """Return the tracker's part of the status, from any thread."""
+        ...
+
+    def scene(self) -> dict[str, Any]:
+        """Return camera, ball, discs and targets in 3-D as plain data (docs/control.md), from any thread."""
         ...
 
     def annotations(self, tracked: FrameResult | None) -> dict[str, Any]:

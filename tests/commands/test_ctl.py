@@ -80,8 +80,8 @@ def shown(status, width=80):
 
 
 def test_there_is_a_command_for_every_request():
-    own = {"save"}  # asks for the status
-    assert set(typer.main.get_group(cli_ctl.app).commands) == {*protocol.COMMANDS, *own}
+    own, of_programs = {"save"}, {"pictures", "scene"}
+    assert set(typer.main.get_group(cli_ctl.app).commands) == {*protocol.COMMANDS, *own} - of_programs
 
 
 def test_the_status_is_a_short_table(ctl, daemon):
@@ -270,6 +270,16 @@ def _shown(request_):
                 if wanted == request_:
                     return {k: v for k, v in reply.items() if k not in ("ok", "id")}
     raise AssertionError(f"docs/control.md does not show {request_}")
+
+
+def test_settings_are_a_table_with_their_ranges(ctl, daemon):
+    code, out, _ = ctl("settings")
+    assert code == 0
+    assert [line.split() for line in out.splitlines()] == [
+        ["key", "value", "default", "unit", "range"],
+        ["motion.scale_x", "2.0", "1.0", "0.001", "to", "1000"],
+    ]
+    assert json.loads(ctl("settings", "--json")[1]) == _shown({"command": "settings"})
 
 
 def test_what_the_daemon_refuses_is_its_line_and_exit_code_1(ctl, daemon):

@@ -4,8 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from spheremouse.errors import ControlError
-from spheremouse.session.config_reloader import check_read, check_settable, given, told, values
+from spheremouse.errors import ConfigurationError, ControlError
+from spheremouse.files import config
+from spheremouse.files.yaml import dotted
+from spheremouse.session.config_reloader import check_read, check_settable, given, settings_in_use, told, values
+from spheremouse.session.control.protocol import MAX_LINE, encode
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 
 SAID = CommandLineOverrides(
@@ -67,3 +70,53 @@ def test_values_are_of_what_differs_and_of_what_was_assigned():
     assert set(told(found).split(", ")) == {
         "motion.scale_x 1.0 → 2.0", "motion.scale_y 1.0 already", "discs.polarity auto → light",
     }  # fmt: skip
+
+
+def plan_of(*assignments):
+    overrides = CommandLineOverrides(assignments=assignments, source="synthetic:", outputs=("null",))
+    return overrides, read_run_config(overrides)
+
+
+@pytest.mark.parametrize("tracker", ["so3", "ekf1", "wand"])
+def test_the_settings_in_use_are_those_that_set_takes_and_live_those_that_it_changes(tracker):
+    overrides, plan = plan_of(f"tracker={tracker}", "pointer.rate=200")
+    keys = {about["key"] for about in settings_in_use(overrides, plan)}
+    assert len(keys) > 40
+    assert "tracker" in keys
+    for about in settings_in_use(overrides, plan):
+        assignment = f"{about['key']}={config.to_yaml(about['value'])}"
+        check_read(plan, (assignment,))
+        if about["live"]:
+            assert config.override(plan.configuration, assignment) == plan.configuration
+            check_settable(overrides, (assignment,))
+        else:
+            with pytest.raises(ControlError):
+                check_settable(overrides, (assignment,))
+    values = {about["key"]: about["value"] for about in settings_in_use(overrides, plan)}
+    assert (values["source"], values["output"]) == ("synthetic:", ("null",))
+    unread = {key for key in map(dotted, dict(config.parameters(plan.configuration))) if key not in keys}
+    for key in unread:
+        with pytest.raises(ControlError, match="does not read this setting"):
+            check_read(plan, (f"{key}=1",))
+
+
+def test_a_setting_is_described_with_value_default_and_bounds_that_hold():
+    overrides, plan = plan_of("motion.scale_x=2", "motion.player=left")
+    found = {about["key"]: about for about in settings_in_use(overrides, plan)}
+    scale, player = found["motion.scale_x"], found["motion.player"]
+    assert (scale["group"], scale["type"], scale["value"], scale["default"]) == ("motion", "number", 2.0, 1.0)
+    assert (player["type"], player["value"], player["default"]) == ("choice", "left", player["choices"][0])
+    for about in found.values():
+        for bound, beyond in (("minimum", -1), ("maximum", 1)):
+            if about["type"] in ("number", "integer") and about[bound] is not None:
+                with pytest.raises(ConfigurationError):
+                    config.override(plan.configuration, f"{about['key']}={about[bound] + beyond}")
+    types = {key: found[key]["type"] for key in ("output", "discs.masks", "motion.invert_x", "camera.gain", "source")}
+    assert types == {"output": "list", "discs.masks": "list", "motion.invert_x": "flag", "camera.gain": "integer",
+                     "source": "text"}  # fmt: skip
+
+
+def test_the_reply_with_all_settings_is_one_line_of_the_socket():
+    for tracker in ("so3", "ekf1", "wand"):
+        reply = {"settings": settings_in_use(*plan_of(f"tracker={tracker}")), "changes": 50 * ["motion.scale_x=2"]}
+        assert len(encode(reply)) < MAX_LINE / 2

@@ -25,12 +25,13 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from control_world import conversations
+from control_world import conversations, page_reply
 from daemon_world import DT, Film, World, check_samples
 
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.errors import ConfigurationError, ControlError
 from spheremouse.files.rig import rig_text
+from spheremouse.geometry.camera import project
 from spheremouse.session import config_reloader as loader_module
 from spheremouse.session import service as run_module
 from spheremouse.session import timing as timing_module
@@ -92,10 +93,17 @@ def test_what_is_answered_has_the_keys_that_the_page_shows(world):
         "recordTrue": {"stop": True},
         "snapshot": {"file": "bug-1.png"},
         "pictures": {"interval": 0.1},
+        "settings": {},
+        "scene": {},
         "stop": {},
     }.items():
         reply = ask(world, command.removesuffix("True"), **arguments)
         assert set(reply) - {"ok", "id"} == shown[command], (command, reply)
+        parts = {"scene": ["camera"], "settings": ["settings", 0]}.get(command, [])
+        page = page_reply(command) if parts else {}
+        for part in parts:
+            reply, page = reply[part], page[part]
+        assert reply.keys() >= page.keys()
 
 
 def in_thread(function):
@@ -558,6 +566,23 @@ def test_a_camera_that_goes_ends_the_estimate(playing):
     world.reach("tracking")
     world.settle()
     assert ask(world, "reinit")["message"]
+
+
+def test_the_scene_is_the_device_and_the_map_in_its_axes(playing):
+    """Seen from the camera, each target and the ball are where the rig has them."""
+    rig, scene = playing.film.rig, ask(playing, "scene")
+    camera, R = scene["camera"], np.reshape(scene["camera"]["rotation"], (3, 3))
+    pose = playing.daemon.adapter.pose
+    assert (camera["size"], scene["radius"], scene["balls"]) == ([640, 480], rig.ball.radius, None)
+    assert {t["code"] for t in scene["targets"]} == set(rig.targets.codes)
+    for target in scene["targets"]:
+        seen = R @ (np.array(target["position"]) - camera["position"])
+        expected = project(pose.to_cam(np.array([target["position"]])), rig.camera)[0][0]
+        assert np.allclose(camera["focal"] * seen[:2] / seen[2] + camera["centre"], expected, atol=1.0)
+    assert np.allclose(np.linalg.norm(scene["discs"], axis=1), 1.0)
+    assert len(scene["discs"]) == ask(playing, "status")["discs_known"] > 5
+    assert np.allclose(np.sqrt(np.diag(np.reshape(camera["covariance"], (3, 3)))) * 1e3,
+                       ask(playing, "status")["pose"]["sigma_mm"], rtol=1e-6)  # fmt: skip
 
 
 # ---- pause, pictures, recordings ----

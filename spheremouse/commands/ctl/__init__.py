@@ -99,6 +99,20 @@ def set_(
         _print_json(reply)
 
 
+@app.command()
+def settings(as_json: _Json = False, socket: _Socket = None) -> None:
+    """List the settings that the tracker reads: key, value, default, unit and range; changed values are bold."""
+    reply = _ask(socket, "settings")
+    if as_json:
+        _print_json(reply)
+        return
+    from rich.console import Console
+
+    from spheremouse.commands.ctl.words import settings_table
+
+    Console(highlight=False).print(settings_table(reply))
+
+
 @app.command(epilog="Example: spheremouse ctl profile doom")
 def profile(
     name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Of the configuration's `profiles`.")] = None,

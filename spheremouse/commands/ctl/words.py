@@ -1,5 +1,8 @@
 """Format the status: a table, and one line for each event."""
 
+import json
+from typing import Any
+
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
@@ -56,6 +59,24 @@ def status_table(s: StatusReport) -> Panel:
         rows.add_row("recording", _recording(s.recording))
     head = Text.assemble((" spheremouse ", "bold"), f"{printable(s.version or '')} │ process {_n(s.pid)} ")
     return Panel(rows, title=head, title_align="left", border_style="dim", expand=False)
+
+
+def settings_table(reply: dict[str, Any]) -> Table:
+    """Return the reply to `settings` as a table."""
+    table = Table("key", "value", "default", "unit", "range", box=None, padding=(0, 2, 0, 0), header_style="dim")
+    for setting in reply.get("settings") or ():
+        value, default = (_json(setting.get(name)) for name in ("value", "default"))
+        low, high, choices = (setting.get(name) for name in ("minimum", "maximum", "choices"))
+        bounds = f"{low:g} to {high:g}" if isinstance(low, int | float) and isinstance(high, int | float) else ""
+        allowed = ", ".join(map(_json, choices)) if isinstance(choices, list) else bounds
+        style = "" if value == default else "bold"
+        key, unit = (printable(setting.get(name) or "") for name in ("key", "unit"))
+        table.add_row(key, Text(value, style=style), Text(default), unit, Text(allowed))
+    return table
+
+
+def _json(value: Any) -> str:
+    return printable(value if isinstance(value, str) else json.dumps(value))
 
 
 def event_line(event: StatusReport | str, clock: str) -> Text:

@@ -44,6 +44,7 @@ from spheremouse.session.tracker_adapter import (
     LogMessages,
     Subject,
     TrackerAdapter,
+    camera_scene,
     here,
 )
 from spheremouse.tracker import Estimate, Frame, Status, Step, check_size
@@ -263,6 +264,22 @@ class BallAdapter:
             pose=self._pose_status(),
             targets=self._targets_status(),
         )
+
+    def scene(self) -> dict[str, Any]:
+        """Return camera, ball, discs of the map and targets; the discs are None before the first tracked frame."""
+        rig, state, targets = self.rig, self.state, self.rig.targets
+        discs = None if state is None else np.asarray(state.filter.discs, dtype=float).reshape(-1, 3).tolist()
+        return {
+            "camera": camera_scene(rig.camera, self.pose),
+            "radius": rig.ball.radius,
+            "discs": discs,
+            "disc_radius": rig.disc_radius,
+            "targets": [
+                {"code": code, "position": position}
+                for code, position in zip(targets.codes, targets.position.tolist(), strict=True)
+            ],
+            "balls": None,
+        }
 
     def annotations(self, tracked: FrameResult | None) -> dict[str, Any]:
         """Return the marks on the last frame as plain data."""

@@ -55,6 +55,8 @@ class Request(BaseModel):
 
     model_config = _MODEL
     command: Literal[
+        "settings",
+        "scene",
         "status",
         "reinit",
         "pause",
@@ -115,7 +117,7 @@ class Pictures(Request):
 
 
 _REQUESTS: dict[str, type[Request]] = {
-    **dict.fromkeys(("status", "reinit", "pause", "resume", "reload", "stop"), Request),
+    **dict.fromkeys(("status", "settings", "scene", "reinit", "pause", "resume", "reload", "stop"), Request),
     "set": Set,
     "profile": Profile,
     "record": Record,

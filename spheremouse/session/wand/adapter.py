@@ -12,7 +12,7 @@ from spheremouse.errors import SourceError, SpheremouseError
 from spheremouse.files.dataset.format import BALL_FILES
 from spheremouse.files.dataset.wand import wand_scene
 from spheremouse.files.wand import wand_text
-from spheremouse.geometry.camera import InteriorOrientation, sphere_outline
+from spheremouse.geometry.camera import InteriorOrientation, Pose, sphere_outline
 from spheremouse.output import Counts
 from spheremouse.output.sample import Sample
 from spheremouse.output.wand_mapping import WandMapping
@@ -23,7 +23,7 @@ from spheremouse.session.overlay.pen import Image, in_blocks
 from spheremouse.session.overlay.wand import WandOverlay
 from spheremouse.session.run_config import RunConfig
 from spheremouse.session.settings import Configuration, configuration_text
-from spheremouse.session.tracker_adapter import FrameResult, LogMessages, Subject, TrackerAdapter
+from spheremouse.session.tracker_adapter import FrameResult, LogMessages, Subject, TrackerAdapter, camera_scene
 from spheremouse.session.wand.messages import WandMessages
 from spheremouse.tracker import Estimate, Event, Frame, Status
 from spheremouse.wand.axes import axes_of as six_axes
@@ -163,6 +163,18 @@ class WandAdapter:
             poses = tuple(WandPose(b.name, None, None, None, Status.SEARCHING, None) for b in self.tracker.balls)
         balls = [_ball_status(pose) for pose in poses]
         return TrackerStatus(motion=motion, balls=balls)
+
+    def scene(self) -> dict[str, Any]:
+        """Return the camera at the origin of `cam`, the ball that points with its discs, and the names of all balls."""
+        ball = self.tracker.balls[self.points]
+        return {
+            "camera": camera_scene(self.tracker.camera, Pose(np.eye(3), np.zeros(3))),
+            "radius": ball.radius,
+            "discs": [disc.direction.tolist() for disc in ball.discs],
+            "disc_radius": ball.radius * ball.discs[0].angle if ball.discs else None,
+            "targets": [],
+            "balls": [b.name for b in self.tracker.balls],
+        }
 
     def annotations(self, tracked: FrameResult | None) -> dict[str, Any]:
         """Return the marks on the last frame as plain data."""
