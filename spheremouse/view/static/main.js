@@ -112,14 +112,15 @@ function draw(frame, bitmap) {
 }
 
 function lost() {
-  showStatus(null, "The page process does not answer. The page connects again by itself.");
+  showStatus(null, "The page process does not answer. The page connects again by itself.", "Start it: spheremouse view");
 }
 
 /**
  * @param {Status | null} now null if no daemon answers
  * @param {string} reason why not
+ * @param {string} remedy of no answer
  */
-function showStatus(now, reason) {
+function showStatus(now, reason, remedy = "Start the service: systemctl start spheremouse") {
   status = now;
   const known = STATES[now?.state ?? ""];
   const word = now ? (known?.word ?? now.state ?? "unknown") : "offline";
@@ -128,7 +129,9 @@ function showStatus(now, reason) {
   pill.dataset["look"] = now ? (known?.look ?? "wait") : "bad";
   document.title = `${word} – spheremouse`;
   setText(byId("reason", HTMLElement), now ? (now.reason ?? "") : reason);
-  setText(byId("advice", HTMLElement), now ? advice(now) : "Start the service: systemctl start spheremouse");
+  setText(byId("advice", HTMLElement), now ? advice(now) : remedy);
+  document.body.classList.toggle("stale", !now);
+  if (!now) setText(byId("picture-rate", HTMLElement), "not live");
   const recording = now?.recording;
   const button = byId("record", HTMLButtonElement);
   setText(button, recording ? `Stop recording, ${formatDuration(recording.seconds ?? 0)}` : "Record");
