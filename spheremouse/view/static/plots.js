@@ -39,7 +39,7 @@ export function readSample(row) {
 function ticks(low, high, parts) {
   const raw = (high - low) / parts;
   const power = 10 ** Math.floor(Math.log10(raw));
-  const step = ([1, 2, 5, 10].find((m) => m * power >= raw) ?? 10) * power;
+  const step = ([10, 5, 2].find((m) => m * power <= 1.25 * raw) ?? 1) * power;
   const first = Math.ceil(low / step);
   return Array.from({ length: Math.max(0, Math.floor(high / step) - first + 1) }, (_, i) => (first + i) * step);
 }
@@ -155,6 +155,7 @@ const discs = () => new Plot("discs", "Discs", "used", one("discs", (s) => s.dis
 export class Plots {
   /** @type {Sample[]} */ #samples = [];
   /** @type {{stamp: number, at: number}} */ #newest = { stamp: 0, at: 0 };
+  #names = "";
   #balls = byId("ball", HTMLSelectElement);
   #choice = byId("ball-choice", HTMLElement);
   #readings = byId("readings", HTMLElement);
@@ -176,6 +177,8 @@ export class Plots {
 
   /** @param {string[] | null} names of balls in a hand */
   load(names) {
+    if (JSON.stringify(names) === this.#names) return;
+    this.#names = JSON.stringify(names);
     this.#samples = [];
     this.#plots[3] = names ? new Plot("discs", "Position", "m", three((s, i) => s.position?.[i] ?? null), { least: 0.5, symmetric: true }) : discs();
     this.#choice.hidden = (names?.length ?? 0) < 2;
