@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import simplejpeg
 from numpy.typing import NDArray
 
 from spheremouse import __version__
@@ -26,7 +27,6 @@ from spheremouse.geometry.camera import InteriorOrientation
 ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
 _OTHER_ENDINGS = (".heic", ".heif", ".avif", ".webp", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf")
 _HEIF = (b"heic", b"heix", b"heif", b"hevc", b"mif1", b"msf1", b"avif", b"avis")  # ISO 23008-12, brands of `ftyp`
-_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")  # ITU-T T.81, B.1.1: end of entropy-coded data
 _MAX_NAMED = 6
 
 # As in the printed instructions. Three views of a plane determine a lens (Zhang 2000); four tilts, near and far, and
@@ -199,8 +199,13 @@ def _originals(paths: Sequence[Path]) -> str:
 def _read(path: Path) -> Photo:
     data = _bytes(path)
     size, orientation = _header(path, data, to_the_end=True)
-    if data.startswith(b"\xff\xd8") and not _reaches_its_end(data):
-        raise CalibrationError(f"{path}: ends before the picture does; copy it from the camera again, or leave it out")
+    if data.startswith(b"\xff\xd8"):
+        try:
+            simplejpeg.decode_jpeg(data, colorspace="GRAY", strict=True)
+        except ValueError as e:
+            if "remature end" in str(e):
+                problem = "ends before the picture does; copy it from the camera again, or leave it out"
+                raise CalibrationError(f"{path}: {problem}") from None
     if orientation != 1 and data[:2] in (b"II", b"MM"):  # the decoders always rotate a TIFF
         raise CalibrationError(f"{path}: a TIFF with a rotation flag; save it without one, or take the JPEG")
     return Photo(path, size, hashlib.sha256(data).hexdigest(), orientation != 1)
@@ -230,18 +235,6 @@ def _header(path: Path, data: bytes, *, to_the_end: bool = False) -> Header:
         return read_header(data, PHOTO_PIXELS, to_the_end=to_the_end)
     except OSError as e:
         raise CalibrationError(f"{path}: {e.strerror}") from None
-
-
-def _reaches_its_end(jpeg: bytes) -> bool:
-    """Return True if the first picture of a JPEG has its end marker (ITU-T T.81, annex B)."""
-    at = 2
-    while found := _MARKER.search(jpeg, at):
-        kind, at = jpeg[found.start() + 1], found.end()
-        if kind == 0xD9:
-            return True
-        if kind not in (0x01, 0xD8):
-            at += int.from_bytes(jpeg[at : at + 2])  # a segment and its length; data after a scan's are searched
-    return False
 
 
 # ---- words ----

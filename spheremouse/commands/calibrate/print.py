@@ -3,7 +3,7 @@
 import re
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -15,32 +15,16 @@ EXAMPLE = "Example: spheremouse calibrate print --paper letter --only boards --s
 _MIN_LENGTH, _MAX_LENGTH = 0.5, 1000.0  # mm, of printed shapes
 
 
-class Kind(StrEnum):
-    """Kinds of sheets to print."""
-
-    TARGETS = "targets"
-    BOARDS = "boards"
-    DISCS = "discs"
-    RECIPE = "recipe"
-
-
-class PaperName(StrEnum):
-    """Sizes of paper, as in PAPERS of `prints/page.py`."""
-
-    A4 = "a4"
-    LETTER = "letter"
-    A3 = "a3"
-    A2 = "a2"
-    A1 = "a1"
-    A0 = "a0"
+Kind = StrEnum("Kind", ["TARGETS", "BOARDS", "DISCS", "RECIPE"])
 
 
 def print_(
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where the files go.")] = Path("calibration/print"),
     only: Annotated[list[Kind] | None, typer.Option(help="Print this alone; may be given again.")] = None,
     paper: Annotated[
-        PaperName, typer.Option(help="Paper of printer or copy shop.", case_sensitive=False)
-    ] = PaperName.A4,
+        Literal["a4", "letter", "a3", "a2", "a1", "a0"],
+        typer.Option(help="Paper of printer or copy shop.", case_sensitive=False),
+    ] = "a4",
     board: Annotated[str, typer.Option(metavar="NxM", help="Inner corners of the boards, along and down.")] = "11x8",
     square: Annotated[
         str | None,
@@ -73,7 +57,7 @@ def print_(
         target_pages,
     )
 
-    kinds, size = set(only or Kind), paper.value
+    kinds, size = set(only or Kind), paper
     corners = parse_board(board)
     side = largest_square(corners, size) if square is None else _millimetres("--square", square)
     if side < _MIN_LENGTH:
