@@ -79,8 +79,6 @@ def _option(field: "Field[Any]", names: tuple[str, ...]) -> inspect.Parameter:
     metavar: str | None = unit.upper()
     if _is_word(unit):
         annotation, default, metavar, bounds = str | None, _word(unit, default), unit, {}
-    elif unit.startswith("["):  # the dataclass checks it
-        annotation, metavar = str, unit
     elif unit == "-":
         kinds = (annotation, *get_args(annotation))
         metavar = "N" if int in kinds else "F" if float in kinds else None

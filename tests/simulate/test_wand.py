@@ -325,13 +325,13 @@ def test_hand_and_card_come_and_go():
     [
         ({"fps": 0.0}, "--fps: 0 must be above 0"),
         ({"seconds": 1e6}, "--seconds: 1e+06 s from 0 s on; this motion ends"),
-        ({"balls": 4}, "--balls: 4 must be from 1 to 3"),
-        ({"vary": 0.9}, "--vary: 0.9 must not be above 0.5"),
+        ({"balls": 4}, "--balls: 4 must be at most 3"),
+        ({"vary": 0.9}, "--vary: 0.9 must be at most 0.5"),
         ({"fps": 30.0, "blur": 0.05}, "--blur: 0.05 s is longer than a frame at 30 Hz"),
         ({"hand": 500.0}, "--hand: 500 s is not within the film's"),
         ({"rate": 90.0}, "--rate: belongs to a hand"),
-        ({"motion": "hand", "distance": 0.1}, "--distance: 0.1 m is too near"),
-        ({"noise": float("nan")}, "--noise: nan must be 0 or more"),
+        ({"motion": "hand", "distance": 0.1}, "--distance: 0.1 must be at least 0.4"),
+        ({"noise": float("nan")}, "--noise: nan must be at least 0"),
     ],
 )
 def test_options_that_make_no_sense_are_refused_in_words(change, words):

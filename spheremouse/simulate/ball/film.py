@@ -10,7 +10,7 @@ import numpy as np
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.simulate.ball.events import Change, Dimming, Flicker, HandVisit, Lift, bumped, displaced, facing
-from spheremouse.simulate.ball.options import Motion, Named, SimulationOptions, View, check_signs, option_name
+from spheremouse.simulate.ball.options import Motion, Named, SimulationOptions, View, check_bounds, option_name
 from spheremouse.simulate.ball.profile import (
     TURN_SECONDS,
     Profile,
@@ -48,8 +48,6 @@ __all__ = [
 ]
 
 MOST_FRAMES = 1_000_000  # of one recording: nine hours at 30 Hz, 300 GB of video
-_MOST_FPS = 1000.0  # Hz
-_MOST_PIXELS = 8192  # px, a side
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,28 +189,10 @@ def _check_length(seconds: float, fps: float, name: str) -> None:
 
 
 def _check(options: SimulationOptions, named: Named) -> None:
-    above = ("turns", "fps", "discs", "seconds", "cover_seconds", "dim_seconds", "mains", "lift_seconds")
-    from_zero = (
-        *("noise", "blur", "readout", "seed", "layout", "cover", "dim", "dim_at", "bump", "lift", "eccentric"),
-        *("disc_off", "disc_moved", "flicker"),
-    )
-    check_signs(options, above, from_zero, named)
-    for name in ("brightness", "dist", "bump_by", "lift_by"):
-        if not np.all(np.isfinite(getattr(options, name))):
-            raise ConfigurationError(f"{named(name)}: {getattr(options, name)} must be numbers")
-    if not 1 <= min(options.size) <= max(options.size) <= _MOST_PIXELS:
-        raise ConfigurationError(f"{named('size')}: {options.size[0]}x{options.size[1]} must be 1 to {_MOST_PIXELS} px")
-    if options.fps > _MOST_FPS:
-        raise ConfigurationError(f"{named('fps')}: {options.fps:g} Hz must not be above {_MOST_FPS:g} Hz")
-    if options.flicker > 1.0:
-        raise ConfigurationError(f"{named('flicker')}: {options.flicker:g} must be at most 1, no light at all")
+    check_bounds(options, named)
     for name, value in (("blur", options.blur), ("readout", options.readout)):
         if value > 1.0 / options.fps:
             raise ConfigurationError(f"{named(name)}: {value:g} s is longer than a frame at {options.fps:g} Hz")
-    for name in ("ball_colour", "disc_colour"):
-        colour = getattr(options, name)
-        if colour is not None and not all(0.0 <= c <= 255.0 for c in colour):
-            raise ConfigurationError(f"{named(name)}: {colour} must be blue, green and red, each from 0 to 255")
     if options.dim_at is not None and options.dim is None:
         raise ConfigurationError(f"{named('dim_at')}: needs {named('dim')}, the factor")
     if np.linalg.norm(options.lift_by) + options.eccentric > 200.0:

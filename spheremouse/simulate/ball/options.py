@@ -1,8 +1,9 @@
 """Options of films and photos of the ball, in the words of the command line."""
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from spheremouse.errors import ConfigurationError
@@ -14,13 +15,16 @@ Triple = tuple[float, float, float]
 Named = Callable[[str], str]  # returns the name of a field in its source, for messages
 
 _MOST = 99  # photos of a kind
+_MAX_FPS = 1000.0  # Hz
+_MAX_SIDE = 8192  # px
+_RULES = {"gt": (operator.gt, "above"), "ge": (operator.ge, "at least"), "le": (operator.le, "at most")}
 
 
 @dataclass(frozen=True, slots=True)
 class SimulationOptions:
     """Options of a film. The fields are the options of `spheremouse simulate`."""
 
-    discs: int = param(26, "-", "Discs on the ball.")
+    discs: int = param(26, "-", "Discs on the ball.", ge=1)
     view: View = param("far", "-", "Camera 2.35 m or 1.35 m from the ball's centre.")
     motion: Motion = param(
         "thesis",
@@ -29,44 +33,46 @@ class SimulationOptions:
         "sides for 8 s: then it lies still, or turns by 0.05 deg/s for a minute, or is flicked at 400 deg/s, stopped "
         "within 50 ms and flicked back. axes: the gestures of `spheremouse axes`.",
     )
-    turns: float = param(20.0, "-", "Turns of --motion roll.")
-    seconds: float | None = param(None, "s", "Length in s.  [default: as long as the motion takes]")
-    fps: float = param(30.0, "Hz", "Frames per second.")
-    noise: float = param(0.0, "levels", "Standard deviation of the image noise in grey values.")
+    turns: float = param(20.0, "-", "Turns of --motion roll.", gt=0)
+    seconds: float | None = param(None, "s", "Length in s.  [default: as long as the motion takes]", gt=0)
+    fps: float = param(30.0, "Hz", "Frames per second.", gt=0, le=_MAX_FPS)
+    noise: float = param(0.0, "levels", "Standard deviation of the image noise in grey values.", ge=0)
     brightness: float = param(0.0, "levels", "Grey values added to every pixel; may be negative.")
-    blur: float = param(0.0, "s", "Exposure time in s: motion blur.")
-    readout: float = param(0.0, "s", "Time a rolling shutter takes over all rows in s.")
-    seed: int = param(0, "-", "Of discs, noise and play.")
-    layout: int | None = param(None, "-", "Seed of the places of the discs alone: another ball.  [default: as --seed]")
-    size: tuple[int, int] = param((640, 480), "WxH", "Size of the images in px.", ge=16)
+    blur: float = param(0.0, "s", "Exposure time in s: motion blur.", ge=0)
+    readout: float = param(0.0, "s", "Time a rolling shutter takes over all rows in s.", ge=0)
+    seed: int = param(0, "-", "Of discs, noise and play.", ge=0)
+    layout: int | None = param(
+        None, "-", "Seed of the places of the discs alone: another ball.  [default: as --seed]", ge=0
+    )
+    size: tuple[int, int] = param((640, 480), "WxH", "Size of the images in px.", ge=16, le=_MAX_SIDE)
     dist: tuple[float, float, float, float, float] = param(
         (0.0, 0.0, 0.0, 0.0, 0.0), "k1,k2,p1,p2,k3", "Lens distortion in OpenCV's order."
     )
     ball_colour: Triple | None = param(
-        None, "B,G,R", "Blue, green and red of the ball, 0 to 255 as on a screen.  [default: white]"
+        None, "B,G,R", "Blue, green and red of the ball, 0 to 255 as on a screen.  [default: white]", ge=0, le=255
     )
-    disc_colour: Triple | None = param(None, "B,G,R", "The same of the discs.  [default: black]")
+    disc_colour: Triple | None = param(None, "B,G,R", "The same of the discs.  [default: black]", ge=0, le=255)
     hands: bool = param(False, "-", "Hands reach over the ball, first one, later two.")
-    cover: float | None = param(None, "s", "Two hands cover a third of the ball from this time on.")
-    cover_seconds: float = param(1.0, "s", "For how long; half a second more to come and to go.")
-    dim: float | None = param(None, "-", "Factor on the light, in the middle fifth of the time.")
-    dim_at: float | None = param(None, "s", "Time at which --dim begins instead.")
-    dim_seconds: float = param(1.0, "s", "And how long it lasts.")
-    flicker: float = param(0.0, "-", "Share of the light that comes and goes with the mains, 0 to 1.")
-    mains: float = param(50.0, "Hz", "Frequency of the mains; light flickers at twice that.")
+    cover: float | None = param(None, "s", "Two hands cover a third of the ball from this time on.", ge=0)
+    cover_seconds: float = param(1.0, "s", "For how long; half a second more to come and to go.", gt=0)
+    dim: float | None = param(None, "-", "Factor on the light, in the middle fifth of the time.", ge=0)
+    dim_at: float | None = param(None, "s", "Time at which --dim begins instead.", ge=0)
+    dim_seconds: float = param(1.0, "s", "And how long it lasts.", gt=0)
+    flicker: float = param(0.0, "-", "Share of the light that comes and goes with the mains, 0 to 1.", ge=0, le=1)
+    mains: float = param(50.0, "Hz", "Frequency of the mains; light flickers at twice that.", gt=0)
     limited: bool = param(False, "-", "Grey values from 16 to 235 in place of 0 to 255.")
-    bump: float | None = param(None, "s", "Time at which the camera is pushed; it stays so.")
+    bump: float | None = param(None, "s", "Time at which the camera is pushed; it stays so.", ge=0)
     bump_by: tuple[float, float, float, float, float, float] = param(
         (2.0, 1.0, -2.0, 0.1, -0.2, 0.1),
         "X,Y,Z,RX,RY,RZ",
         "By how much: mm and degrees along and about the camera's axes.",
     )
-    lift: float | None = param(None, "s", "Time at which the ball is lifted off its bearings.")
+    lift: float | None = param(None, "s", "Time at which the ball is lifted off its bearings.", ge=0)
     lift_by: Triple = param((0.0, 30.0, 0.0), "X,Y,Z", "By how much, in mm, Y up.")
-    lift_seconds: float = param(1.0, "s", "For how long.")
-    eccentric: float = param(0.0, "mm", "From the point the ball turns about to its centre.")
-    disc_off: float | None = param(None, "s", "Time at which a disc in view falls off.")
-    disc_moved: float | None = param(None, "s", "Time at which a disc in view is put 12 cm beside its place.")
+    lift_seconds: float = param(1.0, "s", "For how long.", gt=0)
+    eccentric: float = param(0.0, "mm", "From the point the ball turns about to its centre.", ge=0)
+    disc_off: float | None = param(None, "s", "Time at which a disc in view falls off.", ge=0)
+    disc_moved: float | None = param(None, "s", "Time at which a disc in view is put 12 cm beside its place.", ge=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,12 +96,13 @@ def option_name(field: str) -> str:
     return "--" + field.replace("_", "-")
 
 
-def check_signs(options: Any, above: Iterable[str], from_zero: Iterable[str], named: Named) -> None:
-    """Raise ConfigurationError unless fields that are set are finite, and above 0 or at least 0."""
-    for names, what in ((above, "above 0"), (from_zero, "0 or more")):
-        for name in names:
-            value = getattr(options, name)
-            if value is None or (math.isfinite(value) and (value > 0 or (value == 0 and names is from_zero))):
+def check_bounds(options: Any, named: Named) -> None:
+    """Raise ConfigurationError unless all numbers that are set are finite and within the bounds of their fields."""
+    for field in fields(options):
+        value, bounds = getattr(options, field.name), field.metadata["bounds"]
+        for number in value if isinstance(value, tuple) else (value,):
+            if not isinstance(number, int | float) or isinstance(number, bool):
                 continue
-            finite = "" if value <= 0 else f"{',' if names is from_zero else ''} and finite"
-            raise ConfigurationError(f"{named(name)}: {value:g} must be {what}{finite}")
+            rule = next((f"{_RULES[k][1]} {v:g}" for k, v in bounds.items() if not _RULES[k][0](number, v)), "")
+            if rule or not math.isfinite(number):
+                raise ConfigurationError(f"{named(field.name)}: {number:g} must be {rule or 'a finite number'}")

@@ -13,7 +13,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import MOST_FRAMES
-from spheremouse.simulate.ball.options import Named, check_signs, option_name
+from spheremouse.simulate.ball.options import Named, check_bounds, option_name
 from spheremouse.simulate.wand.options import WandOptions
 from spheremouse.simulate.wand.path import HAND_RATE, HAND_SPEED, WandPath, drive, hand
 from spheremouse.simulate.wand.render import Carried, WandRenderer, WandScene, indoor_light, outdoor_light
@@ -26,7 +26,6 @@ _DRIVE_FOCAL, _HAND_FOCAL = 2100.0, 1000.0  # px at 1280 columns: the thesis' le
 _HAND_SECONDS, _HAND_DISTANCE = 20.0, 1.0  # s, m
 _WIDTH = 1280  # px, that those focal lengths are for
 _PASSES = 0.10  # m/s, of the hand past the robot, as in the shared recording
-_MOST_BALLS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,21 +167,10 @@ def _passing_card(options: WandOptions, path: WandPath, rng: np.random.Generator
 
 
 def _check(options: WandOptions, named: Named) -> None:
-    above = ("fps", "seconds", "speed", "rate", "focal", "distance")
-    check_signs(options, above, ("seed", "begin", "noise", "blur", "vary"), named)
-    if options.motion not in ("drive", "hand"):
-        raise ConfigurationError(f"{named('motion')}: must be drive or hand, is {options.motion!r}")
-    if options.light not in ("indoor", "outdoor"):
-        raise ConfigurationError(f"{named('light')}: must be indoor or outdoor, is {options.light!r}")
-    if not 1 <= options.balls <= _MOST_BALLS:
-        raise ConfigurationError(f"{named('balls')}: {options.balls} must be from 1 to {_MOST_BALLS}")
-    if options.vary > 0.5:
-        raise ConfigurationError(f"{named('vary')}: {options.vary:g} must not be above 0.5: red would not be red")
+    check_bounds(options, named)
     if options.fps is not None and options.blur > 1.0 / options.fps:
         raise ConfigurationError(f"{named('blur')}: {options.blur:g} s is longer than a frame at {options.fps:g} Hz")
     if options.motion == "drive" and options.distance is not None:
         raise ConfigurationError(f"{named('distance')}: belongs to a hand; on a drive the robot's way decides")
-    if options.distance is not None and options.distance < 0.4:
-        raise ConfigurationError(f"{named('distance')}: {options.distance:g} m is too near; from 0.4 m")
     if options.motion == "drive" and options.rate is not None:
         raise ConfigurationError(f"{named('rate')}: belongs to a hand; a drive turns in proportion to {named('speed')}")
