@@ -25,8 +25,6 @@ from spheremouse.files.safe_files import read_bytes
 from spheremouse.geometry.camera import InteriorOrientation
 
 ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
-_OTHER_ENDINGS = (".heic", ".heif", ".avif", ".webp", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf")
-_HEIF = (b"heic", b"heix", b"heif", b"hevc", b"mif1", b"msf1", b"avif", b"avis")  # ISO 23008-12, brands of `ftyp`
 _MAX_NAMED = 6
 
 # As in the printed instructions. Three views of a plane determine a lens (Zhang 2000); four tilts, near and far, and
@@ -49,12 +47,12 @@ def read_photos(paths: Sequence[Path], note: Callable[[str], None] = note) -> li
     """Read photos, and those in folders, all of one size; CalibrationError with a line for each problem.
 
     Photos keep their order; those of a folder are in natural order (2 before 10). `note` gets remarks: the same photo
-    twice, rotation flags, files passed over.
+    twice, rotation flags.
     """
     if not paths:
         raise CalibrationError("no photos; name photos or a folder with photos")
     photos, problems = [], []
-    for path in _expanded(paths, note):
+    for path in _expanded(paths):
         try:
             photos.append(_read(path))
         except CalibrationError as e:
@@ -127,34 +125,27 @@ def provenance(
 # ---- which files ----
 
 
-def _expanded(paths: Iterable[Path], note: Callable[[str], None]) -> list[Path]:
+def _expanded(paths: Iterable[Path]) -> list[Path]:
     found: list[Path] = []
     for path in paths:
         if path.is_dir():
-            found += _in_folder(path, note)
+            found += _in_folder(path)
         else:
             found.append(path)
     return found
 
 
-def _in_folder(folder: Path, note: Callable[[str], None]) -> list[Path]:
+def _in_folder(folder: Path) -> list[Path]:
     try:
         files = [p for p in folder.iterdir() if not p.name.startswith(".") and p.is_file()]
     except OSError as e:
         raise CalibrationError(f"{folder}: cannot be read: {e.strerror or e}") from None
-    found = sorted((p for p in files if p.suffix.lower() in ENDINGS), key=_natural)
-    other = sorted((p for p in files if p.suffix.lower() in _OTHER_ENDINGS), key=_natural)
-    if other and found:
-        note(f"{_named(other)}: passed over; convert to JPEG to use {'it' if len(other) == 1 else 'them'}")
-    if found:
+    if found := sorted((p for p in files if p.suffix.lower() in ENDINGS), key=_natural):
         return found
-    if other:
-        kinds = "/".join(sorted({p.suffix.lower() for p in other}))
-        raise CalibrationError(
-            f"{folder}: {len(other)} photos in {kinds}, which is not read here; convert them to JPEG at full size, or "
-            "let the camera save JPEG"
-        )
-    raise CalibrationError(f"{folder}: no photos in it ({', '.join(ENDINGS)}); put them there, or name another folder")
+    raise CalibrationError(
+        f"{folder}: no photos in it ({', '.join(ENDINGS)}); put them there, convert others (HEIC) to JPEG, "
+        "or name another folder"
+    )
 
 
 def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
@@ -226,11 +217,6 @@ def _bytes(path: Path) -> bytes:
 
 
 def _header(path: Path, data: bytes, *, to_the_end: bool = False) -> Header:
-    if data[4:8] == b"ftyp" and data[8:12] in _HEIF:
-        despite = f" in spite of {path.suffix}" if path.suffix.lower() in ENDINGS else ""
-        raise CalibrationError(
-            f"{path}: is HEIC or AVIF{despite}; convert it to JPEG at full size, or let the camera save JPEG"
-        )
     try:
         return read_header(data, PHOTO_PIXELS, to_the_end=to_the_end)
     except OSError as e:

@@ -23,7 +23,6 @@ from spheremouse.calibrate.camera.bundle import (
     camera_of,
     poses_of,
     resect_views,
-    rms_of,
     robust_sigma,
     unknowns_of,
 )
@@ -45,7 +44,6 @@ _MAX_RESIDUAL_RATIO = 4.0  # of a view over the usual residual; sharpness and li
 _MAX_START_RATIO = 20.0  # the same after the coarse start
 _MAX_START_RESIDUAL = 1.0  # px
 _MIN_BOARD_ANGLE = float(np.radians(6.0))  # between boards; it shortens squares by half a per cent
-_FOLDS = 10
 _SUBSETS, _SUBSET_VIEWS = 12, 5  # calibrations from a few views, if all together do not agree
 _SIGNIFICANCE = 0.01  # chance of a contradiction between views that agree
 _DRAWS = 1000
@@ -88,38 +86,6 @@ def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5
             break
         used = again
     return _with_covariance(bundle, x, used, sigma)
-
-
-def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
-    """Return the residual RMS of each view, (v,) px, with a camera calibrated without it.
-
-    Views are left out one by one, or in ten groups if there are more than ten. nan for views not used, and if too few
-    views are left.
-    """
-    index = np.flatnonzero(found.used)
-    result = np.full(len(views), np.nan)
-    if len(index) <= MIN_VIEWS:
-        return result
-    x = found.unknowns()
-    size = found.camera.width, found.camera.height
-    folds = min(_FOLDS, len(index))
-    for fold in range(folds):
-        out = index[fold::folds]
-        rest = np.setdiff1d(index, out)
-        if len(rest) < MIN_VIEWS:
-            continue
-        kept = [views[v].take(found.kept[v]) for v in rest.tolist()]
-        bundle = Bundle(kept, size, found.free)
-        mask = np.zeros(len(views), bool)
-        mask[rest] = True
-        try:
-            without = bundle.solve(x[unknowns_of(mask)], found.sigma[rest])
-        except CalibrationError:
-            continue
-        left = [views[v].take(found.kept[v]) for v in out.tolist()]
-        _, _, residuals = resect_views(left, camera_of(without, size))
-        result[out] = [rms_of(r) for r in residuals]
-    return result
 
 
 # ---- start ----

@@ -8,13 +8,12 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from spheremouse.calibrate import photos
-from spheremouse.calibrate.camera.adjust import MIN_VIEWS, calibrate_board, held_out
+from spheremouse.calibrate.camera.adjust import MIN_VIEWS, calibrate_board
 from spheremouse.calibrate.camera.bundle import BoardAdjustment, View
 from spheremouse.calibrate.camera.corners import Pattern, Sighting, detect_dictionary, find_board, measure_in_plane
 from spheremouse.calibrate.camera.coverage import Coverage, coverage
 from spheremouse.calibrate.photos import Photo, image
 from spheremouse.errors import CalibrationError
-from spheremouse.geometry.rotation import Array
 
 _MIN_DISTANCE, _MAX_DISTANCE = 0.02, 30.0  # m, of a board that a person holds before a webcam
 _MAX_MARKER_ERROR = 0.1  # relative; blur makes small markers smaller
@@ -31,7 +30,6 @@ class CameraCalibration:
     index: tuple[int, ...]  # of the photos that are views
     views: tuple[View, ...]
     found: BoardAdjustment
-    held_out: Array  # (v,) px RMS of each view, calibrated without it; nan if it was not possible
     coverage: Coverage
     skipped: dict[int, str]  # photo: reason why it is no view
 
@@ -74,9 +72,7 @@ def calibrate(
     used = np.flatnonzero(found.used).tolist()
     covered = coverage(size, [views[k].uv for k in used], found.rotations[found.used])
     skipped = {i: rejection_reason(s, pattern) for i, s in enumerate(seen) if i not in fine}
-    return CameraCalibration(
-        tuple(photos), pattern, tuple(index), tuple(views), found, held_out(views, found), covered, skipped
-    )
+    return CameraCalibration(tuple(photos), pattern, tuple(index), tuple(views), found, covered, skipped)
 
 
 def _view(pattern: Pattern, seen: Sighting) -> View:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration, distance_redundancy, image_residuals
 from spheremouse.geometry.rotation import Array, fibonacci_sphere
@@ -17,7 +16,6 @@ from spheremouse.geometry.statistics import FALSE_ALARM, gate, ratio_gate
 _MAX_RING_ERROR = 0.03  # relative, of the size of rings by print, blur and colour fringe
 _MAX_VARIANCE_FACTOR = 4.0  # twice the usual standard deviation
 _MIN_RMS_RATIO = 2.0  # of an outlying photo over the others
-_MIN_SLANT_RATIO = 3.0  # of a disc's standard deviation near the ball's edge over the usual one
 _MIN_CHECKED_DISCS = 8  # in three photos or more: four determine a sphere, as many check it
 _GROUPS = ("target", "disc")
 _ENOUGH = 2.5e-3  # of the radius: half of the standard deviation in Wittich 2017, table 11
@@ -69,18 +67,6 @@ def photo_scatter(calibration: DeviceCalibration) -> tuple[Array, Array]:
     freedom = np.bincount(image.photo, np.trace(cofactor, axis1=1, axis2=2), minlength=k)
     squares = np.bincount(image.photo, np.sum(residual**2, axis=1), minlength=k)
     return np.asarray(squares / np.maximum(freedom, 1e-9), float), np.asarray(freedom, float)
-
-
-def photo_px(calibration: DeviceCalibration) -> tuple[Array, Array]:
-    """Return the RMS per axis, px, of each photo's image points, (k,), and the expected RMS, (k,)."""
-    image, m, k = calibration.problem.image, calibration.measured, len(calibration.poses)
-    _, cofactor = image_residuals(calibration.solution, len(image))
-
-    def rms(photo: NDArray[np.intp], squares: Array) -> Array:
-        return np.sqrt(np.bincount(photo, squares, minlength=k) / np.maximum(2 * np.bincount(photo, minlength=k), 1))
-
-    found = rms(m.photo[m.used], np.sum(m.residual[m.used] ** 2, axis=1))
-    return found, rms(image.photo, np.einsum("nij,nji->n", image.covariance, cofactor))
 
 
 # ---- how good it is ----
@@ -220,30 +206,16 @@ def _scatter_findings(c: DeviceCalibration, names: Sequence[str]) -> Iterator[Ad
 
 
 def _photo_findings(c: DeviceCalibration, names: Sequence[str]) -> Iterator[Advice]:
-    """Photos with larger residuals than the others (F test), and whether discs near the ball's edge explain them."""
-    (ratio, freedom), (px, expected) = photo_scatter(c), photo_px(c)
-    sigma = np.sqrt(0.5 * np.trace(c.problem.image.covariance, axis1=1, axis2=2))
+    """Photos with larger normalised residuals than the others (F test)."""
+    ratio, freedom = photo_scatter(c)
     for i, f in enumerate(freedom):
         rest = np.delete(freedom, i)
         if f <= 1.0 or rest.sum() <= 1.0:
             continue
-        bound = max(ratio_gate(1.0 - FALSE_ALARM, f, rest.sum()), _MIN_RMS_RATIO**2)
-        others, others_px = (np.sum(rest * np.delete(v, i)) / rest.sum() for v in (ratio, px**2))
-        mine = sigma[c.problem.image.photo == i]
-        aslant = mine[mine > _MIN_SLANT_RATIO * np.median(sigma)]
-        far_off = px[i] ** 2 > bound * others_px
-        if ratio[i] > bound * others or (far_off and not len(aslant)):
-            times = np.sqrt(ratio[i] / max(others, 1e-12))
+        others = float(np.sum(rest * np.delete(ratio, i)) / rest.sum())
+        if ratio[i] > max(ratio_gate(1.0 - FALSE_ALARM, f, rest.sum()), _MIN_RMS_RATIO**2) * others:
             text = (
-                f"{names[c.photos[i]]} fits {times:.1f} times worse than the others ({px[i]:.3f} px off, they "
-                f"{np.sqrt(others_px):.3f} px): blurred, or something moved. Take it again, or leave it out."
+                f"{names[c.photos[i]]} fits {np.sqrt(ratio[i] / max(others, 1e-12)):.1f} times worse than the others: "
+                "blurred, or something moved. Take it again, or leave it out."
             )
             yield Advice("warning", text)
-        elif far_off:
-            text = (
-                f"{names[c.photos[i]]} is {px[i]:.3f} px off, the others {np.sqrt(others_px):.3f} px, as it may be "
-                f"({expected[i]:.3f} px are expected): {len(aslant)} of its {len(mine)} points are discs near the "
-                f"ball's edge, so aslant that their centres are uncertain by up to {aslant.max():.2f} px, and count "
-                "for little. Nothing need be done; a photo from farther round would show them better."
-            )
-            yield Advice("note", text)

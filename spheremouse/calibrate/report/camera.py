@@ -101,7 +101,6 @@ def camera_json(done: CameraCalibration) -> dict[str, Any]:
             "correlation": correlation(camera.covariance).tolist(),
         },
         "rms_px": found.rms,
-        "held_out_px": _held_out_rms(done),
         "contradiction": found.contradiction,
         "coverage": {
             "regions": done.coverage.regions.tolist(),
@@ -122,7 +121,6 @@ def _views(done: CameraCalibration) -> list[dict[str, Any]]:
             "file": done.photos[i].path.name,
             "rms_px": float(rms[k]),
             "used": bool(found.used[k]),
-            "held_out_px": None if np.isnan(done.held_out[k]) else float(done.held_out[k]),
             "corners": len(done.views[k].uv),
             "false_corners": int((~found.kept[k]).sum()) if found.used[k] else None,
             "tilt_deg": float(tilts[k]),
@@ -138,23 +136,15 @@ def _views(done: CameraCalibration) -> list[dict[str, Any]]:
 
 def print_camera(done: CameraCalibration, console: "Console") -> None:
     """Print parameters, views and advice."""
-    held = _held_out_rms(done)
     console.print(
         f"{int(done.found.used.sum())} views of {len(done.photos)} photos, {done.found.camera.width}x"
         f"{done.found.camera.height}: reprojection {done.found.rms:.3f} px RMS"
-        + ("" if held is None else f", {held:.3f} px in views held out")
     )
     print_table(console, ("", "value", "std. dev."), [row[:3] for row in _parameter_rows(done)])
     rows, faulty = _view_rows(done)
-    head = ("view", "rms, px", "held out, px", "tilt, °", "distance, m", "")
-    print_table(console, head, rows, (0, 5), np.flatnonzero(faulty))
+    head = ("view", "rms, px", "tilt, °", "distance, m", "")
+    print_table(console, head, rows, (0, 4), np.flatnonzero(faulty))
     print_advice(console, advise(done))
-
-
-def _held_out_rms(done: CameraCalibration) -> float | None:
-    """RMS over all views held out, px."""
-    good = done.held_out[np.isfinite(done.held_out)]
-    return float(np.sqrt(np.mean(good**2))) if len(good) else None
 
 
 def _parameter_rows(done: CameraCalibration) -> list[list[str]]:
@@ -176,12 +166,12 @@ def _view_rows(done: CameraCalibration) -> tuple[list[list[str]], list[bool]]:
     rows = []
     for view in views:
         if view["rms_px"] is None:
-            rows.append([view["file"], "", "", "", "", f"left out: {view['why']}"])
+            rows.append([view["file"], "", "", "", f"left out: {view['why']}"])
             continue
-        gone, held = view["false_corners"] or 0, view["held_out_px"]
+        gone = view["false_corners"] or 0
         remark = view["why"] or (f"{gone} false corner{'s' if gone > 1 else ''}" if gone else "")
-        cells = [f"{view['rms_px']:.3f}", "" if held is None else f"{held:.3f}"]
-        rows.append([view["file"], *cells, f"{view['tilt_deg']:.0f}", f"{view['distance_m']:.2f}", remark])
+        cells = f"{view['rms_px']:.3f}", f"{view['tilt_deg']:.0f}", f"{view['distance_m']:.2f}"
+        rows.append([view["file"], *cells, remark])
     return rows, [not view["used"] for view in views]
 
 
@@ -226,12 +216,10 @@ def _lead(done: CameraCalibration) -> str:
 
 def _headlines(done: CameraCalibration) -> list[tuple[str, str, str]]:
     found, camera, sigma = done.found, done.found.camera, done.found.deviations
-    held = _held_out_rms(done)
     return [
         ("focal length", f"{camera.fx:.1f} px", f"± {sigma[0]:.2f} px, {100 * sigma[0] / camera.fx:.3f} %"),
         ("principal point", f"{camera.cx:.1f}, {camera.cy:.1f}", f"± {sigma[2]:.2f}, {sigma[3]:.2f} px"),
         ("reprojection error", f"{found.rms:.3f} px", f"RMS of {sum(int(k.sum()) for k in found.kept)} corners"),
-        ("views held out", "–" if held is None else f"{held:.3f} px", "RMS, calibrated without them"),
     ]
 
 

@@ -15,7 +15,7 @@ from rich.padding import Padding
 from rich.table import Table
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration, distance_redundancy
-from spheremouse.calibrate.device.advice import Advice, coverage, photo_px
+from spheremouse.calibrate.device.advice import Advice, coverage
 from spheremouse.calibrate.photos import Photo, image
 from spheremouse.calibrate.report.terminal import print_advice, print_table
 from spheremouse.files.report.page import page, rendered
@@ -209,8 +209,6 @@ def write_device_report(
             **_photo_values(c, show, photos),
             arrow_scale=arrow_scale(c, photos[c.photos[0]].size[0]),
             discs=_disc_rows(c, show),
-            disc_sigmas=_disc_sigmas(c, show),
-            weights=_weight_rows(c),
             provenance=[(key.replace("_", " "), value) for key, value in provenance.items() if isinstance(value, str)],
             files=[
                 (photo.path.name, "used" if k in c.photos else "left out", "{}x{}".format(*photo.size), photo.sha256)
@@ -259,11 +257,11 @@ def _target_rows(c: DeviceCalibration, show: _Lengths) -> list[list[str]]:
 def _photo_values(c: DeviceCalibration, show: _Lengths, photos: Sequence[Photo]) -> dict[str, Any]:
     """Rows on the photos and their poses, the pictures, and the photos left out."""
     rows, pictures = [], []
-    points, expected = _points_of_photos(c), photo_px(c)[1]
+    points = _points_of_photos(c)
     for i, (k, pose, (used, rejected, rms)) in enumerate(zip(c.photos, c.poses, points, strict=True)):
         name, number = photos[k].path.name, str(k + 1)
         place = [f"{1e3 * v:.0f}" for v in pose.position]
-        rows.append([number, name, *place, str(used), str(rejected or "-"), _px(rms), _px(expected[i])])
+        rows.append([number, name, *place, str(used), str(rejected or "-"), _px(rms)])
         count = f"{used} points" + (f", {rejected} not used" if rejected else "")
         pictures.append((photo_picture(c, i, image(photos[k])), f"{number}: {name}; {count}, {_px(rms)} px"))
     variances = np.array([np.diag(pose.covariance) for pose in c.poses])
@@ -289,25 +287,6 @@ def _disc_rows(c: DeviceCalibration, show: _Lengths) -> list[list[str]]:
         r = correlation(c.covariance[here, here])
         pairs = [f"{r[a, b]:+.3f}" for a, b in ((0, 1), (0, 2), (1, 2))]
         rows.append([str(i + 1), *show.each(place), *pairs, *show.each(sigma), str(int(seen))])
-    return rows
-
-
-def _disc_sigmas(c: DeviceCalibration, show: _Lengths) -> list[list[str]]:
-    columns = c.solution.columns.point(np.arange(len(c.targets), len(c.targets) + len(c.discs)))
-    alone = np.sqrt(np.diag(c.solution.covariance)[columns]) / c.unit
-    return [
-        [name, *show.each(np.sqrt(np.mean(sigma**2, axis=0)))]
-        for name, sigma in (("from the photos alone", alone), ("on the ball, from its centre", _sigma(c, "discs")))
-    ]
-
-
-def _weight_rows(c: DeviceCalibration) -> list[list[str]]:
-    is_target = (c.measured.point >= 0) & (c.measured.point < len(c.targets))
-    rows = []
-    for name, factor, kind in zip(("targets", "discs"), c.variance_factors, (is_target, ~is_target), strict=True):
-        mine = c.measured.used & kind
-        count = str(int(np.count_nonzero(mine)))
-        rows.append([name, count, f"{_rms(c.measured.residual[mine]):.3f}", f"{factor:.2f}"])
     return rows
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from spheremouse.ball.device import Axes, Device, Distance
 from spheremouse.calibrate.device.adjust import DiscViews, adjust_bundle, shift_to_ball
-from spheremouse.calibrate.device.advice import advise, missing_sides, photo_px, photo_scatter
+from spheremouse.calibrate.device.advice import advise, missing_sides, photo_scatter
 from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, predicted
 from spheremouse.calibrate.device.start import TargetViews
 from spheremouse.geometry.camera import InteriorOrientation, Pose
@@ -33,11 +33,8 @@ def station(azimuth, height, distance=2.6):
 
 
 @cache
-def calibrated(stations, pairs=EDGES, tape=0.001, seed=0, discs=70, worse=None, bulge=0.0, aslant=None):
-    """A calibration from photos at stations; `worse` (photo, factor) is less sharp, discs stand `bulge` m off.
-
-    Of a photo some discs are `aslant` (photo, factor), less certain and known to be.
-    """
+def calibrated(stations, pairs=EDGES, tape=0.001, seed=0, discs=70, worse=None, bulge=0.0):
+    """A calibration from photos at stations; `worse` (photo, factor) is less sharp, discs stand `bulge` m off."""
     rng = np.random.default_rng(seed)
     distances = tuple(
         Distance(a, b, float(np.linalg.norm(TARGETS[a - 1] - TARGETS[b - 1]) + tape * rng.standard_normal()), tape)
@@ -61,10 +58,6 @@ def calibrated(stations, pairs=EDGES, tape=0.001, seed=0, discs=70, worse=None, 
     noise = 0.05 * rng.standard_normal((len(photo), 2))
     if worse is not None:
         noise[photo == worse[0]] *= worse[1]
-    if aslant is not None:
-        some = (photo == aslant[0]) & (point >= 4) & (np.arange(len(photo)) % 3 == 0)
-        noise[some] *= aslant[1]
-        image = replace(image, covariance=np.where(some[:, None, None], aslant[1] ** 2, 1.0) * covariance)
     image = replace(image, centre=predicted(true, image, Problem(device, CAMERA, image, not distances))[0] + noise)
     is_target = point < 4
     depth = np.concatenate([p.to_cam(TARGETS)[:, 2] for p in poses])
@@ -154,20 +147,6 @@ def test_a_blurred_photo_is_named_and_no_other():
     assert np.argmax(photo_scatter(c)[0]) == 3
     assert next(t for t in said(c) if "worse than the others" in t).startswith("photo 4 ")
     assert not any(re.match(r"photo [12356] fits", t) for t in said(c))
-
-
-def test_a_photo_whose_discs_are_aslant_is_told_as_it_may_be_and_no_other():
-    """A third of its points are ten times less certain, and off as far: the others' px are not, and weights know it."""
-    c = calibrated(ROUND, aslant=(2, 10.0))
-    assert np.argmax(photo_px(c)[0]) == 2
-    found, expected = photo_px(c)
-    assert np.all(np.abs(np.log(found / expected)) < np.log(1.7))
-    notes = [t for t in said(c) if "px off" in t]
-    assert len(notes) == 1
-    assert notes[0].startswith("photo 3 is 0.")
-    assert "Nothing need be done" in notes[0]
-    assert not any("worse than the others" in t for t in said(c))
-    assert not any("px off" in t for t in said(calibrated(ROUND)))
 
 
 def test_a_ball_out_of_round_is_told_with_its_figure(good):
