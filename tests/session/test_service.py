@@ -686,6 +686,9 @@ def test_live_pictures_are_the_frames_with_their_marks_until_the_client_dies(wor
         assert picture.pixels == world.film.grey[place].tobytes()
         assert picture.annotations["status"] == status
         assert (picture.annotations["sequence"] is None) == (status == "searching")
+        assert (len(picture.annotations["outline"]) > 50) == (status == "tracking")
+    assert [len(picture.annotations[key]) for key in ("targets", "strangers")] == [4, 0]
+    assert sum(disc["used"] for disc in picture.annotations["detected"]) >= 3
     del reader
     world.until(lambda: "spheremouse-pictures" not in Path("/proc/self/maps").read_text(), "the memory is given back")
 

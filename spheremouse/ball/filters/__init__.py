@@ -95,6 +95,10 @@ class Filter(Protocol[S]):
         """Return the state of the filter `before`, which had other settings, for use by this one."""
         ...
 
+    def gate_radius(self, state: S, which: NDArray[np.intp], interval: float) -> Array:
+        """Return the radius, (k,) rad on the ball, around each disc `which` for points `interval` s after `state`."""
+        ...
+
     def is_significant(self, predicted: S, used: int, points: int) -> bool:
         """Return whether chance does not explain so many pairs among a frame's points."""
         ...

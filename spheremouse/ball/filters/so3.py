@@ -130,6 +130,11 @@ class So3Filter:
             state.attitude, state.discs, state.hidden, self.towards_camera, self.horizon
         )
 
+    def gate_radius(self, state: So3State, which: NDArray[np.intp], interval: float) -> Array:
+        """Return the radius, (k,) rad, of the gates of the discs `which`, along the worse axis of each."""
+        sigma = self.place_sigma(self.predict(state, state.stamp + interval), which)
+        return np.sqrt(self.settings.gate * (sigma**2 + _POINT_SIGMA**2))
+
     def is_significant(self, predicted: So3State, used: int, points: int) -> bool:
         """Return whether chance explains so many pairs in less than one frame of a thousand.
 

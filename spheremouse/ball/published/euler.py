@@ -136,6 +136,10 @@ class _EulerFilter:
         """Return the same state, since it does not depend on the settings."""
         return state
 
+    def gate_radius(self, state: EulerState, which: NDArray[np.intp], interval: float) -> Array:
+        """Return the gate's length as an angle, (k,) rad."""
+        return self.settings.gate / np.linalg.norm(state.points[which], axis=1)
+
     def is_significant(self, predicted: EulerState, used: int, points: int) -> bool:
         """Return False: as published, discs are gated by a length, so no probability is known."""
         return False

@@ -32,8 +32,9 @@ from spheremouse.output.counts import Counter
 from spheremouse.output.sample import Sample
 from spheremouse.session import messages
 from spheremouse.session.offline import Start, initialise, make_ready, track
-from spheremouse.session.overlay.ball import Overlay, target_marks
+from spheremouse.session.overlay.ball import Overlay
 from spheremouse.session.overlay.file import OverlayFile, write_picture
+from spheremouse.session.overlay.marks import target_marks
 from spheremouse.session.overlay.pen import Image
 from spheremouse.session.run_description import versions
 from spheremouse.session.screen import StatusTable, Tally

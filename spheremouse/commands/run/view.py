@@ -8,8 +8,8 @@ from spheremouse.ball.pose import describe
 from spheremouse.output import Report
 from spheremouse.session import offline
 from spheremouse.session.ball.adapter import BallAdapter
-from spheremouse.session.overlay.ball import target_marks
 from spheremouse.session.overlay.file import OverlayFile
+from spheremouse.session.overlay.marks import target_marks
 from spheremouse.session.overlay.wand import WandOverlay
 from spheremouse.session.run_config import RunConfig
 from spheremouse.session.screen import StatusTable, Tally, WandStatusTable

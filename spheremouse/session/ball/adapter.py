@@ -33,6 +33,8 @@ from spheremouse.session.control.protocol import internal_error
 from spheremouse.session.control.status import PoseStatus, TargetsStatus, TrackerStatus
 from spheremouse.session.directions import of_ball
 from spheremouse.session.offline import initialise
+from spheremouse.session.overlay.annotations import of_discs, of_still, of_targets, plain
+from spheremouse.session.overlay.marks import still_marks
 from spheremouse.session.run_config import RunConfig
 from spheremouse.session.settings import Configuration
 from spheremouse.session.tracker_adapter import (
@@ -92,6 +94,8 @@ class BallAdapter:
         self._subject: Subject | None = None
         self.mapping = Counter(settings.motion.matrix(rig.radius_m))
         self._estimate: Estimate | None = None  # of the last frame
+        self._interval = 0.0  # s, between the last two frames
+        self._still: tuple[Pose, dict[str, Any]] | None = None  # annotations that hold for this pose
         self._forget_views()
         self._reinitialisation: _Reinitialisation | None = None
         self._detected = 0.0
@@ -282,8 +286,18 @@ class BallAdapter:
         }
 
     def annotations(self, tracked: FrameResult | None) -> dict[str, Any]:
-        """Return the marks on the last frame as plain data."""
-        return {"sequence": None if tracked is None else tracked.samples[0].sequence, "status": str(self.status)}
+        """Return the marks on the last frame as plain data. Before the pose is known, they are the targets found."""
+        tracker, state, view = self.tracker, self.state, self._first_pose.view
+        if tracker is None:
+            found = {} if view is None else of_targets(view, self.rig.targets.codes)
+            return plain(None, self.status, **found)
+        if self._still is None or self._still[0] is not tracker.pose:
+            self._still = tracker.pose, of_still(still_marks(tracker))
+        if tracked is None or state is None:
+            return plain(None, self.status, **self._still[1])
+        return plain(
+            tracked.samples[0].sequence, self.status, **self._still[1], **of_discs(state, tracker, self._interval)
+        )
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
         """Return a function that draws the overlay for a tracked frame with the sum of `counts`.
@@ -424,6 +438,8 @@ class BallAdapter:
             again.answer(f"{reason}; the pose before stays", "")
 
     def _remember(self, made: Step[TrackState], frame: Frame, tracker: Tracker) -> None:
+        if self._estimate is not None:
+            self._interval = made.estimate.stamp - self._estimate.stamp
         self.state, self.status, self._estimate = made.state, made.state.status, made.estimate
         tracker = current(made.state, tracker)
         self._messages.add(made, frame, tracker)

@@ -28,7 +28,8 @@ from spheremouse.files.dataset.write import device_description
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.camera import Pose
 from spheremouse.session.messages import found
-from spheremouse.session.overlay.ball import Overlay, target_marks
+from spheremouse.session.overlay.ball import Overlay
+from spheremouse.session.overlay.marks import target_marks
 from spheremouse.session.overlay.pen import Image, in_blocks
 from spheremouse.session.overlay.sight import draw_sight, sight_of
 from spheremouse.session.settings import Configuration, configuration_text

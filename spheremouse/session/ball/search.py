@@ -66,6 +66,7 @@ class PoseSearch:
         self._views: list[TargetDetections] = []
         self._first: Image | None = None
         self.seen: tuple[str, ...] = ()  # codes in the last complete set of views
+        self.view: TargetDetections | None = None  # the last one
 
     @property
     def wants_colour(self) -> bool:
@@ -90,7 +91,8 @@ class PoseSearch:
         self._search.begin(lambda: self._find(image, first))
 
     def _find(self, image: Image, first: Image) -> Resection | None:
-        self._views.append(detect_targets(image, self._rig.targets.radii, self._settings.rings))
+        self.view = detect_targets(image, self._rig.targets.radii, self._settings.rings)
+        self._views.append(self.view)
         if len(self._views) < self._settings.pose.frames:
             return None
         views, self._views, self._first = self._views, [], None

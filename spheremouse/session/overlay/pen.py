@@ -1,13 +1,13 @@
 """Marks on a picture: lines, ellipses and letters that can be seen on any ground."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array
+from spheremouse.session.overlay.marks import Mark
 
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]  # blue, green, red
@@ -16,15 +16,6 @@ SHADOW = (40, 40, 40)
 _SHIFT = 4  # fractional bits of OpenCV's drawing coordinates: a sixteenth of a pixel
 _BLOCKS = 24  # across a picture: six across a head that fills a quarter of it
 EPOCHS = 15  # epochs that fade: half a second
-
-
-@dataclass(frozen=True, slots=True)
-class Mark:
-    """A target as it is drawn."""
-
-    code: str
-    centre: Array  # (2,) px
-    shape: Array  # (2, 2) px², of the outer ring
 
 
 def canvas_of(image: Image, scale: int) -> Image:

@@ -14,7 +14,8 @@ from spheremouse.ball.detect.refused import Bound, Refused, refused_targets
 from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.messages import refusal
-from spheremouse.session.overlay.pen import WHITE, Colour, Mark, Pen, canvas_of
+from spheremouse.session.overlay.marks import Mark
+from spheremouse.session.overlay.pen import WHITE, Colour, Pen, canvas_of
 
 _YELLOW: Colour = (30, 210, 255)
 _ORANGE: Colour = (30, 130, 255)

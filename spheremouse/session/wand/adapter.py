@@ -19,6 +19,7 @@ from spheremouse.output.wand_mapping import WandMapping
 from spheremouse.session.control.status import BallStatus, TrackerStatus
 from spheremouse.session.directions import of_hand
 from spheremouse.session.offline import check_wand_frame
+from spheremouse.session.overlay.annotations import of_balls, plain
 from spheremouse.session.overlay.pen import Image, in_blocks
 from spheremouse.session.overlay.wand import WandOverlay
 from spheremouse.session.run_config import RunConfig
@@ -177,8 +178,11 @@ class WandAdapter:
         }
 
     def annotations(self, tracked: FrameResult | None) -> dict[str, Any]:
-        """Return the marks on the last frame as plain data."""
-        return {"sequence": None if tracked is None else tracked.samples[0].sequence, "status": str(self.status)}
+        """Return outlines and discs of the balls on the last frame as plain data."""
+        if tracked is None:
+            return plain(None, self.status)
+        balls = zip(self.tracker.balls, tracked.epoch.poses, strict=True)
+        return plain(tracked.samples[0].sequence, self.status, **of_balls(balls, self.points, self.tracker.camera))
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
         """Return a function that draws the overlay, black except around the balls unless `everything`."""

@@ -35,7 +35,7 @@ from spheremouse.ball.filters.so3 import Pairing, relocate
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, CONSIDERED_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS, PERSISTENCE_S
 from spheremouse.ball.filters.so3_state import augment, inject
-from spheremouse.geometry.rotation import exp, log
+from spheremouse.geometry.rotation import exp, log, tangent_basis
 
 FLICK = 7.0 * np.array([1.0, 0.3, 0.5]) / np.linalg.norm([1.0, 0.3, 0.5])  # 400 deg/s
 
@@ -459,3 +459,20 @@ def test_nothing_seen_is_a_prediction_and_one_disc_is_half_an_attitude():
     across = np.cross(p, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(p, [0.0, 0.0, 1.0]))
     twist, swing = (v @ one.joint[:3, :3] @ v / (v @ predicted.joint[:3, :3] @ v) for v in (p, across))
     assert swing < 0.9 < twist <= 1.0  # it says nothing of a turn about itself
+
+
+def test_a_gate_holds_every_point_that_would_be_paired_and_is_no_wider_than_its_worse_axis():
+    """Around each disc, in all directions: points just outside are none of it, and some just inside are."""
+    state = film(OWN, *rolling((0.3, -0.2, 0.4), 30), np.random.default_rng(0))[-1]
+    predicted = OWN.predict(state, state.stamp + DT)
+    which = OWN.visible(predicted)
+    radius = OWN.gate_radius(state, which, DT)
+    turn = np.linspace(0.0, 2.0 * np.pi, 36, endpoint=False)
+    for k, r in zip(which, radius, strict=True):
+        p = predicted.attitude @ predicted.discs[k]
+        around = (tangent_basis(p) @ [np.cos(turn), np.sin(turn)]).T
+        inside, outside = (
+            OWN.candidate_distances(predicted, points_at(p + f * r * around, 2e-3), 1e3) for f in (0.97, 1.03)
+        )
+        column = np.flatnonzero(inside[1] == k)[0]
+        assert inside[0][:, column].min() < SETTINGS.gate < outside[0][:, column].min()
