@@ -37,6 +37,7 @@ _COMMANDS = {
     "preview": ("preview", "preview", "Example: spheremouse preview v4l2:/dev/video0 --every 1"),
     "doctor": ("doctor", "doctor", "Example: spheremouse doctor --source dataset:demo/roll"),
     "tray": ("tray", "tray", "Example: spheremouse tray"),
+    "view": ("view", "view", "Example: spheremouse view --port 8765"),
     "ctl": ("ctl", "app", "Exit codes: 0 done, 1 the daemon refuses, 2 wrong usage, 3 no daemon."),
     "service": ("service", "app", "Example: sudo spheremouse service install"),
     "wand": ("wand", "app", "Example: spheremouse wand simulate demo/drive --seed 1"),

@@ -86,15 +86,24 @@ class Client:
 
     def watch(self, interval: float = 1.0) -> Iterator[StatusReport | str]:
         """Yield a status every `interval` s, and each line of the daemon's log. NoDaemonError if the daemon ends."""
-        for event in self._events(interval, samples=False):
+        for event in self.events(interval, samples=False):
             yield self._status(event) if event.pop("event", None) == "status" else str(event.get("text", ""))
+
+    def events(self, interval: float, *, samples: bool) -> Iterator[dict[str, Any]]:
+        """Yield the events of docs/control.md as JSON objects: each status, log line and, if asked, sample.
+
+        NoDaemonError if the daemon ends.
+        """
+        self.ask("watch", interval=interval, samples=samples or None)
+        while True:
+            yield self._receive(max(_TIMEOUTS["watch"], 3.0 * interval))
 
     def sample_objects(self) -> Iterator[dict[str, Any]]:
         """Yield each sample of the run as a JSON object of `output.sample`. NoDaemonError if the daemon ends.
 
         If this program reads too slowly, the daemon drops samples; `dropped` has their number.
         """
-        for event in self._events(_SIGN_OF_LIFE, samples=True):
+        for event in self.events(_SIGN_OF_LIFE, samples=True):
             if event.get("event") == "sample" and isinstance(sample := event.get("sample"), dict):
                 self.dropped = event.get("dropped", 0)
                 yield sample
@@ -126,11 +135,6 @@ class Client:
                 raise NoDaemonError(
                     f"{self._path}: {printable(str(e))}; if the daemon has another version, restart it"
                 ) from None
-
-    def _events(self, interval: float, *, samples: bool) -> Iterator[dict[str, Any]]:
-        self.ask("watch", interval=interval, samples=samples or None)
-        while True:
-            yield self._receive(max(_TIMEOUTS["watch"], 3.0 * interval))
 
     def _status(self, reply: dict[str, Any]) -> StatusReport:
         try:

@@ -1,0 +1,75 @@
+"""`spheremouse view`: serve the live page of the running daemon."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spheremouse.errors import ControlError
+
+_ADDRESS, _PORT = "127.0.0.1", 8765
+
+
+def view(
+    address: Annotated[
+        str,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Network address of the page. Only its owner may open one beyond this computer; it is not encrypted.",
+        ),
+    ] = _ADDRESS,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="TCP port.")] = _PORT,
+    names: Annotated[
+        list[str] | None,
+        typer.Option("--name", metavar="HOST", help="A name of this computer in browsers, besides its own. Repeats."),
+    ] = None,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="File with the token of the owner; made if missing.  [default: view.token in the state folder]",
+        ),
+    ] = None,
+    socket: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH", help="The daemon's socket.  [default: $SPHEREMOUSE_SOCKET, else where one answers]"
+        ),
+    ] = None,
+    url: Annotated[bool, typer.Option("--url", help="Print the owner's address of the page, and exit.")] = False,
+) -> None:
+    """Serve the live page: picture, motion, settings, log and doctor of the running daemon, in a browser.
+
+    It is a process of its own. The daemon need not run yet. Whoever opens the page without its token sees the ball and
+    the targets, and can change nothing.
+    """
+    from spheremouse.view.access import own_token, read_token, token_path
+
+    file = token_file or token_path()
+    if url:
+        print(_url(address, port, read_token(file)))
+        return
+    _serve(address, port, names or [], own_token(file), socket)
+
+
+def _serve(address: str, port: int, names: list[str], token: str, socket: Path | None) -> None:
+    import socket as sockets
+
+    from spheremouse.view.access import Access
+    from spheremouse.view.server import application, server
+
+    try:
+        listener = sockets.create_server(
+            (address, port), family=sockets.AF_INET6 if ":" in address else sockets.AF_INET, backlog=64
+        )
+    except OSError as e:
+        hint = "choose another --port" if e.errno == 98 else "choose another --address"
+        raise ControlError(f"{address}:{port}: cannot be opened ({e.strerror})", hint) from None
+    with listener:
+        typer.echo(f"live page: {_url(address, port, token)}", err=True)
+        server(application(socket, Access(token, port, names)), address, port).run([listener])
+
+
+def _url(address: str, port: int, token: str) -> str:
+    host = "localhost" if address in ("0.0.0.0", "::") else f"[{address}]" if ":" in address else address
+    return f"http://{host}:{port}/?token={token}"

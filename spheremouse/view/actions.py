@@ -1,0 +1,142 @@
+"""Actions of the page's buttons. Each is one that `spheremouse ctl` has too."""
+
+import asyncio
+import io
+import json
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from ruamel.yaml import YAML
+
+from spheremouse.errors import ControlError, printable
+from spheremouse.files.yaml import Document, parse_bytes
+from spheremouse.view.daemon import Daemon, Values
+
+_REQUESTS = ("reinit", "pause", "resume", "reload", "record", "snapshot", "profile")
+_WORDS = {"pause": "Paused.", "resume": "Resumed.", "reload": "Configuration read again.", "undo": "Undone."}
+_REBUILD_INTERVAL = 0.1  # s between two changes of settings for which the daemon builds another tracker
+_SET_INTERVAL = 0.04  # s between two changes of others
+_AT_ONCE = ("motion", "pointer", "record")  # sections that build nothing
+_COMMAND_TIMEOUT = 120.0  # s of another process
+_MAX_IMPORTED = 50  # settings, as many as a request takes
+
+
+class Done(NamedTuple):
+    """The answer to an action: a sentence, and data for the panel."""
+
+    message: str = ""
+    data: Mapping[str, Any] = MappingProxyType({})
+
+
+class Actions:
+    """The actions of one page."""
+
+    def __init__(self, daemon: Daemon, socket: Path | None) -> None:
+        self._daemon, self._socket = daemon, socket
+        self._lock = asyncio.Lock()
+        self._next = 0.0  # s, monotonic, of the next change
+
+    async def set(self, values: Values, gesture: str) -> Done:
+        """Change settings. Raises ControlError with the daemon's reason if it refuses."""
+        rebuilds = any(key.partition(".")[0] not in _AT_ONCE for key in values)
+        async with self._lock:
+            await asyncio.sleep(max(0.0, self._next - time.monotonic()))
+            self._next = time.monotonic() + (_REBUILD_INTERVAL if rebuilds else _SET_INTERVAL)
+            reply = await self._daemon.set(values, gesture)
+        return Done(_message(reply, "Applied."))
+
+    async def do(self, action: str, arguments: dict[str, Any]) -> Done:
+        """Carry out an action by its name. Raises ControlError if it is refused or unknown."""
+        if action in _REQUESTS:
+            return Done(_message(await self._daemon.ask(action, **arguments), _WORDS.get(action, "Done.")))
+        if action == "stop-record":
+            return Done(_message(await self._daemon.ask("record", stop=True), "The recording has ended."))
+        if action == "undo":
+            return Done(_message(await self._daemon.undo(), _WORDS["undo"]))
+        if action == "reset":
+            return await self._set_all(self._daemon.defaults(arguments.get("keys", [])), "reset")
+        if action == "save":
+            reply = await self._run("ctl", "save", "--json", *self._place())
+            return Done(f"{reply.get('file', '')}: saved {', '.join(reply.get('saved') or ['nothing that it lacks'])}")
+        if action == "doctor":
+            return Done(data=await self._run("doctor", "--json", codes=(0, 1)))
+        if action == "export":
+            return Done(data={"text": yaml_of(self._daemon.changed())})
+        if action == "import":
+            return await self._set_all(values_of(str(arguments.get("text", ""))), "import")
+        raise ControlError(f"{action}: there is no such action")
+
+    async def _set_all(self, values: Values, name: str) -> Done:
+        if not values:
+            return Done("Nothing differs.")
+        if len(values) > _MAX_IMPORTED:
+            raise ControlError(f"{name}: {len(values)} settings; at most {_MAX_IMPORTED} are changed at once")
+        return await self.set(values, f"{name} {time.monotonic()}")
+
+    def _place(self) -> tuple[str, ...]:
+        return () if self._socket is None else ("--socket", str(self._socket))
+
+    async def _run(self, *words: str, codes: tuple[int, ...] = (0,)) -> dict[str, Any]:
+        """Return the JSON that a command of ours prints. Its memory is freed with its process."""
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "spheremouse", *words,
+            stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
+        )  # fmt: skip
+        try:
+            async with asyncio.timeout(_COMMAND_TIMEOUT):
+                out, error = await process.communicate()
+        except TimeoutError:
+            raise ControlError(f"spheremouse {words[0]}: no answer within {_COMMAND_TIMEOUT:g} s") from None
+        finally:
+            if process.returncode is None:
+                process.kill()
+        if process.returncode not in codes:
+            lines = error.decode(errors="replace").strip().splitlines()
+            raise ControlError(printable(lines[-1].removeprefix("spheremouse: ")) if lines else f"{words[0]}: failed")
+        try:
+            return json.loads(out)
+        except ValueError:
+            raise ControlError(f"spheremouse {words[0]}: prints no JSON; see the log of the page") from None
+
+
+def yaml_of(values: Values) -> str:
+    """Return settings as the text of a configuration file."""
+    sections: dict[str, Any] = {}
+    for key, value in values.items():
+        section = sections
+        *above, name = key.split(".")
+        for part in above:
+            section = section.setdefault(part, {})
+        section[name] = value
+    text = io.StringIO()
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = False
+    yaml.dump({"schema": 2, **sections}, text)
+    return text.getvalue()
+
+
+def values_of(text: str) -> Values:
+    """Return the settings in the text of a configuration file. Raises ConfigurationError with its line."""
+    document = parse_bytes(text.encode(), "the imported file")
+    if not isinstance(document.data, dict):
+        raise ControlError("the imported file: has no settings", "export one to see its form")
+    return dict(_flat(Document("", {k: v for k, v in document.data.items() if k not in ("schema", "profiles")})))
+
+
+def _flat(document: Document, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in document.data.items():
+        if isinstance(value, dict):
+            yield from _flat(Document("", value), f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _message(reply: dict[str, Any], otherwise: str) -> str:
+    for key in ("message", "file"):
+        if reply.get(key):
+            return printable(str(reply[key]))
+    return otherwise

@@ -1,0 +1,246 @@
+"""The link to the daemon: its events, settings and scene, for all browsers together.
+
+The connection is open only while a browser looks, so the page costs the daemon nothing otherwise.
+"""
+
+import asyncio
+import contextlib
+import json
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from spheremouse.errors import ControlError
+from spheremouse.session.control.client import Client, NoDaemonError, RefusedError
+
+Message = dict[str, Any]
+Values = dict[str, Any]
+
+STATUS_INTERVAL = 0.5  # s
+_RETRY = 0.5  # s between two attempts to connect
+_LOG_LINES = 200
+_ROWS = 1500  # samples kept for slow browsers: 10 s of two balls at 60 Hz
+_UNDO_STEPS = 100
+_SCENE_KEYS = ("discs_known", "pose", "rig", "tracker")  # parts of the status that change with the scene
+_SETTING_KEYS = ("changes", "config", "tracker", "pid")  # and with the settings
+
+
+class _Description(NamedTuple):
+    """Parts of `hello` that the daemon has."""
+
+    settings: list[Message]
+    scene: Message | None
+    profiles: dict[str, list[str]]
+
+
+class Daemon:
+    """The daemon at `socket`, or the one that `Client` finds. All methods are called in the event loop."""
+
+    def __init__(self, socket: Path | None, publish: Callable[[Message], None]) -> None:
+        """`publish` takes each message for all browsers, in the event loop."""
+        self._socket, self._publish = socket, publish
+        self.status: Message | None = None
+        self.reason = "connecting to the daemon"
+        self.log: deque[str] = deque(maxlen=_LOG_LINES)
+        self.count = 0  # rows since the start
+        self._rows: deque[list[Any]] = deque(maxlen=_ROWS)
+        self._described = _Description([], None, {})
+        self._undo: deque[tuple[str, Values]] = deque(maxlen=_UNDO_STEPS)
+        self._setting = asyncio.Lock()  # one `set` is under way
+        self._refreshing: asyncio.Task[None] | None = None
+        self._loop = asyncio.get_running_loop()
+        self._wanted, self._closed = threading.Event(), False
+        threading.Thread(target=self._run, name="daemon", daemon=True).start()
+
+    def look(self, wanted: bool) -> None:
+        """Open or close the connection."""
+        self._wanted.set() if wanted else self._wanted.clear()
+
+    def close(self) -> None:
+        """Close the connection for good."""
+        self._closed = True
+        self._wanted.set()
+
+    def hello(self) -> Message:
+        """Return settings, profiles, scene and log for a browser."""
+        settings, scene, profiles = self._described
+        return {"type": "hello", "settings": settings, "profiles": profiles, "scene": scene, "log": list(self.log)}
+
+    def state(self) -> Message:
+        """Return the message of the present status."""
+        status, reason = self.status, "" if self.status else self.reason
+        return {"type": "status", "status": status, "connected": status is not None, "reason": reason}
+
+    def values(self) -> Message:
+        """Return the values of all settings, the keys of those that no file has, and the number of undo steps."""
+        changes = (self.status or {}).get("changes") or []
+        return {
+            "type": "values",
+            "values": {about["key"]: about["value"] for about in self._described.settings},
+            "unsaved": [change.partition("=")[0] for change in changes],
+            "undo": len(self._undo),
+        }
+
+    def rows(self, after: int) -> list[list[Any]]:
+        """Return the samples after the first `after`, as far as they are kept."""
+        return list(self._rows)[max(0, len(self._rows) - (self.count - after)) :]
+
+    # ---- requests ----
+
+    async def ask(self, command: str, **arguments: Any) -> Message:
+        """Return the daemon's reply. Raises ControlError if it refuses or does not answer."""
+        return await asyncio.to_thread(self._ask, command, arguments)
+
+    async def set(self, values: Values, gesture: str) -> Message:
+        """Change settings, and return the daemon's reply. All changes of a gesture are one step of undo."""
+        async with self._setting:
+            reply = await self.ask("set", assignments=[f"{key}={json.dumps(v)}" for key, v in values.items()])
+            before = {key: old for key, (old, _) in reply.get("values", {}).items()}
+            if self._undo and self._undo[-1][0] == gesture:
+                before |= self._undo.pop()[1]
+            self._undo.append((gesture, before))
+            self._update({key: new for key, (_, new) in reply.get("values", {}).items()})
+        return reply
+
+    async def undo(self) -> Message:
+        """Change the settings of the last gesture back. Raises ControlError if there is none."""
+        async with self._setting:
+            if not self._undo:
+                raise ControlError("undo: nothing was changed on this page")
+            _, before = self._undo[-1]
+            reply = await self.ask("set", assignments=[f"{key}={json.dumps(v)}" for key, v in before.items()])
+            self._undo.pop()
+            self._update(before)
+        return reply
+
+    def defaults(self, keys: Iterable[str]) -> Values:
+        """Return the defaults of settings. Raises ControlError if there is no such setting."""
+        known = {about["key"]: about["default"] for about in self._described.settings}
+        unknown = [key for key in keys if key not in known]
+        if unknown:
+            raise ControlError(f"{unknown[0]}: unknown setting")
+        return {key: known[key] for key in keys}
+
+    def changed(self) -> Values:
+        """Return the settings that differ from their defaults."""
+        return {a["key"]: a["value"] for a in self._described.settings if a["value"] != a["default"]}
+
+    def _ask(self, command: str, arguments: Message) -> Message:
+        with Client(self._socket) as client:
+            return client.ask(command, **arguments)
+
+    def _update(self, values: Values) -> None:
+        """Take over new values, and publish them."""
+        for about in self._described.settings:
+            about["value"] = values.get(about["key"], about["value"])
+        self._publish(self.values())
+
+    # ---- events, in the loop ----
+
+    def _begun(self, described: _Description) -> None:
+        self._described = described
+        self._publish(self.hello())
+        self._publish(self.values())
+
+    def _ended(self, reason: str) -> None:
+        self.status, self.reason = None, reason
+        self._publish(self.state())
+
+    def _take(self, event: Message) -> None:
+        kind = event.pop("event", None)
+        if kind == "sample":
+            self._rows.append(row_of(event["sample"]))
+            self.count += 1
+        elif kind == "log":
+            text = str(event.get("text", ""))
+            self.log.append(text)
+            self._publish({"type": "log", "lines": [text]})
+        elif kind == "status":
+            before, self.status = self.status or event, event
+            self._publish(self.state())
+            if any(before.get(key) != event.get(key) for key in (*_SCENE_KEYS, *_SETTING_KEYS)):
+                self._refresh()
+
+    def _refresh(self) -> None:
+        if self._refreshing is None or self._refreshing.done():
+            self._refreshing = self._loop.create_task(self._read_again())
+
+    async def _read_again(self) -> None:
+        with contextlib.suppress(ControlError):
+            before, self._described = self._described, await asyncio.to_thread(self._read)
+            _, scene, profiles = self._described
+            bare = [[_without_value(about) for about in d.settings] for d in (before, self._described)]
+            if bare[0] != bare[1] or profiles != before.profiles:
+                self._publish(self.hello())
+            elif scene != before.scene:
+                self._publish({"type": "scene", "scene": scene})
+            self._publish(self.values())
+
+    # ---- the thread ----
+
+    def _run(self) -> None:
+        while self._wanted.wait() and not self._closed:
+            try:
+                with Client(self._socket) as client:
+                    self._post(self._begun, _describe(client))
+                    for event in client.events(STATUS_INTERVAL, samples=True):
+                        if self._closed or not self._wanted.is_set():
+                            break
+                        self._post(self._take, event)
+            except ControlError as e:
+                self._post(self._ended, str(e))
+                time.sleep(_RETRY)
+
+    def _read(self) -> _Description:
+        with Client(self._socket) as client:
+            return _describe(client)
+
+    def _post(self, function: Callable[..., None], *arguments: Any) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop is closed
+            self._loop.call_soon_threadsafe(function, *arguments)
+
+
+def row_of(sample: Message) -> list[Any]:
+    """Return a sample in the form of `frame`: stamp, ball, confirmed, quaternion, rate and its standard deviations,
+    counts, latency, discs, position. Unknown values are None. Units as in docs/samples.md.
+    """
+    covariance = sample.get("rate_covariance")
+    sigma = [math.sqrt(max(0.0, covariance[k][k])) for k in range(3)] if covariance else _NONE
+    return [
+        sample["stamp"],
+        sample["ball"],
+        sample["confirmed"],
+        *(sample.get("quaternion") or [None] * 4),
+        *(sample.get("rate") or _NONE),
+        *sigma,
+        *sample["counts"],
+        sample.get("latency"),
+        sample.get("statistics", {}).get("discs_used"),
+        *(sample.get("position") or _NONE),
+    ]
+
+
+_NONE = [None] * 3
+
+
+def _describe(client: Client) -> _Description:
+    settings, scene, profiles = (_ask_if_known(client, command) for command in ("settings", "scene", "profile"))
+    return _Description(settings.get("settings", []), scene or None, profiles.get("profiles", {}))
+
+
+def _ask_if_known(client: Client, command: str) -> Message:
+    """Return the reply; nothing if the daemon starts, or if it is of another version."""
+    try:
+        return client.ask(command)
+    except NoDaemonError:
+        raise
+    except RefusedError:
+        return {}
+
+
+def _without_value(about: Message) -> Message:
+    return {**about, "value": None}

@@ -1,0 +1,300 @@
+"""The page's web server: static files, and one WebSocket for each browser.
+
+A browser asks for each picture, so a slow one gets fewer. What the page sends unasked waits in a bounded queue.
+"""
+
+import asyncio
+import contextlib
+import json
+import struct
+import time
+from collections import deque
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any, Literal
+
+import uvicorn
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from starlette.applications import Starlette
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import FileResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from spheremouse import __version__
+from spheremouse.errors import SpheremouseError, one_line, printable
+from spheremouse.view.access import COOKIE, HEADERS, Access, Visitor
+from spheremouse.view.actions import Actions
+from spheremouse.view.daemon import Daemon
+from spheremouse.view.pictures import INTERVAL, Pictures, Shown
+
+STATIC = Path(__file__).with_name("static")
+TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+# Settings of the panel Tune, in its order: those that an operator changes while looking at the ball.
+TUNE = (
+    "motion.scale_x", "motion.scale_y", "motion.scale_z", "motion.player", "pointer.horizon", "pointer.smooth",
+    "discs.polarity", "discs.contrast", "so3.acceleration_sigma", "loss.lost_after", "camera.exposure_s", "camera.gain",
+)  # fmt: skip
+
+_MAX_BROWSERS = 24
+_MAX_MESSAGE_BYTES = 100_000
+_MAX_WAITING = 300  # messages for one browser
+_PICTURE_TIMEOUT = 0.5  # s; then `next` is answered without a picture
+_SEND_TIMEOUT = 30.0  # s in which a browser must read a message
+_LINGER = 3.0  # s after the last browser, in which the link to the daemon stays
+_COOKIE_AGE = 365 * 86400  # s
+
+
+class _Message(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class _Next(_Message):
+    type: Literal["next"]
+
+
+class _Rest(_Message):
+    type: Literal["rest"]
+
+
+class _Set(_Message):
+    type: Literal["set"]
+    id: int
+    values: dict[str, Any] = Field(min_length=1, max_length=50)
+    gesture: str = Field(max_length=200)
+
+
+class _Do(_Message):
+    type: Literal["do"]
+    id: int
+    action: str = Field(max_length=50)
+    arguments: dict[str, Any] = Field(default_factory=dict)
+
+
+_MESSAGES: TypeAdapter[_Next | _Rest | _Set | _Do] = TypeAdapter(_Next | _Rest | _Set | _Do, config=ConfigDict())
+
+
+class Page:
+    """All browsers of one daemon."""
+
+    def __init__(self, socket: Path | None, access: Access) -> None:
+        """Call it in the event loop. Without `socket` the daemon is found as `spheremouse ctl` does."""
+        self.access = access
+        self.daemon = Daemon(socket, self._publish)
+        self.pictures = Pictures(socket)
+        self.actions = Actions(self.daemon, socket)
+        self.browsers: set[_Browser] = set()
+        self._leaving: asyncio.TimerHandle | None = None
+
+    async def serve(self, socket: WebSocket, visitor: Visitor) -> None:
+        """Serve a browser until it leaves."""
+        if len(self.browsers) >= _MAX_BROWSERS:
+            await socket.close(1013, "too many browsers")
+            return
+        await socket.accept()
+        browser = _Browser(self, socket, visitor.owner)
+        self.browsers.add(browser)
+        if self._leaving is not None:
+            self._leaving.cancel()
+        self.daemon.look(True)
+        try:
+            await browser.converse()
+        finally:
+            self.browsers.discard(browser)
+            if not self.browsers:
+                self._leaving = asyncio.get_running_loop().call_later(_LINGER, self._rest)
+
+    def _rest(self) -> None:
+        if not self.browsers:
+            self.daemon.look(False)
+
+    def _publish(self, message: dict[str, Any]) -> None:
+        text = None if message["type"] == "hello" else json.dumps(message)
+        for browser in self.browsers:
+            browser.push(message["type"], text if text is not None else browser.hello())
+
+
+class _Browser:
+    """One WebSocket."""
+
+    def __init__(self, page: Page, socket: WebSocket, owner: bool) -> None:
+        self._page, self._socket, self._owner = page, socket, owner
+        self._waiting: deque[tuple[str, str | bytes]] = deque(maxlen=_MAX_WAITING)
+        self._has_waiting = asyncio.Event()
+        self._frame: asyncio.Task[None] | None = None
+        self._shown: Shown | None = None
+        self._due = 0.0  # s, monotonic, of the next picture
+        self._rows = page.daemon.count  # samples sent
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def hello(self) -> str:
+        """Return the first message."""
+        about = {"version": __version__, "owner": self._owner, "tune": TUNE}
+        return json.dumps({**self._page.daemon.hello(), **about})
+
+    def push(self, kind: str, message: str | bytes) -> None:
+        """Add a message; a newer status replaces one that waits. If too many wait, the oldest is dropped."""
+        if kind in ("status", "values", "scene", "hello"):
+            self._waiting = deque((w for w in self._waiting if w[0] != kind), _MAX_WAITING)
+        self._waiting.append((kind, message))
+        self._has_waiting.set()
+
+    async def converse(self) -> None:
+        """Take requests until the browser leaves."""
+        daemon = self._page.daemon
+        self.push("hello", self.hello())
+        self.push("status", json.dumps(daemon.state()))
+        self.push("values", json.dumps(daemon.values()))
+        sending = asyncio.create_task(self._send())
+        try:
+            while True:
+                await self._take(await self._socket.receive_text())
+        except (WebSocketDisconnect, RuntimeError, KeyError):  # it left, was dropped, or sent bytes
+            pass
+        finally:
+            for task in (sending, *self._tasks):
+                task.cancel()
+
+    async def _send(self) -> None:
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError, OSError):
+            while await self._has_waiting.wait():
+                _, message = self._waiting.popleft()
+                if not self._waiting:
+                    self._has_waiting.clear()
+                try:
+                    async with asyncio.timeout(_SEND_TIMEOUT):
+                        await self._socket.send({"type": "websocket.send", _form(message): message})
+                except TimeoutError:
+                    await self._socket.close(1008, "does not read")
+                    return
+
+    async def _take(self, text: str) -> None:
+        try:
+            message = _MESSAGES.validate_json(text)
+        except ValidationError as e:
+            error = e.errors(include_url=False, include_input=False)[-1]
+            self._answer_trouble(None, f"{'.'.join(map(str, error['loc'][1:])) or 'message'}: {one_line(error['msg'])}")
+            return
+        if isinstance(message, _Next):
+            if self._frame is None or self._frame.done():
+                self._frame = self._begin(self._send_frame())
+        elif isinstance(message, _Rest):
+            if self._frame is not None:
+                self._frame.cancel()
+        elif not self._owner:
+            words = "this page only shows; open it with its token, which `spheremouse view --url` prints"
+            self._answer_trouble(message.id, words)
+        elif len(self._tasks) > 8:  # a browser that asks for more does not wait for answers
+            self._answer_trouble(message.id, "busy: too many requests are under way")
+        else:
+            self._begin(self._carry_out(message))
+
+    def _begin(self, work: Any) -> asyncio.Task[None]:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    async def _carry_out(self, message: _Set | _Do) -> None:
+        try:
+            if isinstance(message, _Set):
+                done = await self._page.actions.set(message.values, message.gesture)
+            else:
+                done = await self._page.actions.do(message.action, message.arguments)
+            self.push(
+                "done", json.dumps({"type": "done", "id": message.id, "message": done.message, "data": dict(done.data)})
+            )
+        except SpheremouseError as e:
+            self._answer_trouble(message.id, str(e))
+
+    def _answer_trouble(self, id_: int | None, text: str) -> None:
+        self.push("trouble", json.dumps({"type": "trouble", "id": id_, "text": printable(text)}))
+
+    async def _send_frame(self) -> None:
+        """Answer `next`: at most every INTERVAL s, and without a picture if none comes."""
+        await asyncio.sleep(max(0.0, self._due - time.monotonic()))
+        shown = await self._page.pictures.after(self._shown, _PICTURE_TIMEOUT)
+        daemon, picture, jpeg = self._page.daemon, None, b""
+        if shown is not None:
+            self._shown, picture = shown, shown.picture
+            jpeg = shown.whole if self._owner else shown.masked
+        rows, self._rows = daemon.rows(self._rows), daemon.count
+        head = {
+            "type": "frame",
+            "number": picture.number if picture else 0,
+            "stamp": picture.stamp if picture else None,
+            "width": picture.width if picture else 0,
+            "height": picture.height if picture else 0,
+            "annotations": picture.annotations if picture else None,
+            "samples": rows,
+        }
+        text = json.dumps(head, separators=(",", ":")).encode()
+        self._due = time.monotonic() + 0.9 * INTERVAL  # the daemon paces; this bounds a browser that asks too often
+        self.push("frame", struct.pack(">I", len(text)) + text + jpeg)
+
+
+def _form(message: str | bytes) -> str:
+    return "text" if isinstance(message, str) else "bytes"
+
+
+def application(socket: Path | None, access: Access) -> Starlette:
+    """Return the web application."""
+    pages: list[Page] = []
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        pages.append(Page(socket, access))
+        yield
+        pages[0].daemon.close()
+
+    async def file(request: Request) -> Response:
+        visitor, given = _visitor(access, request), request.query_params.get("token")
+        if visitor is None:
+            return PlainTextResponse("403: open the page with its token (spheremouse view --url)\n", 403, HEADERS)
+        if given is not None:
+            answer: Response = RedirectResponse(request.url.path, 303, HEADERS)
+            if access.is_token(given):
+                answer.set_cookie(COOKIE, given, _COOKIE_AGE, path="/", httponly=True, samesite="strict")
+            return answer
+        path = FILES.get(request.url.path)
+        if path is None:
+            return PlainTextResponse("404: there is no such file\n", 404, HEADERS)
+        return FileResponse(path, media_type=TYPES[path.suffix], headers=HEADERS)
+
+    async def live(browser: WebSocket) -> None:
+        visitor = _visitor(access, browser)
+        if visitor is None or browser.headers.get("origin") is None:  # a browser always sends it
+            await browser.close()  # before acceptance: answers 403
+        else:
+            await pages[0].serve(browser, visitor)
+
+    routes = [WebSocketRoute("/live", live), Route("/{path:path}", file)]
+    return Starlette(routes=routes, lifespan=lifespan)
+
+
+# The files by their addresses. No other path is ever opened.
+FILES = {
+    **{f"/static/{path.name}": path for path in STATIC.iterdir() if path.suffix in TYPES},
+    "/": STATIC / "index.html",
+}
+
+
+def _visitor(access: Access, request: HTTPConnection) -> Visitor | None:
+    headers, client = request.headers, request.client
+    return access.visitor(
+        "" if client is None else client.host,
+        headers.get("host", ""),
+        headers.get("origin"),
+        headers.get("cookie", ""),
+        request.query_params.get("token"),
+    )
+
+
+def server(app: Starlette, address: str, port: int) -> uvicorn.Server:
+    """Return the server of an application at an address."""
+    config = uvicorn.Config(
+        app, host=address, port=port, ws="websockets-sansio", ws_max_size=_MAX_MESSAGE_BYTES, ws_max_queue=16,
+        ws_per_message_deflate=False, http="h11", loop="asyncio", limit_concurrency=100, timeout_keep_alive=5,
+        timeout_graceful_shutdown=1, access_log=False, log_config=None, server_header=False, proxy_headers=False,
+    )  # fmt: skip
+    return uvicorn.Server(config)
