@@ -1,0 +1,303 @@
+"""The page's server in front of a real daemon: a film behind a scripted camera, and browsers by `websockets`."""
+
+import asyncio
+import json
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from http.client import HTTPConnection
+
+import pytest
+import simplejpeg
+from daemon_world import Film, World
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from spheremouse.view import server as server_module
+from spheremouse.view.access import Access
+from spheremouse.view.server import application, server
+
+TOKEN = "a-token-of-more-than-32-characters"
+PATIENCE = 20.0  # s
+
+
+@pytest.fixture(scope="module")
+def film():
+    return Film.render()
+
+
+@pytest.fixture
+def world(film, tmp_path, monkeypatch):
+    world = World(film, tmp_path)
+    monkeypatch.setattr("spheremouse.session.outputs.open_output", world.open_output)
+    world.start()
+    world.reach("tracking")
+    yield world
+    world.stop()
+
+
+@pytest.fixture
+def page(world):
+    with serving(world) as port:
+        yield port
+
+
+@contextmanager
+def serving(world, port=0):
+    """Run the page in a thread; yields its port."""
+    listener = socket.create_server(("127.0.0.1", port), backlog=256)
+    port = listener.getsockname()[1]
+    running = server(application(world.socket, Access(TOKEN, port)), "127.0.0.1", port)
+    running.install_signal_handlers = lambda: None
+    thread = threading.Thread(target=lambda: asyncio.run(running.serve([listener])))
+    thread.start()
+    try:
+        yield port
+    finally:
+        running.should_exit = True
+        thread.join(PATIENCE)
+        assert not thread.is_alive()
+
+
+class Browser:
+    """A browser's side of the WebSocket."""
+
+    def __init__(self, port, owner=True, **headers):
+        cookie = {"Cookie": f"spheremouse={TOKEN}"} if owner else {}
+        address = f"127.0.0.1:{port}"
+        given = {"origin": f"http://{address}", "additional_headers": cookie, "max_size": None} | headers
+        self._connection = connect(f"ws://{address}/live", **given)
+        self.socket = self._connection.__enter__()
+        self.seen, self._id = [], 0
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._connection.__exit__(None, None, None)
+
+    def until(self, kind, condition=lambda m: True):
+        """The next message of a kind for which the condition holds."""
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            received = self.socket.recv(timeout=PATIENCE)
+            message = read(received)
+            self.seen.append(message)
+            if message["type"] == kind and condition(message):
+                return message
+        raise AssertionError(f"no {kind}: {[m['type'] for m in self.seen]}")
+
+    def ask(self, type_, **words):
+        """The answer to a request."""
+        self._id += 1
+        self.socket.send(json.dumps({"type": type_, "id": self._id, **words}))
+        while True:
+            message = read(self.socket.recv(timeout=PATIENCE))
+            self.seen.append(message)
+            if message.get("id") == self._id:
+                return message
+
+    def frame(self):
+        """The answer to `next`."""
+        self.socket.send('{"type":"next"}')
+        return self.until("frame")
+
+
+def read(received):
+    if isinstance(received, str):
+        return json.loads(received)
+    (length,) = struct.unpack(">I", received[:4])
+    return {**json.loads(received[4 : 4 + length]), "jpeg": received[4 + length :]}
+
+
+def get(port, path="/", **headers):
+    connection = HTTPConnection("127.0.0.1", port, timeout=PATIENCE)
+    connection.request("GET", path, headers=headers)
+    answer = connection.getresponse()
+    return answer.status, dict(answer.getheaders()), answer.read()
+
+
+def test_a_browser_gets_settings_status_pictures_and_each_sample_once(world, page):
+    with Browser(page) as browser:
+        hello = browser.until("hello", lambda m: m["settings"])
+        assert hello["owner"] is True
+        assert {"motion.scale_x", *hello["tune"]} <= {about["key"] for about in hello["settings"]}
+        assert browser.until("status", lambda m: m["connected"])["status"]["state"] == "tracking"
+        first = browser.frame()
+        while not first["jpeg"]:
+            first = browser.frame()
+        assert simplejpeg.decode_jpeg(first["jpeg"]).shape == (480, 640, 3)
+        stamps = [row[0] for row in first["samples"]]
+        for _ in range(5):
+            frame = browser.frame()
+            assert frame["number"] > first["number"] or not frame["jpeg"]
+            stamps += [row[0] for row in frame["samples"]]
+        assert len(stamps) > 10
+        assert stamps == sorted(set(stamps))
+
+
+def test_a_change_reaches_the_daemon_and_every_browser_and_a_gesture_is_one_step_of_undo(world, page):
+    value = lambda: world.client.ask("status")["changes"]  # noqa: E731
+    with Browser(page) as one, Browser(page) as other:
+        other.until("hello", lambda m: m["settings"])
+        for number in (2.0, 2.5, 3.0):
+            assert one.ask("set", values={"motion.scale_x": number}, gesture="slide")["type"] == "done"
+        assert value() == ["motion.scale_x=3.0"]
+        message = other.until("values", lambda m: m["values"].get("motion.scale_x") == 3.0)
+        assert message["undo"] == 1
+        other.until("values", lambda m: m["unsaved"] == ["motion.scale_x"])
+        assert one.ask("do", action="undo")["type"] == "done"
+        assert other.until("values", lambda m: m["values"]["motion.scale_x"] == 1.0)["undo"] == 0
+        assert "nothing was changed" in one.ask("do", action="undo")["text"]
+
+
+def test_a_change_by_ctl_is_seen(world, page):
+    with Browser(page) as browser:
+        browser.until("hello", lambda m: m["settings"])
+        world.client.ask("set", assignments=["motion.scale_y=4"])
+        browser.until("values", lambda m: m["values"].get("motion.scale_y") == 4.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"motion.scale_x": "two"}, "motion.scale_x: must be a number, is 'two'"),
+        ({"motion.nothing": 1}, "motion.nothing"),
+        ({"control.group": "x"}, "read at the start only"),
+        ({"motion.scale_x": 1e9}, "motion.scale_x: must be"),
+    ],
+)
+def test_a_wrong_value_is_refused_in_words(world, page, values, said):
+    with Browser(page) as browser:
+        answer = browser.ask("set", values=values, gesture="g")
+        assert answer["type"] == "trouble"
+        assert said in answer["text"]
+        assert "\n" not in answer["text"]
+
+
+def test_buttons_do_what_ctl_does(world, page):
+    with Browser(page) as browser:
+        assert browser.ask("do", action="pause")["message"] == "Paused."
+        browser.until("status", lambda m: m["status"]["state"] == "paused")
+        assert browser.ask("do", action="resume")["message"] == "Resumed."
+        assert browser.ask("do", action="snapshot")["message"].endswith(".png")
+        assert "recording" in browser.ask("do", action="record")["message"]
+        assert "nothing" not in browser.ask("do", action="stop-record")["message"]
+        assert browser.ask("do", action="reinit")["message"].startswith("camera pose")
+        assert "no such action" in browser.ask("do", action="rm")["text"]
+
+
+def test_save_keeps_the_comments_and_export_and_import_are_inverse(world, page):
+    world.config.write_text(world.config.read_text() + "# a note\n")
+    world.client.ask("reload")
+    with Browser(page) as browser:
+        browser.until("hello", lambda m: m["settings"])
+        browser.ask("set", values={"motion.scale_x": 2.0, "discs.masks": [[1, 2, 3, 4]]}, gesture="g")
+        text = browser.ask("do", action="export")["data"]["text"]
+        assert "motion:\n  scale_x: 2.0" in text
+        browser.ask("do", action="reset", arguments={"keys": ["motion.scale_x", "discs.masks"]})
+        assert world.client.ask("status")["changes"] != []
+        done = browser.ask("do", action="import", arguments={"text": "motion: {scale_x: 2.0}"})
+        assert done["type"] == "done"
+        saved = browser.ask("do", action="save")
+        assert saved["type"] == "done", saved
+        written = world.config.read_text()
+        assert "# a note" in written
+        assert "scale_x: 2.0" in written
+        assert "the imported file:1" in browser.ask("do", action="import", arguments={"text": "motion: ["})["text"]
+
+
+def test_a_stranger_sees_a_masked_picture_and_changes_nothing(world, page):
+    with Browser(page, owner=False) as stranger, Browser(page) as owner:
+        assert stranger.until("hello")["owner"] is False
+        for words in (
+            {"type_": "set", "values": {"motion.scale_x": 2}, "gesture": "g"},
+            {"type_": "do", "action": "pause"},
+        ):
+            answer = stranger.ask(words.pop("type_"), **words)
+            assert "open it with its token" in answer["text"]
+        assert world.client.ask("status")["changes"] == []
+        masked, whole = (next(f for f in (b.frame() for _ in range(50)) if f["jpeg"]) for b in (stranger, owner))
+        black = [float((simplejpeg.decode_jpeg(f["jpeg"]).max(axis=2) < 20).mean()) for f in (masked, whole)]
+        assert black[0] > 0.3
+        assert black[1] < 0.2
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"origin": "http://evil.example"},
+        {"origin": None},
+        {"origin": "http://localhost:1"},
+    ],
+)
+def test_a_foreign_page_gets_403(page, headers):
+    with pytest.raises(InvalidStatus) as e:
+        Browser(page, **headers)
+    assert e.value.response.status_code == 403
+
+
+def test_files_are_served_with_a_policy_and_no_other_path_is_opened(page):
+    status, headers, body = get(page)
+    assert status == 200
+    assert b"<title>spheremouse</title>" in body
+    assert "script-src 'self'" in headers["content-security-policy"]
+    assert "unsafe" not in headers["content-security-policy"]
+    for path in ("/static/../server.py", "/static/%2e%2e/server.py", "/etc/passwd", "//etc/passwd", "/server.py"):
+        assert get(page, path)[0] == 404
+    assert get(page, Host="evil.example")[0] == 403
+    status, headers, _ = get(page, f"/?token={TOKEN}")
+    assert (status, headers["location"]) == (303, "/")
+    assert "HttpOnly" in headers["set-cookie"]
+    assert "SameSite=strict" in headers["set-cookie"]
+    assert "set-cookie" not in get(page, "/?token=wrong")[1]
+
+
+@pytest.mark.parametrize(
+    "garbage", ["", "{", "[]", '{"type":"x"}', '{"type":"set","id":1}', "9" * 90_000, '{"type":"do","id":"a"}']
+)
+def test_garbage_is_answered_in_one_line_and_the_connection_stays(page, garbage):
+    with Browser(page) as browser:
+        browser.socket.send(garbage)
+        assert "\n" not in browser.until("trouble")["text"]
+        assert browser.frame()
+
+
+def test_the_page_outlives_the_daemon_and_a_browser_the_page(world, film, tmp_path):
+    with serving(world) as port, Browser(port) as browser:
+        browser.until("status", lambda m: m["connected"])
+        world.stop()
+        assert browser.until("status", lambda m: not m["connected"])["reason"]
+        assert "no daemon" in browser.ask("do", action="pause")["text"]
+        world.start()
+        world.reach("tracking")
+        begun = time.monotonic()
+        browser.until("status", lambda m: m["connected"])
+        while not browser.frame()["jpeg"]:
+            pass
+        assert time.monotonic() - begun < 5.0
+
+
+def test_a_browser_that_never_reads_holds_up_nobody(world, page):
+    with Browser(page, close_timeout=0.1) as idle, Browser(page) as browser:
+        for _ in range(400):
+            idle.socket.send('{"type":"next"}')
+        for _ in range(20):
+            browser.frame()
+        browser.ask("do", action="pause")
+        browser.ask("do", action="resume")
+
+
+def test_too_many_browsers_are_turned_away(page, monkeypatch):
+    monkeypatch.setattr(server_module, "_MAX_BROWSERS", 2)
+    with Browser(page), Browser(page), pytest.raises((ConnectionClosed, InvalidStatus)):
+        Browser(page).until("hello")
+
+
+def test_the_process_loads_neither_scipy_nor_opencv_nor_compiled_code():
+    code = "import sys, spheremouse.view.server; print(*({'numba', 'scipy', 'cv2', 'matplotlib'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
