@@ -3,7 +3,7 @@
 It uses the coverage that `calibrate camera` reports, so both want the same photos.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -14,14 +14,7 @@ from spheremouse.calibrate.camera.bundle import View, resect_views
 from spheremouse.calibrate.camera.calibrate import rejection_reason
 from spheremouse.calibrate.camera.corners import SEARCHED, Pattern, Sighting, find_board
 from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, Coverage, coverage, enough, gain, missing
-from spheremouse.calibrate.photographing.selector import (
-    MAX_MOTION,
-    FrameCheck,
-    FrameMotion,
-    Sharpness,
-    is_dark,
-    motion_fault,
-)
+from spheremouse.calibrate.photographing.selector import Selector
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
@@ -34,18 +27,18 @@ _MIN_CORNERS = 4  # for a motion
 _ARROWS = dict(zip(LEANS, "←→↑↓", strict=True))
 
 
-class BoardSelector:
-    """The views of a board so far, and the check of further frames; see `selector.Selector`."""
+class BoardSelector(Selector[Sighting]):
+    """The views of a board so far, and the check of further frames."""
 
     def __init__(self, pattern: Pattern, size: tuple[int, int]) -> None:
         """`size` (width, height) px of all pictures."""
+        super().__init__("it", _MIN_CORNERS)
         self.pattern, self.size = pattern, size
         self._corners: list[Array] = []
         self._views: list[View] = []
         self._rotations = np.empty((0, 3, 3))
         focal = _FOCAL * max(size)
         self._camera = InteriorOrientation(*size, focal, focal, 0.5 * (size[0] - 1), 0.5 * (size[1] - 1))
-        self._motion, self._sharpness = FrameMotion(_MIN_CORNERS), Sharpness()
 
     @property
     def coverage(self) -> Coverage:
@@ -62,41 +55,32 @@ class BoardSelector:
         """True for all regions, all tilts, and enough views."""
         return enough(self.coverage)
 
-    def check(self, picture: Image) -> FrameCheck:
-        """Check the next frame."""
-        seen = find_board(picture, self.pattern, _QUICK_SEARCH)
-        moved = self._motion.update(seen.ids.tolist(), seen.uv)
-        if not len(seen.ids):
-            return FrameCheck(
-                seen, "the picture is dark" if is_dark(picture) else f"it {rejection_reason(seen, self.pattern)}"
-            )
+    def detect(self, picture: Image, quick: bool) -> Sighting:
+        """Find the board in a picture, of reduced size if `quick`."""
+        return find_board(picture, self.pattern, _QUICK_SEARCH if quick else SEARCHED)
+
+    def fault(self, seen: Sighting) -> str:
+        """Describe why no board is found; empty if there is one."""
+        return "" if len(seen.ids) else f"it {rejection_reason(seen, self.pattern)}"
+
+    def points(self, seen: Sighting) -> tuple[Sequence[int], Array]:
+        """Return the corners' numbers and places, (n, 2) px."""
+        return seen.ids.tolist(), seen.uv
+
+    def describe(self, seen: Sighting) -> str:
+        """Describe the size of the board."""
         share = self._filled(seen)
         words = f"the board fills {100.0 * share:.0f} % of the picture"
-        words = f"come closer: {words}" if share < _MIN_SHARE else words
-        if moved >= MAX_MOTION:
-            return FrameCheck(seen, f"{words}; it {motion_fault(moved)}")
+        return f"come closer: {words}" if share < _MIN_SHARE else words
+
+    def gain(self, seen: Sighting) -> tuple[str, str]:
+        """Return the regions and tilts that a view adds."""
         R, _, _ = resect_views([self._view(seen)], self._camera)
         new = gain(self.coverage, self.size, seen.uv, R[0], self._corners)
-        if new is None:
-            return FrameCheck(seen, f"{words}; such a view is there already")
-        if picture.size > _QUICK_SEARCH:
-            seen = find_board(picture, self.pattern)  # as `calibrate camera` finds it
-            if not len(seen.ids):
-                return FrameCheck(seen, f"{words}; it {rejection_reason(seen, self.pattern)}")
-        fault = self._sharpness.fault(picture, seen.uv)
-        return FrameCheck(seen, f"{words}; {fault}" if fault else words, "" if fault else new)
+        return new or "", "such a view is there already"
 
-    def resume(self, read: Callable[[], Image]) -> bool:
-        """Count an existing photo with a board."""
-        seen = find_board(read(), self.pattern)
-        if len(seen.ids):
-            self.add(FrameCheck(seen, ""))
-        return len(seen.ids) > 0
-
-    def add(self, check: FrameCheck) -> None:
-        """Count a checked frame as a view."""
-        seen = check.seen
-        assert isinstance(seen, Sighting)
+    def add(self, seen: Sighting) -> None:
+        """Count a view, and calibrate the camera for the next ones."""
         self._views.append(self._view(seen))
         self._corners.append(seen.uv)
         if len(self._views) >= _MIN_VIEWS:

@@ -16,34 +16,28 @@ from spheremouse.calibrate.device.bundle import Block
 from spheremouse.calibrate.device.calibrate import TARGET_SIGMA
 from spheremouse.calibrate.device.correspond import MIN_RAY_ANGLE
 from spheremouse.calibrate.device.start import first_block, target_views
-from spheremouse.calibrate.photographing.selector import (
-    MAX_MOTION,
-    FrameCheck,
-    FrameMotion,
-    Sharpness,
-    is_dark,
-    motion_fault,
-)
+from spheremouse.calibrate.photographing.selector import Selector
 from spheremouse.calibrate.photos import DEVICE_ENOUGH, DEVICE_MOST
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.geometry.rotation import Array
 
 _NEARER = 0.8  # of the distance of the photos from there
 _MIN_TARGETS = 3  # to place a camera
 _MIN_ADDED = 2  # photos of a session that continues, so that a complete set can grow
 
 
-class DeviceSelector:
-    """The photos of a device so far, and the check of further frames; see `selector.Selector`."""
+class DeviceSelector(Selector[TargetDetections]):
+    """The photos of a device so far, and the check of further frames."""
 
     def __init__(self, device: Device, camera: InteriorOrientation, rings: RingSettings | None = None) -> None:
+        super().__init__("the camera", _MIN_TARGETS)
         self._device = replace(device, distances=())  # a wrong distance is no fault of a photo
         self._camera = camera
         self._rings = rings or RingSettings()
         self._seen: list[TargetDetections] = []
         self._resumed = 0  # photos that were there before
         self._block: Block | None = None  # of the photos so far
-        self._motion, self._sharpness = FrameMotion(_MIN_TARGETS), Sharpness()
 
     @property
     def count(self) -> int:
@@ -56,38 +50,34 @@ class DeviceSelector:
         least = max(DEVICE_ENOUGH, self._resumed + _MIN_ADDED if self._resumed else 0)
         return self.count >= DEVICE_MOST or (self.count >= least and not self._missing_sides())
 
-    def check(self, picture: Image) -> FrameCheck:
-        """Check the next frame, (h, w, 3) BGR. Raises CalibrationError if it is grey."""
+    def detect(self, picture: Image, quick: bool) -> TargetDetections:
+        """Detect the targets. Raises CalibrationError if the picture is grey."""
         if picture.ndim == 2:
             raise CalibrationError("the camera gives grey pictures, but the targets differ only in colour")
-        found = detect_targets(picture, self._device.target_radii, self._rings)
-        moved = self._motion.update(found.codes, found.centre)
-        fault = self._fault(found)
-        if fault:
-            return FrameCheck(found, "the picture is dark" if is_dark(picture) else fault)
-        where = f"{len(self._known(found))} of {len(self._device.codes)} targets"
-        if moved >= MAX_MOTION:
-            return FrameCheck(found, f"{where}; the camera {motion_fault(moved)}")
-        new, place = self._place(found)
-        if not new:
-            return FrameCheck(found, f"{where}; {place}")
-        fault = self._sharpness.fault(picture, found.centre)
-        return FrameCheck(found, f"{where}; {fault}" if fault else where, "" if fault else place)
+        return detect_targets(picture, self._device.target_radii, self._rings)
+
+    def fault(self, seen: TargetDetections) -> str:
+        """Describe why a picture has no use by itself; empty for three targets or more."""
+        views = target_views([seen], self._device, self._camera, TARGET_SIGMA)
+        return views.skipped[0][1] if views.skipped else ""
+
+    def points(self, seen: TargetDetections) -> tuple[Sequence[str], Array]:
+        """Return the targets' codes and centres, (n, 2) px."""
+        return seen.codes, seen.centre
+
+    def describe(self, seen: TargetDetections) -> str:
+        """Count the targets of the device."""
+        return f"{len(set(seen.codes) & set(self._device.codes))} of {len(self._device.codes)} targets"
 
     def resume(self, read: Callable[[], Image]) -> bool:
         """Count an existing photo with three targets."""
-        found = detect_targets(read(), self._device.target_radii, self._rings)
-        if self._fault(found):
-            return False
-        self.add(FrameCheck(found, ""))
-        self._resumed += 1
-        return True
+        counts = super().resume(read)
+        self._resumed += counts
+        return counts
 
-    def add(self, check: FrameCheck) -> None:
-        """Count a checked frame as a photo."""
-        found = check.seen
-        assert isinstance(found, TargetDetections)
-        self._seen.append(found)
+    def add(self, seen: TargetDetections) -> None:
+        """Count a photo, and place it among the others."""
+        self._seen.append(seen)
         self._block = self._placed(self._seen)
 
     def wanted(self) -> list[str]:
@@ -98,22 +88,14 @@ class DeviceSelector:
         """Count the photos."""
         return [f"{self.count} photos of {DEVICE_ENOUGH} to {DEVICE_MOST}"]
 
-    def _known(self, found: TargetDetections) -> set[str]:
-        return set(found.codes) & set(self._device.codes)
-
-    def _fault(self, found: TargetDetections) -> str:
-        """Describe why a picture is of no use by itself; empty if it is."""
-        views = target_views([found], self._device, self._camera, TARGET_SIGMA)
-        return views.skipped[0][1] if views.skipped else ""
-
-    def _place(self, found: TargetDetections) -> tuple[bool, str]:
-        """Return True for a picture from a new place, and how far off it is, or why not."""
+    def gain(self, seen: TargetDetections) -> tuple[str, str]:
+        """Return how far a picture is from the places of the others."""
         if not self._seen:
-            return True, "the first"
+            return "the first", ""
         try:
-            block = self._placed([*self._seen, found], strict=True)
+            block = self._placed([*self._seen, seen], strict=True)
         except CalibrationError as e:
-            return False, str(e)
+            return "", str(e)
         assert block is not None
         way = np.array([pose.position for pose in block.poses]) - block.points.mean(axis=0)
         distance = np.linalg.norm(way, axis=1)
@@ -121,11 +103,11 @@ class DeviceSelector:
         angle = np.arccos(cosine)
         near = angle < MIN_RAY_ANGLE
         if not near.any():
-            return True, f"{np.degrees(angle.min()):.0f}° from the nearest photo"
+            return f"{np.degrees(angle.min()):.0f}° from the nearest photo", ""
         if distance[-1] < _NEARER * distance[:-1][near].min():
-            return True, "from nearer"
+            return "from nearer", ""
         least = np.degrees(MIN_RAY_ANGLE)
-        return False, f"{np.degrees(angle.min()):.0f}° from a photo there is, {least:.0f}° are wanted: go further round"
+        return "", f"{np.degrees(angle.min()):.0f}° from a photo there is, {least:.0f}° are wanted: go further round"
 
     def _placed(self, seen: Sequence[TargetDetections], strict: bool = False) -> Block | None:
         """Find the places of all pictures, by targets that two of them show.

@@ -103,7 +103,7 @@ def take_photos(frames: Iterable[Frame], begin: Callable[[Size], Selector], fold
             hindrances[check.words.rpartition("; ")[2]] += 1
             if check.gain:
                 path = store(frame.image, folder)
-                selector.add(check)
+                selector.add(check.seen)
                 screen.taken(path, selector, check)
             screen.show(selector, check)
     except CalibrationError:

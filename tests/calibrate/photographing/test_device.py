@@ -97,7 +97,7 @@ def test_photos_from_missing_sides_are_wanted_until_all_sides_have_one(stills, p
     assert not selector.enough
     selector = selector_of(stills)
     for image in pictures:
-        selector.add(selector.check(image))
+        selector.add(selector.check(image).seen)
     assert selector.wanted() == ["take more from places between"]
     assert selector.enough
 
@@ -106,5 +106,5 @@ def test_a_complete_set_grows_if_the_session_is_called_again(stills, pictures):
     selector = selector_of(stills, *pictures)
     assert not selector.enough
     for _ in range(2):
-        selector.add(selector.check(pictures[0]))
+        selector.add(selector.check(pictures[0]).seen)
     assert selector.enough
