@@ -17,7 +17,8 @@ def check_outputs(outputs: Sequence[Path | None], inputs: Iterable[Path | None],
     An output never replaces an input or another output, even with `force`.
     """
     paths = [p for p in outputs if p is not None and p != Path("-")]
-    read = {p.resolve() for given in inputs if given is not None for p in _files(given)}
+    given = [path for path in inputs if path is not None]
+    read = {p.resolve() for path in given for p in (path, *(path.iterdir() if path.is_dir() else ()))}
     for i, path in enumerate(paths):
         if path.is_dir():
             raise CalibrationError(f"{path}: is a folder; name a file")
@@ -50,7 +51,3 @@ def sha256(path: Path) -> str:
 def copyable(*words: str | Path) -> str:
     """Quote a command for a shell."""
     return shlex.join([str(w) for w in words])
-
-
-def _files(given: Path) -> Iterable[Path]:
-    return [given, *given.iterdir()] if given.is_dir() else [given]

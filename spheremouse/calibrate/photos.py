@@ -174,14 +174,10 @@ def _check_one_size(photos: Sequence[Photo]) -> None:
         rest = "1 other is" if count == 1 else f"{count} others are"
         begin = f"{_named(paths)}: {'is' if len(paths) == 1 else 'are'} {px(other)}, {rest} {px(size)}"
         if other == size[::-1]:
-            lines.append(f"{begin}: turned by software; take the {_originals(paths)} from the camera")
+            lines.append(f"{begin}: turned by software; take the original from the camera")
         else:
             lines.append(f"{begin}: another mode or zoom; calibrate the mode you use and leave the rest out")
     raise CalibrationError("\n".join(lines))
-
-
-def _originals(paths: Sequence[Path]) -> str:
-    return "original" if len(paths) == 1 else "originals"
 
 
 # ---- one file ----

@@ -6,7 +6,6 @@ from typing import Any
 
 from spheremouse.files.dataset.wand import WAND_COLUMNS, columns_of, wand_scene
 from spheremouse.files.dataset.write import DatasetFolder, DatasetWriter, device_description
-from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import Change, Simulation, simulate
 from spheremouse.simulate.wand.film import WandFilm, simulate_wand
 
@@ -76,10 +75,7 @@ def write_wand(path: Path | str, film: WandFilm, *, replace: bool = False) -> It
         rows = made.table("truth.csv", (*WAND_COLUMNS[:2], *poses))
         for shot in simulate_wand(film):
             made.pictures.add(shot.frame.image)
-            numbers = [shot.frame.stamp, *_poses(shot.position, shot.rotation)]
+            placed = zip(shot.position, shot.rotation, strict=True)
+            numbers = [shot.frame.stamp, *(x for p, R in placed for x in (*p, *R.ravel()))]
             rows.writerow([shot.frame.sequence, *(repr(float(x)) for x in numbers)])
             yield shot.frame.sequence + 1
-
-
-def _poses(position: Array, rotation: Array) -> list[float]:
-    return [float(x) for p, R in zip(position, rotation, strict=True) for x in (*p, *R.ravel())]

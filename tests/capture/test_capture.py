@@ -67,14 +67,6 @@ def test_a_video_gives_its_frames_with_exact_times(film):
     assert [int(f.image[2, 2, 0]) for f in frames] == [5 * i for i in range(FRAMES)]
 
 
-@pytest.mark.parametrize(("name", "codec"), [("film.avi", "MJPG"), ("film.mp4", "mp4v")])
-def test_other_containers(tmp_path, name, codec):
-    path = write_video(tmp_path / name, codec=codec, fps=25.0)
-    with open_source(f"video:{path}") as source:
-        stamps = [f.stamp for f in source]
-    np.testing.assert_allclose(stamps, np.arange(FRAMES) / 25.0, rtol=0, atol=1e-9)
-
-
 def test_a_truncated_video_gives_what_is_there_and_says_how_much(film, tmp_path):
     data = film.read_bytes()
     half = tmp_path / "half.mkv"

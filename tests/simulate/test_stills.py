@@ -115,20 +115,6 @@ def test_the_board_covers_pixels_as_rays_cast_one_by_one_say(turn):
     assert max(abs(np.mean(d)) for d in off) < 2e-4
 
 
-def test_opencv_finds_the_corners_where_they_are():
-    stills, off = prepare_stills(StillsOptions(photos=0, boards=2)), []
-    for photo in photos(stills):
-        grey = cv2.cvtColor(photo.image, cv2.COLOR_BGR2GRAY)
-        found, corners = cv2.findChessboardCornersSB(grey, (11, 8))
-        assert found, photo.name
-        true = project(photo.pose.to_cam(stills.board.corners()), stills.scene.camera)[0]
-        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
-        corners = cv2.cornerSubPix(grey, corners, (7, 7), (-1, -1), stop).reshape(-1, 2)
-        off.append(min(corners - true, corners[::-1] - true, key=rms))
-    assert rms(off) < 0.05
-    assert np.max(np.abs(np.mean(off, axis=(0, 1)))) < 0.01  # they are not all shifted
-
-
 def test_the_boards_fill_the_picture_aslant_and_turned():
     board = Board()
     poses = board_stations(board, CAMERA, 15, np.random.default_rng(0))
@@ -233,11 +219,6 @@ def test_the_film_shows_the_gestures_of_axes_from_the_first_place(folder, evenin
     assert (film.rig.camera.width, film.rig.camera.height) == SMALL
     turns = [log(b @ a.T) for a, b in pairwise(film.truth.attitude)]
     assert_allclose(np.sum(turns, axis=0), np.full(3, np.pi / 3.0), atol=1e-6)
-
-
-def test_without_a_film_there_is_none(tmp_path):
-    practice(tmp_path / "set", photos=1, boards=0, size="1280x720", filmed=False)
-    assert not (tmp_path / "set" / "film").exists()
 
 
 def test_keys_are_those_of_the_reference_set():

@@ -12,7 +12,7 @@ from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import open_wand
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import exp
-from spheremouse.simulate.wand.ball import disc_paints, label_at, paint_ball, window
+from spheremouse.simulate.wand.ball import disc_paints, paint_ball
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.simulate.wand.path import (
     BALL_HEIGHT,
@@ -111,32 +111,6 @@ def test_a_hand_reaches_the_speeds_asked_for_and_no_more(speed, rate):
         assert np.degrees(np.max(turning_rates(R, 0.01))) == pytest.approx(rate, rel=0.02)
         assert np.max(np.abs(centre - path.middle)) < 0.16
         assert np.allclose(R @ R.transpose(0, 2, 1), np.eye(3), atol=1e-12)
-
-
-def opencv_label(uv, centre, R, ball, camera):
-    """What pixels meet, through OpenCV's undistortion and a quadratic in NumPy: an independent way to the labels."""
-    matrix, dist = camera.matrix, camera.distortion
-    xy = cv2.undistortPoints(uv.reshape(-1, 1, 2), matrix, dist, None, None, None)[:, 0]
-    rays = np.column_stack([xy, np.ones(len(xy))])
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    b = rays @ centre
-    root = b**2 - (centre @ centre - ball.radius**2)
-    with np.errstate(invalid="ignore"):
-        points = rays * (b - np.sqrt(root))[:, None] - centre
-    on_ball = points @ R / ball.radius
-    angle = np.arccos(np.clip(on_ball @ np.array([d.direction for d in ball.discs]).T, -1, 1))
-    inside = angle < np.array([d.angle for d in ball.discs])
-    return np.where(root < 0, -1, np.where(inside.any(axis=1), 1 + np.argmax(inside, axis=1), 0))
-
-
-def test_rays_meet_what_opencv_says():
-    ball, camera = grzonka_ball(), replace(CAMERA, distortion=LENS)
-    centre, R = np.array([0.4, 0.3, 1.8]), exp(np.array([2.0, 0.3, -0.4]))
-    left, right, top, bottom = window(centre, ball.radius, camera)
-    uv = rng().uniform((left, top), (right, bottom), (4000, 2))
-    ours, theirs = label_at(uv, centre, R, ball, camera), opencv_label(uv, centre, R, ball, camera)
-    assert len(np.unique(ours)) > 4
-    assert np.mean(ours != theirs) < 0.003  # but for what lies within OpenCV's own 0.01 px of an edge
 
 
 def test_a_disc_appears_where_opencv_projects_its_rim():

@@ -184,8 +184,8 @@ class Bundle:
 
     def jacobian(self, x: Array, sigma: Array) -> tuple[Array, Jacobian]:
         """Return the residuals of `evaluate`, (2n,), and the e estimated columns of their Jacobian, (2n, e)."""
-        residual, jacobian = self.evaluate(x, sigma)
-        return residual, _of_columns(jacobian, self._open)
+        residual, J = self.evaluate(x, sigma)
+        return residual, J if self._open.all() else sparse.csr_array(J.tocsc()[:, np.flatnonzero(self._open)])
 
     def residuals(self, x: Array) -> tuple[Array, ...]:
         """Return measured minus computed, (n, 2) px of each view."""
@@ -195,10 +195,6 @@ class Bundle:
     def spread(self, x: Array) -> Array:
         """Return the median absolute residual of each view, (v,) px."""
         return np.array([np.median(np.abs(r)) for r in self.residuals(x)])
-
-
-def _of_columns(jacobian: Jacobian, columns: NDArray[np.bool_]) -> Jacobian:
-    return jacobian if columns.all() else sparse.csr_array(jacobian.tocsc()[:, np.flatnonzero(columns)])
 
 
 def unknowns_of(used: NDArray[np.bool_]) -> NDArray[np.intp]:

@@ -190,8 +190,7 @@ def adjust_bundle(
         elif np.any(np.abs(np.log(spread)) > 0.02):
             factors = now
         else:
-            sphere = _sphere(solution, n)
-            outside = _outside(solution, sphere, n)
+            sphere, outside = _sphere(solution, n)
             if not np.any(outside):
                 return BundleResult(problem, image, used, solution, sphere, (float(factors[0]), float(factors[1])))
             used &= ~np.isin(image.point, kept[n:][outside])
@@ -347,26 +346,15 @@ def _require_targets(kept: NDArray[np.intp], device: Device) -> None:
         )
 
 
-def _sphere(solution: Solution, n: int) -> Sphere:
-    """Sphere through all points but the first n."""
-    return fit_sphere(_vector(solution.block), solution.covariance, _where(solution, n))
-
-
-def _where(solution: Solution, n: int) -> NDArray[np.intp]:
-    return solution.columns.point(np.arange(n, len(solution.block.points)))
-
-
-def _vector(block: Block) -> Array:
-    """All columns as observations; interior orientation and rotations are differences, 0."""
+def _sphere(solution: Solution, n: int) -> tuple[Sphere, NDArray[np.bool_]]:
+    """Sphere through all points but the first n, and True for those off it: bolts, dark spots of frame and room."""
+    block, where = solution.block, solution.columns.point(np.arange(n, len(solution.block.points)))
+    # all columns are observations; interior orientation and rotations are differences, 0
     poses = [np.concatenate([pose.position, np.zeros(3)]) for pose in block.poses]
-    return np.concatenate([np.zeros(INTERIOR), *poses, block.points.ravel()])
-
-
-def _outside(solution: Solution, sphere: Sphere, n: int) -> NDArray[np.bool_]:
-    """Return True for points off the sphere: bolts, dark spots of frame and room."""
-    where = _where(solution, n)
+    observations = np.concatenate([np.zeros(INTERIOR), *poses, block.points.ravel()])
+    sphere = fit_sphere(observations, solution.covariance, where)
     blocks = np.stack([solution.covariance[np.ix_(w, w)] for w in where])
-    return off_sphere(solution.block.points[n:], blocks, sphere)
+    return sphere, off_sphere(block.points[n:], blocks, sphere)
 
 
 def _ring_scale(views: TargetViews, block: Block) -> float:

@@ -84,7 +84,11 @@ def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling)
 
     J = jacobian(residuals, x)
     Q = np.linalg.inv(J.T @ J)
-    by_targets = jacobian(lambda p: residuals(rig=_with_places(rig, p)), rig.targets.position.ravel())
+    targets = rig.targets
+    by_targets = jacobian(
+        lambda p: residuals(rig=replace(rig, targets=replace(targets, position=p.reshape(-1, 3)))),
+        targets.position.ravel(),
+    )
     by_direction = jacobian(lambda c: residuals(rolling=replace(rolling, direction=c)), rolling.direction)
     by_lens = changes_by_lens(lambda c: residuals(rig=replace(rig, camera=c)), rig.camera)
     r = residuals()
@@ -136,15 +140,10 @@ def _fitted(
     return best[1:]
 
 
-def _pose_at(x: Array, rolling: Rolling) -> Pose:
-    """The pose for a rotation vector (R_obj_cam) and the logarithm of the distance."""
-    R = exp(x[:3])
-    return Pose(R, -np.exp(x[3]) * (R @ rolling.direction))
-
-
 def _target_residuals(x: Array, used: Sequence[Sighting], rig: Rig, rolling: Rolling, known: dict[str, int]) -> Array:
+    R = exp(x[:3])
     try:
-        predicted = predict_targets(_pose_at(x, rolling), rig)
+        predicted = predict_targets(Pose(R, -np.exp(x[3]) * (R @ rolling.direction)), rig)
     except np.linalg.LinAlgError:
         return np.full(2 * len(used), 1e6)
     way = [np.linalg.solve(np.linalg.cholesky(s.covariance), s.centre - predicted[known[s.code]]) for s in used]
@@ -165,10 +164,6 @@ def _starts(used: Sequence[Sighting], rig: Rig, rolling: Rolling, known: dict[st
         if D > 0.0 and facing and centre @ rolling.direction > 0.9 * D:
             found.append(np.concatenate([log(pose.rotation), [np.log(D)]]))
     return found
-
-
-def _with_places(rig: Rig, places: Array) -> Rig:
-    return replace(rig, targets=replace(rig.targets, position=places.reshape(-1, 3)))
 
 
 def jacobian(f: Callable[[Array], Array], x: Array) -> Array:

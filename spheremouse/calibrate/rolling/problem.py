@@ -183,9 +183,8 @@ def minimise(
     def linear(at: Rolling) -> tuple[float, Callable[[], Normal]]:
         equations = equations_of(at, s, camera)
         length = np.linalg.norm(equations.residual, axis=1)
-        cost = (
-            _cost(length, knee, at.readout, readout) if at.ratio > 1.0 else np.inf
-        )  # else the camera is within the ball
+        prior = ((at.readout - readout[0]) / max(readout[1], _MIN_READOUT_SIGMA)) ** 2
+        cost = huber_cost(length, knee) + prior if at.ratio > 1.0 else np.inf  # else the camera is within the ball
         return cost, lambda: _normal(at, s, equations, huber(length, knee), readout)
 
     at = levenberg_marquardt(
@@ -217,11 +216,6 @@ def _normal(at: Rolling, s: Sightings, equations: Equations, root: Array, readou
     N += float(np.median(np.diag(N)[GLOBAL:])) * free @ free.T
     cross = (at_frame.T @ shared).toarray().reshape(f, 3, -1)
     return Normal(N, b, own, cross, (at_frame.T @ r.ravel()).reshape(f, 3))
-
-
-def _cost(length: Array, knee: float | None, readout: float, expected: tuple[float, float]) -> float:
-    """Cost of the residuals, and of the readout's prior."""
-    return huber_cost(length, knee) + ((readout - expected[0]) / max(expected[1], _MIN_READOUT_SIGMA)) ** 2
 
 
 def _free(at: Rolling) -> Array:

@@ -110,26 +110,9 @@ def paint_ball(
     return Layer((int(left), int(top)), out)
 
 
-def label_at(
-    uv: Array, centre: Array, rotation: Array, ball: WandBall, camera: InteriorOrientation
-) -> NDArray[np.int64]:
-    """Return the labels, (n,), of the surfaces at pixels (n, 2): -1 nothing, 0 the body, k + 1 the k-th disc.
-
-    The ball has its centre at (3,) m in cam and R_cam_ball (3, 3).
-    """
-    directions = np.array([d.direction for d in ball.discs]).reshape(-1, 3)
-    cosines = np.cos([d.angle for d in ball.discs]).reshape(-1)
-    found, normal = np.empty(len(uv), dtype=np.int64), np.empty(3)
-    lens = (*camera.intrinsic, camera.distortion, camera.fold_r2)
-    pose = (np.asarray(centre, dtype=float), np.ascontiguousarray(rotation, dtype=float), float(ball.radius))
-    for i, (u, v) in enumerate(uv):
-        found[i] = _meet(float(u), float(v), pose, directions, cosines, lens, normal)
-    return found
-
-
 @njit(cache=True, error_model="numpy")
 def _meet(u, v, pose, directions, cosines, lens, normal):
-    """Label as `label_at`; the unit normal in `cam`, (3,), is left in `normal`."""
+    """Label of the surface at a pixel: -1 nothing, 0 the body, k + 1 the k-th disc; its unit normal, cam, in `normal`."""
     c, R, r = pose
     fx, fy, cx, cy, k, fold = lens
     x, y, _, _, _ = undistorted((u - cx) / fx, (v - cy) / fy, k, fold)

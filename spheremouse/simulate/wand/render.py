@@ -156,7 +156,8 @@ class WandRenderer:
         for passing in self.scene.cards:
             place = passing.at(t)
             if place is not None:
-                found.append((place[2], [card(place, self._card_colours(), camera, light)]))
+                colours = self.scene.balls[0].ball.colours if self.scene.balls else ("red", "blue")
+                found.append((place[2], [card(place, colours, camera, light)]))
         found.sort(key=lambda item: -item[0])
         return [layer for _, group in found for layer in group if layer is not None]
 
@@ -174,9 +175,6 @@ class WandRenderer:
         needed = np.nan_to_num(4.0 * (shift + turn), nan=1.0)
         n = 2 * int(np.clip(np.ceil(0.5 * needed), 0, _MOST_MOMENTS // 2)) + 1
         return t + exposure * ((np.arange(n) + 0.5) / n - 0.5)
-
-    def _card_colours(self) -> tuple[str, ...]:
-        return self.scene.balls[0].ball.colours if self.scene.balls else ("red", "blue")
 
     def _noisy(self, image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
         """Noise from one field at a place of its own: independent from frame to frame, at a fraction of the time."""

@@ -14,7 +14,6 @@ from spheremouse.ball.pose import Sighting, predict_targets
 from spheremouse.ball.rig import CODES, Ball, Rig, Targets
 from spheremouse.calibrate.report.rolling import advise
 from spheremouse.calibrate.rolling.adjust import adjust_rolling
-from spheremouse.calibrate.rolling.axes import Axes as RolledAxes
 from spheremouse.calibrate.rolling.axes import axes_from_gestures, axes_from_rings, axes_from_targets
 from spheremouse.calibrate.rolling.calibrate import solve
 from spheremouse.calibrate.rolling.footage import until
@@ -188,19 +187,6 @@ def test_errors_of_a_place_widen_the_covariance():
     found = adjust_rolling(replace(s, centre=pulled), disturbed(truth, 8), CAMERA)
     plain = adjust_rolling(s, disturbed(truth, 8), CAMERA)
     assert found.correlation > 2.0 * plain.correlation
-
-
-def test_the_lens_is_considered():
-    """A focal length that is off by one standard deviation shifts the ratio by what the covariance adds for it."""
-    truth, s = rolled(9, frames=60, discs=30, camera=replace(CAMERA, distortion=np.zeros(5)))
-    plain = replace(CAMERA, distortion=np.zeros(5))
-    C = np.zeros((9, 9))
-    C[:2, :2] = 2.0**2  # fx and fy together
-    without, considered = (adjust_rolling(s, truth, replace(plain, covariance=c)) for c in (0.0 * C, C))
-    off = adjust_rolling(s, truth, replace(plain, fx=plain.fx + 2.0, fy=plain.fy + 2.0))
-    added = np.sqrt(considered.covariance[3, 3] - without.covariance[3, 3])
-    assert added == pytest.approx(abs(off.rolling.ratio - without.rolling.ratio), rel=0.02)
-    assert added > 10.0 * np.sqrt(without.covariance[3, 3])
 
 
 def test_too_few_discs_are_refused():
@@ -431,29 +417,6 @@ def test_the_lens_is_considered_in_sizes(taped):
     added = considered.targets.covariance - plain.targets.covariance
     assert np.abs(added - np.outer(moved, moved)).max() < 0.02 * (moved @ moved)
     assert np.allclose(considered.covariance, considered.targets.covariance[-3:, -3:])
-
-
-def test_the_pose_carries_all_covariances():
-    """Those of axes, place and radius, as sampled."""
-    truth, s = rolled(4, frames=60, discs=30)
-    found = adjust_rolling(s, truth, CAMERA)
-    axes = RolledAxes(R_OBJ_CAM, 1e-4 * np.diag([1.0, 2.0, 3.0]))
-    pose, ball = place_camera(found, axes, 0.6, 0.003)
-    rng, drawn = np.random.default_rng(0), []
-    for _ in range(4000):
-        turn = rng.multivariate_normal(np.zeros(3), axes.covariance)
-        place = rng.multivariate_normal(np.zeros(4), found.covariance)
-        radius = 0.6 + 0.003 * rng.normal()
-        c, R = found.rolling.direction + place[:3], exp(turn) @ R_OBJ_CAM
-        P = -radius * (found.rolling.ratio + place[3]) * (R @ c)
-        drawn.append([*(P - pose.position), *turn, radius - 0.6])
-    C = np.cov(np.array(drawn).T)
-    joint = np.block(
-        [[pose.covariance, pose.ball_covariance[:, 3:]], [pose.ball_covariance[:, 3:].T, np.array([[9e-6]])]]
-    )
-    scale = np.sqrt(np.outer(np.diag(joint), np.diag(joint)))
-    assert np.abs((C - joint) / scale).max() < 0.08
-    assert ball.covariance[3, 3] == pytest.approx(9e-6)
 
 
 def test_one_axis_alone_is_advised_against():

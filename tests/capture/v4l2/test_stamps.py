@@ -195,12 +195,6 @@ def test_how_far_a_clock_may_be_off_to_be_ours(off, said):
     assert said in words[0]
 
 
-def test_a_shift_holds_without_stamps_too():
-    came = 20 + np.arange(30) / FPS
-    stamps, _ = run([(0.0, arrival(c)) for c in came], Timing(Moment.END_OF_FRAME, 1 / FPS, 0.01, shift=-0.03))
-    np.testing.assert_allclose(stamps, came - 0.035, rtol=0, atol=1e-9)
-
-
 @given(
     st.lists(st.tuples(raws, steps, st.booleans()), min_size=1, max_size=60),
     st.sampled_from(Moment),

@@ -128,9 +128,3 @@ def test_a_device_is_photographed_in_the_mode_of_its_camera(tmp_path, poses):
     save_camera(tmp_path / "camera.yaml", replace(CAMERA, width=1280, height=960))
     with pytest.raises(CalibrationError, match=r"is for the mode 1280x960, the camera gives 640x480"):
         run("--for", "device", tmp_path, "--source", film(tmp_path / "f.mkv", poses))
-
-
-def test_sources_that_are_none_are_refused(tmp_path):
-    for source in ("video:none.mkv", "v4l2:/dev/nothing", "nothing:1"):
-        with pytest.raises(SourceError):
-            run("--for", "camera", tmp_path, *BOARD, "--source", source)
