@@ -112,7 +112,7 @@ def paint_ball(
 
 @njit(cache=True, error_model="numpy")
 def _meet(u, v, pose, directions, cosines, lens, normal):
-    """Label of the surface at a pixel: -1 nothing, 0 the body, k + 1 the k-th disc; its unit normal, cam, in `normal`."""
+    """Label of the surface at a pixel: -1 nothing, 0 the body, k + 1 the k-th disc; its unit normal in `normal`."""
     c, R, r = pose
     fx, fy, cx, cy, k, fold = lens
     x, y, _, _, _ = undistorted((u - cx) / fx, (v - cy) / fy, k, fold)
