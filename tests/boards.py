@@ -5,8 +5,8 @@ from functools import cache, lru_cache
 import cv2
 import numpy as np
 
+from spheremouse.calibrate.board import Pattern
 from spheremouse.calibrate.camera.bundle import View
-from spheremouse.calibrate.camera.corners import Pattern
 from spheremouse.geometry.camera import InteriorOrientation, project, unproject
 from spheremouse.geometry.rotation import exp
 

@@ -5,14 +5,17 @@ board from it.
 """
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from spheremouse.errors import CalibrationError, ConfigurationError, printable
+import numpy as np
+
+from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.files.safe_files import write_atomically
 from spheremouse.files.yaml import Problem, read_document, refuse_control_characters
+from spheremouse.geometry.rotation import Array
 
 NAME = "board.yaml"
 PRINTED = Path("calibration/print")  # default folder of `calibrate print`
@@ -22,6 +25,7 @@ _NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d{1,3})?"
 _MAX_LENGTH = 100.0  # m; nothing in front of a webcam is longer
 _MAX_CORNERS = 200  # to a side of a board
 _DICTIONARY = "DICT_5X5_100"
+DICTIONARIES = tuple(f"DICT_{n}X{n}_{m}" for n in (4, 5, 6, 7) for m in (50, 100, 250, 1000))
 
 
 # ---- lengths and corners, also as parsers of typer options ----
@@ -65,41 +69,74 @@ def parse_board(text: str) -> Board:
     return board
 
 
-# ---- the file ----
+# ---- a board ----
 
 
 @dataclass(frozen=True, slots=True)
-class BoardFile:
-    """A board in the words of the command line."""
+class Pattern:
+    """A board: `marker` makes it a ChArUco board. Its frame: first corner, X along a row, Y down, Z into the board."""
 
-    board: str = "11x8"  # inner corners, along and down
-    square: str = "20mm"  # default of `calibrate print` on A4
-    marker: str | None = None  # of a ChArUco board
+    columns: int = 11  # inner corners in a row
+    rows: int = 8
+    square: float = 0.02  # m; the default is that of `calibrate print` on A4
+    marker: float | None = None  # m, side of a ChArUco marker
     dictionary: str = _DICTIONARY
+
+    def corners(self) -> Array:
+        """All inner corners row by row, (columns * rows, 3) m."""
+        y, x = np.mgrid[: self.rows, : self.columns]
+        return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1) * self.square
+
+    @property
+    def words(self) -> dict[str, str]:
+        """The board in the words of the command line and of board.yaml."""
+        words = {"board": f"{self.columns}x{self.rows}", "square": f"{1e3 * self.square:.9g}mm"}
+        if self.marker is not None:
+            words |= {"marker": f"{1e3 * self.marker:.9g}mm", "dictionary": self.dictionary}
+        return words
 
     @property
     def options(self) -> list[str]:
         """Options of `calibrate camera` for this board."""
-        words = ["--board", self.board, "--square", self.square]
-        if self.marker is not None:
-            words += ["--marker", self.marker]
-            words += [] if self.dictionary == _DICTIONARY else ["--dictionary", self.dictionary]
-        return words
+        return [w for key, word in self.words.items() if word != _DICTIONARY for w in (f"--{key}", word)]
 
     @property
     def text(self) -> str:
         """Content of board.yaml."""
         lines = [
             "# The board. `calibrate photos --square` writes the side of a square as you measured it here.",
-            f"board: {self.board}  # inner corners along and down: one less than squares",
-            f"square: {self.square}",
+            "# board: inner corners along and down, one less than squares; marker: it is a ChArUco board.",
+            *(f"{key}: {word}" for key, word in self.words.items()),
         ]
-        if self.marker is not None:
-            lines += [f"marker: {self.marker}  # it is a ChArUco board", f"dictionary: {self.dictionary}"]
         return "\n".join(lines) + "\n"
 
 
-def save_board(path: Path, board: BoardFile) -> None:
+def parse_pattern(board: str, square: str, marker: str | None = None, dictionary: str = _DICTIONARY) -> Pattern:
+    """Return the board of a command line's words; CalibrationError if there can be no such board."""
+    columns, rows = parse_board(board)
+    side = parse_length(square)
+    if marker is None:
+        return Pattern(columns, rows, side)
+    inner = parse_length(marker)
+    if inner >= side:
+        raise CalibrationError(f"--marker {marker}: must be smaller than the square around it, which is {square}")
+    name = str(dictionary).upper()
+    name = name if name.startswith("DICT_") else f"DICT_{name}"
+    if name not in DICTIONARIES:
+        raise CalibrationError(f"--dictionary {dictionary}: not known; one of {', '.join(DICTIONARIES)}")
+    needed, has = (columns + 1) * (rows + 1) // 2, int(name.rpartition("_")[2])  # one in every second square
+    if needed > has:
+        raise CalibrationError(
+            f"--dictionary {name}: has {has} markers, and a board of {columns}x{rows} inner corners carries {needed}; "
+            "name the dictionary that is printed on the board"
+        )
+    return Pattern(columns, rows, side, inner, name)
+
+
+# ---- its file ----
+
+
+def save_board(path: Path, board: Pattern) -> None:
     """Write board.yaml, unless it describes this board already."""
     try:
         if load_board(path) == board:
@@ -109,26 +146,31 @@ def save_board(path: Path, board: BoardFile) -> None:
     write_atomically(path, board.text)
 
 
-def load_board(path: Path) -> BoardFile:
+def load_board(path: Path) -> Pattern:
     """Read board.yaml; ConfigurationError with a line for each problem."""
     document = read_document(path)
     data = document.data
     if not isinstance(data, dict):
         raise document.error([Problem((), "must be lines like `square: 20mm`")])
     refuse_control_characters(document)
-    problems = [Problem((key,), "is not known here") for key in data if key not in BoardFile.__dataclass_fields__]
-    for key, parse in (("board", parse_board), ("square", parse_length), ("marker", parse_length)):
+    known = {"board": parse_board, "square": parse_length, "marker": parse_length, "dictionary": str}
+    problems = []
+    for key, value in data.items():
         try:
-            if key in data:
-                parse(data[key])
+            known[key](value)
+        except KeyError:
+            problems.append(Problem((key,), "is not known here"))
         except CalibrationError as e:
             problems.append(Problem((key,), str(e)))
     if problems:
         raise document.error(problems)
-    return BoardFile(**{key: str(value) for key, value in data.items()})
+    try:
+        return parse_pattern(**{**Pattern().words, **{key: str(value) for key, value in data.items()}})
+    except CalibrationError as e:
+        raise document.error([Problem(("marker",), str(e))]) from None
 
 
-def known_board(folder: Path) -> BoardFile | None:
+def known_board(folder: Path) -> Pattern | None:
     """Return the board of a calibration's folder, else the one printed last, else None.
 
     Raises ConfigurationError if its file is damaged.
@@ -139,11 +181,11 @@ def known_board(folder: Path) -> BoardFile | None:
 
 def chosen_board(
     folder: Path, board: str | None, square: str | None, marker: str | None, dictionary: str | None
-) -> BoardFile:
+) -> Pattern:
     """Return the board that a command line names; `known_board` or the default print completes it."""
     given = {"board": board, "square": square, "marker": marker, "dictionary": dictionary}
-    known = (BoardFile() if board and square else known_board(folder)) or BoardFile()
-    return replace(known, **{key: value for key, value in given.items() if value is not None})
+    known = (Pattern() if board and square else known_board(folder)) or Pattern()
+    return parse_pattern(**{**known.words, **{key: word for key, word in given.items() if word is not None}})
 
 
 def board_options(folder: Path) -> list[str]:
@@ -152,18 +194,14 @@ def board_options(folder: Path) -> list[str]:
         board = known_board(folder)
     except ConfigurationError:
         board = None
-    return (board or BoardFile()).options
+    return (board or Pattern()).options
 
 
-def options_from_provenance(provenance: dict[str, Any]) -> tuple[str, ...]:
-    """Return the board options in a camera file's provenance, as in `--board 11x8 --square 0.086m`, or nothing."""
+def options_from_provenance(provenance: dict[str, Any]) -> list[str]:
+    """Return the board options in a camera file's provenance, as in `--board 11x8 --square 86mm`, or nothing."""
     try:
-        board, square = provenance["board"], float(provenance["square"])
-        columns, rows = parse_board(board) if isinstance(board, str) else board
-        found = BoardFile(f"{int(columns)}x{int(rows)}", f"{square:g}m")
-        if "marker" in provenance:
-            marker, dictionary = f"{float(provenance['marker']):g}m", printable(provenance["dictionary"])
-            found = replace(found, marker=marker, dictionary=dictionary)
-        return tuple(found.options)
-    except (CalibrationError, KeyError, TypeError, ValueError):
-        return ()
+        lengths = {key: f"{float(provenance[key]):g}m" for key in ("square", "marker") if key in provenance}
+        others = {key: str(provenance[key]) for key in ("board", "dictionary") if key in provenance}
+        return parse_pattern(**lengths, **others).options
+    except (CalibrationError, TypeError, ValueError):
+        return []

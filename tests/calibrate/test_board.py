@@ -3,13 +3,11 @@
 import pytest
 
 from spheremouse.calibrate import board
-from spheremouse.calibrate.board import NAME, BoardFile, board_options, known_board, load_board, save_board
+from spheremouse.calibrate.board import NAME, Pattern, board_options, known_board, load_board, save_board
 from spheremouse.errors import ConfigurationError
 
 
-@pytest.mark.parametrize(
-    "board", [BoardFile(), BoardFile("9x6", "20.1mm"), BoardFile("9x6", "30mm", "22mm", "DICT_4X4_50")]
-)
+@pytest.mark.parametrize("board", [Pattern(), Pattern(9, 6, 0.0201), Pattern(9, 6, 0.03, 0.022, "DICT_4X4_50")])
 def test_what_is_written_is_read(tmp_path, board):
     save_board(tmp_path / NAME, board)
     assert load_board(tmp_path / NAME) == board
@@ -35,15 +33,15 @@ def test_slips_are_told_with_their_line(tmp_path, text, said):
     with pytest.raises(ConfigurationError, match=NAME) as e:
         load_board(tmp_path / NAME)
     assert said in str(e.value)
-    assert board_options(tmp_path) == BoardFile().options
+    assert board_options(tmp_path) == Pattern().options
 
 
 def test_the_folder_s_own_board_comes_before_the_printed_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert known_board(tmp_path / "cabinet") is None
     board.PRINTED.mkdir(parents=True)
-    save_board(board.PRINTED / NAME, BoardFile(square="40mm"))
+    save_board(board.PRINTED / NAME, Pattern(square=0.04))
     assert board_options(tmp_path / "cabinet") == ["--board", "11x8", "--square", "40mm"]
     (tmp_path / "cabinet").mkdir()
-    save_board(tmp_path / "cabinet" / NAME, BoardFile(square="39.9mm", marker="30mm"))
+    save_board(tmp_path / "cabinet" / NAME, Pattern(square=0.0399, marker=0.03))
     assert board_options(tmp_path / "cabinet") == ["--board", "11x8", "--square", "39.9mm", "--marker", "30mm"]

@@ -8,9 +8,10 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from spheremouse.calibrate import photos
+from spheremouse.calibrate.board import Pattern
 from spheremouse.calibrate.camera.adjust import MIN_VIEWS, calibrate_board
 from spheremouse.calibrate.camera.bundle import BoardAdjustment, View
-from spheremouse.calibrate.camera.corners import Pattern, Sighting, detect_dictionary, find_board, measure_in_plane
+from spheremouse.calibrate.camera.corners import Sighting, detect_dictionary, find_board, measure_in_plane
 from spheremouse.calibrate.camera.coverage import Coverage, coverage
 from spheremouse.calibrate.photos import Photo, image
 from spheremouse.errors import CalibrationError

@@ -14,13 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.calibrate.board import BoardFile, parse_board, parse_length
-from spheremouse.errors import CalibrationError
+from spheremouse.calibrate.board import DICTIONARIES, Pattern
 from spheremouse.geometry.camera import InteriorOrientation, project, unproject
 from spheremouse.geometry.rotation import Array
-
-DICTIONARIES = tuple(f"DICT_{n}X{n}_{m}" for n in (4, 5, 6, 7) for m in (50, 100, 250, 1000))
-MARKER_SHARE = 0.75  # of a square's side, of a marker on printed boards
 
 SEARCHED = 2.0e6  # px; larger images are reduced to it for the search
 _WINDOW = 0.25  # of the way to the next corner: a window turned by 45° still holds no other edge
@@ -32,46 +28,6 @@ _MIN_WINDOW, _MAX_WINDOW = 2, 40  # px, half a side
 _MAX_MOTION = 0.5  # half-windows of a corner; beyond, another edge attracts it
 _MIN_SIDE = 3  # corners of the smallest board
 _MIN_CHARUCO_CORNERS = 12  # twice the minimum for a pose
-
-
-@dataclass(frozen=True, slots=True)
-class Pattern:
-    """A board: `marker` makes it a ChArUco board. Its frame: first corner, X along a row, Y down, Z into the board."""
-
-    columns: int  # inner corners in a row
-    rows: int
-    square: float  # m
-    marker: float | None = None  # m, side of a ChArUco marker
-    dictionary: str = "DICT_5X5_100"
-
-    def corners(self) -> Array:
-        """All inner corners row by row, (columns * rows, 3) m."""
-        y, x = np.mgrid[: self.rows, : self.columns]
-        return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1) * self.square
-
-
-def pattern_of(board: BoardFile) -> Pattern:
-    """Return the pattern of a board's options; CalibrationError if there can be no such board."""
-    columns, rows = parse_board(board.board)
-    side = parse_length(board.square)
-    if board.marker is None:
-        return Pattern(columns, rows, side)
-    inner = parse_length(board.marker)
-    if inner >= side:
-        raise CalibrationError(
-            f"--marker {board.marker}: must be smaller than the square around it, which is {board.square}"
-        )
-    name = board.dictionary.upper()
-    name = name if name.startswith("DICT_") else f"DICT_{name}"
-    if name not in DICTIONARIES:
-        raise CalibrationError(f"--dictionary {board.dictionary}: not known; one of {', '.join(DICTIONARIES)}")
-    pattern = Pattern(columns, rows, side, inner, name)
-    if markers_of(pattern) > markers_in(name):
-        raise CalibrationError(
-            f"--dictionary {name}: has {markers_in(name)} markers, and a board of {columns}x{rows} inner corners "
-            f"carries {markers_of(pattern)}; name the dictionary that is printed on the board"
-        )
-    return pattern
 
 
 @dataclass(frozen=True, slots=True)
@@ -334,16 +290,6 @@ def _charuco(pattern: Pattern) -> tuple[cv2.aruco.CharucoBoard, cv2.aruco.Charuc
 
 def _dictionary(name: str) -> cv2.aruco.Dictionary:
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-
-
-def markers_of(pattern: Pattern) -> int:
-    """Return the number of markers of a ChArUco board: one in every second square."""
-    return (pattern.columns + 1) * (pattern.rows + 1) // 2
-
-
-def markers_in(dictionary: str) -> int:
-    """Return the number of markers of a dictionary."""
-    return int(dictionary.rpartition("_")[2])
 
 
 def _as_laid_out(board: cv2.aruco.CharucoBoard, outlines: Array, ids: NDArray[np.intp]) -> tuple[float, bool]:

@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 
 from spheremouse.ball.detect.detections import Image
+from spheremouse.calibrate.board import Pattern
 from spheremouse.calibrate.camera.adjust import calibrate_board
 from spheremouse.calibrate.camera.bundle import View, resect_views
 from spheremouse.calibrate.camera.calibrate import rejection_reason
-from spheremouse.calibrate.camera.corners import SEARCHED, Pattern, Sighting, find_board
+from spheremouse.calibrate.camera.corners import SEARCHED, Sighting, find_board
 from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, Coverage, coverage, enough, gain, missing
 from spheremouse.calibrate.photographing.selector import Selector
 from spheremouse.errors import CalibrationError

@@ -41,7 +41,6 @@ def camera(
     """
     from spheremouse.calibrate.board import NAME, chosen_board
     from spheremouse.calibrate.camera.calibrate import calibrate, provenance
-    from spheremouse.calibrate.camera.corners import pattern_of
     from spheremouse.calibrate.photos import read_photos
     from spheremouse.calibrate.report.camera import advise, camera_json, print_camera, write_camera_report
     from spheremouse.commands.terminal import table_console
@@ -55,14 +54,13 @@ def camera(
             "--square: measure the side of a square on the print, and give it with the board's inner corners, as in "
             "--board 11x8 --square 86mm"
         )
-    chosen = chosen_board(folder.parent, board, square, marker, dictionary)
-    pattern = pattern_of(chosen)
+    pattern = chosen_board(folder.parent, board, square, marker, dictionary)
     if distortion not in _TERMS:
         raise CalibrationError(f"--distortion {distortion}: must be one of {', '.join(map(str, _TERMS))}")
     page = report or out.with_suffix(".html")
     check_outputs([out, page, json_file], photos, force)
     if square is None:
-        note(f"the board, from its board.yaml: {' '.join(chosen.options)}")
+        note(f"the board, from its board.yaml: {' '.join(pattern.options)}")
     found = read_photos(photos, note)
     with progress_bar() as bar:
         task = bar.add_task("", total=2 * len(found))
@@ -76,7 +74,7 @@ def camera(
     print_camera(done, table_console())
     typer.echo(f"{out}: the camera; {page}: the report")
     if any(kind != "good" for kind, _ in advise(done)):
-        given = [*chosen.options, *([] if distortion == _ALL_TERMS else ["--distortion", str(distortion)])]
+        given = [*pattern.options, *([] if distortion == _ALL_TERMS else ["--distortion", str(distortion)])]
         again = copyable("spheremouse", "calibrate", "camera", *photos, *given, "--out", out, "--force")
         typer.echo(f"with more photos, again: {again}")
     typer.echo(f"next: {_next_command(out)}")

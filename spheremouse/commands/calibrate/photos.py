@@ -11,7 +11,7 @@ from spheremouse.commands.calibrate.options import Corners, Dictionary, Marker, 
 from spheremouse.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from spheremouse.calibrate.board import BoardFile
+    from spheremouse.calibrate.board import Pattern
     from spheremouse.calibrate.photographing.selector import Selector
     from spheremouse.calibrate.photographing.session import Outcome, Screen
     from spheremouse.capture import Source
@@ -100,11 +100,9 @@ def _save_settings(config: Path, source: str | None, configured: "Configuration"
         save_settings(config, given, Configuration)
 
 
-def _board_selector(known: "BoardFile") -> "Callable[[Size], Selector]":
-    from spheremouse.calibrate.camera.corners import pattern_of
+def _board_selector(pattern: "Pattern") -> "Callable[[Size], Selector]":
     from spheremouse.calibrate.photographing.board import BoardSelector
 
-    pattern = pattern_of(known)
     return lambda size: BoardSelector(pattern, size)
 
 

@@ -44,7 +44,7 @@ def print_(
 
     Vector PDFs at true scale, with rulers to check the print; the recipe is HTML. The same options give the same bytes.
     """
-    from spheremouse.calibrate.board import NAME, BoardFile, parse_board
+    from spheremouse.calibrate.board import NAME, Pattern, parse_board
     from spheremouse.calibrate.prints.page import pdf
     from spheremouse.calibrate.prints.recipe import recipe
     from spheremouse.calibrate.prints.sheets import (
@@ -69,7 +69,7 @@ def print_(
     if Kind.BOARDS in kinds:
         for pattern in (chessboard(corners, side), charuco(corners, side)):
             made[f"{pattern.file}-{size}.pdf"] = pdf([board_page(pattern, size)], pattern.name)
-        made[NAME] = BoardFile(f"{corners.columns}x{corners.rows}", f"{mm(side)}mm").text.encode()
+        made[NAME] = Pattern(corners.columns, corners.rows, side / 1000).text.encode()
     if Kind.DISCS in kinds:
         radius = _millimetres("--disc-radius", disc_radius)
         made[f"discs-{discs}-{mm(radius)}mm-{size}.pdf"] = pdf(disc_pages(discs, radius, size), "Discs")

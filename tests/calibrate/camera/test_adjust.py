@@ -7,10 +7,11 @@ from boards import CAMERA, PATTERN, picture, places, views
 from conftest import datasets_dir
 from scipy.stats import chi2
 
+from spheremouse.calibrate.board import Pattern
 from spheremouse.calibrate.camera import bundle as bundle_module
 from spheremouse.calibrate.camera.adjust import calibrate_board
 from spheremouse.calibrate.camera.bundle import View
-from spheremouse.calibrate.camera.corners import Pattern, detect_dictionary, find_board, measure_in_plane
+from spheremouse.calibrate.camera.corners import detect_dictionary, find_board, measure_in_plane
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import exp, log

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from spheremouse.ball.rig import Ball, Rig, Targets
-from spheremouse.calibrate.board import BoardFile, save_board
+from spheremouse.calibrate.board import Pattern, save_board
 from spheremouse.calibrate.guide import checklist as checklist_module
 from spheremouse.calibrate.guide.checklist import checklist
 from spheremouse.calibrate.outputs import sha256
@@ -45,7 +45,7 @@ def run(*words):
 
 def printed(folder):
     (folder / "print").mkdir()
-    save_board(folder / "print" / "board.yaml", BoardFile())
+    save_board(folder / "print" / "board.yaml", Pattern())
 
 
 def photograph(folder, n, first=0, size=SIZE):
@@ -285,10 +285,8 @@ def test_a_rig_from_rolling_needs_no_photos_of_the_device(cabinet):
 @pytest.mark.parametrize(
     ("board", "square", "options"),
     [
-        ("9x6", 0.03, "--board 9x6 --square 0.03m"),
-        ([9, 6], 0.0305, "--board 9x6 --square 0.0305m"),
+        ("9x6", 0.03, "--board 9x6 --square 30mm"),
         ("rubbish", 0.03, "--board 11x8 --square 20mm"),
-        ([9], 0.03, "--board 11x8 --square 20mm"),
     ],
 )
 def test_another_run_takes_the_board_of_the_first(cabinet, board, square, options):

@@ -8,7 +8,7 @@ import pytest
 from boards import CAMERA, picture, places
 from typer.testing import CliRunner
 
-from spheremouse.calibrate.board import NAME, BoardFile, load_board
+from spheremouse.calibrate.board import NAME, Pattern, load_board
 from spheremouse.calibrate.camera import coverage
 from spheremouse.calibrate.photographing import board as photographing
 from spheremouse.commands import app
@@ -55,7 +55,7 @@ def test_photos_are_taken_until_they_are_enough_and_the_next_command_works(tmp_p
     result = run("--for", "camera", folder, *BOARD, "--source", film(tmp_path / "f.mkv", poses))
     assert f"{folder / 'board'}: 4 photos, which is enough" in result.stdout
     assert sorted(p.name for p in (folder / "board").iterdir()) == [f"view_{k:03d}.png" for k in range(4)]
-    assert load_board(folder / NAME) == BoardFile("9x6", "30mm")
+    assert load_board(folder / NAME) == Pattern(9, 6, 0.03)
     words = shlex.split(result.stdout.splitlines()[-1].removeprefix("next: "))
     assert words[1:3] == ["calibrate", "camera"]
     run(*words[3:], command="camera")

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from spheremouse.calibrate.board import NAME, BoardFile, save_board
+from spheremouse.calibrate.board import NAME, Pattern, save_board
 from spheremouse.errors import CalibrationError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.geometry.rotation import Array
@@ -50,7 +50,7 @@ def write_stills(folder: Path, stills: Stills, quality: int) -> Iterator[Path]:
         yield path
     (folder / "truth.json").write_text(json.dumps(truth_of(stills), indent=1) + "\n", encoding="utf-8")
     board = stills.board
-    save_board(folder / NAME, BoardFile(f"{board.columns}x{board.rows}", f"{1e3 * board.square:g}mm"))
+    save_board(folder / NAME, Pattern(board.columns, board.rows, board.square))
     (folder / "device.yaml").write_text(device_yaml(stills), encoding="utf-8")
 
 
