@@ -303,13 +303,14 @@ def _is_section(cls: type, field: "dataclasses.Field[Any]") -> bool:
     return dataclasses.is_dataclass(_hints(cls)[field.name])
 
 
-def _ordered(cls: type) -> list["dataclasses.Field[Any]"]:
+@functools.cache
+def _ordered(cls: type) -> tuple["dataclasses.Field[Any]", ...]:
     """Return the fields of a settings class in the order of a YAML file: settings first, then sections.
 
     A field that is neither a section nor made by `settings.param` is a constant of the code and left out.
     """
     found = [f for f in dataclasses.fields(cls) if f.metadata or _is_section(cls, f)]
-    return sorted(found, key=lambda f: _is_section(cls, f))
+    return tuple(sorted(found, key=lambda f: _is_section(cls, f)))
 
 
 def _unit(field: "dataclasses.Field[Any]") -> str:

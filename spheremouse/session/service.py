@@ -15,7 +15,7 @@ from pathlib import Path
 from spheremouse import __version__
 from spheremouse.capture import OpenCamera
 from spheremouse.capture.fetch import Capture
-from spheremouse.capture.newest import LatestFrame
+from spheremouse.capture.newest import Arrival, LatestFrame
 from spheremouse.capture.signals import SignalHandler, on_hang_up
 from spheremouse.errors import ControlError
 from spheremouse.output import Counts, Report, report_of
@@ -40,7 +40,7 @@ from spheremouse.session.run_config import CommandLineOverrides, RunConfig
 from spheremouse.session.run_description import describe_run
 from spheremouse.session.setup import Setup
 from spheremouse.session.state_monitor import StateMonitor
-from spheremouse.session.timing import Arrivals, CpuShare, memory_mb
+from spheremouse.session.timing import NEXT_FRAME, Arrivals, CpuShare, memory_mb
 from spheremouse.session.tracker_adapter import MAP, POSE, TARGETS, FrameResult, TrackerAdapter
 from spheremouse.session.worker import Worker
 
@@ -161,32 +161,39 @@ class Daemon:
     # ---- the loop ----
 
     def _loop(self, stopping: SignalHandler) -> None:
+        """Work on frames. Requests come directly after a frame, so that no frame waits for one."""
+        now = time.monotonic()
         while not (stopping.asked or self._ending):
-            arrival = self._ring.take(_TICK)
-            self._requests.run(self._handle)
-            now = time.monotonic()
+            arrival = self._ring.take(NEXT_FRAME if self._arrivals.expected(now) else _TICK)
+            now, finished = time.monotonic(), self._capture.finished
             if arrival is not None:
-                self._arrivals.add(now)
-                try:
-                    made = self._worker.work(arrival, colour=self._archive.wants_colour)
-                    if made is not None:
-                        if self._monitor.state is not State.TRACKING:
-                            self._update_state(now)  # log the state before anything moves
-                        self._publish(made, arrival.taken)
-                    elif self._worker.untracked is not None:
-                        self._archive.look(self._worker.untracked, self.adapter)
-                    self._pictures.show(now, arrival.raw, self.adapter, made)
-                finally:
-                    self._worker.forget()
-                    arrival.raw.release()
-            elif self._capture.finished:
+                self._work(arrival, now)
+            self._update_state(now)
+            if arrival is not None or finished or not self._arrivals.expected(now):
+                self._requests.run(self._handle)
+            if arrival is None and finished:
                 if self._capture.failure is not None:
                     raise self._capture.failure
                 self._finished = True
                 break
-            self._update_state(now)
             self._do_periodic_work(now)
             self._ending |= self._outputs.ended
+
+    def _work(self, arrival: Arrival, now: float) -> None:
+        """Track a frame that arrived at `now` (s, monotonic), and show it."""
+        self._arrivals.add(now)
+        try:
+            made = self._worker.work(arrival, colour=self._archive.wants_colour)
+            if made is not None:
+                if self._monitor.state is not State.TRACKING:
+                    self._update_state(now)  # log the state before anything moves
+                self._publish(made, arrival.taken)
+            elif self._worker.untracked is not None:
+                self._archive.look(self._worker.untracked, self.adapter)
+            self._pictures.show(now, arrival.raw, self.adapter, made)
+        finally:
+            self._worker.forget()
+            arrival.raw.release()
 
     def _publish(self, made: FrameResult, taken: float) -> None:
         """Pass the result of a frame to all subscribers, the outputs first."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from spheremouse.capture.fetch import PATIENCE
 
+NEXT_FRAME = 0.05  # s from one frame to the next, at 20 frames/s
 _SHORTEST, _LONGEST = 1e-6, 100.0  # s
 _CLASSES_PER_E = 50  # classes are exp(1/50) = 2 % wide
 _CLASSES = math.ceil(math.log(_LONGEST / _SHORTEST) * _CLASSES_PER_E) + 1
@@ -75,6 +76,10 @@ class Arrivals:
         """Count a frame that arrived at `now`."""
         self._last = now
         self._times.add(0.0, now)
+
+    def expected(self, now: float) -> bool:
+        """Return True if the next frame of a camera with 20 frames/s or more is not yet late."""
+        return now - self._last < NEXT_FRAME
 
     def silent(self, now: float) -> bool:
         """Return True if no frame has arrived for longer than a camera may take."""

@@ -499,6 +499,29 @@ def test_an_error_of_ours_while_reading_is_said_and_the_next_reload_works(playin
     assert ask(playing, "reload")["changed"] == []
 
 
+def test_a_request_is_handled_directly_after_a_frame_so_that_none_waits_for_it(playing, monkeypatch):
+    """At whatever moment it comes."""
+    done, gaps, rng = [time.monotonic()], [], np.random.default_rng(2)
+    change, show = loader_module.ConfigReloader.set, run_module.PictureFeed.show
+
+    def changed(*arguments):
+        gaps.append(time.monotonic() - done[-1])
+        change(*arguments)
+
+    def shown(*arguments):
+        show(*arguments)
+        done.append(time.monotonic())
+
+    monkeypatch.setattr(loader_module.ConfigReloader, "set", changed)
+    monkeypatch.setattr(run_module.PictureFeed, "show", shown)
+    playing.paced = True
+    playing.settle()
+    for k in range(25):
+        ask(playing, "set", assignments=[f"motion.scale_y={1 + k % 2}"])
+        time.sleep(rng.uniform(0.0, 2.0 * DT))
+    assert np.median(gaps) < 0.1 * DT
+
+
 # ---- the camera's pose ----
 
 

@@ -1,0 +1,291 @@
+"""Measure what a live page costs the tracker: `python -m tests.live_cost [--rounds N] [--seconds S] [KIND ...]`.
+
+A daemon tracks a simulated ball, 640x480 in colour at 60 Hz, in a process of its own. Between two periods without a
+client, a client disturbs it in one of the ways of `KINDS`. The table has the daemon's latency from a frame's arrival to
+its report at the output, 99 % of a period, and the ratio to that of the periods before and after, since other programs
+disturb, too. It also has the growth of memory (resident, without pages of files), and the frames skipped.
+"""
+
+import argparse
+import contextlib
+import itertools
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+from spheremouse.capture import Payload
+from spheremouse.errors import ControlError
+from spheremouse.files.rig import rig_text
+from spheremouse.output import Output
+from spheremouse.session import outputs
+from spheremouse.session.control.client import Client
+from spheremouse.session.control.protocol import LEASE
+from spheremouse.session.run_config import CommandLineOverrides, read_run_config
+from spheremouse.session.service import Daemon
+from spheremouse.session.setup import Setup
+from spheremouse.tracker import Frame
+from tests.daemon_world import Film
+
+FPS = 60.0
+PATIENCE = 300.0  # s; the first start compiles
+SETTLE = LEASE + 2.0  # s after each period, in which a lease ends
+CONFIG = 'schema: 2\nsource: "synthetic:"\noutput: "null"\nrig: rig.yaml\nrealtime: auto\ncontrol: {{socket: {}/s}}\n'
+
+
+# ---- the daemon's process ----
+
+
+class Raw:
+    """A frame of the film."""
+
+    def __init__(self, image, stamp, sequence):
+        self._image, self.stamp, self.sequence = image, stamp, sequence
+
+    def frame(self, colour):
+        return Frame(self._image, self.stamp, self.sequence)
+
+    def payload(self):
+        height, width = self._image.shape[:2]
+        return Payload("bgr", width, height, self._image.reshape(-1).data)
+
+    def release(self):
+        return None
+
+
+class Camera:
+    """Plays the film back and forth."""
+
+    def __init__(self, images):
+        self._places, self._images = itertools.cycle([*range(len(images)), *range(len(images) - 2, 0, -1)]), images
+        self._sequence, self._due = 0, time.monotonic()
+
+    def next(self, timeout):
+        self._due = max(self._due + 1.0 / FPS, time.monotonic() - 1.0 / FPS)
+        time.sleep(max(0.0, self._due - time.monotonic()))
+        self._sequence += 1
+        return Raw(self._images[next(self._places)], time.monotonic(), self._sequence)
+
+    def describe(self):
+        return "a film"
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        return None
+
+
+class Sink(Output):
+    """Records the time of each report, and s since the arrival of its frame."""
+
+    def __init__(self):
+        self.times: list[tuple[float, float]] = []
+
+    def send(self, report):
+        now = time.monotonic()
+        self.times.append((now, now - report.stamp))
+
+
+def serve(folder: Path) -> None:
+    """Run the daemon until a client stops it; then write the times."""
+    film, sink = Film.render(), Sink()
+    config = folder / "config.yaml"
+    config.write_text(CONFIG.format(folder))
+    (folder / "rig.yaml").write_text(rig_text(film.rig))
+    outputs.open_output = lambda spec: sink
+    camera, overrides = Camera(film.colour), CommandLineOverrides(config)
+    daemon = Daemon(overrides, read_run_config(overrides), Setup(), lambda plan: lambda: camera, log=print)
+    daemon.run(SimpleNamespace(asked=False))
+    np.save(folder / "times.npy", np.array(sink.times))
+
+
+# ---- the clients ----
+
+
+def pictures(path: Path, end: float, interval: float = 1 / 15) -> None:
+    """Read 15 pictures a second, and renew the lease each second."""
+    with Client(path) as client:
+        renewed, last, read = 0.0, 0, 0
+        while (now := time.monotonic()) < end:
+            if now - renewed > 1.0:
+                reader, renewed = client.pictures(interval), now
+            if (picture := reader.latest(last)) is not None:
+                last, read = picture.number, read + 1
+            time.sleep(interval / 4)
+
+
+def page(path: Path, end: float) -> None:
+    """Read pictures, samples, and the status twice a second, as a page does."""
+
+    def samples() -> None:
+        with Client(path) as client, contextlib.suppress(ControlError):
+            for _ in client.sample_objects():
+                if time.monotonic() > end:
+                    return
+
+    def status() -> None:
+        with Client(path) as client:
+            while time.monotonic() < end:
+                client.status()
+                time.sleep(0.5)
+
+    threads = [threading.Thread(target=work) for work in (samples, status)]
+    for thread in threads:
+        thread.start()
+    pictures(path, end)
+    for thread in threads:
+        thread.join()
+
+
+def setting(*assignments: str, rate: float) -> Callable[[Path, float], None]:
+    """Return a client that sets one of the assignments after another, `rate` times a second."""
+
+    def work(path: Path, end: float) -> None:
+        with Client(path) as client:
+            for assignment in itertools.cycle(assignments):
+                due = time.monotonic() + 1.0 / rate
+                if due > end:
+                    return
+                client.ask("set", assignments=[assignment])
+                time.sleep(max(0.0, due - time.monotonic()))
+
+    return work
+
+
+def connections(path: Path, end: float) -> None:
+    """Open and drop 1,000 connections, each of which asks for pictures; every second one reads no reply."""
+    begun = time.monotonic()
+    for k in range(1000):
+        with socket.socket(socket.AF_UNIX) as connection, contextlib.suppress(OSError):
+            connection.settimeout(5.0)
+            connection.connect(str(path))
+            connection.sendall(b'{"command": "pictures"}\n')
+            if k % 2:
+                connection.recv(100)
+        time.sleep(max(0.0, begun + (end - begun) * k / 1000 - time.monotonic()))
+
+
+def silent(path: Path, end: float) -> None:
+    """Ask for pictures, samples and 200 settings, and read nothing."""
+    with socket.socket(socket.AF_UNIX) as connection, contextlib.suppress(OSError):
+        connection.connect(str(path))
+        connection.sendall(b'{"command": "pictures"}\n{"command": "watch", "interval": 0.1, "samples": true}\n')
+        connection.settimeout(1.0)
+        for _ in range(200):
+            connection.sendall(b'{"command": "settings"}\n')
+    time.sleep(max(0.0, end - time.monotonic()))
+
+
+def dead(path: Path, end: float) -> None:
+    """Read pictures in another process, which is killed in the middle."""
+    code = (
+        f"import sys, pathlib, time\nfrom tests.live_cost import pictures\npictures(pathlib.Path({str(path)!r}), 1e9)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code]) as process:
+        time.sleep(max(0.0, 0.5 * (end - time.monotonic())))
+        process.kill()
+    time.sleep(max(0.0, end - time.monotonic()))
+
+
+KINDS: dict[str, Callable[[Path, float], None]] = {
+    "nothing": lambda path, end: time.sleep(end - time.monotonic()),
+    "pictures": pictures,
+    "page": page,
+    "set": setting("motion.scale_x=2", "motion.scale_x=1", rate=20.0),
+    "set-filter": setting("so3.acceleration_sigma=20", "so3.acceleration_sigma=21", rate=20.0),
+    "set-discs": setting("discs.polarity=dark", "discs.polarity=auto", rate=10.0),
+    "connections": connections,
+    "silent": silent,
+    "dead": dead,
+}
+
+
+# ---- the measurement ----
+
+
+def memory(pid: int) -> float:
+    """MB resident without pages of files, with shared memory."""
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    kb = {line.split(":")[0]: line.split()[1] for line in lines if line.startswith(("RssAnon", "RssShmem"))}
+    return sum(map(float, kb.values())) * 1.024e-3
+
+
+def wait_for_tracking(path: Path) -> None:
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        with contextlib.suppress(ControlError), Client(path) as client:
+            if client.status().state == "tracking":
+                return
+        time.sleep(0.2)
+    raise SystemExit(f"{path}: the daemon does not track")
+
+
+def period(path: Path, pid: int, kind: str, seconds: float) -> tuple[str, float, float, float, int]:
+    """Disturb the daemon. Return kind, begin, end, growth of memory in MB while disturbed, and skipped frames."""
+    with Client(path) as client:
+        before, skipped = memory(pid), client.status().skipped or 0
+    begin, end = time.monotonic(), time.monotonic() + seconds
+    most = [before]
+    thread = threading.Thread(target=KINDS[kind], args=(path, end))
+    thread.start()
+    while thread.is_alive():
+        thread.join(0.25)
+        most.append(memory(pid))
+    ended = time.monotonic()
+    with Client(path) as client:
+        skipped = (client.status().skipped or 0) - skipped
+    time.sleep(SETTLE)
+    return kind, begin, ended, max(most) - before, skipped
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kinds", nargs="*", default=list(KINDS), metavar="KIND", help=", ".join(KINDS))
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each period")
+    parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.serve:
+        serve(given.serve)
+        return
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "tests.live_cost", "--serve", name], stdout=subprocess.DEVNULL
+        )
+        path = folder / "s"
+        wait_for_tracking(path)
+        print(f"load {os.getloadavg()[0]:.1f}; {Client(path).status().scheduling}", file=sys.stderr)
+        time.sleep(SETTLE)
+        periods = [period(path, process.pid, "nothing", given.seconds)]
+        for kind in given.kinds * given.rounds:
+            periods += [period(path, process.pid, k, given.seconds) for k in (kind, "nothing")]
+        Client(path).ask("stop")
+        process.wait(60.0)
+        times, latency = np.load(folder / "times.npy").T
+    p99 = [1e3 * np.percentile(latency[(times >= begin) & (times < end)], 99) for _, begin, end, _, _ in periods]
+    head = ("client", "99 % of the latency", "ratio: median (lowest, highest)", "memory", "skipped")
+    print(f"| {' | '.join(head)} |\n{'| --- ' * len(head)}|")
+    for kind in dict.fromkeys(given.kinds):
+        own = [k for k in range(1, len(periods), 2) if periods[k][0] == kind]
+        ratio = [2.0 * p99[k] / (p99[k - 1] + p99[k + 1]) for k in own]
+        grown, skipped = max(periods[k][3] for k in own), sum(periods[k][4] for k in own)
+        cells = (
+            kind, f"{np.median([p99[k] for k in own]):.2f} ms",
+            f"{np.median(ratio):.2f} ({min(ratio):.2f}, {max(ratio):.2f})", f"{grown:+.1f} MB", str(skipped),
+        )  # fmt: skip
+        print(f"| {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
