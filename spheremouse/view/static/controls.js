@@ -96,7 +96,7 @@ export function control(setting, settings, prefix) {
   const id = `${prefix}-${key}`;
   const change = (/** @type {Value} */ value) => settings.change(key, value);
   const error = el("p", { class: "refused", id: `${id}-error`, role: "alert" });
-  const meaning = setting.meaning.replace(/\.?$/, ". ").split("`").map((part, i) => (i % 2 ? el("code", {}, part) : part));
+  const meaning = (setting.meaning.charAt(0).toUpperCase() + setting.meaning.slice(1)).replace(/\.?$/, ". ").split("`").map((part, i) => (i % 2 ? el("code", {}, part) : part));
   const help = el("p", { class: "help", id: `${id}-help` }, ...meaning,
     range(setting), defaultText(setting), setting.live ? "" : " Read at the start only.", " ", el("code", {}, key));
   const state = { id, "aria-describedby": `${id}-help ${id}-error`, disabled: !setting.live };

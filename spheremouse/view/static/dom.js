@@ -102,6 +102,14 @@ export function formatDuration(seconds) {
 }
 
 /**
+ * Return the quantiles of a latency of the status.
+ * @param {{p50?: number, p99?: number} | null | undefined} latency ms
+ */
+export function formatLatency(latency) {
+  return latency?.p50 === undefined ? "–" : `${latency.p50.toFixed(1)} ms, 99 % ${(latency.p99 ?? 0).toFixed(1)} ms`;
+}
+
+/**
  * Return the text of a value as it is typed.
  * @param {any} value
  */

@@ -84,6 +84,8 @@ function receive(message) {
 /** @param {import("./types.js").Hello} message */
 function hello(message) {
   owner = message.owner;
+  document.body.classList.toggle("viewer", !owner);
+  if (!owner) showMessage("This page only shows. To change settings, open the address that `spheremouse view --url` prints.", true);
   if (message.settings.length && settings.load(message.settings)) {
     expert.load(message);
     drawing.load();
@@ -138,7 +140,7 @@ function showStatus(now, reason, remedy = "Start the service: systemctl start sp
   button.classList.toggle("on", Boolean(recording));
   setText(byId("pause", HTMLElement), now?.paused ? "Resume" : "Pause");
   setText(byId("reinit", HTMLElement), now?.balls ? "Search for balls again" : "Estimate camera pose");
-  for (const id of ["reinit", "pause", "record", "snapshot"]) byId(id, HTMLButtonElement).disabled = !now;
+  for (const id of ["reinit", "pause", "record", "snapshot"]) byId(id, HTMLButtonElement).disabled = !now || !owner;
   outputs.show(now);
   plots.read(now);
 }

@@ -179,7 +179,7 @@ function stroke(c, points, s, line, width, close) {
 }
 
 /**
- * Draw the ellipse (p - c)' A (p - c) = 1 with A = [[xx, xy], [xy, yy]].
+ * Draw the ellipse (p - c)' S^-1 (p - c) = 1 with S = [[xx, xy], [xy, yy]], px².
  * @param {CanvasRenderingContext2D} c
  * @param {number} x
  * @param {number} y
@@ -192,11 +192,10 @@ function stroke(c, points, s, line, width, close) {
 function ellipse(c, x, y, [xx, xy, yy], s, line, width, dash) {
   const mean = (xx + yy) / 2;
   const spread = Math.hypot((xx - yy) / 2, xy);
-  const [small, large] = [mean - spread, mean + spread]; // eigenvalues: 1 / axis²
-  if (!(small > 0)) return;
-  const angle = Math.atan2(2 * xy, xx - yy) / 2; // of the short axis
+  const [long, short] = [Math.sqrt(mean + spread), Math.sqrt(Math.max(0, mean - spread))]; // of the eigenvalues
+  const angle = Math.atan2(2 * xy, xx - yy) / 2; // of the long axis
   c.beginPath();
-  c.ellipse(x * s, y * s, s / Math.sqrt(large), s / Math.sqrt(small), angle, 0, 2 * Math.PI);
+  c.ellipse(x * s, y * s, s * long, s * short, angle, 0, 2 * Math.PI);
   strokeWithHalo(c, line, width, dash);
 }
 

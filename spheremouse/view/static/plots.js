@@ -1,6 +1,6 @@
 /** Plots of the last 10 s: rate with its band, counts, latency, discs. */
 
-import { prepareCanvas, byId, colour, el, formatSigned, setText } from "./dom.js";
+import { byId, colour, el, formatLatency, formatSigned, prepareCanvas, setText } from "./dom.js";
 
 /** @typedef {import("./types.js").Sample} Sample */
 /** @typedef {(sample: Sample) => number | null} Read */
@@ -216,8 +216,7 @@ export class Plots {
       rows.push(["counts", status.counts?.join(", ") ?? "–"]);
       if (!status.balls) rows.push(["discs", `${status.discs ?? "–"} used, ${status.discs_seen ?? "–"} seen, ${status.discs_known ?? "–"} known`]);
       for (const ball of status.balls ?? []) rows.push([ball.name ?? "ball", ballText(ball)]);
-      const { p50, p99 } = status.latency_ms ?? {};
-      rows.push(["latency", p50 === undefined ? "–" : `${p50} ms, 99 % ${p99} ms`], ["frames", `${status.fps ?? 0} /s`]);
+      rows.push(["latency", formatLatency(status.latency_ms)], ["frames", `${(status.fps ?? 0).toFixed(1)} /s`]);
     }
     const known = new Map([...this.#readings.children].map((row) => [row.firstElementChild?.textContent, row.lastElementChild]));
     if (rows.length === known.size && rows.every(([name]) => known.has(name)))

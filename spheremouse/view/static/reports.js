@@ -1,6 +1,6 @@
 /** The panels of the log, the outputs and the doctor. */
 
-import { el, formatDuration, setText } from "./dom.js";
+import { el, formatDuration, formatLatency, setText } from "./dom.js";
 
 /** @typedef {import("./types.js").Status} Status */
 /** @typedef {import("./tune.js").Act} Act */
@@ -51,7 +51,7 @@ export class OutputsPanel {
   #facts = el("dl", { class: "facts" });
   element = el("div", {},
     el("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Table of the outputs" }, el("table", {},
-      el("thead", {}, el("tr", {}, ...["Output", "State", "Reports", "Dropped", "Latency, ms", "Not sent"].map((name) =>
+      el("thead", {}, el("tr", {}, ...["Output", "State", "Reports", "Dropped", "Latency", "Not sent"].map((name) =>
         el("th", { scope: "col" }, name)))), this.#table)),
     el("h3", {}, "The run"), this.#facts);
 
@@ -59,16 +59,17 @@ export class OutputsPanel {
   show(status) {
     const rows = (status?.outputs ?? []).map((/** @type {any} */ o) => [
       o.spec ?? "–", o.failed ?? o.left_out ?? "sends", o.reports ?? 0, o.dropped ?? 0,
-      o.latency_ms ? `${o.latency_ms.p50}, 99 % ${o.latency_ms.p99}` : "–", (o.unsent ?? []).join(", ") || "–"]);
+      formatLatency(o.latency_ms), (o.unsent ?? []).join(", ") || "–"]);
     fill(this.#table, rows, (row) => el("tr", {}, ...row.map((cell, i) => (i ? el("td", {}, cell) : el("th", { scope: "row" }, cell)))));
     const s = status ?? {};
     const pose = s.pose;
+    const numbers = (/** @type {number[]} */ values, /** @type {number} */ digits) => values.map((v) => v.toFixed(digits)).join(", ");
     const facts = status ? [
       ["Tracker", s.tracker], ["Source", s.source?.description ?? s.source?.spec], ["Configuration", s.config], ["Rig", s.rig], ["Map", s.map],
       ["Frames", `${s.frames ?? 0} tracked, ${s.skipped ?? 0} skipped, ${s.dropped ?? 0} lost by the driver, ${s.damaged ?? 0} damaged`],
-      ["Camera pose", pose?.position_m ? `${pose.position_m.join(", ")} m, σ ${(pose.sigma_mm ?? []).join(", ")} mm` : "not known"],
+      ["Camera pose", pose?.position_m ? `${numbers(pose.position_m, 3)} m, σ ${numbers(pose.sigma_mm ?? [], 1)} mm` : "not known"],
       ["Running", `${formatDuration(s.uptime_s ?? 0)}, without tracking ${formatDuration(s.unseen_s ?? 0)}, lost ${s.lost_count ?? 0} times`],
-      ["Process", `${s.memory_mb ?? "–"} MB, ${Math.round(100 * (s.cpu_share ?? 0))} % of a core, ${s.scheduling ?? ""}`],
+      ["Process", `${Math.round(s.memory_mb ?? 0)} MB, ${Math.round(100 * (s.cpu_share ?? 0))} % of a core, ${s.scheduling ?? ""}`],
       ["Version", s.version]] : [["Tracker", "not running"]];
     fill(this.#facts, facts.map(([name, value]) => [name, value ?? "none"]), ([name = "", value = ""]) => el("div", {}, el("dt", {}, name), el("dd", {}, value)));
   }

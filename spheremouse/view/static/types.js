@@ -18,7 +18,7 @@
  *
  * @typedef {[number, number]} Point px
  * @typedef {[number, number, number]} Vector m, or a direction
- * @typedef {[number, number, number]} Shape xx, xy, yy of the inverse of a matrix: (x-c)' S^-1 (x-c) = 1 is the outline
+ * @typedef {[number, number, number]} Shape xx, xy, yy of S, px²: (x-c)' S^-1 (x-c) = 1 is the outline
  * @typedef {[number, number, number, number]} Rectangle left, top, right, bottom, px
  *
  * @typedef {object} Annotations
