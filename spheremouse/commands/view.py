@@ -6,8 +6,16 @@ from typing import Annotated
 import typer
 
 from spheremouse.errors import ControlError
-
-_ADDRESS, _PORT = "127.0.0.1", 8765
+from spheremouse.view.access import (
+    ADDRESS,
+    PORT,
+    Access,
+    own_token,
+    owners_address,
+    present_token,
+    read_token,
+    token_path,
+)
 
 
 def view(
@@ -17,8 +25,8 @@ def view(
             metavar="ADDRESS",
             help="Network address of the page. Only its owner may open one beyond this computer; it is not encrypted.",
         ),
-    ] = _ADDRESS,
-    port: Annotated[int, typer.Option(min=1, max=65535, help="TCP port.")] = _PORT,
+    ] = ADDRESS,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="TCP port.")] = PORT,
     names: Annotated[
         list[str] | None,
         typer.Option("--name", metavar="HOST", help="A name of this computer in browsers, besides its own. Repeats."),
@@ -43,19 +51,15 @@ def view(
     It is a process of its own. The daemon need not run yet. Whoever opens the page without its token sees the ball and
     the targets, and can change nothing.
     """
-    from spheremouse.view.access import own_token, read_token, token_path
-
-    file = token_file or token_path()
     if url:
-        print(_url(address, port, read_token(file)))
-        return
-    _serve(address, port, names or [], own_token(file), socket)
+        print(owners_address(address, port, read_token(token_file or present_token())))
+    else:
+        _serve(address, port, names or [], own_token(token_file or token_path()), socket)
 
 
 def _serve(address: str, port: int, names: list[str], token: str, socket: Path | None) -> None:
     import socket as sockets
 
-    from spheremouse.view.access import Access
     from spheremouse.view.server import application, server
 
     try:
@@ -66,10 +70,5 @@ def _serve(address: str, port: int, names: list[str], token: str, socket: Path |
         hint = "choose another --port" if e.errno == 98 else "choose another --address"
         raise ControlError(f"{address}:{port}: cannot be opened ({e.strerror})", hint) from None
     with listener:
-        typer.echo(f"live page: {_url(address, port, token)}", err=True)
+        typer.echo(f"live page: {owners_address(address, port, token)}", err=True)
         server(application(socket, Access(token, port, names)), address, port).run([listener])
-
-
-def _url(address: str, port: int, token: str) -> str:
-    host = "localhost" if address in ("0.0.0.0", "::") else f"[{address}]" if ":" in address else address
-    return f"http://{host}:{port}/?token={token}"

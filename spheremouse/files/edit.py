@@ -17,14 +17,15 @@ from spheremouse.files.safe_files import replace
 from spheremouse.files.yaml import SCHEMAS, Key, parse_document
 
 
-def save_settings(path: Path, values: Mapping[tuple[str, ...], Any], root: type[Any]) -> None:
+def save_settings(path: Path, values: Mapping[tuple[str, ...], Any], root: type[Any] | None) -> None:
     """Write settings into a configuration file, whole or not at all; a missing file is made.
 
+    `root` are the settings by which the file is checked; None checks its syntax alone, for values that a daemon uses.
     Raises ConfigurationError if the file is a link, cannot be read or written, or would become invalid.
     """
     check_place(path)
     try:
-        if path.exists():
+        if path.exists() and root is not None:
             config.load(path, root)  # reports the mistakes that are there already, with their lines
         raw = path.read_bytes() if path.exists() else f"schema: {SCHEMAS[config.KIND]}\n".encode()
         mark, text = raw[: len(BOM_UTF8)] if raw.startswith(BOM_UTF8) else b"", raw.removeprefix(BOM_UTF8).decode()
@@ -33,7 +34,8 @@ def save_settings(path: Path, values: Mapping[tuple[str, ...], Any], root: type[
             text = _with(text, key, value)
             _put(wanted, key, value)
         document = parse_document(text, str(path))
-        config.loads(document, root)
+        if root is not None:
+            config.loads(document, root)
         if document.data != wanted:
             raise ConfigurationError(f"{path}: the program cannot edit it and left it unchanged; edit it by hand")
         if mark + text.encode() != raw or not path.exists():

@@ -29,6 +29,9 @@ HEADERS = {
 }
 _TOKEN_FILE = "view.token"
 _TOKEN_BYTES = 32
+_SYSTEM_TOKEN = Path("/var/lib/spheremouse-view") / _TOKEN_FILE  # of the system's service
+
+ADDRESS, PORT = "127.0.0.1", 8765  # of the page, unless others are given
 _MAX_TOKEN_FILE_BYTES = 1000
 
 
@@ -100,12 +103,24 @@ def own_token(path: Path) -> str:
 
 
 def token_path() -> Path:
-    """Return the default path of the token: in systemd's state folder, else in the user's."""
+    """Return the path of the token that this process makes: in systemd's state folder, else in the user's."""
     given = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
     if given:
         return Path(given) / _TOKEN_FILE
     state = os.environ.get("XDG_STATE_HOME")
     return (Path(state) if state else Path.home() / ".local/state") / "spheremouse" / _TOKEN_FILE
+
+
+def present_token() -> Path:
+    """Return the path of the token of the page that runs: the user's own one, else the system's."""
+    own = token_path()
+    return _SYSTEM_TOKEN if not own.exists() and os.path.lexists(_SYSTEM_TOKEN.parent) else own
+
+
+def owners_address(address: str, port: int, token: str) -> str:
+    """Return the address of the page with the token."""
+    host = "localhost" if address in ("0.0.0.0", "::") else f"[{address}]" if ":" in address else address
+    return f"http://{host}:{port}/?token={token}"
 
 
 def _cookie(header: str) -> str | None:

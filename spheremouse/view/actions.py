@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 
 from ruamel.yaml import YAML
 
-from spheremouse.errors import ControlError, printable
-from spheremouse.files.yaml import Document, parse_bytes
+from spheremouse.errors import ConfigurationError, ControlError, printable
+from spheremouse.files.edit import save_settings
+from spheremouse.files.yaml import Document, parse_bytes, parse_value
+from spheremouse.session.control.client import Client, settings_to_save
 from spheremouse.view.daemon import Daemon, Values
 
 _REQUESTS = ("reinit", "pause", "resume", "reload", "record", "snapshot", "profile")
@@ -60,8 +62,7 @@ class Actions:
         if action == "reset":
             return await self._set_all(self._daemon.defaults(arguments.get("keys", [])), "reset")
         if action == "save":
-            reply = await self._run("ctl", "save", "--json", *self._place())
-            return Done(f"{reply.get('file', '')}: saved {', '.join(reply.get('saved') or ['nothing that it lacks'])}")
+            return Done(await asyncio.to_thread(self._save))
         if action == "doctor":
             return Done(data=await self._run("doctor", "--json", codes=(0, 1)))
         if action == "export":
@@ -77,8 +78,19 @@ class Actions:
             raise ControlError(f"{name}: {len(values)} settings; at most {_MAX_IMPORTED} are changed at once")
         return await self.set(values, f"{name} {time.monotonic()}")
 
-    def _place(self) -> tuple[str, ...]:
-        return () if self._socket is None else ("--socket", str(self._socket))
+    def _save(self) -> str:
+        """Write what was set into the daemon's configuration file, with this process's rights."""
+        with Client(self._socket) as client:
+            file, changes = settings_to_save(client)
+        pairs = [change.partition("=") for change in changes]
+        values = {tuple(key.strip().split(".")): parse_value(text, key) for key, _, text in pairs}
+        if not values:
+            return "Nothing was set that is not in the file."
+        try:
+            save_settings(file, values, None)
+        except ConfigurationError as e:
+            raise ControlError(f"{e}", "as root: spheremouse ctl save") from None
+        return f"{file}: saved {', '.join(changes)}"
 
     async def _run(self, *words: str, codes: tuple[int, ...] = (0,)) -> dict[str, Any]:
         """Return the JSON that a command of ours prints. Its memory is freed with its process."""

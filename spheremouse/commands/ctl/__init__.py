@@ -146,32 +146,12 @@ def save(config: _Config = None, as_json: _Json = False, socket: _Socket = None)
 def _file_to_write(
     socket: Path | None, config: Path | None, assignments: list[str] | None = None
 ) -> tuple[Path, list[str]]:
-    """Return the file for settings, and the settings: `assignments`, or None for those that the daemon reports.
-
-    A server that another user runs may report any file and any setting. Its word counts for neither.
-    """
-    from spheremouse.session.control.client import Client
+    """Return the file for settings, and the settings, as `settings_to_save`."""
+    from spheremouse.session.control.client import Client, settings_to_save
 
     with _failing(), Client(socket) as client:
-        status = client.status()
-        if not client.is_trusted and (config is None or assignments is None):
-            raise ControlError(
-                f"{client.path}: another user runs the daemon, so name settings and file yourself: "
-                "spheremouse ctl set KEY=VALUE --save --config FILE"
-            )
-    changes = status.changes or [] if assignments is None else assignments
-    file = config or (None if status.config is None else Path(status.config))
-    if file is None or not file.is_file():
-        _fail(ControlError("the daemon has no configuration file; start it with --config FILE to have one"))
-    given = [key for key in map(_key, changes) if key in (status.given or ())]
-    if given:
-        words = f"{', '.join(given)}: set on the daemon's command line, which overrides the file; leave it out there"
-        _fail(ControlError(words))
-    return file, changes
-
-
-def _key(assignment: str) -> str:
-    return assignment.partition("=")[0].strip()
+        return settings_to_save(client, config, assignments)
+    raise AssertionError
 
 
 def _write(file: Path, changes: list[str]) -> dict[str, Any]:

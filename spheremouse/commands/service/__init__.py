@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from spheremouse.commands.service import systemd as service
-from spheremouse.commands.service.systemd import UNIT, USER, Place
+from spheremouse.commands.service.systemd import UNIT, USER, VIEW_UNIT, Place
 from spheremouse.errors import ServiceError, printable
 from spheremouse.files.access import service_files
 
@@ -93,12 +93,12 @@ def uninstall(
         return
     _allowed(place, actions, "uninstall")
     if live and actions:
-        _run([[*_systemctl(place), "stop", UNIT]], quiet=True)
+        _run([[*_systemctl(place), "stop", UNIT, VIEW_UNIT]], quiet=True)
     for line in service.carry_out(actions):
         typer.echo(line)
     service.tidy(place)
     if live and actions:
-        after = [[*_systemctl(place), "daemon-reload"], [*_systemctl(place), "reset-failed", UNIT]]
+        after = [[*_systemctl(place), "daemon-reload"], [*_systemctl(place), "reset-failed", UNIT, VIEW_UNIT]]
         after += [] if user else [["udevadm", "control", "--reload"]]
         _run(after, quiet=True)
     stays = service.left(place)
@@ -176,8 +176,9 @@ def _activation(place: Place, start: bool) -> list[list[str]]:
         ["udevadm", "trigger", *(f"--subsystem-match={s}" for s in ("misc", "video4linux", "tty"))],
     ]  # fmt: skip
     commands.append([*_systemctl(place), "daemon-reload"])
-    if start and (place.configuration / "rig.yaml").exists():
-        commands.append([*_systemctl(place), "restart", "--no-block", UNIT])
+    if start:
+        calibrated = (place.configuration / "rig.yaml").exists()
+        commands.append([*_systemctl(place), "restart", "--no-block", *([UNIT] if calibrated else []), VIEW_UNIT])
     return commands
 
 

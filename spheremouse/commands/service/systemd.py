@@ -24,6 +24,7 @@ from spheremouse.files.access import service_files
 from spheremouse.files.safe_files import open_to_read, others_may_change, replace
 
 UNIT = "spheremouse.service"
+VIEW_UNIT = "spheremouse-view.service"  # the live page
 USER = "spheremouse"  # and its group
 RESTART_STEPS = 254  # the first systemd with RestartSteps
 _MARK = "# Placed by `spheremouse service install`; do not edit (digest of what follows: {})\n"
@@ -33,8 +34,8 @@ _UNREACHABLE = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # the unit's
 
 # folders that the installation may have made
 _MADE = (
-    "spheremouse", f"{UNIT}.d", "xorg.conf.d", "X11", "sysusers.d", "autostart", "default.target.wants", "user",
-    "systemd",
+    "spheremouse", "spheremouse-view", f"{UNIT}.d", "xorg.conf.d", "X11", "sysusers.d", "autostart",
+    "default.target.wants", "user", "systemd",
 )  # fmt: skip
 
 State = Literal["missing", "ok", "older", "edited"]
@@ -59,8 +60,22 @@ class Place:
     @property
     def link(self) -> Path:
         """The symbolic link that makes systemd start the unit."""
+        return self.link_of(self.unit)
+
+    def link_of(self, unit: Path) -> Path:
+        """Return the symbolic link that makes systemd start a unit."""
         target = "default.target.wants" if self.user else "multi-user.target.wants"
-        return self.unit.parent / target / UNIT
+        return unit.parent / target / unit.name
+
+    @property
+    def units(self) -> list[Path]:
+        """The daemon's unit and the live page's."""
+        return [self.unit, self.unit.with_name(VIEW_UNIT)]
+
+    @property
+    def view_state(self) -> Path:
+        """Folder of the live page's token."""
+        return self.state if self.user else self.at("/var/lib/spheremouse-view")
 
     @property
     def changes(self) -> Path:
@@ -90,10 +105,12 @@ class Place:
             configuration = self._users("XDG_CONFIG_HOME", ".config")
             return [
                 ("systemd/spheremouse-user.service", configuration / "systemd" / "user" / UNIT),
+                ("systemd/spheremouse-view-user.service", configuration / "systemd" / "user" / VIEW_UNIT),
                 ("desktop/spheremouse-tray.desktop", configuration / "autostart" / "spheremouse-tray.desktop"),
             ]
         places = {
             "systemd/spheremouse.service": f"/etc/systemd/system/{UNIT}",
+            "systemd/spheremouse-view.service": f"/etc/systemd/system/{VIEW_UNIT}",
             "systemd/sysusers.conf": "/etc/sysusers.d/spheremouse.conf",
             "systemd/tmpfiles.conf": "/etc/tmpfiles.d/spheremouse.conf",
             "systemd/modules-load.conf": "/etc/modules-load.d/spheremouse.conf",
@@ -207,7 +224,7 @@ def install(place: Place, program: str, systemd: int | None, allow: Sequence[str
 
     If network addresses are given in `allow`, they replace those of the last installation.
     """
-    fresh = not place.unit.exists()
+    fresh = [unit for unit in place.units if not unit.exists()]
     texts = {path: rendered(name, program, systemd) for name, path in place.files()}
     if allow:
         texts[place.network] = network_text(allow)
@@ -218,8 +235,9 @@ def install(place: Place, program: str, systemd: int | None, allow: Sequence[str
         if state != "ok":
             what = "write" if state == "missing" else "update"
             yield FileAction(what, path, partial(_write, path, text))
-    if fresh and not place.link.is_symlink():  # a disabled service stays disabled
-        yield FileAction("enable", place.link, partial(_link, place))
+    for unit in fresh:  # a disabled service stays disabled
+        if not place.link_of(unit).is_symlink():
+            yield FileAction("enable", place.link_of(unit), partial(_link, place, unit))
     config = place.configuration / "config.yaml"
     if not config.exists():
         yield FileAction("write", config, partial(_write, config, configuration(place)))
@@ -227,8 +245,8 @@ def install(place: Place, program: str, systemd: int | None, allow: Sequence[str
 
 def uninstall(place: Place, purge: bool) -> Iterator[FileAction]:
     """Yield the actions that remove the service. Configuration, calibration and map stay unless `purge`."""
-    if place.link.is_symlink():
-        yield FileAction("disable", place.link, place.link.unlink)
+    for link in filter(Path.is_symlink, map(place.link_of, place.units)):
+        yield FileAction("disable", link, link.unlink)
     for path in (*(path for _, path in place.files()), place.network):
         if path.exists() or path.is_symlink():
             if state_of(path, None) == "edited" and not purge:
@@ -241,20 +259,21 @@ def uninstall(place: Place, purge: bool) -> Iterator[FileAction]:
     config = place.configuration / "config.yaml"
     if not purge and config.exists() and config.read_text(encoding="utf-8") == configuration(place):
         yield FileAction("remove", config, config.unlink, "as it was placed")
-    for path in (place.configuration, place.state, place.changes) if purge else ():
+    for path in dict.fromkeys((place.configuration, place.state, place.view_state, place.changes)) if purge else ():
         if path.exists():
             yield FileAction("remove", path, partial(_remove, path), must=False)
 
 
 def left(place: Place) -> list[Path]:
     """Return the paths that an uninstallation without `purge` leaves."""
-    found = [p for folder in (place.configuration, place.state, place.changes) for p in _below(folder)]
+    folders = dict.fromkeys((place.configuration, place.state, place.view_state, place.changes))
+    found = [p for folder in folders for p in _below(folder)]
     return sorted([*found, *(p for _, path in place.files() for p in path.parent.glob(f"{path.name}.bak*"))])
 
 
 def tidy(place: Place) -> None:
     """Remove our empty folders; below another root than / all empty ones."""
-    folders = (place.changes, place.configuration, place.state, place.cache, place.link.parent)
+    folders = (place.changes, place.configuration, place.state, place.view_state, place.cache, place.link.parent)
     folders += tuple(path.parent for _, path in place.files())
     for folder in folders:
         for path in (p for p in (folder, *folder.parents) if p.is_relative_to(place.root) and p != place.root):
@@ -378,9 +397,10 @@ def _write(path: Path, text: str) -> None:
     replace(path, text.encode("utf-8"), 0o644)  # systemd, udev and desktops must read it, whatever the umask
 
 
-def _link(place: Place) -> None:
-    place.link.parent.mkdir(parents=True, exist_ok=True)
-    place.link.symlink_to(place.inside(place.unit))
+def _link(place: Place, unit: Path) -> None:
+    link = place.link_of(unit)
+    link.parent.mkdir(parents=True, exist_ok=True)
+    link.symlink_to(place.inside(unit))
 
 
 def _backup(path: Path) -> FileAction:

@@ -2,6 +2,7 @@
 
 import threading
 import time
+import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from spheremouse.commands.tray import view as tray
 from spheremouse.commands.tray.view import View
 from spheremouse.errors import SpheremouseError
 from spheremouse.session.control.client import Client
+from spheremouse.view.access import ADDRESS, PORT, owners_address, present_token, read_token
 
 _POLL_S = 1.0
 _NOTE_S = 20.0  # how long the menu shows the result of an action
@@ -69,8 +71,11 @@ class Link:
             self._wake.clear()
 
     def _do(self, action: str) -> None:
-        command, arguments, done = _ACTIONS.get(action, ("", {}, ""))
         try:
+            if action == "page":
+                self.show(_open_page())
+                return
+            command, arguments, done = _ACTIONS[action]
             if action == "reinit":
                 self.show("estimating the camera pose ...")
             with Client(self._path) as client:
@@ -81,6 +86,12 @@ class Link:
         finally:
             with self._lock:
                 self._running.discard(action)
+
+
+def _open_page() -> str:
+    """Open the live page in the browser as its owner, and return a note. ControlError if its token cannot be read."""
+    opened = webbrowser.open(owners_address(ADDRESS, PORT, read_token(present_token())))
+    return "the live page is in the browser" if opened else f"open http://{ADDRESS}:{PORT} in a browser"
 
 
 _ACTIONS: dict[str, tuple[str, dict[str, Any], str]] = {

@@ -117,7 +117,7 @@ def menu(v: View, note: str = "") -> tuple[Item, ...]:
         items.append(Item("Record a minute for a bug report", if_connected("record")))
     else:
         items.append(Item("End the recording", if_connected("end-record")))
-    return (*items, SEPARATOR, Item("Quit tray", "quit"))
+    return (*items, Item("Open live page", "page"), SEPARATOR, Item("Quit tray", "quit"))
 
 
 # ---- notices ----

@@ -68,7 +68,8 @@ def test_installing_places_every_file_and_a_second_time_changes_nothing(root):
     call("install", root=root)
     once = tree(root)
     assert {str(p.relative_to(root)) for _, p in Place(root).files()} < set(once)
-    assert once["etc/systemd/system/multi-user.target.wants/spheremouse.service"] == f"/{UNIT}"
+    for unit in (UNIT, UNIT.replace("spheremouse.", "spheremouse-view.")):
+        assert once[f"etc/systemd/system/multi-user.target.wants/{Path(unit).name}"] == f"/{unit}"
     assert (
         f"ExecStart={sys.prefix}/bin/spheremouse run --realtime --config /etc/spheremouse/config.yaml\n"
         in (root / UNIT).read_text()

@@ -21,7 +21,7 @@ from spheremouse.session.control.status import StatusReport
 from spheremouse.session.settings import ControlSettings
 
 GROUNDS = {"dark": 40, "light": 240}
-ACTIONS = {"reinit", "pause", "resume", "record", "end-record", "quit", None}
+ACTIONS = {"reinit", "pause", "resume", "record", "end-record", "page", "quit", None}
 
 
 # ---- icons ----
@@ -100,11 +100,11 @@ def actions(v):
 
 
 def test_the_menu_offers_the_possible_actions():
-    assert actions(View("tracking")) == ["reinit", "pause", "record", "quit"]
-    assert actions(View("paused", paused=True)) == ["reinit", "resume", "record", "quit"]
-    assert actions(View("no-camera", paused=True)) == ["reinit", "resume", "record", "quit"]
-    assert actions(View("tracking", recording="/var/r/1")) == ["reinit", "pause", "end-record", "quit"]
-    assert actions(tray.no_daemon("none")) == ["quit"]
+    assert actions(View("tracking")) == ["reinit", "pause", "record", "page", "quit"]
+    assert actions(View("paused", paused=True)) == ["reinit", "resume", "record", "page", "quit"]
+    assert actions(View("no-camera", paused=True)) == ["reinit", "resume", "record", "page", "quit"]
+    assert actions(View("tracking", recording="/var/r/1")) == ["reinit", "pause", "end-record", "page", "quit"]
+    assert actions(tray.no_daemon("none")) == ["page", "quit"]
 
 
 def test_the_first_line_is_the_state_with_its_reason_and_cannot_be_chosen():
