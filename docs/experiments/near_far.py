@@ -31,7 +31,8 @@ from experiments.kit.render import (
 from experiments.kit.thesis import THESIS_TABLES
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.offline import initialise
-from spheremouse.simulate.ball.film import View, prepare
+from spheremouse.simulate.ball.film import prepare
+from spheremouse.simulate.ball.options import View
 
 TITLE = "Near and far camera (Wittich 2017, table 23)"
 VIEWS: tuple[View, ...] = ("near", "far")

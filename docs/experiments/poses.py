@@ -25,8 +25,10 @@ from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import euler_rate_matrix, exp, log, to_euler
 from spheremouse.simulate.ball.events import degraded
-from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, View, default_scene
+from spheremouse.simulate.ball.options import View
 from spheremouse.simulate.ball.profile import still
+from spheremouse.simulate.ball.render import Renderer, RenderOptions
+from spheremouse.simulate.ball.scene import Scene, default_scene
 from spheremouse.tracker import Frame
 
 TITLE = "The camera's pose from four targets (Wittich 2017, tables 12, 21 and 22)"

@@ -21,8 +21,9 @@ from spheremouse.ball.pose import TARGET_SIGMA_PX, Sighting, predict_targets, re
 from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, euler_rate_matrix, fibonacci_sphere, to_euler
-from spheremouse.simulate.ball.events import draw_hand, place_hand
-from spheremouse.simulate.ball.film import HandVisit, Scene, View, default_scene
+from spheremouse.simulate.ball.events import HandVisit, draw_hand, place_hand
+from spheremouse.simulate.ball.options import View
+from spheremouse.simulate.ball.scene import Scene, default_scene
 from spheremouse.simulate.shapes import Sphere, look
 
 TITLE = "Points on the ball: covariances over the visible cap, visible area"

@@ -1,12 +1,15 @@
-"""Pages in mm of ring targets, discs, chessboard and ChArUco board."""
+"""Pages in mm of ring targets, discs, chessboard and ChArUco board, and the instructions as an HTML page."""
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from math import ceil, floor
 from typing import TYPE_CHECKING, TypeVar
 
 import cv2
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from spheremouse.calibrate.board import Board
@@ -25,6 +28,7 @@ from spheremouse.calibrate.prints.page import (
     words,
 )
 from spheremouse.errors import CalibrationError
+from spheremouse.files.report.page import page
 from spheremouse.geometry.rotation import Array
 
 if TYPE_CHECKING:
@@ -228,3 +232,23 @@ def board_page(pattern: Pattern, paper_name: str) -> Page:
         f"{given}; measure: {board.columns + 1} squares are {mm(across)} mm.",
     )
     return Page(sheet, pattern.name, notes, map(boxes, [pattern.black + np.tile(at, 2)]))
+
+
+# ---- instructions ----
+
+
+def recipe(board: Board, square: float, paper_name: str) -> str:
+    """Return `recipe.md` with its drawings as one HTML page, with commands for a board of squares of so many mm."""
+    from markdown_it import MarkdownIt
+
+    folder = resources.files(__package__ or "")
+
+    def drawing(match: re.Match[str]) -> str:
+        return f'<figure class="{match[1]}">{folder.joinpath(f"{match[1]}.svg").read_text(encoding="utf-8")}</figure>'
+
+    text = folder.joinpath("recipe.md").read_text(encoding="utf-8")
+    text = text.replace("--board 11x8", f"--board {board.columns}x{board.rows}")
+    title, text = text.replace("--square 20mm", f"--square {mm(square)}mm").removeprefix("# ").split("\n", 1)
+    body = re.sub(r"<!-- sketch: (\w+) -->", drawing, MarkdownIt("commonmark").render(text))
+    paper = paper_name.capitalize() if paper_name == "letter" else paper_name.upper()
+    return page(title, "", Markup(body), paper=paper)

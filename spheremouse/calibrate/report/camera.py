@@ -10,8 +10,8 @@ import numpy as np
 from spheremouse.calibrate.camera.bundle import PARAMETERS
 from spheremouse.calibrate.camera.calibrate import CameraCalibration, inconsistent_views
 from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, join_words, missing_leans, missing_regions
+from spheremouse.calibrate.outputs import print_advice, print_table
 from spheremouse.calibrate.photos import image
-from spheremouse.calibrate.report.terminal import print_advice, print_table
 from spheremouse.files.report.page import page, rendered
 from spheremouse.files.report.style import BLUE, GRID, INK, PAPER, RED, round_number, styled
 from spheremouse.files.safe_files import write_atomically

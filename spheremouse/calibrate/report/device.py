@@ -16,8 +16,8 @@ from rich.table import Table
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration, distance_redundancy
 from spheremouse.calibrate.device.advice import Advice, coverage
+from spheremouse.calibrate.outputs import print_advice, print_table
 from spheremouse.calibrate.photos import Photo, image
-from spheremouse.calibrate.report.terminal import print_advice, print_table
 from spheremouse.files.report.page import page, rendered
 from spheremouse.files.report.style import BLUE, GOLD, INK, MUTED, round_number, styled
 from spheremouse.files.safe_files import write_atomically

@@ -46,7 +46,6 @@ def print_(
     """
     from spheremouse.calibrate.board import NAME, Pattern, parse_board
     from spheremouse.calibrate.prints.page import pdf
-    from spheremouse.calibrate.prints.recipe import recipe
     from spheremouse.calibrate.prints.sheets import (
         board_page,
         charuco,
@@ -54,6 +53,7 @@ def print_(
         disc_pages,
         largest_square,
         mm,
+        recipe,
         target_pages,
     )
 

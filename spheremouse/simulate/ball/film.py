@@ -10,7 +10,7 @@ import numpy as np
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.simulate.ball.events import Change, Dimming, Flicker, HandVisit, Lift, bumped, displaced, facing
-from spheremouse.simulate.ball.options import Motion, Named, SimulationOptions, View, check_bounds, option_name
+from spheremouse.simulate.ball.options import Named, SimulationOptions, check_bounds, option_name
 from spheremouse.simulate.ball.profile import (
     TURN_SECONDS,
     Profile,
@@ -26,26 +26,6 @@ from spheremouse.simulate.ball.profile import (
 from spheremouse.simulate.ball.render import Renderer, RenderOptions, SimulatedFrame
 from spheremouse.simulate.ball.scene import BLACK, WHITE_BALL, Scene, default_scene
 from spheremouse.simulate.light import reflectance
-
-__all__ = [
-    "MOST_FRAMES",
-    "Change",
-    "Dimming",
-    "Flicker",
-    "HandVisit",
-    "Lift",
-    "Motion",
-    "RenderOptions",
-    "Renderer",
-    "Scene",
-    "SimulatedFrame",
-    "Simulation",
-    "SimulationOptions",
-    "View",
-    "default_scene",
-    "prepare",
-    "simulate",
-]
 
 MOST_FRAMES = 1_000_000  # of one recording: nine hours at 30 Hz, 300 GB of video
 

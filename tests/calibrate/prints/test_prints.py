@@ -13,13 +13,13 @@ from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.ball.rig import CODES
 from spheremouse.calibrate.board import Board
 from spheremouse.calibrate.prints.page import PAPERS, figure_of, pdf
-from spheremouse.calibrate.prints.recipe import recipe
 from spheremouse.calibrate.prints.sheets import (
     board_page,
     charuco,
     chessboard,
     disc_pages,
     largest_square,
+    recipe,
     target_pages,
 )
 from spheremouse.commands import app
