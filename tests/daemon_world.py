@@ -98,12 +98,13 @@ class RawFrame:
         return Frame(np.asarray(image, dtype=np.uint8), self.stamp, self.sequence)
 
     def payload(self) -> Payload:
-        """The grey picture, if it is whole."""
+        """The grey picture, if it is whole; the coloured one if there is no other."""
         assert self._out, "a raw frame that was given back is looked at"
         if self._fault == "damaged":
             raise DamagedFrameError("half of it is missing")
-        image = self._world.image(self.place, False, self._fault)
-        return Payload("grey", image.shape[1], image.shape[0], image.reshape(-1).data)
+        image = np.ascontiguousarray(self._world.image(self.place, self._world.colour_alone, self._fault))
+        kind = "grey" if image.ndim == 2 else "bgr"
+        return Payload(kind, image.shape[1], image.shape[0], image.reshape(-1).data)
 
     def release(self) -> None:
         """Once, however often it is called."""
@@ -116,6 +117,7 @@ class World:
     """Everything outside of the daemon, and the daemon within it."""
 
     setup = Setup()
+    colour_alone = False  # the camera gives no grey pictures
 
     def __init__(self, film: Film, folder: Path, pace: float = 0.002) -> None:
         """`pace` s is rested between two frames, so that others get at the processor."""

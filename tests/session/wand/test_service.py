@@ -5,6 +5,7 @@ was sent or was counted as unsent; every raw frame was given back.
 """
 
 import json
+import os
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,8 @@ from spheremouse.errors import ControlError
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import open_wand
 from spheremouse.files.wand import wand_text
+from spheremouse.geometry.camera import project
+from spheremouse.session.control.client import Client
 from spheremouse.session.control.status import StatusReport
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.setup import Setup
@@ -43,6 +46,8 @@ PATIENCE = 30.0  # s
 
 class WandWorld(World):
     """A hand-held ball before the daemon's camera."""
+
+    colour_alone = True
 
     def __init__(self, film, shots, folder):
         (folder / "config.yaml").write_text(CONFIG.format(folder=folder))
@@ -235,6 +240,24 @@ def test_status_tells_where_the_ball_is(playing):
     (ball,) = playing.client.ask("status")["balls"]
     assert (ball["state"], ball["position_m"]) == ("lost", None)
     assert playing.client.ask("status")["lost_count"] == 1
+
+
+@pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="no anonymous files on this system")
+def test_live_pictures_and_the_scene_show_the_ball(playing):
+    """The outline lies around the ball's true place, and the discs within it."""
+    with Client(playing.socket) as client:
+        reader = client.pictures(0.05)
+        playing.until(reader.latest, "a picture")
+        picture, scene = reader.latest(), client.ask("scene")
+    outline = np.array(picture.annotations["outline"])
+    true = project(playing.position[[playing.shown[picture.stamp]]], playing.scene.camera)[0][0]
+    radius = np.linalg.norm(outline - outline.mean(axis=0), axis=1).mean()
+    assert np.linalg.norm(outline.mean(axis=0) - true) < 0.15 * radius
+    for disc in picture.annotations["detected"]:
+        assert np.linalg.norm([disc["x"], disc["y"]] - true) < 1.1 * radius
+    assert scene["balls"] == [carried.ball.name for carried in playing.scene.balls]
+    assert scene["camera"]["position"] == [0.0, 0.0, 0.0]
+    assert len(scene["discs"]) == len(playing.scene.balls[0].ball.discs)
 
 
 def test_reinit_looks_for_the_balls_anew(playing):
