@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -94,7 +95,7 @@ def _samples(setup: Setup, plan: RunConfig) -> Iterator[Sample]:
     frames = iter(source) if source.live else adapter.begin(iter(source))
     for tracked in offline.results(frames, adapter):
         for sample in tracked.samples:
-            yield sample._replace(observation=adapter.observation(tracked))
+            yield replace(sample, observation=adapter.observation(tracked))
     if (failure := adapter.failure("")) is not None:
         raise failure
 

@@ -4,14 +4,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.errors import SourceError
-from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry import Array
+
+if TYPE_CHECKING:
+    from spheremouse.geometry.camera import InteriorOrientation
 
 S = TypeVar("S")
 NO_STATISTICS: Mapping[str, float] = MappingProxyType({})
@@ -26,7 +28,7 @@ class Frame:
     sequence: int  # counts every frame the source produced, so that a gap shows
 
 
-def check_size(frame: Frame, camera: InteriorOrientation) -> None:
+def check_size(frame: Frame, camera: "InteriorOrientation") -> None:
     """Raise SourceError if a frame has another size than the calibration of the camera."""
     height, width = frame.image.shape[:2]
     if (width, height) != (camera.width, camera.height):

@@ -105,7 +105,7 @@ def test_smoothing_halves_the_error_of_the_rate(recording, samples):
 
 def test_samples_without_an_observation_cannot_be_smoothed(samples):
     with pytest.raises(sm.SpheremouseError, match="frame 3 has no observation"):
-        sm.smooth([samples[2], samples[3]._replace(observation=None)])
+        sm.smooth([samples[2], replace(samples[3], observation=None)])
 
 
 def test_a_hand_held_ball_has_samples_and_a_report(tmp_path):

@@ -4,13 +4,10 @@ Arrays have leading batch axes: (..., 3) vectors, (..., 3, 3) matrices. Angles a
 Deray, Atchuthan 2018, "A micro Lie theory", section VII. Euler angles: Wittich 2017, eq. 9.
 """
 
-import math
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from spheremouse.geometry import Array
 
 _SMALL_ANGLE = 1e-6  # rad; below it series of two terms are exact to double precision
 
@@ -129,23 +126,6 @@ def log(R: Array) -> Array:
     v = np.empty(R.shape[:-1])
     _log_all(R.reshape(-1, 3, 3), v.reshape(-1, 3))
     return v
-
-
-def to_quaternion(R: Array) -> Array:
-    """Return the unit quaternion, (4,), as (w, x, y, z), w >= 0, of a rotation matrix, (3, 3)."""
-    x, y, z = log(R).tolist()
-    angle = math.hypot(x, y, z)
-    s = math.sin(0.5 * angle) / angle if angle else 0.5
-    return np.array([math.cos(0.5 * angle), s * x, s * y, s * z])
-
-
-def from_quaternion(q: Array) -> Array:
-    """Return the rotation matrix, (3, 3), of a quaternion (w, x, y, z) of any length but zero, else ValueError."""
-    if not q.any():
-        raise ValueError("the quaternion is zero")
-    u = q / np.linalg.norm(q)
-    w, V = u[0], hat(u[1:])
-    return np.eye(3) + 2.0 * (w * V + V @ V)
 
 
 def left_jacobian(v: Array) -> Array:

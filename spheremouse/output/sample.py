@@ -4,26 +4,28 @@ Every output gets the same samples. All numbers are in SI units and radians. doc
 docs/sample.schema.json describe the JSON object.
 """
 
-import json
 from collections.abc import Mapping
-from math import isfinite
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
+from math import copysign, isfinite, sqrt
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import orjson
 
-from spheremouse.geometry.camera import Pose
-from spheremouse.geometry.rotation import Array, from_quaternion, to_quaternion
+from spheremouse.geometry import Array
 from spheremouse.tracker import Estimate, Status, unknown
-from spheremouse.wand.axes import estimated_axes
 
 if TYPE_CHECKING:
     from spheremouse.ball.smooth import Observation
+    from spheremouse.geometry.camera import Pose
 
 StillAxes = Literal["obj", "cam"]
-_ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False)
 
 
-class Sample(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Sample:
     """The estimate of one ball at one frame, with wall clock, latency and events."""
 
     estimate: Estimate
@@ -33,7 +35,7 @@ class Sample(NamedTuple):
     events: tuple[str, ...] = ()  # names of changes with this frame, for example "ball-lost"
     wall: float | None = None  # s since 1970 (UTC) at the exposure; None unless a service or --realtime made it
     latency: float | None = None  # s from the exposure to publication; None as `wall`
-    camera: Pose | None = None  # in obj; None for a hand-held ball, and for a sample read from JSON
+    camera: "Pose | None" = None  # in obj; None for a hand-held ball, and for a sample read from JSON
     observation: "Observation | None" = None  # information of the frame alone, for the smoother; None: not kept
 
     @property
@@ -64,7 +66,7 @@ class Sample(NamedTuple):
     @property
     def quaternion(self) -> Array:
         """Attitude as a unit quaternion (w, x, y, z), w >= 0."""
-        return to_quaternion(self.estimate.rotation)
+        return np.array(_to_quaternion(self.estimate.rotation))
 
     @property
     def position(self) -> Array:
@@ -121,6 +123,11 @@ class Sample(NamedTuple):
         """Figures of the frame by name, for example `discs_used`."""
         return dict(self.estimate.statistics)
 
+    @cached_property
+    def json(self) -> str:
+        """The object of `to_object` without counts, in one line. All outputs of a run share it."""
+        return orjson.dumps(_to_object(self), option=orjson.OPT_SERIALIZE_NUMPY).decode()
+
 
 def to_object(sample: Sample, counts: tuple[int, int, int]) -> dict[str, Any]:
     """Return the sample and its mouse counts as a JSON object. Values that are unknown are None.
@@ -128,41 +135,47 @@ def to_object(sample: Sample, counts: tuple[int, int, int]) -> dict[str, Any]:
     Attitude, motion and their covariances are None unless the ball is tracked. A hand-held ball has position, velocity
     and yaw, pitch, roll besides.
     """
-    tracked = sample.status is Status.TRACKING
+    return _to_object(sample) | {"counts": list(counts)}
+
+
+def to_json(sample: Sample, counts: tuple[int, int, int]) -> str:
+    """Return the JSON object of `to_object` in one line; every number reads back exactly."""
+    x, y, z = counts
+    return f'{sample.json[:-1]},"counts":[{x},{y},{z}]}}'
+
+
+def _to_object(sample: Sample) -> dict[str, Any]:
+    e = sample.estimate
+    tracked = e.status is Status.TRACKING
+    rate, increment, P, Q = (v.tolist() for v in (e.rate, e.increment, e.covariance, e.increment_covariance))
     made: dict[str, Any] = {
-        "sequence": sample.sequence,
-        "stamp": float(sample.stamp),
+        "sequence": e.sequence,
+        "stamp": float(e.stamp),
         "wall": sample.wall,
         "latency": sample.latency,
         "ball": sample.ball,
         "name": sample.name,
         "coordinates": sample.coordinates,
-        "status": str(sample.status),
-        "confirmed": bool(sample.confirmed),
+        "status": str(e.status),
+        "confirmed": bool(e.confirmed),
         "events": list(sample.events),
-        "counts": list(counts),
-        "quaternion": _numbers(sample.quaternion, tracked),
-        "rate": _numbers(sample.rate, tracked),
-        "increment": _numbers(sample.increment, tracked),
-        "attitude_covariance": _numbers(sample.attitude_covariance, tracked),
-        "rate_covariance": _numbers(sample.rate_covariance, tracked),
-        "increment_covariance": _numbers(sample.increment_covariance, tracked),
+        "quaternion": _vector(_to_quaternion(e.rotation), tracked),
+        "rate": _vector(rate[:3], tracked),
+        "increment": _vector(increment[:3], tracked),
+        "attitude_covariance": _matrix(P, 0, tracked),
+        "rate_covariance": _matrix(P, 6, tracked),
+        "increment_covariance": _matrix(Q, 0, tracked),
     }
     if sample.coordinates == "cam":
         made |= {
-            "position": _numbers(sample.position, tracked),
-            "velocity": _numbers(sample.velocity, tracked),
-            "shift": _numbers(sample.shift, tracked),
-            "position_covariance": _numbers(sample.position_covariance, tracked),
-            "yaw_pitch_roll": _numbers(estimated_axes(sample.estimate).angles, True) if tracked else None,
+            "position": _vector(e.position.tolist(), tracked),
+            "velocity": _vector(rate[3:], tracked),
+            "shift": _vector(increment[3:], tracked),
+            "position_covariance": _matrix(P, 3, tracked),
+            "yaw_pitch_roll": _yaw_pitch_roll(e) if tracked else None,
         }
-    made["statistics"] = {name: v if isfinite(v) else None for name, v in sample.estimate.statistics.items()}
+    made["statistics"] = {name: v if isfinite(v) else None for name, v in e.statistics.items()}
     return made
-
-
-def to_json(sample: Sample, counts: tuple[int, int, int]) -> str:
-    """Return the JSON object of `to_object` in one line; every number reads back exactly."""
-    return _ENCODER.encode(to_object(sample, counts))
 
 
 def from_object(read: Mapping[str, Any]) -> Sample:
@@ -180,7 +193,7 @@ def from_object(read: Mapping[str, Any]) -> Sample:
         covariance[6:9, 6:9] = _array(read, "rate_covariance", 3, 3)
         increment_covariance[:3, :3] = _array(read, "increment_covariance", 3, 3)
         estimate = zero._replace(
-            rotation=zero.rotation if quaternion is None else from_quaternion(_array(read, "quaternion", 4)),
+            rotation=zero.rotation if quaternion is None else _to_matrix(_array(read, "quaternion", 4)),
             position=_array(read, "position", 3),
             rate=np.concatenate([_array(read, "rate", 3), _array(read, "velocity", 3)]),
             covariance=covariance,
@@ -208,5 +221,44 @@ def _array(read: Mapping[str, Any], key: str, *shape: int) -> Array:
     return values
 
 
-def _numbers(values: Array, known: bool) -> list[Any] | None:
-    return values.tolist() if known and all(map(isfinite, values.ravel().tolist())) else None
+def _vector(values: list[float], known: bool) -> list[float] | None:
+    return values if known and all(map(isfinite, values)) else None
+
+
+def _matrix(covariance: list[list[float]], start: int, known: bool) -> list[list[float]] | None:
+    """Return the block of (3, 3) that begins at an index of the diagonal."""
+    block = [row[start : start + 3] for row in covariance[start : start + 3]]
+    return block if known and all(map(isfinite, chain.from_iterable(block))) else None
+
+
+def _yaw_pitch_roll(estimate: Estimate) -> list[float] | None:
+    from spheremouse.wand.axes import estimated_axes  # loads Numba, which a tracker of a hand-held ball has loaded
+
+    return _vector(estimated_axes(estimate).angles.tolist(), True)
+
+
+def _to_quaternion(R: Array) -> list[float]:
+    """Return the unit quaternion w, x, y, z, w >= 0, of a rotation matrix, (3, 3) (Shepperd 1978).
+
+    It is not compiled, because the first call in a thread of an output would load the compiled code.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    if a + e + i > max(a, e, i):
+        w, x, y, z = 1.0 + a + e + i, h - f, c - g, d - b
+    elif a >= max(e, i):
+        w, x, y, z = h - f, 1.0 + a - e - i, b + d, c + g
+    elif e >= i:
+        w, x, y, z = c - g, b + d, 1.0 - a + e - i, f + h
+    else:
+        w, x, y, z = d - b, c + g, f + h, 1.0 - a - e + i
+    scale = copysign(1.0, w) / sqrt(w * w + x * x + y * y + z * z)
+    return [w * scale, x * scale, y * scale, z * scale]
+
+
+def _to_matrix(quaternion: Array) -> Array:
+    """Return the rotation matrix, (3, 3), of w, x, y, z of any length but zero, else ValueError."""
+    if not quaternion.any():
+        raise ValueError("the quaternion is zero")
+    w, x, y, z = (quaternion / np.linalg.norm(quaternion)).tolist()
+    V = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + 2.0 * (w * V + V @ V)

@@ -114,7 +114,7 @@ def smoothed(tracked: Iterable[FrameResult], adapter: TrackerAdapter, settings: 
     """Return the results with estimates given all frames, and without images."""
     kept, samples = list[FrameResult](), list[Sample]()
     for made in tracked:
-        samples.append(made.samples[0]._replace(observation=adapter.observation(made)))
+        samples.append(replace(made.samples[0], observation=adapter.observation(made)))
         frame = replace(made.frame, image=np.zeros((0, 0), np.uint8))
         kept.append(replace(made, frame=frame, epoch=replace(made.epoch, frame=frame)))
     smoothed_samples = smooth_samples(samples, settings)
@@ -132,7 +132,7 @@ def smooth_samples(samples: Iterable[Sample], settings: So3Settings) -> list[Sam
             )
         observations.append(sample.observation)
     estimates = smooth(observations, settings)
-    return [s._replace(estimate=e, observation=None) for s, e in zip(samples, estimates, strict=True)]
+    return [replace(s, estimate=e, observation=None) for s, e in zip(samples, estimates, strict=True)]
 
 
 def follow(tracked: Iterable[FrameResult], adapter: TrackerAdapter, outputs: dict[str, Output], view: View) -> None:

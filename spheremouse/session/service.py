@@ -9,6 +9,7 @@ import os
 import time
 from collections.abc import Callable
 from concurrent.futures import wait
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -199,7 +200,7 @@ class Daemon:
         """Pass the result of a frame to all subscribers, the outputs first."""
         latency = time.monotonic() - taken
         wall = time.time() - latency
-        samples = tuple(sample._replace(wall=wall, latency=latency) for sample in made.samples)
+        samples = tuple(replace(sample, wall=wall, latency=latency) for sample in made.samples)
         report = report_of(samples, self.adapter.mapping, made.pointing)
         # if the output works again since the last update of the state, the next frame is the first one for it
         wanted = self._monitor.state is not State.FAILED_OUTPUT

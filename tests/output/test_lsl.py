@@ -4,6 +4,7 @@ import itertools
 import os
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,7 +73,7 @@ def test_the_time_stamp_is_that_of_the_exposure_on_the_clock_of_lsl(stream):
     offset = time.time() - pylsl.local_clock()
     exposures = [time.time() - age for age in ages]
     dated = [
-        report._replace(samples=tuple(s._replace(wall=wall) for s in report.samples))
+        report._replace(samples=tuple(replace(s, wall=wall) for s in report.samples))
         for report, wall in zip(reports, exposures, strict=True)
     ]
     _, samples = stream(*dated)
@@ -83,7 +84,7 @@ def test_the_time_stamp_is_that_of_the_exposure_on_the_clock_of_lsl(stream):
 def test_a_recording_has_the_time_of_sending(stream):
     report = frame(1)
     before = pylsl.local_clock()
-    _, ((_, stamp),) = stream(report._replace(samples=tuple(s._replace(wall=None) for s in report.samples)))
+    _, ((_, stamp),) = stream(report._replace(samples=tuple(replace(s, wall=None) for s in report.samples)))
     assert before <= stamp <= pylsl.local_clock()
 
 

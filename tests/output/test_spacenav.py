@@ -7,6 +7,7 @@ import socket
 import stat
 import struct
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -104,7 +105,7 @@ def test_the_object_of_libspnav_turns_as_a_hand_held_ball_does(facing, w):
     (sample,) = rolling(w).samples
     mapping = WandMapping(PointingSettings(facing=facing))
     _, rate = mapping.counts(sample.estimate)
-    check_object(Report((0, 0, 0), rate, 0.0, (sample._replace(coordinates="cam"),)), view @ w)
+    check_object(Report((0, 0, 0), rate, 0.0, (replace(sample, coordinates="cam"),)), view @ w)
 
 
 def check_object(report, w):

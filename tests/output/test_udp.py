@@ -2,6 +2,7 @@
 
 import json
 import socket
+from dataclasses import replace
 
 from reporting import PATIENCE, refused, report
 
@@ -33,7 +34,7 @@ def test_fictracs_own_client_reads_its_lines():
         for k in range(1, 4):
             sample = report(rotation=(0.1 * k, 0, 0)).samples[0]
             tracked = sample.estimate._replace(status=Status.TRACKING, sequence=k, stamp=float(k))
-            output.send(report()._replace(samples=(sample._replace(estimate=tracked),)))
+            output.send(report()._replace(samples=(replace(sample, estimate=tracked),)))
             data += bound.recv(1024).decode("UTF-8")
             end = data.find("\n")
             tokens, data = data[:end].split(", "), data[end + 1 :]
