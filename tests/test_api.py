@@ -56,8 +56,12 @@ def test_the_public_names():
         _ = sm.tracks  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def test_the_import_alone_loads_no_other_package():
-    code = "import sys, spheremouse as sm; print([m for m in ('numpy', 'cv2', 'numba', 'scipy') if m in sys.modules])"
+@pytest.mark.parametrize(
+    ("module", "packages"),
+    [("spheremouse", ("numpy", "cv2", "numba", "scipy")), ("spheremouse.output", ("cv2", "numba", "scipy"))],
+)
+def test_the_import_alone_loads_no_other_package(module, packages):
+    code = f"import sys, {module}; print([m for m in {packages} if m in sys.modules])"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert found.stdout == "[]\n"
 

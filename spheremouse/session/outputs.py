@@ -42,12 +42,14 @@ class Outputs:
         workers: WorkerPool,
         call: Callable[[Callable[[], None]], None],
         describe_run: DescribeRun = dict,
+        claim: Callable[[], object] = lambda: None,
     ) -> None:
         """`workers` closes exchanged outputs; `call` has the worker run a call, from any thread.
 
-        Outputs call `describe_run` in their threads.
+        Outputs call `describe_run` in their threads. The thread of a paced output also calls `claim`, to request
+        real-time scheduling. The other outputs must not compete with the tracker.
         """
-        self._describe_run = describe_run
+        self._describe_run, self._claim = describe_run, claim
         self._log, self._workers, self._call = log, workers, call
         self._late: list[threading.Thread] | None = []  # started by `begin`
         self._paused = False
@@ -121,11 +123,6 @@ class Outputs:
         return self._all[0]
 
     @property
-    def threads(self) -> list[int]:
-        """Ids of the threads in the operating system."""
-        return [native for output in self._all if (native := output.thread.native_id) is not None]
-
-    @property
     def ended(self) -> bool:
         """True if the readers of all outputs have gone."""
         return all(output.thread.ended for output in self._all)
@@ -171,6 +168,8 @@ class Outputs:
 
     def _open(self, spec: str) -> Output:
         output = open_output(spec)
+        if output.paced:
+            self._claim()
         output.begin(self._describe_run)
         return output
 

@@ -77,6 +77,7 @@ class Daemon:
         self._began = self._checked_at = self._reopened_at = time.monotonic()
         self._ending = self._finished = False
         self._cpu = CpuShare()
+        self._realtime = plan.configuration.realtime == "auto"
         self._scheduling = "usual scheduling"
         self._notifier = Notifier()
         self._endpoints = Endpoints(self.handle, self._log)
@@ -102,6 +103,7 @@ class Daemon:
             workers=self._workers,
             call=call,
             describe_run=lambda: describe_run(self._reloader.plan, self._capture.description),
+            claim=lambda: self._claim(0),
         )
         self._counts: Counts = (0, 0, 0)  # of all frames
         self._monitor = StateMonitor(
@@ -272,10 +274,8 @@ class Daemon:
 
     def _start(self) -> None:
         """Request real-time scheduling, and start the camera."""
-        self._realtime = self._reloader.plan.configuration.realtime == "auto"
         self._scheduling = realtime.prepare(self._realtime)
         self._quiet = self._stack.enter_context(contextlib.closing(realtime.GcPause()))
-        self._claim(*self._outputs.threads)
         begin(self._capture)
         self._claim(self._capture.native_id)
         self._arrivals.begin()
@@ -287,8 +287,8 @@ class Daemon:
     def _log_progress(self, progress: str) -> None:
         self._monitor.starting = f"the program is made ready: {progress}"
 
-    def _claim(self, *threads: int | None) -> None:
-        for thread in threads if self._realtime else ():
+    def _claim(self, thread: int | None) -> None:
+        if self._realtime:
             realtime.claim(thread)
 
     def _close(self) -> None:
@@ -400,7 +400,6 @@ class Daemon:
         if "output" in changed:
             self._outputs.exchange(plan.outputs, plan.configuration.pointer)
             self._log_left_out(plan)
-            self._claim(*self._outputs.threads)
 
         def apply() -> bool:
             another = not {"tracker", "rig", "balls"}.isdisjoint(changed)

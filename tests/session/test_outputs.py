@@ -246,3 +246,21 @@ def test_an_output_that_hangs_delays_no_other(run):
     until(lambda: np.array_equal(made.sinks[1].counts, (20, 0, 0)))
     assert not np.any(made.sinks[0].counts)
     made.sinks[0].gate.set()
+
+
+def test_only_paced_outputs_request_real_time_scheduling(tmp_path):
+    claimed = []
+    outputs = Outputs(
+        [f"text:{tmp_path / 'a'}", f"text:{tmp_path / 'b'},format=reports", "null"],
+        EXACT,
+        log=[].append,
+        workers=WorkerPool((OUTPUT,), [].append),
+        call=[].append,
+        claim=lambda: claimed.append(threading.get_native_id()),
+    )
+    outputs.begin()
+    outputs.submit(report(1, 0, 0), time.monotonic(), wanted=True)
+    until(lambda: all(status.reports for _, status in outputs.status()))
+    outputs.close()
+    assert len(claimed) == 1
+    assert claimed[0] != threading.get_native_id()
