@@ -68,7 +68,8 @@ def _serve(address: str, port: int, names: list[str], token: str, socket: Path |
         )
     except OSError as e:
         hint = "choose another --port" if e.errno == 98 else "choose another --address"
-        raise ControlError(f"{address}:{port}: cannot be opened ({e.strerror})", hint) from None
+        reason = str(e.strerror).partition(" (while")[0]
+        raise ControlError(f"{address}:{port}: cannot be opened ({reason})", hint) from None
     with listener:
         typer.echo(f"live page: {owners_address(address, port, token)}", err=True)
         server(application(socket, Access(token, port, names)), address, port).run([listener])
