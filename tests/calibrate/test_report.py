@@ -95,7 +95,7 @@ def test_text_says_radius_photos_and_advice(calibration, photos):
     print_device(calibration, names(photos), advise(calibration, names(photos)), Console(file=out, width=200))
     text = out.getvalue()
     sigma = 1e3 * np.sqrt(calibration.ball_covariance[3, 3])
-    assert f"{1e3 * calibration.radius:.2f} ± {sigma:.2f} mm" in text
+    assert f"{1e3 * calibration.radius:.2f} mm   ± {sigma:.2f} mm" in text
     for name in names(photos)[:6]:
         assert name in text
     for a in advise(calibration, names(photos)):

@@ -15,7 +15,7 @@ from rich.padding import Padding
 from rich.table import Table
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration, distance_redundancy
-from spheremouse.calibrate.device.advice import Advice, coverage
+from spheremouse.calibrate.device.advice import Advice
 from spheremouse.calibrate.outputs import print_advice, print_table
 from spheremouse.calibrate.photos import Photo, image
 from spheremouse.files.report.page import page, rendered
@@ -122,23 +122,11 @@ def _points_of_photos(c: DeviceCalibration) -> list[tuple[int, int, float | None
 def print_device(c: DeviceCalibration, names: Sequence[str], advice: Sequence[Advice], console: "Console") -> None:
     """Print the figures that matter, and the advice; `names` of all photos."""
     show = _Lengths(c)
-    ball = np.sqrt(np.diag(c.ball_covariance))
     lines = Table(box=None, show_header=False, pad_edge=False, padding=(0, 3, 0, 0))
-    if not c.scale_free:
-        lines.add_row("radius", f"{show(c.radius)} ± {show(ball[3])} {show.unit}")
-    where = ", ".join(f"{a} ± {show(s)}" for a, s in zip("XYZ", ball, strict=False))
-    lines.add_row("ball's centre", f"{where} {show.unit} against the targets")
-    lines.add_row("targets", f"{len(c.targets)}, ± {show(_rms(_sigma(c, 'targets')))} {show.unit}")
-    often = int(np.count_nonzero(c.sightings >= 3))
-    lines.add_row("discs", f"{len(c.discs)}, ± {show(_rms(_sigma(c, 'discs')))} {show.unit}; {often} in 3 photos +")
-    lines.add_row("image points", f"{_points(c)}; {c.rms_px:.3f} px RMS")
+    for line in _headlines(c, show):
+        lines.add_row(*line)
     console.print(Padding(lines, (0, 0, 1, 0), expand=False))
-    rows = []
-    for k, pose, (used, rejected, rms) in zip(c.photos, c.poses, _points_of_photos(c), strict=True):
-        sigma = np.sqrt(np.diag(pose.covariance))
-        certain = show(np.linalg.norm(sigma[:3])), f"{np.degrees(np.linalg.norm(sigma[3:])):.3f}"
-        rows.append([names[k], str(used), str(rejected or "-"), _px(rms), *certain])
-    print_table(console, ("photo", "points", "not used", "px RMS", f"place ± {show.unit}", "attitude ± °"), rows)
+    print_table(console, _photo_head(show), _photo_rows(c, names, show))
     if c.device.distances:
         columns = [[row[i] for i in (0, 1, 3, 5, 6)] for row in _distance_rows(c)]
         print_table(console, ("distance", "tape mm", "adjusted mm", "residual mm", "over sigma"), columns)
@@ -206,7 +194,17 @@ def write_device_report(
             ball=_ball_rows(c, show),
             targets=_target_rows(c, show),
             distances=_distance_rows(c),
-            **_photo_values(c, show, photos),
+            photo_head=_photo_head(show),
+            photos=(rows := _photo_rows(c, [p.path.name for p in photos], show)),
+            pictures=[
+                (photo_picture(c, i, image(photos[k])), f"{row[0]}; {row[1]} points, {row[3]} px")
+                for i, (k, row) in enumerate(zip(c.photos, rows, strict=True))
+            ],
+            left_out=[
+                [photos[k].path.name, what, why]
+                for what, some in (("nothing", c.skipped), ("targets only", c.doubtful))
+                for k, why in some
+            ],
             arrow_scale=arrow_scale(c, photos[c.photos[0]].size[0]),
             discs=_disc_rows(c, show),
             provenance=[(key.replace("_", " "), value) for key, value in provenance.items() if isinstance(value, str)],
@@ -222,15 +220,17 @@ def write_device_report(
 
 def _headlines(c: DeviceCalibration, show: _Lengths) -> list[tuple[str, str, str]]:
     ball = np.sqrt(np.diag(c.ball_covariance))
+    often = int(np.count_nonzero(c.sightings >= 3))
     centre = f"X {show(ball[0])}, Y {show(ball[1])}, Z {show(ball[2])} {show.unit}"
     if c.scale_free:
         first = ("Scale", "free", "no tape distance: counts per radian")
     else:
-        first = ("Ball's radius", f"{1e3 * c.radius:.1f} {show.unit}", f"± {show(ball[3])} {show.unit}")
+        first = ("Ball's radius", f"{show(c.radius)} {show.unit}", f"± {show(ball[3])} {show.unit}")
     return [
         first,
         ("Ball's centre", f"± {show(ball[:3].max())} {show.unit}", centre),
-        ("Discs", str(len(c.discs)), f"on {100.0 * coverage(c.directions):.0f} % of the ball"),
+        ("Targets", str(len(c.targets)), f"± {show(_rms(_sigma(c, 'targets')))} {show.unit}"),
+        ("Discs", str(len(c.discs)), f"± {show(_rms(_sigma(c, 'discs')))} {show.unit}; {often} in 3 photos or more"),
         ("Image points", f"{c.rms_px:.3f} px", f"RMS; {_points(c)}"),
     ]
 
@@ -254,30 +254,17 @@ def _target_rows(c: DeviceCalibration, show: _Lengths) -> list[list[str]]:
     ]
 
 
-def _photo_values(c: DeviceCalibration, show: _Lengths, photos: Sequence[Photo]) -> dict[str, Any]:
-    """Rows on the photos and their poses, the pictures, and the photos left out."""
-    rows, pictures = [], []
-    points = _points_of_photos(c)
-    for i, (k, pose, (used, rejected, rms)) in enumerate(zip(c.photos, c.poses, points, strict=True)):
-        name, number = photos[k].path.name, str(k + 1)
-        place = [f"{1e3 * v:.0f}" for v in pose.position]
-        rows.append([number, name, *place, str(used), str(rejected or "-"), _px(rms)])
-        count = f"{used} points" + (f", {rejected} not used" if rejected else "")
-        pictures.append((photo_picture(c, i, image(photos[k])), f"{number}: {name}; {count}, {_px(rms)} px"))
-    variances = np.array([np.diag(pose.covariance) for pose in c.poses])
-    sigmas = np.sqrt(np.vstack([variances, variances.mean(axis=0)]))
-    numbers = [*(str(k + 1) for k in c.photos), "RMS"]
-    left_out = [[photos[k].path.name, "nothing", why] for k, why in c.skipped]
-    left_out += [[photos[k].path.name, "targets only", why] for k, why in c.doubtful]
-    return {
-        "photos": rows,
-        "pictures": pictures,
-        "pose_sigmas": [
-            [number, *show.each(s[:3]), *(f"{np.degrees(angle):.3f}" for angle in s[3:])]
-            for number, s in zip(numbers, sigmas, strict=True)
-        ],
-        "left_out": left_out,
-    }
+def _photo_head(show: _Lengths) -> tuple[str, ...]:
+    return ("photo", "points", "not used", "px RMS", f"place ± {show.unit}", "attitude ± °")
+
+
+def _photo_rows(c: DeviceCalibration, names: Sequence[str], show: _Lengths) -> list[list[str]]:
+    rows = []
+    for k, pose, (used, rejected, rms) in zip(c.photos, c.poses, _points_of_photos(c), strict=True):
+        sigma = np.sqrt(np.diag(pose.covariance))
+        certain = show(np.linalg.norm(sigma[:3])), f"{np.degrees(np.linalg.norm(sigma[3:])):.3f}"
+        rows.append([f"{k + 1}: {names[k]}", str(used), str(rejected or "-"), _px(rms), *certain])
+    return rows
 
 
 def _disc_rows(c: DeviceCalibration, show: _Lengths) -> list[list[str]]:
