@@ -13,7 +13,7 @@ import numpy as np
 
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import DiscTruth
-from spheremouse.errors import DatasetError
+from spheremouse.errors import DatasetError, SpheremouseError
 from spheremouse.files.dataset.format import DISC_COLUMNS, FILES, STAMP_COLUMNS, TRUTH_COLUMNS, camera_description
 from spheremouse.files.dataset.pictures import FAST, PictureWriter
 from spheremouse.files.safe_files import NewFolder
@@ -200,18 +200,23 @@ def _begin_table(files: ExitStack, path: Path, columns: Sequence[str]) -> Any:
     return rows
 
 
-def refuse_to_overwrite(path: Path, replace: bool) -> None:
-    """Raise DatasetError if `path` exists and may not be replaced, or is no dataset."""
+def refuse_to_overwrite(
+    path: Path,
+    replace: bool,
+    parts: Sequence[str] = FILES,
+    what: str = "a dataset",
+    error: type[SpheremouseError] = DatasetError,
+) -> None:
+    """Raise `error` if `path` exists and may not be replaced, or has other than the `parts` of a dataset."""
     if not path.exists():
         return
     if not path.is_dir():
-        raise DatasetError(f"{path}: is a file; name a folder to write to")
+        raise error(f"{path}: is a file; name a folder to write to")
     content = {p.name for p in path.iterdir()}
     if content and not replace:
-        raise DatasetError(f"{path}: is not empty; name another folder or use --force to replace it")
-    if content - set(FILES):
-        odd = sorted(content - set(FILES))[0]
-        raise DatasetError(f"{path}: holds {odd}, which is no part of a dataset; it will not be replaced")
+        raise error(f"{path}: is not empty; name another folder or use --force to replace it")
+    if odd := sorted(content - set(parts)):
+        raise error(f"{path}: holds {odd[0]}, which is no part of {what}; it will not be replaced")
 
 
 def _rate(stamps: list[float]) -> float:

@@ -96,14 +96,8 @@ def _new_folder(path: Path, replace: bool) -> Iterator[Path]:
 
 
 def _refuse(path: Path, replace: bool) -> None:
-    if not path.exists():
-        return
-    if not path.is_dir():
-        raise CalibrationError(f"{path}: is a file; name a folder to write to")
-    content = {p.name for p in path.iterdir()}
-    if content and not replace:
-        raise CalibrationError(f"{path}: is not empty; name another folder or use --force to replace it")
-    if odd := sorted(content - set(_PARTS)):
-        raise CalibrationError(f"{path}: holds {odd[0]}, which is no part of a practice set; it will not be replaced")
-    if content and not (path / "truth.json").is_file():
+    from spheremouse.files.dataset.write import refuse_to_overwrite
+
+    refuse_to_overwrite(path, replace, _PARTS, "a practice set", CalibrationError)
+    if path.is_dir() and any(path.iterdir()) and not (path / "truth.json").is_file():
         raise CalibrationError(f"{path}: holds no truth.json, so these are real photos; they will not be replaced")
