@@ -23,6 +23,7 @@ _COMMANDS = {
     "track": (
         "track", "track", "Example: spheremouse track demo/roll --smooth --output text:roll.jsonl",
     ),
+    "export": ("export", "export", "Example: spheremouse export demo/roll roll.mcap"),
     "demo": ("demo", "demo", "Example: spheremouse demo --seconds 20 --seed 2"),
     "simulate": (
         "simulate", "simulate", "Example: spheremouse simulate demo/roll --motion roll --turns 1 --noise 3",

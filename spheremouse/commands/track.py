@@ -1,12 +1,34 @@
 """`spheremouse track`: track a recording once, and send its samples to outputs."""
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from spheremouse.commands.options import Assignments, Balls, CameraFile, ConfigFile, RigFile
 from spheremouse.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from spheremouse.session.run_config import CommandLineOverrides
+
+
+def of_recording(
+    recording: Path, config: Path | None, assignments: list[str] | None, balls: list[Path] | None
+) -> "CommandLineOverrides":
+    """Return the overrides that track a recording with its own tracker and without a map, for output `null`."""
+    from spheremouse.files.dataset.wand import is_wand
+    from spheremouse.session.run_config import CommandLineOverrides
+
+    of_wand = ("tracker=wand",) if is_wand(recording) else ()
+    return CommandLineOverrides(
+        config,
+        (*of_wand, *(assignments or ())),
+        f"dataset:{recording}",
+        ("null",),
+        no_map=True,
+        balls=tuple(balls or ()),
+    )
 
 
 def track(
@@ -30,19 +52,10 @@ def track(
     frames, also the later ones, so the angular velocity has about half the error.
     """
     from spheremouse.commands.run import run_plan
-    from spheremouse.files.dataset.wand import is_wand
-    from spheremouse.session.run_config import CommandLineOverrides, check_kinds, read_run_config
+    from spheremouse.session.run_config import check_kinds, read_run_config
 
-    of_wand = ("tracker=wand",) if is_wand(recording) else ()
-    overrides = CommandLineOverrides(
-        config,
-        (*of_wand, *(assignments or ())),
-        f"dataset:{recording}",
-        tuple(output),
-        rig,
-        camera,
-        no_map=True,
-        balls=tuple(balls or ()),
+    overrides = replace(
+        of_recording(recording, config, assignments, balls), outputs=tuple(output), rig=rig, camera=camera
     )
     plan = read_run_config(overrides)
     check_kinds(plan)

@@ -40,14 +40,14 @@ class Shown:
             return bytes(picture.pixels)
         if picture.format in ("yuyv", "nv12"):
             return simplejpeg.encode_jpeg_yuv_planes(*_planes(picture), quality=_QUALITY)
-        return _encoded(_pixels(picture))
+        return encoded(_pixels(picture))
 
     @cached_property
     def masked(self) -> bytes:
         """JPEG of ball and targets alone; all else is black."""
         image = _pixels(self.picture).copy()
         image[~kept(self.picture.annotations or {}, *image.shape[:2])] = 0
-        return _encoded(image)
+        return encoded(image)
 
 
 class Pictures:
@@ -153,6 +153,7 @@ def _pixels(picture: LivePicture) -> Image:
     return np.frombuffer(picture.pixels, np.uint8).reshape(picture.height, picture.width, -1)
 
 
-def _encoded(image: Image) -> bytes:
+def encoded(image: Image) -> bytes:
+    """Return a JPEG of grey values (h, w, 1), or BGR (h, w, 3)."""
     colours = "GRAY" if image.shape[2] == 1 else "BGR"
     return simplejpeg.encode_jpeg(np.ascontiguousarray(image), quality=_QUALITY, colorspace=colours)

@@ -1,0 +1,75 @@
+"""`spheremouse export`: track a recording, and write pictures, marks and samples as an MCAP file."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from spheremouse.commands.options import Assignments, Balls, CameraFile, ConfigFile, RigFile
+from spheremouse.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from io import BufferedWriter
+
+    from spheremouse.session.run_config import RunConfig
+
+
+def export(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", show_default=False, help="Folder of a recording.")],
+    out: Annotated[Path, typer.Argument(metavar="FILE.mcap", show_default=False, help="File to write.")],
+    rig: RigFile = None,
+    camera: CameraFile = None,
+    config: ConfigFile = None,
+    assignments: Assignments = None,
+    balls: Balls = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+) -> None:
+    """Track a recording and write an MCAP file for Foxglove, Lichtblick and Rerun.
+
+    It has the pictures with the tracker's marks, the camera's calibration, the transforms, the ball in 3-D, the log,
+    and a sample for each ball and frame. The file appears when it is complete. The source, output, rig, camera and map
+    of a configuration file do not count. The command needs the extra `mcap`.
+    """
+    from spheremouse.calibrate.outputs import check_outputs
+    from spheremouse.commands.track import of_recording
+    from spheremouse.files.safe_files import NewFile
+    from spheremouse.session.run_config import read_run_config
+    from spheremouse.view.mcap import sdk
+
+    sdk()
+    check_outputs([out], [recording, config, rig, camera, *(balls or ())], force)
+    plan = read_run_config(replace(of_recording(recording, config, assignments, balls), rig=rig, camera=camera))
+    try:
+        with NewFile(out) as new:
+            frames = _write(new.file, plan)
+        size = out.stat().st_size
+    except OSError as e:
+        raise ConfigurationError(f"{out}: cannot be written: {e.strerror or e}") from None
+    print(f"{out}: {frames} frame{'' if frames == 1 else 's'}, {size / 1e6:.1f} MB")
+
+
+def _write(file: "BufferedWriter", plan: "RunConfig") -> int:
+    """Write the file of a plan, and return the number of its frames. Raise OSError if that fails."""
+    from spheremouse.commands.terminal import progress_bar
+    from spheremouse.session import offline
+    from spheremouse.session.run_description import describe_run
+    from spheremouse.session.setup import open_setup
+    from spheremouse.session.tracker_adapter import here
+    from spheremouse.view.mcap import McapWriter
+
+    setup = open_setup(plan)
+    source = setup.source
+    assert source is not None
+    with source, progress_bar() as progress:
+        writer = McapWriter(file, describe_run(plan))
+        adapter = setup.adapter(plan, writer.log, here)
+        setup.make_ready(plan)
+        task = progress.add_task("exporting", total=source.count)
+        frames = adapter.begin(iter(progress.track(source, source.count, task_id=task)))
+        offline.follow(offline.results(frames, adapter), adapter, {}, writer)
+        failure = adapter.failure("")
+        if failure is not None:
+            raise failure
+        writer.close()
+    return writer.frames

@@ -1,0 +1,370 @@
+"""Write a tracked recording as an MCAP file, which Foxglove, Lichtblick and Rerun show.
+
+It has the pictures with their annotations, camera calibration, transforms, a scene in 3-D, the log, and the samples.
+All but the samples are of Foxglove's well-known schemas. Stamps are those of the source.
+"""
+
+import importlib
+import json
+from collections.abc import Callable
+from functools import cache
+from io import BufferedWriter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import spheremouse
+from spheremouse.errors import ConfigurationError
+from spheremouse.geometry import Array
+from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.output import Report
+from spheremouse.output.sample import Sample, to_object
+from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
+from spheremouse.tracker import Status
+from spheremouse.view.pictures import encoded
+
+_MAX_SECONDS = 2**32 - 1  # of a stamp in the well-known schemas
+_SCENE_PERIOD_S = 1.0  # between two scenes of the same discs, whose places the tracker refines
+_PIXEL = 0.5  # px from a pixel's centre, the origin of our axes, to its corner, that of Foxglove's
+_GAP = 0.02  # radii that a drawn disc stands out of the ball
+_CIRCLE = np.stack([np.cos(t := np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)), np.sin(t)], axis=1)
+_COLOURS = {
+    "outline": (1.0, 1.0, 1.0, 0.8),
+    "others": (0.7, 0.7, 0.7, 0.8),
+    "used": (0.1, 0.9, 0.2, 1.0),
+    "unused": (1.0, 0.6, 0.0, 1.0),
+    "predicted": (0.2, 0.6, 1.0, 1.0),
+    "gate": (0.2, 0.6, 1.0, 0.4),
+    "targets": (0.1, 0.9, 0.2, 1.0),
+    "strangers": (1.0, 0.9, 0.0, 1.0),
+    "masked": (1.0, 0.0, 0.3, 1.0),
+    "ball": (0.85, 0.85, 0.85, 1.0),
+    "disc": (0.1, 0.1, 0.1, 1.0),
+}
+
+
+def sdk(module: str = "foxglove") -> Any:
+    """Return a module of foxglove-sdk. Raise ConfigurationError if it is not installed."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise ConfigurationError("export: needs the package foxglove-sdk", "pip install 'spheremouse[mcap]'") from None
+
+
+class McapWriter:
+    """Writes what a run displays. It is a `View` of the loop over recordings."""
+
+    def __init__(self, file: BufferedWriter, run: dict[str, Any]) -> None:
+        """Begin the file, with the description of the `run` as metadata. Raise ConfigurationError without the SDK."""
+        self._context, self._file = sdk().Context(), _CheckedFile(file)
+        options = sdk("foxglove.mcap").MCAPWriteOptions(compression_threads=0)
+        self._writer = sdk().open_mcap(self._file, context=self._context, writer_options=options)
+        self._writer.write_metadata("spheremouse", {"run": json.dumps(run)})
+        self._channels: dict[str, Any] = {}
+        self._lines: list[str] = []  # since the last frame
+        self._time = 0  # ns, of the last frame
+        self._camera: dict[str, Any] | None = None  # as it was written
+        self._scene: tuple[int, int] | None = None  # time and number of discs of the written one
+        self.frames = 0
+
+    def log(self, text: str) -> None:
+        """Write log lines with the time of the next frame."""
+        self._lines += text.splitlines()
+
+    def show(self, made: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
+        """Write a frame. Raise OSError if it cannot be written."""
+        self._time = round(1e9 * min(max(float(made.frame.stamp), 0.0), _MAX_SECONDS))
+        self._write_log()
+        scene, pointing = adapter.scene(), made.samples[made.pointing]
+        self._write_camera(scene["camera"], adapter.camera, pointing.coordinates == "obj")
+        image = made.frame.image
+        data = encoded(image if image.ndim == 3 else image[:, :, None])
+        self._write("CompressedImage", "/camera/image", frame_id="cam", data=data, format="jpeg")
+        annotations = image_annotations(adapter.annotations(made), self._stamp())
+        self._channel("ImageAnnotations", "/camera/annotations").log(annotations, log_time=self._time)
+        for sample, counts in report.counted:
+            self._write_sample(sample, counts)
+        self._write_scene(scene, pointing)
+        self.frames += 1
+        self._file.check()
+
+    def close(self) -> None:
+        """Write the end of the file. Raise OSError if that fails."""
+        self._write_log()
+        self._writer.close()
+        self._file.check()
+
+    # ---- parts ----
+
+    def _write_log(self) -> None:
+        level = _messages().LogLevel.Info
+        for line in self._lines:
+            self._write("Log", "/log", level=level, message=line, name="spheremouse")
+        self._lines.clear()
+
+    def _write_camera(self, found: dict[str, Any], camera: InteriorOrientation, in_obj: bool) -> None:
+        """Write calibration and pose when the scene's camera, `found`, changes. `in_obj`: it has a pose in `obj`."""
+        if found == self._camera or found["position"] is None:
+            return
+        self._camera, K = found, camera.matrix
+        self._write(
+            "CameraCalibration",
+            "/camera/calibration",
+            frame_id="cam",
+            width=camera.width,
+            height=camera.height,
+            distortion_model="plumb_bob",
+            D=camera.distortion.tolist(),
+            K=K.ravel().tolist(),
+            R=np.eye(3).ravel().tolist(),
+            P=np.column_stack([K, np.zeros(3)]).ravel().tolist(),
+        )
+        if in_obj:
+            rotation = np.reshape(found["rotation"], (3, 3)).T
+            self._write_transform("/camera/transform", ("obj", "cam"), np.array(found["position"]), rotation)
+
+    def _write_sample(self, sample: Sample, counts: tuple[int, int, int]) -> None:
+        topic = f"/ball/{sample.ball}"
+        if sample.status is Status.TRACKING:
+            ends = sample.coordinates, sample.name
+            self._write_transform(f"{topic}/transform", ends, sample.position, sample.rotation)
+        message = known_values(to_object(sample, counts))
+        if f"{topic}/sample" not in self._channels:
+            schema = sdk().Schema(
+                name="spheremouse.Sample",
+                encoding="jsonschema",
+                data=json.dumps(channel_schema(message["statistics"])).encode(),
+            )
+            channel = sdk().Channel(f"{topic}/sample", schema=schema, message_encoding="json", context=self._context)
+            self._channels[f"{topic}/sample"] = channel
+        self._channels[f"{topic}/sample"].log(json.dumps(message).encode(), log_time=self._time)
+
+    def _write_scene(self, scene: dict[str, Any], sample: Sample) -> None:
+        """Write the ball that points with its discs, and the targets, if there are other discs or at the period."""
+        discs = np.reshape(scene["discs"] or [], (-1, 3))
+        if self._scene is not None:
+            time, number = self._scene
+            if len(discs) == number and self._time - time < 1e9 * _SCENE_PERIOD_S:
+                return
+        self._scene = self._time, len(discs)
+        m, radius = _messages(), scene["radius"]
+        ball = m.SceneEntity(
+            timestamp=self._stamp(),
+            frame_id=sample.name,
+            id="ball",
+            frame_locked=True,
+            spheres=[
+                m.SpherePrimitive(size=m.Vector3(x=2 * radius, y=2 * radius, z=2 * radius), color=_colour("ball"))
+            ],
+            cylinders=[_disc(direction, radius, scene["disc_radius"]) for direction in discs],
+        )
+        labels = [
+            m.TextPrimitive(
+                pose=_pose(np.array(target["position"]), np.eye(3)),
+                billboard=True,
+                font_size=12.0,
+                scale_invariant=True,
+                color=_colour("targets"),
+                text=target["code"],
+            )
+            for target in scene["targets"]
+        ]
+        targets = m.SceneEntity(
+            timestamp=self._stamp(), frame_id=sample.coordinates, id="targets", frame_locked=True, texts=labels
+        )
+        update = m.SceneUpdate(entities=[ball, targets] if labels else [ball])
+        self._channel("SceneUpdate", "/scene").log(update, log_time=self._time)
+
+    def _write_transform(self, topic: str, ends: tuple[str, str], position: Array, rotation: Array) -> None:
+        """Write the pose of the axes `ends[1]` in the axes `ends[0]`."""
+        parent, child = ends
+        at, turn = _vector(position), _quaternion(rotation)
+        self._write(
+            "FrameTransform", topic, parent_frame_id=parent, child_frame_id=child, translation=at, rotation=turn
+        )
+
+    # ---- channels ----
+
+    def _stamp(self) -> Any:
+        return _messages().Timestamp(*divmod(self._time, 10**9))
+
+    def _channel(self, kind: str, topic: str) -> Any:
+        if topic not in self._channels:
+            made: Callable[..., Any] = getattr(sdk("foxglove.channels"), f"{kind}Channel")
+            self._channels[topic] = made(topic, context=self._context)
+        return self._channels[topic]
+
+    def _write(self, kind: str, topic: str, **fields: Any) -> None:
+        message = getattr(_messages(), kind)(timestamp=self._stamp(), **fields)
+        self._channel(kind, topic).log(message, log_time=self._time)
+
+
+class _CheckedFile:
+    """A file for the SDK, which reports errors of writing on standard error alone: `check` raises the first one."""
+
+    def __init__(self, file: BufferedWriter) -> None:
+        self._file = file
+        self._error: BaseException | None = None
+
+    def write(self, data: bytes) -> int:
+        if self._error is None:
+            try:
+                self._file.write(data)
+            except BaseException as e:  # an interrupt, too, since the SDK would drop it
+                self._error = e
+        return len(data)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        return self._file.seek(offset, whence) if self._error is None else 0
+
+    def flush(self) -> None:
+        if self._error is None:
+            try:
+                self._file.flush()
+            except BaseException as e:
+                self._error = e
+
+    def check(self) -> None:
+        if self._error is not None:
+            raise self._error
+
+
+# ---- samples ----
+
+
+def known_values(made: dict[str, Any]) -> dict[str, Any]:
+    """Return the JSON object of a sample without its unknown values, since viewers know no null."""
+    known = {name: value for name, value in made.items() if value is not None}
+    return known | {"statistics": {name: v for name, v in made["statistics"].items() if v is not None}}
+
+
+def channel_schema(statistics: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of samples without null, references, conditions and matrices, which viewers reject.
+
+    `statistics` has the names of a frame's figures. Matrices are in the messages; only their description is missing.
+    """
+    schema = _sample_schema()
+    fields = {name: _field(field, schema["$defs"]) for name, field in schema["properties"].items()}
+    fields["statistics"]["properties"] = {name: {"type": "number"} for name in statistics}
+    described = {name: field for name, field in fields.items() if field.get("items", {}).get("type") != "array"}
+    return {"title": schema["title"], "description": schema["description"], "type": "object", "properties": described}
+
+
+def _field(field: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    """Return type, items and description of a field that is known."""
+    given = field
+    if "anyOf" in field:
+        given = next(choice for choice in field["anyOf"] if choice != {"type": "null"})
+    if "$ref" in given:
+        given = definitions[given["$ref"].rpartition("/")[2]]
+    kind = given.get("type", "string")  # an enumeration has no type
+    made = {"type": kind if isinstance(kind, str) else kind[0]}
+    if "items" in given:
+        made["items"] = {"type": given["items"]["type"]}
+    return made | ({"description": field["description"]} if "description" in field else {})
+
+
+@cache
+def _sample_schema() -> dict[str, Any]:
+    package = Path(spheremouse.__file__).parent
+    beside = package.parent / "docs" / "sample.schema.json"
+    return json.loads((beside if beside.is_file() else package / "_service" / beside.name).read_text("utf-8"))
+
+
+# ---- annotations ----
+
+
+def image_annotations(marks: dict[str, Any], stamp: Any) -> Any:
+    """Return ImageAnnotations of the marks of `TrackerAdapter.annotations`."""
+    lines = [_loop(np.reshape(points, (-1, 2)), "others", stamp) for points in marks.get("others", [])]
+    lines.append(_loop(np.reshape(marks["outline"], (-1, 2)), "outline", stamp))
+    for disc in marks["detected"]:
+        lines.append(_ellipse(disc, disc["shape"], "used" if disc["used"] else "unused", stamp))
+    for disc in marks["predicted"]:
+        lines.append(_ellipse(disc, disc["shape"], "predicted", stamp))
+        lines.append(_ellipse(disc, disc["gate"], "gate", stamp))
+    for target in marks["targets"]:
+        lines.append(_ellipse(target, target["shape"], "targets", stamp))
+    for other in marks["strangers"]:
+        area = other["radius"] ** 2
+        lines.append(_ellipse(other, [area, 0.0, area], "strangers", stamp))
+    lines += [_ellipse({"x": x, "y": y}, [9.0, 0.0, 9.0], "masked", stamp) for x, y in marks["masked"]]
+    texts = [_label(mark, kind, stamp) for kind in ("targets", "strangers") for mark in marks[kind]]
+    return _messages().ImageAnnotations(points=lines, texts=texts)
+
+
+def _ellipse(at: dict[str, Any], shape: list[float], colour: str, stamp: Any) -> Any:
+    """Return the outline of an ellipse with the shape [xx, xy, yy] px²."""
+    xx, xy, yy = shape
+    values, vectors = np.linalg.eigh([[xx, xy], [xy, yy]])
+    rim = _CIRCLE @ (vectors * np.sqrt(values.clip(0.0))).T
+    return _loop(rim + np.array([at["x"], at["y"]]), colour, stamp)
+
+
+def _loop(points: Array, colour: str, stamp: Any) -> Any:
+    m = _messages()
+    corners = [m.Point2(x=x, y=y) for x, y in (points + _PIXEL).tolist()]
+    return m.PointsAnnotation(
+        timestamp=stamp,
+        type=m.PointsAnnotationType.LineLoop,
+        points=corners,
+        outline_color=_colour(colour),
+        thickness=1.0,
+    )
+
+
+def _label(mark: dict[str, Any], colour: str, stamp: Any) -> Any:
+    m = _messages()
+    return m.TextAnnotation(
+        timestamp=stamp,
+        position=m.Point2(x=mark["x"] + _PIXEL, y=mark["y"] + _PIXEL),
+        text=mark["code"],
+        font_size=12.0,
+        text_color=_colour(colour),
+        background_color=m.Color(a=0.5),
+    )
+
+
+# ---- geometry ----
+
+
+def _disc(direction: Array, radius: float, disc_radius: float) -> Any:
+    """Return a flat cylinder that covers the cap of a disc at a unit vector in ball axes."""
+    m = _messages()
+    inner = np.sqrt(max(radius**2 - disc_radius**2, 0.0))
+    height = (1.0 + _GAP) * radius - inner
+    x = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    x /= np.linalg.norm(x)
+    rotation = np.array([x, np.cross(direction, x), direction], dtype=float).T
+    return m.CylinderPrimitive(
+        pose=_pose((inner + 0.5 * height) * direction, rotation),
+        size=m.Vector3(x=2.0 * disc_radius, y=2.0 * disc_radius, z=height),
+        bottom_scale=1.0,
+        top_scale=1.0,
+        color=_colour("disc"),
+    )
+
+
+def _pose(position: Array, rotation: Array) -> Any:
+    return _messages().Pose(position=_vector(position), orientation=_quaternion(rotation))
+
+
+def _vector(v: Array) -> Any:
+    x, y, z = v.tolist()
+    return _messages().Vector3(x=x, y=y, z=z)
+
+
+def _quaternion(rotation: Array) -> Any:
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
+    return _messages().Quaternion(x=x, y=y, z=z, w=w)
+
+
+def _colour(name: str) -> Any:
+    r, g, b, a = _COLOURS[name]
+    return _messages().Color(r=r, g=g, b=b, a=a)
+
+
+def _messages() -> Any:
+    return sdk("foxglove.messages")
