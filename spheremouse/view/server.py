@@ -33,6 +33,7 @@ TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".s
 # Settings of the panel Tune, in its order: those that an operator changes while looking at the ball.
 TUNE = (
     "motion.scale_x", "motion.scale_y", "motion.scale_z", "motion.player", "pointer.horizon", "pointer.smooth",
+    "wand.pointing.by", "wand.pointing.scale_x", "wand.pointing.scale_y", "wand.pointing.scale_z", "wand.lost_after",
     "discs.polarity", "discs.contrast", "so3.acceleration_sigma", "loss.lost_after", "camera.exposure_s", "camera.gain",
 )  # fmt: skip
 
@@ -129,8 +130,10 @@ class _Browser:
 
     def hello(self) -> str:
         """Return the first message."""
-        about = {"version": __version__, "owner": self._owner, "tune": TUNE}
-        return json.dumps({**self._page.daemon.hello(), **about})
+        hello = self._page.daemon.hello()
+        known = {about["key"] for about in hello["settings"]}
+        tune = [key for key in TUNE if key in known]
+        return json.dumps({**hello, "version": __version__, "owner": self._owner, "tune": tune})
 
     def push(self, kind: str, message: str | bytes) -> None:
         """Add a message; a newer status replaces one that waits. If too many wait, the oldest is dropped."""

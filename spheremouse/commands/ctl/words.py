@@ -63,7 +63,12 @@ def status_table(s: StatusReport) -> Panel:
 
 def settings_table(reply: dict[str, Any]) -> Table:
     """Return the reply to `settings` as a table."""
-    table = Table("key", "value", "default", "unit", "range", box=None, padding=(0, 2, 0, 0), header_style="dim")
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    table.add_column(
+        "key", no_wrap=True, min_width=max((len(s["key"]) for s in reply.get("settings") or ()), default=0)
+    )
+    for name in ("value", "default", "unit", "range"):
+        table.add_column(name, overflow="fold")
     for setting in reply.get("settings") or ():
         value, default = (_json(setting.get(name)) for name in ("value", "default"))
         low, high, choices = (setting.get(name) for name in ("minimum", "maximum", "choices"))
