@@ -38,7 +38,7 @@ _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed so
 def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = None) -> Tracker:
     """Build the tracker for a device and one camera pose.
 
-    Building a detector takes 20 ms. If that of `before` is of the same device, pose and settings, it is used again.
+    If the detector of `before` is of the same device, pose and settings, it is used again.
     Raises PoseError if the camera cannot see the ball: it is inside the ball, the ball is not in front of it, or the
     ball is outside the image.
     """
@@ -80,7 +80,7 @@ def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = Non
     ):
         detector = before.detector
     elif settings.detector == "default":
-        detector = disc_detector(settings.discs, rig, pose)
+        detector = disc_detector(settings.discs, rig, pose, None if before is None else before.detector)
     else:
         detector = BlobDetector(settings.blobs)
     return Tracker(settings, rig, pose, detector, stage, method)

@@ -41,6 +41,7 @@ from spheremouse.session.control.socket_file import socket_path
 from spheremouse.session.control.status import StatusReport
 from spheremouse.session.process.threads import begin
 from spheremouse.session.settings import ControlSettings, MetricsSettings
+from spheremouse.session.timing import OUTPUTS_FIRST
 
 Handle = Callable[[PendingRequest], None]
 
@@ -112,7 +113,7 @@ class ControlServer:
         A slow client loses its oldest samples and gets their number with the next one.
         """
         if self._subscribers:
-            self._call(self._send_samples, report)
+            self._call(self._loop.call_later, OUTPUTS_FIRST, self._send_samples, report)
 
     def close(self) -> None:
         """Send the replies that come within half a second, and remove the socket."""
@@ -120,7 +121,7 @@ class ControlServer:
         self._thread.join(5.0)
         self._stack.close()
 
-    def _call(self, function: Callable[..., None], *arguments: Any) -> None:
+    def _call(self, function: Callable[..., object], *arguments: Any) -> None:
         with contextlib.suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(function, *arguments)
 

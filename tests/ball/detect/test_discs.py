@@ -160,3 +160,16 @@ def test_what_the_user_masks_is_not_looked_at():
     assert np.linalg.norm(seen - b, axis=1).min() < 1.0
     with pytest.raises(ConfigurationError, match="they leave nothing of the ball"):
         disc_detector(replace(SETTINGS, masks=((0.0, 0.0, 640.0, 480.0),)), RIG, POSE)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"polarity": "light"}, {"contrast": 0.6, "rim": 0.9, "sigma": 0.1}, {"min_area": 150.0, "smoothing": 1.2},
+     {"masks": ((300.0, 200.0, 340.0, 280.0),)}],
+)  # fmt: skip
+@pytest.mark.parametrize("pose", [POSE, replace(POSE, position=POSE.position + 0.05)])
+def test_a_detector_made_from_another_one_detects_the_same_as_a_new_one(changes, pose):
+    settings, image = replace(SETTINGS, **changes), photo(CLEAN, 1.0)
+    found, expected = (disc_detector(settings, RIG, pose, before).detect(image) for before in (DETECTOR, None))
+    assert np.array_equal(found.centre, expected.centre)
+    assert np.array_equal(found.covariance, expected.covariance)
