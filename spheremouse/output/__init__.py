@@ -49,6 +49,7 @@ class Report(NamedTuple):
     stamp: float  # s, of the motion's end
     samples: tuple[Sample, ...] = ()  # of all balls; empty between two frames
     pointing: int = 0  # index of the ball that makes the counts
+    fraction: Rate = (0.0, 0.0, 0.0)  # counts, less than one on each axis, that are made and not reported yet
 
     @property
     def pointing_sample(self) -> Sample | None:
@@ -64,6 +65,11 @@ class Report(NamedTuple):
 class Mapping(Protocol):
     """Converts the motion of a ball to counts of a mouse. It carries fractions of a count to the next call."""
 
+    @property
+    def fraction(self) -> Rate:
+        """Counts that are carried to the next call."""
+        ...
+
     def counts(self, estimate: Estimate) -> tuple[Counts, Rate | None]:
         """Return the counts of an estimate, and their rate; None if the estimate is not confirmed."""
         ...
@@ -77,7 +83,7 @@ def report_of(samples: tuple[Sample, ...], mapping: Mapping, pointing: int = 0) 
     """Return the report of a frame: its samples, and the counts of the ball at index `pointing`."""
     estimate = samples[pointing].estimate
     counts, rate = mapping.counts(estimate)
-    return Report(counts, rate, estimate.stamp, samples, pointing)
+    return Report(counts, rate, estimate.stamp, samples, pointing, mapping.fraction)
 
 
 class OutputClosed(Exception):  # noqa: N818  an end, not an error
@@ -94,6 +100,7 @@ class DeliveryStatus:
 
 
 _ALL_ARRIVED = DeliveryStatus()
+_MIN_GAIN, _MAX_GAIN = 1e-3, 1e3
 
 
 class Output:
@@ -135,6 +142,25 @@ class Output:
     ) -> bool | None:
         self.close()
         return isinstance(error, OutputClosed)
+
+
+def split_gain(spec: str) -> tuple[str, float]:
+    """Return the output `KIND:ARGUMENT` without its `gain=`, and the gain. Raise OutputError if it is invalid."""
+    kind, _, argument = spec.partition(":")
+    parts = argument.split(",")
+    given = [part for part in parts if part.strip().startswith("gain=")]
+    if not given:
+        return spec, 1.0
+    gain = float(registry.options(",".join(given), {"gain": float}, spec, OutputError)["gain"])
+    if not _MIN_GAIN <= gain <= _MAX_GAIN:
+        raise OutputError(f"{spec}: gain must be from {_MIN_GAIN:g} to {_MAX_GAIN:g}, is {gain:g}")
+    rest = ",".join(part for part in parts if part not in given)
+    return f"{kind}:{rest}" if rest else kind, gain
+
+
+def full_spec(spec: str) -> str:
+    """Return the output `KIND:ARGUMENT` without its gain, which no module of an output reads."""
+    return split_gain(spec)[0]
 
 
 def open_output(spec: str) -> Output:

@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from spheremouse.geometry.rotation import Array
-from spheremouse.output import Counts, Rate
+from spheremouse.output import Counts, Rate, Report
 from spheremouse.settings import FACTOR, PER_RADIAN, param
 from spheremouse.tracker import Estimate
 
@@ -167,6 +167,11 @@ class Counter:
         """Confirmed rotation vector (3,) rad that is not counted yet."""
         return np.array(self._catch_up.pending)
 
+    @property
+    def fraction(self) -> Rate:
+        """Counts that are carried to the next call."""
+        return self._remainder.value
+
     def counts(self, estimate: Estimate) -> tuple[Counts, Rate | None]:
         """Return counts and counts/s of an estimate.
 
@@ -182,3 +187,24 @@ class Counter:
 
     def interrupted(self) -> None:
         """Change nothing: the increment after a break is known, or zero."""
+
+
+class Gain:
+    """Factor on the counts of one output. Call `apply` with each report of a run, in their order."""
+
+    def __init__(self, factor: float) -> None:
+        self._factor, self._fraction, self._remainder = factor, np.zeros(3), Remainder()
+
+    def apply(self, report: Report) -> Report:
+        """Return the report with the counts and their rate times the factor.
+
+        The sum of all counts stays within one of the factor times the integral of the motion, because the fractions
+        that the run has not reported yet are scaled as well.
+        """
+        if self._factor == 1.0:
+            return report
+        fraction = np.array(report.fraction)
+        motion, self._fraction = report.counts + fraction - self._fraction, fraction
+        counts, self._remainder = to_counts(motion, self._factor * np.eye(3), self._remainder)
+        rate = None if report.rate is None else (*(self._factor * r for r in report.rate),)
+        return report._replace(counts=counts, rate=rate, fraction=self._remainder.value)

@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from spheremouse.errors import ControlError
-from spheremouse.output import Counts, DescribeRun, Output, Report, open_output
+from spheremouse.output import Counts, DescribeRun, Output, Report, open_output, split_gain
+from spheremouse.output.counts import Gain
 from spheremouse.output.null import Null
 from spheremouse.output.pointer import PointerSettings, minus, plus
 from spheremouse.output.reporter import OutputThread, ReporterStatus
@@ -24,10 +25,17 @@ _NONE: Counts = (0, 0, 0)
 
 @dataclass(frozen=True, slots=True)
 class RunOutput:
-    """An output `KIND:ARGUMENT` of a run, and its thread."""
+    """An output `KIND:ARGUMENT` of a run, its thread and its gain."""
 
     spec: str
     thread: OutputThread
+    gain: Gain
+
+    def submit(self, report: Report, taken: float, wanted: bool) -> Counts:
+        """Submit a frame's report, and return its counts with the gain."""
+        report = self.gain.apply(report)
+        self.thread.submit(report, taken, wanted)
+        return report.counts
 
 
 class Outputs:
@@ -53,7 +61,8 @@ class Outputs:
         self._log, self._workers, self._call = log, workers, call
         self._late: list[threading.Thread] | None = []  # started by `begin`
         self._paused = False
-        self._submitted = _NONE  # sum of the counts that the main output was given
+        self.counts = _NONE  # of all frames, with the gain of the main output
+        self._submitted = _NONE  # those of them that the main output of now was given
         self._past: tuple[int, Counts] = (0, _NONE)  # reports and unsent counts of the main outputs before this one
         openers = [(spec, partial(self._open, spec)) for spec in specs]
         self._all = self._threads(openers, settings, len(specs) > 1)
@@ -66,9 +75,11 @@ class Outputs:
 
     def submit(self, report: Report, taken: float, wanted: bool) -> None:
         """Submit a frame's report, taken at a time (s, monotonic), to each output. Only the main one heeds `wanted`."""
-        for output in self._all:
-            output.thread.submit(report, taken, wanted or output is not self.main)
-        self._submitted = plus(self._submitted, report.counts)
+        first, *others = self._all
+        counts = first.submit(report, taken, wanted)
+        for output in others:
+            output.submit(report, taken, True)
+        self._submitted, self.counts = plus(self._submitted, counts), plus(self.counts, counts)
 
     def end_prediction(self, now: float) -> None:
         """End the extrapolation of the pointer at `now` (s, monotonic), because no frame will correct it."""
@@ -156,9 +167,9 @@ class Outputs:
         begun: list[RunOutput] = []
         try:
             for spec, open_it in openers:
-                name = f"output {spec}" if several else "output"
+                name, gain = f"output {spec}" if several else "output", Gain(split_gain(spec)[1])
                 thread = OutputThread(open_it, settings, self._log, start=self._begin, name=name)
-                begun.append(RunOutput(spec, thread))
+                begun.append(RunOutput(spec, thread, gain))
         except ControlError:
             give_up()
             for output in begun:

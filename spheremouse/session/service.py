@@ -20,7 +20,7 @@ from spheremouse.capture.newest import Arrival, LatestFrame
 from spheremouse.capture.signals import SignalHandler, on_hang_up
 from spheremouse.errors import ControlError
 from spheremouse.output import Counts, Report, report_of
-from spheremouse.output.pointer import minus, plus
+from spheremouse.output.pointer import minus
 from spheremouse.output.rate_limited_logger import RateLimitedLogger
 from spheremouse.output.reporter import ReporterStatus
 from spheremouse.output.third_axis import left_out
@@ -105,7 +105,6 @@ class Daemon:
             describe_run=lambda: describe_run(self._reloader.plan, self._capture.description),
             claim=lambda: self._claim(0),
         )
-        self._counts: Counts = (0, 0, 0)  # of all frames
         self._monitor = StateMonitor(
             self._worker, self._capture, self._arrivals, self._outputs, log=self._log, notify=self._notifier.status
         )
@@ -208,8 +207,7 @@ class Daemon:
         wanted = self._monitor.state is not State.FAILED_OUTPUT
         for subscriber in (self._outputs, self._endpoints):
             subscriber.submit(report, taken, wanted)
-        self._counts = plus(self._counts, report.counts)
-        self._archive.keep(made, self.adapter, lambda: minus(self._counts, self.unsent))
+        self._archive.keep(made, self.adapter, lambda: minus(self._outputs.counts, self.unsent))
         self._show(made, report, self.adapter)
         if self._limit is not None and self._worker.frames >= self._limit:
             self._ending = True
@@ -433,7 +431,7 @@ class Daemon:
             skipped=self._ring.skipped,
             dropped=self._capture.dropped,
             damaged=worker.damaged,
-            counts=list(self._counts),
+            counts=list(self._outputs.counts),
             outputs=outputs,
             source=SourceStatus(spec=plan.source, description=self._capture.description),
             unseen_s=monitor.unseen,

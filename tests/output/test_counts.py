@@ -10,7 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from seats import LOOKS
 
 from spheremouse.geometry.rotation import exp, rotation_between
-from spheremouse.output.counts import Counter, MotionSettings, Remainder, to_counts
+from spheremouse.output import report_of
+from spheremouse.output.counts import Counter, Gain, MotionSettings, Remainder, to_counts
+from spheremouse.output.sample import Sample
 from spheremouse.tracker import unknown
 
 RADIUS = 0.6
@@ -34,6 +36,18 @@ def test_sum_of_counts_is_the_integral_within_one_count(rotations, per_radian):
     matrix = MotionSettings(counts_per_radian=per_radian).matrix(RADIUS)
     integral = matrix @ np.sum(rotations, axis=0) if rotations else np.zeros(3)
     assert np.max(np.abs(total_counts(rotations, matrix) - integral)) <= 1.0 + 1e-6  # 1e-6: rounding of the sums
+
+
+@given(steps, st.floats(0.01, 2000.0), st.floats(1e-3, 1e3))
+def test_the_sum_of_counts_with_a_gain_is_the_integral_times_the_gain_within_one_count(rotations, per_radian, factor):
+    counter, gain = Counter(MotionSettings(counts_per_radian=per_radian).matrix(RADIUS)), Gain(factor)
+    total = np.zeros(3)
+    for k, rotation in enumerate(rotations):
+        increment = np.array([*rotation, 0.0, 0.0, 0.0])
+        estimate = unknown(float(k), k)._replace(increment=increment, confirmed=True)
+        total += gain.apply(report_of((Sample(estimate),), counter)).counts
+    integral = counter.matrix @ np.sum(rotations, axis=0) if rotations else np.zeros(3)
+    assert np.max(np.abs(total - factor * integral)) <= 1.0 + 1e-6 * max(1.0, factor)  # rounding of the sums
 
 
 def test_a_ball_at_rest_on_the_boundary_between_two_counts_is_silent():

@@ -264,3 +264,15 @@ def test_only_paced_outputs_request_real_time_scheduling(tmp_path):
     outputs.close()
     assert len(claimed) == 1
     assert claimed[0] != threading.get_native_id()
+
+
+def test_each_output_has_its_own_gain(tmp_path):
+    specs = [f"text:{tmp_path / 'double'},format=counts,gain=2", f"text:{tmp_path / 'one'},format=counts"]
+    outputs = run_of(*specs)
+    for k in range(20):
+        outputs.submit(report(3, -1, k, stamp=float(k)), time.monotonic(), wanted=True)
+    until(lambda: [sum(status.sent) for _, status in outputs.status()] == [460, 230])
+    outputs.close()
+    double, one = (np.loadtxt(tmp_path / name).sum(axis=0)[1:] for name in ("double", "one"))
+    assert one.tolist() == [60.0, -20.0, 190.0]
+    assert double.tolist() == [120.0, -40.0, 380.0] == list(outputs.counts)
