@@ -86,32 +86,26 @@ def mice(sys_input: Path = _SYS, nodes: Path = _INPUT) -> list[Mouse]:
 
 def choose(wanted: str | None, found: list[Mouse]) -> Mouse:
     """Return the mouse of that path or part of a name; SourceError lists the connected mice."""
-    listed = "\n".join(f"  {mouse}" for mouse in found)
     if wanted is not None and wanted.startswith("/"):
         path = Path(os.path.realpath(wanted))  # /dev/input/by-id/... are links
-        for mouse in found:
-            if path == mouse.node or Path(wanted) == mouse.node:
-                return mouse
-        if not Path(wanted).exists():
-            raise SourceError(
-                f"{wanted}: no such device; is it plugged in?" + (f" Connected are:\n{listed}" if found else "")
-            )
-        return Mouse(Path(wanted), "not known")
+        mouse = next((m for m in found if m.node in (path, Path(wanted))), None)
+        if mouse is None and not Path(wanted).exists():
+            connected = f" Connected are:\n{_listed(found)}" if found else ""
+            raise SourceError(f"{wanted}: no such device; is it plugged in?{connected}")
+        return mouse or Mouse(Path(wanted), "not known")
     if not found:
         raise SourceError("no mouse or trackball is connected; plug it in, or name it with --device /dev/input/eventN")
-    if wanted is not None:
-        fitting = [m for m in found if wanted.casefold() in m.name.casefold()]
-        if not fitting:
-            raise SourceError(f"--device {wanted}: no mouse has that in its name; connected are:\n{listed}")
-        if len(fitting) > 1:
-            listed = "\n".join(f"  {mouse}" for mouse in fitting)
-            raise SourceError(f"--device {wanted}: fits {len(fitting)} mice; name one by its path:\n{listed}")
+    fitting = found if wanted is None else [m for m in found if wanted.casefold() in m.name.casefold()]
+    if len(fitting) == 1:
         return fitting[0]
-    if len(found) > 1:
-        raise SourceError(
-            f"{len(found)} mice are connected; choose one with --device PATH or part of its name:\n{listed}"
-        )
-    return found[0]
+    if not fitting:
+        raise SourceError(f"--device {wanted}: no mouse has that in its name; connected are:\n{_listed(found)}")
+    what = f"{len(found)} mice are connected" if wanted is None else f"--device {wanted}: fits {len(fitting)} mice"
+    raise SourceError(f"{what}; choose one with --device PATH or part of its name:\n{_listed(fitting)}")
+
+
+def _listed(found: list[Mouse]) -> str:
+    return "\n".join(f"  {mouse}" for mouse in found)
 
 
 class Listener:

@@ -271,13 +271,11 @@ def _find_charuco(grey: NDArray[np.uint8], pattern: Pattern) -> Sighting:
     if n:
         outlines = np.asarray(marker_corners, float).reshape(-1, 4, 2)
         ratio, misplaced = _as_laid_out(board, outlines, np.ravel(np.asarray(marker_ids)).astype(np.intp))
-    if ids is None or len(ids) < _MIN_CHARUCO_CORNERS or misplaced:
+    index = np.empty(0, np.intp) if ids is None or misplaced else np.ravel(np.asarray(ids)).astype(np.intp)
+    sides = [len(np.unique(k)) for k in (index % pattern.columns, index // pattern.columns)]
+    if len(index) < _MIN_CHARUCO_CORNERS or min(sides) < 3:
         return Sighting(np.empty(0, np.intp), np.empty((0, 2)), None, n, ratio, misplaced)
-    index = np.ravel(np.asarray(ids)).astype(np.intp)
-    uv = np.asarray(corners, float).reshape(-1, 2)
-    if len(np.unique(index % pattern.columns)) < 3 or len(np.unique(index // pattern.columns)) < 3:
-        return Sighting(np.empty(0, np.intp), np.empty((0, 2)), None, n, ratio, misplaced)
-    return Sighting(index, uv, None, n, ratio, misplaced)
+    return Sighting(index, np.asarray(corners, float).reshape(-1, 2), None, n, ratio, misplaced)
 
 
 @cache

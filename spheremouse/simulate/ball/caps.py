@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth
-from spheremouse.geometry.camera import project, project_sphere, reduced_to_pixel, unproject
+from spheremouse.geometry.camera import project, sphere_outline, unproject
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.simulate.ball.scene import Scene
 
@@ -226,10 +226,7 @@ class Caps:
 
 def _ball_bounds(scene: Scene, radius: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Columns and rows that show a ball of `radius` m: first, (2,), and one past the last, (2,)."""
-    centre, shape = project_sphere(scene.pose.to_cam(np.zeros(3)), radius)
-    phase = np.linspace(0.0, 2.0 * np.pi, 360)
-    circle = np.stack([np.cos(phase), np.sin(phase)], axis=1)
-    uv, _ = reduced_to_pixel(centre + circle @ np.linalg.cholesky(shape).T, scene.camera)
+    uv = sphere_outline(scene.pose.to_cam(np.zeros(3)), radius, scene.camera, 360)
     limit = np.array([scene.camera.width, scene.camera.height])
     low = np.clip(np.floor(uv.min(axis=0)).astype(int) - _MARGIN, 0, limit)
     high = np.clip(np.ceil(uv.max(axis=0)).astype(int) + _MARGIN + 1, 0, limit)
