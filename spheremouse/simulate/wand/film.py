@@ -89,8 +89,8 @@ def prepare_wand(options: WandOptions, ball: WandBall | None = None, named: Name
         clutter=options.clutter,
         exposure_s=options.blur,
         noise=options.noise,
-        hands=() if options.hand is None else (_passing_hand(options, paths[0], rng),),
-        cards=() if options.card is None else (_passing_card(options, paths[0], rng),),
+        hands=_passing(options, paths[0], options.hand, rng, beside=True),
+        cards=_passing(options, paths[0], options.card, rng, beside=False),
         seed=options.seed,
         vary=options.vary,
     )
@@ -142,28 +142,19 @@ def _camera(options: WandOptions) -> InteriorOrientation:
     return InteriorOrientation(width, height, focal, focal, 0.5 * width, 0.5 * height, np.array(options.dist))
 
 
-def _passing_hand(options: WandOptions, path: WandPath, rng: np.random.Generator) -> Passing:
-    """Fingers first, past the ball, just beside it and a little nearer."""
-    assert options.hand is not None
-    time = options.begin + options.hand
-    centre = path.pose(np.array([time]))[0][0]
-    angle = np.radians(rng.uniform(-30.0, 30.0)) + rng.choice([0.0, np.pi])
+def _passing(
+    options: WandOptions, path: WandPath, at: float | None, rng: np.random.Generator, beside: bool
+) -> tuple[Passing, ...]:
+    """A hand, fingers first, just beside the ball and a little nearer; or a card straight across the ball."""
+    if at is None:
+        return ()
+    centre = path.pose(np.array([options.begin + at]))[0][0]
+    angle = np.radians(rng.uniform(-30.0, 30.0)) + rng.choice([0.0, np.pi]) if beside else rng.uniform(-np.pi, np.pi)
     towards = np.array([np.cos(angle), np.sin(angle), 0.0])
-    aside = np.array([-towards[1], towards[0], 0.0]) * rng.choice([-1.0, 1.0])
+    aside = np.array([-towards[1], towards[0], 0.0]) * (rng.choice([-1.0, 1.0]) if beside else 0.0)
     speed = _PASSES if options.motion == "drive" else 0.5
     nearest = centre + 0.12 * aside - np.array([0.0, 0.0, 0.12])
-    return Passing(time, speed * towards, nearest, 0.6 / speed)
-
-
-def _passing_card(options: WandOptions, path: WandPath, rng: np.random.Generator) -> Passing:
-    """Straight across the ball, close in front of it, and away."""
-    assert options.card is not None
-    time = options.begin + options.card
-    centre = path.pose(np.array([time]))[0][0]
-    angle = rng.uniform(-np.pi, np.pi)
-    towards = np.array([np.cos(angle), np.sin(angle), 0.0])
-    speed = _PASSES if options.motion == "drive" else 0.5
-    return Passing(time, speed * towards, centre - np.array([0.0, 0.0, 0.12]), 0.5 / speed)
+    return (Passing(options.begin + at, speed * towards, nearest, (0.6 if beside else 0.5) / speed),)
 
 
 def _check(options: WandOptions, named: Named) -> None:
