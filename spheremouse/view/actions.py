@@ -68,7 +68,7 @@ class Actions:
         if action == "export":
             return Done(data={"text": yaml_of(self._daemon.changed())})
         if action == "import":
-            return await self._set_all(values_of(str(arguments.get("text", ""))), "import")
+            return await self._set_all(self._daemon.differing(values_of(str(arguments.get("text", "")))), "import")
         raise ControlError(f"{action}: there is no such action")
 
     async def _set_all(self, values: Values, name: str) -> Done:

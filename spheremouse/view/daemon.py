@@ -129,6 +129,11 @@ class Daemon:
         """Return the settings that differ from their defaults."""
         return {a["key"]: a["value"] for a in self._described.settings if a["value"] != a["default"]}
 
+    def differing(self, values: Values) -> Values:
+        """Return the values that are not in force."""
+        known = {about["key"]: about["value"] for about in self._described.settings}
+        return {key: value for key, value in values.items() if key not in known or known[key] != value}
+
     def _ask(self, command: str, arguments: Message) -> Message:
         with Client(self._socket) as client:
             return client.ask(command, **arguments)

@@ -89,7 +89,7 @@ export class ExpertPanel {
     this.#search.addEventListener("input", () => this.#show());
     this.#changed.addEventListener("change", () => this.#show());
     this.#reset.addEventListener("click", () => {
-      const keys = this.#controls.map((c) => c.setting).filter((s) => s.live && this.#isChanged(s)).map((s) => s.key);
+      const keys = this.#controls.map((c) => c.setting).filter((s) => this.#isReset(s)).map((s) => s.key);
       if (keys.length) void perform("reset", { keys });
     });
     this.#file.addEventListener("change", async () => {
@@ -115,6 +115,14 @@ export class ExpertPanel {
     return JSON.stringify(this.#settings.value(setting.key)) !== JSON.stringify(setting.default);
   }
 
+  /**
+   * Return if "Reset all" changes a setting. It leaves the files and devices of the run as they are.
+   * @param {Setting} setting
+   */
+  #isReset(setting) {
+    return setting.live && setting.group !== "" && setting.key !== "wand.balls" && this.#isChanged(setting);
+  }
+
   #show() {
     const words = this.#search.value.trim().toLowerCase().split(/\s+/);
     let shown = 0;
@@ -129,7 +137,7 @@ export class ExpertPanel {
       section.toggleAttribute("hidden", rows.every((row) => row.hasAttribute("hidden")));
     }
     const changed = this.#controls.filter((c) => this.#isChanged(c.setting));
-    this.#reset.disabled = !changed.some((c) => c.setting.live);
+    this.#reset.disabled = !changed.some((c) => this.#isReset(c.setting));
     setText(this.#count, `${shown} of ${this.#controls.length} settings shown, ${changed.length} differ from the default.`);
   }
 }

@@ -1,0 +1,351 @@
+"""The page in a browser, on a service that tracks a film."""
+
+import io
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+from view_world import wait_for
+
+PANELS = ("Tune", "Expert", "Log", "Draw", "Outputs", "Doctor")
+SIZES = {"desktop": (1280, 800), "phone": (390, 844)}
+
+
+def choose(page, panel):
+    page.locator(f"#tab-{panel}").click()
+
+
+def field(page, panel, key):
+    return page.locator(f'[id="{panel}-{key}"]')
+
+
+def refusal(page, panel, key):
+    return page.locator(f'[id="{panel}-{key}-error"]')
+
+
+def pixels(page):
+    """Return the middle of the camera's picture, where the ball is, as numbers."""
+    picture = np.asarray(Image.open(io.BytesIO(page.locator("#picture").screenshot())).convert("L"), dtype=float)
+    rows, columns = picture.shape
+    return picture[rows // 4 : -rows // 4, columns // 3 : -columns // 3]
+
+
+def value(service, key):
+    """Return a setting as the daemon reports it."""
+    changes = dict(change.split("=", 1) for change in service.status()["changes"])
+    return changes.get(key)
+
+
+# ---- what is seen ----
+
+
+def test_state_and_reason_are_in_words_and_follow_the_service(page, service):
+    assert page.locator("#state").inner_text() == "tracking"
+    wait_for("a reason", lambda: page.locator("#reason").inner_text())
+    service.ask("pause")
+    page.get_by_text("paused", exact=True).wait_for()
+    assert "Resume" in page.locator("#advice").inner_text()
+    service.ask("resume")
+    page.get_by_text("tracking", exact=True).wait_for()
+
+
+def test_the_picture_moves_where_the_ball_is(page):
+    page.get_by_role("checkbox", name="contours").wait_for()
+    first = pixels(page)
+    wait_for("another picture", lambda: np.abs(pixels(page) - first).max() > 60)
+
+
+def test_a_layer_can_be_switched_off(page):
+    green = (94, 224, 110)  # of the targets
+
+    def painted():
+        picture = Image.open(io.BytesIO(page.locator("#picture").screenshot())).convert("RGB")
+        return np.sum(np.abs(np.asarray(picture, dtype=int) - green).max(axis=2) < 25)
+
+    wait_for("the targets", lambda: painted() > 50)
+    page.get_by_role("checkbox", name="targets").uncheck()
+    wait_for("no targets", lambda: painted() < 10)
+
+
+def test_the_view_in_space_turns_by_keys(page):
+    space = page.locator("#space")
+    page.get_by_role("button", name="Front").click()
+    front = space.screenshot()
+    space.focus()
+    for _ in range(5):
+        page.keyboard.press("ArrowLeft")
+    assert space.screenshot() != front
+
+
+# ---- the service obeys ----
+
+
+def test_buttons_reach_the_service(page, service):
+    page.get_by_role("button", name="Pause").click()
+    service.reach(paused=True)
+    page.get_by_role("button", name="Resume").click()
+    service.reach(paused=False)
+    page.get_by_role("button", name="Record").click()
+    wait_for("a recording", lambda: service.status()["recording"])
+    page.get_by_role("button", name="Stop recording").click()
+    wait_for("its end", lambda: service.status()["recording"] is None)
+    page.get_by_role("button", name="Snapshot").click()
+    wait_for("a snapshot", lambda: [*service.folder.rglob("*.png"), *service.folder.rglob("*.jpg")])
+    age = service.status()["pose"]["age_s"]
+    page.get_by_role("button", name="Estimate camera pose").click()
+    wait_for("another pose", lambda: (service.status()["pose"] or {"age_s": age})["age_s"] < age)
+    service.reach(state="tracking")
+
+
+def test_each_setting_of_daily_use_reaches_the_service(page, service):
+    rows = page.locator("#panel-Tune .setting")
+    keys = [row.get_attribute("data-key") for row in rows.all()]
+    assert len(keys) >= 8
+    for key in keys:
+        control = field(page, "tune", key)
+        kind = control.evaluate("e => e.tagName === 'SELECT' ? 'select' : e.type")
+        if kind == "checkbox":
+            control.click()
+        elif kind == "select":
+            control.select_option(index=1 + control.evaluate("e => e.selectedIndex > 0 ? -1 : 0"))
+        else:
+            slider = page.locator(f'[data-key="{key}"] .slider')
+            if not slider.is_visible():
+                continue
+            slider.focus()
+            page.keyboard.press("ArrowLeft")
+        wait_for(key, lambda key=key: value(service, key) or refusal(page, "tune", key).inner_text())
+        assert not refusal(page, "tune", key).inner_text() or key.startswith("camera."), key
+
+
+def test_a_gesture_on_a_slider_is_one_step_of_undo(page, service):
+    undo = page.locator("#undo")
+    page.locator("#unsaved").wait_for()
+    before = undo.inner_text()
+    box = page.locator('[data-key="motion.scale_x"] .slider').bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for i in range(1, 20):
+        page.mouse.move(x + 3 * i, y)
+    page.mouse.up()
+    chosen = field(page, "tune", "motion.scale_x").input_value()
+    assert float(chosen) > 1.5
+    wait_for("the last value", lambda: float(value(service, "motion.scale_x") or 0) == float(chosen))
+    assert undo.inner_text() != before
+    undo.click()
+    wait_for("the first value", lambda: float(value(service, "motion.scale_x") or 1) == 1)
+    wait_for("one step less", lambda: undo.inner_text() == before)
+
+
+def test_a_value_that_is_refused_is_refused_in_words_and_stays_to_be_corrected(page, service):
+    scale = field(page, "tune", "motion.scale_x")
+    scale.fill("two")
+    scale.press("Enter")
+    wait_for("the refusal", lambda: "must be a number" in refusal(page, "tune", "motion.scale_x").inner_text())
+    assert scale.input_value() == "two"
+    assert value(service, "motion.scale_x") is None
+    scale.fill("1,5")
+    scale.press("Enter")
+    wait_for("the value", lambda: value(service, "motion.scale_x") == "1.5")
+    assert refusal(page, "tune", "motion.scale_x").inner_text() == ""
+
+
+def test_a_field_with_focus_is_not_overwritten(page, service):
+    scale = field(page, "tune", "motion.scale_x")
+    scale.focus()
+    page.keyboard.press("Control+a")
+    page.keyboard.type("3.2")
+    service.ask("set", assignments=["motion.scale_x=7", "motion.scale_y=6"])
+    wait_for("the other field", lambda: field(page, "tune", "motion.scale_y").input_value() == "6")
+    assert scale.input_value() == "3.2"
+    page.keyboard.press("Enter")
+    wait_for("the typed value", lambda: value(service, "motion.scale_x") == "3.2")
+
+
+def test_save_keeps_the_comments_of_the_file(page, service):
+    file = service.folder / "config.yaml"
+    before = file.read_text()
+    service.ask("set", assignments=["motion.scale_x=1.25"])
+    page.get_by_text("unsaved", exact=True).first.wait_for()
+    page.locator("#save").click()
+    wait_for("the file", lambda: "scale_x: 1.25" in file.read_text())
+    assert "# kept by `save`" in file.read_text()
+    wait_for("no mark", lambda: page.locator("#save").is_disabled())
+    file.write_text(before)
+
+
+def test_a_profile_is_applied(page, service):
+    page.locator("#profile").select_option("evening")
+    page.locator("#apply-profile").click()
+    wait_for("the profile", lambda: value(service, "discs.contrast") == "0.2")
+
+
+def test_expert_settings_are_searched_changed_and_reset(page, service):
+    choose(page, "Expert")
+    rows = page.locator("#panel-Expert .setting:visible")
+    everything = rows.count()
+    page.locator("#search").fill("blobs.area")
+    assert rows.count() == 1 < everything
+    area = field(page, "expert", "blobs.area")
+    area.fill("[50, 300]")
+    area.press("Enter")
+    wait_for("the value", lambda: value(service, "blobs.area"))
+    page.locator("#search").fill("")
+    page.get_by_label("changed only").check()
+    wait_for("the changed ones", lambda: 1 <= rows.count() < everything)
+    page.locator("#reset-all").click()
+    wait_for("the default", lambda: field(page, "expert", "blobs.area").input_value() != "[50, 300]")
+
+
+def test_exported_settings_can_be_imported(page, service):
+    service.ask("set", assignments=["discs.contrast=0.31"])
+    wait_for("the value on the page", lambda: field(page, "tune", "discs.contrast").input_value() == "0.31")
+    choose(page, "Expert")
+    with page.expect_download() as download:
+        page.locator("#export").click()
+    file = download.value.path()
+    assert "contrast: 0.31" in file.read_text()
+    service.reset()
+    wait_for("the default on the page", lambda: field(page, "tune", "discs.contrast").input_value() == "0.25")
+    page.locator("#import-file").set_input_files(file)
+    wait_for("the value", lambda: value(service, "discs.contrast") == "0.31")
+
+
+@pytest.mark.parametrize("by", ["mouse", "keys", "numbers"])
+def test_a_rectangle_without_discs_can_be_drawn(page, service, by):
+    choose(page, "Draw")
+    masks = lambda: [float(n) for n in re.findall(r"-?[\d.]+", value(service, "discs.masks") or "")]  # noqa: E731
+    if by == "mouse":
+        box = page.locator("#picture").bounding_box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 40, y + 30, steps=4)
+        page.mouse.up()
+        left, top, right, bottom = wait_for("a rectangle", masks)
+        assert left == pytest.approx(320, abs=3)
+        assert top == pytest.approx(240, abs=3)
+        assert (right - left) / (bottom - top) == pytest.approx(40 / 30, abs=0.1)
+        return
+    page.locator("#add-mask").click()
+    first = wait_for("a rectangle", masks)
+    if by == "keys":
+        page.locator("#picture").focus()
+        page.keyboard.press("ArrowLeft")
+        wait_for("its place", lambda: masks() == [first[0] - 4, first[1], first[2] - 4, first[3]])
+        page.keyboard.press("Delete")
+        wait_for("none", lambda: masks() == [])
+    else:
+        page.get_by_label("left").fill("12")
+        page.get_by_label("left").press("Enter")
+        wait_for("its edge", lambda: masks() == [12, *first[1:]])
+
+
+def test_a_colour_is_picked_from_the_picture_by_keys(page, service):
+    choose(page, "Draw")
+    page.get_by_role("button", name="Pick cyan").click()
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("Enter")
+    low, high = map(float, re.findall(r"\d+", wait_for("a hue", lambda: value(service, "rings.cyan"))))
+    assert 0 < high - low <= 30
+
+
+def test_the_log_is_filtered(page, service):
+    choose(page, "Log")
+    lines = page.locator(".log p:visible")
+    service.ask("set", assignments=["motion.scale_z=4"])
+    page.locator(".log").get_by_text("motion.scale_z").first.wait_for()
+    page.locator("#log-filter").fill("scale_z")
+    assert all("scale_z" in text for text in lines.all_inner_texts())
+    page.locator("#log-filter").fill("no such line")
+    assert lines.count() == 0
+
+
+def test_outputs_are_listed(page):
+    choose(page, "Outputs")
+    page.locator("#panel-Outputs").get_by_role("rowheader", name="null").wait_for()
+
+
+@pytest.mark.slow
+def test_the_doctor_reports(page):
+    choose(page, "Doctor")
+    page.locator("#doctor").click()
+    page.locator(".findings li").first.wait_for(timeout=60000)
+
+
+# ---- everybody can use it ----
+
+
+def test_all_panels_are_reached_by_keyboard_alone(page):
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.getAttribute('role')") == "tab":
+            break
+    for panel in PANELS:
+        assert page.evaluate("document.activeElement.textContent") == panel
+        assert page.locator(f"#panel-{panel}").is_visible()
+        page.keyboard.press("Tab")
+        assert page.evaluate(f"document.getElementById('panel-{panel}').contains(document.activeElement)"), panel
+        page.keyboard.press("Shift+Tab")
+        page.keyboard.press("ArrowRight")
+
+
+def violations(page):
+    """Return the findings of axe in each panel, and the panels that are wider than the window."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
+    found = []
+    for panel in PANELS:
+        choose(page, panel)
+        if page.evaluate("document.documentElement.scrollWidth > innerWidth"):
+            found.append((panel, "scrolls sideways", []))
+        report = axe.Axe().run(page).response
+        assert len(report["passes"]) > 20
+        found += [(panel, v["id"], [node["html"] for node in v["nodes"]]) for v in report["violations"]]
+    return found
+
+
+@pytest.mark.parametrize(("size", "scheme"), [("desktop", "dark"), ("phone", "light")])
+def test_axe_finds_no_violation(open_page, size, scheme):
+    assert violations(open_page(*SIZES[size], scheme)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("size", "scheme"), [("desktop", "light"), ("phone", "dark")])
+def test_axe_finds_no_violation_in_the_other_scheme(open_page, size, scheme):
+    assert violations(open_page(*SIZES[size], scheme)) == []
+
+
+# ---- the connection ----
+
+
+def test_a_hidden_page_asks_for_no_picture(page):
+    sent = []
+
+    def note(text):  # Playwright takes no method of a list
+        sent.append(text)
+
+    page.on("websocket", lambda live: live.on("framesent", note))
+    page.reload()
+    wait_for("pictures", lambda: page.wait_for_timeout(20) or len(sent) > 3)
+    page.evaluate("""Object.defineProperty(document, 'hidden', {value: true});
+                     document.dispatchEvent(new Event('visibilitychange'))""")
+    wait_for("rest", lambda: page.wait_for_timeout(20) or '{"type":"rest"}' in sent)
+    number = len(sent)
+    page.wait_for_timeout(1000)
+    assert len(sent) == number
+
+
+def test_the_page_comes_back_by_itself_after_a_restart_of_the_page_process(page, service):
+    choose(page, "Expert")
+    page.locator("#search").fill("blobs")
+    shown = page.locator("#panel-Expert .setting:visible")
+    before = shown.count()
+    service.end_page()
+    page.get_by_text("offline", exact=True).wait_for()
+    assert page.get_by_role("button", name="Snapshot").is_disabled()
+    service.start_page()
+    page.get_by_text("tracking", exact=True).wait_for(timeout=5000)
+    assert page.locator("#search").input_value() == "blobs"
+    assert shown.count() == before

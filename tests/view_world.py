@@ -1,0 +1,162 @@
+"""A service on a film with its page process, for tests of the page.
+
+As a program: `spheremouse run` with the film, forth and back at 30 Hz, as its v4l2 camera.
+"""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+from types import SimpleNamespace
+
+import daemon_process
+import numpy as np
+from daemon_world import Film
+
+from spheremouse.capture import Payload
+from spheremouse.session.control.client import Client, NoDaemonError
+from spheremouse.tracker import Frame
+
+PATIENCE = 30.0  # s
+INTERVAL = 1 / 30  # s between two frames
+HERE = Path(__file__).parent
+SETTINGS = """\
+# kept by `save`
+motion: {scale_x: 1.0}
+profiles:
+  evening: {discs.contrast: 0.2, motion.scale_y: 2}
+"""
+
+
+def wait_for(what, condition, patience=PATIENCE):
+    """Return the first true result of the condition."""
+    end = time.monotonic() + patience
+    while not (found := condition()):
+        assert time.monotonic() < end, f"{what}: not within {patience} s"
+        time.sleep(0.02)
+    return found
+
+
+def start(*words):
+    """Start a Python process."""
+    paths = os.pathsep.join(map(str, (HERE.parent, HERE)))
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": paths}
+    return subprocess.Popen([sys.executable, *map(str, words)], env=environment, stderr=subprocess.DEVNULL)
+
+
+def end(process):
+    """End a process."""
+    process.terminate()
+    process.wait(PATIENCE)
+
+
+class Service:
+    """A service on a film, and its page process."""
+
+    def __init__(self, folder):
+        film = Film.render()
+        twice = [picture for picture in film.colour for _ in range(2)]  # of which `prepare` keeps one
+        daemon_process.prepare(folder, SimpleNamespace(rig=film.rig, colour=twice))
+        with (folder / "config.yaml").open("a") as file:
+            file.write(SETTINGS)
+        self.folder, self.socket = folder, folder / "s"
+        self._daemon = start(__file__, folder)
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = free.getsockname()[1]
+        self.url = f"http://127.0.0.1:{self.port}/"
+        self._token = folder / "token"
+        self.start_page()
+
+    def start_page(self):
+        """Start the page process."""
+        words = ("--port", self.port, "--socket", self.socket, "--token-file", self._token)
+        self._page = start("-m", "spheremouse", "view", *words)
+        wait_for("the page process answers", self._answers)
+
+    def end_page(self):
+        """End the page process."""
+        end(self._page)
+
+    def _answers(self):
+        try:
+            with urllib.request.urlopen(self.url) as reply:
+                return reply.status == 200
+        except OSError:
+            return False
+
+    @property
+    def owner_url(self):
+        """The address for the owner."""
+        assert self._page.poll() is None, f"the page process ended with {self._page.returncode}"
+        return f"{self.url}?token={self._token.read_text().strip()}"
+
+    def owns(self, url):
+        """True if a request stays in the browser or goes to the page process."""
+        return url.startswith((self.url, self.url.replace("http", "ws", 1), "blob:", "data:"))
+
+    def status(self):
+        """Return the daemon's status as a dictionary; empty if none answers."""
+        try:
+            return self.ask("status")
+        except NoDaemonError:
+            return {}
+
+    def reach(self, **values):
+        """Wait until the status has the values."""
+        wait_for(str(values), lambda: values.items() <= self.status().items())
+
+    def ask(self, command, **arguments):
+        """Return the reply of the daemon to a request."""
+        with Client(self.socket) as client:
+            return client.ask(command, **arguments)
+
+    def reset(self):
+        """Give up all changes."""
+        self.ask("reload")
+
+    def close(self):
+        """End both processes."""
+        for process in (self._page, self._daemon):
+            end(process)
+
+
+class Camera(daemon_process.Camera):
+    """Gives each picture once on the way forth, and once on the way back."""
+
+    def next(self, timeout):
+        time.sleep(INTERVAL)
+        self._sequence += 1
+        n = len(self._pictures) - 1
+        picture = self._pictures[abs(self._sequence % (2 * n) - n)]
+        return RawFrame(Frame(picture.copy(), time.monotonic(), self._sequence))
+
+
+class RawFrame(daemon_process.RawFrame):
+    """One of them, as live pictures have it."""
+
+    def payload(self):
+        image = self._frame.image
+        return Payload("bgr", image.shape[1], image.shape[0], image.reshape(-1).data)
+
+
+def main(folder):
+    """Run the daemon of `daemon_process.prepare`."""
+    from spheremouse import commands as cli
+    from spheremouse.capture import v4l2
+
+    pictures = np.load(Path(folder) / "film.npy")
+    v4l2.open_camera = lambda *_: Camera(pictures)
+    sys.argv = ["spheremouse", "run", "--config", str(Path(folder) / "config.yaml")]
+    cli.main()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
