@@ -48,8 +48,8 @@ def view(
 ) -> None:
     """Serve the live page: picture, motion, settings, log and doctor of the running daemon, in a browser.
 
-    It is a process of its own. The daemon need not run yet. Whoever opens the page without its token sees the ball and
-    the targets, and can change nothing.
+    It is a process of its own. The daemon need not run yet. Without the token in its address, the page
+    shows the ball and the targets alone, and can change nothing.
     """
     if url:
         print(owners_address(address, port, read_token(token_file or present_token())))

@@ -73,7 +73,7 @@ class Pictures:
         return None
 
     async def _read(self) -> None:
-        """Hold the lease and read the memory until nobody asks any more."""
+        """Hold the lease and read the memory while browsers ask."""
         while time.monotonic() < self._wanted_until:
             try:
                 await self._read_under_lease()
