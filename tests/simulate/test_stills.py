@@ -283,24 +283,6 @@ def test_nothing_that_is_there_is_lost(tmp_path):
         little(tmp_path / "file")
 
 
-def test_force_replaces_a_set_and_only_when_the_new_one_is_whole(tmp_path, monkeypatch):
-    def broken(stills):
-        raise CalibrationError("out of film")
-        yield
-
-    little(tmp_path / "set")
-    before = (tmp_path / "set" / "device.yaml").read_text()
-    monkeypatch.setattr(shell, "photos", broken)
-    with pytest.raises(CalibrationError, match="out of film"):
-        little(tmp_path / "set", force=True)
-    assert (tmp_path / "set" / "device.yaml").read_text() == before
-    assert [p.name for p in tmp_path.iterdir()] == ["set"]
-    monkeypatch.setattr(shell, "photos", lambda stills: iter(()))
-    little(tmp_path / "set", seed=3, force=True)
-    assert (tmp_path / "set" / "device.yaml").read_text() != before
-    assert [p.name for p in tmp_path.iterdir()] == ["set"]
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

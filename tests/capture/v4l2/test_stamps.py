@@ -186,15 +186,6 @@ def test_a_frame_cannot_have_come_before_its_last_row_was_read():
     assert len(words) == 1
 
 
-@pytest.mark.parametrize(("off", "said"), [(-5.0, "not known"), (1.0, "not known"), (0.2, "ahead of the clock")])
-def test_how_far_a_clock_may_be_off_to_be_ours(off, said):
-    came = 20 + np.arange(30) / FPS
-    stamps, words = run([(c + off, arrival(c)) for c in came], Timing(Moment.END_OF_FRAME, 1 / FPS, 0.01))
-    np.testing.assert_allclose(stamps, came - 0.005, rtol=0, atol=1e-9)
-    assert len(words) == 1
-    assert said in words[0]
-
-
 @given(
     st.lists(st.tuples(raws, steps, st.booleans()), min_size=1, max_size=60),
     st.sampled_from(Moment),
