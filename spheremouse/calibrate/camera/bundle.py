@@ -12,7 +12,7 @@ from scipy import sparse
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, interior_vector, project, with_interior
 from spheremouse.geometry.least_squares.adjust import Jacobian, Move, Normal, huber, huber_cost, levenberg_marquardt
-from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, log
+from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian
 from spheremouse.geometry.statistics import mad_sigma
 
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
@@ -67,11 +67,6 @@ class BoardAdjustment:
     def deviations(self) -> Array:
         """Standard deviations of the nine, (9,)."""
         return np.sqrt(np.diag(self.camera.covariance))
-
-    def unknowns(self) -> Array:
-        """The unknowns of a `Bundle`, (9 + 6v,)."""
-        poses = np.stack([np.array([log(R) for R in self.rotations]), self.translations], axis=1)
-        return np.concatenate([interior_vector(self.camera), poses.ravel()])
 
     def camera_positions(self) -> Array:
         """Projection centres, (v, 3) m, in the board's frame."""

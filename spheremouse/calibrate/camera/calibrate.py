@@ -34,11 +34,6 @@ class CameraCalibration:
     coverage: Coverage
     skipped: dict[int, str]  # photo: reason why it is no view
 
-    @property
-    def names(self) -> list[str]:
-        """File names of the views."""
-        return [self.photos[i].path.name for i in self.index]
-
 
 # ---- the calibration ----
 
