@@ -31,6 +31,7 @@ _COMMANDS = {
     "evaluate": (
         "evaluate", "evaluate", "Example: spheremouse evaluate demo/roll --tracker so3 --json figures.json",
     ),
+    "tune": ("tune", "tune", "Example: spheremouse tune demo/roll --budget 5min --output tuned.yaml"),
     "match": ("match", "match", "Example: spheremouse match recording trackball.csv --out trackball.yaml"),
     "log-mouse": ("log_mouse", "log_mouse", "Example: spheremouse log-mouse --device Logitech --out trackball.csv"),
     "bench": ("bench", "bench", "Example: spheremouse bench --steps 100000 --json speed.json"),

@@ -1,0 +1,219 @@
+"""Search settings of the tracker for which a recording is tracked better, by the losses of `evaluation.tuning`.
+
+The first half of the recording serves the search. The second half, which the search never sees, decides whether the
+result is better than the present settings. One candidate is tested once, so no correction for many tests is needed.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from spheremouse.ball.build import build
+from spheremouse.errors import ConfigurationError, PoseError
+from spheremouse.evaluation.metrics import History, Run
+from spheremouse.evaluation.tuning import (
+    LIMIT,
+    Comparison,
+    compare,
+    error_terms,
+    innovation_terms,
+    losses,
+    scales,
+    usual_discs,
+)
+from spheremouse.files import config
+from spheremouse.files.dataset.ball import Recording
+from spheremouse.geometry import Array
+from spheremouse.session.evaluate import numbered_frames
+from spheremouse.session.offline import initialise, track
+from spheremouse.session.settings import Configuration
+from spheremouse.tracker import Status
+
+Values = dict[str, Any]  # settings by dotted key
+
+_GROUPS = ("so3", "discs", "loss")
+_KINDS = ("number", "integer", "choice")
+_MIN_SECONDS = 4.0  # of a recording: each half needs three blocks and the start of the tracker
+_TRIVIAL = 0.01  # part of the loss; a setting that saves less goes back to its present value
+_HOPELESS = 3.0  # times the least loss: a trial that must exceed it ends early
+_START = 8  # random trials before the sampler models the loss
+
+
+@dataclass(frozen=True, slots=True)
+class Tuning:
+    """Result of a search."""
+
+    values: Values  # settings that differ from the present ones; empty if nothing better was found
+    gains: dict[str, float]  # part of the loss in the searched half that each of them saves
+    held_out: Comparison
+    trials: int
+
+    @property
+    def better(self) -> bool:
+        """True if the settings are better on the half of the recording that the search did not see."""
+        return bool(self.values) and self.held_out.significant
+
+
+class Objective:
+    """Losses of settings on the frames from `first` to before `end` of a recording."""
+
+    def __init__(self, recording: Recording, present: Configuration, first: int, end: int) -> None:
+        """Track with the `present` settings. Their run gives the scales of the terms, and the camera's pose."""
+        self._recording, self._present, self._span, self._rig = recording, present, (first, end), recording.rig
+        self._usual, self._scale = 1.0, np.ones(3)
+        run = self._run({})
+        if run is None:
+            self._scale = np.full(2 if recording.truth is not None else 3, np.inf)
+            return
+        self._usual = usual_discs(run)
+        self._scale = scales(self._terms(run))
+        if recording.truth is None:
+            self._scale[:2][np.isfinite(self._scale[:2])] = 1.0  # these terms have a scale of their own
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the frames, s: no longer waiting time has an effect."""
+        return (self._span[1] - self._span[0]) / self._recording.fps
+
+    @cached_property
+    def present(self) -> Array:
+        """Losses of the present settings, (n,)."""
+        if np.isinf(self._scale).all():  # they track no frame
+            return np.full(self._span[1] - self._span[0], LIMIT)
+        return self.losses({})
+
+    def losses(self, values: Values, most: float = math.inf) -> Array:
+        """Return the loss of each frame, (n,), with some settings changed; LIMIT for all if its mean exceeds `most`."""
+        first, end = self._span
+        run = self._run(values, most * (end - first) / LIMIT)
+        if run is None:
+            return np.full(end - first, LIMIT)
+        return losses(self._terms(run), self._scale, missing=end - first - len(run.frame))
+
+    def _terms(self, run: Run) -> Array:
+        truth = self._recording.truth
+        return innovation_terms(run, self._usual) if truth is None else error_terms(run, truth)
+
+    def _run(self, values: Values, most_untracked: float = math.inf) -> Run | None:
+        """Return the run; None if the camera's pose is not found, or if more frames are not tracked."""
+        settings, history = changed(self._present, values), History()
+        try:
+            start = initialise(islice(numbered_frames(self._recording), *self._span), self._rig, settings)
+        except PoseError:
+            return None
+        self._rig = replace(self._rig, pose=start.pose)  # no searched setting changes it
+        untracked = 0
+        for epoch in track(start.frames, build(self._rig, start.pose, settings)):
+            history.add(epoch)
+            untracked += epoch.state.status is not Status.TRACKING
+            if untracked > most_untracked:
+                return None
+        return history.run() if history.epochs else None
+
+
+def changed(settings: Configuration, values: Values) -> Configuration:
+    """Return the settings with other values by dotted key. Raises ConfigurationError for an invalid value."""
+    for key, value in values.items():
+        settings = config.override(settings, f"{key}={config.to_yaml(value)}", label="")
+    return settings
+
+
+def tunable(settings: Configuration) -> list[dict[str, Any]]:
+    """Return the described settings that are searched: numbers and choices of filter, discs and loss."""
+    return [d for d in config.described(settings) if d["group"] in _GROUPS and d["type"] in _KINDS]
+
+
+def tune(
+    recording: Recording,
+    settings: Configuration,
+    seconds: float,
+    trials: int | None = None,
+    seed: int = 1,
+    progress: Callable[[int, float], None] = lambda *_: None,
+) -> Tuning:
+    """Search for `seconds`, at most `trials` times, and test the result on the second half of the recording.
+
+    `progress` gets the number of trials and the least loss over that of the present settings. An interrupt
+    (KeyboardInterrupt) ends the search, and the best trial so far is tested. The same seed and number of trials give
+    the same result. Raises ConfigurationError without Optuna, for another tracker, and for a recording that is too
+    short.
+    """
+    if settings.tracker != "so3" or settings.detector != "default":
+        raise ConfigurationError("tune: searches settings of the default tracker", "use tracker=so3, detector=default")
+    if recording.frames < _MIN_SECONDS * recording.fps:
+        raise ConfigurationError(f"{recording.path}: is too short", f"give a recording of {_MIN_SECONDS:g} s or more")
+    middle = recording.frames // 2
+    objective = Objective(recording, settings, 0, middle)
+    present = float(objective.present.mean())
+    best: Values = {}
+    least, count = present, 0
+    try:
+        for values, loss in _search(objective, settings, seconds, trials, seed):
+            count += 1
+            if loss < least:
+                best, least = values, loss
+            progress(count, least / present)
+    except KeyboardInterrupt:
+        pass
+    best, gains = _pruned(objective, best)
+    held_out = Objective(recording, settings, middle, recording.frames)
+    other = held_out.losses(best) if best else held_out.present
+    return Tuning(best, gains, compare(held_out.present, other, recording.fps), count)
+
+
+def _search(
+    objective: Objective, settings: Configuration, seconds: float, trials: int | None, seed: int
+) -> Iterator[tuple[Values, float]]:
+    """Yield the settings and the loss of each trial (tree-structured Parzen estimator; Bergstra et al. 2011)."""
+    try:
+        import optuna
+    except ImportError:
+        raise ConfigurationError("tune: needs the package optuna", "pip install 'spheremouse[tune]'") from None
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed, n_startup_trials=_START))
+    duration, end = objective.seconds, time.monotonic() + seconds
+    described, least = tunable(settings), float(objective.present.mean())
+    count = 0
+    while time.monotonic() < end and (trials is None or count < trials):
+        trial = study.ask()
+        values = {d["key"]: _suggested(trial, d, duration) for d in described}
+        values = {d["key"]: values[d["key"]] for d in described if values[d["key"]] != d["value"]}
+        loss = float(objective.losses(values, _HOPELESS * least).mean())
+        least = min(least, loss)
+        study.tell(trial, loss)
+        count += 1
+        yield values, loss
+
+
+def _suggested(trial: Any, setting: dict[str, Any], duration: float) -> Any:
+    """Return a value within the bounds of a setting; numbers on a logarithmic scale, rounded to two digits."""
+    key, least, most = setting["key"], setting["minimum"], setting["maximum"]
+    if setting["type"] == "choice":
+        return trial.suggest_categorical(key, setting["choices"])
+    if setting["unit"] == "s":
+        most = min(most, duration)
+    if setting["type"] == "integer":
+        return trial.suggest_int(key, least, most, log=True)
+    value = float(f"{trial.suggest_float(key, least, most, log=True):.2g}")
+    return min(max(value, least), 0.99 * most)  # a bound may be excluded
+
+
+def _pruned(objective: Objective, best: Values) -> tuple[Values, dict[str, float]]:
+    """Return the settings that matter, and the part of the loss that each saves. Others go back."""
+    gains: dict[str, float] = {}
+    loss = float(objective.losses(best).mean()) if best else 0.0
+    for key in list(best):
+        without = {k: v for k, v in best.items() if k != key}
+        lost = float((objective.losses(without) if without else objective.present).mean())
+        gain = 1.0 - loss / lost if lost > 0.0 else 0.0
+        if gain < _TRIVIAL:
+            best, loss = without, lost
+        else:
+            gains[key] = gain
+    return best, gains

@@ -1,0 +1,98 @@
+"""The search comes back from a wrong setting, and leaves good ones alone."""
+
+from dataclasses import replace
+
+import pytest
+import typer
+from invoking import invoke
+
+from spheremouse.commands.tune import tune as command
+from spheremouse.errors import ConfigurationError
+from spheremouse.files import config
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.session.settings import Configuration
+from spheremouse.session.tune import changed, tunable, tune
+from spheremouse.simulate.ball.film import prepare
+from spheremouse.simulate.ball.options import SimulationOptions
+from spheremouse.simulate.to_dataset import write_simulation
+
+pytest.importorskip("optuna")
+app = typer.Typer()
+app.command()(command)
+
+WRONG = {"discs.contrast": 0.9}  # print has 0.8
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tune") / "film"
+    list(write_simulation(folder, prepare(SimulationOptions(motion="play", seconds=4.0, noise=2.0, seed=4))))
+    return folder
+
+
+@pytest.fixture(params=["with truth", "without truth"])
+def recording(request, film):
+    made = open_dataset(film)
+    return made if request.param == "with truth" else replace(made, truth=None)
+
+
+def test_a_wrong_setting_comes_back_to_one_that_tracks(recording):
+    found = tune(recording, changed(Configuration(), WRONG), 300.0, trials=3, seed=2)
+    assert found.better
+    assert found.values["discs.contrast"] < 0.8
+    assert found.gains["discs.contrast"] > 0.1
+    assert found.held_out.other < 0.5 * found.held_out.present
+
+
+def test_good_settings_stay(recording):
+    assert not tune(recording, Configuration(), 300.0, trials=3, seed=2).better
+
+
+def test_an_interrupt_ends_the_search_with_what_it_has_and_a_seed_repeats_it(film):
+    def interrupt(count, part):
+        if count == 2:
+            raise KeyboardInterrupt
+
+    settings = changed(Configuration(), WRONG)
+    first = tune(open_dataset(film), settings, 300.0, seed=2, progress=interrupt)
+    second = tune(open_dataset(film), settings, 300.0, trials=2, seed=2)
+    assert (first.trials, first.better) == (2, True)
+    assert first == second
+
+
+def test_filter_discs_and_loss_are_searched_within_their_bounds():
+    settings = Configuration()
+    for setting in tunable(settings):
+        assert setting["choices"] or setting["minimum"] > 0.0  # the scale is logarithmic
+    assert {"so3.acceleration_sigma", "discs.contrast", "loss.lost_after"} <= {d["key"] for d in tunable(settings)}
+
+
+def test_the_file_is_the_configuration_with_the_new_settings(film, tmp_path):
+    out = tmp_path / "tuned.yaml"
+    words = ("--trials", 2, "--seed", 2, "--set", "discs.contrast=0.9", "--set", "motion.scale_x=2", "--output", out)
+    code, text = invoke(app, film, *words)
+    assert code == 0, text
+    written = config.load(out, Configuration)
+    assert written.motion.scale_x == 2.0
+    assert f"discs.contrast={config.to_yaml(written.discs.contrast)}  saves" in text
+
+
+def test_nothing_is_written_if_no_trial_is_better(film, tmp_path):
+    out = tmp_path / "tuned.yaml"
+    code, text = invoke(app, film, "--trials", 1, "--seed", 2, "--output", out)
+    assert code == 0
+    assert "nothing changed" in text
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("words", [("--budget", "soon"), ("--budget", "0"), ("--set", "tracker=ekf1")])
+def test_a_wrong_request_is_one_line(film, words):
+    code, text = invoke(app, film, *words)
+    assert code == 2
+    assert len(text.splitlines()) == 1
+
+
+def test_a_recording_that_is_too_short_is_refused(film):
+    recording = open_dataset(film)
+    with pytest.raises(ConfigurationError, match="too short"):
+        tune(replace(recording, frames=60), Configuration(), 1.0)
