@@ -2,7 +2,8 @@
 
 python -m tests.outputs_cost cost [OUTPUT ...] sends tracked samples to one output after another, first without a pause,
 then 100 a second. The table has the processor time of this process for each sample, less that of the output `null`.
-Receivers are other processes, and not counted. `{port}` in an OUTPUT is a free port, `{folder}` a new folder.
+Receivers are other processes, and not counted. `{port}` in an OUTPUT is a free port, `{folder}` a new folder. An OUTPUT
+with spaces is several outputs of one run, and the table has the time for each of them.
 
 python -m tests.outputs_cost receivers sends the frames of a camera of 60 Hz to a paced output without a device and to
 `udp`, `tcp` and `ws`, whose receivers misbehave. Each round has a run of each kind of receivers, in a random order,
@@ -38,6 +39,7 @@ OUTPUTS = (
     "udp:{port},format=fictrac",
     "tcp:{port}",
     "ws:{port}",
+    "text:{folder}/samples.json udp:{port} tcp:{port} ws:{port}",
 )
 GOOD = "read"
 MODES = {
@@ -136,17 +138,23 @@ def receiver(spec, mode=GOOD, wait=0.5):
             process.terminate()
 
 
-def seconds_per_sample(spec, count, pause):
-    """Return the processor time of this process, s a sample, with a pause, s, before each."""
+def seconds_per_sample(specs, count, pause):
+    """Return the processor time of this process, s a sample and output, with a pause, s, before each sample."""
     made = reports(count, FPS)
-    with open_output(spec) as output, receiver(spec):
+    with ExitStack() as stack:
+        outputs = [stack.enter_context(open_output(spec)) for spec in specs]
+        for spec in specs:
+            stack.enter_context(receiver(spec))
         for report in made[:5]:  # compiles, and connects
-            output.send(report)
+            for output in outputs:
+                output.send(report)
+        made = reports(count, FPS)  # not encoded yet
         start, processor = time.monotonic(), time.process_time()
         for k, report in enumerate(made):
             time.sleep(max(0.0, start + k * pause - time.monotonic()))
-            output.send(report)
-        return (time.process_time() - processor) / count
+            for output in outputs:
+                output.send(report)
+        return (time.process_time() - processor) / count / len(specs)
 
 
 def cost(specs, count):
@@ -156,9 +164,10 @@ def cost(specs, count):
         cells = []
         for pause in (0.0, 0.01):
             with tempfile.TemporaryDirectory() as folder:
-                idle = seconds_per_sample("null", count, pause)
-                spent = seconds_per_sample(spec.format(port=free_port(), folder=folder), count, pause)
-            cells.append(f"{1e3 * (spent - idle):.3f} ms")
+                idle = seconds_per_sample(["null"], count, pause)
+                several = [one.format(port=free_port(), folder=folder) for one in spec.split()]
+                spent = seconds_per_sample(several, count, pause)
+            cells.append(f"{1e3 * (spent - idle / len(several)):.3f} ms")
         name = spec.replace("{port}", "PORT").replace("{folder}/", "")
         print(f"| `{name}` | {' | '.join(cells)} |", flush=True)
 

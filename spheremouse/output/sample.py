@@ -147,7 +147,7 @@ def to_json(sample: Sample, counts: tuple[int, int, int]) -> str:
 def _to_object(sample: Sample) -> dict[str, Any]:
     e = sample.estimate
     tracked = e.status is Status.TRACKING
-    rate, increment, P, Q = (v.tolist() for v in (e.rate, e.increment, e.covariance, e.increment_covariance))
+    rate, increment = e.rate.tolist(), e.increment.tolist()
     made: dict[str, Any] = {
         "sequence": e.sequence,
         "stamp": float(e.stamp),
@@ -162,16 +162,16 @@ def _to_object(sample: Sample) -> dict[str, Any]:
         "quaternion": _vector(_to_quaternion(e.rotation), tracked),
         "rate": _vector(rate[:3], tracked),
         "increment": _vector(increment[:3], tracked),
-        "attitude_covariance": _matrix(P, 0, tracked),
-        "rate_covariance": _matrix(P, 6, tracked),
-        "increment_covariance": _matrix(Q, 0, tracked),
+        "attitude_covariance": _matrix(e.covariance, 0, tracked),
+        "rate_covariance": _matrix(e.covariance, 6, tracked),
+        "increment_covariance": _matrix(e.increment_covariance, 0, tracked),
     }
     if sample.coordinates == "cam":
         made |= {
             "position": _vector(e.position.tolist(), tracked),
             "velocity": _vector(rate[3:], tracked),
             "shift": _vector(increment[3:], tracked),
-            "position_covariance": _matrix(P, 3, tracked),
+            "position_covariance": _matrix(e.covariance, 3, tracked),
             "yaw_pitch_roll": _yaw_pitch_roll(e) if tracked else None,
         }
     made["statistics"] = {name: v if isfinite(v) else None for name, v in e.statistics.items()}
@@ -225,10 +225,12 @@ def _vector(values: list[float], known: bool) -> list[float] | None:
     return values if known and all(map(isfinite, values)) else None
 
 
-def _matrix(covariance: list[list[float]], start: int, known: bool) -> list[list[float]] | None:
+def _matrix(covariance: Array, start: int, known: bool) -> list[list[float]] | None:
     """Return the block of (3, 3) that begins at an index of the diagonal."""
-    block = [row[start : start + 3] for row in covariance[start : start + 3]]
-    return block if known and all(map(isfinite, chain.from_iterable(block))) else None
+    if not known:
+        return None
+    block = covariance[start : start + 3, start : start + 3].tolist()
+    return block if all(map(isfinite, chain(*block))) else None
 
 
 def _yaw_pitch_roll(estimate: Estimate) -> list[float] | None:
