@@ -64,6 +64,8 @@ class Raw:
 class Camera:
     """Plays the film back and forth."""
 
+    raw = Raw
+
     def __init__(self, images):
         self._places, self._images = itertools.cycle([*range(len(images)), *range(len(images) - 2, 0, -1)]), images
         self._sequence, self._due = 0, time.monotonic()
@@ -72,7 +74,7 @@ class Camera:
         self._due = max(self._due + 1.0 / FPS, time.monotonic() - 1.0 / FPS)
         time.sleep(max(0.0, self._due - time.monotonic()))
         self._sequence += 1
-        return Raw(self._images[next(self._places)], time.monotonic(), self._sequence)
+        return self.raw(self._images[next(self._places)], time.monotonic(), self._sequence)
 
     def describe(self):
         return "a film"
@@ -95,14 +97,14 @@ class Sink(Output):
         self.times.append((now, now - report.stamp))
 
 
-def serve(folder: Path) -> None:
+def serve(folder: Path, camera_type: type[Camera] = Camera) -> None:
     """Run the daemon until a client stops it; then write the times."""
     film, sink = Film.render(), Sink()
     config = folder / "config.yaml"
     config.write_text(CONFIG.format(folder))
     (folder / "rig.yaml").write_text(rig_text(film.rig))
     outputs.open_output = lambda spec: sink
-    camera, overrides = Camera(film.colour), CommandLineOverrides(config)
+    camera, overrides = camera_type(film.colour), CommandLineOverrides(config)
     daemon = Daemon(overrides, read_run_config(overrides), Setup(), lambda plan: lambda: camera, log=print)
     daemon.run(SimpleNamespace(asked=False))
     np.save(folder / "times.npy", np.array(sink.times))

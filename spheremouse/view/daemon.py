@@ -11,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,7 +39,10 @@ class _Description(NamedTuple):
 
 
 class Daemon:
-    """The daemon at `socket`, or the one that `Client` finds. All methods are called in the event loop."""
+    """The daemon at `socket`, or the one that `Client` finds. All methods are called in the event loop.
+
+    A thread reads the events. It stores samples itself, since 60 a second would wake the loop too often.
+    """
 
     def __init__(self, socket: Path | None, publish: Callable[[Message], None]) -> None:
         """`publish` takes each message for all browsers, in the event loop."""
@@ -46,8 +50,9 @@ class Daemon:
         self.status: Message | None = None
         self.reason = "connecting to the daemon"
         self.log: deque[str] = deque(maxlen=_LOG_LINES)
-        self.count = 0  # rows since the start
+        self.count = 0  # samples since the start
         self._rows: deque[list[Any]] = deque(maxlen=_ROWS)
+        self._storing = threading.Lock()
         self._described = _Description([], None, {})
         self._undo: deque[tuple[str, Values]] = deque(maxlen=_UNDO_STEPS)
         self._setting = asyncio.Lock()  # one `set` is under way
@@ -85,9 +90,11 @@ class Daemon:
             "undo": len(self._undo),
         }
 
-    def rows(self, after: int) -> list[list[Any]]:
-        """Return the samples after the first `after`, as far as they are kept."""
-        return list(self._rows)[max(0, len(self._rows) - (self.count - after)) :]
+    def rows(self, after: int) -> tuple[list[list[Any]], int]:
+        """Return the samples after the first `after`, as far as they are kept, and the number of all so far."""
+        with self._storing:
+            new = min(self.count - after, len(self._rows))
+            return list(islice(self._rows, len(self._rows) - new, None)), self.count
 
     # ---- requests ----
 
@@ -157,10 +164,7 @@ class Daemon:
 
     def _take(self, event: Message) -> None:
         kind = event.pop("event", None)
-        if kind == "sample":
-            self._rows.append(row_of(event["sample"]))
-            self.count += 1
-        elif kind == "log":
+        if kind == "log":
             text = str(event.get("text", ""))
             self.log.append(text)
             self._publish({"type": "log", "lines": [text]})
@@ -195,10 +199,19 @@ class Daemon:
                     for event in client.events(STATUS_INTERVAL, samples=True):
                         if self._closed or not self._wanted.is_set():
                             break
-                        self._post(self._take, event)
+                        if event.get("event") == "sample":
+                            self._store(event["sample"])
+                        else:
+                            self._post(self._take, event)
             except ControlError as e:
                 self._post(self._ended, str(e))
                 time.sleep(_RETRY)
+
+    def _store(self, sample: Message) -> None:
+        row = row_of(sample)
+        with self._storing:
+            self._rows.append(row)
+            self.count += 1
 
     def _read(self) -> _Description:
         with Client(self._socket) as client:

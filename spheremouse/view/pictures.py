@@ -19,6 +19,7 @@ Image = NDArray[np.uint8]
 
 INTERVAL = 1 / 15  # s between two pictures
 _RENEW = 1.0  # s between two renewals of the lease
+_REST = 0.9 * INTERVAL  # s after a picture, in which no other is looked for
 _POLL = 0.01  # s between two looks into the memory
 _LINGER = 1.0  # s after the last request, in which the lease is kept
 _RETRY = 0.5  # s after a failed lease
@@ -51,7 +52,10 @@ class Shown:
 
 
 class Pictures:
-    """The daemon's pictures, read while browsers ask for them. All methods are called in the event loop."""
+    """The daemon's pictures, at most one each INTERVAL, read while browsers ask for them.
+
+    All methods are called in the event loop.
+    """
 
     def __init__(self, socket: Path | None) -> None:
         self._client = Client(socket)
@@ -95,7 +99,7 @@ class Pictures:
                 number, self._latest = picture.number, Shown(picture)
                 self._arrived.set()
                 self._arrived = asyncio.Event()
-            await asyncio.sleep(_POLL)
+            await asyncio.sleep(_POLL if picture is None else _REST)
 
 
 def kept(annotations: dict[str, Any], height: int, width: int) -> NDArray[np.bool_]:

@@ -7,12 +7,12 @@ import asyncio
 import contextlib
 import json
 import struct
-import time
 from collections import deque
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, Literal
 
+import orjson
 import uvicorn
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from starlette.applications import Starlette
@@ -26,7 +26,7 @@ from spheremouse.errors import SpheremouseError, one_line, printable
 from spheremouse.view.access import COOKIE, HEADERS, Access, Visitor
 from spheremouse.view.actions import Actions
 from spheremouse.view.daemon import Daemon
-from spheremouse.view.pictures import INTERVAL, Pictures, Shown
+from spheremouse.view.pictures import Pictures, Shown
 
 STATIC = Path(__file__).with_name("static")
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
@@ -124,7 +124,6 @@ class _Browser:
         self._has_waiting = asyncio.Event()
         self._frame: asyncio.Task[None] | None = None
         self._shown: Shown | None = None
-        self._due = 0.0  # s, monotonic, of the next picture
         self._rows = page.daemon.count  # samples sent
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -214,14 +213,13 @@ class _Browser:
         self.push("trouble", json.dumps({"type": "trouble", "id": id_, "text": printable(text)}))
 
     async def _send_frame(self) -> None:
-        """Answer `next`: at most every INTERVAL s, and without a picture if none comes."""
-        await asyncio.sleep(max(0.0, self._due - time.monotonic()))
+        """Answer `next` with the next picture, or without one if none comes."""
         shown = await self._page.pictures.after(self._shown, _PICTURE_TIMEOUT)
         daemon, picture, jpeg = self._page.daemon, None, b""
         if shown is not None:
             self._shown, picture = shown, shown.picture
             jpeg = shown.whole if self._owner else shown.masked
-        rows, self._rows = daemon.rows(self._rows), daemon.count
+        rows, self._rows = daemon.rows(self._rows)
         head = {
             "type": "frame",
             "number": picture.number if picture else 0,
@@ -231,8 +229,7 @@ class _Browser:
             "annotations": picture.annotations if picture else None,
             "samples": rows,
         }
-        text = json.dumps(head, separators=(",", ":")).encode()
-        self._due = time.monotonic() + 0.9 * INTERVAL  # the daemon paces; this bounds a browser that asks too often
+        text = orjson.dumps(head)
         self.push("frame", struct.pack(">I", len(text)) + text + jpeg)
 
 

@@ -1,0 +1,170 @@
+"""Measure what the page process takes: `python -m tests.view_cost [--seconds S] [--connections N]`.
+
+A daemon tracks a simulated ball, 640x480 at 60 Hz, from a camera that sends MJPEG. Browsers ask for pictures as fast as
+they get them. The table has, for each number of them, the pictures a second that each gets, the processor time of the
+page process as a part of a core, and its resident memory, with pages of files. Then N connections are opened and
+dropped, every second one without reading.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import simplejpeg
+from websockets.asyncio.client import connect
+from websockets.exceptions import WebSocketException
+from websockets.typing import Origin
+
+from spheremouse.capture import Payload
+from spheremouse.session.control.client import Client
+from spheremouse.view.access import read_token
+from tests.daemon_latency import processor
+from tests.live_cost import Camera, Raw, serve, wait_for_tracking
+
+SETTLE = 5.0  # s after a change, in which links and leases begin or end
+QUALITY = 85  # of the camera's MJPEG
+
+
+class JpegRaw(Raw):
+    """A frame that comes as JPEG. It is decoded already, so that the daemon leaves more time to the page."""
+
+    def __init__(self, image, stamp, sequence):
+        super().__init__(image[0], stamp, sequence)
+        self._jpeg = image[1]
+
+    def payload(self):
+        height, width = self._image.shape[:2]
+        return Payload("jpeg", width, height, memoryview(self._jpeg))
+
+
+class JpegCamera(Camera):
+    """Plays the film as MJPEG."""
+
+    raw = JpegRaw
+
+    def __init__(self, images):
+        super().__init__([(i, simplejpeg.encode_jpeg(i, quality=QUALITY, colorspace="BGR")) for i in images])
+
+
+class Page:
+    """The page process."""
+
+    def __init__(self, folder: Path, daemon: Path) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            self.port = listener.getsockname()[1]
+        file = folder / "token"
+        words = ("--port", str(self.port), "--socket", str(daemon), "--token-file", str(file))
+        command = [sys.executable, "-m", "spheremouse", "view", *words]
+        self.process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        while True:
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port)):
+                break
+            time.sleep(0.05)
+        self.cookie = f"spheremouse={read_token(file)}"
+
+    def browser(self, *, owner: bool = True) -> connect:
+        """Return a connection of a browser."""
+        headers = {"Cookie": self.cookie} if owner else {}
+        address = f"127.0.0.1:{self.port}"
+        return connect(
+            f"ws://{address}/live", origin=Origin(f"http://{address}"), additional_headers=headers, max_size=None,
+            compression=None, ping_interval=None, close_timeout=0.5,
+        )  # fmt: skip
+
+    def memory(self) -> tuple[float, float]:
+        """MB resident now, and at most so far."""
+        lines = Path(f"/proc/{self.process.pid}/status").read_text().splitlines()
+        kb = {line.split(":")[0]: line.split()[1] for line in lines if line.startswith(("VmRSS", "VmHWM"))}
+        return float(kb["VmRSS"]) * 1.024e-3, float(kb["VmHWM"]) * 1.024e-3
+
+
+async def watch(page: Page, pictures: list[float], *, owner: bool) -> None:
+    """Ask for pictures for ever, and record when each came."""
+    async with page.browser(owner=owner) as browser:
+        await browser.send('{"type":"next"}')
+        async for message in browser:
+            if isinstance(message, bytes):
+                if message.endswith(b"\xff\xd9"):  # the end of a JPEG file
+                    pictures.append(time.monotonic())
+                await browser.send('{"type":"next"}')
+
+
+async def measure(page: Page, owners: list[bool], seconds: float) -> list[str]:
+    """Return pictures a second of each browser, % of a core, MB, MB at most, with browsers that are owners or not."""
+    seen: list[list[float]] = [[] for _ in owners]
+    tasks = [asyncio.create_task(watch(page, p, owner=o)) for p, o in zip(seen, owners, strict=True)]
+    await asyncio.sleep(SETTLE)
+    begun, before = time.monotonic(), processor(page.process.pid)[1]
+    await asyncio.sleep(seconds)
+    spent, lasted = processor(page.process.pid)[1] - before, time.monotonic() - begun
+    memory = page.memory()
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
+    rates = [sum(begun <= at < begun + lasted for at in p) / lasted for p in seen]
+    await asyncio.sleep(SETTLE)
+    share = f"{100.0 * spent / lasted:.1f} %"
+    return [", ".join(f"{rate:.1f}" for rate in rates) or "-", share, *(f"{mb:.0f} MB" for mb in memory)]
+
+
+async def flood(page: Page, connections: int) -> list[str]:
+    """Open connections, ten at a time, and drop them; every second one reads nothing. Return cells as `measure`."""
+
+    async def one(k: int) -> None:
+        with contextlib.suppress(OSError, TimeoutError, WebSocketException):
+            async with page.browser() as browser:
+                await browser.send('{"type":"next"}')
+                if k % 2:
+                    await browser.recv()
+                browser.transport.abort()
+
+    before = page.memory()[0]
+    for first in range(0, connections, 10):
+        await asyncio.gather(*(one(k) for k in range(first, min(first + 10, connections))))
+    await asyncio.sleep(SETTLE)
+    after, most = page.memory()
+    return ["-", "-", f"{after:.0f} MB ({after - before:+.1f} MB)", f"{most:.0f} MB"]
+
+
+async def table(page: Page, seconds: float, connections: int) -> None:
+    """Print the table."""
+    print("| browsers | pictures/s | of a core | memory | at most |\n| --- | --- | --- | --- | --- |")
+    rows = {"none": [], "one owner": [True], "two owners": [True, True], "one visitor, masked": [False]}
+    for name, owners in rows.items():
+        print(f"| {name} | {' | '.join(await measure(page, owners, seconds))} |", flush=True)
+    if connections:
+        print(f"| {connections:,} connections | {' | '.join(await flood(page, connections))} |", flush=True)
+
+
+def main() -> None:
+    """Print the table, and the load."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=20.0, help="of each row")
+    parser.add_argument("--connections", type=int, default=1000)
+    parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.serve:
+        serve(given.serve, JpegCamera)
+        return
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "s"
+        daemon = subprocess.Popen([sys.executable, "-m", "tests.view_cost", "--serve", name], stdout=subprocess.DEVNULL)
+        wait_for_tracking(path)
+        page = Page(Path(name), path)
+        asyncio.run(table(page, given.seconds, given.connections))
+        print(f"load {os.getloadavg()[0]:.1f}", file=sys.stderr)
+        page.process.terminate()
+        page.process.wait(10.0)
+        Client(path).ask("stop")
+        daemon.wait(60.0)
+
+
+if __name__ == "__main__":
+    main()
