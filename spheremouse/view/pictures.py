@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import math
 import time
 from functools import cached_property
 from pathlib import Path
@@ -45,10 +46,11 @@ class Shown:
 
     @cached_property
     def masked(self) -> bytes:
-        """JPEG of ball and targets alone; all else is black."""
-        image = _pixels(self.picture).copy()
-        image[~kept(self.picture.annotations or {}, *image.shape[:2])] = 0
-        return encoded(image)
+        """JPEG of ball and targets alone; all else is black. Empty if the camera's picture is damaged."""
+        try:
+            return encoded(mask(_pixels(self.picture), self.picture.annotations or {}))
+        except ValueError:
+            return b""
 
 
 class Pictures:
@@ -102,20 +104,23 @@ class Pictures:
             await asyncio.sleep(_POLL if picture is None else _REST)
 
 
-def kept(annotations: dict[str, Any], height: int, width: int) -> NDArray[np.bool_]:
-    """Return the part of a picture that a masked one shows, (height, width): ball and targets, dilated by none."""
-    keep = np.zeros((height, width), dtype=bool)
+def mask(image: Image, annotations: dict[str, Any]) -> Image:
+    """Return an image, (h, w, c), that is black but for the ball and the targets."""
+    seen = np.zeros_like(image)
+    height, width = image.shape[:2]
     outline = np.array(annotations.get("outline") or [], dtype=float).reshape(-1, 2)
     if len(outline) > 2:
-        left, right = spans(outline, height)
-        columns = np.arange(width)
-        keep |= (columns >= left[:, None]) & (columns <= right[:, None])
+        for row, (left, right) in enumerate(zip(*spans(outline, height), strict=True)):
+            if left <= right:  # rows are faster than a Boolean array, which takes memory
+                part = slice(max(0, math.ceil(left)), max(0, math.floor(min(right, width)) + 1))
+                seen[row, part] = image[row, part]
     for target in annotations.get("targets") or []:
         radius = _AROUND_TARGET * _radius(target["shape"])
         x, y = target["x"], target["y"]
         rows = slice(max(0, round(y - radius)), max(0, round(y + radius) + 1))
-        keep[rows, max(0, round(x - radius)) : max(0, round(x + radius) + 1)] = True
-    return keep
+        columns = slice(max(0, round(x - radius)), max(0, round(x + radius) + 1))
+        seen[rows, columns] = image[rows, columns]
+    return seen
 
 
 def spans(outline: NDArray[np.float64], height: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

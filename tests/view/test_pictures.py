@@ -6,7 +6,7 @@ import pytest
 import simplejpeg
 
 from spheremouse.session.control.pictures import LivePicture
-from spheremouse.view.pictures import Shown, kept, spans
+from spheremouse.view.pictures import Shown, mask, spans
 
 WIDTH, HEIGHT = 160, 120
 
@@ -55,7 +55,7 @@ def test_a_jpeg_is_passed_on_as_it_is_and_made_once():
 def test_the_mask_of_an_outline_is_its_inside(x, y, radius):
     angle = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
     outline = np.stack([x + radius * np.cos(angle), y + radius * np.sin(angle)], axis=1)
-    keep = kept({"outline": outline.tolist()}, HEIGHT, WIDTH)
+    keep = mask(np.ones((HEIGHT, WIDTH, 1), np.uint8), {"outline": outline.tolist()})[:, :, 0] == 1
     v, u = np.mgrid[0:HEIGHT, 0:WIDTH]
     distance = np.hypot(u - x, v - y)
     assert keep[distance < radius - 1.0].all()
@@ -86,3 +86,8 @@ def test_a_masked_picture_shows_ball_and_targets_alone(format_):
 def test_without_a_known_pose_a_masked_picture_is_black():
     seen = simplejpeg.decode_jpeg(Shown(picture("bgr", scene().tobytes())).masked)
     assert seen.max() < 10
+
+
+def test_a_damaged_picture_is_not_shown_masked():
+    jpeg = simplejpeg.encode_jpeg(scene(), colorspace="BGR")
+    assert Shown(picture("jpeg", b"\xff\xd8" + bytes(len(jpeg)), {})).masked == b""
