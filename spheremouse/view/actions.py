@@ -3,6 +3,7 @@
 import asyncio
 import io
 import json
+import os
 import sys
 import time
 from collections.abc import Iterator, Mapping
@@ -93,10 +94,12 @@ class Actions:
         return f"{file}: saved {', '.join(changes)}"
 
     async def _run(self, *words: str, codes: tuple[int, ...] = (0,)) -> dict[str, Any]:
-        """Return the JSON that a command of ours prints. Its memory is freed with its process."""
+        """Return the JSON that a command of ours prints for this daemon. Its memory is freed with its process."""
+        place = {} if self._socket is None else {"SPHEREMOUSE_SOCKET": str(self._socket)}
         process = await asyncio.create_subprocess_exec(
             sys.executable, "-m", "spheremouse", *words,
             stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
+            env={**os.environ, **place},
         )  # fmt: skip
         try:
             async with asyncio.timeout(_COMMAND_TIMEOUT):

@@ -180,7 +180,8 @@ class Daemon:
 
     async def _read_again(self) -> None:
         with contextlib.suppress(ControlError):
-            before, self._described = self._described, await asyncio.to_thread(self._read)
+            async with self._setting:  # else an older value could replace one that was just set
+                before, self._described = self._described, await asyncio.to_thread(self._read)
             _, scene, profiles = self._described
             bare = [[_without_value(about) for about in d.settings] for d in (before, self._described)]
             if bare[0] != bare[1] or profiles != before.profiles:

@@ -34,13 +34,13 @@ def open_page(browser, service):
     """Return a function that opens the page; checks at the end that it had no error and left this host alone."""
     opened, troubles = [], []
 
-    def open_page(width=1280, height=800, scheme="dark"):
+    def open_page(width=1280, height=800, scheme="dark", owner=True):
         page = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme).new_page()
         opened.append(page)
         page.set_default_timeout(20000)
         page.on("pageerror", lambda error: troubles.append(str(error)))
         page.on("request", lambda request: troubles.extend([] if service.owns(request.url) else [request.url]))
-        page.goto(service.owner_url)
+        page.goto(service.owner_url if owner else service.url)
         page.get_by_text("tracking", exact=True).wait_for()
         return page
 

@@ -164,6 +164,14 @@ def test_a_field_with_focus_is_not_overwritten(page, service):
     wait_for("the typed value", lambda: value(service, "motion.scale_x") == "3.2")
 
 
+def test_a_page_without_the_token_shows_and_changes_nothing(open_page):
+    page = open_page(owner=False)
+    assert "only shows" in page.locator("#message").inner_text()
+    wait_for("a locked field", field(page, "tune", "motion.scale_x").is_disabled)
+    assert page.get_by_role("button", name="Pause").is_disabled()
+    wait_for("the ball", lambda: pixels(page).max() > 100)
+
+
 def test_save_keeps_the_comments_of_the_file(page, service):
     file = service.folder / "config.yaml"
     before = file.read_text()

@@ -99,11 +99,11 @@ export function control(setting, settings, prefix) {
   const meaning = (setting.meaning.charAt(0).toUpperCase() + setting.meaning.slice(1)).replace(/\.?$/, ". ").split("`").map((part, i) => (i % 2 ? el("code", {}, part) : part));
   const help = el("p", { class: "help", id: `${id}-help` }, ...meaning,
     range(setting), defaultText(setting), setting.live ? "" : " Read at the start only.", " ", el("code", {}, key));
-  const state = { id, "aria-describedby": `${id}-help ${id}-error`, disabled: !setting.live };
+  const state = { id, "aria-describedby": `${id}-help ${id}-error` };
   const field = entry(setting, state, change);
   const conversion = scale(setting);
   const slider = conversion && el("input", {
-    type: "range", min: 0, max: conversion.steps, class: "slider", disabled: !setting.live,
+    type: "range", min: 0, max: conversion.steps, class: "slider",
     "aria-label": `${title(key)}, slider`, "aria-describedby": `${id}-help`,
     pointerdown: () => settings.hold(),
     input() {
@@ -124,6 +124,7 @@ export function control(setting, settings, prefix) {
     el("div", { class: "head" }, el("label", { for: id }, title(key)), mark, reset, field, el("span", { class: "unit" }, unit)),
     ...(slider ? [slider] : []), help, error);
 
+  const inputs = slider ? [field, slider] : [field];
   const show = () => {
     const value = settings.value(key);
     const refused = settings.refused.get(key) ?? "";
@@ -134,18 +135,19 @@ export function control(setting, settings, prefix) {
       announce(value);
     }
     setText(error, refused);
+    for (const input of inputs) input.disabled = !setting.live || settings.locked;
     field.toggleAttribute("aria-invalid", refused !== "");
     setText(mark, settings.unsaved.has(key) ? "unsaved" : "");
-    reset.hidden = !setting.live || JSON.stringify(settings.all.get(key)?.value ?? null) === JSON.stringify(setting.default);
+    reset.hidden = !setting.live || settings.locked || JSON.stringify(settings.all.get(key)?.value ?? null) === JSON.stringify(setting.default);
   };
-  for (const input of slider ? [field, slider] : [field]) input.addEventListener("blur", show);
+  for (const input of inputs) input.addEventListener("blur", show);
   show();
   return { element: row, show };
 }
 
 /**
  * @param {Setting} setting
- * @param {Record<string, string | boolean>} state
+ * @param {Record<string, string>} state
  * @param {(value: Value) => void} change
  */
 function entry(setting, state, change) {

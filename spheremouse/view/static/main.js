@@ -50,7 +50,7 @@ const doctor = new DoctorPanel(perform);
 async function perform(action, words = {}) {
   try {
     const done = await link.request("do", { action, arguments: words });
-    showMessage(done.message, false);
+    showMessage(done.message.startsWith("/") ? `Written: ${done.message}` : done.message, false);
     return done;
   } catch (error) {
     showMessage(/** @type {Error} */ (error).message, true);
@@ -84,7 +84,7 @@ function receive(message) {
 /** @param {import("./types.js").Hello} message */
 function hello(message) {
   owner = message.owner;
-  document.body.classList.toggle("viewer", !owner);
+  settings.locked = !owner;
   if (!owner) showMessage("This page only shows. To change settings, open the address that `spheremouse view --url` prints.", true);
   if (message.settings.length && settings.load(message.settings)) {
     expert.load(message);

@@ -114,7 +114,7 @@ export class DoctorPanel {
     const subjects = [...new Set(checks.map((c) => c.subject))];
     this.#list.replaceChildren(...subjects.map((subject) => el("section", {}, el("h3", {}, subject),
       el("ul", { class: "findings" }, ...checks.filter((c) => c.subject === subject).map((c) =>
-        el("li", { class: c.verdict.replace(" ", "-") }, el("b", {}, c.verdict), ` ${c.name}: ${c.text}`,
+        el("li", { class: c.verdict.replace(" ", "-") }, el("b", {}, c.verdict), el("span", {}, `${c.name}: ${c.text}`),
           ...(c.advice ? [el("p", { class: "help" }, c.advice)] : [])))))));
   }
 }

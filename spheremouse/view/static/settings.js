@@ -10,6 +10,7 @@ export class Settings {
   /** @type {Map<string, Setting>} */ all = new Map();
   /** @type {Set<string>} */ unsaved = new Set();
   undo = 0;
+  locked = false; // this page only shows
   /** @type {Map<string, string>} */ refused = new Map(); // why the last value of a key was refused
   /** @type {{gesture: string, values: Record<string, Value>}[]} */ #queue = [];
   /** @type {Record<string, Value>} */ #underWay = {};
