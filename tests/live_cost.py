@@ -29,6 +29,7 @@ from spheremouse.output import Output
 from spheremouse.session import outputs
 from spheremouse.session.control.client import Client
 from spheremouse.session.control.protocol import LEASE
+from spheremouse.session.process import realtime
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.service import Daemon
 from spheremouse.session.setup import Setup
@@ -87,13 +88,15 @@ class Camera:
 
 
 class Sink(Output):
-    """Records the time of each report, and s since the arrival of its frame."""
+    """Records the time of each report, and s since the arrival of its frame. It has the priority of a paced output."""
 
     def __init__(self):
         self.times: list[tuple[float, float]] = []
 
     def send(self, report):
         now = time.monotonic()
+        if not self.times:
+            realtime.claim(0)
         self.times.append((now, now - report.stamp))
 
 
@@ -189,9 +192,13 @@ def silent(path: Path, end: float) -> None:
 
 def dead(path: Path, end: float) -> None:
     """Read pictures in another process, which is killed in the middle."""
-    code = (
-        f"import sys, pathlib, time\nfrom tests.live_cost import pictures\npictures(pathlib.Path({str(path)!r}), 1e9)"
-    )
+    code = f"""import pathlib, time
+from spheremouse.session.control.client import Client
+client = Client(pathlib.Path({str(path)!r}))
+while True:
+    client.pictures().latest()
+    time.sleep(0.01)
+"""
     with subprocess.Popen([sys.executable, "-c", code]) as process:
         time.sleep(max(0.0, 0.5 * (end - time.monotonic())))
         process.kill()
@@ -255,15 +262,18 @@ def main() -> None:
     parser.add_argument("kinds", nargs="*", default=list(KINDS), metavar="KIND", help=", ".join(KINDS))
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=10.0, help="of each period")
+    parser.add_argument("--priority", type=int, default=realtime.PRIORITY, help="of the daemon, above other programs")
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.serve:
+        realtime.PRIORITY = given.priority
         serve(given.serve)
         return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         process = subprocess.Popen(
-            [sys.executable, "-m", "tests.live_cost", "--serve", name], stdout=subprocess.DEVNULL
+            [sys.executable, "-m", "tests.live_cost", "--serve", name, "--priority", str(given.priority)],
+            stdout=subprocess.DEVNULL,
         )
         path = folder / "s"
         wait_for_tracking(path)

@@ -80,7 +80,7 @@ class Daemon:
         self._realtime = plan.configuration.realtime == "auto"
         self._scheduling = "usual scheduling"
         self._notifier = Notifier()
-        self._endpoints = Endpoints(self.handle, self._log)
+        self._endpoints = Endpoints(self.handle, self._log, lambda: self._claim(0))
         self._stack = contextlib.ExitStack()
         self._stack.callback(self._endpoints.close)
         self._ring = LatestFrame()

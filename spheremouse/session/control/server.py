@@ -74,13 +74,17 @@ class ControlServer:
         handle: Handle,
         log: Callable[[str], None] = lambda line: None,
         limits: Limits | None = None,
+        claim: Callable[[], object] = lambda: None,
     ) -> None:
-        """`handle` is called in the server's thread and must return at once; it answers then or later."""
+        """The server's thread calls `claim` first, to get its priority.
+
+        It then calls `handle`, which must return at once and answers then or later.
+        """
         if not hasattr(socket, "AF_UNIX"):
             raise ControlError("this system has no Unix sockets, so the daemon cannot be controlled here")
         self.path = path
         self._settings, self._handle, self._log = settings, handle, log
-        self._limits = limits or Limits()
+        self._limits, self._claim = limits or Limits(), claim
         self._next = 0.0  # s of the loop's clock, of the next request
         self._clients: dict[asyncio.Task[None], _Client] = {}
         self._subscribers: tuple[_Client, ...] = ()  # to samples; replaced as a whole, since the worker reads it
@@ -128,6 +132,7 @@ class ControlServer:
     # ---- the thread ----
 
     def _run(self) -> None:
+        self._claim()
         with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
             runner.run(self._serve())
 
@@ -403,9 +408,9 @@ _RETRY_INTERVAL = 30.0  # s between two attempts to open the control socket
 class Endpoints:
     """Open from `open` until `close`."""
 
-    def __init__(self, handle: Handle, log: Callable[[str], None]) -> None:
-        """`handle` is the control server's."""
-        self._handle, self._log = handle, log
+    def __init__(self, handle: Handle, log: Callable[[str], None], claim: Callable[[], object]) -> None:
+        """`handle` and `claim` are the control server's."""
+        self._handle, self._log, self._claim = handle, log, claim
         self._stack = contextlib.ExitStack()
         self._server: ControlServer | None = None
         self._retry_at = 0.0  # s
@@ -449,5 +454,5 @@ class Endpoints:
         self._stack.close()
 
     def _listen(self, control: ControlSettings) -> None:
-        server = ControlServer(socket_path(control.socket), control, self._handle, self._log)
+        server = ControlServer(socket_path(control.socket), control, self._handle, self._log, claim=self._claim)
         self._server = self._stack.enter_context(server)

@@ -40,7 +40,8 @@ def prepare(wanted: bool = True) -> str:
 def claim(thread: int | None) -> bool:
     """Request real-time scheduling for a thread by its native number, 0 for this one. Return False if it is refused.
 
-    Threads that it starts do not inherit the class: threads that write files or answer requests must wait.
+    Threads that it starts do not inherit the class: threads that write files must wait. The control socket's thread has
+    the class, since the worker waits for it while it holds the interpreter.
     """
     if thread is None or not sys.platform.startswith("linux"):
         return False

@@ -26,7 +26,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def endpoints(log):
-    return contextlib.closing(Endpoints(answer, log.append))
+    return contextlib.closing(Endpoints(answer, log.append, lambda: None))
 
 
 def test_the_socket_is_opened_when_the_other_run_has_ended(folder):

@@ -83,6 +83,14 @@ def test_every_test_that_the_security_page_names_is_there():
     assert not {name for name in names if f"def {name}(" not in tests}
 
 
+def test_the_thread_that_answers_claims_its_priority_before_it_answers(path):
+    threads = []
+    claim = lambda: threads.append(threading.current_thread().name)  # noqa: E731
+    with ControlServer(path, ControlSettings(), answer, claim=claim):
+        assert Wire(path).ask(STATUS) == FINE
+        assert threads == ["control"]
+
+
 def test_several_requests_in_one_go_are_answered_in_their_order(serve, path):
     later = []
 
