@@ -2,9 +2,11 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reporting import refused, report
 
+from spheremouse.files import registry
 from spheremouse.output import open_output, split_gain, uinput
 from spheremouse.output.lines import count_lines
 from spheremouse.output.third_axis import NOTCH
@@ -210,6 +213,17 @@ def test_the_gain_is_an_option_of_every_output(spec, place):
 @pytest.mark.parametrize("gain", ["two", "0", "-1", "nan", "1e4", "2,gain=3"])
 def test_another_gain_is_refused(gain):
     assert "gain" in refused(f"null:gain={gain}")
+
+
+def test_the_plug_in_of_the_docs_prints_what_it_gets(monkeypatch, capsys):
+    page = (REPOSITORY / "docs" / "plugins.md").read_text()
+    module = ModuleType("lamp")
+    exec(re.findall(r"```python\n(.*?)```", page, re.S)[0], module.__dict__)
+    plug_ins = [SimpleNamespace(name="lamp", value="lamp", load=lambda: module)]
+    monkeypatch.setattr(registry, "entry_points", lambda group: plug_ins)
+    with open_output("lamp:red,gain=2") as lamp:
+        lamp.send(report(1, -2, 3, rate=(0.5, 0.0, 0.0)))
+    assert capsys.readouterr().out == "red (1, -2, 3) [0.5 0.  0. ]\n"
 
 
 def test_unknown_kinds_are_told_the_known_ones():
