@@ -1,7 +1,7 @@
 """`spheremouse view`: serve the live page of the running daemon."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -16,6 +16,9 @@ from spheremouse.view.access import (
     read_token,
     token_path,
 )
+
+if TYPE_CHECKING:
+    from starlette.applications import Starlette
 
 
 def view(
@@ -44,6 +47,13 @@ def view(
             metavar="PATH", help="The daemon's socket.  [default: $SPHEREMOUSE_SOCKET, else where one answers]"
         ),
     ] = None,
+    cabinet: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Folder of the calibration, for the guide.  [default: cabinet]"),
+    ] = None,
+    source: Annotated[
+        str | None, typer.Option(metavar="KIND:ARG", help="Camera for the guide.  [default: the first camera]")
+    ] = None,
     url: Annotated[bool, typer.Option("--url", help="Print the owner's address of the page, and exit.")] = False,
 ) -> None:
     """Serve the live page: picture, motion, settings, log and doctor of the running daemon, in a browser.
@@ -54,13 +64,18 @@ def view(
     if url:
         print(owners_address(address, port, read_token(token_file or present_token())))
     else:
-        _serve(address, port, names or [], own_token(token_file or token_path()), socket)
+        from spheremouse.view.actions import GuideOptions
+        from spheremouse.view.server import application
+
+        token = own_token(token_file or token_path())
+        app = application(socket, Access(token, port, names or []), GuideOptions(cabinet, source))
+        _serve(app, address, port, token)
 
 
-def _serve(address: str, port: int, names: list[str], token: str, socket: Path | None) -> None:
+def _serve(app: "Starlette", address: str, port: int, token: str) -> None:
     import socket as sockets
 
-    from spheremouse.view.server import application, server
+    from spheremouse.view.server import server
 
     try:
         listener = sockets.create_server(
@@ -72,4 +87,4 @@ def _serve(address: str, port: int, names: list[str], token: str, socket: Path |
         raise ControlError(f"{address}:{port}: cannot be opened ({reason})", hint) from None
     with listener:
         typer.echo(f"live page: {owners_address(address, port, token)}", err=True)
-        server(application(socket, Access(token, port, names)), address, port).run([listener])
+        server(app, address, port).run([listener])

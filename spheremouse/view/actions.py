@@ -1,10 +1,12 @@
 """Actions of the page's buttons. Each is one that `spheremouse ctl` has too."""
 
 import asyncio
+import base64
 import io
 import json
 import os
 import sys
+import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -35,11 +37,18 @@ class Done(NamedTuple):
     data: Mapping[str, Any] = MappingProxyType({})
 
 
+class GuideOptions(NamedTuple):
+    """Inputs of the guide; None stands for the default of its commands."""
+
+    folder: Path | None = None  # of the calibration
+    source: str | None = None  # the camera
+
+
 class Actions:
     """The actions of one page."""
 
-    def __init__(self, daemon: Daemon, socket: Path | None) -> None:
-        self._daemon, self._socket = daemon, socket
+    def __init__(self, daemon: Daemon, socket: Path | None, guide: GuideOptions) -> None:
+        self._daemon, self._socket, self._guide_options = daemon, socket, guide
         self._lock = asyncio.Lock()
         self._next = 0.0  # s, monotonic, of the next change
 
@@ -66,11 +75,31 @@ class Actions:
             return Done(await asyncio.to_thread(self._save))
         if action == "doctor":
             return Done(data=await self._run("doctor", "--json", codes=(0, 1)))
+        if action == "guide":
+            return Done(data=await self._guide())
         if action == "export":
             return Done(data={"text": yaml_of(self._daemon.changed())})
         if action == "import":
             return await self._set_all(self._daemon.differing(values_of(str(arguments.get("text", "")))), "import")
         raise ControlError(f"{action}: there is no such action")
+
+    async def _guide(self) -> dict[str, Any]:
+        """Return the steps of the calibration and, unless a daemon has the camera, its picture with targets."""
+        folder, source = self._guide_options
+        steps = await self._run("calibrate", "next", *([] if folder is None else [str(folder)]), "--json", "-")
+        found: dict[str, Any] = {"lines": [], "picture": None, "problem": None, **steps}
+        if (status := self._daemon.status) is not None:
+            words = f"the service has it, {status['state']}; its picture is under Camera"
+            return found | {"camera": words}
+        with tempfile.TemporaryDirectory(prefix="spheremouse-view-") as name:
+            file = Path(name) / "camera.jpg"
+            try:
+                words = [] if source is None else [source]
+                sight = await self._run("preview", *words, "--json", "--out", str(file))
+            except ControlError as e:
+                return found | {"camera": None, "problem": str(e)}
+            picture = base64.b64encode(file.read_bytes()).decode()
+        return found | {"camera": sight["source"], "lines": sight["lines"], "picture": picture}
 
     async def _set_all(self, values: Values, name: str) -> Done:
         if not values:

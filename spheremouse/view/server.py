@@ -24,7 +24,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from spheremouse import __version__
 from spheremouse.errors import SpheremouseError, one_line, printable
 from spheremouse.view.access import COOKIE, HEADERS, Access, Visitor
-from spheremouse.view.actions import Actions
+from spheremouse.view.actions import Actions, GuideOptions
 from spheremouse.view.daemon import Daemon
 from spheremouse.view.pictures import Pictures, Shown
 
@@ -78,12 +78,12 @@ _MESSAGES: TypeAdapter[_Next | _Rest | _Set | _Do] = TypeAdapter(_Next | _Rest |
 class Page:
     """All browsers of one daemon."""
 
-    def __init__(self, socket: Path | None, access: Access) -> None:
+    def __init__(self, socket: Path | None, access: Access, guide: GuideOptions) -> None:
         """Call it in the event loop. Without `socket` the daemon is found as `spheremouse ctl` does."""
         self.access = access
         self.daemon = Daemon(socket, self._publish)
         self.pictures = Pictures(socket)
-        self.actions = Actions(self.daemon, socket)
+        self.actions = Actions(self.daemon, socket, guide)
         self.browsers: set[_Browser] = set()
         self._leaving: asyncio.TimerHandle | None = None
 
@@ -237,13 +237,13 @@ def _form(message: str | bytes) -> str:
     return "text" if isinstance(message, str) else "bytes"
 
 
-def application(socket: Path | None, access: Access) -> Starlette:
+def application(socket: Path | None, access: Access, guide: GuideOptions) -> Starlette:
     """Return the web application."""
     pages: list[Page] = []
 
     @contextlib.asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        pages.append(Page(socket, access))
+        pages.append(Page(socket, access, guide))
         yield
         pages[0].daemon.close()
 

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 from view_world import wait_for
 
-PANELS = ("Tune", "Expert", "Log", "Draw", "Outputs", "Doctor")
+PANELS = ("Tune", "Expert", "Log", "Draw", "Outputs", "Doctor", "Guide")
 SIZES = {"desktop": (1280, 800), "phone": (390, 844)}
 
 
@@ -281,6 +281,13 @@ def test_the_doctor_reports(page):
     choose(page, "Doctor")
     page.locator("#doctor").click()
     page.locator(".findings li").first.wait_for(timeout=60000)
+
+
+@pytest.mark.slow
+def test_the_guide_shows_the_next_step(page):
+    choose(page, "Guide")
+    page.locator("#look").click()
+    page.locator("#panel-Guide .next .command").first.wait_for(timeout=60000)
 
 
 # ---- everybody can use it ----

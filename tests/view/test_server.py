@@ -1,6 +1,7 @@
 """The page's server in front of a real daemon: a film behind a scripted camera, and browsers by `websockets`."""
 
 import asyncio
+import base64
 import json
 import socket
 import struct
@@ -10,6 +11,7 @@ import threading
 import time
 from contextlib import contextmanager
 from http.client import HTTPConnection
+from pathlib import Path
 
 import pytest
 import simplejpeg
@@ -19,6 +21,7 @@ from websockets.sync.client import connect
 
 from spheremouse.view import server as server_module
 from spheremouse.view.access import Access
+from spheremouse.view.actions import GuideOptions
 from spheremouse.view.server import application, server
 
 TOKEN = "a-token-of-more-than-32-characters"
@@ -42,16 +45,16 @@ def world(film, tmp_path, monkeypatch):
 
 @pytest.fixture
 def page(world):
-    with serving(world) as port:
+    with serving(world.socket) as port:
         yield port
 
 
 @contextmanager
-def serving(world, port=0):
-    """Run the page in a thread; yields its port."""
+def serving(daemon, port=0, cabinet=None, source=None):
+    """Run the page of a daemon's socket in a thread; yields its port."""
     listener = socket.create_server(("127.0.0.1", port), backlog=256)
     port = listener.getsockname()[1]
-    running = server(application(world.socket, Access(TOKEN, port)), "127.0.0.1", port)
+    running = server(application(daemon, Access(TOKEN, port), GuideOptions(cabinet, source)), "127.0.0.1", port)
     running.install_signal_handlers = lambda: None
     thread = threading.Thread(target=lambda: asyncio.run(running.serve([listener])))
     thread.start()
@@ -227,6 +230,32 @@ def test_a_stranger_sees_a_masked_picture_and_changes_nothing(world, page):
         assert black[1] < 0.2
 
 
+def test_the_guide_works_without_a_rig_and_shows_the_next_step_when_one_is_done(tmp_path):
+    clip = Path(__file__).parents[1] / "data" / "far26_clip"
+    with (
+        serving(tmp_path / "s", cabinet=tmp_path / "cabinet", source=f"dataset:{clip}") as port,
+        Browser(port) as browser,
+    ):
+        done = browser.ask("do", action="guide")["data"]
+        assert simplejpeg.decode_jpeg(base64.b64decode(done["picture"])).shape == (960, 1280, 3)
+        assert any(line.startswith("targets") for line in done["lines"])
+        step = next(step for step in done["steps"] if step["state"] == "next")
+        assert step["command"] == f"spheremouse calibrate init {tmp_path}/cabinet"
+        command = [sys.executable, "-m", *step["command"].split()]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        steps = browser.ask("do", action="guide")["data"]["steps"]
+        assert steps[0]["state"] == "done"
+        assert [s["name"] for s in steps if s["state"] == "next"] == ["photos of the board"]
+
+
+def test_the_guide_gives_the_reason_why_a_camera_shows_nothing(tmp_path):
+    with serving(tmp_path / "s", cabinet=tmp_path, source="v4l2:/dev/no-camera") as port, Browser(port) as browser:
+        done = browser.ask("do", action="guide")["data"]
+        assert "/dev/no-camera: no such device" in done["problem"]
+        assert done["picture"] is None
+        assert done["steps"]
+
+
 @pytest.mark.parametrize(
     "headers",
     [
@@ -268,7 +297,7 @@ def test_garbage_is_answered_in_one_line_and_the_connection_stays(page, garbage)
 
 
 def test_the_page_outlives_the_daemon_and_a_browser_the_page(world, film, tmp_path):
-    with serving(world) as port, Browser(port) as browser:
+    with serving(world.socket) as port, Browser(port) as browser:
         browser.until("status", lambda m: m["connected"])
         world.stop()
         assert browser.until("status", lambda m: not m["connected"])["reason"]

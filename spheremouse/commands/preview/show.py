@@ -98,6 +98,7 @@ class Analysis:
             "spots": len(self.spots.area),
             "blur_px": None if np.isnan(self.blur) else round(self.blur, 2),
             **self.light.values,
+            "lines": list(self.lines()),
         }
 
     def lines(self) -> Iterator[str]:
@@ -164,7 +165,7 @@ def _no_frame(options: PreviewOptions) -> SourceError:
 
 def _print(options: PreviewOptions, analysis: Analysis) -> None:
     if options.as_json:
-        print(json.dumps({"file": str(options.out), **analysis.data()}), flush=True)
+        print(json.dumps({"source": options.source, "file": str(options.out), **analysis.data()}), flush=True)
     else:
         print(
             "\n".join((f"{options.out}: {options.source} at {analysis.frame.stamp:.2f} s", *analysis.lines())),

@@ -2,6 +2,7 @@
 
 import { byId, el, formatDuration, setText } from "./dom.js";
 import { DrawPanel } from "./draw.js";
+import { GuidePanel } from "./guide.js";
 import { Link } from "./link.js";
 import { Picture } from "./picture.js";
 import { Plots, readSample } from "./plots.js";
@@ -42,6 +43,7 @@ const log = new LogPanel();
 const drawing = new DrawPanel(settings, picture);
 const outputs = new OutputsPanel();
 const doctor = new DoctorPanel(perform);
+const guide = new GuidePanel(perform);
 
 /**
  * Carry out an action and show its result. Returns null if it was refused.
@@ -162,7 +164,7 @@ byId("snapshot", HTMLElement).addEventListener("click", () => void perform("snap
 /** @type {[name: string, element: HTMLElement, wide: boolean][]} */
 const PANELS = [
   ["Tune", tune.element, false], ["Expert", expert.element, true], ["Log", log.element, true], ["Draw", drawing.element, false],
-  ["Outputs", outputs.element, true], ["Doctor", doctor.element, true],
+  ["Outputs", outputs.element, true], ["Doctor", doctor.element, true], ["Guide", guide.element, true],
 ];
 
 /** @param {string} chosen */
