@@ -47,7 +47,7 @@ help:
 	@echo "make format       bring the code into the format that make lint asks for"
 	@echo "make reference    generate the recipe, the man page and the completion of shells"
 	@echo "make docs         the documentation as a site in docs/_build/html; its examples are run"
-	@echo "make picture      the README's animated picture, from the demo"
+	@echo "make picture      the README's pictures, of the demo and of the live page"
 	@echo "make dist         a release in dist: sdist, wheel, site, man page, and a folder of all wheels for a machine without network"
 	@echo "make experiments  the experiments of the theses, into build/experiments (an hour); EXPERIMENTS_ARGS='--datasets DIR'"
 	@echo "make system-test  tests on real kernel devices, in a QEMU guest"
@@ -59,7 +59,7 @@ demo: $(STAMP)
 	$(BIN)/spheremouse demo $(DEMO_ARGS)
 
 picture: demo
-	$(BIN)/python docs/picture.py
+	PYTHONPATH=tests $(BIN)/python docs/picture.py
 
 # Compiled by one process before the tests are several; a test process that crashes ends them all, and is told.
 test: $(STAMP)

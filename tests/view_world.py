@@ -3,6 +3,7 @@
 As a program: `spheremouse run` with the film, forth and back at 30 Hz, as its v4l2 camera.
 """
 
+import math
 import os
 import socket
 import subprocess
@@ -125,14 +126,21 @@ class Service:
 
 
 class Camera(daemon_process.Camera):
-    """Gives each picture once on the way forth, and once on the way back."""
+    """Gives each picture once on the way forth, and once on the way back; leaves out those that nobody fetched."""
+
+    def __init__(self, pictures):
+        super().__init__(pictures)
+        self._begin, self._tick = time.monotonic(), 0
 
     def next(self, timeout):
-        time.sleep(INTERVAL)
+        now = time.monotonic()
+        self._tick = max(self._tick + 1, math.ceil((now - self._begin) / INTERVAL))
         self._sequence += 1
+        stamp = self._begin + self._tick * INTERVAL
+        time.sleep(stamp - now if stamp > now else 0)
         n = len(self._pictures) - 1
-        picture = self._pictures[abs(self._sequence % (2 * n) - n)]
-        return RawFrame(Frame(picture.copy(), time.monotonic(), self._sequence))
+        picture = self._pictures[abs(self._tick % (2 * n) - n)]
+        return RawFrame(Frame(picture.copy(), stamp, self._sequence))
 
 
 class RawFrame(daemon_process.RawFrame):
