@@ -1,6 +1,7 @@
 """The search comes back from a wrong setting, and leaves good ones alone."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import typer
@@ -20,6 +21,7 @@ pytest.importorskip("optuna")
 app = typer.Typer()
 app.command()(command)
 
+CLIP = Path(__file__).parents[1] / "data" / "far26_clip"  # 50 frames
 WRONG = {"discs.contrast": 0.9}  # print has 0.8
 
 
@@ -36,6 +38,7 @@ def recording(request, film):
     return made if request.param == "with truth" else replace(made, truth=None)
 
 
+@pytest.mark.slow
 def test_a_wrong_setting_comes_back_to_one_that_tracks(recording):
     found = tune(recording, changed(Configuration(), WRONG), 300.0, trials=3, seed=2)
     assert found.better
@@ -44,10 +47,12 @@ def test_a_wrong_setting_comes_back_to_one_that_tracks(recording):
     assert found.held_out.other < 0.5 * found.held_out.present
 
 
+@pytest.mark.slow
 def test_good_settings_stay(recording):
     assert not tune(recording, Configuration(), 300.0, trials=3, seed=2).better
 
 
+@pytest.mark.slow
 def test_an_interrupt_ends_the_search_with_what_it_has_and_a_seed_repeats_it(film):
     def interrupt(count, part):
         if count == 2:
@@ -67,6 +72,7 @@ def test_filter_discs_and_loss_are_searched_within_their_bounds():
     assert {"so3.acceleration_sigma", "discs.contrast", "loss.lost_after"} <= {d["key"] for d in tunable(settings)}
 
 
+@pytest.mark.slow
 def test_the_file_is_the_configuration_with_the_new_settings(film, tmp_path):
     out = tmp_path / "tuned.yaml"
     words = ("--trials", 2, "--seed", 2, "--set", "discs.contrast=0.9", "--set", "motion.scale_x=2", "--output", out)
@@ -77,6 +83,7 @@ def test_the_file_is_the_configuration_with_the_new_settings(film, tmp_path):
     assert f"discs.contrast={config.to_yaml(written.discs.contrast)}  saves" in text
 
 
+@pytest.mark.slow
 def test_nothing_is_written_if_no_trial_is_better(film, tmp_path):
     out = tmp_path / "tuned.yaml"
     code, text = invoke(app, film, "--trials", 1, "--seed", 2, "--output", out)
@@ -86,13 +93,12 @@ def test_nothing_is_written_if_no_trial_is_better(film, tmp_path):
 
 
 @pytest.mark.parametrize("words", [("--budget", "soon"), ("--budget", "0"), ("--set", "tracker=ekf1")])
-def test_a_wrong_request_is_one_line(film, words):
-    code, text = invoke(app, film, *words)
+def test_a_wrong_request_is_one_line(words):
+    code, text = invoke(app, CLIP, *words)
     assert code == 2
     assert len(text.splitlines()) == 1
 
 
-def test_a_recording_that_is_too_short_is_refused(film):
-    recording = open_dataset(film)
+def test_a_recording_that_is_too_short_is_refused():
     with pytest.raises(ConfigurationError, match="too short"):
-        tune(replace(recording, frames=60), Configuration(), 1.0)
+        tune(open_dataset(CLIP), Configuration(), 1.0)
