@@ -109,9 +109,6 @@ class Daemon:
         match request:
             case protocol.Set(assignments=what):
                 names = sorted({a.partition(".")[0] for a in what})
-                if any(a.startswith("source=") for a in what):
-                    words = "source: set on the command line, which overrides it; start again without that option"
-                    raise ControlError(words)
                 values = {k: [1.0, float(v)] for k, _, v in (a.partition("=") for a in what)}
                 told = ", ".join(f"{k} {old} → {new}" for k, (old, new) in values.items())
                 words = f"configuration applied: {told}"

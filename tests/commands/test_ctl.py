@@ -319,8 +319,11 @@ def test_an_event_is_a_line():
     assert line("lost: hands") == "12:00:00  lost: hands"
 
 
-def watching(path, *words):
-    """Return the first three lines of `ctl watch`, and standard error and exit code after Ctrl-C, in a process."""
+def watching(path, *words, more=0):
+    """Return the first three lines of `ctl watch`, and standard error and exit code after Ctrl-C, in a process.
+
+    Before Ctrl-C, nobody reads for half a second, and then so many `more` lines.
+    """
     hearing = (
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # a job in the background is deaf
     )
@@ -328,6 +331,10 @@ def watching(path, *words):
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     lines = [process.stdout.readline() for _ in range(3)]
+    if more:
+        time.sleep(0.5)
+        for _ in range(more):
+            process.stdout.readline()
     process.send_signal(signal.SIGINT)
     return lines, process.communicate(timeout=60)[1], process.returncode
 
@@ -339,22 +346,22 @@ def test_watching_streams_until_interrupted(path, daemon):
 
 
 def test_watching_as_json_prints_samples_and_in_the_end_the_number_of_dropped_ones(path):
-    """Of each report of four balls, the server keeps the last three."""
+    """The program that reads the output stops meanwhile, and the server keeps three samples."""
     balls = tuple(Sample(unknown(0.5), ball) for ball in (1, 2, 3, 4))
     report = Report((1, 2, 3), None, 0.5, balls, 2)
     ended = threading.Event()
 
     def publish():
-        while not ended.wait(0.02):
+        while not ended.wait(0.001):
             server.submit(report, 0.0, True)
 
     with ControlServer(path, ControlSettings(), Recorder(), limits=Limits(samples=3)) as server:
         publisher = threading.Thread(target=publish)
         publisher.start()
-        lines, err, code = watching(path, "--json")
+        lines, err, code = watching(path, "--json", more=3000)
         ended.set()
         publisher.join()
-    assert [line.rstrip() for line in lines] == json_lines(report)[1:]
+    assert [line.rstrip() for line in lines] == json_lines(report)[:3]
     assert re.fullmatch(r"spheremouse: \d+ samples dropped, because their reader was too slow\n", err)
     assert code == 0
 
