@@ -138,7 +138,8 @@ export function control(setting, settings, prefix) {
     for (const input of inputs) input.disabled = !setting.live || settings.locked;
     field.toggleAttribute("aria-invalid", refused !== "");
     setText(mark, settings.unsaved.has(key) ? "unsaved" : "");
-    reset.hidden = !setting.live || settings.locked || JSON.stringify(settings.all.get(key)?.value ?? null) === JSON.stringify(setting.default);
+    const names = setting.group === "" && setting.default === null; // a file or device, without which nothing runs
+    reset.hidden = !setting.live || settings.locked || names || JSON.stringify(settings.all.get(key)?.value ?? null) === JSON.stringify(setting.default);
   };
   for (const input of inputs) input.addEventListener("blur", show);
   show();
