@@ -24,12 +24,12 @@ def bench(
     steps: Annotated[
         int, typer.Option(metavar="N", min=0, help="Then run the tracker alone for N steps in a row. 0: none.")
     ] = _STEPS,
-    no_sizes: Annotated[bool, typer.Option("--no-sizes", help="Do not measure larger pictures.")] = False,
     json_file: JsonFile = None,
 ) -> None:
-    """Measure the time per frame on one thread: beside two blob detectors, for many steps, and in larger pictures.
+    """Measure the time per frame on one thread: beside two blob detectors, and for many steps.
 
-    The command finds the camera's pose before. Pose and the first 10 frames do not count; every other frame does.
+    The command finds the camera's pose before. Pose and the first 10 frames do not count; every other frame does. For
+    another picture size, give a dataset that `simulate --size` made.
     """
     from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.commands.bench import measure as benchmark
@@ -51,8 +51,7 @@ def bench(
         start = benchmark.start()
         times = benchmark.compare(film, repeat, progress)
         steady = benchmark.in_a_row(film, steps, progress) if steps else None
-        sizes = {} if no_sizes else benchmark.by_size(progress=progress)
-    figures = report(film, times, repeat, start, steady, sizes)
+    figures = report(film, times, repeat, start, steady)
     text = json.dumps(figures, indent=1, allow_nan=False) + "\n"
     if json_file == Path("-"):
         typer.echo(text, nl=False)

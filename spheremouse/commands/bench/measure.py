@@ -1,4 +1,4 @@
-"""Measure the time of a tracker's step: beside two blob detectors, for many steps, and in larger pictures.
+"""Measure the time of a tracker's step: beside two blob detectors, and for many steps in a row.
 
 Each measurement also counts the frames in which the ball was tracked. A tracker that has lost the ball is fast, and its
 times are not valid.
@@ -6,9 +6,9 @@ times are not valid.
 
 import gc
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -37,12 +37,9 @@ from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame, Status
 
 STEP, DETECT, FILTER, BLOBS, SIMPLE = "step", "detect", "filter", "blobs", "SimpleBlobDetector"
-SIZES = ((640, 480), (1280, 720), (1920, 1080))  # px; the others are compared with the first
 MEMORY_FROM = 1000  # steps, until the allocator has enough memory
 _BLOCK = 30  # frames that one of the compared processes before the next: a second of video
 _MAX_FRAME_BYTES = 1 << 29  # of the frames that are played repeatedly
-_SIZE_FRAMES, _SIZE_STEPS = 80, 600
-_MOTION_S = 10.0  # of the simulated motion, which is at rest at both ends and can be played back and forth
 
 Progress = Callable[[str, int, int], None]  # name of the measurement, steps done, all steps
 
@@ -90,13 +87,10 @@ class Steps:
 
 def simulated(frames: int) -> Film:
     """Return the simulated far scene. With 300 frames the ball is at rest at both ends."""
-    return _simulated("simulated far scene", SimulationOptions(seconds=frames / SimulationOptions().fps))
-
-
-def _simulated(name: str, options: SimulationOptions) -> Film:
-    film = prepare(options)
-    interval = 1.0 / SimulationOptions().fps
-    return Film(name, film.scene.rig(), interval, lambda: (made.frame for made in simulate(film)), film.frames)
+    fps = SimulationOptions().fps
+    film = prepare(SimulationOptions(seconds=frames / fps))
+    images = lambda: (made.frame for made in simulate(film))  # noqa: E731
+    return Film("simulated far scene", film.scene.rig(), 1.0 / fps, images, film.frames)
 
 
 def recorded(path: Path, frames: int) -> Film:
@@ -234,46 +228,20 @@ class Player:
 
 
 def in_a_row(film: Film, steps: int, progress: Progress = silent) -> Steps:
-    """Measure `steps` of the tracker alone; DatasetError if there are too few frames."""
-    return _in_turn([Player(film, steps)], steps, lambda k: progress("step by step", k, steps))[0]
+    """Measure `steps` of the tracker alone; DatasetError if there are too few frames.
 
-
-def by_size(
-    sizes: Sequence[tuple[int, int]] = SIZES,
-    frames: int = _SIZE_FRAMES,
-    steps: int = _SIZE_STEPS,
-    progress: Progress = silent,
-) -> dict[tuple[int, int], Steps]:
-    """Measure the tracker in the simulated far scene for each picture size, step by step in turn.
-
-    All sizes have the same view. The camera's pose is known, since its search does not change the time of a step.
+    Garbage is collected and frozen before, as in the daemon.
     """
-    players = []
-    for k, size in enumerate(sizes):
-        progress("larger pictures: rendering", k, len(sizes))
-        players.append(Player(_whole_motion(frames, size), steps))
-    return dict(zip(sizes, _in_turn(players, steps, lambda k: progress("larger pictures", k, steps)), strict=True))
-
-
-def _in_turn(players: list[Player], steps: int, progress: Callable[[int], None]) -> list[Steps]:
-    """Let each player take a step in turn. Garbage is collected and frozen before, as in the daemon."""
+    player = Player(film, steps)
     gc.collect()
     gc.freeze()
     try:
         for k in range(steps):
-            for player in (*players[k % len(players) :], *players[: k % len(players)]):
-                player.step()
-            progress(k + 1)
-        return [player.steps() for player in players]
+            player.step()
+            progress("step by step", k + 1, steps)
+        return player.steps()
     finally:
         gc.unfreeze()
-
-
-def _whole_motion(frames: int, size: tuple[int, int]) -> Film:
-    """Return the simulated motion in few frames at the usual rate, so the ball rolls faster."""
-    options = SimulationOptions(seconds=_MOTION_S, fps=frames / _MOTION_S, size=size)
-    film = _simulated("far scene", options)
-    return replace(film, rig=replace(film.rig, pose=prepare(options).scene.pose))
 
 
 def back_and_forth(k: int, n: int) -> int:

@@ -21,30 +21,26 @@ _NAMES = {
 }
 
 
-def report(
-    film: Film,
-    times: Times,
-    repeat: int = 1,
-    start: float = 0.0,
-    row: Steps | None = None,
-    sizes: dict[tuple[int, int], Steps] | None = None,
-) -> dict[str, Any]:
+def report(film: Film, times: Times, repeat: int = 1, start: float = 0.0, row: Steps | None = None) -> dict[str, Any]:
     """Return the figures that --json writes: µs, MB, and ratios of medians.
 
-    A ratio compares a blob detector with the step, a larger picture with the smallest one, and the 99th percentile
-    and the slowest of the steps in a row with their median.
+    A ratio compares a blob detector with the step, and the 99th percentile and the slowest of the steps in a row with
+    their median.
     """
     us = {name: _summary(s) for name, s in times.seconds.items()}
-    pictures = {f"{w}x{h}": _steps(s) for (w, h), s in (sizes or {}).items()}
     ratios = {name: us[name]["median"] / us[STEP]["median"] for name in (BLOBS, SIMPLE)}
     steady = None
     if row is not None:
-        steady = {**_steps(row), "processor_us": _summary(row.processor)}
-        steady |= {"slowest_event": row.slowest, "memory_grown_mb": row.grown_mb}
+        steady = {
+            "steps": len(row),
+            "tracked": row.tracked,
+            "lost_episodes": row.lost,
+            "us": _summary(row.seconds),
+            "processor_us": _summary(row.processor),
+            "slowest_event": row.slowest,
+            "memory_grown_mb": row.grown_mb,
+        }
         ratios |= {name: steady["us"][name] / steady["us"]["median"] for name in ("p99", "max")}
-    medians = {name: steps["us"]["median"] for name, steps in pictures.items()}
-    first = next(iter(medians), "")
-    ratios |= {name: median / medians[first] for name, median in medians.items() if name != first}
     return {
         "dataset": film.name,
         "size": [film.rig.camera.width, film.rig.camera.height],
@@ -56,7 +52,6 @@ def report(
         "start_us": start * 1e6,
         "us": us,
         "steady": steady,
-        "sizes": pictures,
         "ratios": ratios,
     }
 
@@ -67,10 +62,6 @@ def _summary(seconds: Array) -> dict[str, float]:
         "p99": float(np.quantile(seconds, 0.99)) * 1e6,
         "max": float(np.max(seconds)) * 1e6,
     }
-
-
-def _steps(steps: Steps) -> dict[str, Any]:
-    return {"steps": len(steps), "tracked": steps.tracked, "lost_episodes": steps.lost, "us": _summary(steps.seconds)}
 
 
 # ---- text ----
@@ -100,11 +91,6 @@ def table(figures: dict[str, Any]) -> Table:
         rows.add_row("  worst over median", "", "", "", _ratio(ratios["max"]))
         if row["memory_grown_mb"] is not None:
             rows.add_row(f"  memory after {MEMORY_FROM:,} steps", "", "", "", f"{row['memory_grown_mb']:+.1f} MB")
-    if figures["sizes"]:
-        rows.add_section()
-        rows.add_row("[bold]far scene, in turn[/]")
-        for name, steps in figures["sizes"].items():
-            rows.add_row(name, *_ms(steps["us"]), _ratio(ratios.get(name)))
     return rows
 
 
@@ -121,15 +107,13 @@ def _ratio(ratio: float | None) -> str:
 def notes(figures: dict[str, Any]) -> Iterator[str]:
     """Yield the notes below the table."""
     us, row = figures["us"], figures["steady"]
-    many = ({"in a row": row} if row is not None else {}) | figures["sizes"]
     ran = {"compared": (figures["frames"], figures["tracked"])}
-    ran |= {name: (s["steps"], s["tracked"]) for name, s in many.items()}
-    lost = sum(s["lost_episodes"] for s in many.values())
+    ran |= {} if row is None else {"in a row": (row["steps"], row["tracked"])}
     yield "tracked: " + ", ".join(f"{t:,} of {n:,} {name}" for name, (n, t) in ran.items())
-    if many:
-        yield f"lost: {lost} times" if lost else "lost: never"
-    if row is not None and row["slowest_event"]:
-        yield f"the slowest step in a row: {row['slowest_event']}"
+    if row is not None:
+        yield f"lost: {row['lost_episodes']} times" if row["lost_episodes"] else "lost: never"
+        if row["slowest_event"]:
+            yield f"the slowest step in a row: {row['slowest_event']}"
     yield f"start: {figures['start_us'] / 1e6:.2f} s for the compiled functions, before the first frame"
     median, slow, worst = (figures["interval_us"] / us[STEP][name] for name in ("median", "p99", "max"))
     yield (

@@ -20,7 +20,6 @@ from spheremouse.commands.bench.measure import (
     Steps,
     Times,
     back_and_forth,
-    by_size,
     compare,
     in_a_row,
 )
@@ -81,13 +80,6 @@ def test_a_ball_that_is_lost_is_counted():
     assert steps.tracked < 96 - WARM_UP
 
 
-def test_every_size_is_tracked_for_as_many_steps():
-    sizes = ((320, 240), (480, 360))
-    steps = by_size(sizes, frames=80, steps=40)
-    assert tuple(steps) == sizes
-    assert [(len(s), s.tracked, s.lost) for s in steps.values()] == [(30, 30, 0)] * 2
-
-
 def made(n, median, p99=None, worst=None):
     """Return steps with a median, 2 % of them with `p99` and one with `worst`."""
     seconds = np.full(n, median)
@@ -98,20 +90,17 @@ def made(n, median, p99=None, worst=None):
     return Steps(seconds, seconds, n, 0, "")
 
 
-def figures_of(step, blobs, simple, row=None, sizes=None, tracked=300):
+def figures_of(step, blobs, simple, row=None, tracked=300):
     """Return the report of given times."""
     seconds = {STEP: step, DETECT: step / 2, FILTER: step / 2, BLOBS: blobs, SIMPLE: simple}
     times = Times({name: np.full(300, s) for name, s in seconds.items()}, tracked)
-    return report(clip(0), times, row=row, sizes=sizes)
+    return report(clip(0), times, row=row)
 
 
 def test_ratios_are_those_of_medians():
-    sizes = {(640, 480): made(500, 1e-3), (1280, 720): made(500, 1.4e-3), (1920, 1080): made(500, 2.1e-3)}
     row = made(10_000, 1e-3, 2.4e-3, 7.9e-3)
-    figures = figures_of(1e-3, 10.1e-3, 11.9e-3, row, sizes)
-    assert figures["ratios"] == pytest.approx(
-        {BLOBS: 10.1, SIMPLE: 11.9, "p99": 2.4, "max": 7.9, "1280x720": 1.4, "1920x1080": 2.1}
-    )
+    figures = figures_of(1e-3, 10.1e-3, 11.9e-3, row)
+    assert figures["ratios"] == pytest.approx({BLOBS: 10.1, SIMPLE: 11.9, "p99": 2.4, "max": 7.9})
     assert figures["us"][SIMPLE] == pytest.approx({"median": 11.9e3, "p99": 11.9e3, "max": 11.9e3})
 
 
@@ -123,12 +112,12 @@ def test_a_ball_that_is_mostly_lost_gives_a_warning():
 
 def test_the_command_prints_a_table_and_writes_its_figures(spheremouse, tmp_path):
     path, threads = tmp_path / "figures.json", cv2.getNumThreads()
-    code, out, err = spheremouse("bench", CLIP, "--frames", 12, "--steps", 15, "--no-sizes", "--json", path)
+    code, out, err = spheremouse("bench", CLIP, "--frames", 12, "--steps", 15, "--json", path)
     assert (code, err) == (0, "")  # a bar is for terminals
     assert "tracked: 2 of 2 compared, 5 of 5 in a row" in out
     assert "ratio" in out
     figures = json.loads(path.read_text())
-    assert (figures["frames"], figures["steady"]["steps"], figures["sizes"]) == (2, 5, {})
+    assert (figures["frames"], figures["steady"]["steps"]) == (2, 5)
     assert cv2.getNumThreads() == threads
 
 
