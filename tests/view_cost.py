@@ -3,7 +3,8 @@
 A daemon tracks a simulated ball, 640x480 at 60 Hz, from a camera that sends MJPEG. Browsers ask for pictures as fast as
 they get them. The table has, for each number of them, the pictures a second that each gets, the processor time of the
 page process as a part of a core, and its resident memory, with pages of files. Then N connections are opened and
-dropped, every second one without reading.
+dropped, every second one without reading. The last lines have the time until the first picture: after opening, while
+nobody looks, and after another page process begins to start.
 """
 
 import argparse
@@ -114,6 +115,26 @@ async def measure(page: Page, owners: list[bool], seconds: float) -> list[str]:
     return [", ".join(f"{rate:.1f}" for rate in rates) or "-", share, *(f"{mb:.0f} MB" for mb in memory)]
 
 
+async def first_picture(page: Page) -> float:
+    """Return the time from opening the page to the first picture, s."""
+    begun, pictures = time.monotonic(), []
+    task = asyncio.create_task(watch(page, pictures, owner=True))
+    while not pictures:
+        await asyncio.sleep(0.005)
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+    return pictures[0] - begun
+
+
+async def openings(page: Page, repeats: int = 5) -> list[float]:
+    """Return the times to the first picture, s, each while nobody looks."""
+    times = []
+    for _ in range(repeats):
+        await asyncio.sleep(SETTLE)
+        times.append(await first_picture(page))
+    return sorted(times)
+
+
 async def flood(page: Page, connections: int) -> list[str]:
     """Open connections, ten at a time, and drop them; every second one reads nothing. Return cells as `measure`."""
 
@@ -159,9 +180,16 @@ def main() -> None:
         wait_for_tracking(path)
         page = Page(Path(name), path)
         asyncio.run(table(page, given.seconds, given.connections))
-        print(f"load {os.getloadavg()[0]:.1f}", file=sys.stderr)
+        times = asyncio.run(openings(page))
+        print(f"\nfirst picture {times[len(times) // 2]:.2f} s after opening, at most {times[-1]:.2f} s")
         page.process.terminate()
         page.process.wait(10.0)
+        begun = time.monotonic()
+        page = Page(Path(name), path)
+        started = time.monotonic() - begun
+        print(f"{started + asyncio.run(first_picture(page)):.2f} s after the start of a process")
+        print(f"load {os.getloadavg()[0]:.1f}", file=sys.stderr)
+        page.process.terminate()
         Client(path).ask("stop")
         daemon.wait(60.0)
 

@@ -15,7 +15,7 @@ export class GuidePanel {
   #picture = el("img", { class: "sight", alt: "Picture of the camera with targets and dark spots", hidden: true });
   #lines = el("ul", { class: "findings" });
   #steps = el("ol", { class: "findings" });
-  element = el("div", {}, el("div", { class: "row" }, this.#look, el("label", { class: "check" }, this.#again, "again and again")),
+  element = el("div", {}, el("div", { class: "row" }, this.#look, el("label", { class: "check" }, this.#again, "repeat")),
     this.#note, this.#picture, this.#lines, el("h3", {}, "Steps"), this.#steps);
   #perform;
 
@@ -42,13 +42,16 @@ export class GuidePanel {
   /** @param {Record<string, any>} data */
   #show({ folder, camera, problem, lines, picture, steps }) {
     setText(this.#note, problem ? "" : `Camera: ${camera}. Folder: ${folder}.`);
-    const shown = problem ? [problem] : lines;
-    this.#lines.replaceChildren(...shown.map((/** @type {string} */ line) => el("li", problem ? { class: "refused" } : {}, line)));
+    const shown = problem ? [`camera  ${problem}`] : lines;
+    this.#lines.replaceChildren(...shown.map((/** @type {string} */ line) => {
+      const [name = "", text = ""] = line.split(/\s{2,}/); // aligned in a terminal
+      return el("li", problem ? { class: "wrong" } : {}, el("b", {}, name), el("span", {}, text));
+    }));
     URL.revokeObjectURL(this.#picture.src);
     this.#picture.hidden = !picture;
     if (picture) this.#picture.src = URL.createObjectURL(new Blob([Uint8Array.from(atob(picture), (c) => c.charCodeAt(0))], { type: "image/jpeg" }));
     this.#steps.replaceChildren(...steps.map((/** @type {Step} */ step) => el("li", { class: step.state.replace(" ", "-") },
-      el("b", {}, step.state), ` ${step.name}${step.found ? `: ${step.found}` : ""}`, ...(step.state === "next" ? task(step) : []))));
+      el("b", {}, step.state), el("span", {}, step.name + (step.found ? `: ${step.found}` : "")), ...(step.state === "next" ? task(step) : []))));
   }
 }
 

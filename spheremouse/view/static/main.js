@@ -124,7 +124,7 @@ function lost() {
  * @param {string} reason why not
  * @param {string} remedy of no answer
  */
-function showStatus(now, reason, remedy = "Start the service: systemctl start spheremouse") {
+function showStatus(now, reason, remedy = "Start the service: systemctl start spheremouse. Before the calibration, open Guide.") {
   status = now;
   const known = STATES[now?.state ?? ""];
   const word = now ? (known?.word ?? now.state ?? "unknown") : "offline";
