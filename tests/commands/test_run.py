@@ -381,13 +381,6 @@ def test_simulate_refuses_what_makes_no_sense(spheremouse, tmp_path, words, mess
     assert list(tmp_path.iterdir()) == []
 
 
-def test_simulate_replaces_nothing_unasked(spheremouse, roll):
-    code, _, err = spheremouse("simulate", roll, "--seconds", "0.1")
-    assert code == 2
-    assert err.startswith(f"spheremouse: {roll}: is not empty; ")
-    assert open_dataset(roll).frames == 60
-
-
 def test_an_internal_error_asks_for_a_report_and_shows_its_traceback_only_on_request(spheremouse, monkeypatch):
     def broken(*_, **__):
         raise ZeroDivisionError("one\ntwo")

@@ -456,17 +456,6 @@ def test_the_sum_of_events_is_what_the_ball_has_turned_with_frames_missing(cabin
 
 
 @pytest.mark.slow
-def test_with_prediction_the_events_are_the_truth_and_what_the_pointer_is_ahead(cabinet):
-    cabinet.told("set", assignments=["pointer.horizon=0.1"])
-    before = cabinet.status()["outputs"][0]["ahead"]
-    counts, truth, path = cabinet.play(cabinet.onward(24))
-    ahead = np.subtract(cabinet.status()["outputs"][0]["ahead"], before)
-    print(f"ahead by {ahead.tolist()}")
-    check("predicted", (counts - ahead, truth, path))
-    assert cabinet.told("set", assignments=["pointer.horizon=0"])["changed"] == ["pointer"]
-
-
-@pytest.mark.slow
 def test_another_daemon_on_the_camera_is_refused_and_told_the_first_one_s_number(cabinet):
     second = Program(cabinet.folder, "run", "--config", cabinet.config, "--output", "null")
     assert second.wait() == 2
@@ -503,25 +492,6 @@ def test_the_kernels_pointer_follows_the_hand_on_the_top_of_the_ball(cabinet, pl
     hand = COUNTS * np.cross(cabinet.film.turns(way), (0, 1, 0))  # the way of the top, as far as counts go
     seen = hand @ np.array([np.cross(ahead, (0, 1, 0)), -ahead]).T  # right, down
     check(player, (counts[:2], seen.sum(axis=0), np.abs(seen).sum(axis=0)), 1.0)
-
-
-@pytest.mark.slow
-def test_set_and_reload_change_all_or_nothing(cabinet):
-    code, _, said = cabinet.ctl("set", "motion.scale_x=2", "motion.scale_q=2")
-    assert (code, said.count("\n")) == (1, 1)
-    assert "scale_q" in said
-    assert cabinet.told("set", assignments=["motion.scale_x=2"])["changed"] == ["motion"]
-    counts, truth, path = cabinet.play(cabinet.onward(12))
-    check("twice as far", (counts, truth * (2, 1, 1), path * (2, 1, 1)), 2.0)
-    whole = cabinet.config.read_text()
-    cabinet.config.write_text(whole + "motion: {scale_y: two}\n")
-    code, _, said = cabinet.ctl("reload")
-    assert code == 1
-    assert re.search(r"config\.yaml:10: motion\.scale_y: .*'two'", said), said
-    cabinet.config.write_text(whole)
-    assert cabinet.ctl("reload")[0] == 0
-    if not SHORT:  # where what comes next shows it
-        check("as before", cabinet.play(cabinet.onward(12)), 1.0)
 
 
 @pytest.mark.slow

@@ -136,14 +136,6 @@ def test_one_thing_wrong_hides_nothing_else(tmp_path, far26):
     assert ("computer", "disk") in found
 
 
-def test_a_configuration_that_cannot_be_read_is_told_with_its_line_and_the_rest_goes_on(tmp_path, far26):
-    config = tmp_path / "config.yaml"
-    config.write_text("schema: 2\ndiscs:\n  contrast: much\n")
-    found = examined(file=config, source=f"dataset:{far26}")
-    assert f"{config}:3: discs.contrast" in one(found, "configuration", "configuration").text
-    assert one(found, "picture", "discs").verdict is OK
-
-
 def test_each_problem_of_a_file_is_a_line_with_its_advice(tmp_path):
     config = tmp_path / "config.yaml"
     config.write_text("schema: 2\ndiscs:\n  contrast: much\n  contrst: 1\nrig: gone.yaml\n")

@@ -657,14 +657,6 @@ def test_a_recording_that_fails_does_not_take_the_others_along(run_command, film
     assert [r["dataset"] for r in json.loads((tmp_path / "out.json").read_text())] == ["short"]
 
 
-def test_darkness_is_one_line(run_command, filmed, tmp_path):
-    done = run_command(filmed, "--brightness", "-255", "--json", tmp_path / "out.json")
-    assert (done.exit_code, done.stdout) == (2, "")
-    assert len(done.stderr.splitlines()) == 1
-    assert f"{filmed}: 0 of 4 targets found" in done.stderr
-    assert not (tmp_path / "out.json").exists()
-
-
 def test_added_noise_and_brightness():
     image = np.full((200, 200, 3), 100, np.uint8)
     frames = [Frame(image, 0.0, 0), Frame(image, 1.0, 1), Frame(image, 0.0, 0)]
