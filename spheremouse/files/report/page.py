@@ -12,7 +12,7 @@ from functools import cache
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from spheremouse.files.report import svg
+from spheremouse.files.report import style
 
 _HERE = "spheremouse.files.report"
 
@@ -38,7 +38,7 @@ def _templates(package: str) -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["worded"] = _worded
-    environment.filters["svg"] = svg.of_figure
+    environment.filters["svg"] = style.of_figure
     environment.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
     return environment
 

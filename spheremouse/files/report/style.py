@@ -1,20 +1,37 @@
-"""Style of figures: matplotlib with `light.mplstyle` and `dark.mplstyle`.
+"""Style of figures: matplotlib with `light.mplstyle` and `dark.mplstyle`, the colours, and figures as `<svg>` elements.
 
-And the colours that figures name: a page in HTML has a variable for each, lighter where the screen is dark.
+A page in HTML has a variable for each colour, which is lighter if the screen is dark.
 """
 
+import io
 import math
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from markupsafe import Markup
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 INK, MUTED, GRID, PAPER = "#2b2b2b", "#8a8a8a", "#e6e6e6", "#fefefd"
 RED, GREEN, BLUE, GOLD = "#c8553d", "#3a7d5d", "#2f6690", "#b8860b"  # apart in grey and for most colour-blind eyes
+_VARIABLES = {
+    INK: "ink",
+    MUTED: "muted",
+    GRID: "grid",
+    PAPER: "paper",
+    BLUE: "blue",
+    RED: "red",
+    GREEN: "green",
+    GOLD: "gold",
+}
 
 
 @contextmanager
 def styled(*over: str | Mapping[str, Any]) -> Iterator[None]:
-    """The light style for figures that are made and saved in this block, with others ("dark") or rcParams over it.
+    """Use the light style for figures that are made and saved in this block, with others ("dark") or rcParams over it.
 
     Nothing of a user's matplotlibrc.
     """
@@ -29,3 +46,16 @@ def round_number(most: float) -> float:
     """Return the largest 1, 2 or 5 times a power of ten up to `most`, for the magnification of a figure."""
     power = 10.0 ** math.floor(math.log10(most))
     return power * max(step for step in (1.0, 2.0, 5.0) if step * power <= most * (1.0 + 1e-9))
+
+
+def of_figure(figure: "Figure", label: str) -> Markup:
+    """Return a figure with variables of the page as its colours. `label` is the text for a screen reader."""
+    file = io.StringIO()
+    with styled({"svg.fonttype": "none"}):  # words stay words
+        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
+    text = file.getvalue()
+    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
+    for colour, variable in _VARIABLES.items():
+        text = text.replace(colour, f"var(--{variable})")
+    opening = Markup('<svg role="img" aria-label="{}" ').format(label)
+    return Markup(text.replace("<svg ", opening, 1))
