@@ -26,6 +26,7 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-cache",
+    "Connection": "close",  # a slow second request could hold the connection open
 }
 _TOKEN_FILE = "view.token"
 _TOKEN_BYTES = 32

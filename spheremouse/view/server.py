@@ -20,6 +20,7 @@ from starlette.requests import HTTPConnection, Request
 from starlette.responses import FileResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from spheremouse import __version__
 from spheremouse.errors import SpheremouseError, one_line, printable
@@ -41,6 +42,7 @@ _MAX_BROWSERS = 24
 _MAX_MESSAGE_BYTES = 100_000
 _MAX_WAITING = 300  # messages for one browser
 _PICTURE_TIMEOUT = 0.5  # s; then `next` is answered without a picture
+_REQUEST_TIMEOUT = 5.0  # s in which a connection must request something
 _SEND_TIMEOUT = 30.0  # s in which a browser must read a message
 _LINGER = 3.0  # s after the last browser, in which the link to the daemon stays
 _COOKIE_AGE = 365 * 86400  # s
@@ -290,11 +292,23 @@ def _visitor(access: Access, request: HTTPConnection) -> Visitor | None:
     )
 
 
+class _Protocol(H11Protocol):
+    """HTTP with a deadline for the request, so that silent connections do not take all places for ever."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self.loop.call_later(_REQUEST_TIMEOUT, self._check)
+
+    def _check(self) -> None:
+        if self.cycle is None and self in self.connections:  # neither answered, nor a WebSocket
+            self.transport.close()
+
+
 def server(app: Starlette, address: str, port: int) -> uvicorn.Server:
     """Return the server of an application at an address."""
     config = uvicorn.Config(
         app, host=address, port=port, ws="websockets-sansio", ws_max_size=_MAX_MESSAGE_BYTES, ws_max_queue=16,
-        ws_per_message_deflate=False, http="h11", loop="asyncio", limit_concurrency=100, timeout_keep_alive=5,
+        ws_per_message_deflate=False, http=_Protocol, loop="asyncio", limit_concurrency=100, timeout_keep_alive=5,
         timeout_graceful_shutdown=1, access_log=False, log_config=None, server_header=False, proxy_headers=False,
     )  # fmt: skip
     return uvicorn.Server(config)

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from http.client import HTTPConnection
 from pathlib import Path
 
@@ -319,6 +319,19 @@ def test_a_browser_that_never_reads_holds_up_nobody(world, page):
             browser.frame()
         browser.ask("do", action="pause")
         browser.ask("do", action="resume")
+
+
+def test_silent_connections_lose_their_places(page, monkeypatch):
+    monkeypatch.setattr(server_module, "_REQUEST_TIMEOUT", 2.0)
+    with ExitStack() as stack:
+        for k in range(120):
+            silent = stack.enter_context(socket.create_connection(("127.0.0.1", page), timeout=PATIENCE))
+            silent.sendall(b"GET / HT" if k % 2 else b"")
+        assert get(page)[0] == 503
+        end = time.monotonic() + PATIENCE
+        while get(page)[0] != 200:
+            assert time.monotonic() < end
+            time.sleep(0.1)
 
 
 def test_too_many_browsers_are_turned_away(page, monkeypatch):
