@@ -41,7 +41,7 @@ class Shown:
         if picture.format == "jpeg":
             return bytes(picture.pixels)
         if picture.format in ("yuyv", "nv12"):
-            return simplejpeg.encode_jpeg_yuv_planes(*_planes(picture), quality=_QUALITY)
+            return simplejpeg.encode_jpeg_yuv_planes(*_planes(picture), quality=_QUALITY, fastdct=True)
         return encoded(_pixels(picture))
 
     @cached_property
@@ -165,4 +165,6 @@ def _pixels(picture: LivePicture) -> Image:
 def encoded(image: Image) -> bytes:
     """Return a JPEG of grey values (h, w, 1), or BGR (h, w, 3)."""
     colours = "GRAY" if image.shape[2] == 1 else "BGR"
-    return simplejpeg.encode_jpeg(np.ascontiguousarray(image), quality=_QUALITY, colorspace=colours)
+    return simplejpeg.encode_jpeg(
+        np.ascontiguousarray(image), quality=_QUALITY, colorspace=colours, colorsubsampling="420", fastdct=True
+    )

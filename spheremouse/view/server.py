@@ -6,9 +6,11 @@ A browser asks for each picture, so a slow one gets fewer. What the page sends u
 import asyncio
 import contextlib
 import json
+import signal
 import struct
+import threading
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -311,4 +313,15 @@ def server(app: Starlette, address: str, port: int) -> uvicorn.Server:
         ws_per_message_deflate=False, http=_Protocol, loop="asyncio", limit_concurrency=100, timeout_keep_alive=5,
         timeout_graceful_shutdown=1, access_log=False, log_config=None, server_header=False, proxy_headers=False,
     )  # fmt: skip
-    return uvicorn.Server(config)
+    return _Server(config)
+
+
+class _Server(uvicorn.Server):
+    """A server that ends at SIGINT and SIGTERM as at any other end, without raising the signal again."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                asyncio.get_running_loop().add_signal_handler(number, self.handle_exit, number, None)
+        yield
