@@ -112,6 +112,7 @@ def test_samples_without_an_observation_cannot_be_smoothed(samples):
         sm.smooth([samples[2], replace(samples[3], observation=None)])
 
 
+@pytest.mark.slow
 def test_a_hand_held_ball_has_samples_and_a_report(tmp_path):
     path = tmp_path / "hand"
     for _ in write_wand(path, prepare_wand(WandOptions("hand", seed=3, fps=20.0, seconds=1.0, size=(480, 360)))):

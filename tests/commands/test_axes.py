@@ -81,6 +81,7 @@ def test_a_configuration_is_begun_with_what_the_command_line_said(tmp_path):
     assert (saved.source, saved.motion.player, saved.motion.scale_y) == (None, "far-side", 2.0)  # a film is no camera
 
 
+@pytest.mark.slow
 def test_who_cannot_save_hears_so_before_the_first_gesture(tmp_path):
     path = tmp_path / "no" / "config.yaml"
     code, out, err = spheremouse("axes", "--config", path, "--source", FILM)
@@ -95,6 +96,7 @@ def test_a_film_without_gestures_is_refused_in_a_line():
     assert "Traceback" not in err
 
 
+@pytest.mark.slow
 def test_a_camera_that_is_not_there_is_told_and_not_waited_for(tmp_path):
     code, out, err = spheremouse("axes", "--config", tmp_path / "config.yaml", "--source", "v4l2:/dev/video99")
     assert (code, out, err.count("\n")) == (2, "", 1)

@@ -290,6 +290,7 @@ def test_a_map_that_cannot_be_kept_is_refused_in_one_line(spheremouse, roll, emp
 # ---- bad input ----
 
 
+@pytest.mark.slow
 def test_a_lens_cap_is_told_and_so_is_what_became_of_the_attitude(spheremouse, images, variant):
     capped = [np.zeros_like(f) if 24 <= i < 40 else f for i, f in enumerate(images)]
     code, out, err = spheremouse("run", "--source", f"dataset:{variant(capped)}", "--output", "text:-", *QUICK)

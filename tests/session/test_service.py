@@ -749,6 +749,7 @@ def ask_and_disconnect(world, command, begun=None, **arguments):
     world.until(lambda: all(p.cancelled or p in world.answered for p in mine()), "cancelled")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["record", "snapshot", "reinit"])
 def test_a_request_whose_client_disconnects_before_a_frame_leaves_nothing(hearing, command):
     """The camera gives no frames meanwhile, so that no request can be completed."""

@@ -278,6 +278,7 @@ def test_a_second_ball_does_not_move_the_first():
     assert np.all(apart[:, 0] > 0.1)  # beside each other
 
 
+@pytest.mark.slow
 def test_hand_and_card_come_and_go():
     """The card hides the ball at its time; a second and a half later, and before, the picture is as without it."""
     options = WandOptions(motion="hand", seed=6, noise=0.0, size=(640, 480), seconds=6.0, vary=0.0)

@@ -230,6 +230,7 @@ def test_a_stranger_sees_a_masked_picture_and_changes_nothing(world, page):
         assert black[1] < 0.2
 
 
+@pytest.mark.slow
 def test_the_guide_works_without_a_rig_and_shows_the_next_step_when_one_is_done(tmp_path):
     clip = Path(__file__).parents[1] / "data" / "far26_clip"
     with (

@@ -163,6 +163,7 @@ def test_velocity_is_that_of_the_hand(hand):
         assert np.linalg.norm(np.array(off)[:, part]) < 0.4 * np.linalg.norm(np.array(speed)[:, part])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_nees_of_a_small_ball_at_a_high_frame_rate(seed):
     """25 px across at 30 Hz, where errors of successive frames are correlated, without a bias in distance."""
@@ -275,6 +276,7 @@ def wrong(shots, poses):
     return longest, run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_passing_hand_does_not_attract_the_track(seed):
     """Every measured pose is the ball's (Grzonka 2005, section 4.3). The arm hides the ball for a while with seed 2."""
@@ -286,6 +288,7 @@ def test_a_passing_hand_does_not_attract_the_track(seed):
     assert wrong(*zip(*seen, strict=True)) == (0, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_track_recovers_from_a_card_in_both_colours_within_a_second(seed):
     """With seed 2 it hides the ball, and a mug and books in its colours stay in view."""

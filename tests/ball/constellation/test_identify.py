@@ -132,6 +132,7 @@ def test_posterior_error_sums_over_other_attitudes():
     assert_allclose(evidence.posterior_error(R, A, np.log([6.0, 2.0, 1.0]), np.log(1.0), 1.0)[1], 0.4)
 
 
+@pytest.mark.slow
 def test_probability_of_error_equals_the_frequency_of_errors():
     """Balls drawn from the model, with noise of 4 degrees, in four classes of the probability."""
     rng = np.random.default_rng(7)

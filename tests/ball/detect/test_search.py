@@ -90,6 +90,7 @@ def test_a_disc_of_ordinary_size_is_met_in_the_first_turn_wherever_it_is():
     assert n > 30
 
 
+@pytest.mark.slow
 def test_all_of_many_discs_come_in_the_end():
     """Four in a frame, but not the same four for ever."""
     discs = random_discs(np.random.default_rng(3), 14, 60.0)

@@ -461,6 +461,7 @@ def test_nothing_seen_is_a_prediction_and_one_disc_is_half_an_attitude():
     assert swing < 0.9 < twist <= 1.0  # it says nothing of a turn about itself
 
 
+@pytest.mark.slow
 def test_a_gate_holds_every_point_that_would_be_paired_and_is_no_wider_than_its_worse_axis():
     """Around each disc, in all directions: points just outside are none of it, and some just inside are."""
     state = film(OWN, *rolling((0.3, -0.2, 0.4), 30), np.random.default_rng(0))[-1]

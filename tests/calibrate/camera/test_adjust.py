@@ -115,6 +115,7 @@ def test_jacobian_is_the_finite_difference():
         assert np.allclose(J.toarray()[:, k], difference, rtol=1e-5, atol=1e-5 * np.abs(difference).max())
 
 
+@pytest.mark.slow
 def test_covariance_is_the_scatter_of_errors():
     """NEES of the nine unknowns over calibrations with the same noise; and of the poses."""
     rng = np.random.default_rng(10)

@@ -45,6 +45,7 @@ def spots(rng, poses, discs, bolts, clutter, sigma=0.3):
     return Spots(np.array(photo, dtype=int), centres, np.array(area, dtype=float)), np.array(number, dtype=int)
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 10**6))
 @settings(max_examples=5)
 def test_ball_is_found_among_bolts_and_dark_spots(seed):

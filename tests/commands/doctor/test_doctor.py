@@ -248,6 +248,7 @@ def test_flicker_is_measured_with_its_mains_and_depth(fps, lamp, seen_at):
     assert hidden == tuple(x for x in (100.0, 120.0) if abs(x / fps - round(x / fps)) < 1e-9)
 
 
+@pytest.mark.slow
 def test_noise_is_hardly_ever_taken_for_flicker():
     """Common to all strips, the worst case: of 300 films none is below one in ten thousand, few below a hundredth."""
     rng = np.random.default_rng(2)

@@ -38,6 +38,7 @@ def figures(spheremouse, path, *words):
     return [result, *result.get("more_balls", [])], out, err
 
 
+@pytest.mark.slow
 def test_two_balls_that_look_alike_are_compared_with_those_they_follow(spheremouse, two, ball):
     found, out, err = figures(spheremouse, two)
     assert "two, ball 2" in out

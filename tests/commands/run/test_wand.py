@@ -177,6 +177,7 @@ def test_a_declared_ball_that_is_never_found_is_told_at_the_end(spheremouse, han
     assert err.splitlines()[-1].startswith(f"spheremouse: dataset:{hand}: no ball like grzonka 2 in view")
 
 
+@pytest.mark.slow
 def test_held_to_its_stamps_it_tracks_the_same_ball(spheremouse, hand, tmp_path):
     """Through the live loop: frames may be left out, their poses may not be others'."""
     log = tmp_path / "axes.txt"

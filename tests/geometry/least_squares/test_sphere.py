@@ -56,6 +56,7 @@ def test_agrees_with_the_same_minimum_found_another_way(seed):
     np.testing.assert_allclose(ours.covariance, Q, rtol=0.02, atol=1e-3 * Q.max())
 
 
+@pytest.mark.slow
 def test_covariances_are_the_scatter_of_samples():
     """Of centre and radius, of the adjusted points, of a bystander correlated with them, and across."""
     rng = np.random.default_rng(1)

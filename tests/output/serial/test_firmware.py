@@ -83,6 +83,7 @@ class MicroPythonBoard:
         return bytes.fromhex(answer["bytes"])
 
 
+@pytest.mark.slow
 def test_micropython_and_cpython_answer_the_same_to_anything(micropython):
     assert micropython("version")[0] == "micropython"
     here, there = Board(identity=(1, b"desk")), MicroPythonBoard(micropython)

@@ -130,6 +130,7 @@ def test_balls_at_the_camera_or_out_of_view_do_no_harm(place):
     assert count(image, GREEN) < 1500
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["seen.png", "seen.mp4"])
 def test_run_draws_a_recording(tmp_path, name):
     film = prepare_wand(WandOptions(motion="hand", size=(320, 240), seconds=0.4, seed=2))

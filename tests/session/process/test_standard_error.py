@@ -103,6 +103,7 @@ def test_a_stream_without_a_descriptor_is_kept(capsys):
         assert sys.stderr is before
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs Linux's /dev/full")
 def test_an_error_that_cannot_be_written_has_the_same_exit_code():
     """There is no traceback, and no exit code 120, which Python gives if it cannot flush."""

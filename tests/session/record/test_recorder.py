@@ -450,6 +450,7 @@ except DatasetError as e:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_kill_leaves_no_recording_and_what_it_leaves_is_removed(tmp_path):
     done = in_another_process("feed(5)\nos.kill(os.getpid(), 9)\n", tmp_path / "made")
     assert done.returncode == -signal.SIGKILL, done.stderr

@@ -181,6 +181,7 @@ def test_a_lost_ball_moves_nothing_and_nothing_jumps_when_it_is_back(playing):
         ("damaged", "nothing but damaged frames"),
     ],
 )
+@pytest.mark.slow
 def test_frames_that_cannot_be_used_are_told_and_the_camera_is_opened_anew(playing, monkeypatch, fault, reason):
     monkeypatch.setattr("spheremouse.session.service._USELESS", 0.1)
     monkeypatch.setattr("spheremouse.session.worker._DAMAGED", 0.05)
