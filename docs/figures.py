@@ -52,7 +52,7 @@ def main(far26: Path) -> str:
             ]
         )
     head = ["tracker, detector", "correlation", "rate RMSE, °/s", "attitude RMSE, °", "speed RMSE, mm/s"]
-    out += [table([*head, "tracked / lost"], rows), ""]
+    out += [table([*head, "frames tracked / times lost"], rows), ""]
     out += ["## True camera pose", ""]
     out += [
         "With `--pose known`. The bound is the posterior Cramér-Rao bound (Tichavský 1998) for the detected discs "

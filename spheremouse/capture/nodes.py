@@ -57,7 +57,10 @@ def default_camera(found: list[Node] | None = None) -> str:
 
 
 def in_size(source: str, size: tuple[int, int] | None) -> str:
-    """Return the source with a size, unless it already has one or is no camera."""
+    """Return the source with `,width=W,height=H` for a `size` (W, H) px.
+
+    It stays unchanged without a size, if it has a width already, and unless it begins with `v4l2:` or `opencv:`.
+    """
     if size is None or source.partition(":")[0] not in ("v4l2", "opencv") or "width=" in source:
         return source
     return f"{source},width={size[0]},height={size[1]}"

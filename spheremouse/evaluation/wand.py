@@ -129,7 +129,10 @@ def is_lost(run: WandRun, truth: WandTruth, radius: float) -> bool:
 
 
 def found_from(run: WandRun, truth: WandTruth, radius: float) -> int | None:
-    """Return the index of the first frame with a right pose, or None if there is none. `radius` as in `off`."""
+    """Return the index of the first frame with a right pose, from 0; None if there is none.
+
+    A pose is right within `radius` (m) across the line of sight and 45° in rotation. Its depth does not count.
+    """
     right = np.flatnonzero(~off(run, truth, radius))
     return int(right[0]) if len(right) else None
 

@@ -130,10 +130,10 @@ class Sample:
 
 
 def to_object(sample: Sample, counts: tuple[int, int, int]) -> dict[str, Any]:
-    """Return the sample and its mouse counts as a JSON object. Values that are unknown are None.
+    """Return the sample and its counts (x, y, third axis) as a JSON object with the keys of docs/samples.md.
 
-    Attitude, motion and their covariances are None unless the ball is tracked. A hand-held ball has position, velocity
-    and yaw, pitch, roll besides.
+    Unknown values are None. Attitude, motion and their covariances are None unless the ball is tracked. Only a
+    hand-held ball has `position`, `velocity`, `shift`, `position_covariance` and `yaw_pitch_roll` (rad).
     """
     return _to_object(sample) | {"counts": list(counts)}
 

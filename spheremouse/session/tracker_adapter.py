@@ -120,7 +120,10 @@ class TrackerAdapter(Protocol):
         ...
 
     def interrupted(self, reason: str) -> None:
-        """Drop the work on past frames, since no frames arrive."""
+        """Handle a break in the frames. Estimates stay.
+
+        A pending pose request gets `reason` as its answer. A hand-held ball's motion across the break is not counted.
+        """
         ...
 
     def restart(self, reason: str) -> None:

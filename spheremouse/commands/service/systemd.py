@@ -272,7 +272,10 @@ def left(place: Place) -> list[Path]:
 
 
 def tidy(place: Place) -> None:
-    """Remove our empty folders; below another root than / all empty ones."""
+    """Remove the service's folders, and the folders above them, that are empty.
+
+    With root /, it removes only folders that the installation may have made. The root itself stays.
+    """
     folders = (place.changes, place.configuration, place.state, place.view_state, place.cache, place.link.parent)
     folders += tuple(path.parent for _, path in place.files())
     for folder in folders:

@@ -30,7 +30,10 @@ class Stamps:
 
 
 def read_stamps(folder: Path, frames: int) -> Stamps | None:
-    """Read stamps.csv of a dataset with this number of `frames`; None without the file, DatasetError if invalid."""
+    """Read stamps.csv of a dataset with this number of `frames`. Return None without the file.
+
+    Raise DatasetError unless its rows are the frames from 0 on with valid numbers. Stamps (s) may decrease.
+    """
     path = folder / "stamps.csv"
     if not path.exists():
         return None

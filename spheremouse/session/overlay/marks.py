@@ -83,7 +83,7 @@ def detected(state: TrackState, tracker: Tracker) -> Detected:
 
 
 def predicted(state: TrackState, tracker: Tracker) -> Predicted:
-    """Return the visible discs of the map."""
+    """Return the discs of the map whose whole rim faces the camera, in px; none if the ball is lost."""
     discs = np.asarray(state.filter.discs, dtype=float).reshape(-1, 3)
     if state.status is Status.LOST:
         discs = discs[:0]
