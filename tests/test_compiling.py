@@ -38,6 +38,7 @@ def test_each_kernel_is_counted_once_and_what_is_on_disk_is_not_spoken_of(tmp_pa
     assert run(tmp_path) == ([""], "")
 
 
+@pytest.mark.slow
 def test_by_default_lines_on_standard_error_not_too_many(tmp_path):
     _, said = run(tmp_path, CODE.replace("said.append", "") + "\nassert not said")
     assert said.startswith("spheremouse: compiling for this machine, once after an installation: 0 of ")

@@ -68,6 +68,7 @@ def test_a_rig_of_another_device_is_reported(spheremouse, shot, tmp_path):
     assert f"3 of the rig's 4 targets: {' '.join(rig.targets.codes[1:])}; not in the rig: {rig.targets.codes[0]}" in out
 
 
+@pytest.mark.slow
 def test_a_film_has_the_length_of_the_option(spheremouse, shot, tmp_path):
     source = film_of(tmp_path / "f.avi", shot[0], n=60)
     code, _, err = spheremouse("preview", source, "--out", tmp_path / "p.avi", "--seconds", "1")

@@ -442,6 +442,7 @@ def test_a_reader_that_goes_away_ends_a_run_quietly(roll):
     assert "rror" not in err
 
 
+@pytest.mark.slow
 def test_simulate_killed_half_way_leaves_nothing(tmp_path):
     process = start(("simulate", tmp_path / "new", "--seconds", "60"), stderr=subprocess.PIPE)
     until = time.monotonic() + 20

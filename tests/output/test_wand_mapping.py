@@ -88,6 +88,7 @@ def test_there_and_back_on_the_same_way_is_nothing_without_play(seed, by):
     assert np.abs(counts).sum() > 100
 
 
+@pytest.mark.slow
 @given(SEEDS, WAYS, st.floats(1.0, 4.0))
 def test_what_jitters_within_the_play_moves_nothing(seed, by, play):
     rng = np.random.default_rng(seed)

@@ -56,6 +56,7 @@ def test_the_picture_moves_where_the_ball_is(page):
     wait_for("another picture", lambda: np.abs(pixels(page) - first).max() > 60)
 
 
+@pytest.mark.slow
 def test_a_layer_can_be_switched_off(page):
     green = (94, 224, 110)  # of the targets
 
@@ -68,6 +69,7 @@ def test_a_layer_can_be_switched_off(page):
     wait_for("no targets", lambda: painted() < 10)
 
 
+@pytest.mark.slow
 def test_the_view_in_space_turns_by_keys(page):
     space = page.locator("#space")
     page.get_by_role("button", name="Front").click()
@@ -98,6 +100,7 @@ def test_buttons_reach_the_service(page, service):
     service.reach(state="tracking")
 
 
+@pytest.mark.slow
 def test_each_setting_of_daily_use_reaches_the_service(page, service):
     rows = page.locator("#panel-Tune .setting")
     keys = [row.get_attribute("data-key") for row in rows.all()]
@@ -152,6 +155,7 @@ def test_a_value_that_is_refused_is_refused_in_words_and_stays_to_be_corrected(p
     assert refusal(page, "tune", "motion.scale_x").inner_text() == ""
 
 
+@pytest.mark.slow
 def test_a_field_with_focus_is_not_overwritten(page, service):
     scale = field(page, "tune", "motion.scale_x")
     scale.focus()
@@ -184,12 +188,14 @@ def test_save_keeps_the_comments_of_the_file(page, service):
     file.write_text(before)
 
 
+@pytest.mark.slow
 def test_a_profile_is_applied(page, service):
     page.locator("#profile").select_option("evening")
     page.locator("#apply-profile").click()
     wait_for("the profile", lambda: value(service, "discs.contrast") == "0.2")
 
 
+@pytest.mark.slow
 def test_expert_settings_are_searched_changed_and_reset(page, service):
     choose(page, "Expert")
     rows = page.locator("#panel-Expert .setting:visible")
@@ -207,6 +213,7 @@ def test_expert_settings_are_searched_changed_and_reset(page, service):
     wait_for("the default", lambda: field(page, "expert", "blobs.area").input_value() != "[50, 300]")
 
 
+@pytest.mark.slow
 def test_exported_settings_can_be_imported(page, service):
     service.ask("set", assignments=["discs.contrast=0.31"])
     wait_for("the value on the page", lambda: field(page, "tune", "discs.contrast").input_value() == "0.31")
@@ -251,6 +258,7 @@ def test_a_rectangle_without_discs_can_be_drawn(page, service, by):
         wait_for("its edge", lambda: masks() == [12, *first[1:]])
 
 
+@pytest.mark.slow
 def test_a_colour_is_picked_from_the_picture_by_keys(page, service):
     choose(page, "Draw")
     page.get_by_role("button", name="Pick cyan").click()
@@ -293,6 +301,7 @@ def test_the_guide_shows_the_next_step(page):
 # ---- everybody can use it ----
 
 
+@pytest.mark.slow
 def test_all_panels_are_reached_by_keyboard_alone(page):
     for _ in range(40):
         page.keyboard.press("Tab")

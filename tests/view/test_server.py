@@ -249,6 +249,7 @@ def test_the_guide_works_without_a_rig_and_shows_the_next_step_when_one_is_done(
         assert [s["name"] for s in steps if s["state"] == "next"] == ["photos of the board"]
 
 
+@pytest.mark.slow
 def test_the_guide_gives_the_reason_why_a_camera_shows_nothing(tmp_path):
     with serving(tmp_path / "s", cabinet=tmp_path, source="v4l2:/dev/no-camera") as port, Browser(port) as browser:
         done = browser.ask("do", action="guide")["data"]

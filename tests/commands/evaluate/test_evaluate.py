@@ -673,6 +673,7 @@ def test_added_noise_and_brightness():
 # ---- the picture ----
 
 
+@pytest.mark.slow
 def test_plot_draws_a_picture(tmp_path):
     pytest.importorskip("matplotlib")
     truth = random_motion(60)

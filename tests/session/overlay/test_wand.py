@@ -155,6 +155,7 @@ def test_run_draws_a_recording(tmp_path, name):
     "name",
     ["film/video.mkv", "film/scene.json", "film/frames/000000.png", "axes.png", "out.mp4", "ball.avi", "folder.mp4"],
 )
+@pytest.mark.slow
 def test_an_overlay_destroys_nothing_that_the_run_needs(tmp_path, name):
     film = prepare_wand(WandOptions(motion="hand", size=(320, 240), seconds=0.2, seed=2))
     list(write_wand(tmp_path / "film", film))

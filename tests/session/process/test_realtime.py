@@ -73,6 +73,7 @@ def test_what_is_not_granted_is_said(monkeypatch):
     )
 
 
+@pytest.mark.slow
 @linux
 def test_folded_code_is_called_and_linked_as_before():
     """A function from the cache, and one compiled afterwards that calls it."""
@@ -100,6 +101,7 @@ print(twice(R, v))
     assert float(linked) == pytest.approx(np.pi)
 
 
+@pytest.mark.slow
 @linux
 def test_what_only_the_start_has_needed_is_given_back_and_comes_again():
     """A file of another user's, as a service's program is, cannot be paged out: only its view is dropped."""
