@@ -26,8 +26,7 @@ _RETRY = 0.5  # s between two attempts to connect
 _LOG_LINES = 200
 _ROWS = 1500  # samples kept for slow browsers: 10 s of two balls at 60 Hz
 _UNDO_STEPS = 100
-_SCENE_KEYS = ("discs_known", "pose", "rig", "tracker")  # parts of the status that change with the scene
-_SETTING_KEYS = ("changes", "config", "tracker", "pid")  # and with the settings
+_DESCRIBED_KEYS = ("discs_known", "rig", "tracker", "changes", "config", "pid")  # that change with settings or scene
 
 
 class _Description(NamedTuple):
@@ -57,6 +56,7 @@ class Daemon:
         self._undo: deque[tuple[str, Values]] = deque(maxlen=_UNDO_STEPS)
         self._setting = asyncio.Lock()  # one `set` is under way
         self._refreshing: asyncio.Task[None] | None = None
+        self._read_for: list[Any] = []  # parts of the status for which settings and scene were read
         self._loop = asyncio.get_running_loop()
         self._wanted, self._closed = threading.Event(), False
         threading.Thread(target=self._run, name="daemon", daemon=True).start()
@@ -149,6 +149,7 @@ class Daemon:
         """Take over new values, and publish them."""
         for about in self._described.settings:
             about["value"] = values.get(about["key"], about["value"])
+        self._read_for = []  # another client may change them back before a status shows this change
         self._publish(self.values())
 
     # ---- events, in the loop ----
@@ -169,19 +170,16 @@ class Daemon:
             self.log.append(text)
             self._publish({"type": "log", "lines": [text]})
         elif kind == "status":
-            before, self.status = self.status or event, event
+            self.status = event
             self._publish(self.state())
-            if any(before.get(key) != event.get(key) for key in (*_SCENE_KEYS, *_SETTING_KEYS)):
-                self._refresh()
+            if _described_by(event) != self._read_for and (self._refreshing is None or self._refreshing.done()):
+                self._refreshing = self._loop.create_task(self._read_again(_described_by(event)))
 
-    def _refresh(self) -> None:
-        if self._refreshing is None or self._refreshing.done():
-            self._refreshing = self._loop.create_task(self._read_again())
-
-    async def _read_again(self) -> None:
+    async def _read_again(self, read_for: list[Any]) -> None:
         with contextlib.suppress(ControlError):
             async with self._setting:  # else an older value could replace one that was just set
                 before, self._described = self._described, await asyncio.to_thread(self._read)
+            self._read_for = read_for
             _, scene, profiles = self._described
             bare = [[_without_value(about) for about in d.settings] for d in (before, self._described)]
             if bare[0] != bare[1] or profiles != before.profiles:
@@ -259,6 +257,11 @@ def _ask_if_known(client: Client, command: str) -> Message:
         raise
     except RefusedError:
         return {}
+
+
+def _described_by(status: Message) -> list[Any]:
+    """Return the parts of a status that change only if settings or scene do; the age of a pose is none of them."""
+    return [*map(status.get, _DESCRIBED_KEYS), (status.get("pose") or {}).get("position_m")]
 
 
 def _without_value(about: Message) -> Message:
