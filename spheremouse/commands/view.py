@@ -1,5 +1,6 @@
 """`spheremouse view`: serve the live page of the running daemon."""
 
+import errno
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -82,7 +83,7 @@ def _serve(app: "Starlette", address: str, port: int, token: str) -> None:
             (address, port), family=sockets.AF_INET6 if ":" in address else sockets.AF_INET, backlog=64
         )
     except OSError as e:
-        hint = "choose another --port" if e.errno == 98 else "choose another --address"
+        hint = "choose another --port" if e.errno == errno.EADDRINUSE else "choose another --address"
         reason = str(e.strerror).partition(" (while")[0]
         raise ControlError(f"{address}:{port}: cannot be opened ({reason})", hint) from None
     with listener:

@@ -32,7 +32,7 @@ def save_settings(path: Path, values: Mapping[tuple[str, ...], Any], root: type[
         wanted = _copied(parse_document(text, str(path)).data)
         for key, value in values.items():
             text = _with(text, key, value)
-            _put(wanted, key, value)
+            put(wanted, key, value)
         document = parse_document(text, str(path))
         if root is not None:
             config.loads(document, root)
@@ -98,7 +98,8 @@ def _copied(value: Any) -> Any:
     return tuple(_copied(v) for v in value) if isinstance(value, tuple) else value
 
 
-def _put(data: Any, key: Key, value: Any) -> None:
+def put(data: Any, key: Key, value: Any) -> None:
+    """Set the value of a key in plain data. Sections on the way are made if they are missing or null."""
     for name in key[:-1]:
         if data.get(name) is None:
             data[name] = {}

@@ -16,16 +16,13 @@ from typing import Any, NamedTuple
 from ruamel.yaml import YAML
 
 from spheremouse.errors import ConfigurationError, ControlError, printable
-from spheremouse.files.edit import save_settings
-from spheremouse.files.yaml import Document, parse_bytes, parse_value
+from spheremouse.files.edit import put, save_settings
+from spheremouse.files.yaml import SCHEMAS, parse_bytes, parse_value
 from spheremouse.session.control.client import Client, settings_to_save
 from spheremouse.view.daemon import Daemon, Values
 
 _REQUESTS = ("reinit", "pause", "resume", "reload", "record", "snapshot", "profile")
 _WORDS = {"pause": "Paused.", "resume": "Resumed.", "reload": "Configuration read again.", "undo": "Undone."}
-_REBUILD_INTERVAL = 0.1  # s between two changes of settings for which the daemon builds another tracker
-_SET_INTERVAL = 0.04  # s between two changes of others
-_AT_ONCE = ("motion", "pointer", "record")  # sections that build nothing
 _COMMAND_TIMEOUT = 120.0  # s of another process
 _MAX_IMPORTED = 50  # settings, as many as a request takes
 
@@ -49,17 +46,10 @@ class Actions:
 
     def __init__(self, daemon: Daemon, socket: Path | None, guide: GuideOptions) -> None:
         self._daemon, self._socket, self._guide_options = daemon, socket, guide
-        self._lock = asyncio.Lock()
-        self._next = 0.0  # s, monotonic, of the next change
 
     async def set(self, values: Values, gesture: str) -> Done:
         """Change settings. Raises ControlError with the daemon's reason if it refuses."""
-        rebuilds = any(key.partition(".")[0] not in _AT_ONCE for key in values)
-        async with self._lock:
-            await asyncio.sleep(max(0.0, self._next - time.monotonic()))
-            self._next = time.monotonic() + (_REBUILD_INTERVAL if rebuilds else _SET_INTERVAL)
-            reply = await self._daemon.set(values, gesture)
-        return Done(_message(reply, "Applied."))
+        return Done(_message(await self._daemon.set(values, gesture), "Applied."))
 
     async def do(self, action: str, arguments: dict[str, Any]) -> Done:
         """Carry out an action by its name. Raises ControlError if it is refused or unknown."""
@@ -151,30 +141,26 @@ def yaml_of(values: Values) -> str:
     """Return settings as the text of a configuration file."""
     sections: dict[str, Any] = {}
     for key, value in values.items():
-        section = sections
-        *above, name = key.split(".")
-        for part in above:
-            section = section.setdefault(part, {})
-        section[name] = value
+        put(sections, tuple(key.split(".")), value)
     text = io.StringIO()
     yaml = YAML(typ="safe", pure=True)
     yaml.default_flow_style = False
-    yaml.dump({"schema": 2, **sections}, text)
+    yaml.dump({"schema": SCHEMAS["configuration"], **sections}, text)
     return text.getvalue()
 
 
 def values_of(text: str) -> Values:
     """Return the settings in the text of a configuration file. Raises ConfigurationError with its line."""
-    document = parse_bytes(text.encode(), "the imported file")
-    if not isinstance(document.data, dict):
+    data = parse_bytes(text.encode(), "the imported file").data
+    if not isinstance(data, dict):
         raise ControlError("the imported file: has no settings", "export one to see its form")
-    return dict(_flat(Document("", {k: v for k, v in document.data.items() if k not in ("schema", "profiles")})))
+    return dict(_flat({k: v for k, v in data.items() if k not in ("schema", "profiles")}))
 
 
-def _flat(document: Document, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in document.data.items():
+def _flat(data: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in data.items():
         if isinstance(value, dict):
-            yield from _flat(Document("", value), f"{prefix}{key}.")
+            yield from _flat(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
 

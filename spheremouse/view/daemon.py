@@ -26,6 +26,9 @@ _RETRY = 0.5  # s between two attempts to connect
 _LOG_LINES = 200
 _ROWS = 1500  # samples kept for slow browsers: 10 s of two balls at 60 Hz
 _UNDO_STEPS = 100
+_REBUILD_INTERVAL = 0.1  # s between two changes of settings for which the daemon builds another tracker
+_SET_INTERVAL = 0.04  # s between two changes of others
+_AT_ONCE = ("motion", "pointer", "record")  # sections that build nothing
 _DESCRIBED_KEYS = ("discs_known", "rig", "tracker", "changes", "config", "pid")  # that change with settings or scene
 
 
@@ -55,6 +58,7 @@ class Daemon:
         self._described = _Description([], None, {})
         self._undo: deque[tuple[str, Values]] = deque(maxlen=_UNDO_STEPS)
         self._setting = asyncio.Lock()  # one `set` is under way
+        self._next_change = 0.0  # s, monotonic
         self._refreshing: asyncio.Task[None] | None = None
         self._read_for: list[Any] = []  # parts of the status for which settings and scene were read
         self._loop = asyncio.get_running_loop()
@@ -105,7 +109,7 @@ class Daemon:
     async def set(self, values: Values, gesture: str) -> Message:
         """Change settings, and return the daemon's reply. All changes of a gesture are one step of undo."""
         async with self._setting:
-            reply = await self.ask("set", assignments=[f"{key}={json.dumps(v)}" for key, v in values.items()])
+            reply = await self._change(values)
             before = {key: old for key, (old, _) in reply.get("values", {}).items()}
             if self._undo and self._undo[-1][0] == gesture:
                 before |= self._undo.pop()[1]
@@ -119,10 +123,17 @@ class Daemon:
             if not self._undo:
                 raise ControlError("undo: nothing was changed on this page")
             _, before = self._undo[-1]
-            reply = await self.ask("set", assignments=[f"{key}={json.dumps(v)}" for key, v in before.items()])
+            reply = await self._change(before)
             self._undo.pop()
             self._update(before)
         return reply
+
+    async def _change(self, values: Values) -> Message:
+        """Have the daemon set values, at most so often that it keeps up. Return its reply."""
+        rebuilds = any(key.partition(".")[0] not in _AT_ONCE for key in values)
+        await asyncio.sleep(max(0.0, self._next_change - time.monotonic()))
+        self._next_change = time.monotonic() + (_REBUILD_INTERVAL if rebuilds else _SET_INTERVAL)
+        return await self.ask("set", assignments=[f"{key}={json.dumps(v)}" for key, v in values.items()])
 
     def defaults(self, keys: Iterable[str]) -> Values:
         """Return the defaults of settings. Raises ControlError if there is no such setting."""
