@@ -35,14 +35,14 @@ def daemon(folder: Path, source: str) -> Iterator[Path]:
         process.wait(60.0)
 
 
-def wait_for_tracking(path: Path) -> None:
+def wait_for_tracking(path: Path, remedy: str = "") -> None:
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         with contextlib.suppress(ControlError), Client(path) as client:
             if client.status().state == "tracking":
                 return
         time.sleep(0.2)
-    raise SystemExit(f"{path}: no daemon tracks there; start one, or leave --socket out")
+    raise SystemExit(f"{path}: no daemon tracks there{remedy}")
 
 
 def measure(client: Client, name: str, ask: Callable[[int], object], requests: int) -> None:
@@ -71,7 +71,7 @@ def main() -> int:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         path = given.socket or stack.enter_context(daemon(Path(folder), given.source))
-        wait_for_tracking(path)
+        wait_for_tracking(path, "; start one, or leave --socket out")
         client = stack.enter_context(Client(path))
         ways = {
             "nothing": lambda _: None,

@@ -34,6 +34,7 @@ from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.service import Daemon
 from spheremouse.session.setup import Setup
 from spheremouse.tracker import Frame
+from tests.control_latency import wait_for_tracking
 from tests.daemon_world import Film
 
 FPS = 60.0
@@ -226,16 +227,6 @@ def memory(pid: int) -> float:
     lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     kb = {line.split(":")[0]: line.split()[1] for line in lines if line.startswith(("RssAnon", "RssShmem"))}
     return sum(map(float, kb.values())) * 1.024e-3
-
-
-def wait_for_tracking(path: Path) -> None:
-    end = time.monotonic() + PATIENCE
-    while time.monotonic() < end:
-        with contextlib.suppress(ControlError), Client(path) as client:
-            if client.status().state == "tracking":
-                return
-        time.sleep(0.2)
-    raise SystemExit(f"{path}: the daemon does not track")
 
 
 def period(path: Path, pid: int, kind: str, seconds: float) -> tuple[str, float, float, float, int]:

@@ -26,8 +26,9 @@ from websockets.typing import Origin
 from spheremouse.capture import Payload
 from spheremouse.session.control.client import Client
 from spheremouse.view.access import read_token
+from tests.control_latency import wait_for_tracking
 from tests.daemon_latency import processor
-from tests.live_cost import Camera, Raw, serve, wait_for_tracking
+from tests.live_cost import Camera, Raw, serve
 
 SETTLE = 5.0  # s after a change, in which links and leases begin or end
 QUALITY = 85  # of the camera's MJPEG
