@@ -142,6 +142,8 @@ class Daemon:
                 reply({"state": "tracking"})
             case Request(command="settings" | "scene"):
                 reply(page_reply(request.command))
+            case protocol.Replay():
+                reply({})
             case protocol.Pictures():
                 reply({"slots": 3, "slot_bytes": 987136, "ring": PictureRing(987136)})
             case Request(command="stop"):

@@ -57,7 +57,7 @@ class Streamed:
         self._frames: Iterator[Frame] = iter(())
         self._offset: float | None = None  # s, clock minus stamp of the first frame
 
-    def next(self, timeout: float) -> RawFrame:
+    def next(self, timeout: float) -> RawFrame | None:
         """Return the next frame; `timeout` has no effect.
 
         Raises EndOfSource at the end of a recording, SourceError if a camera stops.

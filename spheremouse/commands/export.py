@@ -34,8 +34,8 @@ def export(
     from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.commands.track import of_recording
     from spheremouse.files.safe_files import NewFile
+    from spheremouse.session.mcap import sdk
     from spheremouse.session.run_config import read_run_config
-    from spheremouse.view.mcap import sdk
 
     sdk()
     check_outputs([out], [recording, config, rig, camera, *(balls or ())], force)
@@ -53,10 +53,10 @@ def _write(file: "BufferedWriter", plan: "RunConfig") -> int:
     """Write the file of a plan, and return the number of its frames. Raise OSError if that fails."""
     from spheremouse.commands.terminal import progress_bar
     from spheremouse.session import offline
+    from spheremouse.session.mcap import McapWriter
     from spheremouse.session.run_description import describe_run
     from spheremouse.session.setup import open_setup
     from spheremouse.session.tracker_adapter import here
-    from spheremouse.view.mcap import McapWriter
 
     setup = open_setup(plan)
     source = setup.source

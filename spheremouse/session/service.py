@@ -5,6 +5,7 @@ frames. It waits only for the next frame.
 """
 
 import contextlib
+import math
 import os
 import time
 from collections.abc import Callable
@@ -15,8 +16,10 @@ from pathlib import Path
 
 from spheremouse import __version__
 from spheremouse.capture import OpenCamera
-from spheremouse.capture.fetch import Capture
+from spheremouse.capture.fetch import PATIENCE, Capture
 from spheremouse.capture.newest import Arrival, LatestFrame
+from spheremouse.capture.replay import Controls
+from spheremouse.capture.replay import Replay as PlayedRecording
 from spheremouse.capture.signals import SignalHandler, on_hang_up
 from spheremouse.errors import ControlError
 from spheremouse.output import Counts, Report, report_of
@@ -26,10 +29,17 @@ from spheremouse.output.reporter import ReporterStatus
 from spheremouse.output.third_axis import left_out
 from spheremouse.session.cameras import held
 from spheremouse.session.config_reloader import READING, ConfigReloader, given, settings_in_use
-from spheremouse.session.control.protocol import Pictures, Profile, Record, Request, Set, Snapshot, refused
+from spheremouse.session.control.protocol import Pictures, Profile, Record, Replay, Request, Set, Snapshot, refused
 from spheremouse.session.control.request_queue import PendingRequest, RequestQueue
 from spheremouse.session.control.server import Endpoints
-from spheremouse.session.control.status import OutputStatus, Quantiles, SourceStatus, State, StatusReport
+from spheremouse.session.control.status import (
+    OutputStatus,
+    Quantiles,
+    ReplayStatus,
+    SourceStatus,
+    State,
+    StatusReport,
+)
 from spheremouse.session.outputs import OUTPUT, Outputs
 from spheremouse.session.picture_feed import PictureFeed
 from spheremouse.session.process import realtime
@@ -92,8 +102,9 @@ class Daemon:
         )
         self._archive = Archive(self._workers, call, self._log)
         self._pictures = PictureFeed(self._log)
-        self._capture = Capture(camera(plan), self._ring, self._log)
-        self._arrivals = Arrivals()
+        patience = PATIENCE if setup.replay is None else math.inf  # its user may pause it
+        self._capture = Capture(camera(plan), self._ring, self._log, patience)
+        self._arrivals = Arrivals(patience)
         adapter = setup.adapter(plan, self._log, self._workers.do)
         self._worker = Worker(adapter, self._log)
         self._outputs = Outputs(
@@ -184,6 +195,9 @@ class Daemon:
     def _work(self, arrival: Arrival, now: float) -> None:
         """Track a frame that arrived at `now` (s, monotonic), and show it."""
         self._arrivals.add(now)
+        replay, waiting = self._setup.replay, self.adapter.waiting
+        if replay is not None and replay.is_first(arrival.raw) and not waiting:
+            self.adapter.restart("the recording begins")
         try:
             made = self._worker.work(arrival, colour=self._archive.wants_colour)
             if made is not None:
@@ -194,6 +208,8 @@ class Daemon:
                 self._archive.look(self._worker.untracked, self.adapter)
             self._pictures.show(now, arrival.raw, self.adapter, made)
         finally:
+            if replay is not None and waiting and not self.adapter.waiting:
+                replay.control(replay.controls, rewind=True)  # to the frames before the pose was known
             self._worker.forget()
             arrival.raw.release()
 
@@ -214,6 +230,8 @@ class Daemon:
 
     def _update_state(self, now: float) -> None:
         """Update the state. Without frames, stop the pointer and the requests that need one."""
+        if self._setup.replay is not None and self._setup.replay.paused != bool(self._monitor.paused):
+            self._pause(self._setup.replay.paused)
         if self._monitor.update(now):
             self._outputs.end_prediction(now)
             self.adapter.interrupted(self._monitor.reason)
@@ -349,6 +367,9 @@ class Daemon:
             if not frames_arrive:
                 self._refuse_without_camera()
             self._archive.want_snapshot(request, self._reloader.plan.configuration, pending)
+        elif isinstance(request, Replay):
+            self._control_replay(request)
+            pending.answer({})
         elif request.command == "reload":
             self._reloader.reload(pending)
         elif request.command == "reinit":
@@ -384,7 +405,19 @@ class Daemon:
         if self._monitor.state is State.NO_CAMERA:
             raise ControlError(f"there is no picture now: {self._monitor.state}: {self._monitor.reason}")
 
+    def _control_replay(self, request: Replay) -> None:
+        replay = self._setup.replay
+        if replay is None:
+            raise ControlError("this run shows no recording; start one with `spheremouse run --replay`")
+        given = {key: value for key in Controls._fields if (value := getattr(request, key)) is not None}
+        if request.step:
+            replay.pause(True)
+        controls = replay.controls._replace(**given)
+        replay.control(controls._replace(end=controls.end or None), steps=int(request.step), rewind=request.rewind)
+
     def _pause(self, paused: bool) -> None:
+        if self._setup.replay is not None and self._setup.replay.paused != paused:
+            self._setup.replay.pause(paused)
         self._monitor.paused = "by `spheremouse ctl pause`; `resume` ends it" if paused else ""
         if paused:
             self._outputs.pause(True)
@@ -433,7 +466,7 @@ class Daemon:
             damaged=worker.damaged,
             counts=list(self._outputs.counts),
             outputs=outputs,
-            source=SourceStatus(spec=plan.source, description=self._capture.description),
+            source=_source_status(plan, self._capture.description, self._setup.replay),
             unseen_s=monitor.unseen,
             lost_count=worker.lost,
             camera_restarts=self._capture.restarts,
@@ -446,6 +479,7 @@ class Daemon:
             rig=_absolute(plan.rig_path),
             map=_absolute(plan.map_path),
             recording=self._archive.status(),
+            recordings=str(recordings_folder(plan.configuration.record)),
             memory_mb=memory_mb(),
             cpu_share=self._cpu.share,
             scheduling=self._scheduling,
@@ -465,6 +499,13 @@ def _output_status(spec: str, status: ReporterStatus) -> OutputStatus:
         dropped=status.dropped,
         latency_ms=None if latency is None else _ms(latency.p50, latency.p99, max=1e3 * latency.max),
     )
+
+
+def _source_status(plan: RunConfig, description: str, replay: PlayedRecording | None) -> SourceStatus:
+    if replay is None:
+        return SourceStatus(spec=plan.source, description=description)
+    shown = ReplayStatus(frame=replay.frame, frames=replay.frames, seconds=replay.seconds, **replay.controls._asdict())
+    return SourceStatus(spec=plan.source, description=description, replay=shown)
 
 
 def _absolute(path: Path | None) -> str | None:

@@ -1,12 +1,13 @@
 """Setup of a run with either tracker: the source, and the device or the balls that it may bring."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 from spheremouse.ball.rig import Rig
-from spheremouse.capture import Source, Stream, open_source, paced
+from spheremouse.capture import OpenCamera, Source, Stream, open_source, paced
+from spheremouse.capture.replay import Replay
 from spheremouse.errors import ConfigurationError, SourceError
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import open_wand
@@ -30,6 +31,7 @@ class Setup:
     source: Source | None = None  # None: a camera, which is opened again and again
     camera: InteriorOrientation | None = None  # of a wand's recording
     balls: tuple[WandBall, ...] = ()
+    replay: Replay | None = None  # that plays the source, if people control it
 
     @property
     def rig(self) -> Rig | None:
@@ -46,6 +48,12 @@ class Setup:
         source = open_setup(plan, realtime=True).source
         assert source is not None
         return source
+
+    @property
+    def open_replay(self) -> OpenCamera | None:
+        """The function that opens the replay as a camera; None if there is none."""
+        replay = self.replay
+        return None if replay is None else lambda: replay
 
     def make_ready(self, plan: RunConfig, tell: Callable[[str], None] | None = None) -> None:
         """Compile the functions of tracking, or read them from disk. `compiling.told` reports the progress."""
@@ -83,6 +91,23 @@ class Setup:
             many = "is one ball" if len(balls) == 1 else f"are {len(balls)} balls"
             raise ConfigurationError(f"wand.points: is {settings.points}, but there {many}; balls are counted from 1")
         return build(camera, told_apart(balls), settings, plan.balls.colours)
+
+
+def open_replay(plan: RunConfig) -> Setup:
+    """Return the setup of a plan whose recording people control.
+
+    Raises SourceError for a camera, and the errors of `open_setup`.
+    """
+    setup = open_setup(plan)
+    if setup.source is None:
+        raise SourceError(f"{plan.source}: is no recording, which --replay needs")
+    return replace(setup, replay=Replay(setup.source, lambda: _recording(plan), plan.source))
+
+
+def _recording(plan: RunConfig) -> Source:
+    source = open_setup(plan).source
+    assert source is not None
+    return source
 
 
 def open_setup(plan: RunConfig, realtime: bool = False) -> Setup:

@@ -65,8 +65,9 @@ class FrameTimes:
 class Arrivals:
     """Rate of the frames that arrive, and the time since the last one. `now` is s of the monotonic clock."""
 
-    def __init__(self) -> None:
-        self._times, self._last = FrameTimes(), 0.0
+    def __init__(self, patience: float = PATIENCE) -> None:
+        """`patience`, s, is the longest time that a camera may take."""
+        self._times, self._last, self._patience = FrameTimes(), 0.0, patience
         self.begin()
 
     def begin(self) -> None:
@@ -84,12 +85,12 @@ class Arrivals:
 
     def silent(self, now: float) -> bool:
         """Return True if no frame has arrived for longer than a camera may take."""
-        return now - self._last > PATIENCE
+        return now - self._last > self._patience
 
     def trouble(self, now: float) -> str:
         """Return the silence in words, a second later, since the capture thread may give a better reason before."""
         silence = now - self._last
-        return f"the camera has given no frame for {silence:.0f} s" if silence > PATIENCE + 1.0 else ""
+        return f"the camera has given no frame for {silence:.0f} s" if silence > self._patience + 1.0 else ""
 
     def rate(self, now: float) -> float:
         """Frames per second in the last second; 0 while none come."""

@@ -13,10 +13,9 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from spheremouse.errors import ControlError
+from spheremouse.files.jpeg import QUALITY, Image, encoded
 from spheremouse.session.control.client import Client
 from spheremouse.session.control.pictures import LivePicture, PictureReader
-
-Image = NDArray[np.uint8]
 
 INTERVAL = 1 / 15  # s between two pictures
 _RENEW = 1.0  # s between two renewals of the lease
@@ -24,7 +23,6 @@ _REST = 0.9 * INTERVAL  # s after a picture, in which no other is looked for
 _POLL = 0.01  # s between two looks into the memory
 _LINGER = 1.0  # s after the last request, in which the lease is kept
 _RETRY = 0.5  # s after a failed lease
-_QUALITY = 80  # of the JPEG; discs of 5 px stay sharp
 _AROUND_TARGET = 2.0  # radii of a target that a masked picture shows
 
 
@@ -41,7 +39,7 @@ class Shown:
         if picture.format == "jpeg":
             return bytes(picture.pixels)
         if picture.format in ("yuyv", "nv12"):
-            return simplejpeg.encode_jpeg_yuv_planes(*_planes(picture), quality=_QUALITY, fastdct=True)
+            return simplejpeg.encode_jpeg_yuv_planes(*_planes(picture), quality=QUALITY, fastdct=True)
         return encoded(_pixels(picture))
 
     @cached_property
@@ -160,11 +158,3 @@ def _pixels(picture: LivePicture) -> Image:
     if picture.format in ("yuyv", "nv12"):
         return _planes(picture)[0][:, :, None]
     return np.frombuffer(picture.pixels, np.uint8).reshape(picture.height, picture.width, -1)
-
-
-def encoded(image: Image) -> bytes:
-    """Return a JPEG of grey values (h, w, 1), or BGR (h, w, 3)."""
-    colours = "GRAY" if image.shape[2] == 1 else "BGR"
-    return simplejpeg.encode_jpeg(
-        np.ascontiguousarray(image), quality=_QUALITY, colorspace=colours, colorsubsampling="420", fastdct=True
-    )

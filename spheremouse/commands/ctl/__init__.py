@@ -211,6 +211,28 @@ def snapshot(
     _report(_ask(socket, "snapshot", file=name, everything=everything or None), as_json, "written", "file")
 
 
+@app.command(epilog="Example: spheremouse ctl replay --speed 0.25 --begin 2 --end 4")
+def replay(
+    speed: Annotated[
+        float | None, typer.Option(metavar="X", min=0.05, max=20.0, help="1 is the recording's own speed.")
+    ] = None,
+    loop: Annotated[
+        bool | None, typer.Option("--loop/--once", help="Play again and again, or pause at the end.")
+    ] = None,
+    begin: Annotated[float | None, typer.Option(metavar="S", min=0.0, help="Begin of the section, in s.")] = None,
+    end: Annotated[
+        float | None, typer.Option(metavar="S", min=0.0, help="End of the section, in s; 0 is that of the recording.")
+    ] = None,
+    step: Annotated[bool, typer.Option("--step", help="Pause, and play one more frame.")] = False,
+    rewind: Annotated[bool, typer.Option("--rewind", help="Go back to the begin of the section.")] = False,
+    as_json: _Json = False,
+    socket: _Socket = None,
+) -> None:
+    """Control a recording that `run --replay` plays. `pause` stops it."""
+    given = {"speed": speed, "loop": loop, "begin": begin, "end": end, "step": step or None, "rewind": rewind or None}
+    _report(_ask(socket, "replay", **given), as_json, "done")
+
+
 @app.command(epilog="Example: spheremouse ctl watch --interval 5")
 def watch(
     interval: Annotated[float, typer.Option(metavar="S", min=0.1, max=60.0, help="Between two lines, in s.")] = 1.0,

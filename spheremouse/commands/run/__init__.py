@@ -61,6 +61,14 @@ def run(
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Play recordings and the simulation at the pace of their stamps.")
     ] = False,
+    replay: Annotated[
+        bool,
+        typer.Option(
+            "--replay",
+            help="Play a recording with its own device, every frame, again and again; `spheremouse ctl replay` and "
+            "`pause` control it.",
+        ),
+    ] = False,
     table: Annotated[
         bool | None,
         typer.Option(
@@ -99,7 +107,7 @@ def run(
     said = [] if tracker is None else [f"tracker={tracker}"]
     overrides = CommandLineOverrides(
         config,
-        (*(assignments or ()), *said),
+        (*(_REPLAYED if replay else ()), *(assignments or ()), *said),
         source,
         tuple(output or ()),
         rig,
@@ -114,7 +122,14 @@ def run(
         _refuse_loss(overlay, plan, (config, rig, camera, map_file, *(balls or ())))
     if balls and plan.configuration.tracker != "wand":
         raise ConfigurationError("--ball: goes with --tracker wand; add that, or leave it out")
-    run_plan(overrides, plan, realtime, _has_terminal(plan) if table is None else table, overlay, frames, verbose)
+    pace: Pace = "replay" if replay else "realtime" if realtime else "fast"
+    run_plan(overrides, plan, pace, _has_terminal(plan) if table is None else table, overlay, frames, verbose)
+
+
+Pace = Literal["fast", "realtime", "replay"]  # of the frames of a recording
+
+# Settings of the configuration file that a replay leaves to the recording.
+_REPLAYED = ("rig=null", "camera_file=null", "map=null", "wand.balls=[]", "metrics.port=null", "realtime=off")
 
 
 def _has_terminal(plan: "RunConfig") -> bool:
@@ -128,7 +143,7 @@ def _has_terminal(plan: "RunConfig") -> bool:
 def run_plan(
     overrides: "CommandLineOverrides",
     plan: "RunConfig",
-    realtime: bool = False,
+    pace: Pace = "fast",
     table: bool = False,
     overlay: Path | None = None,
     frames: int | None = None,
@@ -140,15 +155,15 @@ def run_plan(
     from spheremouse.commands.run.view import view
     from spheremouse.session.cameras import is_camera
     from spheremouse.session.process.standard_error import nonblocking_stderr
-    from spheremouse.session.setup import open_setup
+    from spheremouse.session.setup import open_replay, open_setup
 
-    live = is_camera(plan.source) or realtime
+    live = is_camera(plan.source) or pace != "fast"
     failure: SpheremouseError | None = None
     words: tuple[str, ...] = ()
     with nonblocking_stderr() if live else nullcontext():
         with ExitStack() as stack:
             stopping = stack.enter_context(SignalHandler())
-            setup = open_setup(plan, realtime)
+            setup = open_replay(plan) if pace == "replay" else open_setup(plan, pace == "realtime")
             plan = setup.planned(overrides, plan)
             shown = view(plan, table, overlay, None if setup.source is None else setup.source.fps, stack, verbose)
             try:
@@ -199,7 +214,7 @@ def serve(
         overrides,
         plan,
         setup,
-        lambda other: opener(other, setup.open, opened),
+        lambda other: setup.open_replay or opener(other, setup.open, opened),
         log=view.log,
         show=view.show,
         frames=frames,

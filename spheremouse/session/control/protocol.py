@@ -69,6 +69,7 @@ class Request(BaseModel):
         "snapshot",
         "watch",
         "pictures",
+        "replay",
     ]
     id: Id | None = None
 
@@ -116,6 +117,17 @@ class Pictures(Request):
     interval: float = Field(default=1 / 15, ge=0.03, le=1.0, description="the default is 1/15 s")
 
 
+class Replay(Request):
+    """Set what is given of a replay: the speed, and the section from `begin` to `end` in s after the first frame."""
+
+    speed: float | None = Field(default=None, ge=0.05, le=20.0, description="1 is the recording's own")
+    loop: bool | None = Field(default=None, description="false pauses at the end")
+    begin: float | None = Field(default=None, ge=0.0, le=1e6, description="in s")
+    end: float | None = Field(default=None, ge=0.0, le=1e6, description="in s; 0 is the end of the recording")
+    step: bool = Field(default=False, description="true pauses and plays one more frame")
+    rewind: bool = Field(default=False, description="true goes back to the begin of the section")
+
+
 _REQUESTS: dict[str, type[Request]] = {
     **dict.fromkeys(("status", "settings", "scene", "reinit", "pause", "resume", "reload", "stop"), Request),
     "set": Set,
@@ -124,6 +136,7 @@ _REQUESTS: dict[str, type[Request]] = {
     "snapshot": Snapshot,
     "watch": Watch,
     "pictures": Pictures,
+    "replay": Replay,
 }
 COMMANDS = tuple(_REQUESTS)
 

@@ -98,11 +98,24 @@ class OutputStatus(_Part):
     latency_ms: Quantiles | None = None
 
 
+class ReplayStatus(_Part):
+    """A recording that is replayed: the number of the present frame, and s after the first one."""
+
+    frame: int | None = None
+    frames: int | None = None
+    seconds: float | None = None
+    begin: float | None = None
+    end: float | None = None
+    speed: float | None = None
+    loop: bool | None = None
+
+
 class SourceStatus(_Part):
     """The source of the frames."""
 
     spec: Text | None = None
     description: Text | None = None
+    replay: ReplayStatus | None = None
 
 
 class RecordingStatus(_Part):
@@ -156,6 +169,7 @@ class StatusReport(TrackerStatus):
     rig: Text | None = None
     map: Text | None = None
     recording: RecordingStatus | None = None
+    recordings: Text | None = None  # the folder
     memory_mb: float | None = None
     cpu_share: float | None = None
     scheduling: Text | None = None

@@ -17,13 +17,13 @@ from scipy.spatial.transform import Rotation
 
 import spheremouse
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.jpeg import encoded
 from spheremouse.geometry import Array
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.output import Report
 from spheremouse.output.sample import Sample, to_object
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.tracker import Status
-from spheremouse.view.pictures import encoded
 
 _MAX_SECONDS = 2**32 - 1  # of a stamp in the well-known schemas
 _SCENE_PERIOD_S = 1.0  # between two scenes of the same discs, whose places the tracker refines
