@@ -17,11 +17,11 @@ from spheremouse.evaluation.metrics import attitude_error
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame, Status
 
-WHITE, RED, BLUE, DARK, BLACK = (230, 230, 230), (40, 40, 180), (180, 40, 40), (40, 40, 40), (20, 20, 20)
+WHITE, RED, BLUE, DARK, BLACK = (230, 230, 230), (30, 30, 200), (180, 40, 40), (40, 40, 40), (20, 20, 20)
 PAIRS = {"white-black": (None, None), "dark-white": (DARK, WHITE), "red-black": (RED, BLACK), "red-blue": (RED, BLUE),
          "red-white": (RED, WHITE)}  # fmt: skip
 pairs = pytest.mark.parametrize("pair", PAIRS)
-COLOURED = ("red-black", "red-blue")
+COLOURED = ("red-black", "red-blue", "red-white")
 
 
 def film(pair, seed=3, seconds=1.5, **more):

@@ -2,8 +2,8 @@
 
 The value is w·(B, G, R) without an offset. No light gives 0, so a contrast is a fraction of the light.
 Black discs on a white ball need grey, and light discs its negative. A coloured ball needs one channel or a difference
-of two. Once discs are known, Fisher's linear discriminant (Fisher 1936) gives the weights that separate disc and ball
-best.
+of two. Once discs are known, Fisher's linear discriminant (Fisher 1936) gives the weights with the most signal over
+noise.
 """
 
 from functools import lru_cache
@@ -20,7 +20,7 @@ _CORE, _AROUND = 0.5, (1.5, 2.2)  # in radii of a disc: pixels of the disc and o
 _FEWEST_PIXELS = 6  # per disc, and per ring around it: smaller discs have mostly mixed pixels
 _FEWEST_DISCS = 3
 _EVERY = 4  # the noise is measured in every fourth row
-_FACING = 0.5  # of the largest disc's area: a disc seen more obliquely has no round core
+_FACING = 0.3  # of the largest disc's area: a disc seen more obliquely has no core without blur
 
 
 class Projection(NamedTuple):
@@ -95,12 +95,28 @@ def projected(image: Image, projection: Projection) -> Image:
     return cv2.transform(image, matrix[None])
 
 
-def fisher_projection(image: Image, mask: Image, found: Detections, diameter: float) -> Projection | None:
-    """Return the projection that separates the discs `found` in a picture, (h, w, 3) BGR, from the ball best.
+class ColourContrast(NamedTuple):
+    """Mean difference of ball and discs in blue, green and red, and the noise of one pixel."""
 
-    It is Fisher's linear discriminant (Fisher 1936): w = S^-1 (m_ball - m_disc). S is the covariance of the channels'
-    noise alone, because the fit of a disc models a gradient of the light. `mask`, (h, w), is not 0 on the ball, and
-    `diameter` px is that of a disc seen from in front. Returns None if fewer than three discs face the camera.
+    difference: Array  # (3,) grey values, ball minus disc
+    covariance: Array  # (3, 3) of the noise alone, because the fit of a disc models a gradient of the light
+
+    def signal_to_noise(self, projection: Projection) -> float:
+        """Return the contrast in a projection over the standard deviation of its noise."""
+        w = np.array(projection.weights)
+        return float(w @ self.difference / np.sqrt(w @ self.covariance @ w))
+
+    @property
+    def fisher(self) -> Projection:
+        """The projection with the most signal to noise: w = S^-1 (m_ball - m_disc) (Fisher 1936)."""
+        return normalised(np.asarray(np.linalg.solve(self.covariance, self.difference), dtype=np.float64))
+
+
+def colour_contrast(image: Image, mask: Image, found: Detections, diameter: float) -> ColourContrast | None:
+    """Return the contrast of the discs `found` in a picture, (h, w, 3) BGR.
+
+    `mask`, (h, w), is not 0 on the ball, and `diameter` px is that of a disc seen from in front. Returns None if fewer
+    than three discs face the camera.
     """
     differences = []
     facing = found.take(found.area > _FACING * 0.25 * np.pi * diameter**2)
@@ -108,21 +124,21 @@ def fisher_projection(image: Image, mask: Image, found: Detections, diameter: fl
         core, around = _pixels(image, mask, centre, float(np.sqrt(area / np.pi)))
         if min(len(core), len(around)) >= _FEWEST_PIXELS:
             differences.append(np.median(around, axis=0) - np.median(core, axis=0))
-    difference = np.sum(differences, axis=0)
+    difference = np.mean(differences, axis=0) if differences else np.zeros(3)
     if len(differences) < _FEWEST_DISCS or not difference.any():
         return None
     # rounding to integers gives each channel a variance of at least 1/12
-    weights = np.linalg.solve(_noise_covariance(image, mask) + np.eye(3) / 12.0, difference)
-    return normalised(np.asarray(weights, dtype=np.float64))
+    return ColourContrast(difference, _noise_covariance(image, mask) + np.eye(3) / 12.0)
 
 
 def _noise_covariance(image: Image, mask: Image) -> Array:
     """Return the noise covariance of a pixel's blue, green and red, (3, 3), on the ball.
 
-    It comes from second differences along rows. Differences that are large in any channel are edges and do not count.
+    It comes from second differences along rows, of every other pixel, because cameras share one chroma sample between
+    two neighbours. Differences that are large in any channel are edges and do not count.
     """
     rows = image[::_EVERY].astype(np.int16)
-    second = (2 * rows[:, 1:-1] - rows[:, :-2] - rows[:, 2:])[mask[::_EVERY, 1:-1] > 0].astype(float)
+    second = (2 * rows[:, 2:-2] - rows[:, :-4] - rows[:, 4:])[mask[::_EVERY, 2:-2] > 0].astype(float)
     spread = 1.4826 * np.median(np.abs(second), axis=0)
     flat = second[np.all(np.abs(second) <= 3.0 * spread + 1.0, axis=1)]
     return flat.T @ flat / (6.0 * max(len(flat), 1))

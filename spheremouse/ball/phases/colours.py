@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from spheremouse.ball.detect.discs import DiscDetector, best_projection, information_of
-from spheremouse.ball.detect.projection import fisher_projection
+from spheremouse.ball.detect.projection import colour_contrast
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.events import DiscColours
 from spheremouse.ball.state import Colours, Learning, Lost, Phase, Recognising, Tracker, Tracking, TrackState
@@ -81,9 +81,10 @@ def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[Trac
     used: Any = state.points.index[state.filter.used]
     detector = _adaptable(tracker)
     found, diameter = state.detections.take(used), detector.model.diameter
-    fisher = fisher_projection(frame.image, detector.model.mask, found, diameter)
-    if fisher is None:
+    contrast = colour_contrast(frame.image, detector.model.mask, found, diameter)
+    if contrast is None:
         return done
+    fisher = contrast.fisher
     before, after = (
         information_of(detector.seeing(p).detect(frame.image), detector.settings.sigma)
         for p in (colours.projection, fisher)
