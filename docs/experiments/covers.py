@@ -207,6 +207,4 @@ def _hidden(rows: pd.DataFrame) -> list[Part]:
 def _again(rows: pd.DataFrame) -> list[Part]:
     columns = [f"{what}, {unit}" for what in _WHAT for unit in ("ms", "frames")]
     found = by(rows, ["Hz", "filter"], dict.fromkeys(columns, "max"))
-    return [
-        Table("Until it is right again after a full cover (the longest of all balls; inf: never)", found, ["Hz"]),
-    ]
+    return [Table("Until it is right again after a full cover (the longest of all balls; inf: never)", found, ["Hz"])]

@@ -11,14 +11,7 @@ from pathlib import Path
 import pandas as pd
 
 from experiments.kit import detections, r1
-from experiments.kit.film import (
-    Film,
-    film_from_dataset,
-    film_of,
-    options_of,
-    settings_of,
-    tracked,
-)
+from experiments.kit.film import Film, film_from_dataset, film_of, options_of, settings_of, tracked
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import ATTITUDE, RATE, Part, Table, tidy
 from spheremouse.evaluation.metrics import Run

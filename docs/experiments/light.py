@@ -11,16 +11,7 @@ from pathlib import Path
 import pandas as pd
 
 from experiments.kit import detections
-from experiments.kit.film import (
-    TRACKERS,
-    Film,
-    bound_rms,
-    film_from_dataset,
-    film_of,
-    options_of,
-    settings_of,
-    tracked,
-)
+from experiments.kit.film import TRACKERS, Film, bound_rms, film_from_dataset, film_of, options_of, settings_of, tracked
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import ATTITUDE, ERRORS, RATE, Part, Plot, Table, by, filter_rows, rms, tidy, where
 from spheremouse.errors import PoseError

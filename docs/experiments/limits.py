@@ -138,10 +138,7 @@ def speeds(fps: float, seed: int) -> Result:
     for who in WHO:
         tracker = tracker_for(who, there)
         trial = Trial(tracker, there, after_rest(who, tracker, there), random_axis(seed), fps, seed)
-        found[who] = {
-            "rate": [trial.fastest(a) for a in ACCELERATIONS],
-            "acceleration": trial.hardest(PUSH),
-        }
+        found[who] = {"rate": [trial.fastest(a) for a in ACCELERATIONS], "acceleration": trial.hardest(PUSH)}
     return found
 
 

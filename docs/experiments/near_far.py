@@ -15,19 +15,7 @@ import pandas as pd
 from experiments.kit import detections
 from experiments.kit import film as kit
 from experiments.kit.job import Job, Request, Result, Results
-from experiments.kit.render import (
-    ATTITUDE,
-    AXES,
-    ERRORS,
-    RATE,
-    Part,
-    Table,
-    by,
-    filter_rows,
-    lengths,
-    rms,
-    tidy,
-)
+from experiments.kit.render import ATTITUDE, AXES, ERRORS, RATE, Part, Table, by, filter_rows, lengths, rms, tidy
 from experiments.kit.thesis import THESIS_TABLES
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.offline import initialise

@@ -259,11 +259,7 @@ def section(results: Results) -> list[Part]:
             "The best and the worst direction, of all and of those that see three targets",
             pd.concat([around[:1], around[-1:], seen[:1], seen[-1:]]),
         ),
-        Table(
-            "The bound by distance, straight before the frame",
-            along.sort_values(["lens", "distance, m"]),
-            ["lens"],
-        ),
+        Table("The bound by distance, straight before the frame", along.sort_values(["lens", "distance, m"]), ["lens"]),
         Table("Noise by size", pd.DataFrame(sizes, columns=list(_SIZE))),
         Plot(
             "places-directions",

@@ -15,10 +15,7 @@ def open(argument: str, realtime: bool) -> Stream:
     simulation = check(argument)
     frames = (rendered.frame for rendered in simulate(simulation))
     return Stream(
-        paced(frames) if realtime else frames,
-        rig=simulation.scene.rig(),
-        fps=simulation.fps,
-        count=simulation.frames,
+        paced(frames) if realtime else frames, rig=simulation.scene.rig(), fps=simulation.fps, count=simulation.frames
     )
 
 

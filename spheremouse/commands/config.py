@@ -19,10 +19,7 @@ def root() -> type[Any]:
 
 
 @app.command()
-def show(
-    file: ConfigFile = None,
-    assignments: Assignments = None,
-) -> None:
+def show(file: ConfigFile = None, assignments: Assignments = None) -> None:
     """Print the settings in force, with the default of each one that differs from it."""
     from spheremouse.files import config
 

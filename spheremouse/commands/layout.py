@@ -23,8 +23,7 @@ def layout(
     ] = 70.0,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Another seed gives another layout.")] = 0,
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="FOLDER", help="Folder of the guide.  [default: calibration/placement-N]"),
+        Path | None, typer.Option(metavar="FOLDER", help="Folder of the guide.  [default: calibration/placement-N]")
     ] = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write the directions; - prints them instead.")

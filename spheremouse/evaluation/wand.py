@@ -138,12 +138,7 @@ def found_from(run: WandRun, truth: WandTruth, radius: float) -> int | None:
 
 
 def wand_report(
-    runs: Sequence[WandRun],
-    truth: WandTruth | Sequence[WandTruth] | None,
-    *,
-    dataset: str,
-    frames: int,
-    radius: float,
+    runs: Sequence[WandRun], truth: WandTruth | Sequence[WandTruth] | None, *, dataset: str, frames: int, radius: float
 ) -> dict[str, Any]:
     """Return all metrics of runs over one recording, each with another seed or ball, as `evaluate --json` writes them.
 

@@ -66,9 +66,7 @@ class DeviceFile(Part):
     disc_radius: Positive = Field(description="radius of a disc on the ball in metres, along the surface")
     axes: _Axes = Field(description="{origin, up, plane}: ids of three targets")
     distances: tuple[_TapeDistance, ...] = Field(  # type: ignore[valid-type]
-        (),
-        max_length=_MOST_DISTANCES,
-        description="list of {from, to, metres, sigma}; [] where nothing was measured",
+        (), max_length=_MOST_DISTANCES, description="list of {from, to, metres, sigma}; [] where nothing was measured"
     )
 
 

@@ -63,8 +63,7 @@ class MapFile(Part):
         min_length=1, max_length=MOST_DISCS, description="list of {direction, sigma, sightings}"
     )
     weights: tuple[Weight, Weight, Weight] = Field(
-        default=GREY.weights,
-        description="[blue, green, red] of the sum of colours in which discs are darker",
+        default=GREY.weights, description="[blue, green, red] of the sum of colours in which discs are darker"
     )
     correlation_root: tuple[str, ...] = Field(
         max_length=2 * MOST_DISCS, description="two lines of whole numbers, in quotes, for each disc"

@@ -19,10 +19,7 @@ MOST_NUMBERS = 50_000_000  # in all columns that are read
 
 
 def read_columns(
-    path: Path,
-    columns: tuple[str, ...],
-    optional: tuple[str, ...] = (),
-    most: int | None = None,
+    path: Path, columns: tuple[str, ...], optional: tuple[str, ...] = (), most: int | None = None
 ) -> dict[str, Array]:
     """Return the `columns` by name, each (n,), with nan for empty cells of the `optional` ones; skip all others.
 

@@ -13,16 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
 from spheremouse.errors import one_line
-from spheremouse.files.yaml import (
-    MAX_PROBLEMS,
-    Document,
-    Key,
-    Problem,
-    dotted,
-    read_document,
-    shown,
-    without_schema,
-)
+from spheremouse.files.yaml import MAX_PROBLEMS, Document, Key, Problem, dotted, read_document, shown, without_schema
 
 M = TypeVar("M", bound=BaseModel)
 

@@ -92,9 +92,7 @@ def save_wand(
 
 
 def wand_text(
-    ball: WandBall,
-    colours: Mapping[str, ColourSettings] | None = None,
-    provenance: Mapping[str, Any] | None = None,
+    ball: WandBall, colours: Mapping[str, ColourSettings] | None = None, provenance: Mapping[str, Any] | None = None
 ) -> str:
     """Return a ball as YAML, with the bounds of its colours if given."""
     lines = [

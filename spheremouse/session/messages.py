@@ -74,10 +74,7 @@ _REFUSALS = {  # reason, short enough for a picture, and remedy
     Bound.COLOURS: ("{inside} in {outside}, no third colour", "no target, or one that is covered in part"),
     Bound.EDGES: ("{code}: edges not clear", "focus the lens, hold the camera still, uncover all of it"),
     Bound.CENTRE: ("{code}: not concentric", "uncover all of it; is it a print of ours?"),
-    Bound.SIZE: (
-        "{code}: too small",
-        "go nearer, choose a larger picture, or print larger targets",
-    ),
+    Bound.SIZE: ("{code}: too small", "go nearer, choose a larger picture, or print larger targets"),
     Bound.RATIO: ("{code}: rings out of proportion", "focus the lens; is it a print of ours?"),
     Bound.LIGHT: ("{code}: too dark or too pale", "more light, or less glare (rings.saturation, rings.value)"),
     Bound.HUE: ("{code}: other hues", "white light, white balance (rings.cyan, rings.magenta, rings.yellow)"),

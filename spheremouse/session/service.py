@@ -32,14 +32,7 @@ from spheremouse.session.config_reloader import READING, ConfigReloader, given, 
 from spheremouse.session.control.protocol import Pictures, Profile, Record, Replay, Request, Set, Snapshot, refused
 from spheremouse.session.control.request_queue import PendingRequest, RequestQueue
 from spheremouse.session.control.server import Endpoints
-from spheremouse.session.control.status import (
-    OutputStatus,
-    Quantiles,
-    ReplayStatus,
-    SourceStatus,
-    State,
-    StatusReport,
-)
+from spheremouse.session.control.status import OutputStatus, Quantiles, ReplayStatus, SourceStatus, State, StatusReport
 from spheremouse.session.outputs import OUTPUT, Outputs
 from spheremouse.session.picture_feed import PictureFeed
 from spheremouse.session.process import realtime

@@ -64,9 +64,7 @@ class RecordSettings:
         le=1e8,  # 100 TB: a day of the largest pictures
     )
     everything: bool = param(
-        False,
-        "-",
-        "keep whole images; by default all but ball and targets is black, to protect the people in view",
+        False, "-", "keep whole images; by default all but ball and targets is black, to protect the people in view"
     )
     # Not a setting: MB that recordings and snapshots leave free on the disk for the system and the map.
     free_megabytes: float = 500.0

@@ -268,12 +268,7 @@ def _average(particles: Particles, nearest: NDArray[np.int64], modes: Modes) -> 
 
 
 def _log_likelihoods(
-    position: Array,
-    rotation: Array,
-    nearest: NDArray[np.int64],
-    weighted_as: NDArray[np.int64],
-    modes: Modes,
-    m: Model,
+    position: Array, rotation: Array, nearest: NDArray[np.int64], weighted_as: NDArray[np.int64], modes: Modes, m: Model
 ) -> Array:
     """Return log-likelihood ratios of n poses, (n,), with the outline as measured at the `nearest` peak of each.
 

@@ -97,12 +97,7 @@ def test_a_pushed_camera(name, grey, request):
     pose, added = watching.moved_pose(
         shift if grey else rings, film.rig, film.before, watching.MATCH_SIGMA_PX if grey else watching.RING_SIGMA_PX
     )
-    error = np.concatenate(
-        [
-            pose.position - film.after.position,
-            log(pose.rotation @ film.after.rotation.T),
-        ]
-    )
+    error = np.concatenate([pose.position - film.after.position, log(pose.rotation @ film.after.rotation.T)])
     assert error @ np.linalg.solve(added, error) < 22.5  # 99.9 % of chi-square with 6 degrees
     if not grey:
         assert np.linalg.norm(error[:3]) < 1e-3

@@ -140,11 +140,7 @@ def test_a_stamp_ahead_of_the_clock_is_not_believed():
 
 def test_a_camera_that_is_missing_fails_or_goes_is_opened_again_and_says_why(start):
     gate = threading.Event()
-    world = World(
-        SourceError("not there"),
-        [1, SourceError("unplugged")],
-        [lambda: gate.wait(PATIENCE) and 7],
-    )
+    world = World(SourceError("not there"), [1, SourceError("unplugged")], [lambda: gate.wait(PATIENCE) and 7])
     reasons = []
     capture = Capture(world.open, world.latest, world.said.append)
     capture.start()

@@ -210,15 +210,7 @@ def test_what_the_daemon_quotes_does_not_steer_the_terminal():
 
 @pytest.mark.parametrize(
     ("seconds", "words"),
-    [
-        (0.04, "0.0 s"),
-        (9.96, "10.0 s"),
-        (119, "119 s"),
-        (120, "2 min"),
-        (7300, "2 h"),
-        (1e6, "12 days"),
-        (None, "-"),
-    ],
+    [(0.04, "0.0 s"), (9.96, "10.0 s"), (119, "119 s"), (120, "2 min"), (7300, "2 h"), (1e6, "12 days"), (None, "-")],
 )
 def test_times_are_said_as_people_say_them(seconds, words):
     assert f"● lost for {words} " in shown({"state": "lost", "since_s": seconds})

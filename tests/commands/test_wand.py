@@ -77,10 +77,7 @@ def test_a_film_is_made_and_evaluated(run, tmp_path):
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [
-        (("--distance", 4), "--distance: belongs to a hand"),
-        (("--rate", 90), "--rate: belongs to a hand"),
-    ],
+    [(("--distance", 4), "--distance: belongs to a hand"), (("--rate", 90), "--rate: belongs to a hand")],
 )
 def test_a_film_that_makes_no_sense_is_refused_in_one_line(run, tmp_path, words, said):
     code, output = run("wand", "simulate", tmp_path / "film", *words)

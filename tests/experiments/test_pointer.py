@@ -5,15 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from experiments import pointer
-from experiments.pointer import (
-    DEFAULT,
-    NONE,
-    WAYS,
-    ZERO,
-    Path,
-    latency,
-    settings,
-)
+from experiments.pointer import DEFAULT, NONE, WAYS, ZERO, Path, latency, settings
 
 from spheremouse.geometry.rotation import log
 from spheremouse.output.counts import MotionSettings, Remainder, to_counts

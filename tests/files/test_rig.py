@@ -224,11 +224,7 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
             "cx: 1281",
             "2: camera.cx: is 1281, far outside an image of 640 px; it is given in px, and lies near 320",
         ),
-        (
-            "    - [4e-6, 0, 0, 0]\n",
-            "",
-            "5: ball.covariance: must be 4 rows of 4 numbers, is 3 rows of 4",
-        ),
+        ("    - [4e-6, 0, 0, 0]\n", "", "5: ball.covariance: must be 4 rows of 4 numbers, is 3 rows of 4"),
         (
             "[0, 4e-6, 0, 1e-6]",
             "[0, 4e-6, 0, 1e-7]",
@@ -286,11 +282,7 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
             "[0, 0, 2.4, 1]\ndiscs",
             "21: T_obj_cam[3]: must be [0, 0, 0, 1]; is the matrix transposed?",
         ),
-        (
-            "2.4]",
-            "0.24]",
-            "17: T_obj_cam: puts the camera inside the ball; is it T_cam_obj, or not in metres?",
-        ),
+        ("2.4]", "0.24]", "17: T_obj_cam: puts the camera inside the ball; is it T_cam_obj, or not in metres?"),
         (
             "T_obj_cam:" + ROWS,
             "pose_covariance: [[1]]\n",

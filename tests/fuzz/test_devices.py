@@ -104,8 +104,7 @@ def _text(tree: Any) -> str:
 
 @fuzz(
     lambda: st.tuples(
-        st.sampled_from((1.0, 1.0, 1.0, *SCALES)),
-        st.lists(st.sampled_from(_rig_changes()), min_size=1, max_size=3),
+        st.sampled_from((1.0, 1.0, 1.0, *SCALES)), st.lists(st.sampled_from(_rig_changes()), min_size=1, max_size=3)
     )
 )
 def test_rig_numbers(drawn: tuple[float, list[Change]]) -> None:
@@ -148,10 +147,7 @@ def _in_use(rig: Rig) -> None:
     for frame in frames:
         try:
             state, motion, _ = in_time(
-                "so3, default",
-                lambda s=state, f=frame: step(s, f, tracker),
-                lambda: as_usual(Configuration()),
-                share,
+                "so3, default", lambda s=state, f=frame: step(s, f, tracker), lambda: as_usual(Configuration()), share
             )
         except SpheremouseError:
             return

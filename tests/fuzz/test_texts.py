@@ -26,7 +26,7 @@ from tests.fuzz.strategies import letters, mutated, numbers, words
         st.text("schema: 2\n-{}[]#&*!|>'\"%@`,?tracker so3.null/", max_size=60),
         mutated(config.dump_commented(Configuration())),
         mutated(config.dump(Settings(), Settings())),
-    ),
+    )
 )
 def test_configuration(content: str | bytes) -> None:
     """A configuration that is read can be written and read again."""
@@ -72,7 +72,7 @@ def test_rig(content: str | bytes) -> None:
                 max_size=3,
             ).map(",".join),
         ),
-    ).filter(lambda s: not s.startswith("uinput") and s.partition(":")[2] not in (".", "..")),
+    ).filter(lambda s: not s.startswith("uinput") and s.partition(":")[2] not in (".", ".."))
 )
 def test_spec(spec: str) -> None:
     def source() -> None:

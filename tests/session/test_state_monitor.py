@@ -22,12 +22,7 @@ class Run:
         self.outputs = SimpleNamespace(failed="")
         self.arrivals = Arrivals()
         self.judgement = StateMonitor(
-            self.worker,
-            self.capture,
-            self.arrivals,
-            self.outputs,
-            log=self.said.append,
-            notify=self.told.append,
+            self.worker, self.capture, self.arrivals, self.outputs, log=self.said.append, notify=self.told.append
         )
         self.judgement.starting = ""
         self.begun = self.now = self.judgement.since

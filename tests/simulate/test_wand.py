@@ -24,13 +24,7 @@ from spheremouse.simulate.wand.path import (
     turning_rates,
     world_to_cam,
 )
-from spheremouse.simulate.wand.render import (
-    Carried,
-    WandRenderer,
-    WandScene,
-    indoor_light,
-    outdoor_light,
-)
+from spheremouse.simulate.wand.render import Carried, WandRenderer, WandScene, indoor_light, outdoor_light
 from spheremouse.wand.ball import WandBall, grzonka_ball, wand_disc
 
 CAMERA = InteriorOrientation(1280, 960, 2100.0, 2100.0, 640.0, 480.0)

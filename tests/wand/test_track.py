@@ -10,14 +10,7 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.tracker import Frame, Status
 from spheremouse.wand.ball import contrast_ball, led_ball
 from spheremouse.wand.build import build
-from spheremouse.wand.events import (
-    BallHidden,
-    BallLost,
-    ColourEverywhere,
-    ColourNowhere,
-    NotInView,
-    SecondBall,
-)
+from spheremouse.wand.events import BallHidden, BallLost, ColourEverywhere, ColourNowhere, NotInView, SecondBall
 from spheremouse.wand.settings import ColourSettings, WandSettings
 from spheremouse.wand.state import WandPose
 from spheremouse.wand.track import begin, step

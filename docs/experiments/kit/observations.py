@@ -111,10 +111,7 @@ def normalised_errors(simulated: SimulatedCalibration, found: DeviceCalibration)
         ball = [*ball, found.block("radius").start]
         error = np.append(error, found.radius - simulated.radius)
     poses = [
-        _nees(
-            np.concatenate([p.position - t.position / unit, log(p.rotation @ t.rotation.T)]),
-            p.covariance,
-        )
+        _nees(np.concatenate([p.position - t.position / unit, log(p.rotation @ t.rotation.T)]), p.covariance)
         for p, t in zip(found.poses, simulated.poses, strict=True)
     ]
     return {
@@ -147,10 +144,7 @@ def _in_view(poses: tuple[Pose, ...], directions: Array) -> tuple[NDArray[np.int
     sees &= np.sum(sees, axis=0) >= 2
     photo, disc = np.nonzero(sees)
     n = len(poses)
-    return (
-        np.concatenate([np.repeat(np.arange(n), 4), photo]),
-        np.concatenate([np.tile(np.arange(4), n), 4 + disc]),
-    )
+    return (np.concatenate([np.repeat(np.arange(n), 4), photo]), np.concatenate([np.tile(np.arange(4), n), 4 + disc]))
 
 
 def _camera_file(rng: np.random.Generator) -> InteriorOrientation:

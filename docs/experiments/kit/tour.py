@@ -94,11 +94,7 @@ def acceleration(motion: Truth) -> float:
 def moved(motion: Truth) -> dict[str, float]:
     """Return RMS and maximum of the rate, °/s, and of the acceleration, rad/s²."""
     speed = np.degrees(np.linalg.norm(motion.rate, axis=1))
-    return {
-        "rms": float(np.sqrt(np.mean(speed**2))),
-        "peak": float(speed.max()),
-        "acceleration": acceleration(motion),
-    }
+    return {"rms": float(np.sqrt(np.mean(speed**2))), "peak": float(speed.max()), "acceleration": acceleration(motion)}
 
 
 def brief(report: Result) -> Result:

@@ -33,8 +33,7 @@ def axes(
     balls: Balls = None,
     assignments: Assignments = None,
     profile: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Save the directions into this profile, for `ctl profile NAME`."),
+        str | None, typer.Option(metavar="NAME", help="Save the directions into this profile, for `ctl profile NAME`.")
     ] = None,
     dry: Annotated[bool, typer.Option("--dry-run", help="Print the result, and save nothing.")] = False,
 ) -> None:

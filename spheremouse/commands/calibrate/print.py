@@ -29,8 +29,7 @@ def print_(
     square: Annotated[
         str | None,
         typer.Option(
-            metavar="LENGTH",
-            help="Square of the boards, as in 30mm.  [default: the largest that fits the paper]",
+            metavar="LENGTH", help="Square of the boards, as in 30mm.  [default: the largest that fits the paper]"
         ),
     ] = None,
     ring_radii: Annotated[

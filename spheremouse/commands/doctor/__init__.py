@@ -17,8 +17,7 @@ def doctor(
         typer.Option(metavar="FILE", help="Configuration file.  [default: that of the daemon or of the service]"),
     ] = None,
     source: Annotated[
-        str | None,
-        typer.Option(metavar="KIND:ARG", help="As of run.  [default: as configured, else the first camera]"),
+        str | None, typer.Option(metavar="KIND:ARG", help="As of run.  [default: as configured, else the first camera]")
     ] = None,
     output: Annotated[
         list[str] | None, typer.Option(metavar="KIND:ARG", help="As of run.  [default: as configured, else auto]")

@@ -41,7 +41,7 @@ def run(
         Literal["so3", "ekf1", "ekf2", "wand"] | None,
         typer.Option(
             help="so3, ekf1, ekf2: a ball in its frame; wand: balls in a hand.  [default: `tracker` of the "
-            "configuration, so3]",
+            "configuration, so3]"
         ),
     ] = None,
     config: ConfigFile = None,

@@ -43,13 +43,7 @@ class PictureWriter:
     """Writes images, (h, w, 3) BGR or (h, w) grey, into a folder. All are in colour unless `mixed`."""
 
     def __init__(
-        self,
-        folder: Path,
-        size: tuple[int, int],
-        fps: float,
-        codecs: tuple[str, ...] = SMALL,
-        *,
-        mixed: bool = False,
+        self, folder: Path, size: tuple[int, int], fps: float, codecs: tuple[str, ...] = SMALL, *, mixed: bool = False
     ) -> None:
         """`size`: width and height, px; `fps`: of the video in a player. Takes some tenths of a second."""
         self.written = 0

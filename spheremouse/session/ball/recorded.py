@@ -102,10 +102,7 @@ def ball_subject(rig: Rig, pose: Pose, settings: Configuration) -> Subject:
         parts="the ball and the targets",
         kept=lambda: kept(rig, pose, settings),
         scene=lambda: {**device_description(rig), "T_obj_cam": pose.matrix().tolist()},
-        files=lambda: {
-            "rig.yaml": rig_text(replace(rig, pose=pose)),
-            "config.yaml": configuration_text(settings),
-        },
+        files=lambda: {"rig.yaml": rig_text(replace(rig, pose=pose)), "config.yaml": configuration_text(settings)},
     )
 
 

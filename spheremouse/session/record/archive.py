@@ -34,10 +34,7 @@ class Archive:
     """One recording at a time, and one snapshot. Called by the worker's thread."""
 
     def __init__(
-        self,
-        workers: WorkerPool,
-        call: Callable[[Callable[[], None]], None],
-        log: Callable[[str], None],
+        self, workers: WorkerPool, call: Callable[[Callable[[], None]], None], log: Callable[[str], None]
     ) -> None:
         """`call` has the worker run a call; `log` takes lines for the log. Both may be called from any thread."""
         self._workers, self._call, self._log = workers, call, log

@@ -99,10 +99,7 @@ class Caps:
         angle = self.scene.disc_angle
         grazing = (edge.cosine < _GRAZING * np.sqrt(self._pixel)) & (edge.g > np.cos(angle + reach) - np.cos(angle))
         cut = np.abs(edge.g) <= 0.75 * edge.slope.sum(axis=1)
-        for pixels, fine in (
-            (np.flatnonzero(cut & ~grazing), _FINE),
-            (np.flatnonzero(grazing), _FINER),
-        ):
+        for pixels, fine in ((np.flatnonzero(cut & ~grazing), _FINE), (np.flatnonzero(grazing), _FINER)):
             share[pixels] = self._share(ray[pixels], dray[pixels], toward[pixels], fine)
         keep = share > 0.0
         return Coverage((v * self.scene.camera.width + u)[keep], disc[keep], share[keep])

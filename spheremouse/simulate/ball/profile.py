@@ -76,11 +76,7 @@ def thesis() -> Parabolas:
 
     10 s, back at the start; mean angular acceleration 16.4 deg/s², peak rate 28 deg/s.
     """
-    degrees = (
-        (0.0, 61.0, 0.0),
-        (0.0, -24.0, 10.0, 0.0),
-        (0.0, 46.0, -3.0, 0.0),
-    )
+    degrees = ((0.0, 61.0, 0.0), (0.0, -24.0, 10.0, 0.0), (0.0, 46.0, -3.0, 0.0))
     return Parabolas(
         times=((0.0, 5.4, 10.0), (0.0, 2.8, 6.7, 10.0), (0.0, 3.6, 7.9, 10.0)),
         angles=tuple(tuple(np.radians(row).tolist()) for row in degrees),

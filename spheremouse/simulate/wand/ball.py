@@ -79,11 +79,7 @@ def window(centre: Array, radius: float, camera: InteriorOrientation, margin: fl
 
 
 def paint_ball(
-    ball: WandBall,
-    paints: Array,
-    moments: Sequence[tuple[Array, Array]],
-    camera: InteriorOrientation,
-    light: WandLight,
+    ball: WandBall, paints: Array, moments: Sequence[tuple[Array, Array]], camera: InteriorOrientation, light: WandLight
 ) -> Layer | None:
     """The ball, averaged over poses (centre (3,) m, R_cam_ball (3, 3)) in the exposure; None where it is not in view.
 

@@ -13,13 +13,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from spheremouse.ball.points import SpherePoints, intersect
-from spheremouse.ball.published.euler import (
-    ConstantDiscsFilter,
-    EulerSettings,
-    EulerState,
-    StateDiscsFilter,
-    turned,
-)
+from spheremouse.ball.published.euler import ConstantDiscsFilter, EulerSettings, EulerState, StateDiscsFilter, turned
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import euler_rate_matrix, exp, from_euler, log
 

@@ -18,12 +18,7 @@ from spheremouse.calibrate.rolling.axes import axes_from_gestures, axes_from_rin
 from spheremouse.calibrate.rolling.calibrate import solve
 from spheremouse.calibrate.rolling.footage import until
 from spheremouse.calibrate.rolling.problem import Rolling, Sightings, angular_rates, apply_step, equations_of
-from spheremouse.calibrate.rolling.rig import (
-    place_camera,
-    rescale_targets,
-    target_ball_covariance,
-    with_direction,
-)
+from spheremouse.calibrate.rolling.rig import place_camera, rescale_targets, target_ball_covariance, with_direction
 from spheremouse.calibrate.rolling.start import Spots, start
 from spheremouse.capture import Stream
 from spheremouse.commands.calibrate import app

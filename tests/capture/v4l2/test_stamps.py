@@ -42,11 +42,7 @@ def shutter(exposure, readout, n=40, start=100.0):
 @pytest.mark.parametrize(("exposure", "readout"), [(0.01, 0.0), (0.002, 0.025), (0.02, 0.012)])
 def test_whatever_moment_the_driver_stamps_mid_exposure_of_the_middle_row_comes_out(exposure, readout):
     begin, first, end, middle = shutter(exposure, readout)
-    for moment, raw in (
-        (Moment.EXPOSURE_BEGINS, begin),
-        (Moment.FIRST_PACKET, first),
-        (Moment.END_OF_FRAME, end),
-    ):
+    for moment, raw in ((Moment.EXPOSURE_BEGINS, begin), (Moment.FIRST_PACKET, first), (Moment.END_OF_FRAME, end)):
         timing = Timing(moment, 1 / FPS, exposure, readout)
         stamps, words = run([(r, arrival(e + TRANSFER)) for r, e in zip(raw, end, strict=True)], timing)
         np.testing.assert_allclose(stamps, middle, rtol=0, atol=1e-9)

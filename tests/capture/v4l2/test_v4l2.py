@@ -315,10 +315,7 @@ def test_what_cannot_be_opened_is_refused_in_one_line(spec, words):
 
 @pytest.mark.parametrize(
     ("assignment", "words"),
-    [
-        ("controls=['gain']", 'not "name=value"'),
-        ("exposure_s=0.05", "longer than a frame at 30 per second"),
-    ],
+    [("controls=['gain']", 'not "name=value"'), ("exposure_s=0.05", "longer than a frame at 30 per second")],
 )
 def test_settings_that_cannot_be_are_refused(assignment, words):
     with pytest.raises(ConfigurationError, match=words):

@@ -284,10 +284,7 @@ def test_a_rig_from_rolling_needs_no_photos_of_the_device(cabinet):
 
 @pytest.mark.parametrize(
     ("board", "square", "options"),
-    [
-        ("9x6", 0.03, "--board 9x6 --square 30mm"),
-        ("rubbish", 0.03, "--board 11x8 --square 20mm"),
-    ],
+    [("9x6", 0.03, "--board 9x6 --square 30mm"), ("rubbish", 0.03, "--board 11x8 --square 20mm")],
 )
 def test_another_run_takes_the_board_of_the_first(cabinet, board, square, options):
     photograph(cabinet / "board", 3)

@@ -87,10 +87,7 @@ def test_several_balls_are_told_apart():
     other = replace(LOST, name="other", phase=Status.SEARCHING)
     told = WandMessages(0, "ball")
     assert told.reason == "ball is looked for"
-    assert frame(told, 0.0, (TRACKING, other), COLOUR) == (
-        "tracking: ball is followed",
-        ("other is looked for",),
-    )
+    assert frame(told, 0.0, (TRACKING, other), COLOUR) == ("tracking: ball is followed", ("other is looked for",))
     assert told.found == {0}
     assert (told.why, told.reason) == ("", "ball is followed")
     assert frame(told, 0.1, (LOST, replace(TRACKING, name="other")), COLOUR) == (
