@@ -1,9 +1,10 @@
 """Measure what outputs cost, and whether a bad receiver delays another output.
 
-python -m tests.outputs_cost cost [OUTPUT ...] sends tracked samples to one output after another, first without a pause,
-then 100 a second. The table has the processor time of this process for each sample, less that of the output `null`.
-Receivers are other processes, and not counted. `{port}` in an OUTPUT is a free port, `{folder}` a new folder. An OUTPUT
-with spaces is several outputs of one run, and the table has the time for each of them.
+python -m tests.outputs_cost cost [OUTPUT ...] publishes 100 tracked samples a second to one output after another, each
+with its thread as in a run. The table has the processor time of this process for each sample, less that without an
+output. Receivers are other processes, and not counted. `{port}` in an OUTPUT is a free port, `{folder}` a new folder.
+`watch` is a client of `ctl watch`, and `gamepad` writes its events to the null device. An OUTPUT with spaces is several
+outputs of one run, and the table has the time for each of them.
 
 python -m tests.outputs_cost receivers sends the frames of a camera of 60 Hz to a paced output without a device and to
 `udp`, `tcp` and `ws`, whose receivers misbehave. Each round has a run of each kind of receivers, in a random order,
@@ -12,6 +13,7 @@ paced output, relative to the run with good receivers in the same round. Its int
 """
 
 import argparse
+import os
 import socket
 import subprocess
 import sys
@@ -19,28 +21,46 @@ import tempfile
 import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
+from evdev import _uinput
 from scipy.stats import quantile_test
 
 from spheremouse.output import Output, Report, open_output
+from spheremouse.output.deflection import Response
+from spheremouse.output.gamepad import Gamepad
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.output.reporter import OutputThread
 from spheremouse.output.sample import Sample
+from spheremouse.session.control.server import ControlServer
 from spheremouse.session.process import realtime
+from spheremouse.session.settings import ControlSettings
 from spheremouse.tracker import Status, unknown
 
 FPS, RATE = 60.0, 250.0  # frames/s, paced reports/s
+SAMPLES_PER_S = 100.0  # to measure the cost
 OUTPUTS = (
+    "null",
     "text:{folder}/samples.json",
-    "text:{folder}/counts.txt,format=counts",
     "text:{folder}/fictrac.txt,format=fictrac",
+    "csv:{folder}/table.csv",
+    "parquet:{folder}/table.parquet",
     "udp:{port}",
-    "udp:{port},format=fictrac",
+    "osc:{port}",
     "tcp:{port}",
     "ws:{port}",
+    "lsl:spheremouse",
+    "gamepad",
+    "spacenav:{folder}/spnav.sock",
+    "watch:{folder}/control.sock",
     "text:{folder}/samples.json udp:{port} tcp:{port} ws:{port}",
 )
+GREETINGS = {  # of a receiver
+    "ws": "GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n",
+    "watch": '{"command": "watch", "interval": 60, "samples": true}\n',
+}
 GOOD = "read"
 MODES = {
     "control": "read all, once more",
@@ -51,20 +71,21 @@ MODES = {
 # Reads from a port, as the first words say, until it is killed. `os.fork` starts a receiver in a millisecond.
 RECEIVER = r"""
 import os, signal, socket, sys, time
-kind, port, mode = sys.argv[1], int(sys.argv[2]), sys.argv[3]
-GET = (b"GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-       b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n")
+kind, place, mode, greeting = sys.argv[1:]
+families = {"udp": (socket.AF_INET, socket.SOCK_DGRAM), "watch": (socket.AF_UNIX, socket.SOCK_STREAM)}
+families["osc"], families["spacenav"] = families["udp"], families["watch"]
+family, type_ = families.get(kind, (socket.AF_INET, socket.SOCK_STREAM))
+address = place if family == socket.AF_UNIX else ("127.0.0.1", int(place))
 def receive():
-    s = socket.socket(type=socket.SOCK_DGRAM if kind == "udp" else socket.SOCK_STREAM)
+    s = socket.socket(family, type_)
     if mode == "slow":
         s.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    if kind == "udp":
-        s.bind(("127.0.0.1", port))
+    if type_ == socket.SOCK_DGRAM:
+        s.bind(address)
     else:
-        while s.connect_ex(("127.0.0.1", port)):
-            s.close(); time.sleep(0.02); s = socket.socket()
-        if kind == "ws":
-            s.sendall(GET)
+        while s.connect_ex(address):
+            s.close(); time.sleep(0.02); s = socket.socket(family)
+        s.sendall(greeting.encode())
     while s.recv(1 if mode == "slow" else 65536):
         if mode == "slow":
             time.sleep(1.0)
@@ -127,10 +148,11 @@ def free_port():
 def receiver(spec, mode=GOOD, wait=0.5):
     """Run the receiver of an output in another process, if it needs one."""
     kind, _, rest = spec.partition(":")
-    if kind not in ("udp", "tcp", "ws"):
+    if kind not in ("udp", "osc", "tcp", "ws", "spacenav", "watch"):
         yield
         return
-    with subprocess.Popen([sys.executable, "-c", RECEIVER, kind, rest.split(",")[0], mode]) as process:
+    arguments = [kind, rest.split(",")[0], mode, GREETINGS.get(kind, "")]
+    with subprocess.Popen([sys.executable, "-c", RECEIVER, *arguments]) as process:
         time.sleep(wait)
         try:
             yield
@@ -138,38 +160,62 @@ def receiver(spec, mode=GOOD, wait=0.5):
             process.terminate()
 
 
-def seconds_per_sample(specs, count, pause):
-    """Return the processor time of this process, s a sample and output, with a pause, s, before each sample."""
-    made = reports(count, FPS)
+class NullDevice:
+    """Writes each event of a gamepad to the null device, by one system call as to /dev/uinput."""
+
+    def __init__(self):
+        self._file = os.open(os.devnull, os.O_WRONLY)
+
+    def write(self, kind, code, value):
+        _uinput.write(self._file, kind, code, value)
+
+    def syn(self):
+        self.write(0, 0, 0)
+
+    def close(self):
+        os.close(self._file)
+
+
+@contextmanager
+def subscriber(spec):
+    """Yield the function that publishes a report to an output's thread, or to the control socket."""
+    kind, _, rest = spec.partition(":")
+    if kind == "watch":
+        with ControlServer(Path(rest), ControlSettings(), lambda pending: pending.answer({})) as server:
+            yield lambda report, taken: server.submit(report, taken, True)
+        return
+    open_it = (lambda: Gamepad(NullDevice(), Response())) if kind == "gamepad" else (lambda: open_output(spec))
+    thread = OutputThread(open_it, PointerSettings(), print)
+    yield thread.submit
+    thread.close()
+
+
+def seconds_per_sample(specs, count):
+    """Return the processor time of this process, s a sample."""
     with ExitStack() as stack:
-        outputs = [stack.enter_context(open_output(spec)) for spec in specs]
+        publish = [stack.enter_context(subscriber(spec)) for spec in specs]
         for spec in specs:
             stack.enter_context(receiver(spec))
-        for report in made[:5]:  # compiles, and connects
-            for output in outputs:
-                output.send(report)
-        made = reports(count, FPS)  # not encoded yet
-        start, processor = time.monotonic(), time.process_time()
-        for k, report in enumerate(made):
-            time.sleep(max(0.0, start + k * pause - time.monotonic()))
-            for output in outputs:
-                output.send(report)
-        return (time.process_time() - processor) / count / len(specs)
+        warm_up, measured = reports(200, FPS), reports(count, FPS)
+        for made in (warm_up, measured):
+            start, processor = time.monotonic(), time.process_time()
+            for k, report in enumerate(made):
+                taken = start + k / SAMPLES_PER_S
+                time.sleep(max(0.0, taken - time.monotonic()))
+                for submit in publish:
+                    submit(report, taken)
+        return (time.process_time() - processor) / count
 
 
 def cost(specs, count):
     """Print the cost of each output."""
-    print("| output | one after another | 100 samples/s |\n| --- | --- | --- |")
+    print("| output | a sample |\n| --- | --- |")
     for spec in specs:
-        cells = []
-        for pause in (0.0, 0.01):
-            with tempfile.TemporaryDirectory() as folder:
-                idle = seconds_per_sample(["null"], count, pause)
-                several = [one.format(port=free_port(), folder=folder) for one in spec.split()]
-                spent = seconds_per_sample(several, count, pause)
-            cells.append(f"{1e3 * (spent - idle / len(several)):.3f} ms")
+        with tempfile.TemporaryDirectory() as folder:
+            several = [one.format(port=free_port(), folder=folder) for one in spec.split()]
+            spent = seconds_per_sample(several, count) - seconds_per_sample([], count)
         name = spec.replace("{port}", "PORT").replace("{folder}/", "")
-        print(f"| `{name}` | {' | '.join(cells)} |", flush=True)
+        print(f"| `{name}` | {1e3 * spent / len(several):.3f} ms |", flush=True)
 
 
 def p99_interval(mode, seconds):

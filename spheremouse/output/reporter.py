@@ -15,9 +15,10 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import floor
+from typing import NamedTuple
 
 import numpy as np
 
@@ -61,8 +62,7 @@ class ReporterStatus:
     latency: Latency | None  # None: no frame was sent yet
 
 
-@dataclass(frozen=True, slots=True)
-class _QueuedReport:
+class _QueuedReport(NamedTuple):
     report: Report
     taken: float  # s, the frame's stamp on the clock
     wanted: bool  # send it; False during a pause
@@ -98,13 +98,14 @@ class OutputThread:
         self._failed: str | None = None
         self._failures = 0
         self._retry_time = clock()  # s, when the thread opens the output
-        self._resampler, self._sent = Resampler(), _NONE  # since the output was opened
+        self._resampler = Resampler()
+        self._frame_sum, self._sent = _NONE, _NONE  # counts of frames, and those sent, since the output was opened
         self._past, self._unsent = _NONE, _NONE
         # The pending call of the output, and the one that a caller saw last with the time (s) of the first sight.
         self._pending_call: _PendingCall | None = None
         self._seen_call: tuple[_PendingCall, float] | None = None
         self._reports = self._frames = self._dropped = 0
-        self._latency = np.zeros(LATENCY_COUNT)
+        self._latency = [0.0] * LATENCY_COUNT
         self._last: _QueuedReport | None = None
         self._grid, self._period = 0.0, 1.0 / settings.rate  # s; reports follow a frame at whole periods
         self._next = np.inf  # s, when the next one is due
@@ -145,7 +146,7 @@ class OutputThread:
         n, latency = min(self._frames, LATENCY_COUNT), None
         if n:
             p50, p99 = np.percentile(self._latency[:n], (50.0, 99.0)).tolist()
-            latency = Latency(p50, p99, float(self._latency[:n].max()))
+            latency = Latency(p50, p99, max(self._latency[:n]))
         dropped = self._dropped + self._overflowed
         return ReporterStatus(failed, self._ended, self._reports, dropped, arrived, unsent, ahead, latency)
 
@@ -169,7 +170,7 @@ class OutputThread:
         if failed is not None:  # counts that have not arrived will not arrive
             return failed, arrived, minus(self._sum, arrived), _NONE
         unsent = plus(plus(self._unsent, self._overflow), delivery.lost)
-        return None, arrived, unsent, minus(minus(sent, self._resampler.truth), delivery.waiting)
+        return None, arrived, unsent, minus(minus(sent, self._frame_sum), delivery.waiting)
 
     @property
     def failed(self) -> str | None:
@@ -182,7 +183,8 @@ class OutputThread:
         took = now - self._seen_call[1]
         if took < HANG_TIMEOUT:
             return self._failed
-        reason = f"the output hangs: {call.what}{call.hint} for {took:.1f} s"
+        hint = f" ({call.hint})" if call.hint else ""
+        reason = f"the output hangs: {call.what}{hint} for {took:.1f} s"
         if not call.hangs:
             call.hangs = True
             self._log(f"{self._name}: {reason}")
@@ -260,16 +262,22 @@ class OutputThread:
 
     def _take(self, queued: _QueuedReport, now: float) -> None:
         """Send a frame's report at once, even an empty one: some outputs use it as a sign of life."""
-        settings, report = self._settings, queued.report
-        rate = None if self._per_frame else report.rate
-        self._resampler = pointer.take(self._resampler, self._sent, report.counts, rate, queued.taken, now, settings)
-        self._last, self._grid, self._period = queued, now, 1.0 / settings.rate
-        self._plan(now)
-        due = pointer.due(self._resampler, now)
-        counts = minus(due, self._sent)
-        if self._send(report._replace(counts=counts), due):
+        report = queued.report
+        self._frame_sum = plus(self._frame_sum, report.counts)
+        due = self._frame_sum if self._per_frame else self._predict(queued, now)
+        if self._send(report._replace(counts=minus(due, self._sent)), due):
             self._latency[self._frames % LATENCY_COUNT] = self._clock() - queued.taken
             self._frames += 1
+
+    def _predict(self, queued: _QueuedReport, now: float) -> Counts:
+        """Start the prediction from a frame, and return the sum of counts that is due."""
+        report, settings = queued.report, self._settings
+        self._resampler = pointer.take(
+            self._resampler, self._sent, report.counts, report.rate, queued.taken, now, settings
+        )
+        self._last, self._grid, self._period = queued, now, 1.0 / settings.rate
+        self._plan(now)
+        return pointer.due(self._resampler, now)
 
     def _carry_on(self, now: float) -> None:
         """Send a report between frames if counts are due."""
@@ -294,8 +302,7 @@ class OutputThread:
     def _send(self, report: Report, due: Counts) -> bool:
         assert self._output is not None
         try:
-            with self._pending(_SENDS) as call:
-                self._output.send(report)
+            hung = self._call(_SENDS, self._output.send, report)
         except OutputClosed as e:
             self._ended = True
             self._fail("the reader of the output is gone", e)
@@ -307,21 +314,23 @@ class OutputThread:
         if report.counts != _NONE:
             self._reports += 1
             self._failures = 0  # reset by a report, not by opening: an output may open and never send
-        if call.hangs:
+        if hung:
             self._log(f"{self._name}: works again")
             self._reset()  # the counts of that time would make the pointer jump
         return True
 
     def _open_again(self) -> None:
         try:
-            with self._pending(_OPENS) as call:
-                self._output = self._open().__enter__()
+            hung = self._call(_OPENS, self._enter)
         except Exception as e:
             self._fail(_reason(e), e)
             return
-        if self._failed is not None or call.hangs:
+        if self._failed is not None or hung:
             self._works_again()
         self._next = np.inf
+
+    def _enter(self) -> None:
+        self._output = self._open().__enter__()
 
     def _check_delivery(self) -> None:
         """Log the start and the end of trouble that an open output reports."""
@@ -342,15 +351,14 @@ class OutputThread:
         self._drop_queue()
         self._failed = None
 
-    @contextlib.contextmanager
-    def _pending(self, what: str) -> Iterator["_PendingCall"]:
-        """Mark a call of the output as pending, because it may never return."""
-        hint = "" if self._output is None else self._output.hang_hint
-        self._pending_call = call = _PendingCall(what, f" ({hint})" if hint else "")
+    def _call(self, what: str, function: Callable[..., object], *arguments: object) -> bool:
+        """Call the output, and return True if the call hung. The call is pending, because it may never return."""
+        self._pending_call = call = _PendingCall(what, "" if self._output is None else self._output.hang_hint)
         try:
-            yield call
+            function(*arguments)
         finally:
             self._pending_call = None
+        return call.hangs
 
     def _fail(self, reason: str, error: Exception) -> None:
         """Close the output, log the reason and set the time of the next attempt."""
@@ -365,18 +373,17 @@ class OutputThread:
         self._reset()
         output = self._output
         if output is not None:
-            with contextlib.suppress(Exception), self._pending(_CLOSES):
-                output.__exit__(None if error is None else type(error), error, None)
+            with contextlib.suppress(Exception):
+                self._call(_CLOSES, output.__exit__, None if error is None else type(error), error, None)
             missing = plus(_delivery(output).waiting, _delivery(output).lost)
             self._past, self._unsent = minus(self._past, missing), plus(self._unsent, missing)
             self._output = None
 
     def _reset(self) -> None:
         """Start with a new resampler. Counts that are due become unsent."""
-        if self._resampler.stamp is not None:
-            self._unsent = plus(self._unsent, minus(self._resampler.truth, self._sent))
-            self._past = plus(self._past, self._sent)
-            self._resampler, self._sent = Resampler(), _NONE
+        self._unsent = plus(self._unsent, minus(self._frame_sum, self._sent))
+        self._past = plus(self._past, self._sent)
+        self._resampler, self._frame_sum, self._sent = Resampler(), _NONE, _NONE
         self._next = np.inf
 
     def _drop_queue(self) -> None:
@@ -390,7 +397,7 @@ class _PendingCall:
     """A call of the output that has not returned."""
 
     what: str  # for the message
-    hint: str
+    hint: str  # usual reason; empty if there is none
     hangs: bool = False
 
 
