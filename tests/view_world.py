@@ -5,6 +5,7 @@ As a program: `spheremouse run` with the film, forth and back at 30 Hz, as its v
 
 import math
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -64,6 +65,7 @@ class Service:
         with (folder / "config.yaml").open("a") as file:
             file.write(SETTINGS)
         self.folder, self.socket = folder, folder / "s"
+        shutil.copytree(HERE / "data/far26_clip", folder / "clip")
         self._daemon = start(__file__, folder)
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))

@@ -158,6 +158,7 @@ def report(
             "rate": None if rate is None else mean_nees(rate, P[:, 3:, 3:]),
         },
         "nis": mean_nis(run),
+        "rate_roughness_deg_s": rate_roughness(run),
         "bound_ratio": bound_ratio(attitude, rate, bound),
         "frame_us": frame_times(run.seconds),
         "stages_us": {stage: number(1e6 * np.median(s)) if len(s) else None for stage, s in run.seconds.items()},
@@ -280,6 +281,16 @@ def mean_nis(run: Run) -> float | None:
     k = k[run.nis[k] > 0.0]
     freedom = 2 * sum(len(run.used[i]) for i in k)
     return number(np.sum(run.nis[k]) / freedom) if freedom else None
+
+
+def rate_roughness(run: Run) -> float | None:
+    """Return the RMS second difference of the rate, °/s, over three tracked frames in a row; None without such frames.
+
+    It needs no truth. It is the noise of the rate, if the ball turns smoothly.
+    """
+    last = np.array([k for k in run.steps if k - 1 in run.steps], dtype=np.intp)
+    bends = run.rate[last] - 2.0 * run.rate[last - 1] + run.rate[last - 2]
+    return number(np.rad2deg(np.sqrt(np.mean(np.sum(bends**2, axis=1))))) if len(last) else None
 
 
 def lost_episodes(status: Sequence[Status]) -> int:

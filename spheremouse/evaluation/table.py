@@ -122,6 +122,7 @@ _ROWS: Rows = (
     ("  its standard deviation, °", lambda r: _list(r, "sigma_angle_deg")),
     ("NEES of attitude, rate (3 is right)", lambda r: _each(r["nees"], "attitude", "rate")),
     ("NIS per degree of freedom (1 is right)", lambda r: _shown(r["nis"])),
+    ("rate, RMS second difference, °/s", lambda r: _shown(r["rate_roughness_deg_s"])),
     ("RMSE / bound: attitude, rate", lambda r: _each(r["bound_ratio"], "attitude", "rate")),
     ("time per frame: median, p99, max, µs", lambda r: _each(r["frame_us"], "median", "p99", "max", form=".0f")),
     (

@@ -27,11 +27,23 @@ class BallRun(NamedTuple):
     history: History
     tracker: Tracker[Any]
     found: Pose | None  # of the camera; None if the rig has it
+    frames: int  # that were given, also those before the first that was tracked
 
 
 def numbered_frames(recording: Recording) -> Iterator[Frame]:
     """Yield the frames numbered as the rows of the truth: a live camera also counts the frames that it dropped."""
     return (replace(frame, sequence=i) for i, frame in enumerate(read_frames(recording)))
+
+
+def section(frames: Iterator[Frame], begin: float, end: float) -> Iterator[Frame]:
+    """Yield the frames from `begin` to before `end`, in s after the first one."""
+    zero: float | None = None
+    for frame in frames:
+        zero = frame.stamp if zero is None else zero
+        if frame.stamp - zero >= end:
+            return
+        if frame.stamp - zero >= begin:
+            yield frame
 
 
 def rig_of(recording: Recording, given: Rig | None) -> Rig:
@@ -58,7 +70,8 @@ def run_ball(
     history, tracker = History(), build(rig, start.pose, settings)
     for epoch in track(start.frames, tracker, known):
         history.add(epoch)
-    return BallRun(history, tracker, None if start.resection is None else start.pose)
+    given = start.passed + len(history.epochs)
+    return BallRun(history, tracker, None if start.resection is None else start.pose, given)
 
 
 def ball_reports(run: BallRun, recording: Recording, smooth: bool = False) -> list[dict[str, Any]]:
@@ -74,7 +87,7 @@ def ball_reports(run: BallRun, recording: Recording, smooth: bool = False) -> li
             run.tracker.rig,
             dataset=f"{recording.name}{suffix}",
             tracker=run.tracker.settings.tracker,
-            frames=recording.frames,
+            frames=run.frames,
             found=run.found,
         )
         for suffix, history in histories.items()

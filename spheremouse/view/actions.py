@@ -4,6 +4,7 @@ import asyncio
 import base64
 import io
 import json
+import math
 import os
 import sys
 import tempfile
@@ -20,9 +21,16 @@ from spheremouse.files.edit import put, save_settings
 from spheremouse.files.yaml import SCHEMAS, parse_bytes, parse_value
 from spheremouse.session.control.client import Client, settings_to_save
 from spheremouse.view.daemon import Daemon, Values
+from spheremouse.view.recordings import Recordings
 
-_REQUESTS = ("reinit", "pause", "resume", "reload", "record", "snapshot", "profile")
-_WORDS = {"pause": "Paused.", "resume": "Resumed.", "reload": "Configuration read again.", "undo": "Undone."}
+_REQUESTS = ("reinit", "pause", "resume", "reload", "record", "replay", "snapshot", "profile")
+_WORDS = {
+    "replay": "",
+    "pause": "Paused.",
+    "resume": "Resumed.",
+    "reload": "Configuration read again.",
+    "undo": "Undone.",
+}
 _COMMAND_TIMEOUT = 120.0  # s of another process
 _MAX_IMPORTED = 50  # settings, as many as a request takes
 
@@ -44,8 +52,9 @@ class GuideOptions(NamedTuple):
 class Actions:
     """The actions of one page."""
 
-    def __init__(self, daemon: Daemon, socket: Path | None, guide: GuideOptions) -> None:
-        self._daemon, self._socket, self._guide_options = daemon, socket, guide
+    def __init__(self, daemon: Daemon, guide: GuideOptions) -> None:
+        self._daemon, self._guide_options = daemon, guide
+        self.recordings = Recordings(daemon, self._run)
 
     async def set(self, values: Values, gesture: str) -> Done:
         """Change settings. Raises ControlError with the daemon's reason if it refuses."""
@@ -65,6 +74,15 @@ class Actions:
             return Done(await asyncio.to_thread(self._save))
         if action == "doctor":
             return Done(data=await self._run("doctor", "--json", codes=(0, 1)))
+        if action == "recordings":
+            return Done(data=await self.recordings.listed())
+        if action == "play":
+            return Done(await self.recordings.play(str(arguments.get("name"))))
+        if action == "leave":
+            return Done(await self.recordings.leave())
+        if action == "compare":
+            begin, end = (_seconds(arguments.get(key)) for key in ("begin", "end"))
+            return Done(data=await self.recordings.compare(str(arguments.get("name")), begin or 0.0, end))
         if action == "guide":
             return Done(data=await self._guide())
         if action == "export":
@@ -100,7 +118,7 @@ class Actions:
 
     def _save(self) -> str:
         """Write what was set into the daemon's configuration file, with this process's rights."""
-        with Client(self._socket) as client:
+        with Client(self._daemon.socket) as client:
             file, changes = settings_to_save(client)
         pairs = [change.partition("=") for change in changes]
         values = {tuple(key.strip().split(".")): parse_value(text, key) for key, _, text in pairs}
@@ -114,7 +132,8 @@ class Actions:
 
     async def _run(self, *words: str, codes: tuple[int, ...] = (0,)) -> dict[str, Any]:
         """Return the JSON that a command of ours prints for this daemon. Its memory is freed with its process."""
-        place = {} if self._socket is None else {"SPHEREMOUSE_SOCKET": str(self._socket)}
+        socket = self._daemon.socket
+        place = {} if socket is None else {"SPHEREMOUSE_SOCKET": str(socket)}
         process = await asyncio.create_subprocess_exec(
             sys.executable, "-m", "spheremouse", *words,
             stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
@@ -163,6 +182,12 @@ def _flat(data: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
             yield from _flat(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
+
+
+def _seconds(value: Any) -> float | None:
+    if value is None or (isinstance(value, int | float) and 0.0 <= value < math.inf):
+        return value
+    raise ControlError(f"{printable(str(value))[:50]}: is no time in s")
 
 
 def _message(reply: dict[str, Any], otherwise: str) -> str:

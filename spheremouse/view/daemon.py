@@ -48,7 +48,7 @@ class Daemon:
 
     def __init__(self, socket: Path | None, publish: Callable[[Message], None]) -> None:
         """`publish` takes each message for all browsers, in the event loop."""
-        self._socket, self._publish = socket, publish
+        self.socket, self.publish = socket, publish
         self.status: Message | None = None
         self.reason = "connecting to the daemon"
         self.log: deque[str] = deque(maxlen=_LOG_LINES)
@@ -73,6 +73,13 @@ class Daemon:
         """Close the connection for good."""
         self._closed = True
         self._wanted.set()
+
+    def switch(self, socket: Path | None) -> None:
+        """Connect to another daemon, if it is another one."""
+        if socket != self.socket:
+            self.socket = socket
+            self._undo.clear()
+            self._ended("connecting to the daemon")
 
     def hello(self) -> Message:
         """Return settings, profiles, scene and log for a browser."""
@@ -153,7 +160,7 @@ class Daemon:
         return {key: value for key, value in values.items() if key not in known or known[key] != value}
 
     def _ask(self, command: str, arguments: Message) -> Message:
-        with Client(self._socket) as client:
+        with Client(self.socket) as client:
             return client.ask(command, **arguments)
 
     def _update(self, values: Values) -> None:
@@ -161,28 +168,28 @@ class Daemon:
         for about in self._described.settings:
             about["value"] = values.get(about["key"], about["value"])
         self._read_for = []  # another client may change them back before a status shows this change
-        self._publish(self.values())
+        self.publish(self.values())
 
     # ---- events, in the loop ----
 
     def _begun(self, described: _Description) -> None:
         self._described = described
-        self._publish(self.hello())
-        self._publish(self.values())
+        self.publish(self.hello())
+        self.publish(self.values())
 
     def _ended(self, reason: str) -> None:
         self.status, self.reason = None, reason
-        self._publish(self.state())
+        self.publish(self.state())
 
     def _take(self, event: Message) -> None:
         kind = event.pop("event", None)
         if kind == "log":
             text = str(event.get("text", ""))
             self.log.append(text)
-            self._publish({"type": "log", "lines": [text]})
+            self.publish({"type": "log", "lines": [text]})
         elif kind == "status":
             self.status = event
-            self._publish(self.state())
+            self.publish(self.state())
             if _described_by(event) != self._read_for and (self._refreshing is None or self._refreshing.done()):
                 self._refreshing = self._loop.create_task(self._read_again(_described_by(event)))
 
@@ -194,28 +201,30 @@ class Daemon:
             _, scene, profiles = self._described
             bare = [[_without_value(about) for about in d.settings] for d in (before, self._described)]
             if bare[0] != bare[1] or profiles != before.profiles:
-                self._publish(self.hello())
+                self.publish(self.hello())
             elif scene != before.scene:
-                self._publish({"type": "scene", "scene": scene})
-            self._publish(self.values())
+                self.publish({"type": "scene", "scene": scene})
+            self.publish(self.values())
 
     # ---- the thread ----
 
     def _run(self) -> None:
         while self._wanted.wait() and not self._closed:
+            socket = self.socket
             try:
-                with Client(self._socket) as client:
+                with Client(socket) as client:
                     self._post(self._begun, _describe(client))
                     for event in client.events(STATUS_INTERVAL, samples=True):
-                        if self._closed or not self._wanted.is_set():
+                        if self._closed or not self._wanted.is_set() or socket is not self.socket:
                             break
                         if event.get("event") == "sample":
                             self._store(event["sample"])
                         else:
                             self._post(self._take, event)
             except ControlError as e:
-                self._post(self._ended, str(e))
-                time.sleep(_RETRY)
+                if socket is self.socket:
+                    self._post(self._ended, str(e))
+                    time.sleep(_RETRY)
 
     def _store(self, sample: Message) -> None:
         row = row_of(sample)
@@ -224,7 +233,7 @@ class Daemon:
             self.count += 1
 
     def _read(self) -> _Description:
-        with Client(self._socket) as client:
+        with Client(self.socket) as client:
             return _describe(client)
 
     def _post(self, function: Callable[..., None], *arguments: Any) -> None:

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import math
 import time
+from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -57,8 +58,9 @@ class Pictures:
     All methods are called in the event loop.
     """
 
-    def __init__(self, socket: Path | None) -> None:
-        self._client = Client(socket)
+    def __init__(self, socket: Callable[[], Path | None]) -> None:
+        """`socket` returns the path of the present daemon's."""
+        self._socket = socket
         self._latest: Shown | None = None
         self._arrived = asyncio.Event()
         self._wanted_until = 0.0  # s, monotonic
@@ -84,22 +86,22 @@ class Pictures:
             except ControlError:  # the link to the daemon reports it
                 await asyncio.sleep(_RETRY)
         self._latest = None
-        self._client.close()
 
     async def _read_under_lease(self) -> None:
         reader: PictureReader | None = None
-        number, renew_at = 0, 0.0
-        while (now := time.monotonic()) < self._wanted_until:
-            if reader is None or reader.replaced or now >= renew_at:
-                renewed = await asyncio.to_thread(self._client.pictures, INTERVAL)
-                number = number if renewed is reader else 0
-                reader, renew_at = renewed, now + _RENEW
-            picture = reader.latest(number)
-            if picture is not None:
-                number, self._latest = picture.number, Shown(picture)
-                self._arrived.set()
-                self._arrived = asyncio.Event()
-            await asyncio.sleep(_POLL if picture is None else _REST)
+        number, renew_at, socket, self._latest = 0, 0.0, self._socket(), None
+        with Client(socket) as client:
+            while (now := time.monotonic()) < self._wanted_until and socket is self._socket():
+                if reader is None or reader.replaced or now >= renew_at:
+                    renewed = await asyncio.to_thread(client.pictures, INTERVAL)
+                    number = number if renewed is reader else 0
+                    reader, renew_at = renewed, now + _RENEW
+                picture = reader.latest(number)
+                if picture is not None:
+                    number, self._latest = picture.number, Shown(picture)
+                    self._arrived.set()
+                    self._arrived = asyncio.Event()
+                await asyncio.sleep(_POLL if picture is None else _REST)
 
 
 def mask(image: Image, annotations: dict[str, Any]) -> Image:

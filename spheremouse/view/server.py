@@ -86,8 +86,8 @@ class Page:
         """Call it in the event loop. Without `socket` the daemon is found as `spheremouse ctl` does."""
         self.access = access
         self.daemon = Daemon(socket, self._publish)
-        self.pictures = Pictures(socket)
-        self.actions = Actions(self.daemon, socket, guide)
+        self.pictures = Pictures(lambda: self.daemon.socket)
+        self.actions = Actions(self.daemon, guide)
         self.browsers: set[_Browser] = set()
         self._leaving: asyncio.TimerHandle | None = None
 
@@ -111,6 +111,7 @@ class Page:
 
     def _rest(self) -> None:
         if not self.browsers:
+            self.actions.recordings.end()
             self.daemon.look(False)
 
     def _publish(self, message: dict[str, Any]) -> None:
@@ -249,6 +250,7 @@ def application(socket: Path | None, access: Access, guide: GuideOptions) -> Sta
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         pages.append(Page(socket, access, guide))
         yield
+        pages[0].actions.recordings.end()
         pages[0].daemon.close()
 
     async def file(request: Request) -> Response:

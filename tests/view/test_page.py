@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 from view_world import wait_for
 
-PANELS = ("Tune", "Expert", "Log", "Draw", "Outputs", "Doctor", "Guide")
+PANELS = ("Tune", "Expert", "Log", "Draw", "Recordings", "Outputs", "Doctor", "Guide")
 SIZES = {"desktop": (1280, 800), "phone": (390, 844)}
 
 
@@ -277,6 +277,41 @@ def test_the_log_is_filtered(page, service):
     assert all("scale_z" in text for text in lines.all_inner_texts())
     page.locator("#log-filter").fill("no such line")
     assert lines.count() == 0
+
+
+def test_a_recording_is_replayed_step_by_step_and_two_settings_are_compared(page, service):
+    choose(page, "Recordings")
+    page.locator("#recording").select_option("clip")
+    page.locator("#play").click()
+    page.get_by_text("replay: tracking", exact=True).wait_for(timeout=60000)
+    position = page.locator(".player .help")
+    first = position.inner_text()
+    wait_for("another frame", lambda: position.inner_text() != first)
+    page.locator("#step").click()
+    page.get_by_text("replay: paused", exact=True).wait_for()
+    frame = lambda: int(re.findall(r"\d+", position.inner_text())[0])  # noqa: E731
+    before = wait_for("the position", frame)
+    page.locator("#step").click()
+    wait_for("the next frame", lambda: frame() == before % 50 + 1)
+    page.locator("#replay-end").fill("1")
+    page.locator("#replay-end").press("Enter")
+    page.locator("#hold").click()
+    page.get_by_text("replay: tracking", exact=True).wait_for()
+    choose(page, "Tune")
+    sigma = field(page, "tune", "so3.acceleration_sigma")
+    sigma.fill("100")
+    sigma.press("Enter")
+    page.get_by_text("unsaved", exact=True).first.wait_for()
+    assert value(service, "so3.acceleration_sigma") is None
+    choose(page, "Recordings")
+    page.locator("#compare").click()
+    rows = page.locator("#panel-Recordings tbody tr")
+    rows.first.wait_for(timeout=60000)
+    saved, present = (float(text.split()[0]) for text in rows.first.locator("td").all_inner_texts())
+    assert saved < present
+    page.locator("#leave").click()
+    page.get_by_text("tracking", exact=True).wait_for()
+    wait_for("the setting at the camera", lambda: value(service, "so3.acceleration_sigma") == "100")
 
 
 def test_outputs_are_listed(page):

@@ -3,6 +3,9 @@
 import asyncio
 import base64
 import json
+import os
+import shutil
+import signal
 import socket
 import struct
 import subprocess
@@ -25,7 +28,8 @@ from spheremouse.view.actions import GuideOptions
 from spheremouse.view.server import application, server
 
 TOKEN = "a-token-of-more-than-32-characters"
-PATIENCE = 20.0  # s
+PATIENCE = 40.0  # s
+CLIP = Path(__file__).parents[1] / "data/far26_clip"
 
 
 @pytest.fixture(scope="module")
@@ -232,9 +236,8 @@ def test_a_stranger_sees_a_masked_picture_and_changes_nothing(world, page):
 
 @pytest.mark.slow
 def test_the_guide_works_without_a_rig_and_shows_the_next_step_when_one_is_done(tmp_path):
-    clip = Path(__file__).parents[1] / "data" / "far26_clip"
     with (
-        serving(tmp_path / "s", cabinet=tmp_path / "cabinet", source=f"dataset:{clip}") as port,
+        serving(tmp_path / "s", cabinet=tmp_path / "cabinet", source=f"dataset:{CLIP}") as port,
         Browser(port) as browser,
     ):
         done = browser.ask("do", action="guide")["data"]
@@ -256,6 +259,97 @@ def test_the_guide_gives_the_reason_why_a_camera_shows_nothing(tmp_path):
         assert "/dev/no-camera: no such device" in done["problem"]
         assert done["picture"] is None
         assert done["steps"]
+
+
+@pytest.fixture
+def clip(world):
+    """A recording with truth in the daemon's folder, and one that is none."""
+    folder = Path(world.client.ask("status")["recordings"])
+    folder.mkdir(parents=True)
+    shutil.copytree(CLIP, folder / "clip")
+    (folder / "nonsense").mkdir()
+    (folder / "nonsense/scene.json").write_text("{}")
+    return "clip"
+
+
+def act(browser, action, **arguments):
+    """The answer to an action."""
+    return browser.ask("do", action=action, arguments=arguments)
+
+
+def replayed(browser, name):
+    """The process of a replay, which is begun."""
+    assert act(browser, "play", name=name)["type"] == "done"
+    return browser.until("status", lambda m: m["connected"] and "replay" in m["status"]["source"])["status"]["pid"]
+
+
+def wait_for_end(process):
+    end = time.monotonic() + PATIENCE
+    while Path(f"/proc/{process}").exists():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_recordings_of_the_daemons_folder_are_listed_and_no_other_is_opened(world, page, clip):
+    with Browser(page) as browser:
+        browser.until("status", lambda m: m["connected"])
+        found = {each["name"]: each for each in act(browser, "recordings")["data"]["recordings"]}
+        assert found["clip"]["frames"] == 50
+        assert found["clip"]["seconds"] == pytest.approx(50 / 30)
+        assert found["clip"]["truth"]
+        assert "no description" in found["nonsense"]["problem"]
+        for name in ("nonsense", "..", str(CLIP), f"../{clip}"):
+            for action in ("play", "compare"):
+                assert act(browser, action, name=name)["text"].startswith(f"{name}: ")
+        assert "no time in s" in act(browser, "compare", name=clip, begin="x")["text"]
+
+
+def test_a_replay_takes_the_cameras_place_with_the_changed_settings_and_gives_them_back(world, page, clip):
+    with Browser(page) as browser:
+        browser.until("hello", lambda m: m["settings"])
+        browser.ask("set", values={"motion.scale_x": 2.0}, gesture="g")
+        browser.until("status", lambda m: m["connected"] and m["status"]["changes"])
+        assert act(browser, "play", name=clip)["type"] == "done"
+        status = browser.until("status", lambda m: m["connected"])["status"]
+        assert status["source"]["replay"]["frames"] == 50
+        assert status["changes"] == ["motion.scale_x=2.0"]
+        while not (frame := browser.frame())["jpeg"]:
+            pass
+        assert simplejpeg.decode_jpeg(frame["jpeg"]).shape == (480, 640, 3)
+        assert browser.ask("set", values={"so3.acceleration_sigma": 20.0}, gesture="h")["type"] == "done"
+        assert act(browser, "replay", speed=0.5, step=True)["type"] == "done"
+        browser.until("status", lambda m: m["connected"] and m["status"]["state"] == "paused")
+        assert "replay: speed: " in act(browser, "replay", speed=-1)["text"]
+        assert "scale_x" in world.client.ask("status")["changes"][0]
+        assert act(browser, "leave")["type"] == "done"
+        assert world.client.ask("status")["changes"] == ["motion.scale_x=2.0", "so3.acceleration_sigma=20.0"]
+        live = browser.until("status", lambda m: m["connected"] and m["status"]["pid"] != status["pid"])
+        assert live["status"]["source"]["spec"] == "film:played"
+        wait_for_end(status["pid"])
+
+
+def test_a_replay_ends_with_the_last_browser_and_its_end_is_reported(world, page, clip, monkeypatch):
+    monkeypatch.setattr(server_module, "_LINGER", 0.1)
+    with Browser(page) as browser:
+        browser.until("status", lambda m: m["connected"])
+        os.kill(replayed(browser, clip), signal.SIGKILL)
+        assert "the replay has ended" in browser.until("trouble")["text"]
+        browser.until("status", lambda m: m["connected"] and "replay" not in m["status"]["source"])
+        replay = replayed(browser, clip)
+    wait_for_end(replay)
+
+
+@pytest.mark.slow
+def test_two_settings_are_compared_on_the_same_seconds(world, page, clip):
+    with Browser(page) as browser:
+        browser.until("hello", lambda m: m["settings"])
+        browser.ask("set", values={"so3.acceleration_sigma": 100.0}, gesture="g")
+        browser.until("status", lambda m: m["connected"] and m["status"]["changes"])
+        found = act(browser, "compare", name=clip, begin=0.5, end=1.5)["data"]
+        before, after = found["before"], found["after"]
+        assert before["frames"] == after["frames"] == 30
+        assert before["attitude_rmse_deg"]["combined"] < 0.1
+        assert after["rate_roughness_deg_s"] > 2 * before["rate_roughness_deg_s"]
 
 
 @pytest.mark.parametrize(

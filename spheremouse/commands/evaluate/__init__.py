@@ -31,6 +31,8 @@ class Options:
     balls: list[Path]
     runs: int
     smooth: bool
+    begin: float  # s after the first frame
+    end: float  # s after the first frame
 
 
 def evaluate(
@@ -63,6 +65,8 @@ def evaluate(
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Add the estimates given all frames, also the later ones (so3).")
     ] = False,
+    begin: Annotated[float, typer.Option(metavar="S", min=0.0, help="Begin of the section to track, in s.")] = 0.0,
+    end: Annotated[float, typer.Option(metavar="S", min=0.0, help="End of the section, in s.")] = math.inf,
 ) -> None:
     """Track recordings and compare with their truth."""
     from spheremouse.calibrate.outputs import check_outputs
@@ -81,13 +85,14 @@ def evaluate(
     of_wand = tracker == "wand" or (tracker is None and all(is_wand(path) for path in datasets))
     if of_wand:
         others = {"--detector": detector, "--rig": rig_file, "--map": map_file, "--plot": plot_file}
+        others |= {"--begin": begin or None, "--end": None if end == math.inf else end}
         others |= {"--noise": noise or None, "--brightness": brightness or None, "--smooth": smooth or None}
         for name, value in others.items():
             if value is not None:
                 raise ConfigurationError(f"{name}: does not go with --tracker wand; leave it out")
     options = Options(
         *(datasets, assignments or [], tracker, detector, pose, config_file, rig_file, camera_file, map_file),
-        *(noise, brightness, plot_file, balls or [], runs, smooth),
+        *(noise, brightness, plot_file, balls or [], runs, smooth, begin, end),
     )
     out, err = table_console(stderr=json_file == Path("-")), table_console(stderr=True)
     results, failed = (evaluate_wands if of_wand else evaluate_balls)(options, out, err)

@@ -20,7 +20,7 @@ from spheremouse.files import config
 from spheremouse.files.dataset.ball import Recording, open_dataset
 from spheremouse.files.rig import load_camera, load_rig, with_camera
 from spheremouse.session.ball.map_keeper import open_map
-from spheremouse.session.evaluate import BallRun, ball_reports, numbered_frames, rig_of, run_ball
+from spheremouse.session.evaluate import BallRun, ball_reports, numbered_frames, rig_of, run_ball, section
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.events import degraded
 
@@ -103,7 +103,8 @@ def _run(each: _Track, settings: Settings, options: Options, err: Console) -> Ba
     recording, rig, known = each
     with terminal.progress_bar() as progress:
         task = progress.add_task(recording.name, total=recording.frames)
-        frames = progress.track(numbered_frames(recording), recording.frames, task_id=task)
+        numbered = section(numbered_frames(recording), options.begin, options.end)
+        frames = progress.track(numbered, recording.frames, task_id=task)
         passed_over: list[str] = []  # reasons why the first views gave no pose, if later ones did
         run = run_ball(
             degraded(iter(frames), options.noise, options.brightness), rig, settings, known, passed_over.append

@@ -6,6 +6,7 @@ import { GuidePanel } from "./guide.js";
 import { Link } from "./link.js";
 import { Picture } from "./picture.js";
 import { Plots, readSample } from "./plots.js";
+import { RecordingsPanel } from "./recordings.js";
 import { DoctorPanel, LogPanel, OutputsPanel } from "./reports.js";
 import { Settings } from "./settings.js";
 import { Space } from "./space.js";
@@ -44,6 +45,7 @@ const drawing = new DrawPanel(settings, picture);
 const outputs = new OutputsPanel();
 const doctor = new DoctorPanel(perform);
 const guide = new GuidePanel(perform);
+const recordings = new RecordingsPanel(perform);
 
 /**
  * Carry out an action and show its result. Returns null if it was refused.
@@ -127,7 +129,8 @@ function lost() {
 function showStatus(now, reason, remedy = "Start the service: systemctl start spheremouse. Before the calibration, open Guide.") {
   status = now;
   const known = STATES[now?.state ?? ""];
-  const word = now ? (known?.word ?? now.state ?? "unknown") : "offline";
+  const replay = now?.source?.replay;
+  const word = now ? (replay ? "replay: " : "") + (known?.word ?? now.state ?? "unknown") : "offline";
   const pill = byId("state", HTMLElement);
   setText(pill, word);
   pill.dataset["look"] = now ? (known?.look ?? "wait") : "bad";
@@ -144,6 +147,7 @@ function showStatus(now, reason, remedy = "Start the service: systemctl start sp
   setText(byId("reinit", HTMLElement), now?.balls ? "Search for balls again" : "Estimate camera pose");
   for (const id of ["reinit", "pause", "record", "snapshot"]) byId(id, HTMLButtonElement).disabled = !now || !owner;
   outputs.show(now);
+  recordings.show(now);
   plots.read(now);
 }
 
@@ -164,7 +168,7 @@ byId("snapshot", HTMLElement).addEventListener("click", () => void perform("snap
 /** @type {[name: string, element: HTMLElement, wide: boolean][]} */
 const PANELS = [
   ["Tune", tune.element, false], ["Expert", expert.element, true], ["Log", log.element, true], ["Draw", drawing.element, false],
-  ["Outputs", outputs.element, true], ["Doctor", doctor.element, true], ["Guide", guide.element, true],
+  ["Recordings", recordings.element, true], ["Outputs", outputs.element, true], ["Doctor", doctor.element, true], ["Guide", guide.element, true],
 ];
 
 /** @param {string} chosen */
@@ -178,6 +182,7 @@ function show(chosen) {
     if (is) document.body.classList.toggle("wide", wide);
   }
   drawing.activate(chosen === "Draw");
+  if (chosen === "Recordings" && owner) void recordings.open();
 }
 
 const tabs = PANELS.map(([name], i) => el("button", {

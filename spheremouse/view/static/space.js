@@ -109,7 +109,7 @@ export class Space {
 
   /** @param {Scene | null} scene */
   load(scene) {
-    this.#scene = scene;
+    this.#scene = scene?.camera?.position ? scene : scene && { ...scene, camera: null }; // its pose is not known yet
     this.draw();
   }
 

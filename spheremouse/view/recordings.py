@@ -1,0 +1,143 @@
+"""Recordings on the page: a replay in a process of its own, which takes the daemon's place, and comparisons."""
+
+import asyncio
+import contextlib
+import resource
+import shutil
+import sys
+import tempfile
+from asyncio.subprocess import DEVNULL, Process
+from collections.abc import Awaitable, Callable, Sequence
+from pathlib import Path
+
+from spheremouse.errors import ControlError, printable
+from spheremouse.files.listing import Listed, list_recordings
+from spheremouse.session.control.client import Client, NoDaemonError
+from spheremouse.view.daemon import Daemon, Message
+
+_MAX_BYTES = 1 << 30  # of the replay's memory; it takes 250 MB, and 750 MB if it must compile
+_POLL = 0.1  # s
+_MAX_COMPARED = 60.0  # s of a recording
+
+
+class Recordings:
+    """The recordings in the daemon's folder and in the working folder, and the replay of one of them."""
+
+    def __init__(self, daemon: Daemon, run: Callable[..., Awaitable[Message]]) -> None:
+        """`run` returns the JSON that a command of ours prints."""
+        self._daemon, self._run, self._live = daemon, run, daemon.socket
+        self._process: Process | None = None
+        self._ends: asyncio.Task[str] | None = None
+
+    async def listed(self) -> Message:
+        """Return name, length, kind and problem of each recording, and the folders that were searched."""
+        found = await asyncio.to_thread(self._found)
+        recordings = [each._asdict() | {"path": None, "name": name} for name, each in found.items()]
+        return {"recordings": recordings, "folders": [str(folder) for folder in self._folders()]}
+
+    async def play(self, name: str) -> str:
+        """Replay a recording with the settings that the page shows. Raises ControlError if it cannot be tracked."""
+        recording, status = await self._recording(name), self._daemon.status or {}
+        self.end()
+        folder = Path(tempfile.mkdtemp(prefix="spheremouse-view-"))
+        with (folder / "log").open("wb") as log:
+            process = self._process = await asyncio.create_subprocess_exec(
+                *(("setpriv", "--pdeathsig", "TERM", "--") if shutil.which("setpriv") else ()),
+                *(sys.executable, "-m", "spheremouse", "run", "--replay", "--source", f"dataset:{recording.path}"),
+                *("--output", "null", "--no-map", "--no-table", *_as_configured(recording, status)),
+                *("--set", f"control.socket={folder / 's'}", "--set", "control.group=null"),
+                stdin=DEVNULL, stdout=DEVNULL, stderr=log,
+            )  # fmt: skip
+        self._ends = asyncio.create_task(self._wait(process, folder))
+        try:
+            with contextlib.suppress(ProcessLookupError):  # it has failed already
+                resource.prlimit(process.pid, resource.RLIMIT_DATA, (_MAX_BYTES, _MAX_BYTES))
+            while not await asyncio.to_thread(_is_ready, folder / "s", status.get("changes") or []):
+                if process.returncode is not None:
+                    raise ControlError(f"{name}: {await self._ends}")
+                await asyncio.sleep(_POLL)
+        except BaseException:  # also if the browser has left
+            self.end()
+            raise
+        self._daemon.switch(folder / "s")
+        return f"{name} plays in place of the camera."
+
+    async def leave(self) -> str:
+        """Return to the camera, and take along the settings that were changed for the recording."""
+        changes = (await self._daemon.ask("status"))["changes"]
+        self.end()
+        with contextlib.suppress(NoDaemonError):
+            present = (await self._daemon.ask("status"))["changes"]
+            if new := [change for change in changes if change not in present]:
+                await self._daemon.ask("set", assignments=new)
+        return "The page shows the camera."
+
+    def end(self) -> None:
+        """End the replay, and show the camera."""
+        process, self._process = self._process, None
+        if process is not None and process.returncode is None:
+            process.terminate()
+        self._daemon.switch(self._live)
+
+    async def compare(self, name: str, begin: float = 0.0, end: float | None = None) -> Message:
+        """Return the reports of `evaluate` for the saved and for the present settings, on the same seconds.
+
+        Raises ControlError for a section that is too long.
+        """
+        recording, status = await self._recording(name), self._daemon.status or {}
+        end = min(end or recording.seconds, recording.seconds)
+        if end - begin > _MAX_COMPARED:
+            raise ControlError(f"compare: {end - begin:.0f} s; choose a section of at most {_MAX_COMPARED:g} s")
+        words = ["evaluate", str(recording.path), "--json", "-", *_as_configured(recording, status)]
+        words += [] if recording.wand else ["--begin", str(begin), "--end", str(end)]
+        changes = [word for change in status.get("changes") or [] for word in ("--set", change)]
+        before, after = await asyncio.gather(self._run(*words), self._run(*words, *changes))
+        return {"before": before, "after": after}
+
+    async def _wait(self, process: Process, folder: Path) -> str:
+        """Return the last line of a replay that has ended. If nobody ended it, report the line, and show the camera."""
+        await process.wait()
+        lines = (folder / "log").read_text(errors="replace").split("\n")
+        reason = printable(next(filter(None, reversed(lines)), "the replay has failed").removeprefix("spheremouse: "))
+        shutil.rmtree(folder, ignore_errors=True)
+        if self._process is process:
+            self.end()
+            self._daemon.publish({"type": "trouble", "id": None, "text": f"the replay has ended: {reason}"})
+        return reason
+
+    def _folders(self) -> list[Path]:
+        given = (self._daemon.status or {}).get("recordings")
+        return [*([] if given is None else [Path(given)]), Path.cwd()]
+
+    def _found(self) -> dict[str, Listed]:
+        try:
+            return {each.path.name: each for each in list_recordings(self._folders())}
+        except OSError as e:
+            raise ControlError(f"{e.filename}: cannot be read ({e.strerror})", "add yourself to its group") from None
+
+    async def _recording(self, name: str) -> Listed:
+        """Return the recording of a name in the list. No other path is opened."""
+        found = (await asyncio.to_thread(self._found)).get(name)
+        if found is None or found.problem:
+            raise ControlError(f"{printable(name)}: {found.problem if found else 'there is no such recording'}")
+        return found
+
+
+def _as_configured(recording: Listed, status: Message) -> list[str]:
+    """Return the options of the daemon's configuration file, and of the tracker if the recording needs another one."""
+    config = status.get("config")
+    other = (status.get("tracker") == "wand") != recording.wand
+    kind = ["--tracker", "wand" if recording.wand else "so3"] if other else []
+    return kind if config is None else [*kind, "--config", str(config)]
+
+
+def _is_ready(socket: Path, changes: Sequence[str]) -> bool:
+    """Return True if a replay takes requests, once it has taken over the changes. RefusedError gives its reason."""
+    with contextlib.suppress(NoDaemonError), Client(socket) as client:
+        status = client.ask("status")
+        if status["state"] != "starting":
+            own = [change for change in changes if change.partition("=")[0] not in status["given"]]
+            if own:
+                client.ask("set", assignments=own)
+            return True
+    return False
