@@ -95,7 +95,7 @@ class Recordings:
         return {"before": before, "after": after}
 
     async def _wait(self, process: Process, folder: Path) -> str:
-        """Return the last line of a replay that has ended. If nobody ended it, report the line, and show the camera."""
+        """Return the last line of a replay that has ended. If it ended by itself, report the line."""
         await process.wait()
         lines = (folder / "log").read_text(errors="replace").split("\n")
         reason = printable(next(filter(None, reversed(lines)), "the replay has failed").removeprefix("spheremouse: "))
