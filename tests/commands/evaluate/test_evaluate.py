@@ -294,6 +294,7 @@ KEYS = {
     "pose_error": ["position_mm", "angle_deg", "sigma_position_mm", "sigma_angle_deg"],
     "nees": ["attitude", "rate"],
     "nis": None,
+    "rate_roughness_deg_s": None,
     "bound_ratio": ["attitude", "rate"],
     "frame_us": ["median", "p99", "max"],
     "stages_us": ["detect", "filter"],
@@ -330,6 +331,17 @@ def test_report_has_the_keys_of_the_format_and_known_errors():
     assert result["detection"] == pytest.approx(dict(zip(DETECTION, (1.0, 0.0, off, 1.0, None, off), strict=True)))
     assert result["frame_us"]["median"] == pytest.approx(4000.0)
     assert result["stages_us"] == pytest.approx({"detect": 3000.0, "filter": 1000.0})
+
+
+def test_the_roughness_of_white_noise_in_the_rate_is_known_and_that_of_a_steady_change_is_none():
+    n = 4000
+    truth = Truth(np.arange(n) / 30.0, np.tile(np.eye(3), (n, 1, 1)), np.outer(np.arange(n), [0.1, 0.0, -0.2]))
+    run = perfect_run(truth)
+    assert figures(run, Reference(truth))["rate_roughness_deg_s"] == pytest.approx(0.0, abs=1e-6)
+    noisy = replace(run, rate=run.rate + np.random.default_rng(1).normal(0.0, np.deg2rad(0.5), (n, 3)))
+    # the second difference of white noise has six times its variance, here in three components
+    expected = 0.5 * math.sqrt(3 * 6)
+    assert figures(noisy, Reference(truth))["rate_roughness_deg_s"] == pytest.approx(expected, rel=0.05)
 
 
 def test_a_missing_scale_or_drift_has_its_reason():
