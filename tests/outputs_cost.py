@@ -182,7 +182,7 @@ def subscriber(spec):
     kind, _, rest = spec.partition(":")
     if kind == "watch":
         with ControlServer(Path(rest), ControlSettings(), lambda pending: pending.answer({})) as server:
-            yield lambda report, taken: server.submit(report, taken, True)
+            yield lambda report, taken: server.submit(report)
         return
     open_it = (lambda: Gamepad(NullDevice(), Response())) if kind == "gamepad" else (lambda: open_output(spec))
     thread = OutputThread(open_it, PointerSettings(), print)

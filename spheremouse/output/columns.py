@@ -9,11 +9,9 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
-import numpy as np
-
 from spheremouse.geometry.rotation import Array
 from spheremouse.output import Report
-from spheremouse.output.sample import Sample, StillAxes
+from spheremouse.output.sample import Sample, StillAxes, to_quaternion
 from spheremouse.tracker import Status
 
 
@@ -55,15 +53,15 @@ def rows(report: Report) -> Iterator[list[Any]]:
     """Yield the row of each sample of a report, in the order of `columns`; the pointing ball has the counts."""
     for sample, counts in report.counted:
         held, known = sample.coordinates == "cam", sample.status is Status.TRACKING
-        vectors = [
-            sample.quaternion,
-            sample.rate,
-            sample.increment,
-            sample.attitude_covariance.take(_UPPER),
-            sample.rate_covariance.take(_UPPER),
+        numbers = [
+            *to_quaternion(sample.rotation),
+            *sample.rate.tolist(),
+            *sample.increment.tolist(),
+            *_upper(sample.attitude_covariance),
+            *_upper(sample.rate_covariance),
         ]
         if held:
-            vectors += [sample.position, sample.velocity, sample.position_covariance.take(_UPPER)]
+            numbers += [*sample.position.tolist(), *sample.velocity.tolist(), *_upper(sample.position_covariance)]
         yield [
             float(sample.stamp),
             sample.wall,
@@ -71,7 +69,7 @@ def rows(report: Report) -> Iterator[list[Any]]:
             sample.ball,
             str(sample.status),
             bool(sample.confirmed),
-            *_numbers(np.concatenate(vectors), known),
+            *(v if known and isfinite(v) else None for v in numbers),
             *counts,
             *(() if held else _statistics(sample)),
             sample.latency,
@@ -79,7 +77,6 @@ def rows(report: Report) -> Iterator[list[Any]]:
         ]
 
 
-_UPPER = [0, 1, 2, 4, 5, 8]  # triangle of a flat (3, 3)
 _PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 _STATISTICS = (
     Column("discs_used", float, meaning="discs that corrected the estimate"),
@@ -105,10 +102,10 @@ def _position(frame: str) -> list[Column]:
     ]
 
 
-def _numbers(values: Array, known: bool) -> list[float | None]:
-    if not known:
-        return [None] * len(values)
-    return [v if isfinite(v) else None for v in values.tolist()]
+def _upper(covariance: Array) -> tuple[float, ...]:
+    """Return the upper triangle of a matrix (3, 3), row by row."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = covariance.tolist()
+    return xx, xy, xz, yy, yz, zz
 
 
 def _statistics(sample: Sample) -> list[float | None]:

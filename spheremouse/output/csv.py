@@ -1,13 +1,11 @@
 """`csv:FILE`: write samples as a table of text.
 
-Comment lines give unit, frame and meaning of each column. Each row is written at once, so a program that is killed
-loses none. Every number reads back exactly. Unknown values are empty.
+Comment lines give unit, frame and meaning of each column. Every number reads back exactly. Unknown values are empty.
 """
 
 import contextlib
-import csv
 from collections.abc import Sequence
-from io import RawIOBase, StringIO
+from io import RawIOBase
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,7 @@ from spheremouse.files.safe_files import is_stream, open_to_append
 from spheremouse.finding import Finding
 from spheremouse.output.columns import Column
 from spheremouse.output.log_file import check_file, drop_unfinished_line, lock, probe_file
-from spheremouse.output.table import Table, open_table, table_file
+from spheremouse.output.table import Table, csv_line, open_table, table_file
 
 _START = b"# spheremouse samples"
 
@@ -51,7 +49,7 @@ class CsvWriter:
 
     def write(self, rows: list[list[Any]]) -> None:
         """Write rows. If that fails, the file keeps whole rows."""
-        self._write(_lines(rows))
+        self._write(b"".join(map(csv_line, rows)))
 
     def close(self) -> None:
         """Close the file."""
@@ -76,13 +74,8 @@ def header(columns: Sequence[Column]) -> bytes:
     for column in columns:
         units = ", ".join(filter(None, (column.unit, column.frame)))
         comments.append(f"# {column.name}{f' [{units}]' if units else ''}: {column.meaning}")
-    return "".join(f"{line}\n" for line in comments).encode() + _lines([[column.name for column in columns]])
-
-
-def _lines(rows: list[list[Any]]) -> bytes:
-    text = StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue().encode()
+    comments.append(",".join(column.name for column in columns))
+    return "".join(f"{line}\n" for line in comments).encode()
 
 
 def open(argument: str) -> Table:

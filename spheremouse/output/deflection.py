@@ -2,6 +2,7 @@
 
 import math
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -66,24 +67,30 @@ class Watchdog:
 
     def __init__(self, release: Callable[[], None], timeout: float = RELEASE_TIME) -> None:
         """Call `release` once, `timeout` (s) after the last call of `feed`."""
-        self._release, self._timeout, self._fed, self._over = release, timeout, threading.Event(), False
+        self._release, self._timeout = release, timeout
+        self._armed, self._over, self._fed = threading.Event(), threading.Event(), 0.0  # s, monotonic, the last time
         self._thread = threading.Thread(target=self._run, name="watchdog", daemon=True)
         self._thread.start()
 
     def feed(self) -> None:
         """Start the time again."""
-        self._fed.set()
+        self._fed = time.monotonic()
+        if not self._armed.is_set():  # otherwise the thread, which this would wake, finds the time by itself
+            self._armed.set()
 
     def close(self) -> None:
         """End the thread without a call."""
-        self._over = True
-        self._fed.set()
+        self._over.set()
+        self._armed.set()
         self._thread.join()
 
     def _run(self) -> None:
-        while self._fed.wait() and not self._over:
-            while self._fed.is_set() and not self._over:
-                self._fed.clear()
-                self._fed.wait(self._timeout)
-            if not self._over:
+        while self._armed.wait() and not self._over.wait(self._left()):
+            self._armed.clear()
+            if self._left() > 0.0:
+                self._armed.set()
+            else:
                 self._release()
+
+    def _left(self) -> float:
+        return max(0.0, self._fed + self._timeout - time.monotonic())

@@ -19,6 +19,7 @@ from spheremouse.output.sample import Sample
 from spheremouse.tracker import Status
 
 FRAMES = ("camera", "window")
+_LINE = ", ".join(["FT", "%d", *["%.14g"] * 21, "%d", *["%.14g"] * 2])
 _R_LAB_OBJ = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _R_LAB_CAM = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
@@ -34,7 +35,7 @@ class FicTrac:
         self._window = frame == "window"
         c, s = cos(radians(forward)), sin(radians(forward))
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        self._R_lab = {"obj": turn @ _R_LAB_OBJ, "cam": turn @ _R_LAB_CAM}
+        self._R_lab = {"obj": (turn @ _R_LAB_OBJ).tolist(), "cam": (turn @ _R_LAB_CAM).tolist()}
         self._x = self._y = self._heading = self._forward = self._side = 0.0  # rad
         self._first: int | None = None  # sequence number of the first line since the ball was found
         self._last = 0.0  # s, stamp of the line before
@@ -54,23 +55,21 @@ class FicTrac:
         if self._first is None:  # the way while the ball was lost is unknown
             self._first, self._last = sample.sequence, sample.stamp
             self._x = self._y = self._heading = 0.0
-        R_lab, R_cam = self._R_lab[sample.coordinates], self._camera_axes(sample)
-        attitude, error = log(sample.rotation), sqrt(max(0.0, float(sample.increment_covariance.trace())))
-        lab = (R_lab @ sample.increment).tolist()
+        increment, attitude = sample.increment.tolist(), log(sample.rotation).tolist()
+        (xx, _, _), (_, yy, _), (_, _, zz) = sample.increment_covariance.tolist()
+        R_cam, R_lab = self._camera_axes(sample).tolist(), self._R_lab[sample.coordinates]
+        lab = _rotated(R_lab, increment)
         forward, side = lab[1], -lab[0]
         self._integrate(forward, side, -lab[2])
         capture = sample.stamp if sample.wall is None else sample.wall
-        values = [*(R_cam @ sample.increment).tolist(), error, *lab]
-        values += [*(R_cam @ attitude).tolist(), *(R_lab @ attitude).tolist()]
+        values = [sample.sequence + 1, *_rotated(R_cam, increment), sqrt(max(0.0, xx + yy + zz)), *lab]
+        values += [*_rotated(R_cam, attitude), *_rotated(R_lab, attitude)]
         values += [self._x, self._y, self._heading, atan2(side, forward) % (2 * pi), hypot(forward, side)]
-        values += [self._forward, self._side, 1e3 * capture]
-        times = [
-            1e3 * (sample.stamp - self._last),
-            1e3 * (capture if sample.wall is None else _since_midnight(capture)),
-        ]
+        values += [self._forward, self._side, 1e3 * capture, sample.sequence - self._first + 1]
+        values += [1e3 * (sample.stamp - self._last)]
+        values += [1e3 * (capture if sample.wall is None else _since_midnight(capture))]
         self._last = sample.stamp
-        whole = str(sample.sequence + 1), str(sample.sequence - self._first + 1)
-        return ", ".join(["FT", whole[0], *map(_number, values), whole[1], *map(_number, times)])
+        return _LINE % tuple(values)
 
     def _integrate(self, forward: float, side: float, turn: float) -> None:
         """Add a step (rad) along a circular arc: heading and motion change evenly between two frames."""
@@ -92,6 +91,12 @@ class FicTrac:
         return _window_axes(centre) @ R_cam if self._window else R_cam
 
 
+def _rotated(R: list[list[float]], vector: list[float]) -> list[float]:
+    """Return R v; a product of arrays takes ten times as long if it is not in the processor's cache."""
+    x, y, z = vector
+    return [a * x + b * y + c * z for a, b, c in R]
+
+
 def _window_axes(centre: Array) -> Array:
     """Return the smallest rotation that turns the direction of the ball's centre, (3,) m in cam, to z."""
     axis = np.cross(centre, (0.0, 0.0, 1.0))
@@ -103,7 +108,3 @@ def _since_midnight(wall: float) -> float:
     """Return the seconds since the last midnight of the local time."""
     local = time.localtime(wall)
     return 3600 * local.tm_hour + 60 * local.tm_min + local.tm_sec + wall % 1.0
-
-
-def _number(value: float) -> str:
-    return f"{value:.14g}"

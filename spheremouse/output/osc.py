@@ -4,16 +4,17 @@
 recording. All vectors are in `obj`, and in `cam` for a hand-held ball. docs/outputs.md lists the addresses.
 """
 
+import struct
+from functools import cache
+from math import isfinite, sqrt
 from typing import Any
-
-import numpy as np
 
 from spheremouse.finding import Finding
 from spheremouse.output import Counts, Report
 from spheremouse.output.address import parse_host
 from spheremouse.output.datagram import DatagramOutput, probe_receiver
 from spheremouse.output.extras import import_extra
-from spheremouse.output.sample import Sample
+from spheremouse.output.sample import Sample, to_quaternion
 from spheremouse.tracker import Status
 
 _MAX_COUNT = 2**31 - 1  # an OSC integer is signed and has 32 bits
@@ -27,10 +28,15 @@ def messages(sample: Sample, counts: Counts) -> list[Message]:
     made: list[Message] = [(f"{place}/status", "s", [str(sample.status)]), (f"{place}/counts", "iii", whole)]
     if sample.status is not Status.TRACKING:
         return made
-    values = {"quaternion": sample.quaternion, "rate": sample.rate, "sigma": sample.sigma}
+    variances = sample.attitude_covariance.diagonal().tolist()
+    values = {
+        "quaternion": to_quaternion(sample.rotation),
+        "rate": sample.rate.tolist(),
+        "sigma": [sqrt(max(v, 0.0)) for v in variances],
+    }
     if sample.coordinates == "cam":
-        values["position"] = sample.position
-    return made + [(f"{place}/{name}", "f" * len(v), v.tolist()) for name, v in values.items() if np.isfinite(v).all()]
+        values["position"] = sample.position.tolist()
+    return made + [(f"{place}/{name}", "f" * len(v), v) for name, v in values.items() if all(map(isfinite, v))]
 
 
 class Osc(DatagramOutput):
@@ -47,20 +53,34 @@ class Osc(DatagramOutput):
 
 
 def encode(sample: Sample, counts: Counts) -> bytes:
-    """Return the bundle of a sample. The builders of python-osc parse each message again: four times the work."""
+    """Return the bundle of a sample. Only its numbers are new; the builders of python-osc take ten times as long."""
     from pythonosc.parsing import osc_types
 
-    write = {"s": osc_types.write_string, "i": osc_types.write_int, "f": osc_types.write_float}
     bundle = [b"#bundle\0", osc_types.write_date(osc_types.IMMEDIATELY if sample.wall is None else sample.wall)]
     for address, types, values in messages(sample, counts):
-        parts = [
-            write["s"](address),
-            write["s"]("," + types),
-            *(write[t](v) for t, v in zip(types, values, strict=True)),
-        ]
-        message = b"".join(parts)
-        bundle += [osc_types.write_int(len(message)), message]
+        if types == "s":
+            bundle.append(_text_message(address, values[0]))
+        else:
+            head, numbers = _layout(address, types)
+            bundle += [head, numbers.pack(*values)]
     return b"".join(bundle)
+
+
+@cache
+def _text_message(address: str, text: str) -> bytes:
+    from pythonosc.parsing import osc_types
+
+    message = b"".join(map(osc_types.write_string, (address, ",s", text)))
+    return osc_types.write_int(len(message)) + message
+
+
+@cache
+def _layout(address: str, types: str) -> tuple[bytes, struct.Struct]:
+    """Return size, address and types of a message of numbers, and the form of its numbers."""
+    from pythonosc.parsing import osc_types
+
+    head, numbers = b"".join(map(osc_types.write_string, (address, f",{types}"))), struct.Struct(f">{types}")
+    return osc_types.write_int(len(head) + numbers.size) + head, numbers
 
 
 def open(argument: str) -> Osc:

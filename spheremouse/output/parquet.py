@@ -1,11 +1,10 @@
 """`parquet:FILE`: write samples as an Apache Parquet table. Unit, frame and meaning are metadata of each column.
 
-A Parquet file is unreadable without its end, so rows go to an Arrow stream first, `FILE.part`, once a second. Closing
+A Parquet file is unreadable without its end, so rows go to an Arrow stream first, `FILE.part`. Closing
 the output moves them to FILE. After a run that was killed, the next opening of FILE does.
 """
 
 import contextlib
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,6 @@ from spheremouse.output.parquet_part import arrow, move_part
 from spheremouse.output.table import Table, open_table, table_file
 
 _START = b"PAR1"
-_PERIOD = 1.0  # s between two writes
 
 
 class PartWriter:
@@ -29,8 +27,6 @@ class PartWriter:
         """Move the rows of a part that was left. Raise OSError, ValueError or OutputError if that fails."""
         self._pa = arrow("pyarrow")
         self._path, self._part = path, path.with_name(f"{path.name}.part")
-        self._rows: list[list[Any]] = []
-        self._written = time.monotonic()
         self._stream: Any = None
         self._schema: Any = None
         move_part(self._part, self._path)
@@ -49,28 +45,20 @@ class PartWriter:
         self._stream = pa.ipc.new_stream(self._file, self._schema)
 
     def write(self, rows: list[list[Any]]) -> None:
-        """Keep rows, and write them to the part once a second."""
-        self._rows += rows
-        if time.monotonic() - self._written >= _PERIOD:
-            self._write()
+        """Write rows to the part."""
+        arrays = [self._pa.array(v, f.type) for v, f in zip(zip(*rows, strict=True), self._schema, strict=True)]
+        self._stream.write_batch(self._pa.record_batch(arrays, schema=self._schema))
+        self._file.flush()
 
     def close(self) -> None:
         """Move the rows to the file."""
         try:
             if self._stream is not None:
-                self._write()
                 self._stream.close()
         finally:
             with contextlib.suppress(OSError):
                 self._file.close()
         move_part(self._part, self._path)
-
-    def _write(self) -> None:
-        rows, self._rows, self._written = self._rows, [], time.monotonic()
-        if rows:
-            arrays = [self._pa.array(v, f.type) for v, f in zip(zip(*rows, strict=True), self._schema, strict=True)]
-            self._stream.write_batch(self._pa.record_batch(arrays, schema=self._schema))
-            self._file.flush()
 
 
 def open(argument: str) -> Table:

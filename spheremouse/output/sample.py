@@ -66,7 +66,7 @@ class Sample:
     @property
     def quaternion(self) -> Array:
         """Attitude as a unit quaternion (w, x, y, z), w >= 0."""
-        return np.array(_to_quaternion(self.estimate.rotation))
+        return np.array(to_quaternion(self.estimate.rotation))
 
     @property
     def position(self) -> Array:
@@ -159,7 +159,7 @@ def _to_object(sample: Sample) -> dict[str, Any]:
         "status": str(e.status),
         "confirmed": bool(e.confirmed),
         "events": list(sample.events),
-        "quaternion": _vector(_to_quaternion(e.rotation), tracked),
+        "quaternion": _vector(to_quaternion(e.rotation), tracked),
         "rate": _vector(rate[:3], tracked),
         "increment": _vector(increment[:3], tracked),
         "attitude_covariance": _matrix(e.covariance, 0, tracked),
@@ -239,7 +239,7 @@ def _yaw_pitch_roll(estimate: Estimate) -> list[float] | None:
     return _vector(estimated_axes(estimate).angles.tolist(), True)
 
 
-def _to_quaternion(R: Array) -> list[float]:
+def to_quaternion(R: Array) -> list[float]:
     """Return the unit quaternion w, x, y, z, w >= 0, of a rotation matrix, (3, 3) (Shepperd 1978).
 
     It is not compiled, because the first call in a thread of an output would load the compiled code.

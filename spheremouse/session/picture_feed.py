@@ -12,9 +12,9 @@ from spheremouse.capture import RawFrame
 from spheremouse.errors import ControlError, DamagedFrameError
 from spheremouse.session.control.pictures import LivePicture, PictureRing
 from spheremouse.session.control.protocol import LEASE
-from spheremouse.session.timing import OUTPUTS_FIRST
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 
+_OUTPUTS_FIRST = 1e-3  # s in which the threads of the outputs, which a report wakes, get the interpreter alone
 _ANNOTATION_BYTES = 64 * 1024  # of a picture; 60 discs need 10,000
 
 
@@ -47,7 +47,7 @@ class PictureFeed:
             return
         interval = min(self._leases)
         self._due = max(self._due + interval, now + 0.5 * interval)  # the mean interval, at any rate of the camera
-        time.sleep(OUTPUTS_FIRST)
+        time.sleep(_OUTPUTS_FIRST)
         try:
             image = raw.payload()
             marks = adapter.annotations(made)

@@ -207,17 +207,17 @@ class Daemon:
             arrival.raw.release()
 
     def _publish(self, made: FrameResult, taken: float) -> None:
-        """Pass the result of a frame to all subscribers, the outputs first."""
+        """Pass the result of a frame to all subscribers, the outputs first: their threads wake meanwhile."""
         latency = time.monotonic() - taken
         wall = time.time() - latency
         samples = tuple(replace(sample, wall=wall, latency=latency) for sample in made.samples)
         report = report_of(samples, self.adapter.mapping, made.pointing)
         # if the output works again since the last update of the state, the next frame is the first one for it
         wanted = self._monitor.state is not State.FAILED_OUTPUT
-        for subscriber in (self._outputs, self._endpoints):
-            subscriber.submit(report, taken, wanted)
+        self._outputs.submit(report, taken, wanted)
         self._archive.keep(made, self.adapter, lambda: minus(self._outputs.counts, self.unsent))
         self._show(made, report, self.adapter)
+        self._endpoints.submit(report)
         if self._limit is not None and self._worker.frames >= self._limit:
             self._ending = True
 

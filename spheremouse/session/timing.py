@@ -14,7 +14,6 @@ import numpy as np
 
 from spheremouse.capture.fetch import PATIENCE
 
-OUTPUTS_FIRST = 1e-3  # s in which the threads of the outputs, which a report wakes, get the interpreter alone
 NEXT_FRAME = 0.05  # s from one frame to the next, at 20 frames/s
 _SHORTEST, _LONGEST = 1e-6, 100.0  # s
 _CLASSES_PER_E = 50  # classes are exp(1/50) = 2 % wide

@@ -125,9 +125,11 @@ def test_a_stream_takes_a_table_without_a_description_of_the_run():
         written("/dev/full", frame(1))
 
 
-def test_a_run_that_is_killed_loses_no_row_and_its_description_has_no_end(tmp_path):
-    write_and_be_killed(f"csv:{tmp_path / 'a.csv'}")
-    assert read(tmp_path / "a.csv")["sequence"].tolist() == [*range(1, 101)]
+def test_a_run_that_is_killed_loses_at_most_a_second_and_its_description_has_no_end(tmp_path):
+    write_and_be_killed(f"csv:{tmp_path / 'a.csv'}", pause=1.1)
+    kept = read(tmp_path / "a.csv")["sequence"].tolist()
+    assert len(kept) >= 91  # all before the pause, and the one after it
+    assert kept == [*range(1, len(kept) + 1)]
     (run,) = json.loads((tmp_path / "a.csv.json").read_text())["runs"]
     assert (run["end"], run["source"]) == (None, "a test")
 
@@ -155,4 +157,5 @@ def test_files_that_cannot_be_written(tmp_path):
 def test_the_text_twin_is_the_row(tmp_path):
     with open_output(f"csv:{tmp_path / 'a.csv'}") as output:
         output.send(frame(3))
-        assert output.describe(frame(3)) == (tmp_path / "a.csv").read_text().splitlines()[-1]
+        text = output.describe(frame(3))
+    assert text == (tmp_path / "a.csv").read_text().splitlines()[-1]

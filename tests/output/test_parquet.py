@@ -10,7 +10,7 @@ from reporting import refused
 from tables import frame, full_disk, write_and_be_killed
 
 from spheremouse.errors import OutputError
-from spheremouse.output import open_output, parquet, parquet_part
+from spheremouse.output import open_output, parquet_part, table
 from spheremouse.output.columns import columns, rows
 from spheremouse.tracker import Status
 
@@ -21,7 +21,7 @@ pq = pytest.importorskip("pyarrow.parquet")
 @pytest.fixture
 def each_row(monkeypatch):
     """Write each row to the part at once, and two to a row group."""
-    monkeypatch.setattr(parquet, "_PERIOD", 0.0)
+    monkeypatch.setattr(table, "_PERIOD", 0.0)
     monkeypatch.setattr(parquet_part, "_GROUP_ROWS", 2)
 
 

@@ -41,7 +41,6 @@ from spheremouse.session.control.socket_file import socket_path
 from spheremouse.session.control.status import StatusReport
 from spheremouse.session.process.threads import begin
 from spheremouse.session.settings import ControlSettings, MetricsSettings
-from spheremouse.session.timing import OUTPUTS_FIRST
 
 Handle = Callable[[PendingRequest], None]
 
@@ -111,13 +110,13 @@ class ControlServer:
         if self._clients:
             self._call(self._publish, event)
 
-    def submit(self, report: Report, _taken: float, _wanted: bool) -> None:
+    def submit(self, report: Report) -> None:
         """Send the samples of a frame to the clients that subscribe, from any thread. It never blocks.
 
         A slow client loses its oldest samples and gets their number with the next one.
         """
         if self._subscribers:
-            self._call(self._loop.call_later, OUTPUTS_FIRST, self._send_samples, report)
+            self._call(self._send_samples, report)
 
     def close(self) -> None:
         """Send the replies that come within half a second, and remove the socket."""
@@ -439,10 +438,10 @@ class Endpoints:
                 self._listen(control)
                 self._log("control: `spheremouse ctl` can ask this run now")
 
-    def submit(self, report: Report, taken: float, wanted: bool) -> None:
+    def submit(self, report: Report) -> None:
         """Send the samples of a frame to the clients that subscribe, from any thread."""
         if self._server is not None:
-            self._server.submit(report, taken, wanted)
+            self._server.submit(report)
 
     def publish(self, text: str) -> None:
         """Send a line of the log to the clients that watch, from any thread."""

@@ -71,7 +71,7 @@ def test_the_samples_of_the_client_are_those_of_the_run(path):
         thread = threading.Thread(target=lambda: taken.append(next(samples)))
         thread.start()
         while not taken:
-            server.submit(Report((1, 2, 3), None, 1.5, (sent,)), 0.0, True)
+            server.submit(Report((1, 2, 3), None, 1.5, (sent,)))
             thread.join(0.01)
         thread.join()
     (sample,) = taken

@@ -261,7 +261,7 @@ def test_every_subscriber_gets_all_samples_and_other_watchers_get_none(serve, pa
     assert watcher.read()["event"] == "status"
     reports = [turning(k) for k in range(100)]
     for report in reports:
-        server.submit(report, 0.0, True)
+        server.submit(report)
     expected = [{"event": "sample", "dropped": 0, "sample": json.loads(json_lines(r)[0])} for r in reports]
     for wire in wires:
         assert [wire.read() for _ in reports] == expected
@@ -270,7 +270,7 @@ def test_every_subscriber_gets_all_samples_and_other_watchers_get_none(serve, pa
     assert wires[0].ask('{"command": "watch", "interval": 60}\n')["event"] == "log"
     assert wires[0].read() == {"ok": True}
     assert wires[0].read()["event"] == "status"
-    server.submit(turning(100), 0.0, True)
+    server.submit(turning(100))
     server.publish({"event": "log", "text": "no sample before this"})
     assert wires[0].read() == {"event": "log", "text": "no sample before this"}
 
@@ -282,7 +282,7 @@ def test_a_subscriber_that_stops_reading_loses_its_own_samples_and_gets_their_nu
     deaf, other = subscribed(path), subscribed(path)
     count = 600  # more than the system's buffer of the socket
     for k in range(count):
-        server.submit(turning(k), 0.0, True)
+        server.submit(turning(k))
         event = other.read()
         assert (event["dropped"], event["sample"]["sequence"]) == (0, k)
     events = [deaf.read()]
