@@ -64,3 +64,10 @@ def service_files(name: str = "") -> Path:
         if (path / "firmware").is_dir() and (path / name).is_dir():
             return path / name
     raise ServiceError("the files of the service and the firmware are not here; install spheremouse again")
+
+
+def shipped(path: str) -> str:
+    """Return the text of a file of the repository that the installed package has too, by its path in the repository."""
+    package = Path(spheremouse.__file__).parent
+    beside = package.parent / path
+    return (beside if beside.is_file() else package / "_service" / beside.name).read_text("utf-8")

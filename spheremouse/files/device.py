@@ -14,11 +14,12 @@ from pydantic import Field, create_model
 
 from spheremouse.ball.device import Axes, Device, Distance
 from spheremouse.ball.rig import CODES
+from spheremouse.files.access import shipped
 from spheremouse.files.rig.checks import repeated_targets
 from spheremouse.files.rig.models import Code
 from spheremouse.files.safe_files import read_bytes
 from spheremouse.files.validate import Part, validated
-from spheremouse.files.yaml import MAX_BYTES, SCHEMAS, Document, Problem, read_document, without_schema
+from spheremouse.files.yaml import MAX_BYTES, Document, Problem, read_document, without_schema
 
 UNTOUCHED = "# NOT FILLED IN YET: delete this line when all below is true of your device."
 
@@ -99,7 +100,7 @@ def untouched(path: Path) -> bool:
 
 def device_template() -> str:
     """Return a device file to fill in, with an explanation of each line; it loads as it is."""
-    return _TEMPLATE
+    return shipped("calibration/device.yaml")
 
 
 def _distance(part: Any) -> Distance:
@@ -194,47 +195,3 @@ def _in_metres(values: Sequence[float], limit: float) -> str:
 
 def _listed(values: Sequence[float]) -> str:
     return ", ".join(f"{v:g}" for v in values)
-
-
-_TEMPLATE = f"""\
-{UNTOUCHED}
-# Your measurements of the device. All lengths in metres: 750 mm is 0.750, 12 mm is 0.012.
-# Read by `spheremouse calibrate device PHOTOS... --device device.yaml`.
-schema: {SCHEMAS["device"]}
-
-# The ring targets on the frame: 3 to 6, each with another code. Number and code are printed on the target. The code is
-# its three colours from the inside to the outside: C cyan, M magenta, Y yellow. The id names the target in the rest of
-# this file: its number, or any other of your choice. Targets hang flat, face the camera, and do not move from now on.
-# Far apart is good: near the corners of what the camera sees. Strike out those that you do not use.
-targets:
-  - {{id: 1, code: MCY}}  # here: top left, seen from the camera
-  - {{id: 2, code: CYM}}  # bottom left
-  - {{id: 3, code: YMC}}  # bottom right
-  - {{id: 4, code: CMY}}  # top right
-# - {{id: 5, code: MYC}}
-# - {{id: 6, code: YCM}}
-
-# Radii of the targets: inner disc, middle ring, outer ring, each from the target's centre to where the colour ends.
-# Measure a printed one across, halve it, to 0.5 mm: printers scale.
-target_radii: [0.012, 0.024, 0.036]
-
-# Radius of the discs on the ball, along its surface (half of what a tape laid over a disc reads), to 1 mm.
-disc_radius: 0.020
-
-# Which targets define the axes: Y (up) runs from `origin` to `up`, so take two of which one hangs above the other;
-# X lies in the plane with `plane`, a third target well off that line; Z comes towards the camera. In the end all is
-# counted from the ball's centre, so nothing needs to be measured here.
-axes: {{origin: 2, up: 1, plane: 3}}
-
-# Distances between targets, from centre to centre in a straight line (do not let the tape sag or bend), as many as you
-# like; a pair may be measured twice, and both count. `sigma` is how exactly: one standard deviation, so that two of
-# three measurements are off by less. A steel tape held taut and read to the mm: 0.001; a soft or bent tape: 0.003.
-# One distance gives the scale, four find a wrong one. Centre to centre is easiest from the left edge of one target to
-# the left edge of the other. Without any ([]), all works but metres: mouse counts are per angle instead of per mm.
-distances: []
-# distances:
-#   - {{from: 1, to: 2, metres: 0.750, sigma: 0.001}}
-#   - {{from: 1, to: 4, metres: 0.650, sigma: 0.001}}
-#   - {{from: 2, to: 3, metres: 0.650, sigma: 0.001}}
-#   - {{from: 3, to: 4, metres: 0.749, sigma: 0.001}}
-"""

@@ -9,14 +9,13 @@ import json
 from collections.abc import Callable
 from functools import cache
 from io import BufferedWriter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-import spheremouse
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.access import shipped
 from spheremouse.files.jpeg import encoded
 from spheremouse.geometry import Array
 from spheremouse.geometry.camera import InteriorOrientation
@@ -268,9 +267,7 @@ def _field(field: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]
 
 @cache
 def _sample_schema() -> dict[str, Any]:
-    package = Path(spheremouse.__file__).parent
-    beside = package.parent / "docs" / "sample.schema.json"
-    return json.loads((beside if beside.is_file() else package / "_service" / beside.name).read_text("utf-8"))
+    return json.loads(shipped("docs/sample.schema.json"))
 
 
 # ---- annotations ----

@@ -3,11 +3,10 @@
 Each state has a colour, an outline and a sign, so colour-blind people can see the state too.
 """
 
-import math
 import re
 from dataclasses import dataclass, field
 
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from spheremouse.session.control.status import STATES as DAEMON_STATES
 from spheremouse.session.control.status import StatusReport
@@ -156,10 +155,12 @@ class Notices:
 
 # ---- icons ----
 
+_TICK = "tick"
+
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Appearance of a state: colour (RGB), outline and sign."""
+    """Appearance of a state: colour (RGB), outline, and sign as text or the tick."""
 
     colour: tuple[int, int, int]
     outline: str
@@ -167,98 +168,41 @@ class Look:
 
 
 LOOKS = {
-    "starting": Look((86, 180, 233), "disc", "dots"),
-    "searching-targets": Look((240, 228, 66), "disc", "target"),
-    "tracking": Look((0, 170, 90), "disc", "tick"),
-    "lost": Look((240, 150, 0), "diamond", "question"),
-    "paused": Look((150, 100, 200), "square", "bars"),
-    "no-camera": Look((226, 60, 50), "triangle", "exclamation"),
-    "failed-output": Look((226, 60, 50), "octagon", "cross"),
-    NO_DAEMON: Look((140, 140, 140), "ring", "dash"),
+    "starting": Look((86, 180, 233), "disc", "..."),
+    "searching-targets": Look((240, 228, 66), "disc", "O"),
+    "tracking": Look((0, 170, 90), "disc", _TICK),
+    "lost": Look((240, 150, 0), "diamond", "?"),
+    "paused": Look((150, 100, 200), "square", "II"),
+    "no-camera": Look((226, 60, 50), "triangle", "!"),
+    "failed-output": Look((226, 60, 50), "octagon", "X"),
+    NO_DAEMON: Look((225, 225, 225), "disc", "/"),
 }
-_UNKNOWN = Look((140, 140, 140), "square", "dots")  # a state of a later version
+_UNKNOWN = Look((140, 140, 140), "octagon", "i")  # a state of a later version
+_OUTLINES = {  # sides, angle (°), radius and height of the centre
+    "disc": (72, 0, 0.97, 0.0),
+    "square": (4, 0, 1.27, 0.0),
+    "diamond": (4, 45, 1.0, 0.0),
+    "triangle": (3, 0, 1.25, 0.29),
+    "octagon": (8, 22, 1.0, 0.0),
+}
 
 
 def icon(state: str, size: int = 64) -> Image.Image:
-    """Draw the icon of a state, RGBA, `size` px square."""
-    look = LOOKS.get(state, _UNKNOWN)
-    pen = _Pen(size)
-    pen.outline(look.outline, (*look.colour, 255))
-    for points, width, colour in _SIGNS[look.sign]:
-        pen.stroke(points, width, colour)
-    return pen.picture.resize((size, size), Image.Resampling.LANCZOS)
-
-
-class _Pen:
-    """Draws in units of the icon, which is from -1 to 1; x right, y down."""
-
-    def __init__(self, size: int) -> None:
-        self.half = size * _OVERSAMPLING / 2.0
-        self.picture = Image.new("RGBA", (size * _OVERSAMPLING, size * _OVERSAMPLING), (0, 0, 0, 0))
-        self._draw = ImageDraw.Draw(self.picture)
-
-    def outline(self, name: str, colour: tuple[int, int, int, int]) -> None:
-        if name in ("disc", "ring"):
-            self.disc(0.0, 0.0, 0.97, _INK)
-            self.disc(0.0, 0.0, 0.88, colour)
-            if name == "ring":
-                self.disc(0.0, 0.0, 0.56, _PAPER)
-        else:
-            corners = _CORNERS[name]
-            self.polygon(corners, _INK)
-            self.polygon(_inner(corners, 0.10), colour)
-
-    def disc(self, x: float, y: float, radius: float, colour: tuple[int, ...]) -> None:
-        self._draw.ellipse([*self._at(x - radius, y - radius), *self._at(x + radius, y + radius)], fill=colour)
-
-    def polygon(self, corners: list[tuple[float, float]], colour: tuple[int, ...]) -> None:
-        self._draw.polygon([self._at(x, y) for x, y in corners], fill=colour)
-
-    def stroke(self, points: list[tuple[float, float]], width: float | None, colour: tuple[int, ...]) -> None:
-        """Draw a line with round ends, a disc for one point, or without a width the polygon of the points."""
-        if width is None:
-            self.polygon(points, colour)
-            return
-        self._draw.line([self._at(x, y) for x, y in points], fill=colour, width=round(width * self.half), joint="curve")
-        for x, y in (points[0], points[-1]):
-            self.disc(x, y, width / 2.0, colour)
-
-    def _at(self, x: float, y: float) -> tuple[float, float]:
-        return (1.0 + x) * self.half, (1.0 + y) * self.half
-
-
-def _regular_polygon(n: int, radius: float, first: float) -> list[tuple[float, float]]:
-    turns = [first + 2.0 * math.pi * k / n for k in range(n)]
-    return [(radius * math.cos(a), radius * math.sin(a)) for a in turns]
-
-
-def _inner(corners: list[tuple[float, float]], border: float) -> list[tuple[float, float]]:
-    """Shrink a convex polygon towards its middle, so that its nearest side moves by `border`."""
-    n = len(corners)
-    cx, cy = sum(x for x, _ in corners) / n, sum(y for _, y in corners) / n
-    (ax, ay), (bx, by) = corners[-1], corners[0]
-    distance = abs((bx - ax) * (ay - cy) - (ax - cx) * (by - ay)) / math.hypot(bx - ax, by - ay)
-    k = 1.0 - border / distance
-    return [(cx + k * (x - cx), cy + k * (y - cy)) for x, y in corners]
-
-
-_CORNERS = {
-    "square": [(-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)],
-    "diamond": _regular_polygon(4, 1.0, 0.0),
-    "octagon": _regular_polygon(8, 1.0, math.pi / 8.0),
-    "triangle": [(0.0, -0.97), (1.0, 0.9), (-1.0, 0.9)],
-}
-
-
-_BOW = [(0.26 * math.cos(a), -0.24 + 0.26 * math.sin(a)) for a in (math.pi * (1.0 + k / 12.0) for k in range(18))]
-_BARS = [[(x - 0.17, -0.52), (x + 0.17, -0.52), (x + 0.17, 0.52), (x - 0.17, 0.52)] for x in (-0.32, 0.32)]
-_SIGNS: dict[str, list[tuple[list[tuple[float, float]], float | None, tuple[int, ...]]]] = {  # points, width, colour
-    "dots": [([(x, 0.0)], 0.42, _INK) for x in (-0.52, 0.0, 0.52)],
-    "target": [([(0.0, 0.0)], width, colour) for width, colour in ((1.24, _INK), (0.84, _PAPER), (0.44, _INK))],
-    "tick": [([(-0.45, 0.05), (-0.12, 0.38), (0.48, -0.36)], 0.26, _PAPER)],
-    "question": [([*_BOW, (0.0, 0.05), (0.0, 0.16)], 0.19, _INK), ([(0.0, 0.5)], 0.26, _INK)],
-    "bars": [(bar, None, _PAPER) for bar in _BARS],
-    "exclamation": [([(0.0, -0.24), (0.0, 0.26)], 0.24, _PAPER), ([(0.0, 0.62)], 0.28, _PAPER)],
-    "cross": [([(-0.38, y), (0.38, -y)], 0.26, _PAPER) for y in (-0.38, 0.38)],
-    "dash": [([(-0.28, 0.0), (0.28, 0.0)], 0.24, _INK)],
-}
+    """Draw the icon of a state, RGBA, `size` px square. Lengths are in units of half a side."""
+    look, side = LOOKS.get(state, _UNKNOWN), size * _OVERSAMPLING
+    picture, half = Image.new("RGBA", (side, side)), side / 2.0
+    draw = ImageDraw.Draw(picture)
+    sides, angle, radius, height = _OUTLINES[look.outline]
+    circle = (half, half * (1.0 + height), half * radius)
+    draw.regular_polygon(circle, sides, angle, look.colour, _INK, round(0.1 * half))
+    ink = _INK if sum(look.colour) > 450 else _PAPER
+    if look.sign == _TICK:
+        points = [(half * (1.0 + x), half * (1.0 + y)) for x, y in ((-0.48, 0.05), (-0.12, 0.42), (0.52, -0.38))]
+        draw.line(points, ink, round(0.36 * half), "curve")
+    else:
+        sign, font = Image.new("L", picture.size), ImageFont.load_default(1.5 * half)
+        ImageDraw.Draw(sign).text((half, half), look.sign, 255, font, "mm", stroke_width=round(0.06 * half))
+        sign = sign.crop(sign.getbbox())
+        left, top = (side - sign.width) // 2, round(half * (1.0 + 0.4 * height) - sign.height / 2.0)
+        picture.paste(ink, (left, top), sign)
+    return picture.resize((size, size), Image.Resampling.LANCZOS)
