@@ -44,6 +44,10 @@ JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="W
 RigFile = Annotated[
     Path | None, typer.Option("--rig", metavar="FILE", help="The device as calibrated, in place of the recording's.")
 ]
+Socket = Annotated[
+    Path | None,
+    typer.Option(metavar="PATH", help="The daemon's socket.  [default: $SPHEREMOUSE_SOCKET, else where one answers]"),
+]
 
 # ---- options from the fields of a dataclass ----
 

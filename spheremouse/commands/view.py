@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from spheremouse.commands.options import Socket
 from spheremouse.errors import ControlError
 from spheremouse.view.access import (
     ADDRESS,
@@ -42,12 +43,7 @@ def view(
             help="File with the token of the owner; made if missing.  [default: view.token in the state folder]",
         ),
     ] = None,
-    socket: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="PATH", help="The daemon's socket.  [default: $SPHEREMOUSE_SOCKET, else where one answers]"
-        ),
-    ] = None,
+    socket: Socket = None,
     cabinet: Annotated[
         Path | None,
         typer.Option(metavar="FOLDER", help="Folder of the calibration, for the guide.  [default: cabinet]"),

@@ -13,6 +13,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from spheremouse.commands import terminal
+from spheremouse.commands.options import Socket
 from spheremouse.errors import ControlError, printable
 
 app = typer.Typer(no_args_is_help=True, help="Show the state of the running daemon, and send it requests.")
@@ -26,14 +27,10 @@ _Config = Annotated[
         "--config", metavar="FILE", help="Configuration file to write.  [default: the daemon's, if you or root run it]"
     ),
 ]
-_Socket = Annotated[
-    Path | None,
-    typer.Option(metavar="PATH", help="The daemon's socket.  [default: $SPHEREMOUSE_SOCKET, else where one answers]"),
-]
 
 
 @app.command(epilog="Example: spheremouse ctl status --json")
-def status(as_json: _Json = False, socket: _Socket = None) -> None:
+def status(as_json: _Json = False, socket: Socket = None) -> None:
     """Show the state with its reason, frame rate, latency, discs, pose and output."""
     from spheremouse.session.control.client import Client
 
@@ -50,26 +47,26 @@ def status(as_json: _Json = False, socket: _Socket = None) -> None:
 
 
 @app.command()
-def reinit(as_json: _Json = False, socket: _Socket = None) -> None:
+def reinit(as_json: _Json = False, socket: Socket = None) -> None:
     """Estimate a new camera pose, or search for the balls in a hand again. The pointer does not jump."""
     _report(_ask(socket, "reinit"), as_json, "searched again")
 
 
 @app.command()
-def pause(as_json: _Json = False, socket: _Socket = None) -> None:
+def pause(as_json: _Json = False, socket: Socket = None) -> None:
     """Stop moving the pointer; tracking goes on."""
     _report(_ask(socket, "pause"), as_json, "paused; go on with: spheremouse ctl resume")
 
 
 @app.command()
-def resume(as_json: _Json = False, socket: _Socket = None) -> None:
+def resume(as_json: _Json = False, socket: Socket = None) -> None:
     """Move the pointer again after a pause."""
     reply = _ask(socket, "resume")
     _report(reply, as_json, f"resumed: {reply['state']}" if reply.get("state") else "resumed")
 
 
 @app.command()
-def reload(as_json: _Json = False, socket: _Socket = None) -> None:
+def reload(as_json: _Json = False, socket: Socket = None) -> None:
     """Read the configuration and the rig file again. If one has an error, the daemon keeps its settings."""
     _report(_ask(socket, "reload"), as_json, "reloaded")
 
@@ -80,7 +77,7 @@ def set_(
     keep: Annotated[bool, typer.Option("--save", help="Write these settings into the configuration file too.")] = False,
     config: _Config = None,
     as_json: _Json = False,
-    socket: _Socket = None,
+    socket: Socket = None,
 ) -> None:
     """Change parameters until the next start or reload: all of them or, if one is invalid, none.
 
@@ -100,7 +97,7 @@ def set_(
 
 
 @app.command()
-def settings(as_json: _Json = False, socket: _Socket = None) -> None:
+def settings(as_json: _Json = False, socket: Socket = None) -> None:
     """List the settings that the tracker reads: key, value, default, unit and range; changed values are bold."""
     reply = _ask(socket, "settings")
     if as_json:
@@ -117,7 +114,7 @@ def settings(as_json: _Json = False, socket: _Socket = None) -> None:
 def profile(
     name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Of the configuration's `profiles`.")] = None,
     as_json: _Json = False,
-    socket: _Socket = None,
+    socket: Socket = None,
 ) -> None:
     """Use a profile of the configuration file until the next start or reload; without NAME, list the profiles.
 
@@ -136,7 +133,7 @@ def profile(
 
 
 @app.command()
-def save(config: _Config = None, as_json: _Json = False, socket: _Socket = None) -> None:
+def save(config: _Config = None, as_json: _Json = False, socket: Socket = None) -> None:
     """Write what was set into the daemon's configuration file. Comments stay, and it holds at the next start."""
     file, changes = _file_to_write(socket, config)
     saved = _write(file, changes)
@@ -184,7 +181,7 @@ def record(
     ] = False,
     stop: Annotated[bool, typer.Option("--stop", help="End the recording that runs.")] = False,
     as_json: _Json = False,
-    socket: _Socket = None,
+    socket: Socket = None,
 ) -> None:
     """Record what the camera sees as a dataset that run and evaluate replay."""
     if stop:
@@ -205,7 +202,7 @@ def snapshot(
         bool, typer.Option("--everything", help="Keep the whole picture, with all people in it.")
     ] = False,
     as_json: _Json = False,
-    socket: _Socket = None,
+    socket: Socket = None,
 ) -> None:
     """Write the present picture to a file, with the results; while targets are searched, with the rejected ones."""
     _report(_ask(socket, "snapshot", file=name, everything=everything or None), as_json, "written", "file")
@@ -226,7 +223,7 @@ def replay(
     step: Annotated[bool, typer.Option("--step", help="Pause, and play one more frame.")] = False,
     rewind: Annotated[bool, typer.Option("--rewind", help="Go back to the begin of the section.")] = False,
     as_json: _Json = False,
-    socket: _Socket = None,
+    socket: Socket = None,
 ) -> None:
     """Control a recording that `run --replay` plays. `pause` stops it."""
     given = {"speed": speed, "loop": loop, "begin": begin, "end": end, "step": step or None, "rewind": rewind or None}
@@ -239,7 +236,7 @@ def watch(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the sample of each ball and frame as JSON instead (docs/samples.md).")
     ] = False,
-    socket: _Socket = None,
+    socket: Socket = None,
 ) -> None:
     """Print a line of status every second, and the lines of the daemon's log, until Ctrl-C."""
     if as_json:
@@ -271,7 +268,7 @@ def _print_samples(socket: Path | None) -> None:
 
 
 @app.command()
-def stop(as_json: _Json = False, socket: _Socket = None) -> None:
+def stop(as_json: _Json = False, socket: Socket = None) -> None:
     """End the daemon. Stop a service with systemctl instead."""
     _report(_ask(socket, "stop"), as_json, "the daemon ends")
 

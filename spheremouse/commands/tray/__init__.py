@@ -1,19 +1,15 @@
 """`spheremouse tray`: show the daemon's state as an icon in the desktop's tray."""
 
 import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from spheremouse.commands.options import Socket
+
 
 def tray(
-    socket: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="PATH", help="The daemon's socket.  [default: $SPHEREMOUSE_SOCKET, else the socket that answers]"
-        ),
-    ] = None,
+    socket: Socket = None,
     at_login: Annotated[
         bool,
         typer.Option(
