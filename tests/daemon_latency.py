@@ -102,18 +102,9 @@ def main() -> None:
         folders = given.folder
         if not folders:
             folders = [Path(name) / "simulated-60"]
-            command = [
-                sys.executable,
-                "-m",
-                "spheremouse",
-                "simulate",
-                str(folders[0]),
-                "--fps",
-                "60",
-                "--motion",
-                "play",
-            ]
-            subprocess.run([*command, "--seconds", "20", "--noise", "3"], check=True, stderr=subprocess.DEVNULL)
+            words = f"simulate {folders[0]} --fps 60 --motion play --seconds 20 --noise 3"
+            command = [sys.executable, "-m", "spheremouse", *words.split()]
+            subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
         print(f"| {' | '.join(HEAD)} |\n|{' --- |' * len(HEAD)}")
         for folder in folders:
             cells, status = measure(folder, given.seconds, given.realtime)

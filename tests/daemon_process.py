@@ -1,6 +1,7 @@
-"""`spheremouse run` with a few pictures of a film as its v4l2 camera, for tests that need a process of its own."""
+"""`spheremouse run` with a film as its v4l2 camera, for tests that need a process of its own."""
 
 import codecs
+import itertools
 import os
 import resource
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from spheremouse.capture import Payload
 from spheremouse.files.rig import rig_text
 from spheremouse.tracker import Frame
 
@@ -29,21 +31,40 @@ def prepare(folder, film):
     (folder / "config.yaml").write_text(CONFIG.format(folder=folder))
     (folder / "rig.yaml").write_text(rig_text(film.rig))
     (folder / "video0").touch()
-    np.save(folder / "film.npy", np.array(film.colour[::2]))
+    np.save(folder / "film.npy", np.array(film.colour))
+
+
+class RawFrame:
+    """A frame of the film."""
+
+    def __init__(self, image, stamp, sequence):
+        self._image, self.stamp, self.sequence = image, stamp, sequence
+
+    def frame(self, colour):
+        return Frame(self._image, self.stamp, self.sequence)
+
+    def payload(self):
+        height, width = self._image.shape[:2]
+        return Payload("bgr", width, height, self._image.reshape(-1).data)
+
+    def release(self):
+        return None
 
 
 class Camera:
-    """Gives the pictures back and forth at 100 a second."""
+    """Plays the film back and forth."""
 
-    def __init__(self, pictures):
-        self._pictures, self._sequence = pictures, 0
+    raw = RawFrame
+
+    def __init__(self, images, fps=100.0):
+        self._places, self._images = itertools.cycle([*range(len(images)), *range(len(images) - 2, 0, -1)]), images
+        self._sequence, self._due, self._interval = 0, time.monotonic(), 1.0 / fps
 
     def next(self, timeout):
-        time.sleep(0.01)
+        self._due = max(self._due + self._interval, time.monotonic() - self._interval)
+        time.sleep(max(0.0, self._due - time.monotonic()))
         self._sequence += 1
-        n = len(self._pictures) - 1
-        place = abs((self._sequence // 2) % (2 * n) - n)
-        return RawFrame(Frame(self._pictures[place].copy(), time.monotonic(), self._sequence))
+        return self.raw(self._images[next(self._places)], time.monotonic(), self._sequence)
 
     def describe(self):
         return "a film"
@@ -52,19 +73,6 @@ class Camera:
         return self
 
     def __exit__(self, *_):
-        return None
-
-
-class RawFrame:
-    """One of them."""
-
-    def __init__(self, frame):
-        self._frame, self.stamp, self.sequence = frame, frame.stamp, frame.sequence
-
-    def frame(self, colour):
-        return self._frame
-
-    def release(self):
         return None
 
 

@@ -22,7 +22,6 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from spheremouse.capture import Payload
 from spheremouse.errors import ControlError
 from spheremouse.files.rig import rig_text
 from spheremouse.output import Output
@@ -33,59 +32,16 @@ from spheremouse.session.process import realtime
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.service import Daemon
 from spheremouse.session.setup import Setup
-from spheremouse.tracker import Frame
 from tests.control_latency import wait_for_tracking
+from tests.daemon_process import Camera
 from tests.daemon_world import Film
 
 FPS = 60.0
-PATIENCE = 300.0  # s; the first start compiles
 SETTLE = LEASE + 2.0  # s after each period, in which a lease ends
 CONFIG = 'schema: 2\nsource: "synthetic:"\noutput: "null"\nrig: rig.yaml\nrealtime: auto\ncontrol: {{socket: {}/s}}\n'
 
 
 # ---- the daemon's process ----
-
-
-class Raw:
-    """A frame of the film."""
-
-    def __init__(self, image, stamp, sequence):
-        self._image, self.stamp, self.sequence = image, stamp, sequence
-
-    def frame(self, colour):
-        return Frame(self._image, self.stamp, self.sequence)
-
-    def payload(self):
-        height, width = self._image.shape[:2]
-        return Payload("bgr", width, height, self._image.reshape(-1).data)
-
-    def release(self):
-        return None
-
-
-class Camera:
-    """Plays the film back and forth."""
-
-    raw = Raw
-
-    def __init__(self, images):
-        self._places, self._images = itertools.cycle([*range(len(images)), *range(len(images) - 2, 0, -1)]), images
-        self._sequence, self._due = 0, time.monotonic()
-
-    def next(self, timeout):
-        self._due = max(self._due + 1.0 / FPS, time.monotonic() - 1.0 / FPS)
-        time.sleep(max(0.0, self._due - time.monotonic()))
-        self._sequence += 1
-        return self.raw(self._images[next(self._places)], time.monotonic(), self._sequence)
-
-    def describe(self):
-        return "a film"
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        return None
 
 
 class Sink(Output):
@@ -108,7 +64,7 @@ def serve(folder: Path, camera_type: type[Camera] = Camera) -> None:
     config.write_text(CONFIG.format(folder))
     (folder / "rig.yaml").write_text(rig_text(film.rig))
     outputs.open_output = lambda spec: sink
-    camera, overrides = camera_type(film.colour), CommandLineOverrides(config)
+    camera, overrides = camera_type(film.colour, FPS), CommandLineOverrides(config)
     daemon = Daemon(overrides, read_run_config(overrides), Setup(), lambda plan: lambda: camera, log=print)
     daemon.run(SimpleNamespace(asked=False))
     np.save(folder / "times.npy", np.array(sink.times))

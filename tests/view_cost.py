@@ -28,13 +28,14 @@ from spheremouse.session.control.client import Client
 from spheremouse.view.access import read_token
 from tests.control_latency import wait_for_tracking
 from tests.daemon_latency import processor
-from tests.live_cost import Camera, Raw, serve
+from tests.daemon_process import Camera, RawFrame
+from tests.live_cost import serve
 
 SETTLE = 5.0  # s after a change, in which links and leases begin or end
 QUALITY = 85  # of the camera's MJPEG
 
 
-class JpegRaw(Raw):
+class JpegRaw(RawFrame):
     """A frame that comes as JPEG. It is decoded already, so that the daemon leaves more time to the page."""
 
     def __init__(self, image, stamp, sequence):
@@ -51,8 +52,8 @@ class JpegCamera(Camera):
 
     raw = JpegRaw
 
-    def __init__(self, images):
-        super().__init__([(i, simplejpeg.encode_jpeg(i, quality=QUALITY, colorspace="BGR")) for i in images])
+    def __init__(self, images, fps):
+        super().__init__([(i, simplejpeg.encode_jpeg(i, quality=QUALITY, colorspace="BGR")) for i in images], fps)
 
 
 class Page:

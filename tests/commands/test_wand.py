@@ -75,26 +75,6 @@ def test_a_film_is_made_and_evaluated(run, tmp_path):
     assert "is not empty; name another folder or use --force" in said
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [(("--distance", 4), "--distance: belongs to a hand"), (("--rate", 90), "--rate: belongs to a hand")],
-)
-def test_a_film_that_makes_no_sense_is_refused_in_one_line(run, tmp_path, words, said):
-    code, output = run("wand", "simulate", tmp_path / "film", *words)
-    assert code == 2
-    assert output.startswith(said)
-    assert "\n" not in output
-    assert not (tmp_path / "film").exists()
-
-
-@pytest.mark.parametrize(("option", "choices"), [("--path", ("drive", "hand")), ("--light", ("indoor", "outdoor"))])
-def test_an_unknown_choice_is_refused_with_the_choices(run, tmp_path, option, choices):
-    code, output = run("wand", "simulate", tmp_path / "film", option, "foo")
-    assert code == 2
-    assert all(choice in output for choice in choices)
-    assert not (tmp_path / "film").exists()
-
-
 def test_distance_is_that_of_the_hand(run, tmp_path):
     words = ("--path", "hand", "--seconds", 0.1, "--size", "320x240", "--distance", 2.5)
     assert run("wand", "simulate", tmp_path / "film", *words)[0] == 0

@@ -49,14 +49,3 @@ def test_results_put_together_are_the_metrics_of_the_runs():
     row = wand.rows({"drive-01": result})[0]
     assert row.figures == errors(*wand_experiments.restored(result["variants"]["350, known start"]))
     assert (row.runs, row.lost) == (1, int(result["variants"]["350, known start"][0]["lost"]))
-
-
-def test_the_issue_s_cases_are_all_there(monkeypatch):
-    monkeypatch.undo()  # the films of a run
-    every = {film.name: film for film in wand_experiments.films(quick=False)}
-    compared = (*every["drive"].variants, *every["drive-many"].variants)
-    known = {v.settings.particles for v in compared if v.known and v.settings.method == "peaks"}
-    thesis = {v.settings.particles for v in compared if v.settings.method == "product"}
-    assert known == thesis == {50, 350, 5000, 50_000}
-    assert any(not v.known for v in every["drive"].variants)
-    assert {f.name for f in wand_experiments.films(quick=True)} <= set(every)

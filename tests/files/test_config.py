@@ -311,10 +311,8 @@ def test_no_value_becomes_a_number_by_surprise(problems, text, value):
         ("# only a comment\n", "1: empty;"),
         ("so3: {}\n", "1: schema: missing;"),
         ("schema: 3\n", "1: schema: is 3, of a newer spheremouse; this one reads 2"),
-        (
-            "schema: 1\n",
-            "1: schema: is 1, of an older spheremouse; this one reads 2: copy your values into a file that",
-        ),
+        ("schema: 1\n",
+         "1: schema: is 1, of an older spheremouse; this one reads 2: copy your values into a file that"),
         ("so3: {}\nschema: '1'\n", "2: schema: is '1';"),
         ("schema: true\n", "1: schema: is true;"),
         ("[1]\n", "1: must be `key: value` lines"),
@@ -334,12 +332,10 @@ def test_no_value_becomes_a_number_by_surprise(problems, text, value):
         ('schema: 2\n"a\\nb": 1\n', "2: 'a\\nb': unknown key"),
         ("schema: 2\n" + "k" * 500 + ": 1\n", f"2: {'k' * 57}...: unknown key"),
         ("schema: 2\na: " + "[" * 5000, "2: nested deeper than 20 levels"),
-        (
-            "schema: 2\nball: {}\nso3: {}\ndiscs: 3\ntargets: []\n",
-            "2: ball: is this a configuration? It has no keys ball, discs, targets",
-        ),
+        ("schema: 2\nball: {}\nso3: {}\ndiscs: 3\ntargets: []\n",
+         "2: ball: is this a configuration? It has no keys ball, discs, targets"),
     ],
-)
+)  # fmt: skip
 def test_a_file_that_is_no_configuration_is_refused_with_its_line(problems, text, start):
     (line,) = problems(text)
     assert line.startswith(start)

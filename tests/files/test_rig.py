@@ -214,91 +214,44 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
     ("old", "new", "message"),
     [
         ("fx: 900,", "fx: -900,", "2: camera.fx: must be at least 1, is -900; focal length in px"),
-        (
-            "width: 640, height: 480",
-            "width: 16000, height: 9000",
-            "2: camera: 16000x9000 is more than can be worked on: at most 16384 a side, 67108864 pixels in all",
-        ),
-        (
-            "cx: 320",
-            "cx: 1281",
-            "2: camera.cx: is 1281, far outside an image of 640 px; it is given in px, and lies near 320",
-        ),
+        ("width: 640, height: 480", "width: 16000, height: 9000",
+         "2: camera: 16000x9000 is more than can be worked on: at most 16384 a side, 67108864 pixels in all"),
+        ("cx: 320", "cx: 1281",
+         "2: camera.cx: is 1281, far outside an image of 640 px; it is given in px, and lies near 320"),
         ("    - [4e-6, 0, 0, 0]\n", "", "5: ball.covariance: must be 4 rows of 4 numbers, is 3 rows of 4"),
-        (
-            "[0, 4e-6, 0, 1e-6]",
-            "[0, 4e-6, 0, 1e-7]",
-            "5: ball.covariance: is not symmetric: 1e-07 against 1e-06 in rows 2 and 4; make them equal",
-        ),
-        (
-            "    - [4e-6, 0, 0, 0]\n",
-            "    - [-4e-6, 0, 0, 0]\n",
-            "6: ball.covariance[0]: has the negative variance -4e-06 on its diagonal; variances are squares",
-        ),
-        (
-            "    - [4e-6, 0, 0, 0]\n",
-            "    - [1e9, 0, 0, 0]\n",
-            "6: ball.covariance[0]: has the variance 1e+09, of a standard deviation above 60: that is not known at all",
-        ),
-        (
-            "    - [0, 4e-6, 0, 1e-6]\n    - [0, 0, 4e-6, 0]\n    - [0, 1e-6,",
-            "    - [0, 4e-6, 0, 3e-6]\n    - [0, 0, 4e-6, 0]\n    - [0, 3e-6,",
-            "5: ball.covariance: is not positive semidefinite: some correlation is beyond 1; copy all digits",
-        ),
-        (
-            "disc_radius: 0.02",
-            "disc_radius: 2",
-            "10: disc_radius: is 2 m, not smaller than the ball; both are in metres",
-        ),
-        (
-            "[0.02, 0.04, 0.06]",
-            "[0.02, 0.06, 0.04]",
-            "12: target_radii: are 0.02, 0.06, 0.04; they must grow from inside to outside",
-        ),
-        (
-            "target_radii: [0.02, 0.04, 0.06]\n",
-            "",
-            "1: target_radii: missing; give [inner disc, middle ring, outer ring] in m",
-        ),
+        ("[0, 4e-6, 0, 1e-6]", "[0, 4e-6, 0, 1e-7]",
+         "5: ball.covariance: is not symmetric: 1e-07 against 1e-06 in rows 2 and 4; make them equal"),
+        ("    - [4e-6, 0, 0, 0]\n", "    - [-4e-6, 0, 0, 0]\n",
+         "6: ball.covariance[0]: has the negative variance -4e-06 on its diagonal; variances are squares"),
+        ("    - [4e-6, 0, 0, 0]\n", "    - [1e9, 0, 0, 0]\n",
+         "6: ball.covariance[0]: has the variance 1e+09, of a standard deviation above 60: that is not known at all"),
+        ("    - [0, 4e-6, 0, 1e-6]\n    - [0, 0, 4e-6, 0]\n    - [0, 1e-6,",
+         "    - [0, 4e-6, 0, 3e-6]\n    - [0, 0, 4e-6, 0]\n    - [0, 3e-6,",
+         "5: ball.covariance: is not positive semidefinite: some correlation is beyond 1; copy all digits"),
+        ("disc_radius: 0.02", "disc_radius: 2",
+         "10: disc_radius: is 2 m, not smaller than the ball; both are in metres"),
+        ("[0.02, 0.04, 0.06]", "[0.02, 0.06, 0.04]",
+         "12: target_radii: are 0.02, 0.06, 0.04; they must grow from inside to outside"),
+        ("target_radii: [0.02, 0.04, 0.06]\n", "",
+         "1: target_radii: missing; give [inner disc, middle ring, outer ring] in m"),
         ("code: MYC", "code: CMY", "15: targets[1].code: CMY is on another target already; each code appears once"),
         ("id: 5", "id: 1", "16: targets[2].id: 1 names another target already; give each its own"),
-        (
-            "[0.7, -0.7, 0.1]",
-            "[0.7, 0.7, 0.1]",
-            "16: targets[2].position: another target is in this very place; measure one of them again",
-        ),
-        (
-            "[1, 0, 0, 0]",
-            "[2, 0, 0, 0]",
-            "17: T_obj_cam: its first 3 x 3 are not a rotation (columns of length 1 at right angles); copy all digits",
-        ),
-        (
-            "[1, 0, 0, 0]",
-            "[-1, 0, 0, 0]",
-            "17: T_obj_cam: its first 3 x 3 mirror (determinant -1); all frames here are right-handed",
-        ),
-        (
-            "[0, 0, 0, 1]\ndiscs",
-            "[0, 0, 2.4, 1]\ndiscs",
-            "21: T_obj_cam[3]: must be [0, 0, 0, 1]; is the matrix transposed?",
-        ),
+        ("[0.7, -0.7, 0.1]", "[0.7, 0.7, 0.1]",
+         "16: targets[2].position: another target is in this very place; measure one of them again"),
+        ("[1, 0, 0, 0]", "[2, 0, 0, 0]",
+         "17: T_obj_cam: its first 3 x 3 are not a rotation (columns of length 1 at right angles); copy all digits"),
+        ("[1, 0, 0, 0]", "[-1, 0, 0, 0]",
+         "17: T_obj_cam: its first 3 x 3 mirror (determinant -1); all frames here are right-handed"),
+        ("[0, 0, 0, 1]\ndiscs", "[0, 0, 2.4, 1]\ndiscs",
+         "21: T_obj_cam[3]: must be [0, 0, 0, 1]; is the matrix transposed?"),
         ("2.4]", "0.24]", "17: T_obj_cam: puts the camera inside the ball; is it T_cam_obj, or not in metres?"),
-        (
-            "T_obj_cam:" + ROWS,
-            "pose_covariance: [[1]]\n",
-            "17: pose_covariance: belongs to T_obj_cam, which is missing; give both or none",
-        ),
+        ("T_obj_cam:" + ROWS, "pose_covariance: [[1]]\n",
+         "17: pose_covariance: belongs to T_obj_cam, which is missing; give both or none"),
         ("T_obj_cam:", "targets_covariance: [[0]]\nT_obj_cam:", "17: targets_covariance: must be 9 rows" + NINE),
-        (
-            "T_obj_cam:",
-            f"targets_covariance: {np.diag([1e-6] * 9).tolist()}\nT_obj_cam:",
-            "15: targets[1].covariance: stands in targets_covariance, too; remove one of them",
-        ),
-        (
-            "T_obj_cam:",
-            f"targets_ball_covariance: {[[0] * 4] * 5 + [[0, 0, 0, 1.1e-6]] + [[0] * 4] * 3}\nT_obj_cam:",
-            "17: targets_ball_covariance: " + BEYOND,
-        ),
+        ("T_obj_cam:", f"targets_covariance: {np.diag([1e-6] * 9).tolist()}\nT_obj_cam:",
+         "15: targets[1].covariance: stands in targets_covariance, too; remove one of them"),
+        ("T_obj_cam:", f"targets_ball_covariance: {[[0] * 4] * 5 + [[0, 0, 0, 1.1e-6]] + [[0] * 4] * 3}\nT_obj_cam:",
+         "17: targets_ball_covariance: " + BEYOND),
         (
             "T_obj_cam:",
             f"targets_ball_covariance: {[[0, 0, 0, 1e-9]] + [[0] * 4] * 8}\nT_obj_cam:",  # with what is exact
@@ -312,7 +265,7 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
         ),
         ("[0, 0.8, 0.6]", "[0, 8, 6]", "22: discs[1]: has length 10; give a unit vector"),
     ],
-)
+)  # fmt: skip
 def test_a_wrong_rig_is_refused_with_line_and_advice(tmp_path, old, new, message):
     assert TEXT.count(old) == 1 or old in ("0.01",)
     (tmp_path / "rig.yaml").write_text(TEXT.replace(old, new, 1))

@@ -103,15 +103,6 @@ def test_pause_stops_the_frames_and_a_step_tracks_one(run):
     run.wait(lambda: len(run.results) > tracked + 5)
 
 
-def test_without_loop_it_pauses_at_the_end_of_the_section(run):
-    run.ask("replay", begin=0.5, end=0.7, loop=False)
-    run.wait(lambda: run.status()["state"] == "paused")
-    assert run.status()["source"]["replay"] == {
-        "frame": 20, "frames": 50, "seconds": pytest.approx(20 / 30),
-        "begin": 0.5, "end": 0.7, "speed": 1.0, "loop": False,
-    }  # fmt: skip
-
-
 @pytest.mark.parametrize("wrong", [{"speed": 0.0}, {"begin": -1.0}, {"end": "late"}, {"step": 1}])
 def test_nonsense_is_refused_in_words(run, wrong):
     with pytest.raises(ControlError, match=f"replay: {next(iter(wrong))}: "):

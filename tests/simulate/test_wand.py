@@ -299,6 +299,7 @@ def test_hand_and_card_come_and_go():
         ({"fps": 30.0, "blur": 0.05}, "--blur: 0.05 s is longer than a frame at 30 Hz"),
         ({"hand": 500.0}, "--hand: 500 s is not within the film's"),
         ({"rate": 90.0}, "--rate: belongs to a hand"),
+        ({"distance": 4.0}, "--distance: belongs to a hand"),
         ({"motion": "hand", "distance": 0.1}, "--distance: 0.1 must be at least 0.4"),
         ({"noise": float("nan")}, "--noise: nan must be at least 0"),
     ],

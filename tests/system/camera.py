@@ -265,12 +265,10 @@ def test_while_all_buffers_are_held_the_driver_drops_and_says_so(vivid):
         ("format=MJPG", "has no MJPG; it has YUYV 320x180, 640x360"),
         ("width=321,height=180", "has no 321x180; it has YUYV 320x180"),
         ("width=321,height=180,format=GREY", "has no 321x180 in GREY"),
-        (
-            "width=320,height=180,fps=59",
-            "gives 60 frames per second in place of 59 at 320x180 YUYV; it has 1, 2, .*50, 60",
-        ),
+        ("width=320,height=180,fps=59",
+         "gives 60 frames per second in place of 59 at 320x180 YUYV; it has 1, 2, .*50, 60"),
     ],
-)
+)  # fmt: skip
 def test_what_the_camera_has_not_is_said_with_what_it_has(vivid, ask, words):
     with pytest.raises(SourceError, match=words) as e:
         open_camera(f"{vivid()},{ask}", CameraSettings())
@@ -342,22 +340,16 @@ def test_controls_are_set_by_name_and_restored(vivid):
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (
-            CameraSettings(controls=("brightness=77", "brightness_=3")),
-            "no control brightness_; did you mean brightness",
-        ),
-        (
-            CameraSettings(controls=("brightness=77", "contrast=256")),
-            "contrast: 256 is not possible; the camera takes 0 to 255",
-        ),
-        (
-            CameraSettings(controls=("brightness=77", "menu=x")),
-            r"menu must be 1 \(menu item 1\), .*, is 'x'|menu must be",
-        ),
+        (CameraSettings(controls=("brightness=77", "brightness_=3")),
+         "no control brightness_; did you mean brightness"),
+        (CameraSettings(controls=("brightness=77", "contrast=256")),
+         "contrast: 256 is not possible; the camera takes 0 to 255"),
+        (CameraSettings(controls=("brightness=77", "menu=x")),
+         r"menu must be 1 \(menu item 1\), .*, is 'x'|menu must be"),
         (CameraSettings(controls=("brightness=77",), exposure_s=0.01), "exposure_s: the camera has no such control"),
         (CameraSettings(controls=("brightness=77",), focus=1), "focus: the camera has no such control"),
     ],
-)
+)  # fmt: skip
 def test_controls_that_cannot_be_set_leave_the_others_as_they_were(vivid, settings, words):
     before = controls(vivid(), "brightness")
     with pytest.raises(SourceError, match=words) as e:

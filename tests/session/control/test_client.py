@@ -9,19 +9,15 @@ import sys
 import threading
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from control_world import answer
 
 from spheremouse.errors import ControlError
-from spheremouse.output import Report
-from spheremouse.output.sample import Sample
 from spheremouse.session.control.client import Client, NoDaemonError, RefusedError
 from spheremouse.session.control.pictures import LivePicture, PictureRing
 from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.status import StatusReport
 from spheremouse.session.settings import ControlSettings
-from spheremouse.tracker import Status, unknown
 
 pytestmark = pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="no peer credentials on this system")
 
@@ -61,23 +57,6 @@ def test_the_client_sees_the_daemon_end(path):
         with pytest.raises(NoDaemonError, match="the daemon has ended"):
             for _ in events:
                 pass
-
-
-def test_the_samples_of_the_client_are_those_of_the_run(path):
-    estimate = unknown(1.5, 90, Status.TRACKING)._replace(rate=np.arange(6.0))
-    sent = Sample(estimate, name="ball", events=("ball-lost",), wall=1.7e9, latency=0.01)
-    with ControlServer(path, ControlSettings(), answer) as server, Client(path) as client:
-        samples, taken = client.samples(), []
-        thread = threading.Thread(target=lambda: taken.append(next(samples)))
-        thread.start()
-        while not taken:
-            server.submit(Report((1, 2, 3), None, 1.5, (sent,)))
-            thread.join(0.01)
-        thread.join()
-    (sample,) = taken
-    assert (sample.sequence, sample.stamp, sample.status, sample.events) == (90, 1.5, "tracking", ("ball-lost",))
-    assert (sample.wall, sample.latency, client.dropped) == (1.7e9, 0.01, 0)
-    assert np.array_equal(sample.rate, sent.rate)
 
 
 def test_a_client_gets_the_memory_with_pictures_once_and_again_when_it_was_replaced(path):

@@ -29,7 +29,6 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.wand.events import SecondBall
 from spheremouse.wand.warm import warm_up
 
-DT = 1.0 / 30.0
 CONFIG = """\
 schema: 2
 tracker: wand
@@ -41,7 +40,6 @@ control: {{socket: {folder}/s}}
 record: {{folder: {folder}/recordings, seconds: 20}}
 wand: {{points: 1}}
 """
-PATIENCE = 30.0  # s
 
 
 class WandWorld(World):
@@ -173,26 +171,17 @@ def test_a_lost_ball_moves_nothing_and_nothing_jumps_when_it_is_back(playing):
     near(*playing.turn(9))
 
 
-@pytest.mark.parametrize(
-    ("fault", "reason"),
-    [
-        ("size", "is 320x240, the camera was calibrated at"),
-        ("grey", "the frames are grey"),
-        ("damaged", "nothing but damaged frames"),
-    ],
-)
 @pytest.mark.slow
-def test_frames_that_cannot_be_used_are_told_and_the_camera_is_opened_anew(playing, monkeypatch, fault, reason):
+def test_grey_frames_are_reported_and_the_camera_is_opened_again(playing, monkeypatch):
     monkeypatch.setattr("spheremouse.session.service._USELESS", 0.1)
-    monkeypatch.setattr("spheremouse.session.worker._DAMAGED", 0.05)
-    playing.fault = fault
+    playing.fault = "grey"
     playing.heard("no-camera: ")
-    playing.heard(reason)
+    playing.heard("the frames are grey")
     playing.until(lambda: playing.opened > 1, "opened anew")
     playing.fault = ""
     playing.heard("tracking", times=2)
     near(*playing.turn(10))
-    assert sum(reason in line for line in playing.said) == 1
+    assert sum("the frames are grey" in line for line in playing.said) == 1
 
 
 def test_it_ends_when_the_reader_has_gone_and_after_as_many_frames_as_were_wanted(world, film, tmp_path_factory):
@@ -206,20 +195,6 @@ def test_it_ends_when_the_reader_has_gone_and_after_as_many_frames_as_were_wante
     other.join()
     assert len(other.frames) == 4
     assert other.error is None
-
-
-def test_samples_are_written_beside_the_pointer(world, tmp_path):
-    path = tmp_path / "samples.jsonl"
-    world.start()
-    world.heard("tracking: grzonka is followed")
-    world.config.write_text(world.config.read_text().replace("sink:quiet", f"['sink:quiet', 'text:{path}']"))
-    world.client.ask("reload")
-    world.turn(10)
-    world.asked = True
-    world.join()
-    counts = {e.frame.stamp: list(r.counts) for e, r in world.frames}
-    assert len(rows(path)) > 10
-    assert all(row["counts"] == counts[row["stamp"]] for row in rows(path))
 
 
 # ---- what is asked of it ----
@@ -325,22 +300,6 @@ def test_a_second_output_begins_when_it_is_asked_for_and_goes_on_with_other_ball
     playing.heard("tracking: mine is followed")
     playing.until(lambda: rows(path)[-1]["name"] == "mine", "samples")
     assert len(rows(path)[-1]["position"]) == 3
-
-
-def test_without_another_thread_no_output_is_changed(playing, monkeypatch):
-    path, main = playing.folder / "axes.txt", playing.outputs[0]
-    playing.client.ask("set", assignments=[f"output=['{main}', 'text:{path}']"])
-    playing.until(lambda: len(rows(path)) > 3, "samples")
-
-    def none(_):
-        raise ControlError("refuses a new thread")
-
-    monkeypatch.setattr("spheremouse.session.outputs.begin", none)
-    with pytest.raises(ControlError, match="refuses a new thread"):
-        playing.client.ask("set", assignments=["output=['null']"])
-    n = len(rows(path))
-    playing.until(lambda: len(rows(path)) > n + 5, "samples")
-    near(*playing.turn(20))
 
 
 def test_a_complaint_is_said_with_the_frame_that_finds_the_ball(world, monkeypatch):
