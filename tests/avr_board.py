@@ -16,7 +16,6 @@ Counts = tuple[int, int, int, int]
 
 
 def compiler() -> str:
-    """A C compiler; skips the test that asks where there is none."""
     found = shutil.which(os.environ.get("CC", "cc"))
     if found is None:
         import pytest  # not where this runs without tests
@@ -37,7 +36,6 @@ def library(folder: Path) -> Path:
 
 
 def load(path: Path) -> ctypes.CDLL:
-    """Its functions."""
     found = ctypes.CDLL(str(path))
     found.board_new.restype = ctypes.c_void_p
     found.board_moved.restype = ctypes.c_int64
@@ -49,7 +47,6 @@ def load(path: Path) -> ctypes.CDLL:
 
 @functools.cache
 def build() -> ctypes.CDLL:
-    """Compile once."""
     with tempfile.TemporaryDirectory() as folder:
         return load(library(Path(folder)))  # stays mapped after the file is gone
 
@@ -87,7 +84,6 @@ class Board:
 
     @property
     def reports(self) -> int:
-        """Their number."""
         return self._code.board_reports(self._board)
 
     @property

@@ -24,7 +24,6 @@ def in_view(R, discs=DISCS):
 
 
 def pixels(directions, shift=(0.0, 0.0, 0.0)):
-    """Pixels, (n, 2), of directions, (n, 3) in obj, on a ball shifted by `shift` m."""
     return project(POSE.to_cam(np.asarray(shift) + RIG.ball.radius * directions), CAMERA)[0]
 
 

@@ -35,7 +35,6 @@ def places(n, rng, pattern=PATTERN, camera=CAMERA, tilt=(15.0, 45.0), margin=12.
 
 
 def views(R, t, rng, sigma, pattern=PATTERN, camera=CAMERA):
-    """Corners with normal errors."""
     corners = pattern.corners()
     result = []
     for rotation, translation in zip(R, t, strict=True):
@@ -48,7 +47,6 @@ FINE = 3  # samples a pixel, each way
 
 
 def picture(R, t, pattern=PATTERN, camera=CAMERA, rng=None, noise=0.0, blur=0.6):
-    """Grey image of the board on a grey wall; R None: the wall alone."""
     grey = np.full((FINE * camera.height, FINE * camera.width), 120.0, np.float32)
     if R is not None:
         part = _about(R, t, pattern, camera)

@@ -84,7 +84,6 @@ def datasets_dir() -> Path:
 
 @pytest.fixture
 def far26() -> Path:
-    """The reference recording far26, or a skip."""
     return datasets_dir() / "far26"
 
 

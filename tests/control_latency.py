@@ -24,7 +24,6 @@ MAX_PAUSE = 0.05  # s between two requests, at random, so that they meet every p
 
 @contextlib.contextmanager
 def daemon(folder: Path, source: str) -> Iterator[Path]:
-    """A daemon on a source; the path of its socket."""
     path = folder / "s"
     words = ["run", "--source", source, "--realtime", "--output", "null", "--set", f"control.socket={path}"]
     process = subprocess.Popen([sys.executable, "-m", "spheremouse", *words], stderr=subprocess.DEVNULL)
@@ -63,7 +62,6 @@ def measure(client: Client, name: str, ask: Callable[[int], object], requests: i
 
 
 def main() -> int:
-    """Measure, and print a line for each request."""
     parser = argparse.ArgumentParser(prog="python -m tests.control_latency", description=__doc__)
     parser.add_argument("--socket", type=Path, metavar="PATH", help="of a daemon that tracks")
     parser.add_argument("--source", default="synthetic:motion=play,seconds=3600", metavar="SPEC", help="of its own")

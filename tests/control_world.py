@@ -19,13 +19,10 @@ OTHER = 54321  # a uid that nobody has
 
 
 def answer(pending):
-    """A daemon that tracks."""
     pending.answer({"state": "tracking", "command": pending.request.command})
 
 
 class Wire:
-    """A raw connection."""
-
     def __init__(self, path):
         self.socket = socket.socket(socket.AF_UNIX)
         self.socket.settimeout(GENEROUS)
@@ -40,7 +37,6 @@ class Wire:
         self.socket.sendall(data if isinstance(data, bytes) else data.encode())
 
     def read(self):
-        """The next message."""
         return json.loads(self.lines.readline())
 
     def ask(self, data):
@@ -48,7 +44,6 @@ class Wire:
         return self.read()
 
     def ended(self):
-        """Whether the server hangs up, sooner or later."""
         try:
             return self.lines.readline() == b""
         except ConnectionResetError:

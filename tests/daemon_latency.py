@@ -47,7 +47,6 @@ def memory(pid: int) -> tuple[float, float]:
 
 
 def measure(folder: Path, seconds: float, realtime: str) -> tuple[list[str], dict[str, Any]]:
-    """Cells of a row, and the last status."""
     with tempfile.TemporaryDirectory() as name:
         config = Path(name) / "config.yaml"
         config.write_text(f'schema: 2\nrealtime: "{realtime}"\ncontrol: {{socket: {name}/s}}\n')
@@ -86,12 +85,10 @@ def measure(folder: Path, seconds: float, realtime: str) -> tuple[list[str], dic
 
 
 def pair(ms: dict[str, float]) -> str:
-    """Median and 99 %."""
     return f"{ms['p50']:.2f} / {ms['p99']:.2f} ms"
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="*")
     parser.add_argument("--seconds", type=float, default=60.0, help="of each recording, or to its end")

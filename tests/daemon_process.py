@@ -27,7 +27,6 @@ record: {{folder: {folder}}}
 
 
 def prepare(folder, film):
-    """What `main` needs."""
     (folder / "config.yaml").write_text(CONFIG.format(folder=folder))
     (folder / "rig.yaml").write_text(rig_text(film.rig))
     (folder / "video0").touch()
@@ -35,8 +34,6 @@ def prepare(folder, film):
 
 
 class RawFrame:
-    """A frame of the film."""
-
     def __init__(self, image, stamp, sequence):
         self._image, self.stamp, self.sequence = image, stamp, sequence
 

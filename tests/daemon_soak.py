@@ -166,7 +166,6 @@ class Cabinet(World):
         return _Sink(self)
 
     def tracked_frame(self, made: Any, report: Any, _: Any) -> None:
-        """In the worker's thread."""
         assert self.daemon is not None
         estimate, counts, state = made.epoch.estimate, report.counts, self.daemon._monitor.state
         self.tracked += 1
@@ -205,7 +204,6 @@ class Cabinet(World):
         return self._matrix @ log(R[place] @ R[before].T)
 
     def received(self, report: Any) -> None:
-        """In the reporter's thread."""
         if not any(report.counts):
             return
         self.total += report.counts
@@ -249,8 +247,6 @@ class _Sink(Output):
 
 
 class Somebody(threading.Thread):
-    """Asks for this and that."""
-
     def __init__(self, cabinet: Cabinet, seed: int) -> None:
         super().__init__(name="somebody", daemon=True)
         self._client, self._cabinet = Client(cabinet.socket), cabinet
@@ -355,14 +351,12 @@ def soak(frames: int, seed: int) -> list[str]:
 
 
 def _figure(cabinet: Cabinet) -> tuple[int, float, int, int]:
-    """Frames, MB, threads and files by now."""
     n, memory, threads, files = cabinet.produced, timing.memory_mb(), threading.active_count(), _files()
     print(f"  after {n:8d} frames {memory:6.1f} MB, {threads} threads, {files} files open", flush=True)
     return n, memory, threads, files
 
 
 def _ledger(cabinet: Cabinet, daemon: Any) -> None:
-    """Is everything accounted for?"""
     report: ReporterStatus = daemon._outputs.status()[0][1]
     laws = {
         "sent + unsent - ahead": (
@@ -381,7 +375,6 @@ def _ledger(cabinet: Cabinet, daemon: Any) -> None:
 
 
 def _figures(cabinet: Cabinet, figures: list[tuple[int, float, int, int]]) -> None:
-    """Do memory, threads and files stay?"""
     last = figures[-1]
     first = next((f for f in figures if f[0] > 0.4 * last[0]), last)
     if last[1] - first[1] > (GROWTH if last[0] > LONG else GROWTH_SHORT):
@@ -393,8 +386,6 @@ def _figures(cabinet: Cabinet, figures: list[tuple[int, float, int, int]]) -> No
 
 
 class _Last(list[str]):
-    """The last lines only."""
-
     def append(self, text: str) -> None:
         super().append(text)
         del self[:-50]
@@ -406,7 +397,6 @@ def _files() -> int:
 
 
 def main() -> int:
-    """Run it; 1 if anything was wrong."""
     parser = argparse.ArgumentParser(prog="python -m tests.daemon_soak", description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--short", action="store_true", help="3000 frames, in some 10 s")
     parser.add_argument("--frames", type=int, metavar="N", help="default 100000")

@@ -62,7 +62,6 @@ class Film:
 
     @classmethod
     def render(cls, length: int = 48) -> "Film":
-        """Render it, which takes some seconds."""
         seconds = length * DT
         s = seconds / 5.0
         gestures = (
@@ -79,14 +78,11 @@ class Film:
 
 
 class RawFrame:
-    """A frame of the film, as the camera gave it."""
-
     def __init__(self, world: "World", stamp: float, sequence: int, place: int, fault: str) -> None:
         self.stamp, self.sequence, self.place = stamp, sequence, place
         self._world, self._fault, self._out = world, fault, True
 
     def frame(self, colour: bool) -> Frame:
-        """The picture, or what the fault has left of it."""
         assert self._out, "a raw frame that was given back is looked at"
         if self._fault == "damaged":
             raise DamagedFrameError("half of it is missing")
@@ -98,7 +94,6 @@ class RawFrame:
         return Frame(np.asarray(image, dtype=np.uint8), self.stamp, self.sequence)
 
     def payload(self) -> Payload:
-        """The grey picture, if it is whole; the coloured one if there is no other."""
         assert self._out, "a raw frame that was given back is looked at"
         if self._fault == "damaged":
             raise DamagedFrameError("half of it is missing")
@@ -107,7 +102,6 @@ class RawFrame:
         return Payload(kind, image.shape[1], image.shape[0], image.reshape(-1).data)
 
     def release(self) -> None:
-        """Once, however often it is called."""
         if self._out:
             self._out = False
             self._world.given_back()
@@ -165,7 +159,6 @@ class World:
     # ---- the camera ----
 
     def open_camera(self) -> "World":
-        """The camera, which is this world."""
         if self.missing:
             raise SourceError(self.missing)
         return self
@@ -200,7 +193,6 @@ class World:
         return RawFrame(self, self.stamp, self.sequence, self.place, self.fault)
 
     def image(self, place: int, colour: bool, fault: str) -> NDArray[np.uint8]:
-        """The picture at a place in the film, through a fault."""
         image = (self.film.colour if colour else self.film.grey)[place]
         if fault == "dark":
             return np.zeros_like(image)
@@ -209,7 +201,6 @@ class World:
         return image
 
     def given_back(self) -> None:
-        """Of a raw frame."""
         with self._lock:
             self.out -= 1
             if self.out == 0:
@@ -229,7 +220,6 @@ class World:
     # ---- the output ----
 
     def open_output(self, spec: str) -> Output:
-        """As output.open_output."""
         self.outputs.append(spec)
         if self.broken:
             raise OutputError(self.broken)
@@ -237,7 +227,6 @@ class World:
 
     @property
     def counts(self) -> Array:
-        """(3,) sent so far."""
         return np.sum([m.counts for m in self.sent], axis=0) if self.sent else np.zeros(3)
 
     # ---- the daemon ----
@@ -287,7 +276,6 @@ class World:
         assert not self.socket.exists()
 
     def join(self) -> None:
-        """Wait for its end."""
         assert self._thread is not None
         self._thread.join(PATIENCE)
         assert not self._thread.is_alive(), "the daemon does not end"
@@ -298,7 +286,6 @@ class World:
         return str(self.daemon.status().state)
 
     def until(self, condition: Callable[[], Any], what: str = "") -> None:
-        """Wait until it is so."""
         end = time.monotonic() + PATIENCE
         while not condition():
             if self._thread is not None and not self._thread.is_alive() and self.error is not None:
@@ -307,7 +294,6 @@ class World:
             time.sleep(0.002)
 
     def reach(self, state: str) -> None:
-        """Wait for a state."""
         self.until(lambda: self.state == state, state)
 
     def turn(self, frames: int | None = None) -> None:
@@ -317,7 +303,6 @@ class World:
         self.settle()
 
     def settle(self, frames: int = 2) -> None:
-        """Wait until so many more frames were taken."""
         n = self.produced + frames
         self.until(lambda: self.produced > n, "frames")
 
@@ -387,7 +372,6 @@ def left_over(daemon: Daemon) -> Array:
 
 
 def matrix(rig: Rig) -> Array:
-    """(3, 3) counts per radian, by default."""
     return MotionSettings().matrix(rig.ball.radius)
 
 

@@ -204,7 +204,6 @@ def period(path: Path, pid: int, kind: str, seconds: float) -> tuple[str, float,
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kinds", nargs="*", default=list(KINDS), metavar="KIND", help=", ".join(KINDS))
     parser.add_argument("--rounds", type=int, default=3)

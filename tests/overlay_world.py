@@ -17,7 +17,6 @@ from spheremouse.tracker import Frame
 
 
 def epochs(width, height, detector="default", frames=1) -> Iterator[tuple]:
-    """Tracker and epochs of a ball at rest whose discs are drawn plainly, black on grey."""
     scene = default_scene(60, "near", 3, width=width, height=height)
     rig = replace(scene.rig(), pose=scene.pose)
     image = np.full((height, width, 3), 200, np.uint8)

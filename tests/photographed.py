@@ -2,14 +2,12 @@
 
 
 def resumed(selector, *pictures):
-    """The selector, to whom pictures taken before are known."""
     for image in pictures:
         assert selector.resume(lambda image=image: image)
     return selector
 
 
 def looked(selector, image, times=2):
-    """A picture that rests for some frames."""
     for _ in range(times):
         check = selector.check(image)
     return check

@@ -59,7 +59,6 @@ def looking_at(target, position):
 
 
 def to_image(points, rig, pose):
-    """OpenCV's projection of points in obj, (n, 3), in px."""
     R = pose.rotation.T
     points = np.asarray(points, dtype=float).reshape(-1, 1, 3)
     if len(points) == 0:

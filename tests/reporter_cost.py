@@ -26,8 +26,6 @@ HEAD = ("beside it", "Hz", "switch interval", "of a core", "reports/s", "submit 
 
 @dataclass
 class Sink(Output):
-    """An output that records the times of its reports."""
-
     paced = True
 
     times: list[float] = field(default_factory=list)
@@ -73,7 +71,6 @@ def measure(loop: bool, rate: float, seconds: float) -> list[str]:
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each row")
     seconds = parser.parse_args().seconds

@@ -15,7 +15,6 @@ PATIENCE = 20.0  # s, for what takes milliseconds
 
 
 def until(condition):
-    """Wait until it is so."""
     end = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < end, "it never came to be"
@@ -23,7 +22,6 @@ def until(condition):
 
 
 def refused(spec):
-    """Return the one line with which an output is refused."""
     with pytest.raises(OutputError) as e:
         open_output(spec)
     assert "\n" not in str(e.value)

@@ -16,7 +16,6 @@ from tests.reporting import report
 
 
 def board(connection):
-    """Run a board until anything comes in; then send the time (s) and the sum of each report."""
     reports = [(0.0, 0)]
     with Simulator(on_move=lambda moved: reports.append((time.monotonic(), moved[0]))) as simulator:
         connection.send(simulator.port)

@@ -18,8 +18,6 @@ from spheremouse.output.serial.simulator import Board
 
 
 class Wire:
-    """One direction of the line."""
-
     def __init__(
         self, rng: np.random.Generator, damage: float = 0.0, lose: float = 0.0, twice: float = 0.0, delay: int = 0
     ) -> None:
@@ -35,7 +33,6 @@ class Wire:
             yield from (int(n) - 1 for n in self._rng.geometric(self._damage, 4096))
 
     def heal(self) -> None:
-        """Damage and lose nothing more."""
         self.cut, self._damage, self._lose, self._twice = False, 0.0, 0.0, 0.0
 
     def __call__(self, data: bytes) -> bytes:
@@ -75,21 +72,17 @@ class World:
 
     @property
     def now(self) -> float:
-        """Time, s."""
         return self.ms / 1000.0
 
     def reset(self) -> None:
-        """Reset the board."""
         self.board.reset()
         self.resets += 1
 
     def reopen(self) -> None:
-        """Close and open the port."""
         self.link.port_closed(self.now)
         self._first = self.link.port_opened(self.now)
 
     def give(self, counts: Any) -> None:
-        """Add the counts of one motion."""
         for k, n in enumerate(counts):
             self.given[k] += int(n)
         self.link.add(counts, self.now)
@@ -164,7 +157,6 @@ def conversation(rng: np.random.Generator, steps: int = 1500) -> Iterator[tuple[
 
 
 def main() -> None:
-    """Send a million motions, with 1 % of the bytes damaged."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--motions", type=int, default=1_000_000)
     parser.add_argument("--damage", type=float, default=1.0, help="percent of bytes")

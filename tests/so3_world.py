@@ -37,7 +37,6 @@ def points_at(direction, sigma=SIGMA, rng=None):
 
 
 def seen(R, discs=DISCS):
-    """Directions in obj of the discs well on the near side at attitude R."""
     p = discs @ R.T
     return p[p[:, 2] > HORIZON + 0.1]
 
@@ -52,7 +51,6 @@ def follow(filter_, state, attitudes, stamps, rng, discs=DISCS):
 
 
 def film(filter_, attitudes, stamps, rng, discs=DISCS):
-    """States after each frame, from the first."""
     return follow(filter_, filter_.initial(stamps[0], attitudes[0]), attitudes, stamps, rng, discs)
 
 

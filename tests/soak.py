@@ -79,9 +79,7 @@ class World(Protocol):
         """True R_obj_ball, (3, 3)."""
         ...
 
-    def turn(self) -> None:
-        """One frame interval on."""
-        ...
+    def turn(self) -> None: ...
 
     def step(self, state: TrackState, stamp: float, fault: str | None) -> Step[TrackState]:
         """Look at the ball through the fault, and track it."""
@@ -151,7 +149,6 @@ class Pictures:
 
 
 def _hands() -> list[list[PlacedHand]]:
-    """Hands to lay over the pictures."""
     hand, scene = draw_hand(), default_scene()
     visits = (HandVisit(0.0, 30.0, True), HandVisit(0.0, 30.0, False))
     return [[p for v in visits if (p := place_hand(hand, v, scene, 0.3 + 0.1 * k)) is not None] for k in range(20)]
@@ -230,8 +227,6 @@ class Points:
 
 @dataclass
 class Report:
-    """What came of a session."""
-
     name: str
     frames: int = 0
     faults: Counter[str] = field(default_factory=Counter)
@@ -247,8 +242,6 @@ class Report:
 
 @dataclass
 class Judge:
-    """Looks at every frame."""
-
     world: World
     report: Report
     judged: bool  # is the attitude to be right?
@@ -276,7 +269,6 @@ class Judge:
         self.good_since, self.resumed = None, False
 
     def look(self, frame: int, fault: str | None, stamp: float, made: Step[TrackState]) -> None:
-        """One frame that was tracked, or at least looked at."""
         state, estimate, events = made
         counts = self.pointer.counts(estimate)[0]
         f: Any = state.filter
@@ -409,7 +401,6 @@ def session(world: World, name: str, frames: int, seed: int, judged: bool) -> Re
 
 
 def show(report: Report) -> None:
-    """The report for a reader."""
     print(f"{report.name}: {report.frames} frames in {report.seconds:.0f} s")
     print("  faults: " + ", ".join(f"{n} {name}" for name, n in sorted(report.faults.items())))
     for text, n in report.events.most_common():
@@ -427,7 +418,6 @@ def show(report: Report) -> None:
 
 
 def main() -> int:
-    """Run the sessions; 1 if anything was wrong."""
     parser = argparse.ArgumentParser(prog="python -m tests.soak", description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--short", action="store_true", help="5000 frames, in half a minute")
     parser.add_argument("--frames", type=int, metavar="N", help="of all sessions together; default 100000")

@@ -40,7 +40,6 @@ def locked(name):
 
 
 def pins(names, machine):
-    """Version of each package on a machine with Linux."""
     where = {"sys_platform": "linux", "platform_system": "Linux", "os_name": "posix", **machine}
     found = {}
     for requirement, _ in (one for name in names for one in locked(name)):

@@ -25,7 +25,6 @@ CLIP = Path(__file__).parent / "data" / "far26_clip"
 
 
 def turning(vector, sequence=1):
-    """A sample of a ball that turned by a rotation vector, rad."""
     estimate = unknown(sequence / 30.0, sequence, Status.TRACKING)
     return Sample(estimate._replace(increment=np.array([*vector, 0.0, 0.0, 0.0]), confirmed=True))
 

@@ -53,7 +53,6 @@ def digest(path):
 
 
 def seal(folder, *wheels):
-    """The lists that a folder of wheels carries: these, and pip's."""
     wheels = [*wheels, *folder.glob("pip-*.whl")]
     (folder / "SHA256SUMS").write_text("".join(f"{digest(path)}  {path.name}\n" for path in wheels))
     (folder / "BUILT-FOR").write_text(KIND)
@@ -87,7 +86,6 @@ def call(tmp_path, *arguments, script=SCRIPT, umask=0o022, cwd=None, **more):
 
 
 def in_use(tmp_path):
-    """What the command says that an operator types."""
     return subprocess.run(
         [tmp_path / "bin" / "spheremouse"], capture_output=True, text=True, check=True, env={}
     ).stdout.strip()

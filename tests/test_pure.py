@@ -8,7 +8,6 @@ ROOT = Path(__file__).parents[1]
 
 
 def pure():
-    """Files of the contract."""
     tools = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
     contract = next(c for c in tools["importlinter"]["contracts"] if c["id"] == "pure")
     for name in contract["source_modules"]:

@@ -50,7 +50,6 @@ def nobody():
 
 @pytest.fixture
 def root():
-    """A system below a root of its own."""
     path = Path(tempfile.mkdtemp(prefix="spheremouse-root-"))
     path.chmod(0o755)
     yield path
@@ -59,7 +58,6 @@ def root():
 
 @pytest.fixture
 def state(root, nobody):
-    """The folder that belongs to the service's user."""
     path = root / "var/lib/spheremouse"
     path.mkdir(parents=True)
     os.chown(path, nobody.pw_uid, nobody.pw_gid)
@@ -68,7 +66,6 @@ def state(root, nobody):
 
 @pytest.fixture
 def secret(root):
-    """A file of root's that nobody else may read."""
     path = root / "secret"
     path.write_text(SECRET)
     path.chmod(0o600)
@@ -77,13 +74,11 @@ def secret(root):
 
 @pytest.fixture
 def own(nobody):
-    """Give a path to the other user."""
     return lambda path: os.chown(path, nobody.pw_uid, nobody.pw_gid, follow_symlinks=False)
 
 
 @pytest.fixture
 def planted(own):
-    """A file, made by the other user."""
 
     def plant(path, content):
         path.write_text(content)
@@ -95,7 +90,6 @@ def planted(own):
 
 @pytest.fixture
 def linked(own):
-    """A link, made by the other user."""
 
     def link(path, target):
         path.symlink_to(target)
@@ -115,7 +109,6 @@ def install(root):
 
 @contextlib.contextmanager
 def limited(seconds):
-    """No waiting for ever."""
 
     def late(number, frame):
         pytest.fail("it waits for ever")

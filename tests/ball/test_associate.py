@@ -37,7 +37,6 @@ def identified(points, discs, sigma=SIGMA, **more):
 
 
 def error(result, R):
-    """Angle, rad, between an identified attitude and the true one."""
     return np.linalg.norm(log(result.rotation @ R.T))
 
 

@@ -22,8 +22,6 @@ FAR_PUSH = (12.0, -12.0, 10.0, 1.2, -1.2, 1.0)
 
 @dataclass
 class Film:
-    """A few frames before and after a push."""
-
     rig: Rig
     before: Pose
     after: Pose

@@ -36,7 +36,6 @@ def film(tmp_path_factory):
 
 
 def python(program, *arguments):
-    """Run a program in a process of its own."""
     return subprocess.run(
         [sys.executable, "-c", program, *arguments],
         capture_output=True,
@@ -47,7 +46,6 @@ def python(program, *arguments):
 
 
 def failing(spec, **options):
-    """Frames of a source until it fails, and how."""
     frames = []
     with pytest.raises(SpheremouseError) as e, open_source(spec, **options) as source:
         frames.extend(source)

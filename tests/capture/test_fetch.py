@@ -18,8 +18,6 @@ IMAGE = np.zeros((2, 2), np.uint8)
 
 
 class RawFrame:
-    """A frame of a script."""
-
     def __init__(self, sequence, stamp):
         self.sequence, self.stamp, self.released = sequence, stamp, 0
 
@@ -101,7 +99,6 @@ def start(monkeypatch):
 
 
 def until(condition):
-    """Wait until it is so."""
     end = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < end, "it never came to be"

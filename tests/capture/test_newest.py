@@ -9,8 +9,6 @@ PATIENCE = 20.0  # s
 
 
 class RawFrame:
-    """One that knows whether it was given back."""
-
     def __init__(self, number):
         self.stamp, self.sequence, self.released = float(number), number, 0
 

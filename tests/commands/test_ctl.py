@@ -73,7 +73,6 @@ def ctl(path, monkeypatch):
 
 
 def shown(status, width=80):
-    """A status as it stands on a terminal without colours."""
     console = Console(width=width, highlight=False, record=True, file=io.StringIO())
     console.print(said_of.status_table(StatusReport.read(status)))
     return console.export_text()

@@ -51,7 +51,6 @@ def remembered():
 
 @pytest.fixture(autouse=True)
 def _tracked_once(monkeypatch, remembered):
-    """A film is tracked once for all tests."""
     really = cli_match.track_recording
 
     def tracked(recording, plan):

@@ -12,7 +12,6 @@ from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 
 @pytest.fixture(scope="module")
 def shot():
-    """A frame of a simulated cabinet, and its rig."""
     film = prepare(SimulationOptions(motion="rest", seconds=0.1))
     return next(iter(simulate(film))).frame.image, film.scene.rig()
 

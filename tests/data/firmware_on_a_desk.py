@@ -45,8 +45,6 @@ class Port:
 
 
 class Hid:
-    """A computer that adds up the reports."""
-
     def __init__(self):
         self.moved, self.buttons, self.refuses, self.feature = [0, 0, 0, 0], 0, False, None
         self.nods_off = False  # while the next report waits
@@ -110,7 +108,6 @@ def turn(text):
 
 
 def moved(text):
-    """What the mouse has done so far."""
     return json.dumps(hid.moved)
 
 

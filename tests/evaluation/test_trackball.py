@@ -18,8 +18,6 @@ BEGIN = 5000.0  # s, of the frames' clock
 
 
 class Shifted:
-    """A profile on the frames' clock."""
-
     def __init__(self, profile):
         self.profile = profile
 

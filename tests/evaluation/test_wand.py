@@ -167,7 +167,6 @@ def three():
 
 
 def swapped(a, b, frame):
-    """A run that goes over to another ball."""
     return replace(
         a,
         position=np.concatenate([a.position[:frame], b.position[frame:]]),
@@ -176,7 +175,6 @@ def swapped(a, b, frame):
 
 
 def followed_by_number(runs, balls, truths, filmed):
-    """The truths' indices."""
     found = followed(runs, balls, truths, filmed)
     return [None if t is None else next(k for k, true in enumerate(truths) if true is t) for t in found]
 

@@ -27,7 +27,6 @@ app.command()(cli_experiments.experiments)
 
 @pytest.fixture
 def made(tmp_path, monkeypatch):
-    """The folder in which each job that is done leaves a file."""
     folder = tmp_path / "made"
     folder.mkdir()
     monkeypatch.setenv("TINY_MADE", str(folder))
@@ -38,7 +37,6 @@ def made(tmp_path, monkeypatch):
 
 @pytest.fixture
 def run(made, tmp_path):
-    """Return a function (*words) -> exit code, output, of the experiment `tiny`."""
     return partial(invoke, app, "tiny", "--out", tmp_path / "out", "--cores", 2)
 
 

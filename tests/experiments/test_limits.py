@@ -22,7 +22,6 @@ def there():
 
 @pytest.fixture(scope="module")
 def trial(there):
-    """`ekf2` at 30 Hz."""
     tracker = world_module.tracker_for("ekf2", there)
     return Trial(tracker, there, world_module.after_rest("ekf2", tracker, there), world_module.random_axis(0), 30.0, 0)
 
@@ -56,8 +55,6 @@ def test_centres_are_off_by_what_they_claim(there):
 
 
 class _Exact:
-    """A generator of no noise."""
-
     def standard_normal(self, shape):
         return np.zeros(shape)
 

@@ -21,7 +21,6 @@ def motion():
 
 
 def exact(motion, stamps):
-    """Reports of a tracker without error."""
     R, remainder, counts = motion.attitude(stamps), Remainder(), [(0, 0, 0)]
     for a, b in pairwise(R):
         moved, remainder = to_counts(log(b @ a.T), MATRIX, remainder)

@@ -12,7 +12,6 @@ ROWS = pd.DataFrame({"discs": [26, 26, 50], "filter": ["so3", "thesis", "so3"], 
 
 @pytest.fixture
 def written(tmp_path):
-    """Return a function (parts, results) -> text of the section."""
 
     def write(parts, results):
         module = SimpleNamespace(TITLE="Title", __doc__="One\nline.\n\nMore.", section=lambda good: parts)

@@ -242,7 +242,6 @@ def test_frames_beyond_what_can_be_recorded_are_refused(folder):
 
 
 def readers(path):
-    """Everything that reads what a user names."""
     return {
         "configuration": lambda: yaml_file.read_document(path),
         "camera": lambda: load_camera(path),

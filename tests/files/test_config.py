@@ -52,23 +52,17 @@ class Filter:
 
 @dataclass(frozen=True, slots=True)
 class Inner:
-    """Two levels down."""
-
     count: int = param(3, "-", "how many", ge=0)
 
 
 @dataclass(frozen=True, slots=True)
 class Outer:
-    """One level down."""
-
     inner: Inner = field(default_factory=lambda: Inner(count=7))
     text: str = param("yes", "-", "a string that YAML 1.1 takes for true")
 
 
 @dataclass(frozen=True, slots=True)
 class Root:
-    """Everything."""
-
     so3: Filter = field(default_factory=Filter)
     outer: Outer = field(default_factory=Outer)
     tracker: Literal["so3", "ekf1"] = param("so3", "-", "which filter")

@@ -28,7 +28,6 @@ distances:
 
 @pytest.fixture
 def read(tmp_path):
-    """The device in TEXT with some words replaced."""
 
     def read_(*changes):
         text = TEXT

@@ -57,13 +57,11 @@ def pictures(draw: st.DrawFn, width: int | None = None, height: int | None = Non
 
 @cache
 def film() -> list[Frame]:
-    """A few frames of the simulated far scene."""
     return [made.frame for made in simulate(prepare(SimulationOptions(seconds=0.2)))]
 
 
 @cache
 def known() -> Rig:
-    """The simulated device with the camera's pose."""
     scene = prepare(SimulationOptions()).scene
     return replace(scene.rig(), pose=scene.pose)
 

@@ -91,7 +91,6 @@ def test_every_extreme() -> None:
 
 
 def track(assignments: list[str]) -> None:
-    """Track balls with these settings, unless they are refused."""
     c = refused(lambda: config.in_force(None, assignments, Configuration))
     if c is None:
         return
@@ -125,14 +124,12 @@ _USUAL: dict[str, float] = {}
 
 
 def sound(estimate: Estimate) -> None:
-    """Check that an output can use an estimate."""
     assert np.all(np.isfinite(estimate.increment))
     assert np.all(np.isfinite(estimate.rate))
     assert np.all(np.isfinite(estimate.covariance))
 
 
 def _targets(c: Configuration) -> None:
-    """The camera's pose from the targets in a picture."""
     rig, frames = clip()
     image, usual = frames[0].image, Configuration()
     seen = in_time(
@@ -204,7 +201,6 @@ def _rolling() -> tuple[TrackState, Tracker]:
 
 
 def _in_a_hand(c: Configuration) -> None:
-    """A ball in a hand, looked for and followed."""
     film, frames = hand()
     balls = tuple(carried.ball for carried in film.scene.balls)
     follow(build_wand(film.scene.camera, balls, c.wand), frames, c)
@@ -231,7 +227,6 @@ def follow(tracker: state_module.WandTracker, frames: list[Frame], c: Configurat
 
 @cache
 def hand() -> tuple[WandFilm, list[Frame]]:
-    """A simulated ball in a hand, and a few frames of it."""
     warm_up_wand()
     film = prepare_wand(WandOptions(motion="hand", size=(320, 240), focal=300.0, seconds=0.27, seed=3, distance=0.6))
     return film, [shot.frame for shot in simulate_wand(film)]

@@ -25,7 +25,6 @@ CLIP = Path(__file__).parents[1] / "data" / "far26_clip"
 
 @cache
 def _dataset() -> dict[str, str | bytes]:
-    """A dataset of three tiny frames, file by file."""
     scene = json.loads((CLIP / "scene.json").read_text(encoding="utf-8"))
     scene |= {"width": 16, "height": 12, "frames": 3}
     made: dict[str, str | bytes] = {"scene.json": json.dumps(scene, indent=1)}
@@ -72,7 +71,6 @@ def test_dataset(made: dict[str, str | bytes]) -> None:
 
 @cache
 def _picture(kind: str) -> bytes:
-    """Return a picture of noise, 40 by 30."""
     image = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
     return bytes(cv2.imencode(f".{kind}", image)[1])
 
@@ -101,7 +99,6 @@ def test_damaged_pictures(drawn: tuple[str, bytes]) -> None:
 
 @cache
 def _video() -> bytes:
-    """The clip's first frames as a video file."""
     return (CLIP / "video.mkv").read_bytes()[:180_000]
 
 

@@ -129,7 +129,6 @@ def with_extremes(draw: st.DrawFn, text: str) -> str:
 
 @cache
 def certain_rig() -> str:
-    """The clip's rig, with known discs and covariances of all its parts."""
     rig, _ = clip()
     assert rig.pose is not None
     camera = replace(rig.camera, covariance=np.diag([1.0, 1.0, 1.0, 1.0, 1e-4, 1e-4, 1e-6, 1e-6, 1e-4]))

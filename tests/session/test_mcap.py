@@ -28,8 +28,6 @@ PLAIN = {"boolean", "string", "number", "integer"}  # fields and items that Lich
 
 @dataclass
 class Contents:
-    """Messages and times, ns, by topic; schemas and metadata."""
-
     messages: dict[str, list[Any]] = field(default_factory=dict)
     times: dict[str, list[int]] = field(default_factory=dict)
     schemas: dict[str, Any] = field(default_factory=dict)
@@ -37,7 +35,6 @@ class Contents:
 
 
 def read(path):
-    """Return the contents of a file with a valid summary and right checksums."""
     found = Contents()
     with path.open("rb") as file:
         mcap = reader.make_reader(file, validate_crcs=True, decoder_factories=[decoding.DecoderFactory()])

@@ -48,8 +48,6 @@ class Sink(Null):
 
 
 class Run:
-    """Outputs, and the worker that does what it is asked to."""
-
     def __init__(self, monkeypatch, *names):
         self.diary, self.said, self.todo = [], [], []
         self.workers = WorkerPool((OUTPUT,), self.said.append)

@@ -24,8 +24,6 @@ PATIENCE = 60.0  # s
 
 
 class Run:
-    """A replay in a thread, and its results frame by frame."""
-
     def __init__(self, folder):
         settings = ("realtime=off", f"control.socket={folder / 's'}")
         overrides = CommandLineOverrides(None, settings, f"dataset:{CLIP}", ("null",), no_map=True)

@@ -20,7 +20,6 @@ def rig():
 
 @pytest.fixture
 def folder(tmp_path, rig):
-    """A configuration with its rig."""
     (tmp_path / "rig.yaml").write_text(rig_text(rig))
     (tmp_path / "config.yaml").write_text("schema: 2\nsource: v4l2:/dev/video9\noutput: uinput\nrig: rig.yaml\n")
     return tmp_path

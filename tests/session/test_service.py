@@ -57,7 +57,6 @@ def world(film, tmp_path, quick_daemon):
 
 @pytest.fixture
 def playing(world):
-    """A daemon that tracks a ball that has turned once."""
     world.start()
     world.reach("tracking")
     world.turn()
@@ -107,7 +106,6 @@ def test_what_is_answered_has_the_keys_that_the_page_shows(world):
 
 
 def in_thread(function):
-    """Run it meanwhile; its result, when it is asked for."""
     got = []
 
     def run():
@@ -132,7 +130,6 @@ def said(world, text):
 
 
 def times(world, text):
-    """How often it was said, with what was kept back."""
     return sum(1 + sum(map(int, re.findall(r"\((\d+) more like it\)", line))) for line in said(world, text))
 
 
@@ -699,7 +696,6 @@ def test_live_pictures_are_the_frames_with_their_marks_until_the_client_dies(wor
 
 @pytest.fixture
 def hearing(world, monkeypatch):
-    """A daemon that tracks, and the requests that it has received."""
     world.requests, world.answered = [], set()
     handle = run_module.Daemon.handle
 
@@ -752,14 +748,12 @@ def test_a_request_whose_client_disconnects_before_a_frame_leaves_nothing(hearin
 
 
 def _still(world):
-    """Whether frames have stopped."""
     before = ask(world, "status")["frames"]
     time.sleep(0.3)
     return ask(world, "status")["frames"] == before
 
 
 def _try(world, command):
-    """The answer; empty while a cancelled request has not ended."""
     try:
         return ask(world, command)
     except ControlError:
@@ -1014,7 +1008,6 @@ class Process:
         return self._client.ask(command, **arguments)
 
     def answers(self):
-        """Wait until it tracks, by the socket alone."""
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
             with contextlib.suppress(ControlError):
@@ -1025,7 +1018,6 @@ class Process:
         raise AssertionError("it does not track")
 
     def until_frames(self, frames):
-        """Wait until so many have been worked on."""
         end = time.monotonic() + PATIENCE
         while self.ask("status")["frames"] < frames:
             assert time.monotonic() < end, "frames do not go on"
@@ -1076,7 +1068,6 @@ def test_signals_a_second_instance_and_kill_9(film, tmp_path):
 
 @contextlib.contextmanager
 def a_closed_pipe(_):
-    """Whose reader has gone."""
     reads, writes = os.pipe()
     os.close(reads)
     yield writes

@@ -12,8 +12,6 @@ from spheremouse.tracker import Status
 
 
 class Run:
-    """A judgement, and all that it is about, as attributes."""
-
     def __init__(self):
         self.said, self.told, self.news = [], [], LogMessages()
         self.adapter = SimpleNamespace(waiting="", reason="", status=Status.TRACKING, take_messages=self.take_messages)

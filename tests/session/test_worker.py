@@ -53,8 +53,6 @@ class RawFrame:
 
 
 class Play:
-    """A worker, and the film for it."""
-
     def __init__(self, film, rig=None, settings=SETTINGS, do=here):
         self.said, self.k, self.film = [], 0, film
         self.adapter = BallAdapter(film.rig if rig is None else rig, settings, None, self.said.append, do)

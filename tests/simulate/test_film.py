@@ -38,13 +38,10 @@ def renderer():
 
 @pytest.fixture(scope="module")
 def small():
-    """A renderer of small pictures."""
     return Renderer(default_scene(width=320, height=240, discs=40))
 
 
 class Fixed:
-    """A ball that stays at one attitude."""
-
     seconds = 1.0
 
     def __init__(self, R):
@@ -223,7 +220,6 @@ def test_covered_pixels_have_the_centroid_and_area_of_the_projected_cap(scene, p
 
 
 def altered(renderer, options=None, **changes):
-    """A renderer with another ball or camera, in the same room."""
     return Renderer(replace(renderer.scene, **changes), options, renderer.backdrop)
 
 
@@ -323,7 +319,6 @@ def test_struts_hands_and_the_limb_decide_the_state(renderer):
 
 
 def hidden(small, options, times):
-    """Shares of the ball that hands hide."""
     handled, outline = altered(small, options), small.backdrop.ball > 0.5
     pairs = [[r.frame(still(), t, 0, rng()).frame.image.astype(int) for r in (small, handled)] for t in times]
     return np.array([np.mean(np.max(np.abs(a - b), axis=2)[outline] > 3) for a, b in pairs])

@@ -51,7 +51,6 @@ def evening():
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """The same evening as the command leaves it."""
     path = tmp_path_factory.mktemp("practice") / "set"
     practice(path, photos=2, boards=1, size="1280x720", seed=2)
     return path
@@ -59,7 +58,6 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def taken(evening, folder):
-    """Its photos with their poses."""
     poses = {f"device/device_{k}": pose for k, pose in enumerate(evening.device_poses)}
     poses |= {f"board/chess_{k:02d}": pose for k, pose in enumerate(evening.board_poses)}
     return [Photo(name, cv2.imread(str(folder / f"{name}.jpg")), pose) for name, pose in poses.items()]

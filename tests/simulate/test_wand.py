@@ -36,8 +36,6 @@ def rng(seed=0):
 
 
 class Fixed:
-    """A ball that stays where it is."""
-
     seconds = 100.0
 
     def __init__(self, centre, rotation):
@@ -49,8 +47,6 @@ class Fixed:
 
 
 class Moving(Fixed):
-    """One that goes at constant velocity."""
-
     def __init__(self, centre, rotation, velocity):
         super().__init__(centre, rotation)
         self.velocity = np.array(velocity)
@@ -177,7 +173,6 @@ def test_a_picture_of_two_balls_has_no_seam():
 
 
 def coloured(image):
-    """Masks of saturated red and blue by plain rules."""
     h, s, _ = (image_hsv.astype(int) for image_hsv in cv2.split(cv2.cvtColor(image, cv2.COLOR_BGR2HSV)))
     return {"red": (s > 110) & ((h < 12) | (h > 168)), "blue": (s > 110) & (h > 100) & (h < 135)}
 

@@ -38,7 +38,6 @@ def until(found, seconds=20.0):
 
 
 def mice():
-    """Input devices of the gadget."""
     found = []
     for path in evdev.list_devices():
         with contextlib.suppress(OSError):  # just gone
@@ -69,7 +68,6 @@ def firmware(pipe, kind):
 
 
 def board(kind):
-    """The firmware."""
     until(lambda: gadget.HID.exists() and gadget.SERIAL.exists())
     return Process(firmware, kind)
 
@@ -103,15 +101,12 @@ def read(pipe, path):
 
 
 class Reader(Process):
-    """The mouse as another process sees it through the kernel."""
-
     def __init__(self):
         (device,) = until(mice)
         super().__init__(read, device.path)
         self.reports, self.keys, self.gone = [], [], False
 
     def look(self):
-        """Fetch what has come."""
         self.pipe.send("")
         reports, keys, self.gone = self.pipe.recv()
         self.reports += reports

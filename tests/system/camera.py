@@ -36,7 +36,6 @@ RED = 160  # Cr of what is written in colour
 
 
 def node(name):
-    """The number of the video node whose name holds `name`."""
     (found,) = [p for p in Path("/sys/class/video4linux").iterdir() if name in (p / "name").read_text()]
     return found.name.removeprefix("video")
 
@@ -57,7 +56,6 @@ def loopback():
 
 
 def drain(camera):
-    """Take frames until none comes."""
     while (raw := camera.next(2.0)) is not None:
         raw.release()
 

@@ -70,8 +70,6 @@ with open(sys.argv[1], "rb", buffering=0) as device:
 
 
 class Film:
-    """Pictures that are known."""
-
     def __init__(self, folder):
         self.folder = folder
         self.attitude = np.load(folder / "attitude.npy")
@@ -81,14 +79,12 @@ class Film:
         return len(self.attitude)
 
     def pictures(self, name):
-        """A function that gives the bytes of a picture."""
         data = np.memmap(self.folder / name, np.uint8, "r")
         if name == "MJPG":
             return lambda k: data[self.ends[k] : self.ends[k + 1]].tobytes()
         return lambda k: data[k * 2 * W * H : (k + 1) * 2 * W * H].tobytes()
 
     def counts(self, way):
-        """(3,) of the true motion along `way` through the film, and (3,) the length of its path."""
         turns = COUNTS * self.turns(way)[:, [2, 0, 1]] * (1, -1, 1)  # of a player on the far side
         return turns.sum(axis=0), np.abs(turns).sum(axis=0)
 
@@ -108,12 +104,10 @@ class Writer:
         self._expect("writing")
 
     def play(self, way, interval):
-        """Show these pictures, None where nothing is written for once; waits until the last one is there to stay."""
         self._here.send((list(way), interval))
         self._expect("played", 4 * len(way) * interval + PATIENCE)
 
     def end(self):
-        """The device has no writer any more."""
         if self._process.is_alive():
             self._here.send(None)
             self._process.join(PATIENCE)
@@ -125,7 +119,6 @@ class Writer:
 
 
 def _write(film, node, name, at, pipe):
-    """The writer's process."""
     device = linuxpy.Device.from_id(node)
     device.open()
     device.set_format(linuxpy.BufferType.VIDEO_OUTPUT, W, H, name)
@@ -153,7 +146,6 @@ def _write(film, node, name, at, pipe):
 
 
 def mice():
-    """Event nodes of our name."""
     return [
         Path("/dev/input") / p.name
         for p in Path("/sys/class/input").glob("event*")
@@ -162,8 +154,6 @@ def mice():
 
 
 class Reader:
-    """A process that reads the only mouse there is."""
-
     def __init__(self, folder):
         (self.node,) = until(mice, "there is no mouse")
         self._lines = folder / f"events{time.monotonic_ns()}"
@@ -177,12 +167,10 @@ class Reader:
 
     @property
     def gone(self):
-        """Has the kernel removed the device?"""
         return "gone" in self._read()
 
     @property
     def counts(self):
-        """(3,) all that arrived."""
         codes = {uinput.REL_X: 0, uinput.REL_Y: 1, uinput.REL_RZ: 2}
         sums = np.zeros(3, dtype=int)
         for line in self._read():
@@ -201,8 +189,6 @@ class Reader:
 
 
 class Program:
-    """`spheremouse` with these arguments, in a process of its own."""
-
     def __init__(self, folder, *arguments):
         self._name = folder / f"program{time.monotonic_ns()}"
         self.pid = os.fork()
@@ -216,11 +202,9 @@ class Program:
 
     @property
     def said(self):
-        """On standard error."""
         return Path(f"{self._name}.err").read_text() if Path(f"{self._name}.err").exists() else ""
 
     def ended(self):
-        """Its exit code, -signal where one ended it; None while it runs."""
         if self.code is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             if pid:
@@ -228,12 +212,10 @@ class Program:
         return self.code
 
     def wait(self):
-        """The exit code, in the end."""
         until(lambda: self.ended() is not None, "it does not end")
         return self.code
 
     def kill(self, number=signal.SIGKILL):
-        """End it, and see it off."""
         if self.ended() is None:
             os.kill(self.pid, number)
         return self.wait()
@@ -258,8 +240,6 @@ def _be(name, arguments):
 
 
 class Command(Program):
-    """The same begun from nothing, as from a shell."""
-
     def __init__(self, folder, *arguments):
         self._name, self.code = folder / f"command{time.monotonic_ns()}", None
         command = [sys.executable, "-m", "spheremouse", *map(str, arguments)]
@@ -297,8 +277,6 @@ record: {{folder: {folder}/recordings, seconds: 600}}
 
 
 class Cabinet:
-    """A folder with a configuration, a film that is shown to the camera, and the daemon."""
-
     def __init__(self, folder, film):
         self.folder, self.film = folder, film
         self.config, self.socket = folder / "config.yaml", folder / "socket"
@@ -321,7 +299,6 @@ class Cabinet:
     # the daemon
 
     def start(self, *arguments):
-        """Begin it, until it tracks."""
         self.daemon = Program(self.folder, "run", "--config", self.config, *arguments)
 
     def status(self):
@@ -332,7 +309,6 @@ class Cabinet:
         return {}
 
     def reach(self, state):
-        """Wait until it says so; its status then."""
         last = {}
 
         def there():
@@ -359,7 +335,6 @@ class Cabinet:
         return status["skipped"] + status["dropped"]
 
     def settle(self, frames=4):
-        """Wait until so many more frames were worked on, and sent."""
         n = self.status()["frames"] + frames
         until(lambda: self.status()["frames"] >= n, "no frames come")
         time.sleep(0.3)
@@ -370,7 +345,6 @@ class Cabinet:
         return [last - abs(last - k % (2 * last)) for k in range(self._place, self._place + n + 1)]
 
     def play(self, way):
-        """(3,) events that came for it, (3,) the true counts, (3,) the path."""
         before = self.mouse.counts
         self._place += len(way) - 1
         until(lambda: "decode" in self.status()["stages_ms"], "no frame was timed")  # they are, once a second

@@ -36,7 +36,6 @@ def gtk() -> bool:
 
 
 def until(what: Callable[[], object], seconds: float = 30.0) -> bool:
-    """Whether it becomes true in time."""
     end = time.monotonic() + seconds
     while not what():
         if time.monotonic() > end:
@@ -47,7 +46,6 @@ def until(what: Callable[[], object], seconds: float = 30.0) -> bool:
 
 @contextlib.contextmanager
 def process(*command: str, **options: object) -> Iterator[subprocess.Popen[str]]:
-    """A program for as long as the block takes."""
     running = subprocess.Popen(command, text=True, **options)  # pyright: ignore
     try:
         yield running
@@ -99,7 +97,6 @@ class Desktop:
         self.start_panel()
 
     def start_panel(self) -> None:
-        """The panel, at the top left; another one where there was one."""
         self.end_panel()
         tint = "0x{:02x}{:02x}{:02x}".format(*self._ground)
         command = ["trayer", "--edge", "top", "--align", "left", "--widthtype", "request", "--height", str(SIDE)]
@@ -109,13 +106,11 @@ class Desktop:
         )
 
     def end_panel(self) -> None:
-        """No tray any more."""
         if self.panel is not None:
             self.panel.terminate()
             self.panel.wait()
 
     def picture(self) -> Image.Image:
-        """The whole screen."""
         from Xlib import X
         from Xlib.display import Display
 
@@ -146,7 +141,6 @@ class Desktop:
         return best
 
     def click(self, button: int = 1) -> None:
-        """On the icon."""
         self._do("mousemove", str(SIDE // 2), str(SIDE // 2), "click", str(button))
 
     def choose(self, place: int, picture: Path | None = None) -> None:
@@ -163,7 +157,6 @@ class Desktop:
         self._do("key", "Return")
 
     def notices(self) -> str:
-        """What was asked of the desktop to be told."""
         return self._heard.read_text(encoding="utf-8")
 
     def _do(self, *command: str) -> None:
@@ -177,6 +170,5 @@ def _differ(a: Image.Image, b: Image.Image) -> bool:
 
 
 def end(running: subprocess.Popen[str], number: int = signal.SIGTERM) -> int:
-    """The exit code after a signal."""
     running.send_signal(number)
     return running.wait(20)

@@ -20,7 +20,6 @@ DIRECTIONS = (("right", 0, 2, 1.0), ("down", 1, 0, -1.0))  # evdev's code, axis 
 
 
 def main() -> None:
-    """Read, and print."""
     (mouse,) = (d for d in map(evdev.InputDevice, evdev.list_devices()) if d.name == "spheremouse")
     sums, patience = {0: 0, 1: 0}, 60.0
     while select.select([mouse], [], [], patience)[0]:

@@ -54,12 +54,10 @@ def create(descriptor: bytes) -> None:
 
 
 def plug() -> None:
-    """Plug the device in."""
     (GADGET / "UDC").write_text(os.listdir("/sys/class/udc")[0])
 
 
 def unplug() -> None:
-    """Pull the plug."""
     (GADGET / "UDC").write_text("\n")
 
 
@@ -76,11 +74,9 @@ class Port:
         self.feature: bytes | None = None
 
     def wait(self) -> None:
-        """Until something comes, 2 ms at most."""
         select.select([self._serial, self._hid], [], [], 0.002)
 
     def read(self) -> bytes:
-        """What came over the serial line."""
         try:
             return os.read(self._serial, 64)
         except BlockingIOError:
@@ -177,7 +173,6 @@ def _ms() -> int:
 
 
 def run(kind: str, library: Path, ready: Callable[[], None]) -> None:
-    """Be the board until the plug is pulled."""
     try:
         if kind == "avr":
             avr(Port(), library, ready)

@@ -69,7 +69,6 @@ def watched(spec):
 
 
 def moves(lines):
-    """Counts x and y of each move, (n, 2)."""
     return np.array([[float(v) for v in m.groups()] for line in lines if (m := MOVED.search(line))])
 
 

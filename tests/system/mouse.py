@@ -56,7 +56,6 @@ for _ in sys.stdin:
 
 
 def devices(name=uinput.NAME):
-    """Input devices of our name."""
     found = [evdev.InputDevice(path) for path in evdev.list_devices()]
     return [d for d in found if d.name == name]
 

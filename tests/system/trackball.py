@@ -23,7 +23,6 @@ NAME = "Old Trackball"
 
 @contextmanager
 def trackball(name=NAME):
-    """A mouse of the kernel with a wheel."""
     axes = {e.EV_KEY: [e.BTN_LEFT, e.BTN_RIGHT], e.EV_REL: [e.REL_X, e.REL_Y, e.REL_WHEEL]}
     with evdev.UInput(axes, name=name) as device:
         until(lambda: any(m.name == name and os.access(m.node, os.R_OK) for m in mice()))

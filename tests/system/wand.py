@@ -29,8 +29,6 @@ COUNTS = np.radians(PointingSettings().counts_per_radian)  # per degree
 
 
 class Hand:
-    """A film that is shown to the camera."""
-
     def __init__(self, folder):
         self.folder = folder
         self.rotation, self.position = np.load(folder / "attitude.npy"), np.load(folder / "position.npy")
@@ -43,15 +41,12 @@ class Hand:
         return lambda k: data[k].tobytes()
 
     def counts(self, way):
-        """(3,) of the true motion along `way`, and (3,) the length of its path."""
         turns = np.array([log(b @ a.T) for a, b in pairwise(self.rotation[way])])
         counts = turns @ PointingSettings().matrix().T
         return counts.sum(axis=0), np.abs(counts).sum(axis=0)
 
 
 class CameraRun:
-    """A camera, and `spheremouse run` before it."""
-
     def __init__(self, folder):
         self.folder, self.film, self.samples = folder, Hand(FILMS / "wand"), folder / "samples.jsonl"
         self.writer = Writer(self.film, 9, "YUYV", 0)
@@ -68,12 +63,10 @@ class CameraRun:
         self.missed = self.counts() - self.mouse.counts  # while the first poses settled, and nobody read yet
 
     def counts(self):
-        """(3,) of all frames, as the samples have them."""
         whole = self.samples.read_text().split("\n")[:-1]
         return np.sum([json.loads(line)["counts"] for line in whole], axis=0)
 
     def last(self):
-        """The last whole sample."""
         lines = self.samples.read_text().split("\n") if self.samples.exists() else []
         return json.loads(lines[-2]) if len(lines) > 1 else {}
 
@@ -85,12 +78,10 @@ class CameraRun:
         until(there, lambda: f"not {state} but {self.last()}: {self.program.said}")
 
     def settle(self, seconds=4.0):
-        """Wait until frames came for so long."""
         now = float(self.last()["stamp"])
         until(lambda: float(self.last()["stamp"]) > now + seconds, "no frames come")
 
     def play(self, way):
-        """(3,) events that came for it."""
         before = self.mouse.counts
         self.writer.play(way, min(2.0 * INTERVAL, LONGEST))
         self.settle()

@@ -26,7 +26,6 @@ def poses():
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, poses):
-    """Photos of a board, and one of the wall."""
     path = tmp_path_factory.mktemp("board")
     rng = np.random.default_rng(1)
     for k, (R, t) in enumerate(zip(*poses, strict=True)):
@@ -37,7 +36,6 @@ def folder(tmp_path_factory, poses):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory, folder):
-    """One calibration of these photos, for all who read its files."""
     path = tmp_path_factory.mktemp("made")
     result = run(folder, *BOARD, "--out", path / "camera.yaml", "--json", path / "camera.json")
     return path, result
@@ -51,7 +49,6 @@ def run(*words):
 
 
 def refused(*words):
-    """The one line that it is refused with."""
     with pytest.raises(SpheremouseError) as e:
         run(*words)
     assert "\n" not in str(e.value)

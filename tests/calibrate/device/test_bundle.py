@@ -19,7 +19,6 @@ PAIRS = ((1, 2), (1, 4), (2, 3), (3, 4))
 
 
 def device(rng: np.random.Generator, *, free: bool = False) -> Device:
-    """Four targets; distances with errors of a tape."""
     tape = tuple(
         Distance(a, b, float(np.linalg.norm(TARGETS[a - 1] - TARGETS[b - 1]) + 1e-3 * rng.standard_normal()), 1e-3)
         for a, b in PAIRS
@@ -45,7 +44,6 @@ def stations(rng: np.random.Generator, to: Array, n: int = 6) -> tuple[Pose, ...
 def simulated(
     seed: int, *, free: bool = False, interior: bool = True, sigma: float = 0.05
 ) -> tuple[Problem, Block, Block]:
-    """Observations with errors, a start, and the truth."""
     rng = np.random.default_rng(seed)
     known = device(rng, free=free)
     points = np.concatenate([TARGETS, rng.uniform([-0.1, 0.1, -0.5], [0.7, 0.9, 0.0], (8, 3))])

@@ -24,7 +24,6 @@ RUNS = 24
 
 @pytest.fixture(scope="module")
 def stills():
-    """Photos, device, camera and truth of the shared stills."""
     folder = datasets_dir() / "stills"
     truth = json.loads((folder / "truth.json").read_text())
     c = truth["camera"]

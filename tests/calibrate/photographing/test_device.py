@@ -36,14 +36,12 @@ def selector_of(stills, *pictures, **changes):
 
 
 def photographed(stills, pose):
-    """A picture from somewhere else."""
     picture = device_picture(replace(stills.scene, pose=pose))
     noise = np.random.default_rng(5).normal(0.0, 1.0, picture.shape)
     return np.clip(np.rint(cv2.GaussianBlur(picture, (0, 0), 0.5) + noise), 0, 255).astype(np.uint8)
 
 
 def turned(stills, pose, degrees, axis=(0.0, 1.0, 0.0)):
-    """The camera carried round the targets' middle."""
     middle = stills.scene.targets.position.mean(axis=0)
     R = exp(np.radians(degrees) * np.asarray(axis))
     return Pose(R @ pose.rotation, middle + R @ (pose.position - middle))

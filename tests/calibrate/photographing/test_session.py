@@ -39,7 +39,6 @@ class Recorder:
 
 
 def film(pictures, rest=3):
-    """Each picture rests."""
     for k, image in enumerate(pictures):
         for j in range(rest):
             yield Frame(image, 0.1 * (k * rest + j), k * rest + j)

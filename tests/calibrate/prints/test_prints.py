@@ -46,7 +46,6 @@ def shapes(figure, kind):
 
 
 def box(patch):
-    """Left, bottom, right, top in mm."""
     return patch.get_path().get_extents(patch.get_patch_transform()).extents
 
 

@@ -91,7 +91,6 @@ def made(n, median, p99=None, worst=None):
 
 
 def figures_of(step, blobs, simple, row=None, tracked=300):
-    """Return the report of given times."""
     seconds = {STEP: step, DETECT: step / 2, FILTER: step / 2, BLOBS: blobs, SIMPLE: simple}
     times = Times({name: np.full(300, s) for name, s in seconds.items()}, tracked)
     return report(clip(0), times, row=row)

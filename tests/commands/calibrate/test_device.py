@@ -23,7 +23,6 @@ def run(*words):
 
 @pytest.fixture
 def cabinet(tmp_path):
-    """The camera of the shared stills."""
     truth = json.loads((datasets_dir() / "stills" / "truth.json").read_text())
     c = truth["camera"]
     lens = [c[name] for name in ("fx", "fy", "cx", "cy")]

@@ -75,7 +75,6 @@ def fill_in(folder):
 
 
 def next_of(folder):
-    """The open step; the others are behind or before it."""
     steps = checklist(folder, [folder.parent / "service"])
     states = [s.state for s in steps]
     k = states.index("next")
@@ -101,7 +100,6 @@ def cabinet(tmp_path):
 
 @pytest.fixture
 def finished(cabinet):
-    """All done, with provenance."""
     photograph(cabinet / "board", BOARD_ENOUGH)
     make_camera(cabinet)
     fill_in(cabinet)

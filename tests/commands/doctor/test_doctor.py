@@ -62,7 +62,6 @@ def film_of(options, seconds, size="[512,384]"):
 
 @pytest.fixture(scope="module")
 def good():
-    """A film in order."""
     return film_of("noise=2", seconds=0.4)
 
 

@@ -527,7 +527,6 @@ def test_bound_ratio_leaves_out_the_first_frame():
 
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory):
-    """Half a second of our own renderer's film."""
     path = tmp_path_factory.mktemp("film") / "short"
     for _ in write_simulation(path, prepare(SimulationOptions(seconds=0.5))):
         pass

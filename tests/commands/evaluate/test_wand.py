@@ -20,7 +20,6 @@ def film(path, **options):
 
 @pytest.fixture(scope="module")
 def two(tmp_path_factory):
-    """Two balls that look alike, the second of which is found first."""
     return film(tmp_path_factory.mktemp("wand") / "two", seconds=0.4, balls=2)
 
 

@@ -31,7 +31,6 @@ def film(path, **options):
 
 @pytest.fixture(scope="module")
 def hand(tmp_path_factory):
-    """A hand that moves at up to 0.4 m/s and 180 degrees/s."""
     return film(tmp_path_factory.mktemp("wand") / "hand")
 
 
@@ -188,7 +187,6 @@ def test_held_to_its_stamps_it_tracks_the_same_ball(spheremouse, hand, tmp_path)
 
 
 def refused(result):
-    """The one line that an error is."""
     code, _, err = result
     lines = [line for line in err.splitlines() if line.startswith("spheremouse: ")]
     assert (code, len(lines)) == (2, 1), err

@@ -244,7 +244,6 @@ def test_what_is_left_to_do_is_said_where_all_is_placed_and_it_does_not_run(home
 
 
 def status(code, *words):
-    """Return the output of the status, in one line."""
     result = CliRunner().invoke(app, ["status", *map(str, words)], env={"COLUMNS": "400"})
     assert result.exit_code == code, result.output
     return " ".join(result.output.split())

@@ -74,7 +74,6 @@ def made(tmp_path_factory):
 
 @pytest.fixture
 def folder(made, tmp_path):
-    """A copy to spoil."""
     return shutil.copytree(made, tmp_path / "copy")
 
 

@@ -19,8 +19,6 @@ HAND = 2.0  # rad/s, a hand in ordinary play
 
 @dataclass
 class Seen:
-    """What a film comes to."""
-
     reasons: list[str]
     news: list[tuple[float, str]]
     counts: Array  # (n, 3) of each frame

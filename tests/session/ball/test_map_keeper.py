@@ -44,7 +44,6 @@ def path(tmp_path, monkeypatch):
 
 
 def run(path, *states, every=1e9):
-    """A run over the states; what it said."""
     said = []
     with closing(MapKeeper(path, RIG, said.append, every)) as keeper:
         for state in states:

@@ -20,7 +20,6 @@ def answer(pending):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """The runtime folder."""
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     return tmp_path
 

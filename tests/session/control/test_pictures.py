@@ -20,7 +20,6 @@ SIZE = 200_000  # bytes of a picture, which take longer to copy than to number
 
 
 def numbered(number, size=SIZE):
-    """A picture whose parts all show its number."""
     return LivePicture(number, float(number), "grey", number, 1, size * bytes([number % 251]), {"sequence": number})
 
 

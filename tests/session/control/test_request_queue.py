@@ -24,7 +24,6 @@ def queue():
 
 
 def put(queue, request):
-    """A request and the list of its replies."""
     replies = []
     pending = PendingRequest(request, replies.append)
     queue.put(pending)

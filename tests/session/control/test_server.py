@@ -41,7 +41,6 @@ def path(tmp_path_factory):
 
 @pytest.fixture
 def serve(path):
-    """Makes servers that are closed in the end."""
     with contextlib.ExitStack() as stack:
         yield lambda handle=answer, limits=None, log=None, **options: stack.enter_context(
             ControlServer(path, ControlSettings(**options), handle, ([] if log is None else log).append, limits)
@@ -361,7 +360,6 @@ def test_a_client_without_a_request_is_dropped(serve, path, piece):
 
 
 def as_peer(monkeypatch, uid):
-    """Replace the kernel's credentials."""
     monkeypatch.setattr(socket_file, "peer_of", lambda connection: Peer(4711, uid, uid))
 
 

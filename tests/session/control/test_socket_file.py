@@ -66,7 +66,6 @@ else:
 
 
 def ask_as(path, uid, gid, *groups):
-    """What a process of another user reads from the socket."""
     extra = ["--groups", ",".join(map(str, groups))] if groups else ["--clear-groups"]
     words = ["setpriv", "--reuid", str(uid), "--regid", str(gid), *extra, sys.executable, "-I", "-c", ASKER, str(path)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=True, cwd="/")
@@ -75,7 +74,6 @@ def ask_as(path, uid, gid, *groups):
 
 @pytest.fixture
 def open_folder():
-    """A folder that other users may enter."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:

@@ -10,8 +10,6 @@ from spheremouse.session.process.notify import Notifier
 
 
 class Manager:
-    """The other end of the socket, and a clock."""
-
     def __init__(self, path):
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.bind(str(path))
@@ -19,7 +17,6 @@ class Manager:
         self.now = 100.0
 
     def heard(self):
-        """All messages since this was last asked."""
         messages = []
         with contextlib.suppress(BlockingIOError):
             while True:

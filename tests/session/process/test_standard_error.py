@@ -26,7 +26,6 @@ def a_pipe():
 
 
 def read_all(reads, until):
-    """Read until `until` has arrived."""
     data = b""
     while until not in data:
         data += os.read(reads, 65536)

@@ -30,7 +30,6 @@ def transcript(*steps, image=COLOUR):
 
 
 def frame(told, stamp, poses, image=COLOUR):
-    """Return the log messages of a frame."""
     told.add(stamp, poses, image)
     return told.take()
 

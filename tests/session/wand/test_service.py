@@ -43,8 +43,6 @@ wand: {{points: 1}}
 
 
 class WandWorld(World):
-    """A hand-held ball before the daemon's camera."""
-
     colour_alone = True
 
     def __init__(self, film, shots, folder):
@@ -66,7 +64,6 @@ class WandWorld(World):
         super().start(watch=lambda made, report, _: self.frames.append((made.epoch, report)), frames=frames)
 
     def log_after_start(self):
-        """What was logged since it began to track."""
         return self.said[next(k for k, line in enumerate(self.said) if line.startswith("tracking")) :]
 
     def heard(self, text, times=1):
