@@ -145,7 +145,6 @@ class Capture(threading.Thread):
         self._latest.wake()
 
     def _fetch(self) -> None:
-        """Fetch one stream from its opening to its end."""
         began: float | None = None  # s, the first frame
         self._failures += 1
         with self._open() as camera:

@@ -26,8 +26,6 @@ class Controls(NamedTuple):
 
 
 class _Shown(Fetched):
-    """A frame that reports its release."""
-
     def __init__(self, frame: Frame, released: Callable[[], None]) -> None:
         super().__init__(frame)
         self._released = released
@@ -91,7 +89,6 @@ class Replay(Streamed):
         return None
 
     def _due(self) -> float:
-        """Return when the next frame is due, s, monotonic."""
         assert self._next is not None
         gap = 0.0 if self._is_first else min(max(self._next[1].stamp - self._stamp, 0.0), _MAX_GAP_S)
         return 0.0 if self._steps else self._shown_at + gap / self.controls.speed

@@ -79,7 +79,6 @@ def data(sections: Sequence[Section]) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> Any:
-    """Replace infinity and NaN, which JSON does not have."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -103,7 +103,6 @@ def _is_word(unit: str) -> bool:
 
 
 def _word(unit: str, value: Any) -> str | None:
-    """Return a value as it is typed."""
     return None if value is None else ("x" if unit == "WxH" else ",").join(f"{part:g}" for part in value)
 
 

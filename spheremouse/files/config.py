@@ -191,7 +191,6 @@ def _kind(hint: Any) -> str:
 
 
 def _fields(settings: Any, prefix: Key = ()) -> "Iterator[tuple[Key, dataclasses.Field[Any], Any, Any]]":
-    """Yield key, field, type and value of every setting."""
     for field in _ordered(type(settings)):
         key, value = (*prefix, field.name), getattr(settings, field.name)
         if _is_section(type(settings), field):

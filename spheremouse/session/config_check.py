@@ -97,7 +97,6 @@ def _read(key: Key, path: Path | None, read: Callable[[Path], T], found: Found) 
 
 
 def _folder_there(key: Key, path: Path, found: Found) -> bool:
-    """Return whether the folder exists for a file that a run writes."""
     if path.parent.is_dir() or path.parent == STATE_FOLDER:
         return path.parent.is_dir()
     found.wrong.append(Problem(key, f"{path.parent}: no such folder; make it, or name another"))

@@ -204,7 +204,6 @@ def curve(stamps: Array, values: Array, now: float) -> str:
 
 
 def _status(epoch: Epoch) -> str:
-    """Return the state of the ball in a word or two."""
     withheld = epoch.state.withheld
     return f"{epoch.state.status}{'' if withheld is None or not withheld.announced else ', motion withheld'}"
 

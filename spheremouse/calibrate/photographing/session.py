@@ -126,7 +126,6 @@ def store(picture: Image, folder: Path) -> Path:
 
 
 def _resumed(begin: Callable[[Size], Selector], picture: Image, folder: Path, screen: Screen) -> Selector:
-    """A selector with the photos in the folder."""
     size = picture.shape[1], picture.shape[0]
     selector = begin(size)
     if not has_photos(folder):

@@ -113,7 +113,6 @@ def camera_json(done: CameraCalibration) -> dict[str, Any]:
 
 
 def _views(done: CameraCalibration) -> list[dict[str, Any]]:
-    """Each photo, in the order given."""
     found, false = done.found, inconsistent_views(done)
     rms, position, tilts = found.view_rms(), found.camera_positions(), np.degrees(found.tilts())
     views: dict[int, dict[str, Any]] = {
@@ -161,7 +160,6 @@ def _parameter_rows(done: CameraCalibration) -> list[list[str]]:
 
 
 def _view_rows(done: CameraCalibration) -> tuple[list[list[str]], list[bool]]:
-    """Cells of each photo, and whether it was left out."""
     views = _views(done)
     rows = []
     for view in views:
@@ -258,7 +256,6 @@ def _magnification(done: CameraCalibration) -> float:
 
 
 def _thumbnail(done: CameraCalibration, k: int) -> tuple[bytes, str]:
-    """A small photo with its corners, those left out in red, and its caption."""
     photo, used = done.photos[done.index[k]], done.found.used[k]
     scale = _THUMBNAIL_WIDTH / photo.size[0]
     size = _THUMBNAIL_WIDTH, max(1, round(scale * photo.size[1]))

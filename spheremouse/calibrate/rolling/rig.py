@@ -179,8 +179,6 @@ def build_rig(solution: Solution, axes: AxesFrom, radius: float | None, exposure
 
 
 class _Scaled(NamedTuple):
-    """All parts of a rig with a length."""
-
     pose: Pose
     ball: Ball
     targets: Targets

@@ -43,8 +43,6 @@ class TrackedRolling:
 
 @dataclass(slots=True)
 class _Segment:
-    """Frames with one map, and their detections."""
-
     stamp: list[float] = field(default_factory=list)
     attitude: list[Array] = field(default_factory=list)  # R_obj_ball
     direction: list[Array] = field(default_factory=list)  # (n, 3) obj

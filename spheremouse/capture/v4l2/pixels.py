@@ -121,5 +121,4 @@ def _decoded(payload: Image, layout: Layout, space: str) -> Image:
 
 
 def _message(error: Exception) -> str:
-    """Return the decoder's message in one line."""
     return " ".join(str(error).split()).removeprefix("Corrupt JPEG data: ") or type(error).__name__

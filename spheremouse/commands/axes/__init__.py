@@ -115,7 +115,6 @@ def _told(plan: "RunConfig", overrides: "CommandLineOverrides", config: Path) ->
 
 
 def _keep(config: Path | None, values: dict[tuple[str, ...], Any], dry: bool) -> None:
-    """Write settings into the configuration, or print where they belong."""
     from spheremouse.files.edit import save_settings
     from spheremouse.session.settings import Configuration
 

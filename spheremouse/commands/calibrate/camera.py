@@ -81,7 +81,6 @@ def camera(
 
 
 def _next_command(out: Path) -> str:
-    """The next command, by the contents of the camera file's folder."""
     from spheremouse.calibrate.guide.folder import init_command, photos_command
     from spheremouse.calibrate.photos import has_photos
 

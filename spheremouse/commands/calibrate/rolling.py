@@ -126,7 +126,6 @@ def rolling(
 
 
 def _gestures(forward: str | None, right: str | None) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    """The spans of both gestures, s."""
     if forward is None and right is None:
         return None
     if forward is None or right is None:

@@ -282,7 +282,6 @@ def _ask(socket: Path | None, command: str, **arguments: Any) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _failing() -> Iterator[None]:
-    """End with line and exit code of a ControlError."""
     try:
         yield
     except ControlError as e:

@@ -125,7 +125,6 @@ def _latency(ms: Quantiles | None) -> str:
 
 
 def _motion(s: StatusReport) -> Text:
-    """Return the motion of the ball, and its sum."""
     words = (s.motion.words if s.motion else None) or "not known"
     if s.counts:
         words += "; counts x {:+d}, y {:+d}, third {:+d}".format(*s.counts)
@@ -170,7 +169,6 @@ def _recording(r: RecordingStatus) -> Text:
 
 
 def _span(seconds: float | None) -> str:
-    """Return a time in a convenient unit."""
     if seconds is None:
         return "-"
     for size, limit, unit in ((1.0, 120.0, "s"), (60.0, 120.0, "min"), (3600.0, 48.0, "h")):

@@ -201,7 +201,6 @@ def _draw_plot(run: Run, truth: Truth, path: Path) -> None:
 
 
 def _summary(result: dict[str, Any], tally: Tally, history: History, truth: Truth, tracker: Tracker) -> Table:
-    """Return the comparison with the truth as a table."""
     pose, median, lost = result["pose_error"], 1e3 * tally.times.quantile(0.5), result["lost_episodes"]
     position, angle = (float(np.linalg.norm(pose[key])) for key in ("position_mm", "angle_deg"))
     rows = [

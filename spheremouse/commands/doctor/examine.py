@@ -114,13 +114,11 @@ class _Run:
         yield Section("output", findings)
 
     def _is_in_use(self, status: StatusReport | None) -> bool:
-        """Return whether the running daemon uses the camera of this plan."""
         spec = status.source.spec if status and status.source else None
         other = node_of(replace(self.plan, source=spec)) if spec else None
         return self.node is not None and other is not None and self.node.resolve() == other.resolve()
 
     def _film(self, seconds: float) -> Iterator[Finding]:
-        """Film, and yield findings about rate, stamps and controls."""
         if self.of_wand and not self.live:
             self.brought = open_setup(self.plan)
         source = None if self.brought is None else self.brought.source
@@ -188,7 +186,6 @@ class _Run:
 
 
 def _cameras(there: list[Node], live: bool) -> Finding:
-    """List the cameras of this computer."""
     if there:
         listed = "; ".join(f"{n.path} ({n.name}){f' = {n.lasting}' if n.lasting else ''}" for n in there)
         return ok("cameras", listed, cameras=[str(n.lasting or n.path) for n in there])

@@ -28,8 +28,6 @@ _NO_TRUTH = "no truth.csv: no errors are known; the table has the frames tracked
 
 
 class _Track(NamedTuple):
-    """A recording with the rig and the map of its run."""
-
     recording: Recording
     rig: Rig
     known: DiscMap | None
@@ -99,7 +97,6 @@ def _tracks(options: Options, settings: Settings) -> Iterator[_Track]:
 
 
 def _run(each: _Track, settings: Settings, options: Options, err: Console) -> BallRun:
-    """Track a recording from its first frame, with a progress bar."""
     recording, rig, known = each
     with terminal.progress_bar() as progress:
         task = progress.add_task(recording.name, total=recording.frames)

@@ -70,7 +70,6 @@ def evaluate_wands(options: Options, out: Console, err: Console) -> tuple[list[d
 
 
 def _run(recording: WandRecording, tracker: WandTracker, seed: int, known: Known | None) -> WandHistory:
-    """Track a recording once."""
     with terminal.progress_bar() as progress:
         task = progress.add_task(f"{recording.name}, seed {seed}", total=recording.frames)
         frames = progress.track(read_frames(recording), recording.frames, task_id=task)

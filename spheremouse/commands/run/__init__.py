@@ -133,7 +133,6 @@ _REPLAYED = ("rig=null", "camera_file=null", "map=null", "wand.balls=[]", "metri
 
 
 def _has_terminal(plan: "RunConfig") -> bool:
-    """Return True if standard error is a terminal to which no output writes."""
     from spheremouse.output import file_of
 
     shared = any(spec.partition(":")[0] == "text" and file_of(spec) is None for spec in plan.outputs)

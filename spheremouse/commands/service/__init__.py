@@ -167,7 +167,6 @@ def _would(actions: list[service.FileAction]) -> None:
 
 
 def _activation(place: Place, start: bool) -> list[list[str]]:
-    """Return the commands that put the placed files into force."""
     commands = [] if place.user else [
         ["systemd-sysusers", "/etc/sysusers.d/spheremouse.conf"],
         ["systemd-tmpfiles", "--create", "/etc/tmpfiles.d/spheremouse.conf"],
@@ -224,7 +223,6 @@ def _by_hand(place: Place, commands: list[list[str]], dry_run: bool) -> None:
 
 
 def _next(place: Place) -> None:
-    """Print the next step."""
     rig, user = place.configuration / "rig.yaml", " --user" if place.user else ""
     if not rig.exists():
         sudo = "" if place.user else "sudo "

@@ -105,7 +105,6 @@ class Tray:
             icon.menu, self._items, self._refreshed = self._menu(items), items, now
 
     def _notify(self, v: View) -> None:
-        """Show a notice if one is due."""
         text = self._notices.update(v, time.monotonic())
         if v.connected:
             if self._recording is not None and v.recording is None:

@@ -58,7 +58,6 @@ def no_daemon(reason: str) -> View:
 
 
 def _line(text: str) -> str:
-    """Return printable text in one line."""
     return "".join(c if c.isprintable() else " " for c in text).strip()
 
 

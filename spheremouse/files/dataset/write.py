@@ -189,7 +189,6 @@ def _finish_pictures(pictures: PictureWriter, path: Path) -> None:
 
 
 def _write_scene(folder: Path, scene: Mapping[str, Any]) -> None:
-    """Write scene.json."""
     (folder / "scene.json").write_text(json.dumps(scene, indent=1) + "\n", encoding="utf-8")
 
 

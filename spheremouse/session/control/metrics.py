@@ -176,7 +176,6 @@ def _gauges(s: StatusReport, started: float) -> Iterator[tuple[str, str, Samples
 
 
 def _quantiles(ms: Quantiles | None, labels: dict[str, str]) -> Iterator[tuple[dict[str, str], float]]:
-    """Yield quantiles in s."""
     ms = ms or Quantiles()
     for quantile, value in (("0.5", ms.p50), ("0.99", ms.p99), ("1", ms.max)):
         if value is not None:

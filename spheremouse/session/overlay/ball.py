@@ -60,7 +60,6 @@ def _draw_detections(pen: "Pen", state: TrackState, tracker: Tracker) -> None:
 
 
 def _cells(epoch: Epoch, counts: tuple[int, int, int]) -> tuple[tuple[str, float], ...]:
-    """Time, phase, rate, counts, discs."""
     estimate, n = epoch.estimate, epoch.estimate.statistics
     rate = "  ".join(f"{name} {v:+.1f}" for name, v in zip("XYZ", np.degrees(estimate.rate[:3]), strict=True))
     return (

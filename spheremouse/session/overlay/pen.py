@@ -114,7 +114,6 @@ class Pen:
             _text(self._canvas, text, (round(place * w), h - round(0.65 * size)), size, (235, 235, 235))
 
     def _closed(self, points: Array, colour: Colour, weight: float) -> None:
-        """A closed line."""
         fixed = [self._fixed(points)]
         cv2.polylines(self._canvas, fixed, True, _dull(colour, weight), self.width, cv2.LINE_AA, _SHIFT)
 
