@@ -2,23 +2,22 @@
 
 import asyncio
 import base64
-import io
 import json
 import math
 import os
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from ruamel.yaml import YAML
-
 from spheremouse.errors import ConfigurationError, ControlError, printable
-from spheremouse.files.edit import put, save_settings
-from spheremouse.files.yaml import SCHEMAS, parse_bytes, parse_value
+from spheremouse.files.edit import save_settings
+from spheremouse.files.exchange import read_settings, settings_text
+from spheremouse.files.figures import read_figures
+from spheremouse.files.yaml import parse_value
 from spheremouse.session.control.client import Client, settings_to_save
 from spheremouse.view.daemon import Daemon, Values
 from spheremouse.view.recordings import Recordings
@@ -80,15 +79,17 @@ class Actions:
             return Done(await self.recordings.play(str(arguments.get("name"))))
         if action == "leave":
             return Done(await self.recordings.leave())
+        if action == "calibration":
+            return Done(data=await self._calibration())
         if action == "compare":
             begin, end = (_seconds(arguments.get(key)) for key in ("begin", "end"))
             return Done(data=await self.recordings.compare(str(arguments.get("name")), begin or 0.0, end))
         if action == "guide":
             return Done(data=await self._guide())
         if action == "export":
-            return Done(data={"text": yaml_of(self._daemon.changed())})
+            return Done(data={"text": settings_text(self._daemon.changed())})
         if action == "import":
-            return await self._set_all(self._daemon.differing(values_of(str(arguments.get("text", "")))), "import")
+            return await self._set_all(self._daemon.differing(read_settings(str(arguments.get("text", "")))), "import")
         raise ControlError(f"{action}: there is no such action")
 
     async def _guide(self) -> dict[str, Any]:
@@ -108,6 +109,17 @@ class Actions:
                 return found | {"camera": None, "problem": str(e)}
             picture = base64.b64encode(file.read_bytes()).decode()
         return found | {"camera": sight["source"], "lines": sight["lines"], "picture": picture}
+
+    async def _calibration(self) -> dict[str, Any]:
+        """Return the reports beside the rig and in the folder of the calibration."""
+        rig, folder = (self._daemon.status or {}).get("rig"), self._guide_options.folder
+        given = Path("cabinet" if Path("cabinet").is_dir() else "") if folder is None else folder
+        folders = [*([] if rig is None else [Path(rig).parent]), given.absolute()]
+        try:
+            reports = await asyncio.to_thread(read_figures, folders)
+        except OSError as e:
+            raise ControlError(f"{e.filename}: cannot be read ({e.strerror})") from None
+        return {"reports": reports, "folders": [str(f) for f in folders]}
 
     async def _set_all(self, values: Values, name: str) -> Done:
         if not values:
@@ -154,34 +166,6 @@ class Actions:
             return json.loads(out)
         except ValueError:
             raise ControlError(f"spheremouse {words[0]}: prints no JSON; see the log of the page") from None
-
-
-def yaml_of(values: Values) -> str:
-    """Return settings as the text of a configuration file."""
-    sections: dict[str, Any] = {}
-    for key, value in values.items():
-        put(sections, tuple(key.split(".")), value)
-    text = io.StringIO()
-    yaml = YAML(typ="safe", pure=True)
-    yaml.default_flow_style = False
-    yaml.dump({"schema": SCHEMAS["configuration"], **sections}, text)
-    return text.getvalue()
-
-
-def values_of(text: str) -> Values:
-    """Return the settings in the text of a configuration file. Raises ConfigurationError with its line."""
-    data = parse_bytes(text.encode(), "the imported file").data
-    if not isinstance(data, dict):
-        raise ControlError("the imported file: has no settings", "export one to see its form")
-    return dict(_flat({k: v for k, v in data.items() if k not in ("schema", "profiles")}))
-
-
-def _flat(data: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in data.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
 
 
 def _seconds(value: Any) -> float | None:

@@ -91,8 +91,9 @@ class Recordings:
         words = ["evaluate", str(recording.path), "--json", "-", *_as_configured(recording, status)]
         words += [] if recording.wand else ["--begin", str(begin), "--end", str(end)]
         changes = [word for change in status.get("changes") or [] for word in ("--set", change)]
-        before, after = await asyncio.gather(self._run(*words), self._run(*words, *changes))
-        return {"before": before, "after": after}
+        runs = [words, [*words, *changes]] if changes else [words]
+        before, *after = await asyncio.gather(*(self._run(*run) for run in runs))
+        return {"before": before, "after": after[0] if after else before}
 
     async def _wait(self, process: Process, folder: Path) -> str:
         """Return the last line of a replay that has ended. If it ended by itself, report the line."""

@@ -1,6 +1,7 @@
 """The page in a browser, on a service that tracks a film."""
 
 import io
+import json
 import re
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from PIL import Image
 from view_world import wait_for
 
-PANELS = ("Tune", "Expert", "Log", "Draw", "Recordings", "Outputs", "Doctor", "Guide")
+PANELS = ("Tune", "Expert", "Log", "Draw", "Recordings", "Outputs", "Doctor", "Calibration", "Guide")
 SIZES = {"desktop": (1280, 800), "phone": (390, 844)}
 
 
@@ -317,6 +318,29 @@ def test_a_recording_is_replayed_step_by_step_and_two_settings_are_compared(page
 def test_outputs_are_listed(page):
     choose(page, "Outputs")
     page.locator("#panel-Outputs").get_by_role("rowheader", name="null").wait_for()
+
+
+def test_a_report_of_a_calibration_is_shown_and_nonsense_refused_with_its_reason(page, service):
+    view = {"file": "board_1.jpg", "rms_px": 0.0456, "corners": 88, "why": None}
+    camera = {
+        "width": 640,
+        "height": 480,
+        "fx": 500.0,
+        "fy": 501.0,
+        "cx": 320.0,
+        "cy": 240.0,
+        "dist": [0.1, 0, 0, 0, 0],
+    }
+    figures = {"camera": {**camera, "sigma": [0.25] * 9}, "rms_px": 0.05, "board_views": [view], "advice": ["Good."]}
+    (service.folder / "lens.json").write_text(json.dumps(figures))
+    (service.folder / "rig.json").write_text("{")
+    choose(page, "Calibration")
+    panel = page.locator("#panel-Calibration")
+    panel.get_by_text("board_1.jpg").wait_for()
+    cells = [row.split("\t") for row in panel.locator("tr").all_inner_texts()]
+    assert ["fx", "500.00 px", "0.25 px"] in cells
+    assert ["board_1.jpg", "0.046", "88"] in [row[:3] for row in cells]
+    assert "is no valid report" in panel.locator(".refused").inner_text()
 
 
 @pytest.mark.slow

@@ -57,7 +57,7 @@ def camera(
     pattern = chosen_board(folder.parent, board, square, marker, dictionary)
     if distortion not in _TERMS:
         raise CalibrationError(f"--distortion {distortion}: must be one of {', '.join(map(str, _TERMS))}")
-    page = report or out.with_suffix(".html")
+    page, json_file = report or out.with_suffix(".html"), json_file or out.with_suffix(".json")
     check_outputs([out, page, json_file], photos, force)
     if square is None:
         note(f"the board, from its board.yaml: {' '.join(pattern.options)}")
@@ -69,10 +69,10 @@ def camera(
     figures = camera_json(done)
     write_camera_report(page, done, made_from)
     save_camera(out, done.found.camera, made_from)
-    if json_file is not None and write_json(json_file, figures):
+    if write_json(json_file, figures):
         return
     print_camera(done, table_console())
-    typer.echo(f"{out}: the camera; {page}: the report")
+    typer.echo(f"{out}: the camera; {page}: the report; {json_file}: its figures")
     if any(kind != "good" for kind, _ in advise(done)):
         given = [*pattern.options, *([] if distortion == _ALL_TERMS else ["--distortion", str(distortion)])]
         again = copyable("spheremouse", "calibrate", "camera", *photos, *given, "--out", out, "--force")

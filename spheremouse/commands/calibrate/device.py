@@ -66,6 +66,7 @@ def device(
     from spheremouse.files.rig import load_camera, save_rig
 
     page, the_map = report or out.with_suffix(".html"), map_path(out)
+    json_file = json_file or out.with_suffix(".json")
     check_outputs([out, the_map, page, json_file], [*photos, device_file, camera_file, config], force)
     _check_inputs(device_file, camera_file)
     known, camera = load_device(device_file), load_camera(camera_file)
@@ -96,10 +97,10 @@ def device(
     save_map(the_map, saved_now(calibration.disc_map(), rig))
     save_rig(out, rig, made_from)  # last: it shows that all files are complete
     figures = device_json(calibration, names, advice)
-    if json_file is not None and write_json(json_file, figures):
+    if write_json(json_file, figures):
         return
     print_device(calibration, names, advice, Console(highlight=False))
-    typer.echo(f"{out}: the rig; {the_map}: the map of its discs; {page}: the report")
+    typer.echo(f"{out}: the rig; {the_map}: the map of its discs; {page}: the report; {json_file}: its figures")
     if any(a.kind != "good" for a in advice):
         files = ["--device", device_file, "--camera", camera_file, *([] if config is None else ["--config", config])]
         files += [word for one in settings or () for word in ("--set", one)]

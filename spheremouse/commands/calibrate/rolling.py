@@ -84,6 +84,7 @@ def rolling(
     gestures = _gestures(forward, right)
     source = full_spec(source)
     argument = source.partition(":")[2]
+    json_file = json_file or (None if out is None else out.with_suffix(".json"))
     inputs = [camera, device, rig, Path(argument) if argument else None]
     check_outputs([out, None if out is None else map_path(out), json_file], inputs, force)
     interior = None if camera is None else load_camera(camera)

@@ -1,5 +1,6 @@
 /** The page: state and buttons at the top, picture, space and plots, and the panels at the side. */
 
+import { CalibrationPanel } from "./calibration.js";
 import { byId, el, formatDuration, setText } from "./dom.js";
 import { DrawPanel } from "./draw.js";
 import { GuidePanel } from "./guide.js";
@@ -45,6 +46,7 @@ const drawing = new DrawPanel(settings, picture);
 const outputs = new OutputsPanel();
 const doctor = new DoctorPanel(perform);
 const guide = new GuidePanel(perform);
+const calibration = new CalibrationPanel(perform);
 const recordings = new RecordingsPanel(perform);
 
 /**
@@ -168,7 +170,7 @@ byId("snapshot", HTMLElement).addEventListener("click", () => void perform("snap
 /** @type {[name: string, element: HTMLElement, wide: boolean][]} */
 const PANELS = [
   ["Tune", tune.element, false], ["Expert", expert.element, true], ["Log", log.element, true], ["Draw", drawing.element, false],
-  ["Recordings", recordings.element, true], ["Outputs", outputs.element, true], ["Doctor", doctor.element, true], ["Guide", guide.element, true],
+  ["Recordings", recordings.element, true], ["Outputs", outputs.element, true], ["Doctor", doctor.element, true], ["Calibration", calibration.element, true], ["Guide", guide.element, true],
 ];
 
 /** @param {string} chosen */
@@ -183,6 +185,7 @@ function show(chosen) {
   }
   drawing.activate(chosen === "Draw");
   if (chosen === "Recordings" && owner) void recordings.open();
+  if (chosen === "Calibration" && owner) void calibration.open();
 }
 
 const tabs = PANELS.map(([name], i) => el("button", {

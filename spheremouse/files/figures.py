@@ -1,0 +1,97 @@
+"""Read the figures that the calibrations write as JSON, as rows for people."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from spheremouse.files import plain_json
+from spheremouse.files.safe_files import read_bytes
+
+_MAX_BYTES = 5_000_000
+_MAX_FILES = 50
+_LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+_PIXELS = 4  # of the lens parameters are in px
+
+Row = tuple[str, str, str]  # quantity, value with its unit, standard deviation with its unit
+
+
+def read_figures(folders: Sequence[Path]) -> list[dict[str, Any]]:
+    """Return the figures in these folders: `file`, `kind`, `date`, `rows`, `photos` and `advice`, or `problem`.
+
+    A photo has `file`, `rms_px`, `points` and the reason `why` it is left out. A JSON file of another kind counts as a
+    report if it has the name of a YAML file. Raises OSError if a folder cannot be read.
+    """
+    files = {path.resolve() for folder in folders if folder.is_dir() for path in folder.glob("*.json")}
+    found = [_read(path) for path in sorted(files)[:_MAX_FILES]]
+    return [each for each in found if "problem" not in each or Path(each["file"]).with_suffix(".yaml").exists()]
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        data = plain_json.loads(read_bytes(path, _MAX_BYTES, "report"))
+        kind, rows = next((kind, rows) for kind, key, rows in _KINDS if key in data)
+        written = time.strftime("%Y-%m-%d %H:%M", time.localtime(path.stat().st_mtime))
+        return {
+            "file": str(path), "kind": kind, "date": written, "rows": list(rows(data)), "photos": list(_photos(data)),
+            "advice": [str(a["text"] if isinstance(a, dict) else a) for a in data.get("advice", [])],
+        }  # fmt: skip
+    except OSError as e:
+        return {"file": str(path), "problem": e.strerror or str(e)}
+    except StopIteration:
+        return {"file": str(path), "problem": "is no report of a calibration"}
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError) as e:
+        reason = plain_json.said(e) if isinstance(e, ValueError) else f"{type(e).__name__}: {e}"
+        return {"file": str(path), "problem": f"is no valid report of a calibration ({reason[:100]})"}
+
+
+def _photos(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    for photo in [*data.get("board_views", []), *data.get("photos", []), *data.get("skipped", [])]:
+        rms, points = photo.get("rms_px"), photo.get("corners", photo.get("points"))
+        yield {
+            "file": str(photo["file"]),
+            "rms_px": None if rms is None else float(rms),
+            "points": None if points is None else int(points),
+            "why": str(photo.get("why") or ""),
+        }
+
+
+def _camera(data: dict[str, Any]) -> Iterator[Row]:
+    camera = data["camera"]
+    yield "picture", f"{int(camera['width'])}x{int(camera['height'])} px", ""
+    values = [*(camera[name] for name in _LENS[:_PIXELS]), *camera["dist"]]
+    for k, (name, value, sigma) in enumerate(zip(_LENS, values, camera["sigma"], strict=True)):
+        yield (name, f"{value:.2f} px", f"{sigma:.2f} px") if k < _PIXELS else (name, f"{value:.5f}", f"{sigma:.1g}")
+    yield "corners, RMS", f"{data['rms_px']:.3f} px", ""
+
+
+def _device(data: dict[str, Any]) -> Iterator[Row]:
+    unit, size = ("radii", 1.0) if data["scale_free"] else ("mm", 1e3)
+    ball = data["ball"]
+    for axis, value in zip("XYZ", ball["center"], strict=True):
+        yield f"ball {axis}", f"{size * value:.2f} {unit}", f"{size * ball['sigma'][axis]:.2f} {unit}"
+    yield "ball's radius", f"{size * ball['radius']:.2f} {unit}", f"{size * ball['sigma']['R']:.2f} {unit}"
+    for target in data["targets"]:
+        place, sigma = (", ".join(f"{size * v:.2f}" for v in target[key]) for key in ("position", "sigma"))
+        yield f"target {target['code']}", f"{place} {unit}", f"{sigma} {unit}"
+    for d in data["distances"]:
+        words = f"{1e3 * d['adjusted']:.1f} mm, {1e3 * d['residual']:+.1f} mm from the tape"
+        yield f"{d['from']} to {d['to']}", words, f"{1e3 * d['adjusted_sigma']:.1f} mm"
+    yield "points, RMS", f"{data['rms_px']:.3f} px", ""
+
+
+def _rolling(data: dict[str, Any]) -> Iterator[Row]:
+    yield "radius over distance", f"{data['ratio']:.6f}", f"{data['ratio_sigma']:.6f}"
+    yield "direction of the centre", "", f"{data['center_direction_sigma_deg']:.4f}°"
+    yield "camera's angles", "", ", ".join(f"{v:.3f}°" for v in data["sigma_angle_deg"])
+    yield "axes", str(data["axes"]), ", ".join(f"{v:.3f}°" for v in data["axes_sigma_deg"])
+    yield "frames used", f"{int(data['frames'])} of {int(data['frames_given'])}", ""
+    yield "discs, RMS", f"{data['rms_px']:.3f} px", ""
+
+
+# kind, a key that only its figures have, and their rows
+_KINDS: tuple[tuple[str, str, Callable[[dict[str, Any]], Iterator[Row]]], ...] = (
+    ("camera", "board_views", _camera),
+    ("device", "ring_scale", _device),
+    ("rolling", "center_direction", _rolling),
+)

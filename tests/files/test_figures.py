@@ -1,0 +1,72 @@
+"""Figures of calibrations: rows for people, and reasons for what is none."""
+
+import json
+
+import pytest
+
+from spheremouse.files.figures import read_figures
+
+DEVICE = {
+    "targets": [{"id": 1, "code": "MCY", "position": [-0.1, 0.2, 0.0], "sigma": [1e-4, 2e-4, 3e-4]}],
+    "ball": {"center": [0.0, 0.001, -0.2], "radius": 0.05, "sigma": {"X": 1e-5, "Y": 2e-5, "Z": 3e-5, "R": 4e-5}},
+    "photos": [{"file": "a.jpg", "rms_px": 0.25, "points": 12}],
+    "distances": [{"from": 1, "to": 2, "metres": 0.3, "adjusted": 0.3004, "residual": -4e-4, "adjusted_sigma": 2e-4}],
+    "skipped": [{"file": "b.jpg", "why": "two targets"}],
+    "rms_px": 0.3, "scale_free": False, "ring_scale": 1.0, "advice": [{"kind": "note", "text": "More photos."}],
+}  # fmt: skip
+ROLLING = {
+    "ratio": 0.25, "ratio_sigma": 1e-5, "center_direction": [0, 0, 1], "center_direction_sigma_deg": 0.01,
+    "sigma_angle_deg": [0.1, 0.2, 0.3], "axes": "gestures", "axes_sigma_deg": [1.0, 1.0, 0.5], "frames": 90,
+    "frames_given": 100, "rms_px": 0.2,
+}  # fmt: skip
+
+
+def read(folder, data, name="rig"):
+    text = data if isinstance(data, str) else json.dumps(data)
+    (folder / f"{name}.json").write_text(text)
+    return read_figures([folder])
+
+
+def test_lengths_are_in_mm_with_their_standard_deviations(tmp_path):
+    (report,) = read(tmp_path, DEVICE)
+    assert report["kind"] == "device"
+    assert ("ball Z", "-200.00 mm", "0.03 mm") in report["rows"]
+    assert ("ball's radius", "50.00 mm", "0.04 mm") in report["rows"]
+    assert ("target MCY", "-100.00, 200.00, 0.00 mm", "0.10, 0.20, 0.30 mm") in report["rows"]
+    assert ("1 to 2", "300.4 mm, -0.4 mm from the tape", "0.2 mm") in report["rows"]
+    assert report["photos"] == [
+        {"file": "a.jpg", "rms_px": 0.25, "points": 12, "why": ""},
+        {"file": "b.jpg", "rms_px": None, "points": None, "why": "two targets"},
+    ]
+    assert report["advice"] == ["More photos."]
+
+
+def test_without_a_scale_lengths_are_in_radii(tmp_path):
+    (report,) = read(tmp_path, DEVICE | {"scale_free": True, "distances": []})
+    assert ("ball Z", "-0.20 radii", "0.00 radii") in report["rows"]
+
+
+def test_rolling_has_its_ratio_and_axes(tmp_path):
+    (report,) = read(tmp_path, ROLLING)
+    assert report["kind"] == "rolling"
+    assert ("radius over distance", "0.250000", "0.000010") in report["rows"]
+    assert ("frames used", "90 of 100", "") in report["rows"]
+
+
+@pytest.mark.parametrize(
+    "nonsense",
+    ["", "{", "[]", '"camera"', '{"ring_scale": NaN}', '{"ring_scale": 1}', '{"board_views": 3}', "[" * 100_000,
+     json.dumps(DEVICE | {"photos": [3]}), json.dumps(DEVICE | {"rms_px": "small"}),
+     json.dumps(DEVICE | {"advice": 1})],
+)  # fmt: skip
+def test_nonsense_beside_a_calibrated_file_is_refused_with_a_reason_in_one_line(tmp_path, nonsense):
+    assert read(tmp_path, nonsense) == []
+    (tmp_path / "rig.yaml").touch()
+    (report,) = read_figures([tmp_path])
+    assert report.keys() == {"file", "problem"}
+    assert "is no" in report["problem"]
+    assert "\n" not in report["problem"]
+
+
+def test_a_missing_folder_has_none(tmp_path):
+    assert read_figures([tmp_path / "none"]) == []
