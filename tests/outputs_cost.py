@@ -28,10 +28,10 @@ from evdev import _uinput
 from scipy.stats import quantile_test
 
 from spheremouse.output import Output, Report, open_output
-from spheremouse.output.deflection import Response
 from spheremouse.output.gamepad import Gamepad
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.output.reporter import OutputThread
+from spheremouse.output.response import STICK
 from spheremouse.output.sample import Sample
 from spheremouse.session.control.server import ControlServer
 from spheremouse.session.process import realtime
@@ -184,7 +184,7 @@ def subscriber(spec):
         with ControlServer(Path(rest), ControlSettings(), lambda pending: pending.answer({})) as server:
             yield lambda report, taken: server.submit(report)
         return
-    open_it = (lambda: Gamepad(NullDevice(), Response())) if kind == "gamepad" else (lambda: open_output(spec))
+    open_it = (lambda: Gamepad(NullDevice(), STICK)) if kind == "gamepad" else (lambda: open_output(spec))
     thread = OutputThread(open_it, PointerSettings(), print)
     yield thread.submit
     thread.close()

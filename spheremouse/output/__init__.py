@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Protocol, Self
 from spheremouse.errors import OutputError
 from spheremouse.files import registry
 from spheremouse.finding import Finding, ok
+from spheremouse.output.response import split_response
 from spheremouse.output.sample import Sample
 from spheremouse.output.third_axis import left_out, sent_as
 from spheremouse.tracker import Estimate
@@ -100,7 +101,6 @@ class DeliveryStatus:
 
 
 _ALL_ARRIVED = DeliveryStatus()
-_MIN_GAIN, _MAX_GAIN = 1e-3, 1e3
 
 
 class Output:
@@ -144,23 +144,9 @@ class Output:
         return isinstance(error, OutputClosed)
 
 
-def split_gain(spec: str) -> tuple[str, float]:
-    """Return the output `KIND:ARGUMENT` without its `gain=`, and the gain. Raise OutputError if it is invalid."""
-    kind, _, argument = spec.partition(":")
-    parts = argument.split(",")
-    given = [part for part in parts if part.strip().startswith("gain=")]
-    if not given:
-        return spec, 1.0
-    gain = float(registry.options(",".join(given), {"gain": float}, spec, OutputError)["gain"])
-    if not _MIN_GAIN <= gain <= _MAX_GAIN:
-        raise OutputError(f"{spec}: gain must be from {_MIN_GAIN:g} to {_MAX_GAIN:g}, is {gain:g}")
-    rest = ",".join(part for part in parts if part not in given)
-    return f"{kind}:{rest}" if rest else kind, gain
-
-
 def full_spec(spec: str) -> str:
-    """Return the output `KIND:ARGUMENT` without its gain, which no module of an output reads."""
-    return split_gain(spec)[0]
+    """Return the output `KIND:ARGUMENT` without the options of its response to counts, which the run applies."""
+    return split_response(spec)[0]
 
 
 def open_output(spec: str) -> Output:

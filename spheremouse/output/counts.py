@@ -5,12 +5,14 @@ log(R_k R_{k-1}^T) x C. Its chord (eq. 172-174) loses 1 % at 30 Hz and 5 % at 5 
 """
 
 from dataclasses import dataclass
+from math import hypot
 from typing import ClassVar, Literal
 
 import numpy as np
 
 from spheremouse.geometry.rotation import Array
 from spheremouse.output import Counts, Rate, Report
+from spheremouse.output.response import COUNTS, Response
 from spheremouse.settings import FACTOR, PER_RADIAN, param
 from spheremouse.tracker import Estimate
 
@@ -189,22 +191,25 @@ class Counter:
         """Change nothing: the increment after a break is known, or zero."""
 
 
-class Gain:
-    """Factor on the counts of one output. Call `apply` with each report of a run, in their order."""
+class OutputCounter:
+    """Counts of one output, by its response. Call `apply` with the report of each frame of a run, in their order."""
 
-    def __init__(self, factor: float) -> None:
-        self._factor, self._fraction, self._remainder = factor, np.zeros(3), Remainder()
+    def __init__(self, response: Response) -> None:
+        self._response, self._fraction, self._remainder = response, np.zeros(3), Remainder()
 
     def apply(self, report: Report) -> Report:
-        """Return the report with the counts and their rate times the factor.
+        """Return the report with the counts of this output, and their rate.
 
-        The sum of all counts stays within one of the factor times the integral of the motion, because the fractions
-        that the run has not reported yet are scaled as well.
+        Without a dead zone and a curve, the sum of all counts stays within one of the gain times the integral of the
+        motion, because the fractions that the run has not reported yet are scaled as well.
         """
-        if self._factor == 1.0:
+        if self._response == COUNTS:
             return report
-        fraction = np.array(report.fraction)
+        sample, fraction = report.pointing_sample, np.array(report.fraction)
+        factor = self._response.factor(0.0 if sample is None else hypot(*sample.rate.tolist()))
         motion, self._fraction = report.counts + fraction - self._fraction, fraction
-        counts, self._remainder = to_counts(motion, self._factor * np.eye(3), self._remainder)
-        rate = None if report.rate is None else (*(self._factor * r for r in report.rate),)
+        mapped = np.array(self._response.to_axes(motion.tolist()))
+        counts, self._remainder = to_counts(mapped, factor * np.eye(3), self._remainder)
+        x, y, z = (0.0, 0.0, 0.0) if report.rate is None else self._response.to_axes(report.rate)
+        rate = None if report.rate is None else (factor * x, factor * y, factor * z)
         return report._replace(counts=counts, rate=rate, fraction=self._remainder.value)

@@ -1,8 +1,9 @@
-"""`gamepad[:full=DEG_PER_S,dead=FRACTION,curve=EXPONENT]`: a gamepad of the Linux kernel, for cockpit games and SDL.
+"""`gamepad[:full=DEG_PER_S,dead=FRACTION,...]`: a gamepad of the Linux kernel, for cockpit games and SDL.
 
 Its left stick goes where the pointer goes, and its deflection is the ball's angular velocity: `full` is a full
-deflection. The right stick's X is the spin, positive clockwise from above. The sticks are in the centre if the ball is
-not tracked, and after 0.3 s without a confirmed frame. No button is ever pressed; games recognise a gamepad by them.
+deflection. The options are those of `Response`. The right stick's X is the spin, positive clockwise from above. The
+sticks are in the centre if the ball is not tracked, and after 0.3 s without a confirmed frame. No button is ever
+pressed; games recognise a gamepad by them.
 Name and ids never change: name "spheremouse gamepad", bus 0x06 (virtual), vendor 0x5350, product 0x4d32, version 1.
 """
 
@@ -10,12 +11,11 @@ import contextlib
 import threading
 from typing import Any
 
-import numpy as np
-
 from spheremouse.errors import OutputError
 from spheremouse.finding import Finding
 from spheremouse.output import Output, Report, uinput
-from spheremouse.output.deflection import Response, Watchdog, parse_response, pointer_rate
+from spheremouse.output.deflection import Watchdog, pointer_rate
+from spheremouse.output.response import STICK, Response, parse_response
 
 NAME = "spheremouse gamepad"
 PRODUCT = 0x4D32
@@ -38,8 +38,8 @@ def to_sticks(report: Report, response: Response) -> Sticks | None:
         return None
     if sample is not None and sample.coordinates == "obj":
         rate[2] = -rate[2]  # counter-clockwise from above; that of a hand-held ball is clockwise
-    x, y = np.rint(FULL_DEFLECTION * response.deflection(rate[:2])).astype(int).tolist()
-    (spin,) = np.rint(FULL_DEFLECTION * response.deflection(rate[2:])).astype(int).tolist()
+    rate = response.to_axes(rate)
+    x, y, spin = (round(FULL_DEFLECTION * d) for d in response.deflection(rate[:2]) + response.deflection(rate[2:]))
     return x, y, spin
 
 
@@ -91,7 +91,7 @@ def open(argument: str) -> Gamepad:
 
 def check(argument: str) -> Response:
     """Return the response. Raise OutputError if the argument is invalid."""
-    return parse_response(argument, f"gamepad:{argument}", ("full", "dead", "curve"))
+    return parse_response(argument, f"gamepad:{argument}", STICK)
 
 
 def probe(argument: str) -> list[Finding]:

@@ -12,13 +12,11 @@ import socket
 import struct
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from spheremouse.errors import OutputError
-from spheremouse.geometry.rotation import Array
 
 _CHANGE_PROTOCOL = 0x7FAA5500  # request; its last byte is the version
 _GREETING_TIME = 0.1  # s, for a client's first request; libspnav would take an event for the answer
@@ -41,13 +39,13 @@ class SpnavServer:
         self._thread = threading.Thread(target=self._serve, name="spacenav", daemon=True)
         self._thread.start()
 
-    def send(self, rotation: Array) -> None:
+    def send(self, rotation: Sequence[float]) -> None:
         """Send rx, ry and rz, (3,) units, to each client. One that does not read its events is disconnected."""
         now = time.monotonic()
         with self._lock:
             for connection, client in self._clients.items():
                 if now >= client.ready:
-                    units = np.rint(rotation * client.sensitivity).astype(int).tolist()
+                    units = [round(r * client.sensitivity) for r in rotation]
                     period = min(round(1000.0 * (now - self._last)), 2**31 - 1)
                     _send(connection, struct.pack("=8i", 0, 0, 0, 0, *units, period))
             self._last = now

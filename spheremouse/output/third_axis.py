@@ -2,6 +2,7 @@
 
 from spheremouse.errors import OutputError
 from spheremouse.files.registry import options
+from spheremouse.output.response import KEYS
 
 NONE = "none"
 VALUES = {  # of `third=` for each kind of output, besides `none`
@@ -15,8 +16,8 @@ _AXIS_NAMES = {"wheel": "the wheel (REL_WHEEL_HI_RES)", "rz": "REL_RZ", "pan": "
 
 
 def parse_third(kind: str, argument: str) -> str:
-    """Return the value of `third=`, the only option of an output. Raise OutputError if it is invalid."""
-    given = options(argument, {"third": str}, f"{kind}:{argument}", OutputError)
+    """Return the value of `third=`, the only option that an output reads itself. OutputError if it is invalid."""
+    given = options(argument, {"third": str, **KEYS}, f"{kind}:{argument}", OutputError)
     return validate_third(kind, str(given.get("third", NONE)))
 
 

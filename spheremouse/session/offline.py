@@ -24,8 +24,9 @@ from spheremouse.compiling import told
 from spheremouse.errors import ConfigurationError, OutputError, PoseError, SourceError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.output import Output, OutputClosed, Report, report_of, split_gain
-from spheremouse.output.counts import Gain
+from spheremouse.output import Output, OutputClosed, Report, report_of
+from spheremouse.output.counts import OutputCounter
+from spheremouse.output.response import split_response
 from spheremouse.output.sample import Sample
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.tracker import Frame, check_size
@@ -142,7 +143,7 @@ def follow(tracked: Iterable[FrameResult], adapter: TrackerAdapter, outputs: dic
     `view` also logs changes, with the frame's stamp. An output that fails or whose reader is gone is logged and left
     out. The error of the last one ends the run.
     """
-    working = {spec: (output, Gain(split_gain(spec)[1])) for spec, output in outputs.items()}
+    working = {spec: (output, OutputCounter(split_response(spec)[1])) for spec, output in outputs.items()}
     for made in tracked:
         report = report_of(made.samples, adapter.mapping, made.pointing)
         _send(report, working, view)
@@ -152,11 +153,11 @@ def follow(tracked: Iterable[FrameResult], adapter: TrackerAdapter, outputs: dic
         view.show(made, report, adapter)
 
 
-def _send(report: Report, working: dict[str, tuple[Output, Gain]], view: View) -> None:
+def _send(report: Report, working: dict[str, tuple[Output, OutputCounter]], view: View) -> None:
     """Send a report to each output, and remove those that fail. Raise the error of the last one."""
-    for spec, (output, gain) in tuple(working.items()):
+    for spec, (output, counter) in tuple(working.items()):
         try:
-            output.send(gain.apply(report))
+            output.send(counter.apply(report))
         except (OutputError, OutputClosed) as e:
             if len(working) == 1:
                 raise

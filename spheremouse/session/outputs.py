@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from spheremouse.errors import ControlError
-from spheremouse.output import Counts, DescribeRun, Output, Report, open_output, split_gain
-from spheremouse.output.counts import Gain
+from spheremouse.output import Counts, DescribeRun, Output, Report, open_output
+from spheremouse.output.counts import OutputCounter
 from spheremouse.output.null import Null
 from spheremouse.output.pointer import PointerSettings, minus, plus
 from spheremouse.output.reporter import OutputThread, ReporterStatus
+from spheremouse.output.response import split_response
 from spheremouse.session.process.threads import WorkerPool, begin
 
 OUTPUT = "output"  # kind of the pool's work
@@ -25,15 +26,15 @@ _NONE: Counts = (0, 0, 0)
 
 @dataclass(frozen=True, slots=True)
 class RunOutput:
-    """An output `KIND:ARGUMENT` of a run, its thread and its gain."""
+    """An output `KIND:ARGUMENT` of a run, its thread and its counts."""
 
     spec: str
     thread: OutputThread
-    gain: Gain
+    counter: OutputCounter
 
     def submit(self, report: Report, taken: float, wanted: bool) -> Counts:
-        """Submit a frame's report, and return its counts with the gain."""
-        report = self.gain.apply(report)
+        """Submit a frame's report, and return this output's counts."""
+        report = self.counter.apply(report)
         self.thread.submit(report, taken, wanted)
         return report.counts
 
@@ -61,7 +62,7 @@ class Outputs:
         self._log, self._workers, self._call = log, workers, call
         self._late: list[threading.Thread] | None = []  # started by `begin`
         self._paused = False
-        self.counts = _NONE  # of all frames, with the gain of the main output
+        self.counts = _NONE  # of all frames, as the main output gets them
         self._submitted = _NONE  # those of them that the main output of now was given
         self._past: tuple[int, Counts] = (0, _NONE)  # reports and unsent counts of the main outputs before this one
         openers = [(spec, partial(self._open, spec)) for spec in specs]
@@ -167,9 +168,9 @@ class Outputs:
         begun: list[RunOutput] = []
         try:
             for spec, open_it in openers:
-                name, gain = f"output {spec}" if several else "output", Gain(split_gain(spec)[1])
+                name = f"output {spec}" if several else "output"
                 thread = OutputThread(open_it, settings, self._log, start=self._begin, name=name)
-                begun.append(RunOutput(spec, thread, gain))
+                begun.append(RunOutput(spec, thread, OutputCounter(split_response(spec)[1])))
         except ControlError:
             give_up()
             for output in begun:

@@ -11,7 +11,8 @@ from seats import LOOKS
 
 from spheremouse.geometry.rotation import exp, rotation_between
 from spheremouse.output import report_of
-from spheremouse.output.counts import Counter, Gain, MotionSettings, Remainder, to_counts
+from spheremouse.output.counts import Counter, MotionSettings, OutputCounter, Remainder, to_counts
+from spheremouse.output.response import Response
 from spheremouse.output.sample import Sample
 from spheremouse.tracker import unknown
 
@@ -40,7 +41,8 @@ def test_sum_of_counts_is_the_integral_within_one_count(rotations, per_radian):
 
 @given(steps, st.floats(0.01, 2000.0), st.floats(1e-3, 1e3))
 def test_the_sum_of_counts_with_a_gain_is_the_integral_times_the_gain_within_one_count(rotations, per_radian, factor):
-    counter, gain = Counter(MotionSettings(counts_per_radian=per_radian).matrix(RADIUS)), Gain(factor)
+    counter = Counter(MotionSettings(counts_per_radian=per_radian).matrix(RADIUS))
+    gain = OutputCounter(Response(gain=factor))
     total = np.zeros(3)
     for k, rotation in enumerate(rotations):
         increment = np.array([*rotation, 0.0, 0.0, 0.0])

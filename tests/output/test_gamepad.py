@@ -11,7 +11,7 @@ from seats import LOOKS
 
 from spheremouse.output import gamepad
 from spheremouse.output.counts import MotionSettings
-from spheremouse.output.deflection import Response
+from spheremouse.output.response import Response
 from spheremouse.tracker import Status
 
 FULL = np.radians(180.0)

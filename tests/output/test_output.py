@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from reporting import refused, report
 
 from spheremouse.files import registry
-from spheremouse.output import open_output, split_gain, uinput
+from spheremouse.output import open_output, uinput
 from spheremouse.output.lines import count_lines
 from spheremouse.output.third_axis import NOTCH
 
@@ -200,19 +200,6 @@ def test_null_takes_everything():
         output.send(turned(1))
         assert output.describe(turned(1)) == ""
     assert "takes no argument" in refused("null:x")
-
-
-@pytest.mark.parametrize(
-    ("spec", "place"),
-    [("text:-,gain=2", "text:-"), ("uinput:gain=0.5,third=wheel", "uinput:third=wheel"), ("null:gain=1e3", "null")],
-)
-def test_the_gain_is_an_option_of_every_output(spec, place):
-    assert split_gain(spec) == (place, float(spec.partition("gain=")[2].partition(",")[0]))
-
-
-@pytest.mark.parametrize("gain", ["two", "0", "-1", "nan", "1e4", "2,gain=3"])
-def test_another_gain_is_refused(gain):
-    assert "gain" in refused(f"null:gain={gain}")
 
 
 def test_the_plug_in_of_the_docs_prints_what_it_gets(monkeypatch, capsys):

@@ -20,7 +20,7 @@ from seats import LOOKS
 
 from spheremouse.output import Report, open_output, spacenav
 from spheremouse.output.counts import MotionSettings
-from spheremouse.output.deflection import Response
+from spheremouse.output.response import Response
 from spheremouse.output.wand_mapping import PointingSettings, WandMapping
 from spheremouse.tracker import Status
 
@@ -224,7 +224,7 @@ def test_the_socket_is_that_of_spnav_socket_by_default(monkeypatch, path):
     monkeypatch.setenv("SPNAV_SOCKET", str(path))
     assert spacenav.check("full=90")[0] == path
     assert spacenav.check("/tmp/other,full=90")[0].name == "other"
-    assert "curve" in refused("spacenav:curve=1")
+    assert "did you mean curve" in refused("spacenav:curv=1")
 
 
 def test_the_text_twin_has_the_rotation(path):

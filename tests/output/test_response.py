@@ -1,0 +1,101 @@
+"""Responses: options of every output, the curve of a stick, and the counts of a mouse."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from reporting import refused, rolling
+
+from spheremouse.output import Report
+from spheremouse.output.counts import OutputCounter
+from spheremouse.output.response import COUNTS, Response, split_response
+
+RATES = arrays(float, 3, elements=st.floats(-20.0, 20.0))
+RESPONSES = st.builds(Response, full=st.floats(1.0, 1e4), dead=st.floats(0.0, 0.9), curve=st.floats(0.2, 5.0))
+SIGNED = st.tuples(st.sampled_from(["", "-"]), st.sampled_from("xyz")).map("".join)
+AXES = st.lists(SIGNED | st.just("0"), min_size=3, max_size=3)
+
+
+@given(RESPONSES, RATES)
+def test_a_deflection_has_the_direction_of_the_rate_and_at_most_length_one(response, rate):
+    made = response.deflection(rate)
+    assert np.linalg.norm(made) <= 1.0 + 1e-12
+    assert np.allclose(np.cross(made, rate), 0.0, atol=1e-9)
+    assert made @ rate >= 0.0
+
+
+@given(RESPONSES, st.floats(0.0, 1.5))
+def test_the_curve_is_zero_in_the_dead_zone_and_one_from_full_on(response, fraction):
+    (made,) = response.deflection(np.radians([fraction * response.full]))
+    if fraction <= response.dead - 1e-9:
+        assert made == 0.0
+    elif fraction >= 1.0:
+        assert made == pytest.approx(1.0, abs=1e-9)
+    elif fraction > response.dead + 1e-9:
+        inside = (fraction - response.dead) / (1.0 - response.dead)
+        assert made == pytest.approx(inside**response.curve, rel=1e-4, abs=1e-6)
+
+
+@given(RATES, AXES, st.floats(1e-3, 1e3))
+def test_each_axis_of_an_output_has_the_motion_of_its_own_letter_times_the_gain(w, axes, gain):
+    motion = dict(zip("xyz", w, strict=True)) | {"0": 0.0}
+    expected = [gain * (-motion[name[1:]] if name[0] == "-" else motion[name]) for name in axes]
+    response = Response(gain=gain, axes="".join(axes))
+    made = np.array(response.to_axes(w.tolist())) * response.factor(float(np.linalg.norm(w)))
+    assert made == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+@given(RESPONSES, st.floats(0.1, 20.0), st.integers(1, 100_000))
+def test_counts_and_deflections_have_the_same_curve(response, speed, counts):
+    """Over a second, a mouse at a steady speed makes the counts of its deflection times those of full speed."""
+    assume(abs(np.degrees(speed) / response.full - response.dead) > 1e-6)
+    report = rolling([0.0, speed, 0.0])._replace(counts=(0, 0, counts))
+    (deflection,) = response.deflection([speed])
+    assume(deflection < 1.0)
+    at_full = counts * np.radians(response.full) / speed
+    made = OutputCounter(response).apply(report).counts
+    assert made == (0, 0, pytest.approx(deflection * at_full, rel=1e-9, abs=1.0))
+
+
+def test_a_ball_in_the_dead_zone_moves_no_mouse_and_a_plain_output_gets_the_report_itself():
+    report = rolling([0.0, np.radians(8.9), 0.0])._replace(counts=(5, 6, 7))
+    made = OutputCounter(Response(dead=0.05)).apply(report)
+    assert (made.counts, made.rate) == ((0, 0, 0), (0.0, 0.0, 0.0))
+    assert OutputCounter(COUNTS).apply(report) is report
+    assert OutputCounter(Response(dead=0.05)).apply(Report((1, 2, 3), None, 0.0)).rate is None
+
+
+@pytest.mark.parametrize(
+    ("spec", "place", "response"),
+    [
+        ("text:-,gain=2", "text:-", Response(gain=2.0)),
+        ("uinput:gain=0.5,third=wheel,axes=y-x0", "uinput:third=wheel", Response(gain=0.5, axes="y-x0")),
+        ("null:dead=0.1,curve=1.5,full=90", "null", Response(dead=0.1, curve=1.5, full=90.0)),
+        ("serial:auto", "serial:auto", COUNTS),
+        ("gamepad:gain=2", "gamepad:gain=2", COUNTS),
+    ],
+)
+def test_every_output_has_the_options_and_one_that_sends_rates_reads_them_itself(spec, place, response):
+    assert split_response(spec) == (place, response)
+
+
+@pytest.mark.parametrize(
+    ("option", "problem"),
+    [
+        ("gain=0", "gain must be 0.001 to 1000, is 0"),
+        ("gain=nan", "gain must be 0.001 to 1000, is nan"),
+        ("full=0", "full must be 1 to 10000, is 0"),
+        ("full=nan", "full must be 1 to 10000, is nan"),
+        ("dead=1", "dead must be 0 to 0.9, is 1"),
+        ("curve=-1", "curve must be 0.2 to 5, is -1"),
+        ("curve=a", "curve must be a number, is 'a'"),
+        ("deed=0", "unknown key deed; did you mean dead?"),
+        ("axes=xy", "axes must be three of x, y, z and 0, is 'xy'; write for example axes=x-yz"),
+        ("axes=x--yz", "axes must be three of x, y, z and 0, is 'x--yz'; write for example axes=x-yz"),
+        ("dead=0,dead=0", "dead is given twice; leave one out"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["gamepad", "uinput"])
+def test_bad_options(kind, option, problem):
+    assert refused(f"{kind}:{option}") == f"{kind}:{option}: {problem}"
