@@ -50,7 +50,7 @@ class Recordings:
             )  # fmt: skip
         self._ends = asyncio.create_task(self._wait(process, folder))
         try:
-            with contextlib.suppress(ProcessLookupError):  # it has failed already
+            with contextlib.suppress(OSError, AttributeError):  # it has ended already; or the system has no such limit
                 resource.prlimit(process.pid, resource.RLIMIT_DATA, (_MAX_BYTES, _MAX_BYTES))
             while not await asyncio.to_thread(_is_ready, folder / "s", status.get("changes") or []):
                 if process.returncode is not None:

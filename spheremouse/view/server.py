@@ -26,10 +26,11 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from spheremouse import __version__
 from spheremouse.errors import SpheremouseError, one_line, printable
+from spheremouse.session.control.jpeg_picture import JpegPicture
 from spheremouse.view.access import COOKIE, HEADERS, Access, Visitor
 from spheremouse.view.actions import Actions, GuideOptions
 from spheremouse.view.daemon import Daemon
-from spheremouse.view.pictures import Pictures, Shown
+from spheremouse.view.pictures import Pictures
 
 STATIC = Path(__file__).with_name("static")
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
@@ -128,7 +129,7 @@ class _Browser:
         self._waiting: deque[tuple[str, str | bytes]] = deque(maxlen=_MAX_WAITING)
         self._has_waiting = asyncio.Event()
         self._frame: asyncio.Task[None] | None = None
-        self._shown: Shown | None = None
+        self._shown: JpegPicture | None = None
         self._rows = page.daemon.count  # samples sent
         self._tasks: set[asyncio.Task[None]] = set()
 

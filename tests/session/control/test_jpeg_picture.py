@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import simplejpeg
 
+from spheremouse.session.control.jpeg_picture import JpegPicture, mask, spans
 from spheremouse.session.control.pictures import LivePicture
-from spheremouse.view.pictures import Shown, mask, spans
 
 WIDTH, HEIGHT = 160, 120
 
@@ -39,14 +39,14 @@ def raw(image, format_):
 @pytest.mark.parametrize("format_", ["bgr", "grey", "yuyv", "nv12"])
 def test_a_raw_picture_becomes_a_jpeg_of_the_same_colours(format_):
     image = scene()
-    seen = simplejpeg.decode_jpeg(Shown(picture(format_, raw(image, format_))).whole, colorspace="BGR")
+    seen = simplejpeg.decode_jpeg(JpegPicture(picture(format_, raw(image, format_))).whole, colorspace="BGR")
     true = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR) if format_ == "grey" else image
     assert np.sqrt(np.mean((seen.astype(float) - true) ** 2)) < 4.0
 
 
 def test_a_jpeg_is_passed_on_as_it_is_and_made_once():
     jpeg = simplejpeg.encode_jpeg(scene(), colorspace="BGR")
-    shown = Shown(picture("jpeg", jpeg))
+    shown = JpegPicture(picture("jpeg", jpeg))
     assert shown.whole == jpeg
     assert shown.whole is shown.whole
 
@@ -75,7 +75,7 @@ def test_a_masked_picture_shows_ball_and_targets_alone(format_):
         "targets": [{"code": "CMY", "x": 130.0, "y": 30.0, "shape": [25.0, 0.0, 9.0]}],
     }
     white = np.full((HEIGHT, WIDTH, 3), 250, np.uint8)
-    jpeg = Shown(picture(format_, raw(white, format_), marks)).masked
+    jpeg = JpegPicture(picture(format_, raw(white, format_), marks)).masked
     seen = simplejpeg.decode_jpeg(jpeg, colorspace="GRAY")[:, :, 0]
     assert seen[45:75, 45:75].min() > 200
     assert seen[25:36, 125:136].min() > 200
@@ -84,10 +84,10 @@ def test_a_masked_picture_shows_ball_and_targets_alone(format_):
 
 
 def test_without_a_known_pose_a_masked_picture_is_black():
-    seen = simplejpeg.decode_jpeg(Shown(picture("bgr", scene().tobytes())).masked)
+    seen = simplejpeg.decode_jpeg(JpegPicture(picture("bgr", scene().tobytes())).masked)
     assert seen.max() < 10
 
 
 def test_a_damaged_picture_is_not_shown_masked():
     jpeg = simplejpeg.encode_jpeg(scene(), colorspace="BGR")
-    assert Shown(picture("jpeg", b"\xff\xd8" + bytes(len(jpeg)), {})).masked == b""
+    assert JpegPicture(picture("jpeg", b"\xff\xd8" + bytes(len(jpeg)), {})).masked == b""
