@@ -55,29 +55,21 @@ def end(process):
     process.wait(PATIENCE)
 
 
-class Service:
-    """A service on a film, and its page process."""
+class Server:
+    """A page process; the daemon, if there is one, has its socket in the same folder."""
 
     def __init__(self, folder):
-        film = Film.render()
-        twice = [picture for picture in film.colour for _ in range(2)]  # of which `prepare` keeps one
-        daemon_process.prepare(folder, SimpleNamespace(rig=film.rig, colour=twice))
-        with (folder / "config.yaml").open("a") as file:
-            file.write(SETTINGS)
         self.folder, self.socket = folder, folder / "s"
-        shutil.copytree(HERE / "data/far26_clip", folder / "clip")
-        self._daemon = start(__file__, folder)
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.port = free.getsockname()[1]
         self.url = f"http://127.0.0.1:{self.port}/"
         self._token = folder / "token"
-        self.start_page()
 
-    def start_page(self):
-        """Start the page process."""
-        words = ("--port", self.port, "--socket", self.socket, "--token-file", self._token)
-        self._page = start("-m", "spheremouse", "view", *words)
+    def start_page(self, *words):
+        """Start the page process by a program and its arguments."""
+        options = ("--port", self.port, "--socket", self.socket, "--token-file", self._token)
+        self._page = start(*(words or ("-m", "spheremouse", "view")), *options)
         wait_for("the page process answers", self._answers)
 
     def end_page(self):
@@ -101,6 +93,21 @@ class Service:
         """True if a request stays in the browser or goes to the page process."""
         return url.startswith((self.url, self.url.replace("http", "ws", 1), "blob:", "data:"))
 
+
+class Service(Server):
+    """A service on a film, and its page process."""
+
+    def __init__(self, folder):
+        super().__init__(folder)
+        film = Film.render()
+        twice = [picture for picture in film.colour for _ in range(2)]  # of which `prepare` keeps one
+        daemon_process.prepare(folder, SimpleNamespace(rig=film.rig, colour=twice))
+        with (folder / "config.yaml").open("a") as file:
+            file.write(SETTINGS)
+        shutil.copytree(HERE / "data/far26_clip", folder / "clip")
+        self._daemon = start(__file__, folder)
+        self.start_page()
+
     def status(self):
         """Return the daemon's status as a dictionary; empty if none answers."""
         try:
@@ -123,8 +130,8 @@ class Service:
 
     def close(self):
         """End both processes."""
-        for process in (self._page, self._daemon):
-            end(process)
+        self.end_page()
+        end(self._daemon)
 
 
 class Camera(daemon_process.Camera):

@@ -61,7 +61,7 @@ def view(
     if url:
         print(owners_address(address, port, read_token(token_file or present_token())))
     else:
-        from spheremouse.view.actions import GuideOptions
+        from spheremouse.view.guide import GuideOptions
         from spheremouse.view.server import application
 
         token = own_token(token_file or token_path())

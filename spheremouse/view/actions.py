@@ -1,12 +1,7 @@
 """Actions of the page's buttons. Each is one that `spheremouse ctl` has too."""
 
 import asyncio
-import base64
-import json
 import math
-import os
-import sys
-import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,7 +14,9 @@ from spheremouse.files.exchange import read_settings, settings_text
 from spheremouse.files.figures import read_figures
 from spheremouse.files.yaml import parse_value
 from spheremouse.session.control.client import Client, settings_to_save
+from spheremouse.view import child
 from spheremouse.view.daemon import Daemon, Values
+from spheremouse.view.guide import Guide
 from spheremouse.view.recordings import Recordings
 
 _REQUESTS = ("reinit", "pause", "resume", "reload", "record", "replay", "snapshot", "profile")
@@ -30,7 +27,6 @@ _WORDS = {
     "reload": "Configuration read again.",
     "undo": "Undone.",
 }
-_COMMAND_TIMEOUT = 120.0  # s of another process
 _MAX_IMPORTED = 50  # settings, as many as a request takes
 
 
@@ -41,18 +37,11 @@ class Done(NamedTuple):
     data: Mapping[str, Any] = MappingProxyType({})
 
 
-class GuideOptions(NamedTuple):
-    """Inputs of the guide; None stands for the default of its commands."""
-
-    folder: Path | None = None  # of the calibration
-    source: str | None = None  # the camera
-
-
 class Actions:
     """The actions of one page."""
 
-    def __init__(self, daemon: Daemon, guide: GuideOptions) -> None:
-        self._daemon, self._guide_options = daemon, guide
+    def __init__(self, daemon: Daemon, guide: Guide) -> None:
+        self._daemon, self._guide = daemon, guide
         self.recordings = Recordings(daemon, self._run)
 
     async def set(self, values: Values, gesture: str) -> Done:
@@ -85,34 +74,16 @@ class Actions:
             begin, end = (_seconds(arguments.get(key)) for key in ("begin", "end"))
             return Done(data=await self.recordings.compare(str(arguments.get("name")), begin or 0.0, end))
         if action == "guide":
-            return Done(data=await self._guide())
+            return Done(data=await self._guide.do(str(arguments.get("do", "steps")), arguments))
         if action == "export":
             return Done(data={"text": settings_text(self._daemon.changed())})
         if action == "import":
             return await self._set_all(self._daemon.differing(read_settings(str(arguments.get("text", "")))), "import")
         raise ControlError(f"{action}: there is no such action")
 
-    async def _guide(self) -> dict[str, Any]:
-        """Return the steps of the calibration and, unless a daemon has the camera, its picture with targets."""
-        folder, source = self._guide_options
-        steps = await self._run("calibrate", "next", *([] if folder is None else [str(folder)]), "--json", "-")
-        found: dict[str, Any] = {"lines": [], "picture": None, "problem": None, **steps}
-        if (status := self._daemon.status) is not None:
-            words = f"the service has it, {status['state']}; its picture is under Camera"
-            return found | {"camera": words}
-        with tempfile.TemporaryDirectory(prefix="spheremouse-view-") as name:
-            file = Path(name) / "camera.jpg"
-            try:
-                words = [] if source is None else [source]
-                sight = await self._run("preview", *words, "--json", "--out", str(file))
-            except ControlError as e:
-                return found | {"camera": None, "problem": str(e)}
-            picture = base64.b64encode(file.read_bytes()).decode()
-        return found | {"camera": sight["source"], "lines": sight["lines"], "picture": picture}
-
     async def _calibration(self) -> dict[str, Any]:
         """Return the reports beside the rig and in the folder of the calibration."""
-        rig, folder = (self._daemon.status or {}).get("rig"), self._guide_options.folder
+        rig, folder = (self._daemon.status or {}).get("rig"), self._guide.folder
         given = Path("cabinet" if Path("cabinet").is_dir() else "") if folder is None else folder
         folders = [*([] if rig is None else [Path(rig).parent]), given.absolute()]
         try:
@@ -143,29 +114,8 @@ class Actions:
         return f"{file}: saved {', '.join(changes)}"
 
     async def _run(self, *words: str, codes: tuple[int, ...] = (0,)) -> dict[str, Any]:
-        """Return the JSON that a command of ours prints for this daemon. Its memory is freed with its process."""
-        socket = self._daemon.socket
-        place = {} if socket is None else {"SPHEREMOUSE_SOCKET": str(socket)}
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "spheremouse", *words,
-            stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
-            env={**os.environ, **place},
-        )  # fmt: skip
-        try:
-            async with asyncio.timeout(_COMMAND_TIMEOUT):
-                out, error = await process.communicate()
-        except TimeoutError:
-            raise ControlError(f"spheremouse {words[0]}: no answer within {_COMMAND_TIMEOUT:g} s") from None
-        finally:
-            if process.returncode is None:
-                process.kill()
-        if process.returncode not in codes:
-            lines = error.decode(errors="replace").strip().splitlines()
-            raise ControlError(printable(lines[-1].removeprefix("spheremouse: ")) if lines else f"{words[0]}: failed")
-        try:
-            return json.loads(out)
-        except ValueError:
-            raise ControlError(f"spheremouse {words[0]}: prints no JSON; see the log of the page") from None
+        """Return the JSON that a command of ours prints for this daemon."""
+        return await child.answer(self._daemon.socket, *words, codes=codes)
 
 
 def _seconds(value: Any) -> float | None:

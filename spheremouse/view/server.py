@@ -28,8 +28,9 @@ from spheremouse import __version__
 from spheremouse.errors import SpheremouseError, one_line, printable
 from spheremouse.session.control.jpeg_picture import JpegPicture
 from spheremouse.view.access import COOKIE, HEADERS, Access, Visitor
-from spheremouse.view.actions import Actions, GuideOptions
+from spheremouse.view.actions import Actions
 from spheremouse.view.daemon import Daemon
+from spheremouse.view.guide import Guide, GuideOptions
 from spheremouse.view.pictures import Pictures
 
 STATIC = Path(__file__).with_name("static")
@@ -88,9 +89,10 @@ class Page:
         self.access = access
         self.daemon = Daemon(socket, self._publish)
         self.pictures = Pictures(lambda: self.daemon.socket)
-        self.actions = Actions(self.daemon, guide)
+        self.guide = Guide(guide, socket, self._publish)
+        self.actions = Actions(self.daemon, self.guide)
         self.browsers: set[_Browser] = set()
-        self._leaving: asyncio.TimerHandle | None = None
+        self._leaving: asyncio.Task[None] | None = None
 
     async def serve(self, socket: WebSocket, visitor: Visitor) -> None:
         """Serve a browser until it leaves."""
@@ -108,24 +110,28 @@ class Page:
         finally:
             self.browsers.discard(browser)
             if not self.browsers:
-                self._leaving = asyncio.get_running_loop().call_later(_LINGER, self._rest)
+                self._leaving = asyncio.create_task(self._rest())
 
-    def _rest(self) -> None:
+    async def _rest(self) -> None:
+        await asyncio.sleep(_LINGER)
         if not self.browsers:
             self.actions.recordings.end()
             self.daemon.look(False)
+            await self.guide.rest()
 
     def _publish(self, message: dict[str, Any]) -> None:
-        text = None if message["type"] == "hello" else json.dumps(message)
+        kind = message["type"]
+        text = None if kind == "hello" else json.dumps(message)
         for browser in self.browsers:
-            browser.push(message["type"], text if text is not None else browser.hello())
+            if browser.owner or kind != "guide":
+                browser.push(kind, text if text is not None else browser.hello())
 
 
 class _Browser:
     """One WebSocket."""
 
     def __init__(self, page: Page, socket: WebSocket, owner: bool) -> None:
-        self._page, self._socket, self._owner = page, socket, owner
+        self._page, self._socket, self.owner = page, socket, owner
         self._waiting: deque[tuple[str, str | bytes]] = deque(maxlen=_MAX_WAITING)
         self._has_waiting = asyncio.Event()
         self._frame: asyncio.Task[None] | None = None
@@ -138,11 +144,11 @@ class _Browser:
         hello = self._page.daemon.hello()
         known = {about["key"] for about in hello["settings"]}
         tune = [key for key in TUNE if key in known]
-        return json.dumps({**hello, "version": __version__, "owner": self._owner, "tune": tune})
+        return json.dumps({**hello, "version": __version__, "owner": self.owner, "tune": tune})
 
     def push(self, kind: str, message: str | bytes) -> None:
         """Add a message; a newer status replaces one that waits. If too many wait, the oldest is dropped."""
-        if kind in ("status", "values", "scene", "hello"):
+        if kind in ("status", "values", "scene", "hello", "guide"):
             self._waiting = deque((w for w in self._waiting if w[0] != kind), _MAX_WAITING)
         self._waiting.append((kind, message))
         self._has_waiting.set()
@@ -153,6 +159,8 @@ class _Browser:
         self.push("hello", self.hello())
         self.push("status", json.dumps(daemon.state()))
         self.push("values", json.dumps(daemon.values()))
+        if self.owner:
+            self.push("guide", json.dumps(self._page.guide.state()))
         sending = asyncio.create_task(self._send())
         try:
             while True:
@@ -189,7 +197,7 @@ class _Browser:
         elif isinstance(message, _Rest):
             if self._frame is not None:
                 self._frame.cancel()
-        elif not self._owner:
+        elif not self.owner:
             words = "this page only shows; open it with its token, which `spheremouse view --url` prints"
             self._answer_trouble(message.id, words)
         elif len(self._tasks) > 8:  # a browser that asks for more does not wait for answers
@@ -224,7 +232,7 @@ class _Browser:
         daemon, picture, jpeg = self._page.daemon, None, b""
         if shown is not None:
             self._shown, picture = shown, shown.picture
-            jpeg = shown.whole if self._owner else shown.masked
+            jpeg = shown.whole if self.owner else shown.masked
         rows, self._rows = daemon.rows(self._rows)
         head = {
             "type": "frame",
@@ -253,6 +261,7 @@ def application(socket: Path | None, access: Access, guide: GuideOptions) -> Sta
         yield
         pages[0].actions.recordings.end()
         pages[0].daemon.close()
+        await pages[0].guide.stop()
 
     async def file(request: Request) -> Response:
         visitor, given = _visitor(access, request), request.query_params.get("token")

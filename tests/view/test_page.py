@@ -350,13 +350,6 @@ def test_the_doctor_reports(page):
     page.locator(".findings li").first.wait_for(timeout=60000)
 
 
-@pytest.mark.slow
-def test_the_guide_shows_the_next_step(page):
-    choose(page, "Guide")
-    page.locator("#look").click()
-    page.locator("#panel-Guide .next .command").first.wait_for(timeout=60000)
-
-
 # ---- everybody can use it ----
 
 

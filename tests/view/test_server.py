@@ -24,7 +24,7 @@ from websockets.sync.client import connect
 
 from spheremouse.view import server as server_module
 from spheremouse.view.access import Access
-from spheremouse.view.actions import GuideOptions
+from spheremouse.view.guide import GuideOptions
 from spheremouse.view.server import application, server
 
 TOKEN = "a-token-of-more-than-32-characters"
@@ -234,31 +234,45 @@ def test_a_stranger_sees_a_masked_picture_and_changes_nothing(world, page):
         assert black[1] < 0.2
 
 
+def guided(browser, **arguments):
+    """The answer to an action of the guide."""
+    return browser.ask("do", action="guide", arguments=arguments)
+
+
 @pytest.mark.slow
-def test_the_guide_works_without_a_rig_and_shows_the_next_step_when_one_is_done(tmp_path):
+def test_the_guide_looks_through_the_camera_and_runs_the_command_of_the_next_step_alone(tmp_path):
+    cabinet = tmp_path / "cabinet"
+    with serving(tmp_path / "s", cabinet=cabinet, source=f"dataset:{CLIP}") as port, Browser(port) as browser:
+        guided(browser, do="look")
+        seen = browser.until("guide", lambda m: m["picture"])
+        assert simplejpeg.decode_jpeg(base64.b64decode(seen["picture"])).shape == (960, 1280, 3)
+        assert any(line.startswith("targets") for line in seen["check"]["lines"])
+        step = next(step for step in guided(browser, do="steps")["data"]["steps"] if step["state"] == "next")
+        assert step["command"] == f"spheremouse calibrate init {cabinet}"
+        for wrong in ({"step": "rig.yaml", "number": 0}, {"step": "folder", "number": 1}, {"step": "folder"}):
+            assert "the steps have changed" in guided(browser, do="run", **wrong)["text"]
+        assert "mm" in guided(browser, do="run", step="folder", number=0, square="2; rm")["text"]
+        assert "the steps have changed" in guided(browser, do="describe", text="targets: []")["text"]
+        assert not cabinet.exists()
+        guided(browser, do="run", step="folder", number=0)
+        ended = browser.until("guide", lambda m: not m["running"] and m["lines"])
+        assert (ended["problem"], "device.yaml: written" in ended["lines"][0]) == ("", True)
+        steps = guided(browser, do="steps")["data"]["steps"]
+        assert [steps[0]["state"], steps[2]["state"]] == ["done", "next"]
+
+
+@pytest.mark.slow
+def test_the_guide_gives_the_reason_why_a_camera_shows_nothing_to_the_owner_alone(tmp_path):
     with (
-        serving(tmp_path / "s", cabinet=tmp_path / "cabinet", source=f"dataset:{CLIP}") as port,
+        serving(tmp_path / "s", cabinet=tmp_path, source="v4l2:/dev/no-camera") as port,
+        Browser(port, owner=False) as stranger,
         Browser(port) as browser,
     ):
-        done = browser.ask("do", action="guide")["data"]
-        assert simplejpeg.decode_jpeg(base64.b64decode(done["picture"])).shape == (960, 1280, 3)
-        assert any(line.startswith("targets") for line in done["lines"])
-        step = next(step for step in done["steps"] if step["state"] == "next")
-        assert step["command"] == f"spheremouse calibrate init {tmp_path}/cabinet"
-        command = [sys.executable, "-m", *step["command"].split()]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        steps = browser.ask("do", action="guide")["data"]["steps"]
-        assert steps[0]["state"] == "done"
-        assert [s["name"] for s in steps if s["state"] == "next"] == ["photos of the board"]
-
-
-@pytest.mark.slow
-def test_the_guide_gives_the_reason_why_a_camera_shows_nothing(tmp_path):
-    with serving(tmp_path / "s", cabinet=tmp_path, source="v4l2:/dev/no-camera") as port, Browser(port) as browser:
-        done = browser.ask("do", action="guide")["data"]
-        assert "/dev/no-camera: no such device" in done["problem"]
-        assert done["picture"] is None
-        assert done["steps"]
+        assert "token" in guided(stranger, do="look")["text"]
+        guided(browser, do="look")
+        assert "/dev/no-camera: no such device" in browser.until("guide", lambda m: m["problem"])["problem"]
+        assert "token" in guided(stranger, do="look")["text"]
+        assert not [m for m in stranger.seen if m["type"] == "guide"]
 
 
 @pytest.fixture

@@ -30,6 +30,7 @@ SERVICES = (
 )  # folders with a service's rig.yaml
 
 _USE_THESE = "Or go on with these:"
+_MORE = "Or take more photos first:"
 _BOARD_NUMBER, _DEVICE_NUMBER = f"{BOARD_ENOUGH} to {BOARD_MOST}", f"{DEVICE_ENOUGH} to {DEVICE_MOST}"
 _TAKE_BOARD = (
     "Print the board at 100 %, glue it on something flat and stiff, and stand before the camera. From now on, change "
@@ -146,7 +147,8 @@ def _board_step(folder: Path, board: Photos, overtaken: bool, camera: Result | N
 def _camera_step(folder: Path, camera: Result | None, board: Photos, overtaken: bool) -> Step:
     if camera is None:
         todo = ("Is --square as measured on the print, and --board its inner corners, one less than squares each way?",)
-        return Step(CAMERA_FILE, _open(overtaken), "not there yet", todo, cabinet.camera_command(folder))
+        more = ((_MORE, cabinet.photos_command(folder, "camera")),) if board.photos else ()
+        return Step(CAMERA_FILE, _open(overtaken), "not there yet", todo, cabinet.camera_command(folder), more)
     again = cabinet.camera_command(folder, options_from_provenance(camera.provenance), again=True)
     return _made_step(camera, camera.changes(board.photos), "camera", again)
 
@@ -199,7 +201,8 @@ def _device_step(folder: Path, photos: Photos, overtaken: bool, otherwise: Other
 def _rig_step(folder: Path, rig: Result | None, photos: Photos) -> Step:
     if rig is None:
         todo = ("Calibrate the device:",)
-        return Step(RIG_FILE, "next", "not there yet", todo, cabinet.device_command(folder))
+        more = ((_MORE, cabinet.photos_command(folder, "device")),) if photos.photos else ()
+        return Step(RIG_FILE, "next", "not there yet", todo, cabinet.device_command(folder), more)
     changes = [rig.changes(photos.photos)]
     for part, path in (("camera", folder / CAMERA_FILE), ("device", folder / DEVICE_FILE)):
         made_from = rig.hashes(part)

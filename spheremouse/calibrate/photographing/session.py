@@ -4,6 +4,8 @@ The folder is the session: its photos count, so you can leave it at any time and
 whole or not at all, under an unused number.
 """
 
+import json
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext
@@ -11,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
+import numpy as np
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
@@ -21,7 +24,12 @@ from spheremouse.calibrate.photos import has_photos, image, read_photos
 from spheremouse.errors import CalibrationError, SpheremouseError
 from spheremouse.files.pictures import Size, px
 from spheremouse.files.safe_files import replace
+from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Frame
+
+_CHECK_INTERVAL_S = 0.2  # between two checks for a program
+_GREEN = (110, 224, 94)  # BGR, as targets in all pictures
+_MAX_PICTURE_WIDTH = 800  # px of a picture for a program
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +63,11 @@ class Screen:
         """Print a line that stays."""
         self._console.print(Text(text))
 
-    def show(self, selector: Selector, check: FrameCheck) -> None:
+    def conclude(self, text: str) -> None:
+        """Print a line of the result."""
+        print(text)
+
+    def show(self, selector: Selector, check: FrameCheck, picture: Image) -> None:
         """Show the last frame in words; without a terminal print a new instruction only."""
         wanted = selector.wanted()
         if self._live is not None:
@@ -78,6 +90,31 @@ class Screen:
         """Ring the terminal's bell, if there is a terminal."""
         if self._bell and self._live is not None:
             self._console.bell()
+
+
+class JsonScreen(Screen):
+    """A program's view of a session: JSON lines on standard output, and the picture in a file."""
+
+    def __init__(self, picture: Path | None) -> None:
+        super().__init__(Console(), None, bell=False)
+        self._picture, self._due = picture, 0.0
+
+    def print(self, text: str) -> None:
+        """Print a line as {"text": ...}."""
+        print(json.dumps({"text": text}), flush=True)
+
+    conclude = print
+
+    def show(self, selector: Selector, check: FrameCheck, picture: Image) -> None:
+        """Print the check of a frame, and replace the picture, with detected points in it. It omits some frames."""
+        now = time.monotonic()
+        if now < self._due and not check.gain:
+            return
+        self._due = now + _CHECK_INTERVAL_S
+        if self._picture is not None:
+            _write(self._picture, _marked(picture, selector.points(check.seen)[1], bool(check.gain)))
+        state = {"photos": selector.count, "check": check.words, "gain": check.gain}
+        print(json.dumps({**state, "status": selector.status(), "wanted": selector.wanted()}), flush=True)
 
 
 def take_photos(frames: Iterable[Frame], begin: Callable[[Size], Selector], folder: Path, screen: Screen) -> Outcome:
@@ -105,7 +142,7 @@ def take_photos(frames: Iterable[Frame], begin: Callable[[Size], Selector], fold
                 path = store(frame.image, folder)
                 selector.add(check.seen)
                 screen.taken(path, selector, check)
-            screen.show(selector, check)
+            screen.show(selector, check, frame.image)
     except CalibrationError:
         raise
     except SpheremouseError as e:
@@ -118,11 +155,25 @@ def store(picture: Image, folder: Path) -> Path:
     number = 0
     while (path := folder / f"view_{number:03d}.png").exists():
         number += 1
+    _write(path, picture)
+    return path
+
+
+def _write(path: Path, picture: Image) -> None:
     try:
-        replace(path, cv2.imencode(".png", picture)[1].tobytes(), 0o600)  # it may show people
+        replace(path, cv2.imencode(path.suffix, picture)[1].tobytes(), 0o600)  # it may show people
     except OSError as e:
         raise CalibrationError(f"{path}: cannot be written: {e.strerror or e}") from None
-    return path
+
+
+def _marked(picture: Image, points: Array, taken: bool) -> Image:
+    """Return a small copy with a circle at each point, (n, 2) px; filled if the frame became a photo."""
+    factor = min(1.0, _MAX_PICTURE_WIDTH / picture.shape[1])
+    small = cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    small = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR) if small.ndim == 2 else small
+    for u, v in np.rint(factor * points).astype(int).tolist():
+        cv2.circle(small, (u, v), 5, _GREEN, -1 if taken else 1, cv2.LINE_AA)
+    return small
 
 
 def _resumed(begin: Callable[[Size], Selector], picture: Image, folder: Path, screen: Screen) -> Selector:

@@ -1,7 +1,7 @@
 """`spheremouse calibrate photos`: photos of board or device, taken by the camera that will watch the ball."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -48,6 +48,12 @@ def photos(
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter, as camera.focus=30.")
     ] = None,
     sound: Annotated[bool, typer.Option("--sound/--no-sound", help="Ring the terminal's bell for every photo.")] = True,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print all as JSON lines, with the check of each frame.")
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.jpg", help="With --json: replace this picture at each check.")
+    ] = None,
 ) -> None:
     """Take photos with the camera that will watch the ball: each by itself, when the picture is sharp, still and new.
 
@@ -56,12 +62,14 @@ def photos(
     """
     from spheremouse.calibrate.board import NAME, chosen_board, save_board
     from spheremouse.calibrate.guide.folder import camera_command, default_folder, device_command, photos_command
-    from spheremouse.calibrate.photographing.session import open_screen, take_photos
+    from spheremouse.calibrate.photographing.session import JsonScreen, open_screen, take_photos
     from spheremouse.capture import full_spec
     from spheremouse.capture.signals import SignalHandler
     from spheremouse.commands.config import root
     from spheremouse.files.config import in_force
 
+    if picture is not None and (not as_json or picture.suffix != ".jpg"):
+        raise CalibrationError(f"--picture {picture}: needs --json, and a name that ends in .jpg")
     source = None if source is None else full_spec(source)
     folder = default_folder() if folder is None else folder
     if folder.exists() and not folder.is_dir():
@@ -71,7 +79,7 @@ def photos(
     configured = in_force(config or (own if own.exists() else None), settings or (), root())
     place = folder / ("board" if what == "camera" else "device")
     begin = _board_selector(known) if what == "camera" else _device_selector(folder, configured)
-    with open_screen(sound) as screen:
+    with nullcontext(JsonScreen(picture)) if as_json else open_screen(sound) as screen:
         with _opened(source, configured, folder, place, screen) as stream, SignalHandler() as stopping:
             outcome = take_photos(stopping.frames(iter(stream)), begin, place, screen)
         selector = outcome.selector
@@ -83,7 +91,8 @@ def photos(
             screen.ring()
     again = photos_command(folder, what, () if source is None else ("--source", source))
     follows = (camera_command if what == "camera" else device_command)(folder)
-    _conclude(outcome, place, follows, again, _MIN_PHOTOS[what], stopping.asked)
+    for line in _conclusion(outcome, place, (follows, again), _MIN_PHOTOS[what], stopping.asked):
+        screen.conclude(line)
 
 
 def _save_settings(config: Path, source: str | None, configured: "Configuration", settings: Sequence[str]) -> None:
@@ -184,14 +193,19 @@ def _known_size(place: Path, lens: Path) -> "Size | None":
     return None
 
 
-def _conclude(outcome: "Outcome", place: Path, follows: str, again: str, min_photos: int, stopped: bool) -> None:
-    """Print the number of photos, the missing views and the next command. Raise the failure of the camera."""
-    selector = outcome.selector
+def _conclusion(
+    outcome: "Outcome", place: Path, commands: tuple[str, str], min_photos: int, stopped: bool
+) -> Iterator[str]:
+    """Yield the number of photos, the missing views and the next command. Raise the failure of the camera.
+
+    The `commands` follow the photos, and take more of them.
+    """
+    (follows, again), selector = commands, outcome.selector
     count = 0 if selector is None else selector.count
     many = f"{count} photo{'' if count == 1 else 's'}"
     if selector is not None and selector.enough:
-        print(f"{place}: {many}, which is enough")
-        print(f"next: {follows}")
+        yield f"{place}: {many}, which is enough"
+        yield f"next: {follows}"
         return
     if outcome.failure is not None:
         kept = f"{many} in {place} {'is' if count == 1 else 'are'} kept, and the same command goes on"
@@ -200,7 +214,7 @@ def _conclude(outcome: "Outcome", place: Path, follows: str, again: str, min_pho
         why = f": most often {outcome.hindrance}" if outcome.hindrance else ""
         raise CalibrationError(f"no photo in {outcome.frames} frames{why}")
     wanted = [] if selector is None else selector.wanted()
-    print(f"{place}: {many} so far{''.join(f'; {text}' for text in wanted[:3])}")
-    print(f"go on: {again}")
+    yield f"{place}: {many} so far{''.join(f'; {text}' for text in wanted[:3])}"
+    yield f"go on: {again}"
     if count >= min_photos:
-        print(f"or go on with these: {follows}")
+        yield f"or go on with these: {follows}"

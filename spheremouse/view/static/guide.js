@@ -1,63 +1,105 @@
-/** The panel of the guide: what the camera sees without a rig, and the steps from an empty folder to the service. */
+/** The panel of the guide: the camera's picture, and the steps from an empty folder to the service with their commands. */
 
 import { el, setText } from "./dom.js";
 
-/** @typedef {import("./types.js").Status} Status */
 /** @typedef {import("./tune.js").Act} Act */
 /** @typedef {{name: string, state: string, found: string, todo: string[], command: string, otherwise: [string, string][]}} Step */
+/** @typedef {{lines?: string[], source?: string, photos?: number, check?: string, gain?: string, status?: string[], wanted?: string[]}} Check of a frame */
+/** @typedef {{running: string, lines: string[], check: Check | null, picture: string | null, problem: string}} State */
 
-const PAUSE_MS = 500; // between two looks
+const CAMERA = "camera"; // the step before all others
+const LINES = 12; // of a command's output
 
 export class GuidePanel {
-  #look = el("button", { type: "button", id: "look", class: "main" }, "Look");
-  #again = el("input", { type: "checkbox", id: "look-again" });
-  #note = el("p", { class: "help", role: "status" }, "The guide looks through the camera and at the files of the calibration.");
-  #picture = el("img", { class: "sight", alt: "Picture of the camera with targets and dark spots", hidden: true });
-  #lines = el("ul", { class: "findings" });
+  #look = el("button", { type: "button", id: "look", class: "main", click: () => void this.#do("look") }, "Look through the camera");
+  #stop = el("button", { type: "button", id: "stop", click: () => void this.#do("stop") }, "Stop");
+  #note = el("p", { class: "help", role: "status" });
+  #wanted = el("p", { class: "wanted", role: "status" });
+  #picture = el("img", { class: "sight", alt: "Picture of the camera with what was detected in it", hidden: true });
+  #status = el("pre", { class: "coverage", role: "group", "aria-label": "Photos by region and tilt" });
+  #checks = el("ul", { class: "findings" });
+  #output = el("div", { class: "output", role: "log", "aria-label": "Output of the command" });
   #steps = el("ol", { class: "findings" });
-  element = el("div", {}, el("div", { class: "row" }, this.#look, el("label", { class: "check" }, this.#again, "repeat")),
-    this.#note, this.#picture, this.#lines, el("h3", {}, "Steps"), this.#steps);
+  element = el("div", {}, el("div", { class: "row" }, this.#look, this.#stop), this.#note, this.#wanted, this.#picture, this.#status,
+    this.#checks, this.#output, el("h3", {}, "Steps"), this.#steps);
   #perform;
+  #running = "";
+  #shown = ""; // steps
 
   /** @param {Act} perform */
   constructor(perform) {
     this.#perform = perform;
-    this.#look.addEventListener("click", () => void this.#run());
+    this.take({ running: "", lines: [], check: null, picture: null, problem: "" });
   }
 
-  async #run() {
-    this.#look.disabled = true;
-    if (!this.#steps.children.length) setText(this.#note, "Looking. This takes a few seconds.");
-    const done = await this.#perform("guide");
-    this.#look.disabled = false;
-    if (done) this.#show(done.data);
-    else this.#again.checked = false;
-    setTimeout(() => {
-      if (!this.#again.checked) return;
-      if (this.element.offsetParent && !document.hidden) void this.#run();
-      else this.#again.checked = false; // nobody looks
-    }, PAUSE_MS);
+  /** Read the steps again. */
+  refresh() {
+    return this.#do("steps");
+  }
+
+  /**
+   * @param {string} action
+   * @param {Record<string, any>} words
+   */
+  async #do(action, words = {}) {
+    if (action !== "steps") setText(this.#note, "One moment.");
+    const done = await this.#perform("guide", { do: action, ...words });
+    if (done?.data["steps"]) this.#showSteps(done.data);
+  }
+
+  /** @param {State} state of the command that runs, or ended last */
+  take({ running, lines, check, picture, problem }) {
+    if (this.#running && !running && this.#running !== CAMERA) void this.refresh();
+    this.#running = running;
+    this.#stop.hidden = !running;
+    this.#look.hidden = running === CAMERA;
+    this.#look.disabled = running !== "" && running !== CAMERA;
+    this.#note.classList.toggle("refused", problem !== "");
+    const camera = check?.source ? `The camera is ${check.source}.` : "Opening the camera.";
+    setText(this.#note, problem || (running === CAMERA ? camera : running ? `Under way: ${running}.` : "Place and focus the camera first. Then follow the steps."));
+    setText(this.#wanted, running && check?.wanted?.[0] ? `Next: ${check.wanted[0]}` : "");
+    if (!running) [check, picture] = [null, null]; // the steps come up
+    setText(this.#status, (check?.status ?? []).join("\n"));
+    this.#checks.replaceChildren(...(check?.lines ?? [`${check?.gain ? "photo" : "frame"}  ${check?.check ?? ""}`]).filter(() => check).map((line) => {
+      const [name = "", text = ""] = line.split(/\s{2,}/); // aligned in a terminal
+      return el("li", {}, el("b", {}, name), el("span", {}, text));
+    }));
+    setText(this.#output, lines.slice(-LINES).join("\n"));
+    this.#picture.hidden = !picture;
+    URL.revokeObjectURL(this.#picture.src);
+    if (picture) this.#picture.src = URL.createObjectURL(new Blob([Uint8Array.from(atob(picture), (c) => c.charCodeAt(0))], { type: "image/jpeg" }));
+    for (const button of this.#steps.querySelectorAll("button")) button.disabled = running !== "" && running !== CAMERA;
   }
 
   /** @param {Record<string, any>} data */
-  #show({ folder, camera, problem, lines, picture, steps }) {
-    setText(this.#note, problem ? "" : `Camera: ${camera}. Folder: ${folder}.`);
-    const shown = problem ? [`camera  ${problem}`] : lines;
-    this.#lines.replaceChildren(...shown.map((/** @type {string} */ line) => {
-      const [name = "", text = ""] = line.split(/\s{2,}/); // aligned in a terminal
-      return el("li", problem ? { class: "wrong" } : {}, el("b", {}, name), el("span", {}, text));
-    }));
-    URL.revokeObjectURL(this.#picture.src);
-    this.#picture.hidden = !picture;
-    if (picture) this.#picture.src = URL.createObjectURL(new Blob([Uint8Array.from(atob(picture), (c) => c.charCodeAt(0))], { type: "image/jpeg" }));
+  #showSteps({ steps, device }) {
+    const text = JSON.stringify([steps, device]);
+    if (text === this.#shown) return;
+    this.#shown = text;
     this.#steps.replaceChildren(...steps.map((/** @type {Step} */ step) => el("li", { class: step.state.replace(" ", "-") },
-      el("b", {}, step.state), el("span", {}, step.name + (step.found ? `: ${step.found}` : "")), ...(step.state === "next" ? task(step) : []))));
+      el("b", {}, step.state), el("span", {}, step.name + (step.found ? `: ${step.found}` : "")), ...(step.state === "next" ? this.#task(step, device) : []))));
   }
-}
 
-/** @param {Step} step */
-function task({ todo, command, otherwise }) {
-  const run = (/** @type {string} */ text) => (text ? [el("p", {}, el("code", { class: "command" }, text))] : []);
-  return [...todo.map((text) => el("p", { class: "help" }, text)), ...run(command),
-    ...otherwise.flatMap(([text, other]) => [el("p", { class: "help" }, text), ...run(other)])];
+  /**
+   * @param {Step} step
+   * @param {string | undefined} device text of device.yaml, if it is to be filled in
+   */
+  #task({ name, todo, command, otherwise }, device) {
+    const square = el("input", { id: "square", class: "number", inputmode: "decimal", placeholder: "as printed", autocomplete: "off" });
+    const run = (/** @type {string} */ text, /** @type {number} */ number) => {
+      if (!text) return [];
+      const code = el("code", { class: "command" }, text);
+      if (!text.startsWith("spheremouse ")) return [el("p", { class: "help" }, "In a terminal:", code)];
+      const button = el("button", { type: "button", class: number ? "" : "main", "aria-label": `Run ${text}`,
+        click: () => void this.#do("run", { step: name, number, square: square.value.trim().replace(",", ".") }) }, "Run");
+      const side = text.endsWith("--for camera") ? [el("label", { for: "square" }, "Side of a square, mm"), square] : [];
+      return [el("p", {}, el("span", { class: "row" }, button, ...side), code)];
+    };
+    const area = el("textarea", { id: "device", rows: "14", spellcheck: "false" });
+    area.value = device ?? "";
+    const entry = device === undefined ? [] : [el("p", {}, el("label", { for: "device" }, "device.yaml"), area,
+      el("button", { type: "button", id: "describe", class: "main", click: () => void this.#do("describe", { text: area.value }) }, "Write device.yaml"))];
+    return [...todo.map((text) => el("p", { class: "help" }, text)), ...entry, ...run(command, 0),
+      ...otherwise.flatMap(([text, other], i) => [el("p", { class: "help" }, text), ...run(other, i + 1)])];
+  }
 }

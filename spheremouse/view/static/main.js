@@ -85,6 +85,7 @@ function receive(message) {
   else if (message.type === "log") log.add(message.lines);
   else if (message.type === "trouble") showMessage(message.text, true);
   else if (message.type === "scene") space.load(message.scene);
+  else if (message.type === "guide") guide.take(message);
 }
 
 /** @param {import("./types.js").Hello} message */
@@ -186,6 +187,7 @@ function show(chosen) {
   drawing.activate(chosen === "Draw");
   if (chosen === "Recordings" && owner) void recordings.open();
   if (chosen === "Calibration" && owner) void calibration.open();
+  if (chosen === "Guide" && owner) void guide.refresh();
 }
 
 const tabs = PANELS.map(([name], i) => el("button", {

@@ -30,7 +30,7 @@ class Recorder:
     def print(self, text):
         self.lines.append(text)
 
-    def show(self, selector, check):
+    def show(self, selector, check, picture):
         assert selector.status()
 
     def taken(self, path, selector, check):

@@ -131,6 +131,7 @@ def test_a_calibration_from_nothing_to_the_mouse(tmp_path, monkeypatch):
     words = shlex.split(step.command)
     assert words[2:4] == ["camera", str(folder / "board")]
     assert words[4:] == ["--board", "11x8", "--square", "20mm", "--out", str(folder / "camera.yaml")]
+    assert "--for camera" in step.otherwise[0][1]  # more photos, if these do not suffice
     make_camera(folder)
 
     step = next_of(folder)
@@ -330,8 +331,9 @@ def test_the_terminal_shows_the_list_and_one_thing(cabinet):
     states = [line.split()[0] for line in lines[: len(NAMES)]]
     assert states == ["done", "done", "done", "next", *["later"] * 5]
     assert "Next: camera.yaml" in lines
-    assert sum("spheremouse calibrate" in line for line in lines) == 1
-    command = shlex.split(lines[-1])  # one line, to copy, whatever is in the folder's name
+    commands = [shlex.split(line) for line in lines if "spheremouse calibrate" in line]
+    assert [words[2] for words in commands] == ["camera", "photos"]  # the step, and its alternative
+    command = commands[0]  # one line, to copy, whatever is in the folder's name
     assert str(cabinet / "board") in command
 
 

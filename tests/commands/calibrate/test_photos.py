@@ -1,5 +1,6 @@
 """`spheremouse calibrate photos`: films of a board in, an evening's folder out, and what a person reads of it."""
 
+import json
 import shlex
 
 import cv2
@@ -86,6 +87,21 @@ def test_what_is_missing_is_said_and_the_same_command_goes_on(tmp_path, poses):
     assert "goes on with 3 photos" in again.output
     assert len(list((tmp_path / "board").iterdir())) == 3
     assert not coverage.enough(coverage.coverage(SIZE, [], np.empty((0, 3, 3))))
+
+
+def test_a_program_gets_each_check_as_json_with_its_picture(tmp_path, poses):
+    R, t = poses
+    source, shown = film(tmp_path / "f.mkv", (R[:3], t[:3])), tmp_path / "shown.jpg"
+    with pytest.raises(CalibrationError, match="--json"):
+        run("--for", "camera", tmp_path, *BOARD, "--source", source, "--picture", shown)
+    result = run("--for", "camera", tmp_path, *BOARD, "--source", source, "--json", "--picture", shown)
+    lines = [json.loads(line) for line in result.stdout.splitlines()]
+    checks, texts = [line for line in lines if "check" in line], [line["text"] for line in lines if "text" in line]
+    assert [c["photos"] for c in checks if c["gain"]] == [1, 2, 3]
+    assert any("tilt the board" in c["wanted"][0] and c["status"] for c in checks)
+    assert [text.split(":")[0] for text in texts if text.startswith("view_")] == [f"view_00{k}.png" for k in range(3)]
+    assert "3 photos so far" in texts[-3]
+    assert cv2.imread(str(shown)).shape == (SIZE[1], SIZE[0], 3)
 
 
 def test_a_film_that_breaks_off_keeps_its_photos_and_says_so(tmp_path, poses):

@@ -1,0 +1,178 @@
+"""The guide from an empty folder to the service. It runs the commands of `calibrate next`, one at a time.
+
+A browser names a step and the number of its command, and never a command or a path.
+"""
+
+import asyncio
+import base64
+import contextlib
+import json
+import re
+import shlex
+import signal
+import tempfile
+from asyncio.subprocess import STDOUT, Process
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from spheremouse.errors import ControlError, printable
+from spheremouse.files import safe_files
+from spheremouse.view import child
+
+_LOOK = "camera"  # the step before all others
+_LOOK_INTERVAL = 0.3  # s between two pictures
+_MAX_LINES = 40
+_MAX_DEVICE_BYTES = 100_000
+_STOP_TIMEOUT = 10.0  # s until a command has ended by itself
+_STOPPED = (-signal.SIGTERM, 128 + signal.SIGTERM, 128 + signal.SIGINT)  # exit codes
+_SQUARE = re.compile(r"\d{1,4}(\.\d{1,3})?")  # mm
+_NO_STEP: dict[str, Any] = {"name": "", "command": "", "otherwise": ()}
+
+
+class GuideOptions(NamedTuple):
+    """Inputs of the guide; None stands for the default of its commands."""
+
+    folder: Path | None = None  # of the calibration
+    source: str | None = None  # the camera
+
+
+class Guide:
+    """The guide of one page. All methods are called in the event loop."""
+
+    def __init__(self, options: GuideOptions, socket: Path | None, publish: Callable[[dict[str, Any]], None]) -> None:
+        """`publish` takes messages for the owner's browsers."""
+        self.folder, self._source = options.folder, options.source
+        self._socket, self._publish = socket, publish
+        self._process: Process | None = None
+        self._following: asyncio.Task[None] | None = None
+        self._starting = asyncio.Lock()
+        self._steps: dict[str, Any] = {}  # as read last
+        self._lines: deque[str] = deque(maxlen=_MAX_LINES)
+        self._state: dict[str, Any] = {"running": "", "check": None, "picture": None, "problem": ""}
+        self._folder = tempfile.TemporaryDirectory(prefix="spheremouse-view-")
+        self._picture = Path(self._folder.name) / "camera.jpg"
+
+    def state(self) -> dict[str, Any]:
+        """Return the message of the command that runs, or ended last."""
+        return {"type": "guide", "lines": list(self._lines), **self._state}
+
+    async def do(self, action: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        """Carry out an action, and return the steps if it reads them. Raises ControlError if it is refused."""
+        if action == "look":
+            source = [] if self._source is None else [self._source]
+            every = ("--every", f"{_LOOK_INTERVAL}", "--json", "--out", f"{self._picture}")
+            await self._start(_LOOK, "preview", *source, *every)
+        elif action == "stop":
+            await self.stop()
+        elif action == "run":
+            name, words = self._command(arguments)
+            await self._start(name, *words)
+        elif action in ("steps", "describe"):
+            if action == "describe":
+                self._describe(str(arguments.get("text", "")))
+            self._steps = await self._read_steps()
+            return self._steps
+        else:
+            raise ControlError(f"guide {action}: there is no such action")
+        return {}
+
+    async def stop(self, name: str | None = None) -> None:
+        """End the command that runs, or that of one step. It keeps its photos."""
+        process = self._process
+        if process is None or name not in (None, self._state["running"]):
+            return
+        with contextlib.suppress(ProcessLookupError):
+            process.terminate()
+        try:
+            async with asyncio.timeout(_STOP_TIMEOUT):
+                await process.wait()
+        except TimeoutError:
+            process.kill()
+        if self._following is not None:
+            await self._following
+
+    async def rest(self) -> None:
+        """Close the camera if nobody looks through it."""
+        await self.stop(_LOOK)
+
+    async def _read_steps(self) -> dict[str, Any]:
+        folder = [] if self.folder is None else [str(self.folder)]
+        steps = await child.answer(self._socket, "calibrate", "next", *folder, "--json", "-")
+        if any(step["state"] == "next" and step["name"] == "device.yaml" for step in steps["steps"]):
+            with contextlib.suppress(OSError, UnicodeError):
+                path = Path(steps["folder"]) / "device.yaml"
+                steps["device"] = safe_files.read_text(path, _MAX_DEVICE_BYTES, "device")
+        return steps
+
+    def _command(self, arguments: dict[str, Any]) -> tuple[str, list[str]]:
+        """Return the open step, and the words of one of its commands."""
+        step = next((s for s in self._steps.get("steps", ()) if s["state"] == "next"), _NO_STEP)
+        commands = [step["command"], *(command for _, command in step["otherwise"])]
+        name, number, square = (arguments.get(key) for key in ("step", "number", "square"))
+        if name != step["name"] or not isinstance(number, int) or not 0 <= number < len(commands):
+            raise ControlError("guide: the steps have changed; look at the list again")
+        program, *words = shlex.split(commands[number]) or [""]
+        if program != "spheremouse":
+            raise ControlError(f"guide: the page may not run it; in a terminal: {commands[number]}")
+        if words[1:2] == ["photos"]:
+            words += ["--json", "--picture", str(self._picture)]
+            words += [] if self._source is None else ["--source", self._source]
+        if square:
+            if not _SQUARE.fullmatch(str(square)):
+                raise ControlError("square: must be a length in mm, as in 20 or 20.1")
+            words += ["--square", f"{square}mm"]
+        if words[0] == "run" and self._socket is not None:
+            words += ["--set", f"control.socket={self._socket}"]
+        return step["name"], words
+
+    def _describe(self, text: str) -> None:
+        """Write device.yaml. `calibrate next` reports its mistakes."""
+        if "device" not in self._steps:
+            raise ControlError("guide: the steps have changed; look at the list again")
+        path = Path(self._steps["folder"]) / "device.yaml"
+        try:
+            safe_files.replace(path, text.encode())
+        except OSError as e:
+            raise ControlError(f"{path}: cannot be written ({e.strerror})") from None
+
+    async def _start(self, name: str, *words: str) -> None:
+        """Start a command. It ends another one, which may have the camera."""
+        async with self._starting:
+            await self.stop()
+            self._picture.unlink(missing_ok=True)
+            self._lines.clear()
+            self._state = {"running": name, "check": None, "picture": None, "problem": ""}
+            self._process = await child.start(self._socket, *words, stderr=STDOUT)
+            self._following = asyncio.create_task(self._follow(self._process))
+        self._publish(self.state())
+
+    async def _follow(self, process: Process) -> None:
+        assert process.stdout is not None
+        with contextlib.suppress(ValueError):  # a line without an end
+            async for line in process.stdout:
+                self._take(printable(line.decode(errors="replace").rstrip()))
+        code, self._process = await process.wait(), None
+        failed = code not in (0, *_STOPPED)
+        self._state |= {"running": "", "problem": child.problem_in(list(self._lines)) if failed else ""}
+        self._publish(self.state())
+
+    def _take(self, line: str) -> None:
+        """Publish a line of the command: JSON of a frame, or text."""
+        check = _json_object(line)
+        if check is None or "text" in check:
+            self._lines.append(line if check is None else str(check["text"]))
+        else:
+            with contextlib.suppress(OSError):
+                self._state["picture"] = base64.b64encode(self._picture.read_bytes()).decode()
+            self._state["check"] = check
+        self._publish(self.state())
+
+
+def _json_object(line: str) -> dict[str, Any] | None:
+    try:
+        found = json.loads(line)
+    except ValueError:
+        return None
+    return found if isinstance(found, dict) else None
