@@ -13,11 +13,11 @@ import time
 from pathlib import Path
 
 import cv2
+import daemon_process
 import view_world
 
 from spheremouse.capture.nodes import Node
 from spheremouse.output import Output, Report
-from spheremouse.tracker import Frame
 
 FPS = 10.0  # of photos and gestures
 SHOWN = 5  # frames of each photo
@@ -85,7 +85,7 @@ class Camera:
         self._next = due + 1
         picture = self._pictures[self._number // self._shown % len(self._pictures)]
         self._number += 1
-        return view_world.RawFrame(Frame(picture.copy(), stamp, self._number))
+        return daemon_process.RawFrame(picture.copy(), stamp, self._number)
 
     def describe(self):
         return "the practice camera"

@@ -3,7 +3,6 @@
 As a program: `spheremouse run` with the film, forth and back at 30 Hz, as its v4l2 camera.
 """
 
-import math
 import os
 import shutil
 import socket
@@ -12,18 +11,15 @@ import sys
 import time
 import urllib.request
 from pathlib import Path
-from types import SimpleNamespace
 
 import daemon_process
 import numpy as np
 from daemon_world import Film
 
-from spheremouse.capture import Payload
 from spheremouse.session.control.client import Client, NoDaemonError
-from spheremouse.tracker import Frame
 
 PATIENCE = 30.0  # s
-INTERVAL = 1 / 30  # s between two frames
+FPS = 30.0
 HERE = Path(__file__).parent
 SETTINGS = """\
 # kept by `save`
@@ -99,9 +95,7 @@ class Service(Server):
 
     def __init__(self, folder):
         super().__init__(folder)
-        film = Film.render()
-        twice = [picture for picture in film.colour for _ in range(2)]  # of which `prepare` keeps one
-        daemon_process.prepare(folder, SimpleNamespace(rig=film.rig, colour=twice))
+        daemon_process.prepare(folder, Film.render())
         with (folder / "config.yaml").open("a") as file:
             file.write(SETTINGS)
         shutil.copytree(HERE / "data/far26_clip", folder / "clip")
@@ -134,45 +128,15 @@ class Service(Server):
         end(self._daemon)
 
 
-class Camera(daemon_process.Camera):
-    """Gives each picture once on the way forth, and once on the way back; leaves out those that nobody fetched."""
-
-    def __init__(self, pictures):
-        super().__init__(pictures)
-        self._begin, self._tick = time.monotonic(), 0
-
-    def next(self, timeout):
-        now = time.monotonic()
-        self._tick = max(self._tick + 1, math.ceil((now - self._begin) / INTERVAL))
-        self._sequence += 1
-        stamp = self._begin + self._tick * INTERVAL
-        time.sleep(stamp - now if stamp > now else 0)
-        n = len(self._pictures) - 1
-        picture = self._pictures[abs(self._tick % (2 * n) - n)]
-        return RawFrame(Frame(picture.copy(), stamp, self._sequence))
-
-
-class RawFrame(daemon_process.RawFrame):
-    """One of them, as live pictures have it."""
-
-    def payload(self):
-        image = self._frame.image
-        return Payload("bgr", image.shape[1], image.shape[0], image.reshape(-1).data)
-
-
 def main(folder):
     """Run the daemon of `daemon_process.prepare`."""
     from spheremouse import commands as cli
     from spheremouse.capture import v4l2
 
     pictures = np.load(Path(folder) / "film.npy")
-    v4l2.open_camera = lambda *_: Camera(pictures)
+    v4l2.open_camera = lambda *_: daemon_process.Camera(pictures, FPS)
     sys.argv = ["spheremouse", "run", "--config", str(Path(folder) / "config.yaml")]
     cli.main()
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])
 
 
 if __name__ == "__main__":
