@@ -96,17 +96,11 @@ def section(results: Results) -> list[Part]:
     return [
         Table(
             "RMSE per axis on the first layout (table 20; the thesis counts stored discs)",
-            both.sort_values("discs", kind="stable"),
-            ["discs"],
+            both.sort_values("discs", kind="stable"), ["discs"]
         ),
         Table("Combined RMSE by the number of discs, over the films", means, ["discs", "films"]),
         Plot(
-            "count",
-            "Errors against the number of discs, and the bound for the centres that `so3` measured.",
-            pd.concat([runs, thesis]),
-            "discs",
-            [ATTITUDE, RATE],
-            "filter",
-            log="xy",
-        ),
-    ]
+            "count", "Errors against the number of discs, and the bound for the centres that `so3` measured.",
+            pd.concat([runs, thesis]), "discs", [ATTITUDE, RATE], "filter", log="xy"
+        )
+    ]  # fmt: skip

@@ -193,15 +193,10 @@ def _hidden(rows: pd.DataFrame) -> list[Part]:
     return [
         Table("Share of the visible ball hidden when it is lost (medians; 0: lost before)", found, ["discs", "cover"]),
         Plot(
-            "covers",
-            "How much of the visible ball may be hidden, by cover and number of discs.",
-            rows,
-            "cover",
-            ["hidden, %"],
-            "filter",
-            "discs",
-        ),
-    ]
+            "covers", "How much of the visible ball may be hidden, by cover and number of discs.", rows, "cover",
+            ["hidden, %"], "filter", "discs"
+        )
+    ]  # fmt: skip
 
 
 def _again(rows: pd.DataFrame) -> list[Part]:

@@ -39,13 +39,9 @@ _TOLERANCE = 0.02  # rad, of a recognised attitude
 
 SIZES = (4, 6, 8, 10, 14, 20, 30)  # mm, radius
 LAYOUTS = {
-    "designed": "by `spheremouse layout`",
-    "spread": "irregular, pushed apart",
-    "even": "evenly spread (golden spiral)",
-    "rows": "in rows",
-    "random": "random",
-    "cluster": "clustered on one side",
-}
+    "designed": "by `spheremouse layout`", "spread": "irregular, pushed apart", "even": "evenly spread (golden spiral)",
+    "rows": "in rows", "random": "random", "cluster": "clustered on one side"
+}  # fmt: skip
 HANDS = {  # right or left, and how large
     "none": (),
     "one": ((True, 1.0),),
@@ -205,17 +201,9 @@ def section(results: Results) -> list[Part]:
     """Sizes, places, hands: each with its errors."""
     runs = _runs(results)
     how = {
-        "films": "size",
-        "lost": "sum",
-        "diameter, px": "mean",
-        "wholly in view, %": "mean",
-        "in view, least": "mean",
-        "recognised, %": "mean",
-        "used": "mean",
-        "centres, px": "median",
-        ATTITUDE: "median",
-        RATE: "median",
-    }
+        "films": "size", "lost": "sum", "diameter, px": "mean", "wholly in view, %": "mean", "in view, least": "mean",
+        "recognised, %": "mean", "used": "mean", "centres, px": "median", ATTITUDE: "median", RATE: "median"
+    }  # fmt: skip
     medians = by(runs.assign(films=0), ["kind", "value", "filter"], how)
     parts: list[Part] = []
     for kind, title in {"size": "radius of the discs, mm", "layout": "layout", "hands": "hands"}.items():
@@ -227,15 +215,10 @@ def section(results: Results) -> list[Part]:
                     f"Medians by {title}", table.drop(columns="kind").rename(columns={"value": title}), [title, "films"]
                 ),
                 Plot(
-                    f"discs-{kind}",
-                    f"Errors by {title}: medians and range of the films.",
-                    rows.assign(**{title: x}),
-                    title,
-                    [ATTITUDE, RATE],
-                    "filter",
-                    log="xy" if kind == "size" else "y",
-                ),
-            ]
+                    f"discs-{kind}", f"Errors by {title}: medians and range of the films.", rows.assign(**{title: x}),
+                    title, [ATTITUDE, RATE], "filter", log="xy" if kind == "size" else "y"
+                )
+            ]  # fmt: skip
     return parts
 
 
@@ -249,14 +232,9 @@ def _runs(results: Results) -> pd.DataFrame:
         found = {name: result["rows"].get(name, {}) for name in kit.TRACKERS}
         records += filter_rows({**common, "kind": kind, "value": value.replace("_", " ")}, found, result["bound"])
     columns = {
-        "diameter_px": "diameter, px",
-        "in_view_share": "wholly in view, %",
-        "in_view": "in view, least",
-        "recognised": "recognised, %",
-        "mean_discs": "used",
-        "detection.centre_rms_px": "centres, px",
-        **ERRORS,
-    }
+        "diameter_px": "diameter, px", "in_view_share": "wholly in view, %", "in_view": "in view, least",
+        "recognised": "recognised, %", "mean_discs": "used", "detection.centre_rms_px": "centres, px", **ERRORS
+    }  # fmt: skip
     more = {name: name for name in ("kind", "value", "filter", "lost_episodes", "tracked", "frames")}
     runs = tidy(records, {**more, **columns})
     followed = (runs["lost_episodes"] == 0) & (runs["tracked"] >= FOLLOWED * runs["frames"])

@@ -107,19 +107,11 @@ def section(results: Results) -> list[Part]:
     runs = tidy(
         records,
         {
-            "film": "film",
-            "filter": "filter",
-            "r": "correlation",
-            "true": "correlation of the true motion",
-            "rate_rmse_deg_s.combined": RATE,
-            "surface_speed_rmse_mm_s.combined": "mouse speed, mm/s",
-            "attitude_rmse_deg.combined": ATTITUDE,
-            "tracked": "tracked",
-            "frames": "frames",
-            "lost_episodes": "times lost",
-            "mean_discs": "discs",
-            "detection.centre_rms_px": "centres, px",
-        },
-    )
+            "film": "film", "filter": "filter", "r": "correlation", "true": "correlation of the true motion",
+            "rate_rmse_deg_s.combined": RATE, "surface_speed_rmse_mm_s.combined": "mouse speed, mm/s",
+            "attitude_rmse_deg.combined": ATTITUDE, "tracked": "tracked", "frames": "frames",
+            "lost_episodes": "times lost", "mean_discs": "discs", "detection.centre_rms_px": "centres, px"
+        }
+    )  # fmt: skip
     thesis = pd.DataFrame(THESIS, columns=["film", "filter", "correlation", RATE, "mouse speed, mm/s"])
     return [Table("Errors by film and filter (table 19)", pd.concat([thesis, runs]), ["film"], {"correlation": 5})]

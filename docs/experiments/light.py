@@ -111,12 +111,7 @@ def section(results: Results) -> list[Part]:
         Table("Rate RMSE, °/s (table 24)", wide.sort_values(["film", "l"], kind="stable"), ["film", "l"]),
         Table("RMS over l; centres are those of discs of 60 px² and more", over_l, ["film", "filter"]),
         Plot(
-            "light-rates",
-            "Rate errors under noise: medians over the brightnesses, and their range.",
-            pd.concat([runs, films]),
-            "σ_r",
-            [RATE],
-            "filter",
-            "film",
-        ),
-    ]
+            "light-rates", "Rate errors under noise: medians over the brightnesses, and their range.",
+            pd.concat([runs, films]), "σ_r", [RATE], "filter", "film"
+        )
+    ]  # fmt: skip

@@ -203,13 +203,9 @@ def section(results: Results) -> list[Part]:
 
 
 _QUANTITIES = {
-    "attitude": ATTITUDE,
-    "rate": RATE,
-    "scale": "scale, %",
-    "off": "scale off by, %",
-    "direction": "direction, °",
-    "wobble": "wobble, %",
-}
+    "attitude": ATTITUDE, "rate": RATE, "scale": "scale, %", "off": "scale off by, %", "direction": "direction, °",
+    "wobble": "wobble, %"
+}  # fmt: skip
 
 
 def _runs(results: Results) -> pd.DataFrame:
@@ -223,18 +219,8 @@ def _runs(results: Results) -> pd.DataFrame:
                 about |= {"size": size * KINDS[mistake].per_unit}
                 records += [{**about, "filter": w, **rig.get("rows", {}).get(w, {})} for w in TRACKERS]
     columns = (
-        "mistake",
-        "order",
-        "size",
-        "filter",
-        "attitude",
-        "rate",
-        "scale",
-        "direction",
-        "wobble",
-        "lost",
-        "tracked",
-    )
+        "mistake", "order", "size", "filter", "attitude", "rate", "scale", "direction", "wobble", "lost", "tracked"
+    )  # fmt: skip
     runs = tidy(records, [*columns, "frames"]).sort_values(["order", "size"], kind="stable").drop(columns="order")
     followed = (runs["lost"] == 0) & (runs["tracked"] >= FOLLOWED * runs["frames"])
     good = followed & (runs["direction"] <= STRAIGHT) & (runs["wobble"] <= STEADY)
@@ -246,12 +232,10 @@ def _borne(wrong: pd.DataFrame) -> pd.DataFrame:
     """By mistake and filter; sizes count either way."""
     size = wrong["size"].abs()
     good = (
-        wrong["good"]
-        .groupby([wrong["mistake"], wrong["filter"], size], sort=False)
-        .all()
-        .astype(int)
-        .sort_index(level="size")
-    )
+        wrong["good"].groupby(
+            [wrong["mistake"], wrong["filter"], size], sort=False
+        ).all().astype(int).sort_index(level="size")
+    )  # fmt: skip
     so_far = good.groupby(level=["mistake", "filter"]).cummin()
     largest = so_far[so_far == 1].reset_index("size").groupby(["mistake", "filter"])["size"].max().unstack("filter")
     rows = largest.reindex(index=wrong["mistake"].unique(), columns=["so3"])

@@ -25,11 +25,9 @@ BEYOND = 10.0  # rad/s², a row of ours
 SPEED = "mouse speed, mm/s (thesis: px/s)"
 QUANTITIES = {
     "correlation, R1": ("Correlation with the trackball, R1", 14),
-    "correlation, S1": ("Correlation of mouse speeds, S1", 15),
-    ATTITUDE: ("RMSE of the attitude, °, S1", 16),
-    RATE: ("RMSE of the rates, °/s, S1", 17),
-    SPEED: ("RMSE of the mouse speed, mm/s (thesis: px/s), S1", 18),
-}
+    "correlation, S1": ("Correlation of mouse speeds, S1", 15), ATTITUDE: ("RMSE of the attitude, °, S1", 16),
+    RATE: ("RMSE of the rates, °/s, S1", 17), SPEED: ("RMSE of the mouse speed, mm/s (thesis: px/s), S1", 18)
+}  # fmt: skip
 Grid = tuple[tuple[float, ...], ...]
 THESIS: dict[str, Grid] = {  # by quantity: rows by sigma_w, columns by sigma_b
     "trackball": ((0.645, 0.594, 0.678), (0.902, 0.794, 0.527), (0.962, 0.948, 0.778), (0.947, 0.956, 0.954)),

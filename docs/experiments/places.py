@@ -177,12 +177,9 @@ def expected(place: Place, layouts: Sequence[int], frames: int, noise: Sequence[
         squares.append([np.mean(np.trace(P[1:], axis1=1, axis2=2)) for P in (limit.attitude, limit.rate)])
     attitude, rate = np.degrees(np.sqrt(np.mean(squares, axis=0)))
     return {
-        "place": list(place),
-        "attitude_deg": float(attitude),
-        "rate_deg_s": float(rate),
-        "discs": float(np.mean(discs)),
-        "targets": targets_in_view(scene),
-    }
+        "place": list(place), "attitude_deg": float(attitude), "rate_deg_s": float(rate),
+        "discs": float(np.mean(discs)), "targets": targets_in_view(scene)
+    }  # fmt: skip
 
 
 def sights_at(scene: Scene, attitude: Array, noise: Sequence[Size]) -> list[Sight]:
@@ -257,29 +254,19 @@ def section(results: Results) -> list[Part]:
     return [
         Table(
             "The best and the worst direction, of all and of those that see three targets",
-            pd.concat([around[:1], around[-1:], seen[:1], seen[-1:]]),
+            pd.concat([around[:1], around[-1:], seen[:1], seen[-1:]])
         ),
         Table("The bound by distance, straight before the frame", along.sort_values(["lens", "distance, m"]), ["lens"]),
         Table("Noise by size", pd.DataFrame(sizes, columns=list(_SIZE))),
         Plot(
-            "places-directions",
-            "The bound by the direction of the camera.",
-            around.sort_values(["elevation, °", "azimuth, °"]),
-            "azimuth, °",
-            [ATTITUDE, RATE],
-            "elevation, °",
-            log="y",
+            "places-directions", "The bound by the direction of the camera.",
+            around.sort_values(["elevation, °", "azimuth, °"]), "azimuth, °", [ATTITUDE, RATE], "elevation, °", log="y"
         ),
         Plot(
-            "places-distances",
-            "The bound against the distance, straight before the frame.",
-            along[along[ATTITUDE] <= TOP * along[ATTITUDE].min()],
-            "distance, m",
-            [ATTITUDE, RATE],
-            "lens",
-            log="xy",
-        ),
-    ]
+            "places-distances", "The bound against the distance, straight before the frame.",
+            along[along[ATTITUDE] <= TOP * along[ATTITUDE].min()], "distance, m", [ATTITUDE, RATE], "lens", log="xy"
+        )
+    ]  # fmt: skip
 
 
 _PLACE = ["azimuth, °", "elevation, °", "distance, m", "focal length, px", "lens"]

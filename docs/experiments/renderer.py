@@ -77,14 +77,9 @@ def same_scene(film: kit.Film) -> Scene:
     assert truth.directions is not None, "and how its discs lie"
     scene = default_scene(len(truth.directions), "far")
     return replace(
-        scene,
-        camera=rig.camera,
-        pose=truth.pose,
-        ball_radius=rig.ball.radius,
-        disc_directions=truth.directions,
-        disc_radius=rig.disc_radius,
-        targets=rig.targets,
-    )
+        scene, camera=rig.camera, pose=truth.pose, ball_radius=rig.ball.radius, disc_directions=truth.directions,
+        disc_radius=rig.disc_radius, targets=rig.targets
+    )  # fmt: skip
 
 
 def compared(path: str, first: int, step: int) -> Result:

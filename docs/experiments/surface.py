@@ -228,11 +228,7 @@ def _areas(area: Result) -> list[Part]:
     return [
         Table("Visible area of the ball, m² (fig. 39)", table),
         Plot(
-            "surface-area",
-            "Visible area against the camera's distance from the ball's centre.",
-            curves,
-            "distance, m",
-            ["area, m²"],
-            "of",
-        ),
-    ]
+            "surface-area", "Visible area against the camera's distance from the ball's centre.", curves, "distance, m",
+            ["area, m²"], "of"
+        )
+    ]  # fmt: skip

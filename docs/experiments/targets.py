@@ -66,13 +66,10 @@ def places(number: int) -> Array:
     upper, lower = top - 0.25, low + 0.25
     corners = [(left, top), (left, low), (right, low), (right, top)]
     beside = {
-        3: [],
-        4: [],
-        5: [(left, middle)],
-        6: [(left, middle), (right, middle)],
+        3: [], 4: [], 5: [(left, middle)], 6: [(left, middle), (right, middle)],
         7: [(left, upper), (left, lower), (right, middle)],
-        8: [(left, upper), (left, lower), (right, upper), (right, lower)],
-    }
+        8: [(left, upper), (left, lower), (right, upper), (right, lower)]
+    }  # fmt: skip
     chosen = [*corners[: min(number, 4)], *beside[number]]
     return np.array([(x, y, _Z) for x, y in chosen])
 
@@ -194,12 +191,10 @@ def _posed(views: list[TargetDetections], rig: Rig, true: Pose, image: NDArray[n
         return {**result, "error": str(e)}
     sigma = np.sqrt(np.diag(pose.covariance))
     return {
-        **result,
-        "position_mm": (1e3 * (pose.position - true.position)).tolist(),
+        **result, "position_mm": (1e3 * (pose.position - true.position)).tolist(),
         "angle_deg": np.degrees(log(pose.rotation @ true.rotation.T)).tolist(),
-        "sigma_position_mm": (1e3 * sigma[:3]).tolist(),
-        "sigma_angle_deg": np.degrees(sigma[3:]).tolist(),
-    }
+        "sigma_position_mm": (1e3 * sigma[:3]).tolist(), "sigma_angle_deg": np.degrees(sigma[3:]).tolist()
+    }  # fmt: skip
 
 
 def _off(seen: Iterable[Sighting], rig: Rig, true: Pose) -> Result:
@@ -217,34 +212,24 @@ def section(results: Results) -> list[Part]:
     """Number, size and kind."""
     tried = _tried_rows(results)
     how = {
-        "found, %": "mean",
-        "poses": "count",
-        "centres or corners, px": _rms,
-        **dict.fromkeys(_VECTORS.values(), _rms),
-    }
+        "found, %": "mean", "poses": "count", "centres or corners, px": _rms, **dict.fromkeys(_VECTORS.values(), _rms)
+    }  # fmt: skip
     means = by(tried.assign(poses=tried["position, mm"]), ["group", "targets", "size, mm", "kind"], how)
     numbers, sizes = (where(means, group=group).drop(columns="group") for group in ("numbers", "sizes"))
     return [
         Table("Poses by the number of targets", numbers.drop(columns="size, mm"), ["targets"]),
         Table("Size (outer radius, mm) from which on all are found", _smallest(sizes)),
         Plot(
-            "targets-size",
-            "Error of the camera's position, and share of the targets that is found, by their size.",
-            where(tried, group="sizes"),
-            "across, px",
-            ["position, mm", "found, %"],
-            "kind",
-            log="x",
-        ),
-    ]
+            "targets-size", "Error of the camera's position, and share of the targets that is found, by their size.",
+            where(tried, group="sizes"), "across, px", ["position, mm", "found, %"], "kind", log="x"
+        )
+    ]  # fmt: skip
 
 
 _VECTORS = {
-    "position_mm": "position, mm",
-    "sigma_position_mm": "claimed, mm",
-    "angle_deg": "angle, °",
-    "sigma_angle_deg": "claimed, °",
-}
+    "position_mm": "position, mm", "sigma_position_mm": "claimed, mm", "angle_deg": "angle, °",
+    "sigma_angle_deg": "claimed, °"
+}  # fmt: skip
 
 
 def _tried_rows(results: Results) -> pd.DataFrame:

@@ -165,15 +165,10 @@ def section(results: Results) -> list[Part]:
         parts += [
             Table(f"{kind.title}: medians over the films", table, ["value", "films"]),
             Plot(
-                f"viewing-{name}",
-                f"{kind.title}: combined errors, median of the films with their range.",
-                rows,
-                kind.label,
-                [ATTITUDE, RATE],
-                "filter",
-                log="xy" if kind.log else "y",
-            ),
-        ]
+                f"viewing-{name}", f"{kind.title}: combined errors, median of the films with their range.", rows,
+                kind.label, [ATTITUDE, RATE], "filter", log="xy" if kind.log else "y"
+            )
+        ]  # fmt: skip
     return [
         *parts,
         Table(

@@ -111,15 +111,9 @@ def _cells(row: Row) -> dict[str, Any]:
     f, anees = row.figures, row.figures["anees"]
     p95, most = ({a: f[f"position_{name}_mm"][a] for a in "xyz"} for name in ("p95", "max"))
     return {
-        "film": f"{row.film.name}: {row.film.words}",
-        "particles": row.variant,
-        "runs": row.runs,
-        "lost": row.lost,
-        "tracked, %": 100.0 * row.tracked,
-        f"found in {wand.FOUND_WITHIN}": row.found,
-        **{f"{a} p95, mm": p95[a] for a in p95},
-        **{f"{a} max, mm": most[a] for a in most},
-        "rotation p95, °": f["rotation_p95_deg"],
-        "rotation max, °": f["rotation_max_deg"],
-        **{f"ANEES, {name}": min(x, 1e3) if (x := anees[name]) is not None else None for name in anees},
-    }
+        "film": f"{row.film.name}: {row.film.words}", "particles": row.variant, "runs": row.runs, "lost": row.lost,
+        "tracked, %": 100.0 * row.tracked, f"found in {wand.FOUND_WITHIN}": row.found,
+        **{f"{a} p95, mm": p95[a] for a in p95}, **{f"{a} max, mm": most[a] for a in most},
+        "rotation p95, °": f["rotation_p95_deg"], "rotation max, °": f["rotation_max_deg"],
+        **{f"ANEES, {name}": min(x, 1e3) if (x := anees[name]) is not None else None for name in anees}
+    }  # fmt: skip

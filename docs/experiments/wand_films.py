@@ -87,14 +87,12 @@ def films(quick: bool) -> tuple[Film, ...]:
     few = tuple(range(1, 2 if quick else 7))
     ours = _OWN
     drive = (
-        *_KNOWN,
-        ours,
-        Variant("350, without the outline", _particles(350, outline=False), known=True),
+        *_KNOWN, ours, Variant("350, without the outline", _particles(350, outline=False), known=True),
         Variant("350, the thesis' motion", thesis_motion(350), known=True),
         Variant("350, drawn by the thesis' motion alone", thesis_motion(350, method="rims"), known=True),
         *(Variant(f"{n}, all as in the thesis", thesis_settings(n), known=True) for n in (50, 350)),
-        Variant("350, edges alone", thesis_motion(350, method="edges"), known=True),
-    )
+        Variant("350, edges alone", thesis_motion(350, method="edges"), known=True)
+    )  # fmt: skip
     many = (5000,) if quick else (5000, 50_000)
     crowd = (
         *(Variant(f"{n}, known start", _particles(n), known=True) for n in many),
@@ -194,16 +192,12 @@ def _kept(run: WandRun, truth: WandTruth, radius: float) -> dict[str, Any]:
     """Errors of one run, and what it takes to put them together with others: nothing else need be kept."""
     k = np.flatnonzero(run.found)
     return {
-        "lost": bool(is_lost(run, truth, radius)),
-        "found_from": found_from(run, truth, radius),
-        "frames": len(run.stamp),
-        "index": k.tolist(),
-        "position": run.position[k].tolist(),
+        "lost": bool(is_lost(run, truth, radius)), "found_from": found_from(run, truth, radius),
+        "frames": len(run.stamp), "index": k.tolist(), "position": run.position[k].tolist(),
         "rotation": run.rotation[k].tolist(),
         "covariance": [np.asarray(c)[np.triu_indices(6)].tolist() for c in run.covariance[k]],
-        "true_position": truth.position[k].tolist(),
-        "true_rotation": truth.rotation[k].tolist(),
-    }
+        "true_position": truth.position[k].tolist(), "true_rotation": truth.rotation[k].tolist()
+    }  # fmt: skip
 
 
 def restored(kept: Sequence[dict[str, Any]]) -> tuple[list[WandRun], list[WandTruth]]:

@@ -92,20 +92,16 @@ def errors(run: Run, truth: Reference, radius: float, since: float = -np.inf) ->
     P = run.covariance[kept]
     detection = None if truth.discs is None else detection_quality(run, truth.discs)
     return {
-        "frames": len(run.frame),
-        "tracked": len(kept),
-        "lost_episodes": lost_episodes(whole.status),
+        "frames": len(run.frame), "tracked": len(kept), "lost_episodes": lost_episodes(whole.status),
         "attitude_rmse_deg": per_axis(None if attitude is None else np.rad2deg(attitude), "xyz"),
         "rate_rmse_deg_s": per_axis(None if rate is None else np.rad2deg(rate), "xyz"),
         "surface_speed_rmse_mm_s": per_axis(None if speed is None or true is None else speed - true, "xy"),
-        "surface_speed_r": correlation(speed, true),
-        "mean_discs": mean_discs(run),
-        "detection": detection,
+        "surface_speed_r": correlation(speed, true), "mean_discs": mean_discs(run), "detection": detection,
         "nees": {
             "attitude": None if attitude is None else mean_nees(attitude[1:], P[1:, :3, :3]),
-            "rate": None if rate is None else mean_nees(rate, P[:, 3:, 3:]),
-        },
-    }
+            "rate": None if rate is None else mean_nees(rate, P[:, 3:, 3:])
+        }
+    }  # fmt: skip
 
 
 def _late(run: Run, since: float) -> Run:

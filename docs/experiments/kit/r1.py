@@ -24,12 +24,8 @@ PACE = 0.5  # of `play`: at its full pace the published filters lose the ball to
 SECONDS = 30.0  # s
 LAG, SCALE = 0.083, 240.0  # s, counts/rad: unknown to the comparison
 OPTIONS: dict[str, Any] = {
-    "discs": 32,
-    "noise": 4.0,
-    "blur": 0.01,
-    "hands": True,
-    "dist": [-0.49141, 0.29957, -0.00369, -0.00077, -0.11383],
-}
+    "discs": 32, "noise": 4.0, "blur": 0.01, "hands": True, "dist": [-0.49141, 0.29957, -0.00369, -0.00077, -0.11383]
+}  # fmt: skip
 TRACKBALL = Trackball(
     trackball_matrix(SCALE, SCALE),
     slowest=40.0,  # Hz: reports come unevenly

@@ -100,12 +100,9 @@ def moved(motion: Truth) -> dict[str, float]:
 def brief(report: Result) -> Result:
     """Return the combined errors of a run and how often it lost the ball."""
     return {
-        "attitude": report["attitude_rmse_deg"]["combined"],
-        "rate": report["rate_rmse_deg_s"]["combined"],
-        "lost": report["lost_episodes"],
-        "tracked": report["tracked"],
-        "frames": report["frames"],
-    }
+        "attitude": report["attitude_rmse_deg"]["combined"], "rate": report["rate_rmse_deg_s"]["combined"],
+        "lost": report["lost_episodes"], "tracked": report["tracked"], "frames": report["frames"]
+    }  # fmt: skip
 
 
 def least(limit: Result | None) -> Result | None:
