@@ -97,7 +97,6 @@ def _check(cores: int | None, datasets: Path | None) -> None:
 
 
 def _made(out: Path) -> Path:
-    """The folder of what each film gave."""
     folder = out / "experiments" / "jobs"
     try:
         folder.mkdir(parents=True, exist_ok=True)

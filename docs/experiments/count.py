@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.kit import detections
-from experiments.kit.film import TRACKERS, bound_rms, film_of, options_of, settings_of, tracked
+from experiments.kit.film import TRACKERS, bound_rms, film_of, options_of
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import (
     ATTITUDE,
@@ -25,7 +25,7 @@ from experiments.kit.render import (
     where,
 )
 from spheremouse.evaluation.bound import Bound
-from spheremouse.evaluation.metrics import Run, run_bound
+from spheremouse.evaluation.metrics import run_bound
 from spheremouse.simulate.ball.film import prepare
 
 TITLE = "Number of discs (Wittich 2017, table 20)"
@@ -38,7 +38,6 @@ RATE_20 = {26: (0.595, 0.481, 0.773), 50: (0.551, 0.407, 0.624), 74: (0.456, 0.4
 
 
 def jobs(request: Request) -> list[Job]:
-    """One per ball."""
     counts, layouts, frames = (tuple(STORED), (0,), 90) if request.quick else (COUNTS, LAYOUTS, 300)
     return [
         Job(key_of(n, k), with_discs, {"discs": n, "layout": k, "frames": frames}, cost=(0.02 + 0.0003 * n) * frames)
@@ -48,14 +47,9 @@ def jobs(request: Request) -> list[Job]:
 
 
 def with_discs(discs: int, layout: int, frames: int) -> Result:
-    """Every filter on one ball, and the bound."""
     film = film_of(prepare(options_of({"discs": discs, "layout": layout, "seconds": frames / 30.0})))
     radius = film.rig.ball.radius
-    seen = detections.look_at(film, settings_of(["tracker=ekf2"]))
-    runs: dict[str, Run] = {
-        name: detections.filtered(seen, settings_of([f"tracker={name}"]), film) for name in TRACKERS if name != "so3"
-    }
-    runs["so3"] = tracked(film, settings_of()).run
+    runs = detections.all_runs(film)
     rows = {name: detections.errors(run, film.truth, radius) for name, run in runs.items()}
     return {"rows": rows, "bound": bound_rms(_where_known(run_bound(runs["so3"], film.truth, film.rig)))}
 
@@ -77,7 +71,6 @@ def key_of(discs: int, layout: int) -> str:
 
 
 def section(results: Results) -> list[Part]:
-    """Table 20, and errors against the number of discs."""
     records = []
     for key, result in results.items():
         discs, layout = map(int, key.split("-"))

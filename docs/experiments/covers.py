@@ -39,7 +39,6 @@ TITLE = "Covers, and finding the ball again"
 
 
 def jobs(request: Request) -> list[Job]:
-    """A ball, and a camera's rate with a ball."""
     quick = request.quick
     rates, seeds, layouts = ((15.0, 30.0), 1, 1) if quick else (RATES, 3, 2)
     found = [
@@ -150,7 +149,6 @@ def waited(t: Array, off: "list[tuple[Array, float, bool]]", end: float) -> Resu
 
 
 def section(results: Results) -> list[Part]:
-    """Return the hidden shares at the loss of the ball, and the times until it is found again."""
     hidden = tidy(
         {"discs": int(discs), "cover": cover, "filter": who, "hidden, %": 100.0 * share}
         for discs, result in _trials(results, "cover")
@@ -173,7 +171,6 @@ _WHAT = ("attitude", "rate")
 
 
 def _trials(results: Results, kind: str) -> Iterator[tuple[float, Result]]:
-    """Numbers of trials `kind-number-...`, and results."""
     for key, result in results.items():
         name, number, *_ = key.split("-")
         if name == kind:

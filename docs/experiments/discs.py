@@ -52,7 +52,6 @@ HANDS = {  # right or left, and how large
 
 
 def jobs(request: Request) -> list[Job]:
-    """A film each: a size, a layout or hands, and places of the discs."""
     if request.quick:
         sizes, layouts, hands, seeds, frames = (6, 20), ("random",), ("two",), 1, 36
     else:
@@ -110,7 +109,6 @@ def recognition(directions: Array) -> tuple[float, float]:
 
 
 def with_hands(kind: str, seed: int, frames: int) -> Result:
-    """Hands that come after a second and stay."""
     simulation = _simulated(seed, frames, _irregular(20.0, seed))
     end = 2.0 + frames / simulation.fps
     start = min(SETTLE, 0.25 * frames / simulation.fps)
@@ -198,7 +196,6 @@ def scattered(rng: np.random.Generator, least: float) -> Array:
 
 
 def section(results: Results) -> list[Part]:
-    """Sizes, places, hands: each with its errors."""
     runs = _runs(results)
     how = {
         "films": "size", "lost": "sum", "diameter, px": "mean", "wholly in view, %": "mean", "in view, least": "mean",

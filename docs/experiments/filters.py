@@ -6,16 +6,13 @@ at several paces of its player, the correlation is that with the log of a simula
 that with the true mouse speeds. The thesis' mouse speed is in its px/s.
 """
 
-from pathlib import Path
-
 import pandas as pd
 
 from experiments.kit import detections, r1
-from experiments.kit.film import Film, film_from_dataset, film_of, options_of, settings_of, tracked
+from experiments.kit.film import Film, film_like_s1, settings_of, tracked
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import ATTITUDE, RATE, Part, Table, tidy
 from spheremouse.evaluation.metrics import Run
-from spheremouse.simulate.ball.film import prepare
 
 TITLE = "Filter models (Wittich 2017, table 19)"
 THESIS = (  # film, filter, correlation, rates °/s, mouse speed px/s
@@ -29,16 +26,15 @@ PUBLISHED = "-blobs"
 
 
 def jobs(request: Request) -> list[Job]:
-    """One per film."""
     frames = 90 if request.quick else 300
     seconds = 4.0 if request.quick else r1.SECONDS
     found = [
         Job("r1", play, {"seconds": seconds, "pace": r1.PACE, "published": not request.quick}, cost=1.4 * seconds),
-        Job("s1", simulated, {"frames": frames}, cost=0.025 * frames),
+        Job("s1", compared, {"path": None, "frames": frames}, cost=0.025 * frames),
     ]
     if request.datasets is not None:
         path = str(request.datasets / "far26")
-        found.append(Job("far26", recorded, {"path": path, "frames": frames}, cost=0.02 * frames))
+        found.append(Job("far26", compared, {"path": path, "frames": frames}, cost=0.02 * frames))
     if not request.quick:
         found += [
             Job(f"pace-{pace:g}", play, {"seconds": seconds, "pace": pace, "published": False}, cost=1.4 * seconds)
@@ -61,20 +57,10 @@ def play(seconds: float, pace: float, published: bool) -> Result:
     return {"rows": rows, "truth": {} if true is None else {"r": true.r}}
 
 
-def simulated(frames: int) -> Result:
-    """All filters on a film like S1."""
-    return _compared(film_of(prepare(options_of({"seconds": frames / 30.0})), "S1"))
-
-
-def recorded(path: str, frames: int) -> Result:
-    """All filters on the reference recording like S1."""
-    return _compared(film_from_dataset(Path(path), frames))
-
-
-def _compared(film: Film) -> Result:
-    radius = film.rig.ball.radius
+def compared(path: str | None, frames: int) -> Result:
+    film = film_like_s1(path, frames)
     runs = _runs(film, published=True)
-    return {"rows": {name: detections.errors(run, film.truth, radius) for name, run in runs.items()}}
+    return {"rows": {name: detections.errors(run, film.truth, film.rig.ball.radius) for name, run in runs.items()}}
 
 
 def _runs(film: Film, published: bool) -> dict[str, Run]:
@@ -92,7 +78,6 @@ def _runs(film: Film, published: bool) -> dict[str, Run]:
 
 
 def section(results: Results) -> list[Part]:
-    """Table 19, and the livelier players."""
     records = [
         {
             "film": film,

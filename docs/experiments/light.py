@@ -6,18 +6,16 @@ degraded pictures. At l = -50 and sigma_r = 15 the thesis finds only two of its 
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import pandas as pd
 
 from experiments.kit import detections
-from experiments.kit.film import TRACKERS, Film, bound_rms, film_from_dataset, film_of, options_of, settings_of, tracked
+from experiments.kit.film import TRACKERS, bound_rms, film_like_s1
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import ATTITUDE, ERRORS, RATE, Part, Plot, Table, by, filter_rows, rms, tidy, where
 from spheremouse.errors import PoseError
-from spheremouse.evaluation.metrics import Run, run_bound
+from spheremouse.evaluation.metrics import run_bound
 from spheremouse.simulate.ball.events import degraded
-from spheremouse.simulate.ball.film import prepare
 
 TITLE = "Noise and brightness (Wittich 2017, table 24)"
 SIGMAS = (1, 5, 10, 15)  # grey values
@@ -30,50 +28,31 @@ THESIS_24: dict[int, tuple[float | None, ...]] = {  # °/s by l; None: targets n
 
 
 def jobs(request: Request) -> list[Job]:
-    """One per film and brightness."""
     levels, sigmas, frames = ((-50, 50), (15,), 75) if request.quick else (tuple(THESIS_24), SIGMAS, 300)
-    found = []
-    for level in levels:
-        what = {"level": level, "sigmas": list(sigmas), "frames": frames}
-        found.append(Job(key_of("s1", level), simulated, what, cost=0.02 * frames * (1 + len(sigmas))))
-        if request.datasets is not None and not request.quick:
-            path = str(request.datasets / "far26")
-            found.append(
-                Job(key_of("far26", level), recorded, {"path": path, **what}, cost=0.02 * frames * (1 + len(sigmas)))
-            )
-    return found
+    films: dict[str, str | None] = {"s1": None}
+    if request.datasets is not None and not request.quick:
+        films["far26"] = str(request.datasets / "far26")
+    cost, what = 0.02 * frames * (1 + len(sigmas)), {"sigmas": list(sigmas), "frames": frames}
+    return [
+        Job(key_of(name, level), graded, {"path": path, "level": level, **what}, cost)
+        for level in levels
+        for name, path in films.items()
+    ]
 
 
-def simulated(level: int, sigmas: list[int], frames: int) -> Result:
-    """A row of the grid on a film like S1."""
-    return _row(film_of(prepare(options_of({"seconds": frames / 30.0})), "S1"), level, sigmas)
-
-
-def recorded(path: str, level: int, sigmas: list[int], frames: int) -> Result:
-    """A row of the grid on the reference recording."""
-    return _row(film_from_dataset(Path(path), frames), level, sigmas)
-
-
-def _row(film: Film, level: int, sigmas: list[int]) -> Result:
-    """By sigma_r: the filters' errors and the bound, or why there are none."""
-    cells: Result = {}
+def graded(path: str | None, level: int, sigmas: list[int], frames: int) -> Result:
+    """Return by sigma_r the filters' errors and the bound, or the reason why there are none."""
+    film, cells = film_like_s1(path, frames), {}
     for sigma in sigmas:
-        frames = tuple(degraded(iter(film.frames), float(sigma), float(level)))
-        worse = replace(film, frames=frames)
+        worse = replace(film, frames=tuple(degraded(iter(film.frames), float(sigma), float(level))))
         try:
-            runs = _runs(worse)
+            runs = detections.all_runs(worse)
         except PoseError as e:
             cells[str(sigma)] = {"error": str(e)}
             continue
         rows = {name: detections.errors(run, film.truth, film.rig.ball.radius) for name, run in runs.items()}
         cells[str(sigma)] = {"rows": rows, "bound": bound_rms(run_bound(runs["so3"], film.truth, film.rig))}
     return {"cells": cells}
-
-
-def _runs(film: Film) -> dict[str, Run]:
-    seen = detections.look_at(film, settings_of(["tracker=ekf2"]))
-    runs = {n: detections.filtered(seen, settings_of([f"tracker={n}"]), film) for n in TRACKERS if n != "so3"}
-    return {**runs, "so3": tracked(film, settings_of()).run}
 
 
 def key_of(film: str, level: int) -> str:
@@ -84,7 +63,6 @@ def key_of(film: str, level: int) -> str:
 
 
 def section(results: Results) -> list[Part]:
-    """Table 24 for each film."""
     records = []
     for key, result in results.items():
         film, level = key[:-3], int(key[-3:])

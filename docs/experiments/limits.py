@@ -119,7 +119,6 @@ def bisected(holds: Callable[[float], bool], low: float, high: float) -> float:
 
 
 def jobs(request: Request) -> list[Job]:
-    """A camera's rate and a ball at a time."""
     rates, seeds = ((15.0, 30.0), 1) if request.quick else (RATES, 3)
     return [
         Job(f"speed-{fps:g}-{seed}", speeds, {"fps": fps, "seed": seed}, cost=2.0 + 0.07 * fps)
@@ -146,7 +145,6 @@ def speeds(fps: float, seed: int) -> Result:
 
 
 def section(results: Results) -> list[Part]:
-    """Return the highest rates and accelerations; 0 is lost at the least that was tried."""
     rows = tidy(
         {
             "Hz": float(key.split("-")[1]),

@@ -54,7 +54,6 @@ _SEEDS = {"centre": 0, "targets": 5}  # of what chance decides
 
 
 def jobs(request: Request) -> list[Job]:
-    """Films through a right lens, by many wrong rigs each; and one per strength of a lens."""
     seeds, seconds = ((1,), 1.5) if request.quick else ((1, 2), 3.5)
     groups = {"alone": ("focal", "radius", "centre", "targets")} if request.quick else TOGETHER
     found = []
@@ -178,7 +177,6 @@ def pointer_errors(sent: Array, made: Array) -> dict[str, float] | None:
 
 
 def section(results: Results) -> list[Part]:
-    """Each mistake, and how large it may be."""
     runs = _runs(results)
     how = {"rigs": "size", **dict.fromkeys(_QUANTITIES.values(), "median"), "lost": "sum", "good": "sum"}
     medians = by(runs.assign(rigs=0), ["mistake", "size", "filter"], how)

@@ -40,7 +40,6 @@ THESIS = {
 
 
 def jobs(request: Request) -> list[Job]:
-    """One film each: a view, and other places of the discs."""
     seeds, seconds = (1, 1.5) if request.quick else (4, None)
     work = [
         Job(f"{view}-{seed}", followed, {"view": view, "seed": seed, "seconds": seconds})
@@ -88,7 +87,6 @@ def posed(view: View, seconds: float | None) -> Result:
 
 
 def section(results: Results) -> list[Part]:
-    """Table 23, and poses as wrong as the thesis'."""
     records = []
     for key, result in results.items():
         view, _, seed = key.partition("-")

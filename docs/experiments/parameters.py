@@ -4,18 +4,16 @@ Wittich 2017, section 4.5, tables 14 to 18: `ekf2` on a film like R1, compared w
 like S1, compared with the truth. `so3` has neither parameter.
 """
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from experiments.kit import detections, r1
-from experiments.kit.film import Film, film_from_dataset, film_of, options_of, settings_of, tracked
+from experiments.kit.film import Film, film_like_s1, settings_of, tracked
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import ATTITUDE, RATE, Part, Plot, Table, tidy
 from spheremouse.evaluation.metrics import Run
-from spheremouse.simulate.ball.film import prepare
 
 TITLE = "Assumed acceleration and noise of the discs (Wittich 2017, tables 14 to 18)"
 SIGMA_W = (0.001, 0.01, 0.1, 1.0)  # rad/s², those of the thesis
@@ -39,16 +37,15 @@ THESIS: dict[str, Grid] = {  # by quantity: rows by sigma_w, columns by sigma_b
 
 
 def jobs(request: Request) -> list[Job]:
-    """One per film."""
     frames = 90 if request.quick else 300
     seconds = 4.0 if request.quick else r1.SECONDS
     found = [
         Job("r1", like_r1, {"seconds": seconds}, cost=1.8 * seconds),
-        Job("s1", simulated, {"frames": frames}, cost=0.065 * frames),
+        Job("s1", compared, {"path": None, "frames": frames}, cost=0.065 * frames),
     ]
     if request.datasets is not None:
         path = str(request.datasets / "far26")
-        found.append(Job("far26", recorded, {"path": path, "frames": frames}, cost=0.055 * frames))
+        found.append(Job("far26", compared, {"path": path, "frames": frames}, cost=0.055 * frames))
     return found
 
 
@@ -65,17 +62,8 @@ def like_r1(seconds: float) -> Result:
     return {**_grid(film, extended), "truth": {"trackball": true}}
 
 
-def simulated(frames: int) -> Result:
-    """The grid on a film like S1: 26 discs, far camera, the thesis' motion."""
-    return _compared(film_of(prepare(options_of({"seconds": frames / 30.0})), "S1"))
-
-
-def recorded(path: str, frames: int) -> Result:
-    """The grid on the reference recording like S1."""
-    return _compared(film_from_dataset(Path(path), frames))
-
-
-def _compared(film: Film) -> Result:
+def compared(path: str | None, frames: int) -> Result:
+    film = film_like_s1(path, frames)
     return _grid(film, lambda run: detections.errors(run, film.truth, film.rig.ball.radius))
 
 
@@ -102,7 +90,6 @@ def key_of(w: float, b: float) -> str:
 
 
 def section(results: Results) -> list[Part]:
-    """Tables 14 to 18."""
     cells = _tidy(results)
     like_s1 = cells[cells["film"] != "r1"]
     return [

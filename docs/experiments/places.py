@@ -52,8 +52,6 @@ DISTANCES = (0.9, 1.0, 1.15, 1.35, 1.6, 2.0, 2.35, 2.8, 3.3, 3.8)  # m
 
 
 class Place(NamedTuple):
-    """A camera that looks at the device."""
-
     azimuth: float  # deg
     elevation: float  # deg
     distance: float  # m, from the ball's centre
@@ -76,7 +74,6 @@ def lens_of(name: str, distance: float) -> float:
 
 
 def jobs(request: Request) -> list[Job]:
-    """Two maps: of directions, in two parts, and of distances."""
     frames, layouts, pictures, pictured = (45, 1, 6, 3) if request.quick else (_FRAMES, 3, 16, len(_PICTURED))
     common = {"layouts": layouts, "frames": frames, "pictures": pictures, "pictured": pictured}
     return [
@@ -243,7 +240,6 @@ def _shapes(scene: Scene) -> Viewpoint:
 
 
 def section(results: Results) -> list[Part]:
-    """The best and the worst places, the map by direction and by distance, and the noise that it assumes."""
     maps = [{"part": key.partition("-")[0], **_entry(e)} for key, r in results.items() for e in r.get("map", ())]
     rows = tidy(maps, ["part", *_PLACE, ATTITUDE, RATE, "discs in view", "targets in view"])
     around, along = (

@@ -44,7 +44,6 @@ def latency(fps: float) -> float:
 
 
 def settings(way: str, fps: float) -> PointerSettings:
-    """Return the settings of a way to move the pointer."""
     horizon = {ZERO: 0.0, ONE: 1.0 / fps, DEFAULT: PointerSettings().horizon, NEXT: latency(fps) + 1.0 / fps}[way]
     return PointerSettings(horizon=horizon)
 
@@ -79,7 +78,6 @@ def _as_told(tracker: Tracker, motions: list[Estimate], stamps: Array) -> Told:
 
 
 def _matrix(tracker: Tracker) -> Array:
-    """Counts per radian, (3, 3)."""
     return MotionSettings().matrix(tracker.rig.radius_m)
 
 
@@ -162,7 +160,6 @@ def delay(shown: Array, true: Path) -> float | None:
 
 
 def jobs(request: Request) -> list[Job]:
-    """A camera's rate and a motion."""
     quick = request.quick
     rates, seeds, seconds, phases = ((15.0, 30.0), 1, 8.0, 2) if quick else (RATES, 2, 20.0, 6)
     return [
@@ -184,7 +181,6 @@ def jobs(request: Request) -> list[Job]:
 
 
 def played(fps: float, seed: int, seconds: float) -> Result:
-    """Somebody plays."""
     there = world(DISCS, seed)
     tracker = build(there.rig, there.scene.pose, settings_of())
     motion = play(seconds, np.random.default_rng([seed, 2]))
@@ -224,7 +220,6 @@ def stopped(fps: float, phases: int) -> Result:
 
 
 def section(results: Results) -> list[Part]:
-    """Errors of each way to move the pointer, in play and when the ball is stopped."""
     plays, stops = _plays(results), _stops(results)
     medians = {"delay, ms": "median", "distance RMS, counts": "median", "roughness, counts": "median"}
     shown = where(plays, pointer=[NONE, ONE, DEFAULT, NEXT])

@@ -40,7 +40,6 @@ _STRAY = (0.01, np.radians(0.5))  # m, rad: by which cameras differ from the the
 
 
 def jobs(request: Request) -> list[Job]:
-    """Cameras that film, and the shared recording."""
     seeds = 2 if request.quick else 16
     work = [Job(f"{view}-{seed}", filmed, {"view": view, "seed": seed}) for view in VIEWS for seed in range(seeds)]
     if request.datasets is not None:
@@ -82,7 +81,6 @@ def strayed_pose(scene: Scene, rng: np.random.Generator) -> Pose:
 
 
 def _poses(frames: Iterable[Frame], rigs: dict[str, Rig], true: Pose) -> Result:
-    """The pose and its error by the rig."""
     images = [frame.image for frame in frames]
     radii, settings = rigs["exact"].targets.radii, kit.settings_of().rings
     seen = gather([detect_targets(image, radii, settings) for image in images])
@@ -112,7 +110,6 @@ def pose_result(seen: list[Sighting], rig: Rig, true: Pose, image: Any = None) -
 
 
 def section(results: Results) -> list[Part]:
-    """Tables 12, 21 and 22, and errors against what is claimed."""
     poses = tidy(_records(results))
     cameras = poses[poses["camera"] != "far26"]
     parts: list[Part] = []
@@ -145,7 +142,6 @@ def _records(results: Results) -> Iterator[dict[str, Any]]:
 
 
 def _named(entry: Result) -> Result:
-    """Values by the names of the pose's parameters."""
     found = {what: dict(zip(NAMES, entry[what], strict=True)) for what in ("error", "sigma")}
     rows = {a: dict(zip(NAMES, row, strict=True)) for a, row in zip(NAMES, entry["correlation"], strict=True)}
     return {**found, "correlation": rows, "chi_square": entry["chi_square"]}

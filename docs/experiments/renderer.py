@@ -33,7 +33,6 @@ LINEAR = "Blender, linear light"
 
 
 def jobs(request: Request) -> list[Job]:
-    """A few frames of far26; nothing where it is not at hand."""
     if request.datasets is None:
         return []
     step, parts = (25, 1) if request.quick else (2, 3)
@@ -55,15 +54,12 @@ class _Recorded:
 
     @property
     def seconds(self) -> float:
-        """s, of the last frame."""
         return float(self.motion.stamp[-1])
 
     def attitude(self, t: Array) -> Array:
-        """(n, 3, 3) of the nearest frames."""
         return self.motion.attitude[self._nearest(t)]
 
     def rate(self, t: Array) -> Array:
-        """(n, 3) rad/s."""
         return self.motion.rate[self._nearest(t)]
 
     def _nearest(self, t: Array) -> NDArray[np.intp]:
@@ -184,7 +180,6 @@ def add_edges(edges: Array, picture: Any, look: Appearance) -> None:
 
 
 def section(results: Results) -> list[Part]:
-    """Centres by the size and the place of discs, and edges."""
     done = results.values()
     names = ["area", "true u", "true v", "ours u", "ours v", "", "Blender u", "Blender v", "claimed"]
     discs = pd.DataFrame([disc for r in done for disc in r["rows"]], columns=names, dtype=float).dropna()

@@ -46,7 +46,6 @@ FIGURE_39 = {"far": (2.35, 2.74), "near": (1.35, 2.16)}  # m, m²
 
 
 def jobs(request: Request) -> list[Job]:
-    """Table 13, and the areas."""
     points = Job("points", points_of_table_13)
     return [points, Job("area", areas, {"points": _POINTS // 4 if request.quick else _POINTS})]
 
@@ -191,7 +190,6 @@ def visible_cap(distance: float, radius: float) -> float:
 
 
 def section(results: Results) -> list[Part]:
-    """Table 13, and the area that is seen."""
     points = _table_13(results["points"]) if "points" in results else []
     return [*points, *(_areas(results["area"]) if "area" in results else [])]
 

@@ -48,7 +48,6 @@ _NOISE, _VIEWS = 3.0, 2  # grey values, pictures
 
 
 def jobs(request: Request) -> list[Job]:
-    """A camera each."""
     if request.quick:
         what = {"numbers": [4], "sizes": [14, 36]}
         return [Job("camera-0", filmed, {"seed": 0, **what}, 5.0)]
@@ -137,7 +136,6 @@ def _tried(kind: str, scene: Scene, bare: NDArray[np.float32], n: int, size: flo
 
 
 def key(kind: str, number: int, size: float) -> str:
-    """Return the name of a trial."""
     return f"{kind}/{number}/{size:g}"
 
 
@@ -209,7 +207,6 @@ def _off(seen: Iterable[Sighting], rig: Rig, true: Pose) -> Result:
 
 
 def section(results: Results) -> list[Part]:
-    """Number, size and kind."""
     tried = _tried_rows(results)
     how = {
         "found, %": "mean", "poses": "count", "centres or corners, px": _rms, **dict.fromkeys(_VECTORS.values(), _rms)
@@ -250,7 +247,6 @@ def _tried_rows(results: Results) -> pd.DataFrame:
 
 
 def _rms(values: "pd.Series[float]") -> float:
-    """The RMS of the known values."""
     return float(np.sqrt((values**2).mean()))
 
 

@@ -79,7 +79,6 @@ KINDS = {
 
 
 def jobs(request: Request) -> list[Job]:
-    """One per film; that at 240 frames per second makes all the slower ones."""
     seeds, seconds = ((1,), 1.0) if request.quick else ((1, 2, 3), 3.5)
     found = []
     for seed in seeds:
@@ -100,7 +99,6 @@ def _values(kind: Kind, request: Request) -> tuple[str, ...]:
 
 
 def _film(kind: str, word: str) -> dict[str, Any]:
-    """Options of `simulate` for a value."""
     if kind == "size":
         return {"size": [int(x) for x in word.split("x")]}
     seconds = min(1e-3 * float(word), 1.0 / USUAL)
@@ -108,7 +106,6 @@ def _film(kind: str, word: str) -> dict[str, Any]:
 
 
 def _cost(film: dict[str, Any]) -> float:
-    """s, about."""
     width, height = film.get("size", (640, 480))
     return 2.5 + 2.0 * width * height / (640 * 480)
 
@@ -150,7 +147,6 @@ def with_film(seed: int, seconds: float, film: dict[str, Any]) -> Result:
 
 
 def section(results: Results) -> list[Part]:
-    """Errors against what is varied, and where they are small enough."""
     runs = _runs(results)
     limits = {"films": "size", "lost": "sum", "pose given": "sum", ATTITUDE: _median, RATE: _median, "speed": "median"}
     medians = by(runs.assign(films=0), ["kind", "value", "filter"], limits)

@@ -22,7 +22,6 @@ SPEEDS = "speeds"
 
 
 def jobs(request: Request) -> list[Job]:
-    """Each film with each seed, and the speeds."""
     films = [
         Job(job.key, film, {"key": job.key, "quick": request.quick}, cost=_cost(job.film))
         for job in wand.jobs(request.quick)
@@ -75,7 +74,6 @@ class Row(NamedTuple):
 
 
 def section(results: Results) -> list[Part]:
-    """Return the films with their trackers, and the speeds."""
     timed = results.get(SPEEDS, {})
     table = rows({key: result for key, result in results.items() if key != SPEEDS})
     return [

@@ -30,8 +30,6 @@ FOUND_WITHIN = 5  # frames, of a start without an initial pose
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One way to track."""
-
     name: str
     settings: WandSettings
     known: bool = False  # begins with the true pose, as the thesis did

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from experiments.kit.film import Film
+from experiments.kit.film import TRACKERS, Film, settings_of, tracked
 from experiments.kit.job import Result
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections
@@ -72,6 +72,13 @@ def filtered(detections: Sights, settings: Settings, film: Film) -> Run:
         state, motion, events = advance(state, frame.stamp, seen, tracker)
         history.add(Epoch(frame, state, motion, events, {}))
     return history.run()
+
+
+def all_runs(film: Film) -> dict[str, Run]:
+    """Return the runs of all filters: the classic ones on one look at the film, and `so3`."""
+    seen = look_at(film, settings_of(["tracker=ekf2"]))
+    runs = {name: filtered(seen, settings_of([f"tracker={name}"]), film) for name in TRACKERS if name != "so3"}
+    return {**runs, "so3": tracked(film, settings_of()).run}
 
 
 def errors(run: Run, truth: Reference, radius: float, since: float = -np.inf) -> Result:

@@ -21,7 +21,7 @@ from spheremouse.files.dataset.frames import read_frames
 from spheremouse.geometry.camera import Pose
 from spheremouse.session.offline import initialise, track
 from spheremouse.simulate.ball.events import degraded
-from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, simulate
+from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame
 
 TRACKERS = ("ekf1", "ekf2", "so3")
@@ -73,10 +73,15 @@ def film_from_dataset(path: Path | str, frames: int | None = None) -> Film:
     return Film(recording.name, tuple(chosen), recording.rig, truth)
 
 
+def film_like_s1(path: str | None, frames: int) -> Film:
+    """A film with the motion and camera of S1 of the thesis: simulated, or the reference recording at a path."""
+    if path is not None:
+        return film_from_dataset(path, frames)
+    return film_of(prepare(options_of({"seconds": frames / 30.0})), "S1")
+
+
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """Result of tracking a film."""
-
     run: Run
     found: Pose | None  # where the pose was looked for
     report: Result  # as `evaluate --json` has it

@@ -35,7 +35,5 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """Extent of a run."""
-
     quick: bool
     datasets: Path | None  # folder of the reference recordings; None: they are not here

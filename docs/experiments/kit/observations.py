@@ -91,7 +91,6 @@ def simulated_calibration(
 
 
 def calibrated(simulated: SimulatedCalibration) -> DeviceCalibration:
-    """Adjust the observations."""
     s = simulated
     return shift_to_ball(adjust_bundle(s.views, s.discs, s.start, s.device, s.camera), s.views, s.device)
 

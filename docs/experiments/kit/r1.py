@@ -42,22 +42,17 @@ _MOST = 0.5  # s, to either side
 
 @dataclass(frozen=True, slots=True)
 class Slowed:
-    """A motion in slow motion."""
-
     profile: Profile
     pace: float  # 0.5: half as fast
 
     @property
     def seconds(self) -> float:
-        """s, how long it takes."""
         return self.profile.seconds / self.pace
 
     def attitude(self, t: Array) -> Array:
-        """R_obj_ball at times (n,) s, (n, 3, 3)."""
         return self.profile.attitude(self.pace * np.asarray(t, dtype=float))
 
     def rate(self, t: Array) -> Array:
-        """w_obj at times (n,) s, (n, 3) rad/s."""
         return self.pace * self.profile.rate(self.pace * np.asarray(t, dtype=float))
 
 

@@ -229,7 +229,6 @@ def _facets(plot: Plot) -> list[Any]:
 
 
 def size_of(plot: Plot) -> tuple[float, float]:
-    """Inches."""
     return 7.2, 1.0 + 1.8 * (len(plot.y) if plot.facet else 1.3)
 
 

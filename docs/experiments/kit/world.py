@@ -88,13 +88,11 @@ class SpedUp:
     seconds: float = 1e9
 
     def attitude(self, t: Array) -> Array:
-        """R_obj_ball at times (n,) s, (n, 3, 3)."""
         early = np.minimum(t, self.most / self.acceleration)
         angle = 0.5 * self.acceleration * early**2 + self.most * (t - early)
         return exp(np.asarray(angle)[:, None] * self.axis)
 
     def rate(self, t: Array) -> Array:
-        """w_obj at times (n,) s, (n, 3) rad/s."""
         return np.minimum(self.acceleration * np.asarray(t), self.most)[:, None] * self.axis
 
 
