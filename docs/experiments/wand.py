@@ -42,19 +42,16 @@ def _cost(film: wand.Film) -> float:
 
 
 def film(key: str, quick: bool) -> Result:
-    """Results of the trackers on one film."""
     (job,) = [job for job in wand.jobs(quick) if job.key == key]
     return wand.work(job)
 
 
 def recorded(path: str, quick: bool, variant: int) -> Result:
-    """Results of a tracker on the shared recording, by seed."""
     film = wand.recording_film(quick)
     return wand.work_recording(Path(path), film.variants[variant], film.seeds)
 
 
 def speeds(frames: int) -> Result:
-    """Frames per second, over so many frames."""
     return wand.measure_speeds(frames)
 
 

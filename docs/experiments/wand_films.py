@@ -56,7 +56,6 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Name of its result."""
         return f"{self.film.name}-{self.seed:02d}"
 
 
@@ -181,7 +180,6 @@ class _Fed:
         self._epochs = start(iter(lambda: self._next, self))
 
     def feed(self, frame: Any) -> None:
-        """One more frame."""
         self._next = frame
         self.history.add(next(self._epochs))
 
@@ -264,5 +262,4 @@ def measure_speeds(frames: int = 60) -> dict[str, Any]:
 
 
 def recording_key(variant: Variant) -> str:
-    """Name of the result of a variant on the recording."""
     return f"{RECORDING}-{variant.name.replace(', ', '-').replace(' ', '-')}"

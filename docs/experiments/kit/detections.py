@@ -15,8 +15,6 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Epoch
 from spheremouse.ball.track import advance
-from spheremouse.ball.truth import VISIBLE
-from spheremouse.evaluation.bound import Bound, Sight, posterior_bound
 from spheremouse.evaluation.metrics import (
     History,
     Reference,
@@ -123,19 +121,3 @@ def _late(run: Run, since: float) -> Run:
         if v is not None
     }
     return replace(run, **cut)
-
-
-def bound(film: Film, sigma: float) -> Bound | None:
-    truth = film.truth
-    if truth.motion is None or truth.discs is None or truth.pose is None or truth.directions is None:
-        return None
-    views = []
-    for k in range(len(film.frames)):
-        discs = truth.discs.of_frame(k)
-        seen = discs.disc[discs.state == VISIBLE]
-        views.append(Sight(seen, np.full(len(seen), sigma)))
-    n = len(film.frames)
-    motion = replace(
-        truth.motion, stamp=truth.motion.stamp[:n], attitude=truth.motion.attitude[:n], rate=truth.motion.rate[:n]
-    )
-    return posterior_bound(motion, views, truth.directions, film.rig, truth.pose)

@@ -20,7 +20,6 @@ from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.geometry.camera import Pose
 from spheremouse.session.offline import initialise, track
-from spheremouse.simulate.ball.events import degraded
 from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame
 
@@ -87,24 +86,10 @@ class Tracked:
     report: Result  # as `evaluate --json` has it
 
 
-def tracked(
-    film: Film,
-    settings: Settings,
-    *,
-    own_pose: bool = True,
-    rig: Rig | None = None,
-    noise: float = 0.0,
-    brightness: float = 0.0,
-) -> Tracked:
-    """Track a film from its first frame with the camera's own pose, or the true one.
-
-    `rig`: another one than the film's; `noise`, `brightness` in grey values, added to each frame. Raises PoseError
-    where the targets are not found.
-    """
+def tracked(film: Film, settings: Settings, *, rig: Rig | None = None) -> Tracked:
+    """Track a film from its first frame. `rig`: another one than the film's. PoseError if no targets are found."""
     rig = film.rig if rig is None else rig
-    if not own_pose:
-        rig = replace(rig, pose=film.truth.pose)
-    start = initialise(degraded(iter(film.frames), noise, brightness), rig, settings)
+    start = initialise(iter(film.frames), rig, settings)
     history = History()
     for epoch in track(start.frames, build(rig, start.pose, settings)):
         history.add(epoch)

@@ -60,9 +60,9 @@ class World:
         return Detections(centre, sigma[:, None, None] ** 2 * np.eye(2), area[keep])
 
 
-def world(discs: int, layout: int, exposure: float = 0.0) -> World:
+def world(discs: int, layout: int) -> World:
     """The far camera's."""
-    scene = replace(default_scene(discs, "far", layout), exposure_s=exposure)
+    scene = default_scene(discs, "far", layout)
     camera, pose = scene.camera, scene.pose
     v, u = np.mgrid[0 : camera.height, 0 : camera.width]
     xy, _ = unproject(np.stack([u.ravel(), v.ravel()], axis=1).astype(float), camera)
@@ -145,7 +145,6 @@ def course_begun(state: TrackState) -> Course:
     return Course(state, np.array([state.filter.stamp]), rotation_error(state, np.eye(3))[None])
 
 
-def random_axis(seed: int, across: bool = False) -> Array:
-    """At random; or `across` the camera's view, where discs move fastest in pictures."""
-    v = np.random.default_rng([seed, 3]).standard_normal(3) * (1.0, 1.0, 0.0 if across else 1.0)
+def random_axis(seed: int) -> Array:
+    v = np.random.default_rng([seed, 3]).standard_normal(3)
     return np.asarray(v / np.sqrt(v @ v), dtype=float)
