@@ -7,22 +7,7 @@ lines below `# ---- section ----` change. `kit/` has the common parts: `job` def
 most jobs need, `r1` films a recording like R1 of the thesis, and `detections` detects once for several filters.
 """
 
-NAMES = (
-    "poses",
-    "surface",
-    "parameters",
-    "filters",
-    "count",
-    "near_far",
-    "light",
-    "renderer",
-    "viewing",
-    "mistakes",
-    "discs",
-    "targets",
-    "places",
-    "limits",
-    "covers",
-    "pointer",
-    "wand",
-)  # in the report's order
+NAMES = (  # in the report's order
+    "poses", "surface", "parameters", "filters", "count", "near_far", "light", "renderer", "viewing", "mistakes",
+    "discs", "targets", "places", "limits", "covers", "pointer", "wand"
+)  # fmt: skip

@@ -6,24 +6,10 @@ Wittich 2017, section 4.7, table 20: 26, 50 and 74 discs (sets S1, S2, S3); here
 import numpy as np
 import pandas as pd
 
-from experiments.kit import detections
+from experiments.kit import detections, render
 from experiments.kit.film import TRACKERS, bound_rms, film_of, options_of
 from experiments.kit.job import Job, Request, Result, Results
-from experiments.kit.render import (
-    ATTITUDE,
-    AXES,
-    ERRORS,
-    RATE,
-    Part,
-    Plot,
-    Table,
-    by,
-    filter_rows,
-    lengths,
-    rms,
-    tidy,
-    where,
-)
+from experiments.kit.render import ATTITUDE, RATE
 from spheremouse.evaluation.bound import Bound
 from spheremouse.evaluation.metrics import run_bound
 from spheremouse.simulate.ball.film import prepare
@@ -70,29 +56,35 @@ def key_of(discs: int, layout: int) -> str:
 # ---- section ----
 
 
-def section(results: Results) -> list[Part]:
+def section(results: Results) -> list[render.Part]:
     records = []
     for key, result in results.items():
         discs, layout = map(int, key.split("-"))
-        records += filter_rows({"discs": discs, "layout": layout}, result["rows"], result["bound"])
+        records += render.filter_rows({"discs": discs, "layout": layout}, result["rows"], result["bound"])
     columns = {"discs": "discs", "layout": "films", "filter": "filter", "mean_discs": "used per frame"}
-    columns |= {"detection.centre_rms_px": "centres, px", "lost_episodes": "times lost", **ERRORS, **AXES}
-    runs = tidy(records, columns)
-    how = {"films": "size", "used per frame": "mean", "centres, px": "mean", ATTITUDE: rms, RATE: rms}
-    means = by(runs, ["discs", "filter"], {**how, "times lost": "sum"})
+    columns |= {"detection.centre_rms_px": "centres, px", "lost_episodes": "times lost", **render.ERRORS, **render.AXES}
+    runs = render.tidy(records, columns)
+    how = {
+        "films": "size",
+        "used per frame": "mean",
+        "centres, px": "mean",
+        ATTITUDE: render.rms,
+        RATE: render.rms,
+    }
+    means = render.by(runs, ["discs", "filter"], {**how, "times lost": "sum"})
     typed = [[n, "thesis, EKF2", STORED[n], *ATTITUDE_20[n], *RATE_20[n]] for n in STORED]
-    thesis = pd.DataFrame(typed, columns=["discs", "filter", "used per frame", *AXES.values()])
-    names = list(AXES.values())
-    thesis = thesis.assign(**{ATTITUDE: lengths(thesis, names[:3]), RATE: lengths(thesis, names[3:])})
-    first = where(runs, films=0, discs=list(STORED), filter=list(TRACKERS))
+    thesis = pd.DataFrame(typed, columns=["discs", "filter", "used per frame", *render.AXES.values()])
+    names = list(render.AXES.values())
+    thesis = thesis.assign(**{ATTITUDE: render.lengths(thesis, names[:3]), RATE: render.lengths(thesis, names[3:])})
+    first = render.where(runs, films=0, discs=list(STORED), filter=list(TRACKERS))
     both = pd.concat([thesis, first])[["discs", "filter", "used per frame", *names]]
     return [
-        Table(
+        render.Table(
             "RMSE per axis on the first layout (table 20; the thesis counts stored discs)",
             both.sort_values("discs", kind="stable"), ["discs"]
         ),
-        Table("Combined RMSE by the number of discs, over the films", means, ["discs", "films"]),
-        Plot(
+        render.Table("Combined RMSE by the number of discs, over the films", means, ["discs", "films"]),
+        render.Plot(
             "count", "Errors against the number of discs, and the bound for the centres that `so3` measured.",
             pd.concat([runs, thesis]), "discs", [ATTITUDE, RATE], "filter", log="xy"
         )

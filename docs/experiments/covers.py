@@ -12,23 +12,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pandas as pd
 
+from experiments.kit import world as kit
 from experiments.kit.film import TRACKERS
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import Part, Plot, Table, by, tidy
-from experiments.kit.world import (
-    DISCS,
-    RATES,
-    WHO,
-    Course,
-    SpedUp,
-    World,
-    after_rest,
-    course_begun,
-    random_axis,
-    rotation_error,
-    tracker_for,
-    world,
-)
 from spheremouse.ball.track import advance
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array
@@ -40,10 +27,10 @@ TITLE = "Covers, and finding the ball again"
 
 def jobs(request: Request) -> list[Job]:
     quick = request.quick
-    rates, seeds, layouts = ((15.0, 30.0), 1, 1) if quick else (RATES, 3, 2)
+    rates, seeds, layouts = ((15.0, 30.0), 1, 1) if quick else (kit.RATES, 3, 2)
     found = [
         Job(f"cover-{n}-{k}", covered, {"discs": n, "layout": k, "kinds": list(QUICK if quick else COVERS)}, cost=4.0)
-        for n in ((DISCS,) if quick else COUNTS)
+        for n in ((kit.DISCS,) if quick else COUNTS)
         for k in range(layouts)
     ]
     return found + [
@@ -55,34 +42,34 @@ def jobs(request: Request) -> list[Job]:
 
 COVERS = ("from the left", "from the right", "from above", "from below", "closing in", "from the middle")
 QUICK = COVERS[::2]  # those of a quick run
-COUNTS = (16, 26, DISCS, 74)
+COUNTS = (16, 26, kit.DISCS, 74)
 FPS, _BEFORE, GROWS = 30.0, 1.0, 8.0  # Hz; s until the cover comes; s from nothing to all
 
 
-def growing(world: World, kind: str) -> Array:
+def growing(there: kit.World, kind: str) -> Array:
     """Return for each pixel of the ball the share of the visible ball that is hidden first, (h, w); 2 elsewhere."""
-    v, u = np.nonzero(world.ball)
-    middle = project(world.scene.pose.to_cam(np.zeros((1, 3))), world.scene.camera)[0][0]
+    v, u = np.nonzero(there.ball)
+    middle = project(there.scene.pose.to_cam(np.zeros((1, 3))), there.scene.camera)[0][0]
     away = np.hypot(u - middle[0], v - middle[1])
     # the far camera is rolled by 90 degrees, so above is along obj's y
-    up = world.scene.pose.rotation.T @ np.array([0.0, 1.0, 0.0])
-    right = world.scene.pose.rotation.T @ np.array([1.0, 0.0, 0.0])
+    up = there.scene.pose.rotation.T @ np.array([0.0, 1.0, 0.0])
+    right = there.scene.pose.rotation.T @ np.array([1.0, 0.0, 0.0])
     place = {"from the left": u * right[0] + v * right[1], "from below": u * up[0] + v * up[1], "from the middle": away}
     place |= {"from the right": -place["from the left"], "from above": -place["from below"], "closing in": -away}
-    order = np.full(world.ball.shape, 2.0)
+    order = np.full(there.ball.shape, 2.0)
     order[v, u] = np.argsort(np.argsort(place[kind], kind="stable"), kind="stable") / len(u)
     return order
 
 
 def covered(discs: int, layout: int, kinds: Sequence[str]) -> Result:
     """Share of the visible ball that was hidden when discs last held the attitude, by cover and tracker."""
-    there, motion = world(discs, layout), thesis()
+    there, motion = kit.world(discs, layout), thesis()
     rng = np.random.default_rng([layout, 4])
-    trackers = {who: tracker_for(who, there) for who in TRACKERS}
-    started = {who: after_rest(who, tracker, there) for who, tracker in trackers.items()}
+    trackers = {who: kit.tracker_for(who, there) for who in TRACKERS}
+    started = {who: kit.after_rest(who, tracker, there) for who, tracker in trackers.items()}
     orders = {kind: growing(there, kind) for kind in kinds}
-    going: dict[tuple[str, str], Course] = {
-        (kind, who): course_begun(started[who]) for kind in kinds for who in TRACKERS
+    going: dict[tuple[str, str], kit.Course] = {
+        (kind, who): kit.course_begun(started[who]) for kind in kinds for who in TRACKERS
     }
     found: Result = {kind: dict.fromkeys(TRACKERS, 0.0) for kind in kinds}
     for t in np.arange(1.0, motion.seconds * FPS) / FPS:
@@ -111,22 +98,22 @@ ATTITUDE, RATE, STAYS = 1.0, 0.1, 0.2  # °, rad/s: right again; s, for which it
 
 def found_again(fps: float, seed: int) -> Result:
     """By tracker: frames and ms from when the cover goes until attitude and rate are right again, None: never."""
-    there, motion = world(DISCS, seed), SpedUp(random_axis(seed), _GENTLY, TURNING)
+    there, motion = kit.world(kit.DISCS, seed), kit.SpedUp(kit.random_axis(seed), _GENTLY, TURNING)
     rng = np.random.default_rng([seed, 4])
-    trackers = {who: tracker_for(who, there) for who in WHO}
-    started = {who: after_rest(who, tracker, there) for who, tracker in trackers.items()}
+    trackers = {who: kit.tracker_for(who, there) for who in kit.WHO}
+    started = {who: kit.after_rest(who, tracker, there) for who, tracker in trackers.items()}
     states, end = dict(started), _AT + COVERED
     t = np.arange(1.0, (end + AFTER) * fps + 0.5) / fps
-    off: dict[str, list[tuple[Array, float, bool]]] = {who: [] for who in WHO}
+    off: dict[str, list[tuple[Array, float, bool]]] = {who: [] for who in kit.WHO}
     attitudes, rates = motion.attitude(t), motion.rate(t)
     for s, R, w in zip(t, attitudes, rates, strict=True):
         seen = there.see(R, rng, there.ball if _AT <= s < end else None)
-        for who in WHO:
+        for who in kit.WHO:
             state = advance(states[who], started[who].filter.stamp + float(s), seen, trackers[who]).state
             states[who] = state
             rate = float(np.linalg.norm(state.filter.rate - w))
-            off[who].append((rotation_error(state, R), rate, state.status is Status.TRACKING))
-    return {who: waited(t, off[who], end) for who in WHO}
+            off[who].append((kit.rotation_error(state, R), rate, state.status is Status.TRACKING))
+    return {who: waited(t, off[who], end) for who in kit.WHO}
 
 
 def waited(t: Array, off: "list[tuple[Array, float, bool]]", end: float) -> Result:

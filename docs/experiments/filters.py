@@ -80,15 +80,12 @@ def _runs(film: Film, published: bool) -> dict[str, Run]:
 def section(results: Results) -> list[Part]:
     records = [
         {
-            "film": film,
-            "true": result.get("truth", {}).get("r"),
-            "filter": who,
-            **row,
-            "r": row.get("trackball", {}).get("r", row["surface_speed_r"]["combined"]),
+            "film": film, "true": result.get("truth", {}).get("r"), "filter": who, **row,
+            "r": row.get("trackball", {}).get("r", row["surface_speed_r"]["combined"])
         }
         for film, result in results.items()
         for who, row in result["rows"].items()
-    ]
+    ]  # fmt: skip
     runs = tidy(
         records,
         {

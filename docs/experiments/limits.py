@@ -14,22 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from experiments.kit import world as kit
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import Part, Plot, Table, by, tidy, where
-from experiments.kit.world import (
-    DISCS,
-    HOLD,
-    RATES,
-    WHO,
-    Course,
-    SpedUp,
-    World,
-    after_rest,
-    course_begun,
-    random_axis,
-    tracker_for,
-    world,
-)
 from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.track import advance
 from spheremouse.geometry.rotation import Array
@@ -50,16 +37,16 @@ class Trial:
     """A tracker before a ball that lies still at first, and is looked at `fps` times per second."""
 
     tracker: Tracker
-    world: World
+    world: kit.World
     start: TrackState
     axis: Array  # (3,) unit vector, obj
     fps: float
     seed: int
 
-    def course(self, before: Course, motion: Profile, t: Array) -> list[Course]:
+    def course(self, before: kit.Course, motion: Profile, t: Array) -> list[kit.Course]:
         """Track `before` on at times t (n,) s after the start; end early if the ball is lost."""
         rng, attitudes = np.random.default_rng([self.seed, len(t)]), motion.attitude(t)
-        made: list[Course] = []
+        made: list[kit.Course] = []
         for s, R in zip(t, attitudes, strict=True):
             seen = self.world.see(R, rng)
             state = advance(before.state, self.start.filter.stamp + float(s), seen, self.tracker).state
@@ -76,10 +63,10 @@ class Trial:
         count = int(np.floor(end * self.fps - phase)) + 1
         return (np.arange(count, dtype=float) + phase) / self.fps
 
-    def sped_up(self, acceleration: float, most: float) -> list[Course]:
+    def sped_up(self, acceleration: float, most: float) -> list[kit.Course]:
         """The start and all frames in which a ball that is sped up evenly to `most` rad/s is followed."""
-        begun = course_begun(self.start)
-        return [begun, *self.course(begun, SpedUp(self.axis, acceleration, most), self.times(most / acceleration))]
+        begun = kit.course_begun(self.start)
+        return [begun, *self.course(begun, kit.SpedUp(self.axis, acceleration, most), self.times(most / acceleration))]
 
     def fastest(self, acceleration: float) -> float:
         """The highest rate, rad/s, at which a ball sped up evenly to it is followed for HOLD; 0: none."""
@@ -88,8 +75,8 @@ class Trial:
         def holds(rate: float) -> bool:
             end = rate / acceleration
             done = len(self.times(end))
-            t = self.times(end + HOLD)[done:]
-            motion = SpedUp(self.axis, acceleration, rate)
+            t = self.times(end + kit.HOLD)[done:]
+            motion = kit.SpedUp(self.axis, acceleration, rate)
             return done < len(courses) and len(self.course(courses[done], motion, t)) == len(t)
 
         ramp = self.times(FASTEST / acceleration)
@@ -100,8 +87,10 @@ class Trial:
         """The highest even acceleration, rad/s², to `rate` rad/s at which it is followed until HOLD later; 0: none."""
 
         def holds(acceleration: float) -> bool:
-            t = self.times(rate / acceleration + HOLD)
-            return len(self.course(course_begun(self.start), SpedUp(self.axis, acceleration, rate), t)) == len(t)
+            t = self.times(rate / acceleration + kit.HOLD)
+            return len(self.course(kit.course_begun(self.start), kit.SpedUp(self.axis, acceleration, rate), t)) == len(
+                t
+            )
 
         return bisected(holds, 1.0, HARDEST)
 
@@ -119,7 +108,7 @@ def bisected(holds: Callable[[float], bool], low: float, high: float) -> float:
 
 
 def jobs(request: Request) -> list[Job]:
-    rates, seeds = ((15.0, 30.0), 1) if request.quick else (RATES, 3)
+    rates, seeds = ((15.0, 30.0), 1) if request.quick else (kit.RATES, 3)
     return [
         Job(f"speed-{fps:g}-{seed}", speeds, {"fps": fps, "seed": seed}, cost=2.0 + 0.07 * fps)
         for fps in rates
@@ -132,11 +121,11 @@ def jobs(request: Request) -> list[Job]:
 
 def speeds(fps: float, seed: int) -> Result:
     """Highest rates by acceleration (rad/s) and the highest acceleration to PUSH (rad/s²), of every tracker."""
-    there = world(DISCS, seed)
+    there = kit.world(kit.DISCS, seed)
     found: Result = {}
-    for who in WHO:
-        tracker = tracker_for(who, there)
-        trial = Trial(tracker, there, after_rest(who, tracker, there), random_axis(seed), fps, seed)
+    for who in kit.WHO:
+        tracker = kit.tracker_for(who, there)
+        trial = Trial(tracker, there, kit.after_rest(who, tracker, there), kit.random_axis(seed), fps, seed)
         found[who] = {"rate": [trial.fastest(a) for a in ACCELERATIONS], "acceleration": trial.hardest(PUSH)}
     return found
 
@@ -147,16 +136,13 @@ def speeds(fps: float, seed: int) -> Result:
 def section(results: Results) -> list[Part]:
     rows = tidy(
         {
-            "Hz": float(key.split("-")[1]),
-            "filter": who,
-            "acceleration, rad/s²": acceleration,
-            "rate, °/s": np.degrees(rate),
-            PUSHED: found["acceleration"],
+            "Hz": float(key.split("-")[1]), "filter": who, "acceleration, rad/s²": acceleration,
+            "rate, °/s": np.degrees(rate), PUSHED: found["acceleration"]
         }
         for key, result in results.items()
         for who, found in result.items()
         for acceleration, rate in zip(ACCELERATIONS, found["rate"], strict=True)
-    )
+    )  # fmt: skip
     gentle = where(rows, **{"acceleration, rad/s²": ACCELERATIONS[0]})
     medians = by(gentle, ["Hz", "filter"], {"rate, °/s": "median", PUSHED: "median"})
     between = medians.assign(**{"between two frames from, rad/s²": PUSH * medians["Hz"]})

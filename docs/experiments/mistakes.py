@@ -188,16 +188,10 @@ def section(results: Results) -> list[Part]:
         ),
         Table("The largest size up to which all rigs are good (– if even the least is too much)", _borne(wrong)),
         Plot(
-            "mistakes",
-            "Errors by mistake: medians and range of the wrong rigs.",
-            wrong,
-            "size",
-            [ATTITUDE, "scale off by, %", "direction, °", "wobble, %"],
-            "filter",
-            "mistake",
-            log="y",
-        ),
-    ]
+            "mistakes", "Errors by mistake: medians and range of the wrong rigs.", wrong, "size",
+            [ATTITUDE, "scale off by, %", "direction, °", "wobble, %"], "filter", "mistake", log="y"
+        )
+    ]  # fmt: skip
 
 
 _QUANTITIES = {

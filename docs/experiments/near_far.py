@@ -107,14 +107,11 @@ def section(results: Results) -> list[Part]:
     means = pd.concat([thesis, means]).sort_values("view", kind="stable", ascending=False)
     posed = [
         {
-            "view": v,
-            "least, °": min(r["attitude"], default=None),
-            "most, °": max(r["attitude"], default=None),
-            "lost": r["lost"],
+            "view": v, "least, °": min(r["attitude"], default=None), "most, °": max(r["attitude"], default=None),
+            "lost": r["lost"]
         }
-        for v in VIEWS
-        if (r := results.get(f"posed-{v}"))
-    ]
+        for v in VIEWS if (r := results.get(f"posed-{v}"))
+    ]  # fmt: skip
     parts: list[Part] = [Table("Table 23", means, ["view"])]
     if posed:
         words = "Attitude error of `ekf2` with the thesis' pose errors (thesis: near 0.34°, far 0.13°)"

@@ -98,15 +98,10 @@ def section(results: Results) -> list[Part]:
             for column, (caption, number) in QUANTITIES.items()
         ),
         Plot(
-            "parameters",
-            "Errors of `ekf2` against σ_w/σ_b, by film.",
-            cells[cells["σ_w, rad/s²"] < np.inf],
-            "σ_w/σ_b",
-            [ATTITUDE, RATE],
-            "film",
-            log="xy",
-        ),
-    ]
+            "parameters", "Errors of `ekf2` against σ_w/σ_b, by film.", cells[cells["σ_w, rad/s²"] < np.inf], "σ_w/σ_b",
+            [ATTITUDE, RATE], "film", log="xy"
+        )
+    ]  # fmt: skip
 
 
 def _tidy(results: Results) -> pd.DataFrame:

@@ -78,13 +78,11 @@ def jobs(request: Request) -> list[Job]:
     common = {"layouts": layouts, "frames": frames, "pictures": pictures, "pictured": pictured}
     return [
         Job(
-            name,
-            mapped,
-            {"places": [list(p) for p in places], **common},
-            cost=pictured * (1.5 + 0.04 * pictures) + 0.001 * frames * layouts * len(places),
+            name, mapped, {"places": [list(p) for p in places], **common},
+            cost=pictured * (1.5 + 0.04 * pictures) + 0.001 * frames * layouts * len(places)
         )
         for name, places in _maps(request.quick)
-    ]
+    ]  # fmt: skip
 
 
 def _maps(quick: bool) -> list[tuple[str, list[Place]]]:

@@ -165,10 +165,8 @@ def jobs(request: Request) -> list[Job]:
     return [
         *(
             Job(
-                f"play-{fps:g}-{seed}",
-                played,
-                {"fps": fps, "seed": seed, "seconds": seconds},
-                cost=2.0 + 0.002 * seconds * fps,
+                f"play-{fps:g}-{seed}", played, {"fps": fps, "seed": seed, "seconds": seconds},
+                cost=2.0 + 0.002 * seconds * fps
             )
             for fps in rates
             for seed in range(seeds)
@@ -176,8 +174,8 @@ def jobs(request: Request) -> list[Job]:
         *(
             Job(f"stop-{fps:g}", stopped, {"fps": fps, "phases": phases}, cost=2.0 + 0.01 * phases * fps)
             for fps in rates
-        ),
-    ]
+        )
+    ]  # fmt: skip
 
 
 def played(fps: float, seed: int, seconds: float) -> Result:

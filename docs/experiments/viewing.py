@@ -16,24 +16,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.kit import detections
+from experiments.kit import detections, tour
 from experiments.kit import film as kit
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import ATTITUDE, RATE, Part, Plot, Table, by, tidy, where
-from experiments.kit.tour import (
-    CLASSIC,
-    ESTIMATED,
-    IGNORED,
-    KNOWN,
-    NEAR,
-    PUBLISHED,
-    SHARE,
-    USUAL,
-    filmed,
-    followed,
-    is_lost,
-    thinned,
-)
 from spheremouse.ball.rig import UNKNOWN_READOUT
 from spheremouse.errors import PoseError
 
@@ -60,19 +46,19 @@ KINDS = {
     for k in (
         Kind(
             "rate", "Frame rate", "frames per second", ("15", "20", "30", "40", "60", "80", "120", "240"),
-            ("15", "30", "60", "240"), "", True, (*CLASSIC, PUBLISHED, KNOWN),
+            ("15", "30", "60", "240"), "", True, (*tour.CLASSIC, tour.PUBLISHED, tour.KNOWN),
         ),
         Kind(
             "size", "Resolution", "rows of the picture", ("320x240", "480x360", "640x480", "1280x720",
-            "1920x1080"), ("320x240", "640x480"), "640x480", True, (*CLASSIC, KNOWN),
+            "1920x1080"), ("320x240", "640x480"), "640x480", True, (*tour.CLASSIC, tour.KNOWN),
         ),
         Kind(
             "blur", "Motion blur", "exposure, ms", ("0", "8", "16", "24", "33"), ("0", "33"), "0", False,
-            (*CLASSIC, KNOWN),
+            (*tour.CLASSIC, tour.KNOWN),
         ),
         Kind(
             "readout", "Rolling shutter", "readout, ms", ("0", "10", "20", "30"), ("0", "30"), "0", False,
-            (*CLASSIC, IGNORED, ESTIMATED, KNOWN),
+            (*tour.CLASSIC, tour.IGNORED, tour.ESTIMATED, tour.KNOWN),
         ),
     )
 }  # fmt: skip
@@ -101,7 +87,7 @@ def _values(kind: Kind, request: Request) -> tuple[str, ...]:
 def _film(kind: str, word: str) -> dict[str, Any]:
     if kind == "size":
         return {"size": [int(x) for x in word.split("x")]}
-    seconds = min(1e-3 * float(word), 1.0 / USUAL)
+    seconds = min(1e-3 * float(word), 1.0 / tour.USUAL)
     return {"blur": seconds} if kind == "blur" else {"readout": seconds}
 
 
@@ -116,19 +102,19 @@ def _cost(film: dict[str, Any]) -> float:
 def at_rates(seed: int, seconds: float, rates: list[int]) -> Result:
     """Track one film at 240 frames per second, and each second, third, ... frame of it."""
     assert all(FASTEST % rate == 0 for rate in rates), "a rate must divide that of the film"
-    film = filmed({"fps": float(FASTEST)}, seed, seconds)
+    film = tour.filmed({"fps": float(FASTEST)}, seed, seconds)
     seen = detections.look_at(film, kit.settings_of(["tracker=ekf2"]))
     found: Result = {}
     for rate in rates:
         every = FASTEST // rate
         fewer = replace(seen, stamps=seen.stamps[::every], detections=seen.detections[::every])
-        found[str(rate)] = followed(thinned(film, every), fewer, {KNOWN: film.rig}, published=True)
+        found[str(rate)] = tour.followed(tour.thinned(film, every), fewer, {tour.KNOWN: film.rig}, published=True)
     return {"points": found}
 
 
 def with_film(seed: int, seconds: float, film: dict[str, Any]) -> Result:
     """One film by all trackers. If the targets are not found, the true pose is used, and the report states it."""
-    shot = filmed(film, seed, seconds)
+    shot = tour.filmed(film, seed, seconds)
     settings, said = kit.settings_of(["tracker=ekf2"]), None
     try:
         seen = detections.look_at(shot, settings)
@@ -136,11 +122,11 @@ def with_film(seed: int, seconds: float, film: dict[str, Any]) -> Result:
         said = str(e)
         shot = replace(shot, rig=replace(shot.rig, pose=shot.truth.pose))
         seen = detections.look_at(shot, settings)
-    rigs = {KNOWN: shot.rig}
+    rigs = {tour.KNOWN: shot.rig}
     if shot.rig.readout_s > 0.0:
         none = replace(shot.rig, readout_s=0.0)
-        rigs |= {ESTIMATED: replace(none, readout_sigma_s=UNKNOWN_READOUT), IGNORED: none}
-    return {**followed(shot, seen, rigs), "pose": said}
+        rigs |= {tour.ESTIMATED: replace(none, readout_sigma_s=UNKNOWN_READOUT), tour.IGNORED: none}
+    return {**tour.followed(shot, seen, rigs), "pose": said}
 
 
 # ---- section ----
@@ -150,7 +136,7 @@ def section(results: Results) -> list[Part]:
     runs = _runs(results)
     limits = {"films": "size", "lost": "sum", "pose given": "sum", ATTITUDE: _median, RATE: _median, "speed": "median"}
     medians = by(runs.assign(films=0), ["kind", "value", "filter"], limits)
-    enough = (medians[ATTITUDE] < NEAR) & (medians[RATE] < SHARE * medians["speed"]) & (medians["lost"] == 0)
+    enough = (medians[ATTITUDE] < tour.NEAR) & (medians[RATE] < tour.SHARE * medians["speed"]) & (medians["lost"] == 0)
     good = medians[enough & (medians["filter"] != "bound")]
     reach = good.groupby(["kind", "filter"], sort=False)["value"].agg(", ".join).unstack("kind", sort=False)
     parts: list[Part] = []
@@ -168,8 +154,8 @@ def section(results: Results) -> list[Part]:
     return [
         *parts,
         Table(
-            f"Values at which no film is lost, the attitude is good to {NEAR:g}° and the rate to {100 * SHARE:g} % "
-            "of the ball's own",
+            f"Values at which no film is lost, the attitude is good to {tour.NEAR:g}° and the rate to "
+            f"{100 * tour.SHARE:g} % of the ball's own",
             reach.reset_index().fillna("none"),
         ),
     ]
@@ -200,8 +186,8 @@ def _runs(results: Results) -> pd.DataFrame:
     for kind, value, film in sorted(films, key=lambda f: (order.index(f[0]), KINDS[f[0]].whole.index(f[1]))):
         about = {"kind": kind, "value": value, "speed": film["moved"]["rms"], "pose given": bool(film.get("pose"))}
         for who in KINDS[kind].shown:
-            row = film["rows"].get(who, film["rows"][KNOWN])
-            records.append({**about, "filter": who, **_errors(row), "lost": is_lost(row)})
+            row = film["rows"].get(who, film["rows"][tour.KNOWN])
+            records.append({**about, "filter": who, **_errors(row), "lost": tour.is_lost(row)})
         records.append({**about, "filter": "bound", **_errors(film["bound"] or {}), "lost": False})
     return tidy(records)
 

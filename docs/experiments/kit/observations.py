@@ -74,20 +74,15 @@ def simulated_calibration(
         for p in true.poses
     )
     return SimulatedCalibration(
-        device,
-        camera,
+        device, camera,
         TargetViews(
             tuple(range(len(poses))),
-            ImagePoints(photo[is_target], point[is_target], centre[is_target], covariance[is_target]),
-            depth[is_target],
-            (),
+            ImagePoints(photo[is_target], point[is_target], centre[is_target], covariance[is_target]), depth[is_target],
+            ()
         ),
         DiscViews(photo[~is_target], number, centre[~is_target], covariance[~is_target], rough),
-        Block(camera, start, points[:4].copy()),
-        poses,
-        _TARGETS,
-        _RADIUS,
-    )
+        Block(camera, start, points[:4].copy()), poses, _TARGETS, _RADIUS
+    )  # fmt: skip
 
 
 def calibrated(simulated: SimulatedCalibration) -> DeviceCalibration:
@@ -150,11 +145,6 @@ def _camera_file(rng: np.random.Generator) -> InteriorOrientation:
     e = _INTERIOR_SIGMA * rng.standard_normal(9)
     c = _CAMERA
     return replace(
-        c,
-        fx=c.fx + e[0],
-        fy=c.fy + e[1],
-        cx=c.cx + e[2],
-        cy=c.cy + e[3],
-        distortion=c.distortion + e[4:],
-        covariance=np.diag(_INTERIOR_SIGMA**2),
-    )
+        c, fx=c.fx + e[0], fy=c.fy + e[1], cx=c.cx + e[2], cy=c.cy + e[3], distortion=c.distortion + e[4:],
+        covariance=np.diag(_INTERIOR_SIGMA**2)
+    )  # fmt: skip
