@@ -72,15 +72,11 @@ def measure(folder: Path, seconds: float, realtime: str) -> tuple[list[str], dic
         fps = source.fps or 30.0
     latency, stages = status["latency_ms"], status["stages_ms"]
     cells = [
-        folder.name,
-        f"{fps:g}",
-        pair(latency),
-        pair(stages["detect"]),
-        pair(stages["filter"]),
+        folder.name, f"{fps:g}", pair(latency), pair(stages["detect"]), pair(stages["filter"]),
         f"{0.1 * latency['p50'] * fps:.1f} / {0.1 * latency['p99'] * fps:.1f} %",
         *(f"{100.0 * (b - a) / (last - first[0]):.1f} %" for a, b in zip(first[1], spent, strict=True)),
-        *(f"{mb:.0f}" for mb in resident),
-    ]
+        *(f"{mb:.0f}" for mb in resident)
+    ]  # fmt: skip
     return cells, status
 
 

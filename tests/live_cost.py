@@ -163,16 +163,12 @@ while True:
 
 
 KINDS: dict[str, Callable[[Path, float], None]] = {
-    "nothing": lambda path, end: time.sleep(end - time.monotonic()),
-    "pictures": pictures,
-    "page": page,
+    "nothing": lambda path, end: time.sleep(end - time.monotonic()), "pictures": pictures, "page": page,
     "set": setting("motion.scale_x=2", "motion.scale_x=1", rate=20.0),
     "set-filter": setting("so3.acceleration_sigma=20", "so3.acceleration_sigma=21", rate=20.0),
-    "set-discs": setting("discs.polarity=dark", "discs.polarity=auto", rate=10.0),
-    "connections": connections,
-    "silent": silent,
-    "dead": dead,
-}
+    "set-discs": setting("discs.polarity=dark", "discs.polarity=auto", rate=10.0), "connections": connections,
+    "silent": silent, "dead": dead
+}  # fmt: skip
 
 
 # ---- the measurement ----

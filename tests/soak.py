@@ -273,14 +273,8 @@ class Judge:
         counts = self.pointer.counts(estimate)[0]
         f: Any = state.filter
         numbers = (
-            f.attitude,
-            f.rate,
-            f.covariance,
-            f.discs,
-            estimate.increment[:3],
-            estimate.rate,
-            estimate.covariance,
-        )
+            f.attitude, f.rate, f.covariance, f.discs, estimate.increment[:3], estimate.rate, estimate.covariance
+        )  # fmt: skip
         if not all(np.all(np.isfinite(n)) for n in (*numbers, getattr(f, "joint", 0.0))):
             self.fail(frame, "a number that is not finite")
         if np.abs(f.attitude @ f.attitude.T - np.eye(3)).max() > 1e-9:

@@ -16,13 +16,9 @@ def sky(frames, areas, states):
     k = len(areas)
     centre = np.stack([30.0 * np.arange(1, k + 1), np.full(k, 50.0)], axis=1)
     return DiscTruth(
-        np.repeat(np.arange(frames), k),
-        np.tile(np.arange(k), frames),
-        np.tile(centre, (frames, 1)),
-        np.tile(centre, (frames, 1)),
-        np.tile(np.array(areas, dtype=float), frames),
-        np.tile(states, frames),
-    )
+        np.repeat(np.arange(frames), k), np.tile(np.arange(k), frames), np.tile(centre, (frames, 1)),
+        np.tile(centre, (frames, 1)), np.tile(np.array(areas, dtype=float), frames), np.tile(states, frames)
+    )  # fmt: skip
 
 
 def test_each_size_has_the_noise_that_was_put_on_it():

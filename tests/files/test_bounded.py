@@ -243,14 +243,10 @@ def test_frames_beyond_what_can_be_recorded_are_refused(folder):
 
 def readers(path):
     return {
-        "configuration": lambda: yaml_file.read_document(path),
-        "camera": lambda: load_camera(path),
-        "photo": lambda: read_photos([path]),
-        "picture": lambda: read_picture(path),
-        "log": lambda: read_log(path),
-        "table": lambda: tables.read_columns(path, ("a",)),
-        "film": lambda: open_source(f"video:{path}"),
-    }
+        "configuration": lambda: yaml_file.read_document(path), "camera": lambda: load_camera(path),
+        "photo": lambda: read_photos([path]), "picture": lambda: read_picture(path), "log": lambda: read_log(path),
+        "table": lambda: tables.read_columns(path, ("a",)), "film": lambda: open_source(f"video:{path}")
+    }  # fmt: skip
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no fifos here")

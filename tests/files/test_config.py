@@ -118,17 +118,11 @@ positive = st.floats(min_value=0, exclude_min=True, allow_infinity=False)
 masks = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(lambda b: Mask(min(b), max(b)))
 words = st.text(st.characters(codec="utf-8"), max_size=12)
 filters = st.builds(
-    Filter,
-    acceleration_sigma=positive,
-    window=st.tuples(st.integers(1, 99), st.integers(1)),
-    gains=st.lists(numbers).map(tuple),
-    mode=st.sampled_from(["fast", "on", "null"]),
-    gate=st.none() | st.floats(0, 1, exclude_min=True),
-    level=st.just("auto") | numbers,
-    enabled=st.booleans(),
-    names=st.lists(words, max_size=3).map(tuple),
-    mask=masks,
-)
+    Filter, acceleration_sigma=positive, window=st.tuples(st.integers(1, 99), st.integers(1)),
+    gains=st.lists(numbers).map(tuple), mode=st.sampled_from(["fast", "on", "null"]),
+    gate=st.none() | st.floats(0, 1, exclude_min=True), level=st.just("auto") | numbers, enabled=st.booleans(),
+    names=st.lists(words, max_size=3).map(tuple), mask=masks
+)  # fmt: skip
 roots = st.builds(Root, so3=filters, outer=st.builds(Outer, text=words), tracker=st.sampled_from(["so3", "ekf1"]))
 
 

@@ -38,13 +38,8 @@ def test_buttons_and_other_axes_are_no_report():
 
 def test_after_the_kernel_dropped_events_the_rest_of_that_report_is_dropped_and_the_next_one_says_so():
     events = [
-        (1.0, REL, X, 9),
-        (1.1, SYN, 3, 0),
-        (1.1, REL, X, 7),
-        (1.1, SYN, 0, 0),
-        (1.2, REL, X, 5),
-        (1.2, SYN, 0, 0),
-    ]
+        (1.0, REL, X, 9), (1.1, SYN, 3, 0), (1.1, REL, X, 7), (1.1, SYN, 0, 0), (1.2, REL, X, 5), (1.2, SYN, 0, 0)
+    ]  # fmt: skip
     assert fed(*events, (1.3, REL, X, 4), (1.3, SYN, 0, 0)) == [
         MouseReport(1.2, 5, 0, lost=True),
         MouseReport(1.3, 4, 0),
@@ -53,15 +48,11 @@ def test_after_the_kernel_dropped_events_the_rest_of_that_report_is_dropped_and_
 
 reports = st.lists(
     st.builds(
-        MouseReport,
-        st.integers(0, 10**7).map(lambda ms: 1e-3 * ms),
-        st.integers(-40000, 40000),
-        st.integers(-9, 9),
-        st.integers(-3, 3),
-        st.booleans(),
+        MouseReport, st.integers(0, 10**7).map(lambda ms: 1e-3 * ms), st.integers(-40000, 40000), st.integers(-9, 9),
+        st.integers(-3, 3), st.booleans()
     ),
-    max_size=30,
-)
+    max_size=30
+)  # fmt: skip
 
 
 @settings(max_examples=12)

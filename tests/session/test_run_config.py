@@ -39,13 +39,9 @@ def test_the_command_line_comes_first(folder):
     other.mkdir()
     (other / "r.yaml").write_text((folder / "rig.yaml").read_text())
     overrides = CommandLineOverrides(
-        folder / "config.yaml",
-        ("motion.scale_x=2", "motion.scale_x=3"),
-        "opencv:0",
-        ("null",),
-        other / "r.yaml",
-        map=other / "m.yaml",
-    )
+        folder / "config.yaml", ("motion.scale_x=2", "motion.scale_x=3"), "opencv:0", ("null",), other / "r.yaml",
+        map=other / "m.yaml"
+    )  # fmt: skip
     plan = read_run_config(overrides)
     assert (plan.source, plan.outputs, plan.rig_path, plan.map_path) == (
         "opencv:0", ("null",), other / "r.yaml", other / "m.yaml",

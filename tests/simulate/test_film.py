@@ -62,17 +62,10 @@ def in_image(centre, shape, camera):
 
 
 PROFILES = {
-    "thesis": thesis(),
-    "roll": roll(3.0),
-    "part of a turn": roll(0.5),
-    "roll in a given time": roll(4.0, 6.0),
-    "play": play(20.0, rng(1)),
-    "more play": play(20.0, rng(2)),
-    "still": still(),
-    "rest": rest(),
-    "creep": creep(),
-    "flick": flick(),
-}
+    "thesis": thesis(), "roll": roll(3.0), "part of a turn": roll(0.5), "roll in a given time": roll(4.0, 6.0),
+    "play": play(20.0, rng(1)), "more play": play(20.0, rng(2)), "still": still(), "rest": rest(), "creep": creep(),
+    "flick": flick()
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", PROFILES)

@@ -76,15 +76,10 @@ class Desktop:
         own = {k: v for k, v in os.environ.items() if k not in ("WAYLAND_DISPLAY", "DBUS_SESSION_BUS_ADDRESS")}
         bus = stack.enter_context(
             process(
-                "dbus-daemon",
-                "--session",
-                "--nofork",
-                "--print-address=1",
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                env=own | {"DISPLAY": self.display},
+                "dbus-daemon", "--session", "--nofork", "--print-address=1", stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL, env=own | {"DISPLAY": self.display}
             )
-        )
+        )  # fmt: skip
         assert bus.stdout is not None
         address = bus.stdout.readline().strip()
         self.env = own | {"DISPLAY": self.display, "DBUS_SESSION_BUS_ADDRESS": address, "NO_AT_BRIDGE": "1"}

@@ -33,18 +33,9 @@ def main() -> None:
     camera = json.loads((out / "axes_dataset" / "scene.json").read_text())["camera"]
     lens = ("--focal", camera["fx"], "--dist", ",".join(map(str, camera["dist"])))
     spheremouse(
-        "calibrate",
-        "practice",
-        out / "practice",
-        "--like",
-        out / "axes_dataset",
-        "--photos",
-        14,
-        "--boards",
-        30,
-        "--no-film",
-        *lens,
-    )
+        "calibrate", "practice", out / "practice", "--like", out / "axes_dataset", "--photos", 14, "--boards", 30,
+        "--no-film", *lens
+    )  # fmt: skip
     for part in ("board", "device"):
         with (out / part).open("wb") as film:
             for path in sorted((out / "practice" / part).glob("*.jpg")):

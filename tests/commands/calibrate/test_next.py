@@ -24,16 +24,9 @@ from spheremouse.geometry.camera import InteriorOrientation
 SIZE = (64, 48)
 CAMERA = InteriorOrientation(*SIZE, 60.0, 60.0, 31.5, 23.5)
 NAMES = [
-    "folder",
-    "print",
-    "photos of the board",
-    "camera.yaml",
-    "device.yaml",
-    "photos of the device",
-    "rig.yaml",
-    "axes",
-    "service",
-]
+    "folder", "print", "photos of the board", "camera.yaml", "device.yaml", "photos of the device", "rig.yaml", "axes",
+    "service"
+]  # fmt: skip
 
 
 def run(*words):

@@ -24,21 +24,13 @@ SIZE = (64, 48)
 
 def scene_of(size=SIZE, **more):
     return {
-        "name": "made up",
-        "made_by": "a test",
-        "width": size[0],
-        "height": size[1],
-        "fps": 25,
-        "exposure_s": 0.004,
+        "name": "made up", "made_by": "a test", "width": size[0], "height": size[1], "fps": 25, "exposure_s": 0.004,
         "camera": {"fx": 60.0, "fy": 61.0, "cx": 31.5, "cy": 24, "dist": [0.1, -0.2, 0.001, 0.002, 0.03]},
-        "ball": {"radius": 0.6},
-        "disc_radius": 0.02,
-        "targets": [{"id": 4, "code": "MCY", "position": [0.1, 0.2, 0.3]}],
-        "target_radii": [0.012, 0.024, 0.036],
+        "ball": {"radius": 0.6}, "disc_radius": 0.02,
+        "targets": [{"id": 4, "code": "MCY", "position": [0.1, 0.2, 0.3]}], "target_radii": [0.012, 0.024, 0.036],
         "truth_disc_directions": [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]],
-        "truth_T_obj_cam": [[1, 0, 0, 0.5], [0, -1, 0, 0], [0, 0, -1, 2.0], [0, 0, 0, 1]],
-        **more,
-    }
+        "truth_T_obj_cam": [[1, 0, 0, 0.5], [0, -1, 0, 0], [0, 0, -1, 2.0], [0, 0, 0, 1]], **more
+    }  # fmt: skip
 
 
 def picture(index, size=SIZE):
@@ -51,13 +43,9 @@ def motion(index):
 
 def discs_of(index):
     return DiscTruth(
-        np.full(2, index),
-        np.array([0, 1]),
-        np.array([[10.25, 20.5], [30.0, 7.125]]) + index,
-        np.array([[10.5, 20.5], [np.nan, np.nan]]),
-        np.array([81.5, np.nan]),
-        np.array([VISIBLE, HIDDEN]),
-    )
+        np.full(2, index), np.array([0, 1]), np.array([[10.25, 20.5], [30.0, 7.125]]) + index,
+        np.array([[10.5, 20.5], [np.nan, np.nan]]), np.array([81.5, np.nan]), np.array([VISIBLE, HIDDEN])
+    )  # fmt: skip
 
 
 def write(path, frames=FRAMES, size=SIZE, replace=False, **more):
