@@ -1,8 +1,8 @@
 """The daemon between a camera and a mouse of a real kernel: a film is written to v4l2loopback, events are read back.
 
 Run by tests/system/run, in the order of this file: one daemon lives through most of it. FILMS names what film.py made.
-The guest is slow: a daemon is this process forked, with all imported and compiled, and `spheremouse` called in it. In
-the long form (SHORT unset) one is begun as people begin it. No deadline here is tight.
+The guest is slow: a daemon is this process forked, with all imported and compiled, and `spheremouse` called in it. No
+deadline here is tight.
 """
 
 import ctypes
@@ -43,7 +43,6 @@ linuxpy = pytest.importorskip("linuxpy.video.device")
 
 IMPORTED = (cli_ctl, cli_run, run)  # once, before the forks
 FILMS = Path(os.environ["FILMS"])
-SHORT = bool(os.environ.get("SHORT"))
 PATIENCE = 120.0  # s, for what takes a few
 INTERVAL = 0.2  # s between two pictures, on a guest that is fast enough
 AXES_INTERVAL = 0.35  # s: peaks of 28 °/s, which are gestures still
@@ -239,19 +238,6 @@ def _be(name, arguments):
         os._exit(code)
 
 
-class Command(Program):
-    def __init__(self, folder, *arguments):
-        self._name, self.code = folder / f"command{time.monotonic_ns()}", None
-        command = [sys.executable, "-m", "spheremouse", *map(str, arguments)]
-        with open(f"{self._name}.out", "w") as out, open(f"{self._name}.err", "w") as err:
-            self._process = subprocess.Popen(command, stdout=out, stderr=err)
-        self.pid = self._process.pid
-
-    def ended(self):
-        self.code = self._process.poll()
-        return self.code
-
-
 def until(condition, words, patience=PATIENCE):
     """What the condition gives once it is true."""
     end = time.monotonic() + patience
@@ -429,15 +415,6 @@ def test_the_sum_of_events_is_what_the_ball_has_turned_with_frames_missing(cabin
     print({key: status[key] for key in ("fps", "latency_ms", "stages_ms", "skipped", "dropped", "memory_mb")})
 
 
-@pytest.mark.slow
-def test_another_daemon_on_the_camera_is_refused_and_told_the_first_one_s_number(cabinet):
-    second = Program(cabinet.folder, "run", "--config", cabinet.config, "--output", "null")
-    assert second.wait() == 2
-    assert f"in use by another spheremouse (process {cabinet.daemon.pid})" in second.said
-    assert second.said.count("\n") == 1
-    cabinet.reach("tracking")
-
-
 # ---- spheremouse ctl ----
 
 
@@ -602,27 +579,3 @@ def test_a_camera_without_ball_and_with_stamps_ahead_of_the_clock(cabinet):
     assert cabinet.daemon.kill(signal.SIGTERM) == 0
     assert "internal error" not in cabinet.daemon.said
     assert "ahead of the clock" in status["source"]["description"]
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(SHORT, reason="left out of the short form")
-def test_as_people_begin_it_with_a_film_rendered_by_other_software(tmp_path):
-    if not (FILMS / "far26").exists():
-        pytest.skip("the reference recording is not here")
-    cabinet = Cabinet(tmp_path, Film(FILMS / "far26"))
-    with suppress(subprocess.CalledProcessError):
-        insert("v4l2loopback", video_nr=9, max_buffers=8)  # unless it is there still
-    (node,) = [p for p in Path("/sys/class/video4linux").iterdir() if "Dummy" in (p / "name").read_text()]
-    cabinet.plug(int(node.name.removeprefix("video")))
-    cabinet.daemon = Command(tmp_path, "run", "--config", cabinet.config)
-    try:
-        until(lambda: cabinet.status().get("state") == "tracking", lambda: cabinet.daemon.said, 10 * PATIENCE)
-        cabinet.mouse = Reader(tmp_path)
-        check("far26", cabinet.play([k if k % 5 else None for k in cabinet.onward(len(cabinet.film) - 2)][1:]))
-        assert Command(tmp_path, "ctl", "stop", "--socket", cabinet.socket).wait() == 0
-        assert cabinet.daemon.wait() == 0
-        np.testing.assert_array_equal(told_at_the_end(cabinet.daemon), cabinet.mouse.counts)
-        cabinet.mouse.close()
-    finally:
-        cabinet.daemon.kill()
-        cabinet.writer.end()

@@ -8,7 +8,6 @@ That of the hand-held ball has YUYV alone, `attitude.npy` R_cam_ball, `position.
 QEMU's processor is not the host's: what is compiled for `generic` runs on both.
 """
 
-import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -32,13 +31,11 @@ from spheremouse.wand.build import build as build_wand
 from spheremouse.wand.track import begin as begin_wand
 from spheremouse.wand.track import step as step_wand
 
-REFERENCE = Path(os.environ.get("SPHEREMOUSE_DATASETS", Path(__file__).parents[3] / "shared" / "datasets")) / "far26"
-
 # The pictures come six times as slowly as those of a usual camera: so the tracker waits six times as long.
 SLOW = Settings(loss=LossSettings(lost_after=1.8, reset_after=6.0))
 
 
-def convert(dataset: Path, folder: Path, most: int = sys.maxsize) -> None:
+def convert(dataset: Path, folder: Path) -> None:
     """A dataset's frames as a film, but for those before the ball begins to turn."""
     recording = open_dataset(dataset)
     assert recording.truth is not None
@@ -48,8 +45,6 @@ def convert(dataset: Path, folder: Path, most: int = sys.maxsize) -> None:
     n, ends = 0, [0]
     with (folder / "YUYV").open("wb") as plain, (folder / "MJPG").open("wb") as packed:
         for frame in islice(read_frames(recording), first, None):
-            if n == most:
-                break
             plain.write(cv2.cvtColor(frame.image, cv2.COLOR_BGR2YUV_YUY2).tobytes())
             packed.write(cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes())
             ends.append(packed.tell())
@@ -92,7 +87,7 @@ def convert_wand(dataset: Path, folder: Path) -> None:
 
 
 def main() -> None:
-    """The films, of the ball and of a hand; without --short also a longer one, and the reference recording."""
+    """The films, of the ball and of a hand; without --short a longer one."""
     out, short = Path(sys.argv[1]), "--short" in sys.argv
     seconds, fps = (3, 16) if short else (4, 30)
     words = f"simulate {out / 'dataset'} --motion play --seed 7 --seconds {seconds} --fps {fps} --noise 2"
@@ -105,8 +100,6 @@ def main() -> None:
     convert_wand(out / "hand", out / "wand")
     convert(out / "dataset", out / "play")
     compile_for(out / "play")
-    if not short and REFERENCE.is_dir():
-        convert(REFERENCE, out / "far26", 150)
 
 
 if __name__ == "__main__":
