@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import json
 import resource
 import shutil
 import sys
@@ -17,6 +18,7 @@ from spheremouse.view.daemon import Daemon, Message
 
 _MAX_BYTES = 1 << 30  # of the replay's memory; it takes 250 MB, and 750 MB if it must compile
 _POLL = 0.1  # s
+_OF_THE_COMPUTER = ("source", "output", "rig", "camera_file", "map", "realtime", "control", "metrics", "record")
 _MAX_COMPARED = 60.0  # s of a recording
 
 
@@ -44,7 +46,7 @@ class Recordings:
             process = self._process = await asyncio.create_subprocess_exec(
                 *(("setpriv", "--pdeathsig", "TERM", "--") if shutil.which("setpriv") else ()),
                 *(sys.executable, "-m", "spheremouse", "run", "--replay", "--source", f"dataset:{recording.path}"),
-                *("--output", "null", "--no-map", "--no-table", *_as_configured(recording, status)),
+                *("--output", "null", "--no-map", "--no-table", *self._options(recording)),
                 *("--set", f"control.socket={folder / 's'}", "--set", "control.group=null"),
                 stdin=DEVNULL, stdout=DEVNULL, stderr=log,
             )  # fmt: skip
@@ -88,7 +90,7 @@ class Recordings:
         end = min(end or recording.seconds, recording.seconds)
         if end - begin > _MAX_COMPARED:
             raise ControlError(f"compare: {end - begin:.0f} s; choose a section of at most {_MAX_COMPARED:g} s")
-        words = ["evaluate", str(recording.path), "--json", "-", *_as_configured(recording, status)]
+        words = ["evaluate", str(recording.path), "--json", "-", *self._options(recording)]
         words += [] if recording.wand else ["--begin", str(begin), "--end", str(end)]
         changes = [word for change in status.get("changes") or [] for word in ("--set", change)]
         runs = [words, [*words, *changes]] if changes else [words]
@@ -106,6 +108,18 @@ class Recordings:
             self._daemon.publish({"type": "trouble", "id": None, "text": f"the replay has ended: {reason}"})
         return reason
 
+    def _options(self, recording: Listed) -> list[str]:
+        """Return the daemon's configuration file, the settings of its command line, and another tracker if needed."""
+        status, values = self._daemon.status or {}, self._daemon.values()["values"]
+        config, given = status.get("config"), [key for key in status.get("given") or [] if key in values]
+        words = [] if config is None else ["--config", str(config)]
+        for key in given:
+            if key != "wand.balls" and key.partition(".")[0] not in _OF_THE_COMPUTER:
+                words += ["--set", f"{key}={json.dumps(values[key])}"]
+        if (status.get("tracker") == "wand") != recording.wand:
+            words += ["--tracker", "wand" if recording.wand else "so3"]
+        return words
+
     def _folders(self) -> list[Path]:
         given = (self._daemon.status or {}).get("recordings")
         return [*([] if given is None else [Path(given)]), Path.cwd()]
@@ -122,14 +136,6 @@ class Recordings:
         if found is None or found.problem:
             raise ControlError(f"{printable(name)}: {found.problem if found else 'there is no such recording'}")
         return found
-
-
-def _as_configured(recording: Listed, status: Message) -> list[str]:
-    """Return the options of the daemon's configuration file, and of the tracker if the recording needs another one."""
-    config = status.get("config")
-    other = (status.get("tracker") == "wand") != recording.wand
-    kind = ["--tracker", "wand" if recording.wand else "so3"] if other else []
-    return kind if config is None else [*kind, "--config", str(config)]
 
 
 def _is_ready(socket: Path, changes: Sequence[str]) -> bool:
