@@ -16,7 +16,7 @@ from spheremouse.files.listing import Listed, list_recordings
 from spheremouse.session.control.client import Client, NoDaemonError
 from spheremouse.view.daemon import Daemon, Message
 
-_MAX_BYTES = 1 << 30  # of the replay's memory; it takes 250 MB, and 750 MB if it must compile
+_MAX_BYTES = 2 << 30  # of writable memory of the replay, with the stacks of its threads; 0.7 GB on two cores
 _POLL = 0.1  # s
 _OF_THE_COMPUTER = ("source", "output", "rig", "camera_file", "map", "realtime", "control", "metrics", "record")
 _MAX_COMPARED = 60.0  # s of a recording
