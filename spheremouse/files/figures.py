@@ -41,7 +41,8 @@ def _read(path: Path) -> dict[str, Any]:
     except StopIteration:
         return {"file": str(path), "problem": "is no report of a calibration"}
     except (ValueError, TypeError, KeyError, IndexError, AttributeError) as e:
-        reason = plain_json.said(e) if isinstance(e, ValueError) else f"{type(e).__name__}: {e}"
+        reason = f"{e.args[0]}: missing" if isinstance(e, KeyError) else "a value has another type"
+        reason = plain_json.said(e) if isinstance(e, ValueError) else reason
         return {"file": str(path), "problem": f"is no valid report of a calibration ({reason[:100]})"}
 
 
@@ -61,7 +62,7 @@ def _camera(data: dict[str, Any]) -> Iterator[Row]:
     yield "picture", f"{int(camera['width'])}x{int(camera['height'])} px", ""
     values = [*(camera[name] for name in _LENS[:_PIXELS]), *camera["dist"]]
     for k, (name, value, sigma) in enumerate(zip(_LENS, values, camera["sigma"], strict=True)):
-        yield (name, f"{value:.2f} px", f"{sigma:.2f} px") if k < _PIXELS else (name, f"{value:.5f}", f"{sigma:.1g}")
+        yield (name, f"{value:.2f} px", f"{sigma:.2f} px") if k < _PIXELS else (name, f"{value:.6f}", f"{sigma:.6f}")
     yield "corners, RMS", f"{data['rms_px']:.3f} px", ""
 
 
