@@ -116,7 +116,7 @@ class Daemon:
     async def set(self, values: Values, gesture: str) -> Message:
         """Change settings, and return the daemon's reply. All changes of a gesture are one step of undo."""
         async with self._setting:
-            reply = await self._change(values)
+            reply = await self._change(values, gesture=gesture)
             before = {key: old for key, (old, _) in reply.get("values", {}).items()}
             if self._undo and self._undo[-1][0] == gesture:
                 before |= self._undo.pop()[1]
@@ -135,12 +135,12 @@ class Daemon:
             self._update(before)
         return reply
 
-    async def _change(self, values: Values) -> Message:
+    async def _change(self, values: Values, **gesture: str) -> Message:
         """Have the daemon set values, at most so often that it keeps up. Return its reply."""
         rebuilds = any(key.partition(".")[0] not in _AT_ONCE for key in values)
         await asyncio.sleep(max(0.0, self._next_change - time.monotonic()))
         self._next_change = time.monotonic() + (_REBUILD_INTERVAL if rebuilds else _SET_INTERVAL)
-        return await self.ask("set", assignments=[f"{key}={json.dumps(v)}" for key, v in values.items()])
+        return await self.ask("set", assignments=[f"{key}={json.dumps(v)}" for key, v in values.items()], **gesture)
 
     def defaults(self, keys: Iterable[str]) -> Values:
         """Return the defaults of settings. Raises ControlError if there is no such setting."""

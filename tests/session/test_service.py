@@ -357,6 +357,21 @@ def test_a_broken_file_is_refused_with_its_line_and_all_stays(playing):
     world.until(lambda: ask(world, "reload")["message"].endswith("nothing has changed"))
 
 
+def test_the_changes_of_a_gesture_are_one_line_of_the_log(playing):
+    def change(gesture, *assignments):
+        return ask(playing, "set", assignments=assignments, gesture=gesture)["values"]
+
+    assert change("first", "motion.scale_x=2") == {"motion.scale_x": [1, 2]}
+    assert change("first", "motion.scale_x=3") == {"motion.scale_x": [2, 3]}
+    assert said(playing, "scale_x") == []
+    change("second", "motion.scale_y=2")
+    ask(playing, "set", assignments=["motion.scale_z=2"])
+    lines = ["motion.scale_x 1.0 → 3.0", "motion.scale_y 1.0 → 2.0", "motion.scale_z 1.0 → 2.0"]
+    assert [line.rpartition(": ")[2] for line in said(playing, "scale_")] == lines
+    change("third", "pointer.smooth=0.25")
+    playing.until(lambda: said(playing, "pointer.smooth"))
+
+
 def test_a_change_on_disk_is_picked_up(playing):
     world = playing
     world.config.write_text(world.config.read_text() + "motion: {scale_x: 2}\n")
