@@ -138,9 +138,26 @@ def test_a_gesture_on_a_slider_is_one_step_of_undo(page, service):
     assert float(chosen) > 1.5
     wait_for("the last value", lambda: float(value(service, "motion.scale_x") or 0) == float(chosen))
     assert undo.inner_text() != before
+    assert not page.locator(".comparison").is_visible()  # no stage of the picture changes
     undo.click()
     wait_for("the first value", lambda: float(value(service, "motion.scale_x") or 1) == 1)
     wait_for("one step less", lambda: undo.inner_text() == before)
+
+
+def test_the_stage_that_a_setting_changes_is_shown_before_and_now(page, service):
+    slider = page.locator('[data-key="discs.contrast"] .slider')
+    slider.focus()
+    page.keyboard.press("ArrowRight")
+    figures = page.locator(".comparison figure")
+    before = figures.first.screenshot()
+    words = re.fullmatch(r"Before: (\d+) of (\d+) contours used", figures.first.inner_text())
+    assert 0 < int(words[1]) <= int(words[2])
+    assert figures.last.inner_text().startswith("Now: ")
+    page.keyboard.press("End")  # of the same gesture: no disc has so much contrast
+    wait_for("fewer contours", lambda: int(re.search(r"\d+", figures.last.inner_text())[0]) < int(words[1]))
+    assert figures.first.screenshot() == before
+    page.locator("#undo").click()
+    wait_for("the contours", lambda: int(re.search(r"\d+", figures.last.inner_text())[0]) >= int(words[1]) - 2)
 
 
 def test_a_value_that_is_refused_is_refused_in_words_and_stays_to_be_corrected(page, service):

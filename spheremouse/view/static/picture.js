@@ -84,8 +84,29 @@ export class Picture {
   }
 
   draw() {
-    const { context: c, width, height } = prepareCanvas(this.canvas);
-    const { view } = this;
+    this.#paint(this.canvas, this.view, (name) => this.#shown.get(name)?.checked ?? false, this.painters);
+  }
+
+  /**
+   * Draw the picture with some layers on another canvas. Returns the number of what they show, in words.
+   * @param {HTMLCanvasElement} canvas
+   * @param {string[]} layers
+   */
+  copy(canvas, layers) {
+    canvas.style.aspectRatio = `${this.view.width} / ${this.view.height}`;
+    this.#paint(canvas, { ...this.view }, (name) => layers.includes(name), []);
+    const { detected = [], targets = [] } = this.#annotations;
+    return layers.includes("targets") ? `${targets.length} targets` : `${detected.filter((d) => d.used).length} of ${detected.length} contours used`;
+  }
+
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @param {View} view
+   * @param {(name: string) => boolean} on
+   * @param {Painter[]} painters
+   */
+  #paint(canvas, view, on, painters) {
+    const { context: c, width, height } = prepareCanvas(canvas);
     view.scale = Math.min(width / view.width, height / view.height);
     view.x = (width - view.width * view.scale) / 2;
     view.y = (height - view.height * view.scale) / 2;
@@ -97,19 +118,23 @@ export class Picture {
     c.clip();
     if (this.#bitmap) c.drawImage(this.#bitmap, view.x, view.y, view.width * view.scale, view.height * view.scale);
     c.translate(view.x + view.scale / 2, view.y + view.scale / 2); // pixel (0, 0) is the centre of the first pixel
-    if (this.#bitmap) this.#layers(c, view.scale);
-    for (const paint of this.painters) paint(c, view);
+    if (this.#bitmap) this.#layers(c, view.scale, on);
+    for (const paint of painters) paint(c, view);
     c.restore();
   }
 
   /**
    * @param {CanvasRenderingContext2D} c
    * @param {number} s screen pixels in a pixel of the picture
+   * @param {(name: string) => boolean} on
    */
-  #layers(c, s) {
+  #layers(c, s, on) {
     const { outline, detected, predicted, targets, masked, strangers } = this.#annotations;
-    const on = (/** @type {string} */ name) => this.#shown.get(name)?.checked;
-    if (on("contours") && outline?.length) stroke(c, outline, s, "#8fd3ff", 1.2, false);
+    if (on("contours") && outline?.length) {
+      c.beginPath();
+      for (const [x, y] of outline) c.lineTo(x * s, y * s);
+      strokeWithHalo(c, "#8fd3ff", 1.2);
+    }
     if (on("trails")) this.#trails(c, s);
     if (on("predicted"))
       for (const p of predicted ?? []) {
@@ -124,7 +149,8 @@ export class Picture {
         label(c, t.code, t.x * s + 9, t.y * s - 7, "#8df29a");
       }
       for (const t of strangers ?? []) {
-        ring(c, t.x * s, t.y * s, Math.max(5, t.radius * s), "#ff9d2e");
+        const square = Math.max(5 / s, t.radius) ** 2;
+        ellipse(c, t.x, t.y, [square, 0, square], s, "#ff9d2e", 1.5, [4, 3]);
         label(c, `${t.code} ?`, t.x * s + 9, t.y * s - 7, "#ffb764");
       }
     }
@@ -164,21 +190,6 @@ function strokeWithHalo(c, line, width, dash = []) {
 }
 
 /**
- * @param {CanvasRenderingContext2D} c
- * @param {Point[]} points
- * @param {number} s
- * @param {string} line
- * @param {number} width
- * @param {boolean} close
- */
-function stroke(c, points, s, line, width, close) {
-  c.beginPath();
-  for (const [x, y] of points) c.lineTo(x * s, y * s);
-  if (close) c.closePath();
-  strokeWithHalo(c, line, width);
-}
-
-/**
  * Draw the ellipse (p - c)' S^-1 (p - c) = 1 with S = [[xx, xy], [xy, yy]], px².
  * @param {CanvasRenderingContext2D} c
  * @param {number} x
@@ -197,19 +208,6 @@ function ellipse(c, x, y, [xx, xy, yy], s, line, width, dash) {
   c.beginPath();
   c.ellipse(x * s, y * s, s * long, s * short, angle, 0, 2 * Math.PI);
   strokeWithHalo(c, line, width, dash);
-}
-
-/**
- * @param {CanvasRenderingContext2D} c
- * @param {number} x
- * @param {number} y
- * @param {number} radius
- * @param {string} line
- */
-function ring(c, x, y, radius, line) {
-  c.beginPath();
-  c.arc(x, y, radius, 0, 2 * Math.PI);
-  strokeWithHalo(c, line, 1.5, [4, 3]);
 }
 
 /**

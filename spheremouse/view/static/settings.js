@@ -15,8 +15,10 @@ export class Settings {
   /** @type {{gesture: string, values: Record<string, Value>}[]} */ #queue = [];
   /** @type {Record<string, Value>} */ #underWay = {};
   #busy = false;
+  #begun = NaN; // number of the last gesture with a change
   #gesture = { key: "", number: Math.floor(Math.random() * 1e9), at: -Infinity, held: false }; // another page has others
   /** @type {(() => void)[]} */ #listeners = [];
+  /** @type {(key: string) => void} called before the first change of a gesture */ begun = () => {};
   #link;
 
   /** @param {Link} link */
@@ -85,7 +87,8 @@ export class Settings {
     const now = performance.now();
     const same = gesture.held ? gesture.key === "" || gesture.key === key : gesture.key === key;
     if (!same || (!gesture.held && now - gesture.at > SAME_GESTURE_MS)) gesture.number++;
-    [gesture.key, gesture.at] = [key, now];
+    if (gesture.number !== this.#begun) this.begun(key);
+    [gesture.key, gesture.at, this.#begun] = [key, now, gesture.number];
     const name = `${key} ${gesture.number}`;
     for (const entry of this.#queue) delete entry.values[key];
     const last = this.#queue.at(-1);

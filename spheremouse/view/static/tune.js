@@ -1,6 +1,7 @@
 /** The panels of settings: those of daily use, and all others by stage. */
 
 import { el, setText } from "./dom.js";
+import { Comparison } from "./compare.js";
 import { control, title } from "./controls.js";
 
 /** @typedef {import("./types.js").Setting} Setting */
@@ -16,16 +17,20 @@ export class TunePanel {
   #profile = el("select", { id: "profile" });
   #apply = el("button", { type: "button", id: "apply-profile" }, "Apply");
   #profiles = el("div", { class: "row" }, el("label", { for: "profile" }, "Profile"), this.#profile, this.#apply);
-  element = el("div", {}, this.#profiles, this.#list,
-    el("div", { class: "row sticky" }, this.#undo, this.#save, this.#mark));
+  element;
   #settings;
 
   /**
    * @param {Settings} settings
    * @param {Act} perform
+   * @param {import("./picture.js").Picture} picture
    */
-  constructor(settings, perform) {
+  constructor(settings, perform, picture) {
     this.#settings = settings;
+    const comparison = new Comparison(picture);
+    settings.begun = (key) => comparison.begin(key);
+    this.element = el("div", {}, this.#profiles, this.#list,
+      el("div", { class: "sticky" }, comparison.element, el("div", { class: "row" }, this.#undo, this.#save, this.#mark)));
     this.#undo.addEventListener("click", () => void perform("undo"));
     this.#save.addEventListener("click", () => void perform("save"));
     this.#apply.addEventListener("click", () => void perform("profile", { name: this.#profile.value }));
