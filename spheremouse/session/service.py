@@ -404,10 +404,13 @@ class Daemon:
         if replay is None:
             raise ControlError("this run shows no recording; start one with `spheremouse run --replay`")
         given = {key: value for key in Controls._fields if (value := getattr(request, key)) is not None}
+        controls = replay.controls._replace(**given)
+        controls = controls._replace(end=controls.end or None)
+        if controls.end is not None and controls.end <= controls.begin:
+            raise ControlError(f"replay: end: must be above begin, {controls.begin:g} s; 0 is the end of the recording")
         if request.step:
             replay.pause(True)
-        controls = replay.controls._replace(**given)
-        replay.control(controls._replace(end=controls.end or None), steps=int(request.step), rewind=request.rewind)
+        replay.control(controls, steps=int(request.step), rewind=request.rewind)
 
     def _pause(self, paused: bool) -> None:
         if self._setup.replay is not None and self._setup.replay.paused != paused:

@@ -13,11 +13,13 @@ from pathlib import Path
 
 from spheremouse.errors import ControlError, printable
 from spheremouse.files.listing import Listed, list_recordings
+from spheremouse.files.yaml import parse_value
 from spheremouse.session.control.client import Client, NoDaemonError
 from spheremouse.view.daemon import Daemon, Message
 
 _MAX_BYTES = 2 << 30  # of writable memory of the replay, with the stacks of its threads; 0.7 GB on two cores
 _POLL = 0.1  # s
+_MAX_END = 3.0  # s; systemd gives the page 5 s
 _OF_THE_COMPUTER = ("source", "output", "rig", "camera_file", "map", "realtime", "control", "metrics", "record")
 _MAX_COMPARED = 60.0  # s of a recording
 
@@ -65,13 +67,14 @@ class Recordings:
         return f"{name} plays in place of the camera."
 
     async def leave(self) -> str:
-        """Return to the camera, and take along the settings that were changed for the recording."""
+        """Return to the camera with the settings that were changed for the recording, as one step of undo."""
         changes = (await self._daemon.ask("status"))["changes"]
         self.end()
         with contextlib.suppress(NoDaemonError):
             present = (await self._daemon.ask("status"))["changes"]
-            if new := [change for change in changes if change not in present]:
-                await self._daemon.ask("set", assignments=new)
+            new = [change.partition("=") for change in changes if change not in present]
+            if new:
+                await self._daemon.set({key: parse_value(text, key) for key, _, text in new}, "replay")
         return "The page shows the camera."
 
     def end(self) -> None:
@@ -80,6 +83,12 @@ class Recordings:
         if process is not None and process.returncode is None:
             process.terminate()
         self._daemon.switch(self._live)
+
+    async def close(self) -> None:
+        """End the replay, and wait until its files are removed."""
+        self.end()
+        if self._ends is not None:
+            await asyncio.wait([self._ends], timeout=_MAX_END)
 
     async def compare(self, name: str, begin: float = 0.0, end: float | None = None) -> Message:
         """Return the reports of `evaluate` for the saved and for the present settings, on the same seconds.

@@ -259,7 +259,7 @@ def application(socket: Path | None, access: Access, guide: GuideOptions) -> Sta
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         pages.append(Page(socket, access, guide))
         yield
-        pages[0].actions.recordings.end()
+        await pages[0].actions.recordings.close()
         pages[0].daemon.close()
         await pages[0].guide.stop()
 

@@ -337,6 +337,8 @@ def test_a_replay_takes_the_cameras_place_with_the_changed_settings_and_gives_th
         assert "scale_x" in world.client.ask("status")["changes"][0]
         assert act(browser, "leave")["type"] == "done"
         assert world.client.ask("status")["changes"] == ["motion.scale_x=2.0", "so3.acceleration_sigma=20.0"]
+        assert act(browser, "undo")["type"] == "done"
+        assert world.client.ask("status")["changes"] == ["motion.scale_x=2.0", "so3.acceleration_sigma=0.1"]
         live = browser.until("status", lambda m: m["connected"] and m["status"]["pid"] != status["pid"])
         assert live["status"]["source"]["spec"] == "film:played"
         wait_for_end(status["pid"])
