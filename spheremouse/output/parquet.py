@@ -26,6 +26,7 @@ class PartWriter:
     def __init__(self, path: Path) -> None:
         """Move the rows of a part that was left. Raise OSError, ValueError or OutputError if that fails."""
         self._pa = arrow("pyarrow")
+        self._pa.array([])  # the first array imports pandas, which takes half a second; a frame would wait for it
         self._path, self._part = path, path.with_name(f"{path.name}.part")
         self._stream: Any = None
         self._schema: Any = None
