@@ -77,10 +77,12 @@ class LineServer(Output):
         self._thread.join()
 
     def _write(self, connection: socket.socket, data: bytes) -> None:
-        with contextlib.suppress(OSError):  # disconnected, or its buffer is full
-            if not data or connection.send(data) == len(data):
-                return
-        self._drop(connection)
+        try:
+            sent = connection.send(data) if data else 0
+        except OSError:  # disconnected, or its buffer is full
+            sent = -1
+        if sent < len(data):
+            self._drop(connection)
 
     def _drop(self, connection: socket.socket) -> None:
         if self._clients.pop(connection, None) is not None:

@@ -17,7 +17,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import floor
+from math import floor, inf
 from typing import NamedTuple
 
 import numpy as np
@@ -108,7 +108,7 @@ class OutputThread:
         self._latency = [0.0] * LATENCY_COUNT
         self._last: _QueuedReport | None = None
         self._grid, self._period = 0.0, 1.0 / settings.rate  # s; reports follow a frame at whole periods
-        self._next = np.inf  # s, when the next one is due
+        self._next = inf  # s, when the next one is due
         self._thread = threading.Thread(target=self._run, name="reporter", daemon=True)
         start(self._thread)
 
@@ -211,8 +211,10 @@ class OutputThread:
         )
 
     def _wake_thread(self) -> None:
-        with contextlib.suppress(RuntimeError):  # the thread is awake already
+        try:  # noqa: SIM105  suppress takes three times as long, for each frame and output
             self._wakeup.release()
+        except RuntimeError:  # the thread is awake already
+            pass
 
     # ---- the thread ----
 
@@ -234,9 +236,9 @@ class OutputThread:
     def _next_work_time(self) -> float:
         """Return the time (s) of the next work, if no report is submitted before."""
         if self._queue:
-            return -np.inf
+            return -inf
         if self._output is None:
-            return np.inf if self._ended else self._retry_time
+            return inf if self._ended else self._retry_time
         return self._next
 
     def _work(self) -> None:
@@ -263,9 +265,11 @@ class OutputThread:
     def _take(self, queued: _QueuedReport, now: float) -> None:
         """Send a frame's report at once, even an empty one: some outputs use it as a sign of life."""
         report = queued.report
-        self._frame_sum = plus(self._frame_sum, report.counts)
-        due = self._frame_sum if self._per_frame else self._predict(queued, now)
-        if self._send(report._replace(counts=minus(due, self._sent)), due):
+        self._frame_sum = due = plus(self._frame_sum, report.counts)
+        if not self._per_frame:
+            due = self._predict(queued, now)
+            report = report._replace(counts=minus(due, self._sent))
+        if self._send(report, due):
             self._latency[self._frames % LATENCY_COUNT] = self._clock() - queued.taken
             self._frames += 1
 
@@ -292,7 +296,7 @@ class OutputThread:
         """Set the time of the next report: on a grid without drift, and once after the end of the prediction."""
         period = self._period
         after = self._grid + (floor((now - self._grid) / period) + 1) * period
-        self._next = after if now < self._resampler.until else np.inf
+        self._next = after if now < self._resampler.until else inf
 
     @property
     def _per_frame(self) -> bool:
@@ -327,7 +331,7 @@ class OutputThread:
             return
         if self._failed is not None or hung:
             self._works_again()
-        self._next = np.inf
+        self._next = inf
 
     def _enter(self) -> None:
         self._output = self._open().__enter__()
@@ -373,8 +377,11 @@ class OutputThread:
         self._reset()
         output = self._output
         if output is not None:
-            with contextlib.suppress(Exception):
+            try:
                 self._call(_CLOSES, output.__exit__, None if error is None else type(error), error, None)
+            except Exception as e:
+                if error is None:  # otherwise the output failed before
+                    self._log(f"{self._name}: {_reason(e)}")
             missing = plus(_delivery(output).waiting, _delivery(output).lost)
             self._past, self._unsent = minus(self._past, missing), plus(self._unsent, missing)
             self._output = None
@@ -384,7 +391,7 @@ class OutputThread:
         self._unsent = plus(self._unsent, minus(self._frame_sum, self._sent))
         self._past = plus(self._past, self._sent)
         self._resampler, self._frame_sum, self._sent = Resampler(), _NONE, _NONE
-        self._next = np.inf
+        self._next = inf
 
     def _drop_queue(self) -> None:
         """Count the queued reports as unsent: sent all at once they would make the pointer jump."""

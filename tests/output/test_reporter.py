@@ -242,6 +242,14 @@ def test_a_pause_ends_the_prediction(start):
 # ---- outputs that fail ----
 
 
+def test_a_failure_at_the_end_is_logged(start):
+    world = World()
+    reporter, given = start(world)
+    given(1, 0, 0)
+    reporter.close()
+    assert world.said == ["output: leaving fails as well"]
+
+
 @pytest.mark.parametrize("error", [OutputError("uinput: gone"), ValueError(), RuntimeError("two\nlines")])
 def test_an_output_that_fails_is_opened_again_and_nothing_jumps(start, error):
     world = World()
