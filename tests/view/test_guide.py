@@ -33,7 +33,7 @@ class Walk:
     def run(self, step):
         """Run the first command of a step."""
         self.reach(step)
-        self._panel.locator(".next button", has_text="Run").first.click()
+        self._panel.locator(".next button", has_text="Run").first.press("Enter")
 
     def problem(self):
         """Return the error of the last command."""
@@ -56,7 +56,7 @@ def test_the_walk_from_an_empty_folder_to_a_moving_pointer(browser, world):
     page.goto(world.owner_url)
     walk = Walk(page)
 
-    page.locator("#look").click()
+    page.locator("#look").press("Enter")
     walk.until(f"The camera is v4l2:{world.folder}/usb-practice-camera")
     walk.until("4 targets: CMY CYM MCY YMC")
     walk.until("sharp, edges")
@@ -65,6 +65,7 @@ def test_the_walk_from_an_empty_folder_to_a_moving_pointer(browser, world):
     walk.run("folder")
     walk.run("print")
     walk.reach("photos of the board")
+    assert page.evaluate("document.activeElement.id") == "look"  # focus is not lost with the button of the last step
     page.locator("#square").fill("86")
     walk.run("photos of the board")
     walk.until("Next: (tilt|show|come)")
@@ -73,13 +74,15 @@ def test_the_walk_from_an_empty_folder_to_a_moving_pointer(browser, world):
     walk.run("camera.yaml")
     walk.reach("device.yaml")
     page.locator("#device").fill("targets: [")
-    page.locator("#describe").click()
+    page.locator("#describe").press("Enter")
     walk.until("has mistakes")
+    assert page.evaluate("document.activeElement.id") == "look"
     page.locator("#device").fill((world.folder / "practice" / "device.yaml").read_text())
-    page.locator("#describe").click()
+    page.locator("#describe").press("Enter")
     walk.run("photos of the device")
     walk.until(r"view_009.png")
-    page.locator("#stop").click()
+    assert page.evaluate("document.activeElement.id") == "stop"
+    page.keyboard.press("Enter")
     walk.run("rig.yaml")
     walk.run("axes")
     walk.until("1 of 3: roll the ball to the right")

@@ -2,8 +2,6 @@
 
 import { el, setText } from "./dom.js";
 
-/** @typedef {import("./picture.js").Picture} Picture */
-
 const DETECTION = ["contours", "predicted", "masked"];
 const STAGES = /** @type {Record<string, string[]>} */ ({ // layers by section of the settings
   camera: ["targets"], rings: ["targets"], pose: ["targets"], discs: DETECTION, blobs: DETECTION, so3: DETECTION, loss: DETECTION, wand: DETECTION,
@@ -16,7 +14,7 @@ export class Comparison {
   /** @type {string[]} */ #layers = [];
   #picture;
 
-  /** @param {Picture} picture */
+  /** @param {import("./picture.js").Picture} picture */
   constructor(picture) {
     this.#picture = picture;
     picture.painters.push(() => this.#draw(1));

@@ -8,7 +8,6 @@ import { el, setText } from "./dom.js";
 /** @typedef {{running: string, lines: string[], check: Check | null, picture: string | null, problem: string}} State */
 
 const CAMERA = "camera"; // the step before all others
-const LINES = 12; // of a command's output
 
 export class GuidePanel {
   #look = el("button", { type: "button", id: "look", class: "main", click: () => void this.#do("look") }, "Look through the camera");
@@ -32,10 +31,7 @@ export class GuidePanel {
     this.take({ running: "", lines: [], check: null, picture: null, problem: "" });
   }
 
-  /** Read the steps again. */
-  refresh() {
-    return this.#do("steps");
-  }
+  /** Read the steps again. */ refresh = () => this.#do("steps");
 
   /**
    * @param {string} action
@@ -44,16 +40,20 @@ export class GuidePanel {
   async #do(action, words = {}) {
     if (action !== "steps") setText(this.#note, "One moment.");
     const done = await this.#perform("guide", { do: action, ...words });
+    if (!done || action === "describe") setText(this.#note, "");
     if (done?.data["steps"]) this.#showSteps(done.data);
   }
 
   /** @param {State} state of the command that runs, or ended last */
   take({ running, lines, check, picture, problem }) {
     if (this.#running && !running && this.#running !== CAMERA) void this.refresh();
+    const focused = document.activeElement; // it is hidden or disabled below
     this.#running = running;
-    this.#stop.hidden = !running;
     this.#look.hidden = running === CAMERA;
     this.#look.disabled = running !== "" && running !== CAMERA;
+    if (!running && focused === this.#stop) this.#look.focus();
+    this.#stop.hidden = !running;
+    if (running && (focused === this.#look || focused?.closest("li.next button"))) this.#stop.focus();
     this.#note.classList.toggle("refused", problem !== "");
     const camera = check?.source ? `The camera is ${check.source}.` : "Opening the camera.";
     setText(this.#note, problem || (running === CAMERA ? camera : running ? `Under way: ${running}.` : "Place and focus the camera first. Then follow the steps."));
@@ -64,7 +64,7 @@ export class GuidePanel {
       const [name = "", text = ""] = line.split(/\s{2,}/); // aligned in a terminal
       return el("li", {}, el("b", {}, name), el("span", {}, text));
     }));
-    setText(this.#output, lines.slice(-LINES).join("\n"));
+    setText(this.#output, lines.slice(-12).join("\n"));
     this.#picture.hidden = !picture;
     URL.revokeObjectURL(this.#picture.src);
     if (picture) this.#picture.src = URL.createObjectURL(new Blob([Uint8Array.from(atob(picture), (c) => c.charCodeAt(0))], { type: "image/jpeg" }));
@@ -76,8 +76,10 @@ export class GuidePanel {
     const text = JSON.stringify([steps, device]);
     if (text === this.#shown) return;
     this.#shown = text;
+    const focused = this.#steps.contains(document.activeElement);
     this.#steps.replaceChildren(...steps.map((/** @type {Step} */ step) => el("li", { class: step.state.replace(" ", "-") },
       el("b", {}, step.state), el("span", {}, step.name + (step.found ? `: ${step.found}` : "")), ...(step.state === "next" ? this.#task(step, device) : []))));
+    if (focused) this.#look.focus();
   }
 
   /**
