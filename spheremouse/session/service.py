@@ -215,6 +215,7 @@ class Daemon:
         # if the output works again since the last update of the state, the next frame is the first one for it
         wanted = self._monitor.state is not State.FAILED_OUTPUT
         self._outputs.submit(report, taken, wanted)
+        # These two need the frame's image, whose buffer is released soon, so they do not subscribe to reports.
         self._archive.keep(made, self.adapter, lambda: minus(self._outputs.counts, self.unsent))
         self._show(made, report, self.adapter)
         self._endpoints.submit(report)
