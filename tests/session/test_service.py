@@ -137,6 +137,13 @@ def near(world, since=-np.inf):
     assert np.abs(world.counts - world.true_counts(since)).max() < CLOSE
 
 
+def follows(world, scale=(1, 1, 1)):
+    """What a turn sends from now on is its motion, times the scale."""
+    before, since = world.counts, world.stamp
+    world.turn()
+    assert np.abs(world.counts - before - world.true_counts(since) * scale).max() < max(scale) * CLOSE
+
+
 # ---- all is well ----
 
 
@@ -376,10 +383,7 @@ def test_a_change_on_disk_is_picked_up(playing):
     world = playing
     world.config.write_text(world.config.read_text() + "motion: {scale_x: 2}\n")
     world.until(lambda: said(world, "configuration applied: motion"))
-    before, since = world.counts, world.stamp
-    world.turn()
-    true = world.true_counts(since) * (2, 1, 1)
-    assert np.abs(world.counts - before - true).max() < 2 * CLOSE
+    follows(world, (2, 1, 1))
 
 
 def test_each_section_is_applied_between_two_frames(playing, monkeypatch):
@@ -387,9 +391,7 @@ def test_each_section_is_applied_between_two_frames(playing, monkeypatch):
     world = playing
     frames = len(world.frames)
     assert ask(world, "set", assignments=["motion.scale_y=3"])["changed"] == ["motion"]
-    before, since = world.counts, world.stamp
-    world.turn()
-    assert np.abs(world.counts - before - world.true_counts(since) * (1, 3, 1)).max() < 3 * CLOSE
+    follows(world, (1, 3, 1))
     assert ask(world, "reload")["changed"] == ["motion"]  # and what was set is over
     assert ask(world, "status")["changes"] == []
     assert ask(world, "set", assignments=["pointer.rate=500"])["changed"] == ["pointer"]
@@ -436,9 +438,7 @@ def test_a_profile_replaces_what_was_set_and_another_profile(playing, monkeypatc
     status = ask(world, "status")
     assert (status["changes"], status["outputs"][0]["spec"]) == (["motion.scale_y=3"], "sink:quiet")
     world.settle()
-    before, since = world.counts, world.stamp
-    world.turn()
-    assert np.abs(world.counts - before - world.true_counts(since) * (1, 3, 1)).max() < 3 * CLOSE
+    follows(world, (1, 3, 1))
     assert "did you mean menu?" in refused(world, "profile", name="menus")
     assert "realtime: read at the start only" in refused(world, "profile", name="late")
     assert ask(world, "status")["changes"] == ["motion.scale_y=3"]
@@ -611,9 +611,7 @@ def test_while_paused_nothing_moves_and_nothing_is_made_up_for(playing):
     assert ask(world, "resume")["state"] == "tracking"
     world.settle(5)
     assert np.abs(world.counts - before).max() < CLOSE
-    since = world.stamp
-    world.turn()
-    assert np.abs(world.counts - before - world.true_counts(since)).max() < CLOSE
+    follows(world)
     assert np.abs(ask(world, "status")["outputs"][0]["unsent"]).max() > 100
 
 
@@ -965,9 +963,7 @@ def test_an_internal_error_is_told_and_the_ball_is_looked_for_anew(playing):
     world.settle(5)
     assert "Traceback" in said(world, "as if we had made a mistake")[0]
     assert np.abs(world.counts - before).max() < CLOSE
-    since = world.stamp
-    world.turn()
-    assert np.abs(world.counts - before - world.true_counts(since)).max() < CLOSE
+    follows(world)
 
 
 @pytest.mark.parametrize(
@@ -1004,7 +1000,7 @@ class Process:
         self.process = subprocess.Popen(
             [sys.executable, "-c", code, here, str(folder), uid], stderr=stderr, text=True, env=environment
         )
-        self.said, self._client = [], Client(folder / "s")
+        self.said, self.folder, self._client = [], folder, Client(folder / "s")
         if stderr == subprocess.PIPE:
             threading.Thread(target=self._read, daemon=True).start()
 
@@ -1012,77 +1008,78 @@ class Process:
         for line in self.process.stderr:
             self.said.append(line)
 
-    def until(self, text):
+    def _until(self, condition, what):
         end = time.monotonic() + PATIENCE
-        while not any(text in line for line in list(self.said)):
-            assert time.monotonic() < end, f"{text!r} was never said: {''.join(self.said)}"
+        while not condition():
+            assert time.monotonic() < end, f"{what}: {''.join(self.said)}"
             assert self.process.poll() is None, f"ended: {''.join(self.said)}"
-            time.sleep(0.01)
+            time.sleep(0.02)
+
+    def until(self, text):
+        self._until(lambda: any(text in line for line in list(self.said)), f"{text!r} was never said")
 
     def ask(self, command, **arguments):
         return self._client.ask(command, **arguments)
 
-    def answers(self):
-        end = time.monotonic() + PATIENCE
-        while time.monotonic() < end:
-            with contextlib.suppress(ControlError):
-                if self.ask("status")["state"] == "tracking":
-                    return
-            assert self.process.poll() is None, "ended"
-            time.sleep(0.05)
-        raise AssertionError("it does not track")
+    def tracks(self):
+        with contextlib.suppress(ControlError):
+            return self.ask("status")["state"] == "tracking"
+
+    def until_tracking(self):
+        self._until(self.tracks, "it does not track")
 
     def until_frames(self, frames):
-        end = time.monotonic() + PATIENCE
-        while self.ask("status")["frames"] < frames:
-            assert time.monotonic() < end, "frames do not go on"
-            time.sleep(0.05)
+        self._until(lambda: self.ask("status")["frames"] >= frames, "frames do not go on")
 
-    def end(self):
-        if self.process.poll() is None:
-            self.process.kill()
+    def terminated(self):
+        """It ends as it should, with the map saved."""
+        self.process.terminate()
+        assert self.process.wait(PATIENCE) == 0
+        assert (self.folder / "rig.map.yaml").exists()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.process.kill()
         self.process.wait(PATIENCE)
 
 
-@pytest.mark.slow
-def test_signals_a_second_instance_and_kill_9(film, tmp_path):
-    """A file stands for the camera's node: SIGHUP reloads, a second daemon is refused, kill -9 leaves nothing stuck,
-    SIGTERM ends it with the map saved."""
+@pytest.fixture
+def prepared(film):
+    """A folder that another user may enter, with the film and what a daemon needs."""
     import daemon_process
 
-    daemon_process.prepare(tmp_path, film)
-    first = Process(tmp_path)
-    try:
+    with tempfile.TemporaryDirectory() as folder:
+        daemon_process.prepare(Path(folder), film)
+        yield Path(folder)
+
+
+@pytest.mark.slow
+def test_signals_a_second_instance_and_kill_9(prepared):
+    """A file stands for the camera's node: SIGHUP reloads, a second daemon is refused, kill -9 leaves nothing stuck,
+    SIGTERM ends it with the map saved."""
+    with Process(prepared) as first:
         first.until("tracking:")
         first.process.send_signal(signal.SIGHUP)
         first.process.send_signal(signal.SIGHUP)
         first.until("configuration applied: nothing has changed")
-        second = Process(tmp_path)
+        second = Process(prepared)
         assert second.process.wait(PATIENCE) == 2
         time.sleep(0.05)
         assert f"in use by another spheremouse (process {first.process.pid})" in "".join(second.said)
         assert first.ask("status")["pid"] == first.process.pid
-        first.process.kill()
-        first.process.wait(PATIENCE)
-        assert (tmp_path / "s").exists()  # stale: nobody could remove it
-        third = Process(tmp_path)
-        try:
-            third.until("tracking:")
-            assert third.ask("status")["pid"] == third.process.pid
-            while third.ask("status")["frames"] < 100:  # enough to know some discs for good
-                time.sleep(0.02)
-            third.process.terminate()
-            assert third.process.wait(PATIENCE) == 0
-            assert not (tmp_path / "s").exists()
-            assert (tmp_path / "rig.map.yaml").exists()
-        finally:
-            third.end()
-    finally:
-        first.end()
+    assert (prepared / "s").exists()  # stale, after kill -9: nobody could remove it
+    with Process(prepared) as third:
+        third.until("tracking:")
+        assert third.ask("status")["pid"] == third.process.pid
+        third.until_frames(100)  # enough to know some discs for good
+        third.terminated()
+        assert not (prepared / "s").exists()
 
 
 @contextlib.contextmanager
-def a_closed_pipe(_):
+def a_closed_pipe():
     reads, writes = os.pipe()
     os.close(reads)
     yield writes
@@ -1090,13 +1087,13 @@ def a_closed_pipe(_):
 
 
 @contextlib.contextmanager
-def a_full_disk(_):
+def a_full_disk():
     with open("/dev/full", "wb") as full:
         yield full.fileno()
 
 
 @contextlib.contextmanager
-def a_pipe_that_nobody_reads(_):
+def a_pipe_that_nobody_reads():
     reads, writes = os.pipe()
     fcntl.fcntl(writes, fcntl.F_SETPIPE_SZ, 4096)
     yield writes
@@ -1107,37 +1104,22 @@ def a_pipe_that_nobody_reads(_):
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(fcntl, "F_SETPIPE_SZ"), reason="needs Linux's pipes and /dev/full")
 @pytest.mark.parametrize("broken", [a_closed_pipe, a_full_disk, a_pipe_that_nobody_reads])
-def test_nothing_that_happens_to_standard_error_stops_tracking(film, tmp_path, broken):
+def test_nothing_that_happens_to_standard_error_stops_tracking(prepared, broken):
     """However much there is to say; and the end is an end like any other."""
-    import daemon_process
-
-    daemon_process.prepare(tmp_path, film)
-    with broken(tmp_path) as stderr:
-        daemon = Process(tmp_path, stderr)
-        try:
-            daemon.answers()
-            for _ in range(60):  # lines of 60 letters: more than the pipe takes
-                daemon.ask("pause")
-                daemon.ask("resume")
-            frames = daemon.ask("status")["frames"]
-            daemon.until_frames(frames + 50)
-            daemon.process.terminate()
-            assert daemon.process.wait(PATIENCE) == 0
-            assert (tmp_path / "rig.map.yaml").exists()
-        finally:
-            daemon.end()
+    with broken() as stderr, Process(prepared, stderr) as daemon:
+        daemon.until_tracking()
+        for _ in range(60):  # lines of 60 letters: more than the pipe takes
+            daemon.ask("pause")
+            daemon.ask("resume")
+        daemon.until_frames(daemon.ask("status")["frames"] + 50)
+        daemon.terminated()
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become a user whose tasks are limited")
-def test_without_another_thread_to_be_had_only_what_needs_one_fails(film):
+def test_without_another_thread_to_be_had_only_what_needs_one_fails(prepared):
     """The task limit is the kernel's, reached when the daemon tracks: its own threads are there, and no other comes."""
-    import daemon_process
-
-    folder = Path(tempfile.mkdtemp())
-    daemon_process.prepare(folder, film)
-    daemon = Process(folder, uid=str(OTHER))
-    try:
+    with Process(prepared, uid=str(OTHER)) as daemon:
         daemon.until("tracking:")
         assert Path(daemon.ask("snapshot")["file"]).exists()
         with pytest.raises(ControlError, match="refuses a new thread, as its limit of tasks"):
@@ -1149,14 +1131,9 @@ def test_without_another_thread_to_be_had_only_what_needs_one_fails(film):
         assert daemon.ask("set", assignments=["motion.scale_x=2"])["changed"] == ["motion"]
         assert daemon.ask("reinit")["message"]
         daemon.until_frames(daemon.ask("status")["frames"] + 100)
-        assert not [p for p in folder.iterdir() if p.name.startswith(".") and p.is_dir()]
-        daemon.process.terminate()
-        assert daemon.process.wait(PATIENCE) == 0
-        assert (folder / "rig.map.yaml").exists()
+        assert not [p for p in prepared.iterdir() if p.name.startswith(".") and p.is_dir()]
+        daemon.terminated()
         assert not [line for line in daemon.said if "Traceback" in line or "internal error" in line]
-    finally:
-        daemon.end()
-        shutil.rmtree(folder)
 
 
 def test_a_client_gets_the_samples_that_a_text_output_writes(world, tmp_path):

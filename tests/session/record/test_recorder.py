@@ -101,6 +101,10 @@ def begin(folder, settings=EVERYTHING, device=None, **options):
     return recorder
 
 
+def moved_subject(rig, pose):
+    return ball_subject(rig, replace(pose, position=pose.position + np.array([0.05, 0.0, 0.0])), Configuration())
+
+
 def small_frame(k, stamp=None):
     return Frame(np.zeros((48, 64), np.uint8), 0.1 * k if stamp is None else stamp, k)
 
@@ -267,11 +271,9 @@ def test_nobody_beside_the_ball_reaches_the_disk(tmp_path):
 
 
 def test_a_camera_that_was_moved_leaves_nothing_of_the_view_before(tmp_path):
-    rig, pose, frames = film()
-    before = ball_subject(rig, pose, Configuration())
-    moved = ball_subject(rig, replace(pose, position=pose.position + np.array([0.05, 0.0, 0.0])), Configuration())
-    recorder = Recorder(tmp_path / "made", before, PLENTY)
-    assert recorder.ready(PATIENCE)
+    *device, frames = film()
+    before, moved = ball_subject(*device, Configuration()), moved_subject(*device)
+    recorder = begin(tmp_path / "made", PLENTY, device)
     white = np.full_like(frames[0].image, 255)
     for i in range(90):  # more than there are buffers
         wait_for(lambda: recorder.status().waiting < 3)
@@ -287,11 +289,9 @@ def test_a_camera_that_was_moved_leaves_nothing_of_the_view_before(tmp_path):
 @pytest.mark.parametrize("settings", [PLENTY, EVERYTHING], ids=["masked", "everything"])
 def test_the_pose_is_that_of_the_first_frame(tmp_path, settings):
     """Between the wish to record and the first frame somebody may push the camera."""
-    rig, pose, frames = film()
-    before = ball_subject(rig, pose, Configuration())
-    moved = ball_subject(rig, replace(pose, position=pose.position + np.array([0.05, 0.0, 0.0])), Configuration())
-    recorder = Recorder(tmp_path / "made", before, settings)
-    assert recorder.ready(PATIENCE)
+    *device, frames = film()
+    moved = moved_subject(*device)
+    recorder = begin(tmp_path / "made", settings, device)
     assert recorder.add(frames[0], moved)
     recording = open_dataset(recorder.finish(PATIENCE))
     assert np.array_equal(recording.rig.pose.position, moved.view.position)
@@ -357,11 +357,8 @@ def test_it_ends_after_its_time_and_before_the_disk_is_full(tmp_path, monkeypatc
 
 def test_it_ends_at_its_size(tmp_path):
     """What the video's writer holds back counts: it is no larger in the end."""
-    rig, pose, frames = film()
-    recorder = Recorder(
-        tmp_path / "made", ball_subject(rig, pose, Configuration()), replace(EVERYTHING, megabytes=30.0)
-    )
-    assert recorder.ready(PATIENCE)
+    *device, frames = film()
+    recorder = begin(tmp_path / "made", replace(EVERYTHING, megabytes=30.0), device)
     for i in range(60):
         wait_for(lambda: recorder.status().waiting < 3)
         recorder.add(frames[i])
@@ -396,8 +393,8 @@ def test_what_is_there_is_not_overwritten(tmp_path, place, words):
 
 
 def test_somebody_who_comes_first_is_not_overwritten(tmp_path):
-    rig, pose, frames = film()
-    recorder = begin(tmp_path / "made", PLENTY, (rig, pose))
+    *device, frames = film()
+    recorder = begin(tmp_path / "made", PLENTY, device)
     recorder.add(frames[0])
     (tmp_path / "made").mkdir()
     (tmp_path / "made" / "scene.json").write_text("{}")
