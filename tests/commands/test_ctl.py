@@ -64,9 +64,9 @@ def ctl(path, monkeypatch):
     monkeypatch.setenv("SPHEREMOUSE_SOCKET", str(path))
 
     def run(*words):
-        done = CliRunner().invoke(cli_ctl.app, list(words), prog_name="spheremouse ctl", terminal_width=100)
-        if done.exception is not None and not isinstance(done.exception, SystemExit):
-            raise done.exception
+        done = CliRunner().invoke(
+            cli_ctl.app, list(words), prog_name="spheremouse ctl", terminal_width=100, catch_exceptions=False
+        )
         return done.exit_code, done.stdout, done.stderr
 
     return run

@@ -19,10 +19,7 @@ VIEW = np.radians(70.0)
 
 
 def run(*words):
-    result = CliRunner().invoke(app, ["layout", *map(str, words)])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
+    return CliRunner().invoke(app, ["layout", *map(str, words)], catch_exceptions=False)
 
 
 @pytest.mark.parametrize("n", [4, 12, 26])

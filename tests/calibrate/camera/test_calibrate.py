@@ -42,10 +42,7 @@ def made(tmp_path_factory, folder):
 
 
 def run(*words):
-    result = CliRunner().invoke(app, ["calibrate", "camera", *map(str, words)])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
+    return CliRunner().invoke(app, ["calibrate", "camera", *map(str, words)], catch_exceptions=False)
 
 
 def refused(*words):

@@ -15,10 +15,7 @@ from spheremouse.geometry.camera import InteriorOrientation
 
 
 def run(*words):
-    result = CliRunner().invoke(app, ["calibrate", "device", *map(str, words)])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
+    return CliRunner().invoke(app, ["calibrate", "device", *map(str, words)], catch_exceptions=False)
 
 
 @pytest.fixture

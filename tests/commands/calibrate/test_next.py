@@ -30,10 +30,7 @@ NAMES = [
 
 
 def run(*words):
-    result = CliRunner().invoke(app, ["calibrate", *map(str, words)])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
+    return CliRunner().invoke(app, ["calibrate", *map(str, words)], catch_exceptions=False)
 
 
 def printed(folder):
