@@ -319,7 +319,7 @@ def test_watching_as_json_prints_samples_and_in_the_end_the_number_of_dropped_on
 
     def publish():
         while not ended.wait(0.001):
-            server.submit(report, 0.0, True)
+            server.submit(report)
 
     with ControlServer(path, ControlSettings(), Recorder(), limits=Limits(samples=3)) as server:
         publisher = threading.Thread(target=publish)
