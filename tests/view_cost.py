@@ -24,8 +24,8 @@ from websockets.exceptions import WebSocketException
 from websockets.typing import Origin
 
 from spheremouse.capture import Payload
+from spheremouse.files.token import read_token
 from spheremouse.session.control.client import Client
-from spheremouse.view.access import read_token
 from tests.control_latency import wait_for_tracking
 from tests.daemon_latency import processor
 from tests.daemon_process import Camera, RawFrame

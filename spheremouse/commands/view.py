@@ -8,16 +8,8 @@ import typer
 
 from spheremouse.commands.options import Socket
 from spheremouse.errors import ControlError
-from spheremouse.view.access import (
-    ADDRESS,
-    PORT,
-    Access,
-    own_token,
-    owners_address,
-    present_token,
-    read_token,
-    token_path,
-)
+from spheremouse.files.token import own_token, present_token, read_token, token_path
+from spheremouse.view.access import ADDRESS, PORT, Access, owners_address
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette

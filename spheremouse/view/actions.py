@@ -14,7 +14,7 @@ from spheremouse.files.exchange import read_settings, settings_text
 from spheremouse.files.figures import read_figures
 from spheremouse.files.yaml import parse_value
 from spheremouse.session.control.client import Client, settings_to_save
-from spheremouse.view import child
+from spheremouse.session.process import child
 from spheremouse.view.daemon import Daemon, Values
 from spheremouse.view.guide import Guide
 from spheremouse.view.recordings import Recordings

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from spheremouse.errors import ControlError, printable
 from spheremouse.files import safe_files
-from spheremouse.view import child
+from spheremouse.session.process import child
 
 _LOOK = "camera"  # the step before all others
 _LOOK_INTERVAL = 0.3  # s between two pictures

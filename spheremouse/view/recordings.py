@@ -3,22 +3,16 @@
 import asyncio
 import contextlib
 import json
-import resource
-import shutil
-import sys
-import tempfile
-from asyncio.subprocess import DEVNULL, Process
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from spheremouse.errors import ControlError, printable
 from spheremouse.files.listing import Listed, list_recordings
 from spheremouse.files.yaml import parse_value
-from spheremouse.session.control.client import Client, NoDaemonError
+from spheremouse.session.control.client import NoDaemonError
+from spheremouse.session.replay import ReplayProcess
 from spheremouse.view.daemon import Daemon, Message
 
-_MAX_BYTES = 2 << 30  # of writable memory of the replay, with the stacks of its threads; 0.7 GB on two cores
-_POLL = 0.1  # s
 _MAX_END = 3.0  # s; systemd gives the page 5 s
 _OF_THE_COMPUTER = ("source", "output", "rig", "camera_file", "map", "realtime", "control", "metrics", "record")
 _MAX_COMPARED = 60.0  # s of a recording
@@ -30,8 +24,8 @@ class Recordings:
     def __init__(self, daemon: Daemon, run: Callable[..., Awaitable[Message]]) -> None:
         """`run` returns the JSON that a command of ours prints."""
         self._daemon, self._run, self._live = daemon, run, daemon.socket
-        self._process: Process | None = None
-        self._ends: asyncio.Task[str] | None = None
+        self._replay: ReplayProcess | None = None
+        self._end: asyncio.Task[str] | None = None  # of the last replay
 
     async def listed(self) -> Message:
         """Return name, length, kind and problem of each recording, and the folders that were searched."""
@@ -43,27 +37,15 @@ class Recordings:
         """Replay a recording with the settings that the page shows. Raises ControlError if it cannot be tracked."""
         recording, status = await self._recording(name), self._daemon.status or {}
         self.end()
-        folder = Path(tempfile.mkdtemp(prefix="spheremouse-view-"))
-        with (folder / "log").open("wb") as log:
-            process = self._process = await asyncio.create_subprocess_exec(
-                *(("setpriv", "--pdeathsig", "TERM", "--") if shutil.which("setpriv") else ()),
-                *(sys.executable, "-m", "spheremouse", "run", "--replay", "--source", f"dataset:{recording.path}"),
-                *("--output", "null", "--no-map", "--no-table", *self._options(recording)),
-                *("--set", f"control.socket={folder / 's'}", "--set", "control.group=null"),
-                stdin=DEVNULL, stdout=DEVNULL, stderr=log,
-            )  # fmt: skip
-        self._ends = asyncio.create_task(self._wait(process, folder))
+        replay = self._replay = await ReplayProcess.start(recording.path, self._options(recording))
+        self._end = asyncio.create_task(self._ended(replay))
         try:
-            with contextlib.suppress(OSError, AttributeError):  # it has ended already; or the system has no such limit
-                resource.prlimit(process.pid, resource.RLIMIT_DATA, (_MAX_BYTES, _MAX_BYTES))
-            while not await asyncio.to_thread(_is_ready, folder / "s", status.get("changes") or []):
-                if process.returncode is not None:
-                    raise ControlError(f"{name}: {await self._ends}")
-                await asyncio.sleep(_POLL)
+            if not await replay.wait_until_ready(status.get("changes") or []):
+                raise ControlError(f"{name}: {await self._end}")
         except BaseException:  # also if the browser has left
             self.end()
             raise
-        self._daemon.switch(folder / "s")
+        self._daemon.switch(replay.socket)
         return f"{name} plays in place of the camera."
 
     async def leave(self) -> str:
@@ -79,16 +61,16 @@ class Recordings:
 
     def end(self) -> None:
         """End the replay, and show the camera."""
-        process, self._process = self._process, None
-        if process is not None and process.returncode is None:
-            process.terminate()
+        replay, self._replay = self._replay, None
+        if replay is not None:
+            replay.end()
         self._daemon.switch(self._live)
 
     async def close(self) -> None:
         """End the replay, and wait until its files are removed."""
         self.end()
-        if self._ends is not None:
-            await asyncio.wait([self._ends], timeout=_MAX_END)
+        if self._end is not None:
+            await asyncio.wait([self._end], timeout=_MAX_END)
 
     async def compare(self, name: str, begin: float = 0.0, end: float | None = None) -> Message:
         """Return the reports of `evaluate` for the saved and for the present settings, on the same seconds.
@@ -106,13 +88,10 @@ class Recordings:
         before, *after = await asyncio.gather(*(self._run(*run) for run in runs))
         return {"before": before, "after": after[0] if after else before}
 
-    async def _wait(self, process: Process, folder: Path) -> str:
+    async def _ended(self, replay: ReplayProcess) -> str:
         """Return the last line of a replay that has ended. If it ended by itself, report the line."""
-        await process.wait()
-        lines = (folder / "log").read_text(errors="replace").split("\n")
-        reason = printable(next(filter(None, reversed(lines)), "the replay has failed").removeprefix("spheremouse: "))
-        shutil.rmtree(folder, ignore_errors=True)
-        if self._process is process:
+        reason = await replay.ended()
+        if self._replay is replay:
             self.end()
             self._daemon.publish({"type": "trouble", "id": None, "text": f"the replay has ended: {reason}"})
         return reason
@@ -145,15 +124,3 @@ class Recordings:
         if found is None or found.problem:
             raise ControlError(f"{printable(name)}: {found.problem if found else 'there is no such recording'}")
         return found
-
-
-def _is_ready(socket: Path, changes: Sequence[str]) -> bool:
-    """Return True if a replay takes requests, once it has taken over the changes. RefusedError gives its reason."""
-    with contextlib.suppress(NoDaemonError), Client(socket) as client:
-        status = client.ask("status")
-        if status["state"] != "starting":
-            own = [change for change in changes if change.partition("=")[0] not in status["given"]]
-            if own:
-                client.ask("set", assignments=own)
-            return True
-    return False

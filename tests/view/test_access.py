@@ -2,8 +2,7 @@
 
 import pytest
 
-from spheremouse.errors import ControlError
-from spheremouse.view.access import Access, Visitor, own_token, read_token
+from spheremouse.view.access import Access, Visitor
 
 TOKEN = "a-token-of-more-than-32-characters"
 HERE, ELSEWHERE = "127.0.0.1", "192.168.1.20"
@@ -45,24 +44,3 @@ def test_without_the_token_this_computer_sees_and_others_do_not(access, cookies)
 def test_the_token_makes_an_owner_in_the_address_or_in_a_cookie(access):
     assert access.visitor(ELSEWHERE, "10.0.0.7:8765", None, given=TOKEN) == OWNER
     assert access.visitor(ELSEWHERE, "10.0.0.7:8765", None, f"a=b; spheremouse={TOKEN}") == OWNER
-
-
-def test_a_token_is_made_once_and_only_owner_and_group_read_it(tmp_path):
-    path = tmp_path / "new" / "view.token"
-    token = own_token(path)
-    assert own_token(path) == read_token(path) == token
-    assert len(token) > 32
-    assert path.stat().st_mode & 0o777 == 0o640
-
-
-def test_a_file_without_a_token_is_refused_with_the_remedy(tmp_path):
-    path = tmp_path / "view.token"
-    with pytest.raises(ControlError, match="start `spheremouse view` first"):
-        read_token(path)
-    for text in ("", "short\n", "x" * 5000):
-        path.write_text(text)
-        with pytest.raises(ControlError, match=f"{path}: "):
-            read_token(path)
-    (tmp_path / "file").touch()
-    with pytest.raises(ControlError, match="--token-file"):
-        own_token(tmp_path / "file" / "view.token")

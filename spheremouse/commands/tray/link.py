@@ -10,8 +10,9 @@ from typing import Any
 from spheremouse.commands.tray import view as tray
 from spheremouse.commands.tray.view import View
 from spheremouse.errors import SpheremouseError
+from spheremouse.files.token import present_token, read_token
 from spheremouse.session.control.client import Client
-from spheremouse.view.access import ADDRESS, PORT, owners_address, present_token, read_token
+from spheremouse.view.access import ADDRESS, PORT, owners_address
 
 _POLL_S = 1.0
 _NOTE_S = 20.0  # how long the menu shows the result of an action

@@ -1,0 +1,51 @@
+"""The token of the live page's owner, in a file that only owner and group may read."""
+
+import os
+import secrets
+from pathlib import Path
+
+from spheremouse.errors import ControlError
+from spheremouse.files import safe_files
+
+_TOKEN_FILE = "view.token"
+_TOKEN_BYTES = 32
+_SYSTEM_TOKEN = Path("/var/lib/spheremouse-view") / _TOKEN_FILE  # of the system's service
+_MAX_TOKEN_FILE_BYTES = 1000
+
+
+def read_token(path: Path) -> str:
+    """Return the token in a file. Raises ControlError if it cannot be read or has none."""
+    try:
+        token = safe_files.read_text(path, _MAX_TOKEN_FILE_BYTES, "token").strip()
+    except OSError as e:
+        hint = "start `spheremouse view` first" if isinstance(e, FileNotFoundError) else "use sudo"
+        raise ControlError(f"{path}: cannot be read ({e.strerror})", hint) from None
+    if len(token) < _TOKEN_BYTES:
+        raise ControlError(f"{path}: contains no token", "remove it; the next start writes another one")
+    return token
+
+
+def own_token(path: Path) -> str:
+    """Return the token in a file, which only its owner and group may read. A missing file gets a new token."""
+    if not path.exists():
+        try:
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            safe_files.replace(path, f"{secrets.token_urlsafe(_TOKEN_BYTES)}\n".encode(), 0o640)
+        except OSError as e:
+            raise ControlError(f"{path}: cannot be written ({e.strerror})", "name another --token-file") from None
+    return read_token(path)
+
+
+def token_path() -> Path:
+    """Return the path of the token that this process makes: in systemd's state folder, else in the user's."""
+    given = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    if given:
+        return Path(given) / _TOKEN_FILE
+    state = os.environ.get("XDG_STATE_HOME")
+    return (Path(state) if state else Path.home() / ".local/state") / "spheremouse" / _TOKEN_FILE
+
+
+def present_token() -> Path:
+    """Return the path of the token of the page that runs: the user's own one, else the system's."""
+    own = token_path()
+    return _SYSTEM_TOKEN if not own.exists() and os.path.lexists(_SYSTEM_TOKEN.parent) else own
