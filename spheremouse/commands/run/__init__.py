@@ -33,7 +33,8 @@ def run(
         typer.Option(
             metavar="KIND:ARG",
             help="Target of the motion, for example uinput, serial:auto, text:-, csv:FILE, osc:HOST:PORT or null "
-            "(docs/outputs.md has all). Repeat it for several; the first is the main one.  "
+            "(docs/outputs.md has all). `gain=`, `axes=`, `dead=` and `curve=` change its response: uinput:gain=2. "
+            "Repeat it for several; the first is the main one.  "
             "[default: `output` of the configuration]",
         ),
     ] = None,
