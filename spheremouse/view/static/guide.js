@@ -49,12 +49,11 @@ export class GuidePanel {
     if (this.#running && !running && this.#running !== CAMERA) void this.refresh();
     const focused = document.activeElement; // it is hidden or disabled below
     this.#running = running;
-    this.#look.hidden = running === CAMERA;
-    this.#look.disabled = running !== "" && running !== CAMERA;
+    [this.#look.hidden, this.#look.disabled] = [running === CAMERA, running !== "" && running !== CAMERA];
     if (!running && focused === this.#stop) this.#look.focus();
     this.#stop.hidden = !running;
     if (running && (focused === this.#look || focused?.closest("li.next button"))) this.#stop.focus();
-    this.#note.classList.toggle("refused", problem !== "");
+    for (const [name, is] of /** @type {const} */ ([["refused", problem !== ""], ["busy", running !== ""]])) this.#note.classList.toggle(name, is);
     const camera = check?.source ? `The camera is ${check.source}.` : "Opening the camera.";
     setText(this.#note, problem || (running === CAMERA ? camera : running ? `Under way: ${running}.` : "Place and focus the camera first. Then follow the steps."));
     setText(this.#wanted, running && check?.wanted?.[0] ? `Next: ${check.wanted[0]}` : "");
