@@ -94,7 +94,7 @@ class Guide:
             await self._following
 
     async def rest(self) -> None:
-        """Close the camera if nobody looks through it."""
+        """Close the camera if no browser shows its picture."""
         await self.stop(_LOOK)
 
     async def _read_steps(self) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import guide_world
 import pytest
 from view_world import wait_for
 
-PATIENCE = 120  # s of a step on a busy machine
+PATIENCE = 300  # s of a step on a busy machine
 
 
 @pytest.fixture
