@@ -155,7 +155,8 @@ class Guide:
                 self._take(printable(line.decode(errors="replace").rstrip()))
         code, self._process = await process.wait(), None
         failed = code not in (0, *_STOPPED)
-        self._state |= {"running": "", "problem": child.problem_in(list(self._lines)) if failed else ""}
+        problem = child.problem_in(list(self._lines)) or f"ended with exit code {code}"
+        self._state |= {"running": "", "problem": problem if failed else ""}
         self._publish(self.state())
 
     def _take(self, line: str) -> None:
