@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.detect.appearance import appearance, ball_mask, largest_disc, seen_at
+from spheremouse.ball.detect.appearance import appearance, ball_mask, largest_disc
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.fit import FitSettings
 from spheremouse.ball.detect.fit_model import noise_of, smoothing_kernel
@@ -247,7 +247,6 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose, before: object =
         settings.size_tolerance,
         settings.rim,
         settings.sigma,
-        seen_at(np.zeros((1, 3)), rig, pose)[0],
     )
     if (
         isinstance(before, DiscDetector)

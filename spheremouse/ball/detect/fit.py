@@ -39,8 +39,6 @@ from spheremouse.geometry.rotation import Array
 _SURROUND = 3.0  # px of background around a disc that take part in the fit: enough for its slope, too few for more
 _UNEVEN = 0.02  # of the contrast: unevenness of print and ball that a good fit leaves
 _GLOSS = 0.3  # of the contrast, the most that gloss takes of it, and changes it by from a disc's centre to its rim
-_FACING = 0.04  # part of the light that paint reflects like a mirror, seen squarely
-_SHARP = 1.4  # standard deviations of the blur, semi-minor axis below which slope and place of a sliver look alike
 _SIZE = 0.02  # discs cut from one sheet differ by this part of their size
 _RIM_OFF = 0.35  # px by which lens blur and gloss may shift a rim: to a sliver's size that is a lot
 _SLIVER = 2.0  # px, semi-minor axis below which both rims are one blur
@@ -71,7 +69,6 @@ class FitSettings(NamedTuple):
     size_tolerance: float  # largest deviation of fitted over expected size from 1
     rim: float  # least part of the rim that fits
     sigma: float  # px, floor of a centre's standard deviation
-    middle: Array  # (2,) px, image of the ball's centre
 
 
 @njit(cache=True, error_model="numpy")
@@ -113,7 +110,7 @@ def measure(image, mask, place, shape, path, noise, weights, fit, contrast, size
     x = np.zeros((n, UNKNOWNS))
     N, g = np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
     inverse = np.zeros((n, 3), dtype=np.float32)
-    scale, gloss, minor, mirror, gleam = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, 3)), np.zeros(3)
+    scale, gloss, minor = np.zeros(n), np.zeros(n), np.zeros(n)
     sizes, tell = np.zeros(n), 0
     b = np.float32(blur)
     for k in range(n):
@@ -123,7 +120,6 @@ def measure(image, mask, place, shape, path, noise, weights, fit, contrast, size
             continue
         minor[k], major = semi_axes(sxx, sxy, syy)
         inverse[k, 0], inverse[k, 1], inverse[k, 2] = syy / det, -sxy / det, sxx / det
-        mirror[k] = _mirror(place[k] - fit.middle, minor[k], major, blur)
         # the ellipse whose axes are longer by the surround: same axes, so a combination of S and I
         lo, hi = minor[k] ** 2, major**2
         margin = _SURROUND + 0.5 * np.hypot(path[k, 0], path[k, 1])
@@ -192,8 +188,7 @@ def measure(image, mask, place, shape, path, noise, weights, fit, contrast, size
             if turn > 0:
                 biweight(m, px[k], py[k], grey[k], e[k], x[k], np.float32(0.5), np.float32(scale[k]), weight[k])
             normal_equations(m, px[k], py[k], grey[k], e[k], d[k], x[k], weight[k], A, Aw, N, g)
-            gleam[0], gleam[1], gleam[2] = _GLOSS * gloss[k], 0.0, 0.0
-            gauss_newton_step(N, g, x[k], scale[k], gleam, 1.0, 0.4 * size_tolerance, 1.0)
+            gauss_newton_step(N, g, x[k], scale[k], _GLOSS * gloss[k], 1.0, 0.4 * size_tolerance, 1.0)
             moving_ellipse_of(m, px[k], py[k], q, x[k, 6:9], path[k], b, e[k], d[k], e_part, d_part)
             if turn == 0 and (not _deep(x[k], 0.5 * contrast, noise) or abs(x[k, 8] - 1.0) > 2.0 * size_tolerance):
                 break
@@ -220,11 +215,7 @@ def measure(image, mask, place, shape, path, noise, weights, fit, contrast, size
         for turn in range(len(_LIMITS)):
             biweight(m, px[k], py[k], grey[k], e[k], x[k], _LIMITS[turn], np.float32(scale[k]), weight[k])
             normal_equations(m, px[k], py[k], grey[k], e[k], d[k], x[k], weight[k], A, Aw, N, g)
-            loss = max(1.0 - x[k, 3] / lighter(x[k, 0], x[k, 3]) / full, 0.0)
-            gleam[0] = gloss[k] * min(max(loss, _UNEVEN), _GLOSS)
-            # a loss beyond the room's light is a lamp's image, which may slope either way
-            room = min(loss, max(2.0 * mirror[k, 0] - loss, 0.0)) / max(1.0 - loss, 0.5)
-            gleam[1], gleam[2] = -room * mirror[k, 1], -room * mirror[k, 2]
+            gleam = gloss[k] * min(max(1.0 - x[k, 3] / lighter(x[k, 0], x[k, 3]) / full, _UNEVEN), _GLOSS)
             moved = gauss_newton_step(N, g, x[k], scale[k], gleam, size, size_sigma, 1.0 if turn < 2 else 0.5)
             moving_ellipse_of(m, px[k], py[k], q, x[k, 6:9], path[k], b, e[k], d[k], e_part, d_part)
             if turn > 0 and moved < _STILL:
@@ -260,22 +251,6 @@ def measure(image, mask, place, shape, path, noise, weights, fit, contrast, size
             # where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
             covariance[k, j, j] += sigma**2 + (_SLIVER_BIAS / minor[k] ** 2) ** 2 + _CUT * cut[k]
     return Fits(ok, centroid, covariance, rim, cut), told
-
-
-@njit(cache=True, error_model="numpy")
-def _mirror(outward, minor, major, blur):
-    """Return the part of the room's light that the ball reflects at a disc, and its relative slope, (2,) 1/px.
-
-    By Schlick 1994, R = F + (1 - F) (1 - c)^5 with c the cosine of the angle of view: the ratio of the axes. In the
-    image c falls by (1 - c²) / (c r) per px at the distance r of `outward`, (2,) px from the ball's middle. The slope
-    acts before the blur, which widens the disc that the fit multiplies it with.
-    """
-    cosine, square = minor / major, max(outward[0] ** 2 + outward[1] ** 2, 1.0)
-    grazing = (1.0 - _FACING) * (1.0 - cosine) ** 5
-    reflected = _FACING + grazing
-    slope = 5.0 * grazing / reflected * (1.0 + cosine) / cosine / square
-    slope *= minor**2 / (minor**2 + 4.0 * blur**2) if minor > _SHARP * blur else 0.0
-    return reflected, slope * outward[0], slope * outward[1]
 
 
 @njit(cache=True, error_model="numpy")

@@ -259,16 +259,15 @@ def gauss_newton_step(N, g, x, scale, gloss, size, size_sigma, damping):
     Three expectations enter as observations:
     - A ball's shade slopes little. A steeper slope belongs to a strut.
     - Print leaves a part of the light, so the contrast slopes as the shade of a light ball does. A dark ball's shade
-      gives no information about it. Gloss changes that slope: `gloss`, (3,), is the standard deviation, and the change
-      in x and y that is expected, of the contrast, 1/px.
+      gives no information about it. Gloss changes that slope by up to `gloss` (of the contrast, 1/px).
     - The size is `size`. In the image of a sliver, size and contrast are inseparable, so this value decides.
     """
     shade = (scale / (_SLOPE * max(abs(x[0]), 1.0))) ** 2
-    gleam = (scale / (gloss[0] * max(x[3], 1.0))) ** 2
+    gleam = (scale / (gloss * max(x[3], 1.0))) ** 2
     hold = (scale / size_sigma) ** 2
     as_shade = x[3] * x[0] / max(lighter(x[0], x[3]), 1.0) ** 2
     for k in range(1, 3):
-        unlike = x[k + 3] - as_shade * x[k] - gloss[k] * max(x[3], 1.0)
+        unlike = x[k + 3] - as_shade * x[k]
         N[k, k] += shade + gleam * as_shade**2
         N[k, k + 3] -= gleam * as_shade
         N[k + 3, k] -= gleam * as_shade

@@ -23,7 +23,6 @@ SETTINGS = FitSettings(
     size_tolerance=0.25,
     rim=0.7,
     sigma=0.0,
-    middle=np.array([-1e6, -1e6]),
 )
 
 
@@ -121,38 +120,6 @@ def test_a_slope_of_light_does_not_draw_the_centre(kind, angle):
     v, u = np.mgrid[:40, :40]
     centroid = np.array([np.sum(dark * u), np.sum(dark * v)]) / np.sum(dark)
     assert np.linalg.norm(centroid - c) > 0.15  # that of the darkness is drawn
-
-
-def beside_the_limb(rng, middle):
-    """Error away from the ball's middle, px, of a sliver in the light that a ball reflects by Schlick's law.
-
-    The picture has three discs without gloss, too. `middle` is what the fit takes for the ball's middle.
-    """
-    cosine, radius = 0.3, 200.0
-    c = np.array([80.0, 24.0]) + rng.uniform(-0.5, 0.5, 2)
-    ball = c - [radius * np.sqrt(1.0 - cosine**2), 0.0]
-    x, y = blank(96)
-    r = np.hypot(x - ball[0], y - ball[1]) / radius
-    reflected = 0.04 + 0.96 * (1.0 - np.sqrt(np.maximum(1.0 - r**2, 0.0))) ** 5
-    sliver, facing = ellipse(6.0, 6.0 * cosine, np.pi / 2), ellipse(6.0, 6.0, 0.0)
-    places = np.array([c, *([18.0 + 24.0 * k, 70.0] for k in range(3))])
-    grey = np.where(inside(x, y, c, sliver), PRINT + (BALL - PRINT) * reflected, BALL)
-    for place in places[1:]:
-        grey = np.where(inside(x, y, place, facing), PRINT, grey)
-    image, mask = digital(seen(grey), 0.3, rng), np.full((96, 96), 255, np.uint8)
-    settings = SETTINGS._replace(middle=ball if middle else SETTINGS.middle)
-    shapes = np.array([sliver, facing, facing, facing])
-    found = measure(image, mask, places, shapes, np.zeros((4, 7)), 0.5, ONE, settings, settings.contrast, 0.0)[0]
-    assert found.ok.all()
-    return found.centroid[0, 0] - c[0]
-
-
-def test_light_that_a_ball_reflects_beside_its_limb_does_not_draw_a_sliver():
-    """The room brightens the outer half of a sliver more. Without this knowledge the centre goes inwards."""
-    rng = np.random.default_rng(8)
-    aware, unaware = (np.mean([beside_the_limb(rng, middle) for _ in range(30)]) for middle in (True, False))
-    assert unaware < -0.015
-    assert abs(aware) < 0.5 * abs(unaware)
 
 
 def test_a_highlight_on_the_rim_is_weighted_down():
