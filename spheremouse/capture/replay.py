@@ -69,7 +69,7 @@ class Replay(Streamed):
             self._changed.notify()
 
     def is_first(self, raw: RawFrame) -> bool:
-        """Return True if a frame is the first one of the section, for which the tracker must begin anew."""
+        """Return True if a frame is the first one of the section, for which the tracker must begin again."""
         return raw is self._begun
 
     def next(self, timeout: float) -> RawFrame | None:
