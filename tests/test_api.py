@@ -177,7 +177,7 @@ def test_the_samples_of_a_service_are_those_of_its_run(samples, tmp_path_factory
         thread = threading.Thread(target=lambda: taken.append(next(received)))
         thread.start()
         while not taken:
-            server.submit(Report((1, 2, 3), None, 1.5, (samples[20],)), 0.0, True)
+            server.submit(Report((1, 2, 3), None, 1.5, (samples[20],)))
             thread.join(0.01)
         thread.join()
         received.close()

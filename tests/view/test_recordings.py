@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import pytest
@@ -25,7 +26,8 @@ def compared(folder, status, values=None, wand=False):
     daemon = SimpleNamespace(
         status=STATUS | {"recordings": str(folder)} | status, socket=None, values=lambda: {"values": values or {}}
     )
-    asyncio.run(Recordings(daemon, run).compare("r", 0.5, 1.5))
+    with ThreadPoolExecutor() as pool:  # since Playwright may have a loop in this thread
+        pool.submit(asyncio.run, Recordings(daemon, run).compare("r", 0.5, 1.5)).result()
     return [{*zip(words[::2], words[1::2], strict=True)} for words in asked]
 
 
