@@ -4,10 +4,11 @@ A source is a module of this package with `open(argument: str, realtime: bool) -
 distributions add sources by entry points in the group `spheremouse.source`.
 """
 
+import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol, Self
@@ -128,6 +129,17 @@ class Stream:
     def __exit__(self, *_: object) -> None:
         if self.close is not None:
             self.close()
+
+
+def section(frames: Iterable[Frame], begin: float, end: float = math.inf) -> Iterator[Frame]:
+    """Yield the frames from `begin` to before `end`, in s after the first one."""
+    zero: float | None = None
+    for frame in frames:
+        zero = frame.stamp if zero is None else zero
+        if frame.stamp - zero >= end:
+            return
+        if frame.stamp - zero >= begin:
+            yield frame
 
 
 def full_spec(spec: str) -> str:

@@ -3,12 +3,13 @@
 Each frame waits until the tracker has released the one before. So every frame is tracked, however slow the tracker is.
 """
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from spheremouse.capture import RawFrame, Source
+from spheremouse.capture import RawFrame, Source, section
 from spheremouse.capture.fetch import EndOfSource, Fetched, Streamed
 from spheremouse.errors import SpheremouseError
 from spheremouse.tracker import Frame
@@ -46,8 +47,9 @@ class Replay(Streamed):
         self.controls, self.paused = Controls(), False
         self._steps = 0  # to take although it is paused
         self._released, self._rewinding = True, False
-        self._section: Iterator[tuple[int, Frame]] = iter(())
-        self._next: tuple[int, Frame] | None = None  # number and frame that were read ahead
+        self._section: Iterator[Frame] = iter(())
+        self._next: Frame | None = None  # that was read ahead
+        self._number = 0  # of the frame that was read last
         self._is_first = True  # it is the first one of the section
         self._begun: RawFrame | None = None  # the first frame of the section, while it is the present one
         self._shown_at, self._stamp = 0.0, 0.0  # of the present frame: s, monotonic, and its stamp
@@ -90,12 +92,12 @@ class Replay(Streamed):
 
     def _due(self) -> float:
         assert self._next is not None
-        gap = 0.0 if self._is_first else min(max(self._next[1].stamp - self._stamp, 0.0), _MAX_GAP_S)
+        gap = 0.0 if self._is_first else min(max(self._next.stamp - self._stamp, 0.0), _MAX_GAP_S)
         return 0.0 if self._steps else self._shown_at + gap / self.controls.speed
 
     def _show(self, now: float) -> RawFrame:
         assert self._next is not None
-        self.frame, frame = self._next
+        self.frame, frame = self._number, self._next
         self._shown_at = max(self._due(), now - _MAX_GAP_S)  # a slow tracker catches up at most so much
         raw = _Shown(frame, self._release)
         self._begun = raw if self._is_first else None
@@ -122,20 +124,16 @@ class Replay(Streamed):
         if self._next is None:
             raise EndOfSource
 
-    def _first_of(self, controls: Controls) -> tuple[int, Frame] | None:
+    def _first_of(self, controls: Controls) -> Frame | None:
         """Open the recording again at the first frame of its section; None if the section is empty."""
         if self._zero is not None:
             self._source.__exit__(None, None, None)
             self._source = self._open_again()
             self._frames = iter(self._source.__enter__())
-        self._section = self._frames_of(controls)
+        self._section = section(self._read(), controls.begin, math.inf if controls.end is None else controls.end)
         return next(self._section, None)
 
-    def _frames_of(self, controls: Controls) -> Iterator[tuple[int, Frame]]:
+    def _read(self) -> Iterator[Frame]:
         for number, frame in enumerate(self._frames):
-            self._zero = frame.stamp if self._zero is None else self._zero
-            seconds = frame.stamp - self._zero
-            if controls.end is not None and seconds >= controls.end:
-                return
-            if seconds >= controls.begin:
-                yield number, frame
+            self._number, self._zero = number, frame.stamp if self._zero is None else self._zero
+            yield frame

@@ -35,17 +35,6 @@ def numbered_frames(recording: Recording) -> Iterator[Frame]:
     return (replace(frame, sequence=i) for i, frame in enumerate(read_frames(recording)))
 
 
-def section(frames: Iterator[Frame], begin: float, end: float) -> Iterator[Frame]:
-    """Yield the frames from `begin` to before `end`, in s after the first one."""
-    zero: float | None = None
-    for frame in frames:
-        zero = frame.stamp if zero is None else zero
-        if frame.stamp - zero >= end:
-            return
-        if frame.stamp - zero >= begin:
-            yield frame
-
-
 def rig_of(recording: Recording, given: Rig | None) -> Rig:
     """Return the given rig in the unit of the truth, else that of the recording."""
     if given is None:

@@ -1,5 +1,6 @@
 """Sources on real files: a small video written here, cut, bent and missing; the pacing; the ways to name a source."""
 
+import math
 import subprocess
 import sys
 import time
@@ -9,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse.capture import open_source, paced, video
+from spheremouse.capture import open_source, paced, section, video
 from spheremouse.errors import SpheremouseError
 from spheremouse.tracker import Frame
 
@@ -205,3 +206,18 @@ def test_only_the_module_asked_for_is_imported():
         "print([m for m in ('evdev', 'spheremouse.capture.dataset', 'spheremouse.simulate') if m in sys.modules])"
     )
     assert python(program).stdout == "[]\n"
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "expected"),
+    [
+        (0.0, math.inf, range(10)),
+        (0.5, math.inf, range(4, 10)),
+        (0.0, 0.3, range(3)),
+        (0.375, 0.625, (3, 4)),
+        (2.0, 3.0, ()),
+    ],
+)
+def test_a_section_has_the_frames_from_its_begin_to_before_its_end_after_the_first_stamp(begin, end, expected):
+    frames = (Frame(np.zeros((1, 1), np.uint8), 8.0 + k / 8, k) for k in range(10))
+    assert [frame.sequence for frame in section(frames, begin, end)] == [*expected]

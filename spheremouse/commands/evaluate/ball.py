@@ -10,6 +10,7 @@ from rich.console import Console
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
+from spheremouse.capture import section
 from spheremouse.commands import terminal
 from spheremouse.commands.evaluate import Options, about
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
@@ -20,7 +21,7 @@ from spheremouse.files import config
 from spheremouse.files.dataset.ball import Recording, open_dataset
 from spheremouse.files.rig import load_camera, load_rig, with_camera
 from spheremouse.session.ball.map_keeper import open_map
-from spheremouse.session.evaluate import BallRun, ball_reports, numbered_frames, rig_of, run_ball, section
+from spheremouse.session.evaluate import BallRun, ball_reports, numbered_frames, rig_of, run_ball
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.events import degraded
 
