@@ -283,14 +283,20 @@ def mean_nis(run: Run) -> float | None:
     return number(np.sum(run.nis[k]) / freedom) if freedom else None
 
 
+def squared_bend(run: Run) -> Array:
+    """Return the squared second difference of the rate, (n,) rad²/s², of each frame and the two before; first 0, 0."""
+    bend = np.zeros(len(run.rate))
+    bend[2:] = np.sum(np.diff(run.rate, 2, axis=0) ** 2, axis=1)
+    return bend
+
+
 def rate_roughness(run: Run) -> float | None:
     """Return the RMS second difference of the rate, °/s, over three tracked frames in a row; None without such frames.
 
     It needs no truth. It is the noise of the rate, if the ball turns smoothly.
     """
     last = np.array([k for k in run.steps if k - 1 in run.steps], dtype=np.intp)
-    bends = run.rate[last] - 2.0 * run.rate[last - 1] + run.rate[last - 2]
-    return number(np.rad2deg(np.sqrt(np.mean(np.sum(bends**2, axis=1))))) if len(last) else None
+    return number(np.rad2deg(np.sqrt(np.mean(squared_bend(run)[last])))) if len(last) else None
 
 
 def lost_episodes(status: Sequence[Status]) -> int:

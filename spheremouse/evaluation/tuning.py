@@ -24,7 +24,7 @@ import numpy as np
 from scipy import stats
 
 from spheremouse.ball.truth import Truth
-from spheremouse.evaluation.metrics import Run, attitude_error
+from spheremouse.evaluation.metrics import Run, attitude_error, squared_bend
 from spheremouse.geometry import Array
 
 LIMIT = 100.0  # ten standard deviations
@@ -67,11 +67,9 @@ def innovation_terms(run: Run, usual: float) -> Array:
     used = np.array([len(points) for points in run.used], dtype=float)
     freedom = np.maximum(2.0 * used, 1.0)
     nis = np.zeros(len(run.frame)) if run.nis is None else run.nis
-    rough = np.zeros(len(run.frame))
-    rough[2:] = np.sum(np.diff(run.rate, 2, axis=0) ** 2, axis=1)
     made[kept, 0] = np.where(used > 0, (nis - freedom) ** 2 / (2.0 * freedom), 1.0)[kept]
     made[kept, 1] = np.maximum(1.0 - used / max(usual, 1.0), 0.0)[kept]
-    made[kept, 2] = rough[kept]
+    made[kept, 2] = squared_bend(run)[kept]
     return made
 
 
