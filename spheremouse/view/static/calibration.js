@@ -1,6 +1,6 @@
 /** The panel of the calibration: the reports of camera and device as they were written. */
 
-import { el, setText } from "./dom.js";
+import { el, setText, table } from "./dom.js";
 
 /** @typedef {{file: string, rms_px: number | null, points: number | null, why: string}} Photo */
 /** @typedef {{file: string, kind: string, date: string, rows: string[][], photos: Photo[], advice: string[], problem?: string}} Report */
@@ -30,18 +30,12 @@ export class CalibrationPanel {
 
 /** @param {Report} report */
 function content({ kind, rows, photos, advice }) {
-  return [el("ul", { class: "findings" }, ...advice.map((text) => el("li", {}, text))), table(`Quantities of the ${kind}`, ["Quantity", "Value", "σ"], rows),
-    ...(photos.length ? [table(`Photos of the ${kind}`, ["Photo", "RMS, px", "Points", "Note"], photos.map((photo) =>
-      [photo.file, photo.rms_px?.toFixed(3) ?? "–", String(photo.points ?? "–"), photo.why]))] : [])];
+  return [el("ul", { class: "findings" }, ...advice.map((text) => el("li", {}, text))), table(`Quantities of the ${kind}`, ["Quantity", "Value", "σ"], rowsOf(rows)),
+    ...(photos.length ? [table(`Photos of the ${kind}`, ["Photo", "RMS, px", "Points", "Note"], rowsOf(photos.map((photo) =>
+      [photo.file, photo.rms_px?.toFixed(3) ?? "–", String(photo.points ?? "–"), photo.why])))] : [])];
 }
 
-/**
- * @param {string} name
- * @param {string[]} head
- * @param {string[][]} rows
- */
-function table(name, head, rows) {
-  return el("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": name }, el("table", {},
-    el("thead", {}, el("tr", {}, ...head.map((text) => el("th", { scope: "col" }, text)))),
-    el("tbody", {}, ...rows.map(([first = "", ...others]) => el("tr", {}, el("th", { scope: "row" }, first), ...others.map((text) => el("td", {}, text)))))));
+/** @param {string[][]} rows */
+function rowsOf(rows) {
+  return el("tbody", {}, ...rows.map(([first = "", ...others]) => el("tr", {}, el("th", { scope: "row" }, first), ...others.map((text) => el("td", {}, text)))));
 }

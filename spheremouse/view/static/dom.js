@@ -19,6 +19,10 @@ export function el(tag, attributes = {}, ...children) {
   return made;
 }
 
+/** Return a table that scrolls; readers know it by `name`. @type {(name: string, head: string[], body: HTMLElement) => HTMLElement} */
+export const table = (name, head, body) => el("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": name }, el("table", {},
+  el("thead", {}, el("tr", {}, ...head.map((text) => el("th", { scope: "col" }, text)))), body));
+
 /**
  * Return an element of the page by its id.
  * @template {HTMLElement} T

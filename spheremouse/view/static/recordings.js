@@ -1,6 +1,6 @@
 /** The panel of the recordings: a replay in place of the camera, and two settings compared on the same seconds. */
 
-import { el, formatNumber, setText } from "./dom.js";
+import { el, formatNumber, setText, table } from "./dom.js";
 
 /** @typedef {import("./types.js").Status} Status */
 /** @typedef {import("./tune.js").Act} Act */
@@ -34,8 +34,7 @@ export class RecordingsPanel {
   #end = el("input", { type: "number", id: "replay-end", min: 0, step: 0.1 });
   #evaluate = el("button", { type: "button", id: "compare" }, "Compare saved and present settings");
   #results = el("tbody", {});
-  #table = el("table", { hidden: true }, el("thead", {}, el("tr", {}, ...["On these seconds", "Saved", "Present"].map((name) =>
-    el("th", { scope: "col" }, name)))), this.#results);
+  #table = table("Comparison", ["On these seconds", "Saved", "Present"], this.#results);
   #player;
   #status = /** @type {Status | null} */ (null);
   #perform;
@@ -60,7 +59,8 @@ export class RecordingsPanel {
     this.element = el("div", {},
       el("div", { class: "row" }, el("label", { for: "recording" }, "Recording"), this.#list, this.#play, this.#leave), this.#note, this.#player,
       el("div", { class: "row" }, el("label", { for: "replay-begin" }, "Seconds from"), this.#begin, el("label", { for: "replay-end" }, "to"), this.#end,
-        this.#evaluate), el("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Comparison" }, this.#table));
+        this.#evaluate), this.#table);
+    this.#table.hidden = true;
   }
 
   /** Read the list again, as the panel is opened. */

@@ -1,6 +1,6 @@
 /** The panels of the log, the outputs and the doctor. */
 
-import { el, formatDuration, formatLatency, setText } from "./dom.js";
+import { el, formatDuration, formatLatency, setText, table } from "./dom.js";
 
 /** @typedef {import("./types.js").Status} Status */
 /** @typedef {import("./tune.js").Act} Act */
@@ -50,9 +50,7 @@ export class OutputsPanel {
   #table = el("tbody", {});
   #facts = el("dl", { class: "facts" });
   element = el("div", {},
-    el("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Table of the outputs" }, el("table", {},
-      el("thead", {}, el("tr", {}, ...["Output", "State", "Reports", "Dropped", "Latency", "Not sent"].map((name) =>
-        el("th", { scope: "col" }, name)))), this.#table)),
+    table("Table of the outputs", ["Output", "State", "Reports", "Dropped", "Latency", "Not sent"], this.#table),
     el("h3", {}, "The run"), this.#facts);
 
   /** @param {Status | null} status */
