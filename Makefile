@@ -7,6 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PACKAGES := $(VENV)/.packages
 STAMP := $(VENV)/.installed
+NATIVE := build/native/.built
 
 # Tests that need kernel devices, hours or luck have targets of their own.
 SLOW_TESTS := tests/system tests/soak tests/fuzz
@@ -31,14 +32,15 @@ EXPERIMENTS_ARGS ?=
 LOCK_ARGS ?= --upgrade
 OLDEST_PYTHON ?= python3.11
 DIST_PYTHON ?= /usr/bin/python3
-RELEASE = spheremouse-$(shell $(BIN)/hatchling version)
+RELEASE = spheremouse-$(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
 WHEELHOUSE = $(RELEASE)-wheels-$(shell $(DIST_PYTHON) -c 'import sys, platform; print("py%d.%d-%s" % (*sys.version_info[:2], platform.machine()))')
 
 .DEFAULT_GOAL := help
-.PHONY: help demo picture test test-oldest test-newest lock lint format reference docs dist experiments nightly system-test soak fuzz clean
+.PHONY: help demo native picture test test-oldest test-newest lock lint format reference docs dist experiments nightly system-test soak fuzz clean
 
 help:
 	@echo "make demo         a simulated camera films the turning ball, the real pipeline tracks it"
+	@echo "make native       the part in C++, into spheremouse/native; the other targets build it when a source has changed"
 	@echo "make test         the tests (minutes); TEST_ARGS=... goes to pytest, PROCESSES=N are used"
 	@echo "make nightly      the slow tests, other versions of packages, soak, fuzz, guests, experiments"
 	@echo "make test-oldest  a short form of them with the oldest of each package that pyproject.toml allows"
@@ -83,6 +85,7 @@ test-oldest test-newest: $(STAMP)
 	$(BIN)/uv venv --quiet --clear --no-python-downloads $(OTHER) $(VENV)/$@
 	$(BIN)/uv pip install --quiet --python $(VENV)/$@ --resolution $(RESOLUTION) --editable '.[metrics]'
 	$(BIN)/uv pip install --quiet --python $(VENV)/$@ pytest pytest-xdist hypothesis packaging
+	@$(call native,$(VENV)/$@/bin/python,build/$@)
 	NUMBA_CACHE_DIR=$(VENV)/$@/numba $(VENV)/$@/bin/python -m pytest --numprocesses $(PROCESSES) --dist loadfile --max-worker-restart 0 $(SHORT_TESTS)
 
 # Three lists from one resolution: all that make installs; what a machine gets as wheels; and what there are no wheels
@@ -135,10 +138,11 @@ docs: $(STAMP)
 # The folder of wheels is for machines with the distribution's Python of this one and its processor, and says so.
 dist: docs
 	rm -rf dist
-	$(BIN)/hatchling build -d dist
+	$(BIN)/uv build --quiet --sdist --no-build-isolation --python $(BIN)/python --out-dir dist
 	tar -C docs/_build --transform 's,^html,$(RELEASE)-site,' -czf dist/$(RELEASE)-site.tar.gz html
 	cp service/share/man/man1/spheremouse.1 dist/
-	PYTHON=$(DIST_PYTHON) bash service/install.sh --from dist/$(RELEASE)-py3-none-any.whl --build-wheelhouse dist/$(WHEELHOUSE)
+	PYTHON=$(DIST_PYTHON) bash service/install.sh --from . --build-wheelhouse dist/$(WHEELHOUSE)
+	cp dist/$(WHEELHOUSE)/$(RELEASE)-*.whl dist/
 	tar -C dist --remove-files -cf dist/$(WHEELHOUSE).tar $(WHEELHOUSE)
 	cd dist && sha256sum -- * >SHA256SUMS
 	@cd dist && ls -sh
@@ -158,13 +162,14 @@ fuzz: $(STAMP)
 	$(BIN)/python -m pytest tests/fuzz $(FUZZ_ARGS)
 
 clean:
+	rm -f spheremouse/native/*.so
 	rm -rf $(VENV) docs/_build demo build dist .pytest_cache .ruff_cache .hypothesis *.egg-info
 	find spheremouse tests docs -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # ---- installation ----
 
-# The system's part: a Python that can make virtual environments, and what evdev, which comes as source, is compiled
-# with. Installs with apt-get as root or by sudo; says what is missing otherwise.
+# The system's part: a Python that can make virtual environments, and what evdev and our own C++ are compiled with.
+# Installs with apt-get as root or by sudo; says what is missing otherwise.
 define SYSTEM
 set -euo pipefail
 say() { echo "make: $$*" >&2; exit 1; }
@@ -192,27 +197,40 @@ missing=()
 name=python3
 case "$$(command -v "$$python")" in /usr/bin/python3.*) name=$$(basename "$$python") ;; esac
 "$$python" -c 'import venv, ensurepip' 2>/dev/null || missing+=("$$name-venv")
-if [ "$$(uname)" = Linux ] && ! $(BIN)/python -c 'import evdev' 2>/dev/null; then
-    command -v cc >/dev/null || missing+=(gcc libc6-dev)
-    [ -e /usr/include/linux/uinput.h ] || missing+=(linux-libc-dev)
-    header=$$("$$python" -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
-    [ -e "$$header" ] || missing+=("$$name-dev")
-fi
+command -v c++ >/dev/null || missing+=(g++ libc6-dev)
+header=$$("$$python" -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
+[ -e "$$header" ] || missing+=("$$name-dev")
+[ "$$(uname)" != Linux ] || [ -e /usr/include/linux/uinput.h ] || missing+=(linux-libc-dev)
 if [ "$${#missing[@]}" != 0 ]; then install "$${missing[@]}"; fi
 if ! $(BIN)/python -c pass 2>/dev/null; then "$$python" -m venv --clear $(VENV); fi
 endef
 export SYSTEM
 
-# What is locked, checked against its hashes: first the wheels, those that build the rest among them.
+# What is locked, checked against its hashes: first the wheels, those that build the rest among them. The path of an
+# editable installation is enough: its finder would beat PYTHONPATH, by which worktrees share one environment.
 $(PACKAGES): pyproject.toml tests/requirements.lock
 	@bash -c "$$SYSTEM"
 	$(BIN)/python -m pip install --quiet --no-compile --no-deps --require-hashes -r service/requirements.lock
 	$(BIN)/python -m pip install --quiet --no-compile --no-deps --require-hashes --no-build-isolation -r tests/requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	@sed -i /^import/d $(VENV)/lib/python*/site-packages/_editable_skbc_spheremouse.pth
 	@$(BIN)/python -c 'import cv2' || \
 		{ echo "make: OpenCV does not load; on Debian: apt-get install libgl1 libglib2.0-0" >&2; exit 1; }
 	@touch $@
 
-$(STAMP): $(PACKAGES)
+# The part in C++, beside its sources: an editable installation and every worktree find their own there.
+# $(call native,PYTHON,FOLDER): for one Python, built in a folder.
+native = mkdir -p build && $(BIN)/cmake -G Ninja -S . -B $(2) -DCMAKE_BUILD_TYPE=Release -DPython_EXECUTABLE=$(abspath $(1)) \
+    -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) -DCMAKE_LIBRARY_OUTPUT_DIRECTORY=$(CURDIR)/spheremouse/native \
+    -Dnanobind_ROOT=$$($(BIN)/python -m nanobind --cmake_dir) >$(2).log && $(BIN)/cmake --build $(2) -- --quiet
+
+native:
+	@$(call native,$(BIN)/python,build/native)
+
+$(NATIVE): CMakeLists.txt $(shell find spheremouse -name '*.cpp' -o -name '*.h') | $(PACKAGES)
+	@$(call native,$(BIN)/python,build/native)
+	@touch $@
+
+$(STAMP): $(PACKAGES) | $(NATIVE)
 	@$(BIN)/python -m spheremouse.ball.warm
 	@touch $@

@@ -90,7 +90,7 @@ system_packages() {
     local missing=() name=python3
     [ "$(command -v "$python")" = /usr/bin/python3 ] || [ "$python" = python3 ] || name=$(basename "$python")
     "$python" -c 'import venv, ensurepip' 2>/dev/null || missing+=("$name-venv")
-    command -v cc >/dev/null || missing+=(gcc libc6-dev)
+    command -v c++ >/dev/null || missing+=(g++ libc6-dev)
     [ -e /usr/include/linux/uinput.h ] || missing+=(linux-libc-dev)
     [ -e "$("$python" -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h" ] || missing+=("$name-dev")
     [ "${#missing[@]}" != 0 ] || return 0
@@ -252,7 +252,8 @@ fetch() {
     local what lock one pip name_ok='^[A-Za-z0-9][A-Za-z0-9._+-]*[.]whl$'
     what=$(source_of)
     private_to_root "${from:-$what}" caller
-    if [ -d "$what" ]; then private_content "$what"/{pyproject.toml,README.md,LICENSE,spheremouse,service}; fi
+    local parts=(pyproject.toml CMakeLists.txt README.md LICENSE spheremouse service docs/sample.schema.json calibration/device.yaml)
+    if [ -d "$what" ]; then private_content "${parts[@]/#/$what/}"; fi
     system_packages
     if [ -f "$what" ]; then
         [[ ${what##*/} =~ $name_ok ]] || fail "$what is no wheel and no checkout"
@@ -273,14 +274,15 @@ fetch() {
         "${pip[@]}" download --no-deps --require-hashes --only-binary :all: -d "$work/wheels" \
         -r "$work/requirements.lock"
     run "requirements.lock lacks a build package" \
-        "${pip[@]}" install --upgrade --no-index --find-links "$work/wheels" pip hatchling hatch-fancy-pypi-readme setuptools
+        "${pip[@]}" install --upgrade --no-index --find-links "$work/wheels" \
+        pip scikit-build-core hatch-fancy-pypi-readme nanobind cmeel-eigen cmake ninja setuptools
     say "building the packages of sources.lock, and spheremouse"
     pip+=(wheel --no-deps --no-build-isolation -w wheels)
     run "packages of $what/service/sources.lock could not be built" \
         in_room "${pip[@]}" --require-hashes -r "$work/sources.lock"
     if [ -d "$what" ]; then
         mkdir "$room/build/source"
-        tar -C "$what" --exclude=__pycache__ -c pyproject.toml README.md LICENSE spheremouse service |
+        tar -C "$what" --exclude=__pycache__ --exclude='*.so' -c "${parts[@]}" |
             tar -C "$room/build/source" --no-same-owner -x
         run "$what: no wheel can be built from it" in_room "${pip[@]}" --no-index ./source
     fi

@@ -135,7 +135,7 @@ class Daemon:
             case Request(command="resume"):
                 self.paused = False
                 reply({"state": "tracking"})
-            case Request(command="settings" | "scene" | "save"):
+            case Request(command="settings" | "scene"):
                 reply(page_reply(request.command))
             case protocol.Replay():
                 reply({})

@@ -25,6 +25,9 @@ from spheremouse.files.access import service_files
 SCRIPT = service_files() / "install.sh"
 KIND = f"Python {sys.version_info[0]}.{sys.version_info[1]}, {platform.machine()}\n"
 ROOT = os.geteuid() == 0
+BUILD_PACKAGES = (
+    "scikit_build_core", "hatch_fancy_pypi_readme", "nanobind", "cmeel_eigen", "cmake", "ninja", "setuptools",
+)  # fmt: skip
 pytestmark = pytest.mark.skipif(sys.platform != "linux" or shutil.which("flock") is None, reason="needs Linux, flock")
 
 
@@ -236,15 +239,13 @@ def release(shared):
     (source / "PKG-INFO").write_text("Metadata-Version: 2.1\nName: evdev\nVersion: 1.0\n")
     with tarfile.open(index / "evdev-1.0.tar.gz", "w:gz") as archive:
         archive.add(source, source.name)
-    for name in ("README.md", "LICENSE"):
+    for name in ("CMakeLists.txt", "README.md", "LICENSE", "docs/sample.schema.json", "calibration/device.yaml"):
+        (checkout / name).parent.mkdir(exist_ok=True)
         (checkout / name).write_text("")
     (checkout / "spheremouse").mkdir()
     shutil.copy(SCRIPT, checkout / "service")
     shutil.copy(bundled(), index)
-    made = [
-        make_wheel(index, "99", name=name, modules=())
-        for name in ("hatchling", "hatch_fancy_pypi_readme", "setuptools")
-    ]
+    made = [make_wheel(index, "99", name=name, modules=()) for name in BUILD_PACKAGES]
     pip = next(index.glob("pip-*.whl"))
     lines = [(*path.name.split("-")[:2], path) for path in (*made, pip)]
     for lock, named in (("requirements", lines), ("sources", [("evdev", "1.0", index / "evdev-1.0.tar.gz")])):
@@ -308,7 +309,7 @@ def test_a_folder_of_wheels_holds_what_is_locked_and_what_was_built_in_a_private
     assert code == 0, said
     listed = (carried / "SHA256SUMS").read_text().split()[1::2]
     assert {name.split("-")[0] for name in listed} == {
-        "evdev", "hatchling", "hatch_fancy_pypi_readme", "pip", "setuptools", "spheremouse",
+        "evdev", "pip", "spheremouse", *BUILD_PACKAGES,
     }  # fmt: skip
 
     here.mkdir()

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.fixture(scope="module")
 def metadata():
-    command = [sys.executable, "-m", "hatchling", "metadata"]
+    command = [sys.executable, "-m", "scikit_build_core.build", "project-table"]
     return json.loads(subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout)
 
 

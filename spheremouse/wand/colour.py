@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array
+from spheremouse.native import kernels
 from spheremouse.wand.rims import OVEREXPOSED, Image, rim_shift, rim_shift_by_brightness
 from spheremouse.wand.settings import ColourSettings
 
@@ -26,7 +26,6 @@ _SAMPLE_STEP = 16  # rows and columns, for mean brightness and colours: thousand
 # there print shows by its hue, and any other pixel may be print or white.
 _HALO_RADII = 1.0  # of an overexposed spot, around it: a gloss lobe has fallen to a tenth at twice its half width
 _MIN_HALO, _MAX_HALO = 2.0, 8.0  # px; pale print counts as glare up to the greatest
-_MIN_TINT = 0.25  # of a colour's least saturation: below is noise and white
 _MAX_GLARE_SIZE = 38  # px: a larger spot is no mirror image on a ball of at most 128 px, but white, sky or a lamp
 _MIN_GLARE_PIXELS = 3  # fewer are noise
 _MAX_GLARE_SPOTS = 24  # the largest
@@ -73,7 +72,7 @@ class PictureColours:
 def picture_colours(image: Image, colours: dict[str, ColourSettings], names: tuple[str, ...]) -> PictureColours:
     """Return brightness and colours of a BGR picture, (h, w, 3)."""
     sample = np.ascontiguousarray(image[_SAMPLE_STEP // 2 :: _SAMPLE_STEP, _SAMPLE_STEP // 2 :: _SAMPLE_STEP])
-    mean = float(_mean_value(sample))
+    mean = float(np.mean(np.max(sample, axis=2)))
     _, count, _ = _binary_pictures(sample, _bounds(colours, names, mean))
     return PictureColours(mean, count / sample[:, :, 0].size)
 
@@ -123,10 +122,7 @@ def _binary_pictures(
     image: Image, bounds: NDArray[np.float32]
 ) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.uint8] | None]:
     """Return binary pictures, (c, h, w), their numbers of pixels, and overexposed pixels of no colour, if any."""
-    binary = np.zeros((len(bounds), *image.shape[:2]), dtype=np.uint8)
-    count = np.zeros(len(bounds), dtype=np.int64)
-    white = np.zeros(image.shape[:2], dtype=np.uint8)
-    some = _select(image, bounds, binary, count, white)
+    binary, count, white, some = kernels.select_colours(image, bounds)
     return binary, count, white if some >= _MIN_GLARE_PIXELS else None
 
 
@@ -144,77 +140,18 @@ def _glare(
     pale = np.zeros(white.shape, dtype=np.uint8)
     margin = int(_MAX_HALO) + 1
     for i in spots[np.argsort(-area[spots], kind="stable")][:_MAX_GLARE_SPOTS]:
-        reach = min(max(_HALO_RADII * np.sqrt(area[i] / np.pi), _MIN_HALO), _MAX_HALO)
+        reach = float(np.clip(_HALO_RADII * np.sqrt(area[i] / np.pi), _MIN_HALO, _MAX_HALO))
         x, y = stats[i, cv2.CC_STAT_LEFT], stats[i, cv2.CC_STAT_TOP]
         top, left = max(y - margin, 0), max(x - margin, 0)
         part = np.s_[top : y + height[i] + margin, left : x + width[i] + margin]
-        distance = cv2.distanceTransform(np.where(label[part] == i, np.uint8(0), np.uint8(1)), cv2.DIST_L2, 5)
-        _grow_glare(image, bounds, distance, top, left, reach, pale)
+        distance = np.asarray(
+            cv2.distanceTransform(np.where(label[part] == i, np.uint8(0), np.uint8(1)), cv2.DIST_L2, 5),
+            dtype=np.float32,
+        )
+        kernels.grow_glare(image, bounds, distance, top, left, reach, pale)
     for one in binary:
         pale[one > 0] = 0
     return np.asarray(cv2.GaussianBlur(pale, _KERNEL, 0.0, borderType=cv2.BORDER_REPLICATE), dtype=np.uint8)[None]
-
-
-@njit(cache=True, error_model="numpy")
-def _grow_glare(image, bounds, distance, top, left, reach, pale):
-    """Set pixels of `pale` to 255 within `reach` of an overexposed spot, and connected pale print.
-
-    `distance` px is that from the spot, (h, w), of the pixels from `top`, `left` on.
-    """
-    h, w = distance.shape
-    stack = np.empty((h * w, 2), dtype=np.int64)
-    n = 0
-    for i in range(h):
-        for j in range(w):
-            if distance[i, j] <= reach:
-                pale[top + i, left + j] = 255
-                stack[n, 0], stack[n, 1] = i, j
-                n += 1
-    while n > 0:
-        n -= 1
-        i, j = stack[n, 0], stack[n, 1]
-        for k in range(max(i - 1, 0), min(i + 2, h)):
-            for l in range(max(j - 1, 0), min(j + 2, w)):
-                u, v = left + l, top + k
-                if pale[v, u] == 0 and distance[k, l] <= _MAX_HALO and _is_tinted(image[v, u], bounds):
-                    pale[v, u] = 255
-                    stack[n, 0], stack[n, 1] = k, l
-                    n += 1
-
-
-@njit(cache=True, error_model="numpy")
-def _is_tinted(pixel, bounds):
-    """Return true if a pixel has the hue of a colour, but only part of the required saturation."""
-    b, g, r = np.int32(pixel[0]), np.int32(pixel[1]), np.int32(pixel[2])
-    high = max(b, g, r)
-    spread = high - min(b, g, r)
-    if spread == 0:
-        return False
-    hue = _hue(b, g, r, high, spread)
-    for c in range(len(bounds)):
-        if _MIN_TINT * bounds[c, 2] * high < spread < bounds[c, 2] * high and _hue_between(
-            hue, bounds[c, 0], bounds[c, 1]
-        ):
-            return True
-    return False
-
-
-@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def _hue(b, g, r, high, spread):
-    """Return the hue in degrees, 0 to 360. `high` is the greatest channel, `spread` > 0 that minus the least."""
-    if high == r:
-        hue = np.float32(60.0) * np.float32(g - b) / np.float32(spread)
-    elif high == g:
-        hue = np.float32(60.0) * np.float32(b - r) / np.float32(spread) + np.float32(120.0)
-    else:
-        hue = np.float32(60.0) * np.float32(r - g) / np.float32(spread) + np.float32(240.0)
-    return hue + np.float32(360.0) if hue < 0.0 else hue
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _hue_between(hue, low, top):
-    """Return true if a hue lies from `low` to `top`, through 0 if `low` is greater."""
-    return (low <= hue <= top) if low <= top else (hue >= low or hue <= top)
 
 
 def reduction_factor(diameter: float) -> int:
@@ -232,52 +169,3 @@ def _bounds_row(colour: ColourSettings, gain: float) -> tuple[float, ...]:
         min(colour.value_min / gain, OVEREXPOSED),
         colour.value_max / gain,
     )
-
-
-@njit(cache=True)
-def _mean_value(image):
-    total = 0
-    for i in range(image.shape[0]):
-        for j in range(image.shape[1]):
-            total += max(image[i, j, 0], image[i, j, 1], image[i, j, 2])
-    return total / (image.shape[0] * image.shape[1])
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _select(image, bounds, binary, count, white):
-    """Set pixels within the bounds of each colour to 255 in `binary`, and other overexposed ones in `white`.
-
-    Return the number of the latter.
-    """
-    h, w, _ = image.shape
-    n = len(bounds)
-    least, darkest, brightest = np.float32(1.0), np.float32(255.0), np.float32(0.0)
-    for c in range(n):
-        least = min(least, bounds[c, 2])
-        darkest = min(darkest, bounds[c, 4])
-        brightest = max(brightest, bounds[c, 5])
-    grey = np.int32(least * np.float32(256.0))  # of 256: no colour has less saturation
-    overexposed, some = np.int32(OVEREXPOSED), 0
-    low_value, high_value = np.int32(min(darkest, np.float32(255.0))), np.int32(min(brightest, np.float32(255.0)))
-    for i in range(h):
-        for j in range(w):
-            b, g, r = np.int32(image[i, j, 0]), np.int32(image[i, j, 1]), np.int32(image[i, j, 2])
-            high = max(b, g, r)
-            spread = high - min(b, g, r)
-            if high - spread >= overexposed:
-                white[i, j] = 255
-                some += 1
-            if spread * 256 < grey * high or high < low_value or high > high_value:
-                continue
-            hue = _hue(b, g, r, high, spread) if spread > 0 else np.float32(0.0)
-            for c in range(n):
-                if (
-                    _hue_between(hue, bounds[c, 0], bounds[c, 1])
-                    and bounds[c, 2] * high <= spread <= bounds[c, 3] * high
-                    and bounds[c, 4] <= high <= bounds[c, 5]
-                ):
-                    binary[c, i, j] = 255
-                    count[c] += 1
-                    some -= white[i, j] > 0
-                    white[i, j] = 0
-    return some

@@ -1,0 +1,120 @@
+// Selection of colours by bounds on hue, saturation and brightness, and the growth of glare over pale print.
+#include "spheremouse/native/arrays.h"
+
+namespace spheremouse::wand {
+namespace {
+
+using Image = Array<const uint8_t, -1, -1, 3>;  // BGR
+using Bounds = Array<const float, -1, 6>;       // least and greatest hue (degrees), saturation (of 1), brightness
+
+constexpr float MIN_TINT = 0.25f;  // of a colour's least saturation: below is noise and white
+constexpr float MAX_HALO = 8.0f;   // px
+constexpr int OVEREXPOSED = 250;
+
+struct Pixel {
+    int b, g, r, high, spread;
+
+    explicit Pixel(const uint8_t* p) : b(p[0]), g(p[1]), r(p[2]), high(std::max({b, g, r})), spread(high - std::min({b, g, r})) {}
+
+    /// Hue in degrees, 0 to 360; 0 without a colour.
+    float hue() const {
+        if (spread == 0) return 0.0f;
+        const float s = float(spread);
+        const float hue = high == r ? 60.0f * float(g - b) / s : high == g ? 60.0f * float(b - r) / s + 120.0f : 60.0f * float(r - g) / s + 240.0f;
+        return hue < 0.0f ? hue + 360.0f : hue;
+    }
+};
+
+/// Return true if a hue lies from low to top, through 0 if low is greater.
+bool hue_between(float hue, float low, float top) {
+    return low <= top ? low <= hue && hue <= top : hue >= low || hue <= top;
+}
+
+/// Return true if a pixel has the hue of a colour, but only part of the required saturation.
+bool is_tinted(const Pixel& p, const Bounds& bounds) {
+    for (size_t c = 0; p.spread > 0 && c < bounds.shape(0); c++) {
+        const float *k = &bounds(c, 0), least = k[2] * float(p.high);
+        if (MIN_TINT * least < float(p.spread) && float(p.spread) < least && hue_between(p.hue(), k[0], k[1])) return true;
+    }
+    return false;
+}
+
+int64_t select(const Image& image, const Bounds& bounds, uint8_t* binary, int64_t* count, uint8_t* white) {
+    const size_t pixels = image.shape(0) * image.shape(1);
+    float least = 1.0f, darkest = 255.0f, brightest = 0.0f;
+    for (size_t c = 0; c < bounds.shape(0); c++) {
+        least = std::min(least, bounds(c, 2));
+        darkest = std::min(darkest, bounds(c, 4));
+        brightest = std::max(brightest, bounds(c, 5));
+    }
+    const int grey = int(least * 256.0f), low = int(darkest), high = int(std::min(brightest, 255.0f));
+    int64_t some = 0;
+    for (size_t i = 0; i < pixels; i++) {
+        const Pixel p(image.data() + 3 * i);
+        if (p.high - p.spread >= OVEREXPOSED) white[i] = 255, some++;
+        if (p.spread * 256 < grey * p.high || p.high < low || p.high > high) continue;
+        const float hue = p.hue(), value = float(p.high), spread = float(p.spread);
+        for (size_t c = 0; c < bounds.shape(0); c++) {
+            const float* k = &bounds(c, 0);
+            if (!hue_between(hue, k[0], k[1]) || spread < k[2] * value || spread > k[3] * value || value < k[4] || value > k[5]) continue;
+            binary[c * pixels + i] = 255;
+            count[c]++;
+            some -= white[i] > 0;
+            white[i] = 0;
+        }
+    }
+    return some;
+}
+
+nb::tuple select_colours(nb::handle image_, nb::handle bounds_) {
+    const auto image = array<const uint8_t, -1, -1, 3>(image_, "image");
+    const auto bounds = array<const float, -1, 6>(bounds_, "bounds");
+    auto binary = zeros<uint8_t>({bounds.shape(0), image.shape(0), image.shape(1)});
+    auto count = zeros<int64_t>({bounds.shape(0)});
+    auto white = zeros<uint8_t>({image.shape(0), image.shape(1)});
+    int64_t some;
+    {
+        nb::gil_scoped_release release;
+        some = select(image, bounds, binary.data(), count.data(), white.data());
+    }
+    return nb::make_tuple(binary, count, white, some);
+}
+
+void grow_glare(nb::handle image_, nb::handle bounds_, nb::handle distance_, int top, int left, float reach, nb::handle pale_) {
+    const auto image = array<const uint8_t, -1, -1, 3>(image_, "image");
+    const auto bounds = array<const float, -1, 6>(bounds_, "bounds");
+    const auto distance = array<const float, -1, -1>(distance_, "distance");
+    auto pale = array<uint8_t, -1, -1>(pale_, "pale");
+    const int h = int(distance.shape(0)), w = int(distance.shape(1));
+    if (image.shape(0) != pale.shape(0) || image.shape(1) != pale.shape(1)) throw nb::type_error("pale: must have the size of image");
+    if (top < 0 || left < 0 || size_t(top + h) > image.shape(0) || size_t(left + w) > image.shape(1)) throw nb::type_error("distance: must lie in image");
+    std::vector<std::pair<int, int>> open;
+    for (int i = 0; i < h; i++) {
+        for (int j = 0; j < w; j++) {
+            if (distance(i, j) > reach) continue;
+            pale(top + i, left + j) = 255;
+            open.emplace_back(i, j);
+        }
+    }
+    while (!open.empty()) {
+        const auto [i, j] = open.back();
+        open.pop_back();
+        for (int k = std::max(i - 1, 0); k < std::min(i + 2, h); k++) {
+            for (int l = std::max(j - 1, 0); l < std::min(j + 2, w); l++) {
+                uint8_t& to = pale(top + k, left + l);
+                if (to != 0 || distance(k, l) > MAX_HALO || !is_tinted(Pixel(&image(top + k, left + l, 0)), bounds)) continue;
+                to = 255;
+                open.emplace_back(k, l);
+            }
+        }
+    }
+}
+
+}  // namespace
+
+void bind_colour(nb::module_& m) {
+    m.def("select_colours", &select_colours, nb::arg("image"), nb::arg("bounds"));
+    m.def("grow_glare", &grow_glare, nb::arg("image"), nb::arg("bounds"), nb::arg("distance"), nb::arg("top"), nb::arg("left"), nb::arg("reach"), nb::arg("pale"));
+}
+
+}  // namespace spheremouse::wand
