@@ -135,7 +135,7 @@ class Daemon:
             case Request(command="resume"):
                 self.paused = False
                 reply({"state": "tracking"})
-            case Request(command="settings" | "scene"):
+            case Request(command="settings" | "scene" | "save"):
                 reply(page_reply(request.command))
             case protocol.Replay():
                 reply({})

@@ -112,6 +112,7 @@ class World:
 
     setup = Setup()
     colour_alone = False  # the camera gives no grey pictures
+    saved: Path | None = None  # the file of saved settings of a service
 
     def __init__(self, film: Film, folder: Path, pace: float = 0.002) -> None:
         """`pace` s is rested between two frames, so that others get at the processor."""
@@ -239,7 +240,7 @@ class World:
     ) -> Daemon:
         """The daemon, in a thread; what is counted begins with it."""
         self.produced, self.sent, self.outputs, self.states, self.frames = 0, [], [], {}, []
-        overrides = CommandLineOverrides(self.config, assignments)
+        overrides = CommandLineOverrides(self.config, assignments, saved=self.saved)
 
         def show(made: Any, report: Any, _: Any) -> None:
             assert self.daemon is not None

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spheremouse.ball.settings import Settings
-from spheremouse.errors import ControlError, SpheremouseError
-from spheremouse.files import config
+from spheremouse.errors import ConfigurationError, ControlError, SpheremouseError
+from spheremouse.files import config, exchange
 from spheremouse.files.validate import nearest
 from spheremouse.files.yaml import dotted
-from spheremouse.session.control.protocol import Set, internal_error, refused
+from spheremouse.session.control.protocol import Save, Set, internal_error, refused
 from spheremouse.session.control.request_queue import PendingRequest
 from spheremouse.session.process.threads import WorkerPool
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig, check_kinds, read_run_config
@@ -43,7 +43,7 @@ Values = dict[str, tuple[Any, Any]]  # by key: old value and new value
 def stamps_of(overrides: CommandLineOverrides, plan: RunConfig) -> dict[Path, int]:
     """Return the modification times of the files of a plan."""
     found: dict[Path, int] = {}
-    for path in (overrides.file, plan.rig_path, plan.camera_path, *plan.ball_paths):
+    for path in (overrides.file, overrides.saved, plan.rig_path, plan.camera_path, *plan.ball_paths):
         if path is not None:
             try:
                 found[path] = path.stat().st_mtime_ns
@@ -104,7 +104,11 @@ def check_settable(overrides: CommandLineOverrides, assignments: tuple[str, ...]
         raise ControlError(
             f"{', '.join(late)}: read at the start only; write it into the configuration file and start again"
         )
-    said = sorted(set(keys) & set(given(replace(overrides, assignments=()))))
+    _refuse_given(replace(overrides, assignments=()), assignments)
+
+
+def _refuse_given(overrides: CommandLineOverrides, assignments: tuple[str, ...]) -> None:
+    said = sorted(set(map(key_of, assignments)) & set(given(overrides)))
     if said:
         raise ControlError(
             f"{', '.join(said)}: set on the command line, which overrides it; start again without that option"
@@ -256,6 +260,43 @@ class ConfigReloader:
         check_read(plan, assigned)
         self._apply(wanted, plan, self._files, pending, assigned)
 
+    def save(self, request: Save, pending: PendingRequest) -> None:
+        """Write changes into the service's own file, or remove it. ControlError if there is none, or nothing to save.
+
+        `pending` gets the file, and the settings as KEY=VALUE.
+        """
+        path, asked = self.overrides.saved, request.keys
+        if path is None:
+            raise ControlError("save: the daemon leaves it to its client: spheremouse ctl save")
+        if request.forget:
+            path.unlink(missing_ok=True)
+            self.reload(pending)
+            return
+        changes = tuple(c for c in self.overrides.changes if asked is None or key_of(c) in asked)
+        _refuse_given(self.overrides, changes)
+
+        def write() -> None:
+            try:
+                exchange.save(path, changes)
+            except ConfigurationError as e:
+                pending.answer(refused(str(e)))
+            else:
+                self._call(lambda: pending.attempt(lambda: self._saved(path, changes, pending)))
+
+        self._workers.do(READING, write)
+
+    def _saved(self, path: Path, changes: tuple[str, ...], pending: PendingRequest) -> None:
+        """Count the changes as read from the file."""
+        left = tuple(change for change in self.overrides.changes if change not in changes)
+        self.overrides, unchanged = replace(self.overrides, changes=left), self.plan.unchanged
+        for change in changes:
+            unchanged = config.override(unchanged, change, label="")
+        self.plan = replace(self.plan, unchanged=unchanged, saved=latest((*self.plan.saved, *changes)))
+        self._files[path] = stamps_of(self.overrides, self.plan)[path]
+        text = f"{path}: saved: {', '.join(changes)}" if changes else f"{path}: nothing was set that is not in it"
+        self._log(text)
+        pending.answer({"file": str(path), "saved": list(changes), "message": text})
+
     def reload(self, pending: PendingRequest) -> None:
         """Read all files again, and drop the values of `set`."""
         self._load(replace(self.overrides, changes=()), pending)
@@ -270,6 +311,8 @@ class ConfigReloader:
                 plan = self._setup.planned(wanted, read_run_config(wanted))
                 check_kinds(plan, before)
                 check_read(plan, assigned)
+                if plan.notice != before.notice:
+                    self._log(plan.notice)
                 if stages_of(plan) != stages_of(before):
                     self._setup.make_ready(plan)  # no frame may wait for the compiler
             except SpheremouseError as e:

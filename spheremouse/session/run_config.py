@@ -15,6 +15,7 @@ from spheremouse.errors import ConfigurationError, OutputError, SourceError
 from spheremouse.files import config
 from spheremouse.files.dataset.format import MOST_BALLS
 from spheremouse.files.disc_map import map_path
+from spheremouse.files.exchange import read_saved
 from spheremouse.files.registry import check
 from spheremouse.files.rig import load_camera, load_rig, with_camera
 from spheremouse.files.wand import load_wand
@@ -82,6 +83,7 @@ class CommandLineOverrides:
     no_map: bool = False
     balls: tuple[Path, ...] = ()  # wand files
     changes: tuple[str, ...] = ()  # KEY=VALUE by `ctl set`: until the next start or reload
+    saved: Path | None = None  # file of the settings that the service saved; they override the configuration
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +101,8 @@ class RunConfig:
     balls: Balls = field(default_factory=Balls)  # in a hand; none: the source's own, or Grzonka's
     ball_paths: tuple[Path, ...] = ()
     unchanged: Configuration = field(default_factory=Configuration)  # without the changes by `ctl set`
+    saved: tuple[str, ...] = ()  # KEY=VALUE, by the service
+    notice: str = ""  # what was saved, or why it is ignored
 
     def device(self, given: Rig | None) -> Rig:
         """Return the calibrated device; `given` is that of the source. Raises ConfigurationError if there is none."""
@@ -110,9 +114,34 @@ class RunConfig:
         return rig if self.camera is None else with_camera(rig, self.camera)
 
 
+def saved_file(configuration: Path | None) -> Path | None:
+    """Return the file for settings of a service that may not write its configuration; None for other runs."""
+    state = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    if not state or configuration is None or os.access(configuration.parent, os.W_OK):
+        return None
+    return Path(state) / "saved.yaml"
+
+
 def read_run_config(overrides: CommandLineOverrides) -> RunConfig:
-    """Read all files and settings of a request. Raise ConfigurationError, with file and line for an error in a file."""
-    c = unchanged = _with_folder(config.in_force(overrides.file, overrides.assignments, Configuration), overrides.file)
+    """Read all files and settings of a request. Saved settings with which there is no plan are ignored with a notice.
+
+    Raises ConfigurationError, with file and line for an error in a file.
+    """
+    if overrides.saved is None:
+        return _read(overrides, ())
+    try:
+        plan = _read(overrides, saved := read_saved(overrides.saved))
+        return replace(
+            plan, notice=f"{overrides.saved}: in place of the configuration file: {', '.join(saved)}" if saved else ""
+        )
+    except ConfigurationError as e:
+        plan = _read(overrides, ())  # raises if the fault is elsewhere
+        return replace(plan, notice=f"saved settings ignored: {e}; `spheremouse ctl save --forget` removes them")
+
+
+def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
+    c = config.in_force(overrides.file, (*saved, *overrides.assignments), Configuration)
+    c = unchanged = _with_folder(c, overrides.file)
     for change in overrides.changes:
         c = config.override(c, change, label="")
     c = _with_folder(c, overrides.file)
@@ -147,7 +176,7 @@ def read_run_config(overrides: CommandLineOverrides) -> RunConfig:
     if len(ball_paths) > MOST_BALLS:
         raise ConfigurationError(f"--ball: given {len(ball_paths)} times; at most {MOST_BALLS} balls are tracked")
     balls = read_balls(ball_paths)
-    return RunConfig(c, source, to, rig, rig_path, camera, camera_path, map_file, balls, ball_paths, unchanged)
+    return RunConfig(c, source, to, rig, rig_path, camera, camera_path, map_file, balls, ball_paths, unchanged, saved)
 
 
 def check_kinds(plan: RunConfig, before: RunConfig | None = None) -> None:

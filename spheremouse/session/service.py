@@ -29,7 +29,17 @@ from spheremouse.output.reporter import ReporterStatus
 from spheremouse.output.third_axis import left_out
 from spheremouse.session.cameras import held
 from spheremouse.session.config_reloader import READING, ConfigReloader, given, settings_in_use
-from spheremouse.session.control.protocol import Pictures, Profile, Record, Replay, Request, Set, Snapshot, refused
+from spheremouse.session.control.protocol import (
+    Pictures,
+    Profile,
+    Record,
+    Replay,
+    Request,
+    Save,
+    Set,
+    Snapshot,
+    refused,
+)
 from spheremouse.session.control.request_queue import PendingRequest, RequestQueue
 from spheremouse.session.control.server import Endpoints
 from spheremouse.session.control.status import OutputStatus, Quantiles, ReplayStatus, SourceStatus, State, StatusReport
@@ -51,6 +61,7 @@ from spheremouse.session.worker import Worker
 _TICK = 0.25  # s; the longest wait for a frame
 _EVERY = 1.0  # s between two checks of the files, and of the memory and processor in use
 _COMPILING = 900.0  # s that a small computer may take to compile
+_PAUSED = "by `spheremouse ctl pause`; `resume` ends it"
 _USELESS = 5.0  # s of frames that cannot be used, after which the daemon opens the camera again
 
 Show = Callable[[FrameResult, Report, TrackerAdapter], None]
@@ -121,6 +132,8 @@ class Daemon:
                 self._open_endpoints()  # a daemon that is refused there has opened no output
                 self._outputs.begin()
                 self._log_left_out(self._reloader.plan)
+                if self._reloader.plan.notice:
+                    self._log(self._reloader.plan.notice)
                 if self._compile(stopping):
                     self._start()
                     self._loop(stopping)
@@ -224,8 +237,8 @@ class Daemon:
 
     def _update_state(self, now: float) -> None:
         """Update the state. Without frames, stop the pointer and the requests that need one."""
-        if self._setup.replay is not None and self._setup.replay.paused != bool(self._monitor.paused):
-            self._pause(self._setup.replay.paused)
+        if self._setup.replay is not None:  # it also pauses itself, at its end and for a step
+            self._monitor.paused = _PAUSED if self._setup.replay.paused else ""
         if self._monitor.update(now):
             self._outputs.end_prediction(now)
             self.adapter.interrupted(self._monitor.reason)
@@ -355,6 +368,8 @@ class Daemon:
             self._reloader.set(request.assignments, pending)
         elif isinstance(request, Profile):
             self._reloader.profile(request.name, pending)
+        elif isinstance(request, Save):
+            self._reloader.save(request, pending)
         elif isinstance(request, Record):
             self._record(request, pending)
         elif isinstance(request, Snapshot):
@@ -414,11 +429,12 @@ class Daemon:
         replay.control(controls, steps=int(request.step), rewind=request.rewind)
 
     def _pause(self, paused: bool) -> None:
-        if self._setup.replay is not None and self._setup.replay.paused != paused:
+        if self._setup.replay is not None:
             self._setup.replay.pause(paused)
-        self._monitor.paused = "by `spheremouse ctl pause`; `resume` ends it" if paused else ""
-        if paused:
-            self._outputs.pause(True)
+        else:
+            self._monitor.paused = _PAUSED if paused else ""
+            if paused:
+                self._outputs.pause(True)
         self._update_state(time.monotonic())
         if not paused:  # log the state before anything moves
             self._outputs.pause(False)
@@ -474,6 +490,7 @@ class Daemon:
             config=_absolute(overrides.file),
             changes=list(overrides.changes),
             given=list(given(overrides)),
+            saved=None if overrides.saved is None else list(plan.saved),
             rig=_absolute(plan.rig_path),
             map=_absolute(plan.map_path),
             recording=self._archive.status(),

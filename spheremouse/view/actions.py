@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 
 from spheremouse.errors import ConfigurationError, ControlError, printable
 from spheremouse.files.edit import save_settings
-from spheremouse.files.exchange import read_settings, settings_text
+from spheremouse.files.exchange import read_settings, settings_text, values_of
 from spheremouse.files.figures import read_figures
-from spheremouse.files.yaml import parse_value
 from spheremouse.session.control.client import Client, settings_to_save
 from spheremouse.session.process import child
 from spheremouse.view.daemon import Daemon, Values
@@ -100,17 +99,19 @@ class Actions:
         return await self.set(values, f"{name} {time.monotonic()}")
 
     def _save(self) -> str:
-        """Write what was set into the daemon's configuration file, with this process's rights."""
+        """Have the daemon save what was set, or write it into its configuration file with this process's rights."""
         with Client(self._daemon.socket) as client:
-            file, changes = settings_to_save(client)
-        pairs = [change.partition("=") for change in changes]
-        values = {tuple(key.strip().split(".")): parse_value(text, key) for key, _, text in pairs}
-        if not values:
+            place = settings_to_save(client)
+            if place is None:
+                return _message(client.ask("save"), "Saved.")
+        file, changes = place
+        if not changes:
             return "Nothing was set that is not in the file."
+        keyed = {tuple(key.split(".")): value for key, value in values_of(changes).items()}
         try:
-            save_settings(file, values, None)
+            save_settings(file, keyed, None)
         except ConfigurationError as e:
-            raise ControlError(f"{e}", "as root: spheremouse ctl save") from None
+            raise ControlError(f"{e}", "while a recording plays, go back to the camera first") from None
         return f"{file}: saved {', '.join(changes)}"
 
     async def _run(self, *words: str, codes: tuple[int, ...] = (0,)) -> dict[str, Any]:

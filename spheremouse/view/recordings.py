@@ -7,8 +7,8 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from spheremouse.errors import ControlError, printable
+from spheremouse.files.exchange import values_of
 from spheremouse.files.listing import Listed, list_recordings
-from spheremouse.files.yaml import parse_value
 from spheremouse.session.control.client import NoDaemonError
 from spheremouse.session.replay import ReplayProcess
 from spheremouse.view.daemon import Daemon, Message
@@ -54,9 +54,9 @@ class Recordings:
         self.end()
         with contextlib.suppress(NoDaemonError):
             present = (await self._daemon.ask("status"))["changes"]
-            new = [change.partition("=") for change in changes if change not in present]
+            new = values_of(change for change in changes if change not in present)
             if new:
-                await self._daemon.set({key: parse_value(text, key) for key, _, text in new}, "replay")
+                await self._daemon.set(new, "replay")
         return "The page shows the camera."
 
     def end(self) -> None:
@@ -97,13 +97,16 @@ class Recordings:
         return reason
 
     def _options(self, recording: Listed) -> list[str]:
-        """Return the daemon's configuration file, the settings of its command line, and another tracker if needed."""
+        """Return configuration file, saved settings and command line's settings of the daemon, and another tracker."""
         status, values = self._daemon.status or {}, self._daemon.values()["values"]
         config, given = status.get("config"), [key for key in status.get("given") or [] if key in values]
         words = [] if config is None else ["--config", str(config)]
-        for key in given:
-            if key != "wand.balls" and key.partition(".")[0] not in _OF_THE_COMPUTER:
-                words += ["--set", f"{key}={json.dumps(values[key])}"]
+        for assignment in (*(status.get("saved") or ()), *(f"{key}={json.dumps(values[key])}" for key in given)):
+            if (
+                not assignment.startswith("wand.balls=")
+                and assignment.split("=")[0].split(".")[0] not in _OF_THE_COMPUTER
+            ):
+                words += ["--set", assignment]
         if (status.get("tracker") == "wand") != recording.wand:
             words += ["--tracker", "wand" if recording.wand else "so3"]
         return words

@@ -359,7 +359,12 @@ def test_a_profile_is_used_by_its_name_and_all_are_listed_without_one(ctl, daemo
 def test_what_was_set_is_saved_into_the_daemons_file_and_its_comments_stay(ctl, daemon, tmp_path):
     file = tmp_path / "config.yaml"
     file.write_text("schema: 2\n# of the hall\nmotion: {scale_y: 3}  # steep\n")
-    daemon.status = {**daemon.status, "config": str(file), "changes": ["motion.scale_x=2", "pointer.rate = 500"]}
+    daemon.status = {
+        **daemon.status,
+        "saved": None,
+        "config": str(file),
+        "changes": ["motion.scale_x=2", "pointer.rate = 500"],
+    }
     code, out, err = ctl("save")
     assert (code, err) == (0, "")
     assert out == f"{file}: saved: motion.scale_x=2, pointer.rate = 500\n"
@@ -372,12 +377,23 @@ def test_what_was_set_is_saved_into_the_daemons_file_and_its_comments_stay(ctl, 
     assert file.read_text() == before
 
 
+def test_a_daemon_with_a_file_of_its_own_saves_there_itself(ctl, daemon, monkeypatch):
+    monkeypatch.setattr(Client, "is_trusted", property(lambda client: False))
+    daemon.status = {**daemon.status, "changes": ["motion.scale_x=2"], "saved": []}
+    for words in (("save",), ("save", "--forget"), ("set", "motion.scale_x=2", "--save")):
+        code, out, err = ctl(*words)
+        assert (code, err) == (0, "")
+        assert out.endswith("saved.yaml: saved: motion.scale_x=2\n")
+    asked = [(r.keys, r.forget) for r in daemon.asked if r.command == "save"]
+    assert asked == [(None, False), (None, True), (("motion.scale_x",), False)]
+
+
 def test_a_server_of_another_user_chooses_neither_the_file_nor_the_settings(ctl, daemon, tmp_path, monkeypatch):
     """A hostile server once put five settings into root's configuration."""
     theirs, ours = tmp_path / "theirs.yaml", tmp_path / "ours.yaml"
     theirs.write_text("schema: 2\n")
     ours.write_text("schema: 2\n")
-    daemon.status = {**daemon.status, "config": str(theirs), "changes": ["motion.scale_y=9"]}
+    daemon.status = {**daemon.status, "saved": None, "config": str(theirs), "changes": ["motion.scale_y=9"]}
     monkeypatch.setattr(Client, "is_trusted", property(lambda client: False))
     for words in (("save",), ("save", "--config", str(ours)), ("set", "motion.scale_x=2", "--save")):
         code, out, err = ctl(*words)
@@ -399,7 +415,7 @@ def test_the_kernel_says_who_runs_the_server(path, daemon, monkeypatch):
 
 @pytest.mark.parametrize("config", [None, "/nowhere/config.yaml"])
 def test_without_a_file_there_is_nowhere_to_save(ctl, daemon, config):
-    daemon.status = {**daemon.status, "config": config}
+    daemon.status = {**daemon.status, "saved": None, "config": config}
     code, out, err = ctl("save")
     assert (code, out) == (1, "")
     assert err == "spheremouse: the daemon has no configuration file; start it with --config FILE to have one\n"
@@ -408,7 +424,13 @@ def test_without_a_file_there_is_nowhere_to_save(ctl, daemon, config):
 def test_set_and_save_in_one_and_what_the_command_line_said_is_refused_before_it_is_set(ctl, daemon, tmp_path):
     file = tmp_path / "config.yaml"
     file.write_text("schema: 2\n# of the hall\n")
-    daemon.status = {**daemon.status, "config": str(file), "changes": ["motion.scale_x=2"], "given": ["motion.scale_y"]}
+    daemon.status = {
+        **daemon.status,
+        "saved": None,
+        "config": str(file),
+        "changes": ["motion.scale_x=2"],
+        "given": ["motion.scale_y"],
+    }
     code, out, err = ctl("set", "motion.scale_x=2", "--save")
     assert (code, err) == (0, "")
     applied = "configuration applied: motion.scale_x 1.0 → 2.0"

@@ -8,7 +8,7 @@ import pytest
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.rig import rig_text
-from spheremouse.session.run_config import CommandLineOverrides, RunConfig, read_run_config, without_map
+from spheremouse.session.run_config import CommandLineOverrides, RunConfig, read_run_config, saved_file, without_map
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.scene import default_scene
 
@@ -100,6 +100,44 @@ def test_where_the_map_is_kept(folder, monkeypatch):
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     assert read_run_config(CommandLineOverrides(config)).map_path == state / "rig.map.yaml"
     assert without_map(read_run_config(CommandLineOverrides(config))).map_path is None
+
+
+def test_saved_settings_come_between_configuration_and_command_line_and_a_broken_file_is_ignored(folder):
+    config, saved = folder / "config.yaml", folder / "saved.yaml"
+    config.write_text(config.read_text() + "motion: {scale_x: 2, scale_y: 2}\n")
+    overrides = CommandLineOverrides(config, ("motion.scale_z=4",), saved=saved)
+    assert read_run_config(overrides).saved == ()
+    saved.write_text("motion: {scale_x: 3, scale_z: 3}\ndiscs: {masks: [[1, 2, 3, 4]]}\n")
+    plan = read_run_config(overrides)
+    motion = plan.configuration.motion
+    assert (motion.scale_x, motion.scale_y, motion.scale_z) == (3.0, 2.0, 4.0)
+    assert (plan.saved, plan.configuration) == (
+        ("motion.scale_x=3", "motion.scale_z=3", "discs.masks=[[1, 2, 3, 4]]"), plan.unchanged,
+    )  # fmt: skip
+    unsaved = read_run_config(replace(overrides, saved=None))
+    for text in (
+        "motion: {scale_x: many}\n",
+        "motion: [",
+        "motion.scale_x\n",
+        "rig: missing.yaml\n",
+        "\xff",
+        "x: " * 99,
+    ):
+        saved.write_text(text, "latin-1")
+        plan = read_run_config(overrides)
+        assert plan.configuration == unsaved.configuration
+        assert plan.notice.startswith("saved settings ignored: ")
+        assert "\n" not in plan.notice
+
+
+def test_a_service_saves_in_its_state_folder_if_it_may_not_write_its_configuration(folder, monkeypatch):
+    config = folder / "config.yaml"
+    assert saved_file(config) is None
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/s:/elsewhere")
+    assert saved_file(config) is None
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    assert saved_file(config) == Path("/var/lib/s/saved.yaml")
+    assert saved_file(None) is None
 
 
 def test_the_camera_file_takes_the_place_of_the_rigs(folder, rig):

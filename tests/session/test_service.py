@@ -75,6 +75,7 @@ def refused(world, command, **arguments):
 
 def test_what_is_answered_has_the_keys_that_the_page_shows(world):
     """docs/control.md, whose examples another test plays with a server that says them."""
+    world.saved = world.folder / "saved.yaml"
     world.start()
     world.reach("tracking")
     shown = {}
@@ -88,6 +89,7 @@ def test_what_is_answered_has_the_keys_that_the_page_shows(world):
         "pause": {},
         "resume": {},
         "set": {"assignments": ["motion.scale_x=2"]},
+        "save": {},
         "record": {"seconds": 60, "folder": "bug-1"},
         "recordTrue": {"stop": True},
         "snapshot": {"file": "bug-1.png"},
@@ -377,6 +379,38 @@ def test_the_changes_of_a_gesture_are_one_line_of_the_log(playing):
     assert [line.rpartition(": ")[2] for line in said(playing, "scale_")] == lines
     change("third", "pointer.smooth=0.25")
     playing.until(lambda: said(playing, "pointer.smooth"))
+
+
+def test_a_service_saves_in_a_file_of_its_own_and_forgets_it(world):
+    world.saved = world.folder / "saved.yaml"
+    before = world.config.read_text()
+    world.start(("motion.scale_z=5",))
+    world.reach("tracking")
+    ask(world, "set", assignments=["motion.scale_x=2", "motion.scale_y=3"])
+    assert ask(world, "save", keys=["motion.scale_x"])["saved"] == ["motion.scale_x=2"]
+    status = ask(world, "status")
+    assert (status["changes"], status["saved"]) == (["motion.scale_y=3"], ["motion.scale_x=2"])
+    ask(world, "save")
+    ask(world, "set", assignments=["motion.scale_x=2.5", "motion.scale_z=2"])
+    assert "motion.scale_z: set on the command line" in refused(world, "save")
+    ask(world, "save", keys=["motion.scale_x"])
+    world.turn(2)
+    assert said(world, "configuration applied: nothing") == []
+    world.stop()
+    world.client.close()
+    world.start()
+    world.reach("tracking")
+    assert said(world, "saved.yaml: in place of the configuration file: motion.scale_x=2.5, motion.scale_y=3")
+    assert ask(world, "status")["saved"] == ["motion.scale_x=2.5", "motion.scale_y=3"]
+    world.turn()
+    follows(world, (2.5, 3, 1))
+    world.saved.write_text("motion: {scale_x: 4}\n")  # as if by hand
+    world.until(lambda: ask(world, "status")["saved"] == ["motion.scale_x=4"])
+    values = ask(world, "save", forget=True)["values"]
+    assert values == {"motion.scale_x": [4.0, 1.0]}
+    assert (world.saved.exists(), ask(world, "status")["saved"]) == (False, [])
+    assert world.config.read_text() == before
+    world.stop()
 
 
 def test_a_change_on_disk_is_picked_up(playing):

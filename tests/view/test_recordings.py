@@ -58,6 +58,13 @@ def test_settings_of_the_daemons_command_line_hold_except_its_devices(tmp_path):
     assert words == SECTION | {CONFIG, ("--set", 'tracker="ekf1"'), ("--set", "so3.acceleration_sigma=3.5")}
 
 
+def test_saved_settings_hold_and_those_of_the_command_line_come_after_them(tmp_path):
+    status = {"saved": ["motion.scale_x=2", "rig=r.yaml"], "given": ["motion.scale_y"], "changes": ["motion.scale_x=3"]}
+    saved, present = compared(tmp_path, status, {"motion.scale_y": 1.5})
+    assert saved == SECTION | {CONFIG, ("--set", "motion.scale_x=2"), ("--set", "motion.scale_y=1.5")}
+    assert present - saved == {("--set", "motion.scale_x=3")}
+
+
 @pytest.mark.parametrize(("tracker", "wand", "other"), [("so3", True, "wand"), ("wand", False, "so3")])
 def test_a_recording_of_the_other_kind_gets_its_own_tracker(tmp_path, tracker, wand, other):
     (words,) = compared(tmp_path, {"tracker": tracker}, wand=wand)

@@ -218,6 +218,21 @@ def test_save_keeps_the_comments_and_export_and_import_are_inverse(world, page):
         assert "the imported file:1" in browser.ask("do", action="import", arguments={"text": "motion: ["})["text"]
 
 
+def test_where_the_daemon_saves_itself_the_page_leaves_it_to_it(film, tmp_path, monkeypatch):
+    world = World(film, tmp_path)
+    monkeypatch.setattr("spheremouse.session.outputs.open_output", world.open_output)
+    world.saved, before = tmp_path / "saved.yaml", world.config.read_text()
+    world.start()
+    world.reach("tracking")
+    with serving(world.socket) as page, Browser(page) as browser:
+        browser.until("hello", lambda m: m["settings"])
+        browser.ask("set", values={"motion.scale_x": 2.0}, gesture="g")
+        assert browser.ask("do", action="save")["message"] == f"{world.saved}: saved: motion.scale_x=2.0"
+        browser.until("status", lambda m: m["status"]["saved"] and not m["status"]["changes"])
+    assert world.config.read_text() == before
+    world.stop()
+
+
 def test_a_stranger_sees_a_masked_picture_and_changes_nothing(world, page):
     with Browser(page, owner=False) as stranger, Browser(page) as owner:
         assert stranger.until("hello")["owner"] is False

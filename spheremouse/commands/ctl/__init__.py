@@ -83,12 +83,13 @@ def set_(
 
     Prints each old and new value. The daemon refuses what cannot take effect. `save` keeps the changes.
     """
-    file = _file_to_write(socket, config, assignments)[0] if keep else None
+    place = _file_to_write(socket, config, assignments) if keep else None
     reply = _ask(socket, "set", assignments=assignments)
     if not as_json:
         _report(reply, False, "set")
-    if file is not None:
-        saved = _write(file, assignments)
+    if keep:
+        keys = [assignment.partition("=")[0].strip() for assignment in assignments]
+        saved = _ask(socket, "save", keys=keys) if place is None else _write(*place)
         reply |= saved
         if not as_json:
             _report(saved, False, _saved_words(saved), "file")
@@ -133,16 +134,26 @@ def profile(
 
 
 @app.command()
-def save(config: _Config = None, as_json: _Json = False, socket: Socket = None) -> None:
-    """Write what was set into the daemon's configuration file. Comments stay, and it holds at the next start."""
-    file, changes = _file_to_write(socket, config)
-    saved = _write(file, changes)
+def save(
+    config: _Config = None,
+    forget: Annotated[
+        bool, typer.Option("--forget", help="Remove what the system's service saved, and read its configuration again.")
+    ] = False,
+    as_json: _Json = False,
+    socket: Socket = None,
+) -> None:
+    """Write what was set into the daemon's configuration file. Comments stay, and it holds at the next start.
+
+    The system's service may not write there. It saves in its state folder, which overrides the configuration file.
+    """
+    place = None if forget else _file_to_write(socket, config)
+    saved = _ask(socket, "save", forget=forget or None) if place is None else _write(*place)
     _report(saved, as_json, _saved_words(saved), "file")
 
 
 def _file_to_write(
     socket: Path | None, config: Path | None, assignments: list[str] | None = None
-) -> tuple[Path, list[str]]:
+) -> tuple[Path, list[str]] | None:
     """Return the file for settings, and the settings, as `settings_to_save`."""
     from spheremouse.session.control.client import Client, settings_to_save
 
@@ -163,7 +174,7 @@ def _write(file: Path, changes: list[str]) -> dict[str, Any]:
 
 
 def _saved_words(saved: dict[str, Any]) -> str:
-    return f"saved: {', '.join(saved['saved'])}" if saved["saved"] else "nothing was set that is not in it"
+    return f"saved: {', '.join(saved['saved'])}" if saved.get("saved") else "nothing was set that is not in it"
 
 
 @app.command(epilog="Example: spheremouse ctl record --seconds 60")

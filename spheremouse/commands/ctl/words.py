@@ -50,6 +50,8 @@ def status_table(s: StatusReport) -> Panel:
     rows.add_row("motion", _motion(s))
     if s.changes:
         rows.add_row("set", _text(f"{', '.join(s.changes)} (until the next start; `ctl save` keeps it)"))
+    if s.saved:
+        rows.add_row("saved", _text(f"{', '.join(s.saved)} (`ctl save --forget` goes back to the configuration file)"))
     for output in s.outputs or ():
         rows.add_row("output", _output(output, s.reason))
     source = s.source or SourceStatus()

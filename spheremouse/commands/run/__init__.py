@@ -103,7 +103,7 @@ def run(
     --tracker wand tracks a ball in a hand. It needs a camera file and no rig, moves the pointer as the ball turns, and
     writes position and attitude as text.
     """
-    from spheremouse.session.run_config import CommandLineOverrides, check_kinds, read_run_config
+    from spheremouse.session.run_config import CommandLineOverrides, check_kinds, read_run_config, saved_file
 
     said = [] if tracker is None else [f"tracker={tracker}"]
     overrides = CommandLineOverrides(
@@ -116,6 +116,7 @@ def run(
         map_file,
         no_map,
         tuple(balls or ()),
+        saved=None if replay else saved_file(config),
     )
     plan = read_run_config(overrides)
     check_kinds(plan)

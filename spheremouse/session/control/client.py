@@ -235,25 +235,27 @@ class Client:
 
 def settings_to_save(
     client: Client, config: Path | None = None, assignments: list[str] | None = None
-) -> tuple[Path, list[str]]:
+) -> tuple[Path, list[str]] | None:
     """Return the file for settings, and the settings as KEY=VALUE: `assignments`, or None for those of the daemon.
 
-    A server that another user runs may report any file and any setting, so its word counts for neither. Raises
-    ControlError if nothing can be saved.
+    Returns None if the daemon saves them itself, unless `config` names a file. A server that another user runs may
+    report any file and any setting, so its word counts for neither. Raises ControlError if nothing can be saved.
     """
     status = client.status()
-    if not client.is_trusted and (config is None or assignments is None):
-        raise ControlError(
-            f"{client.path}: another user runs the daemon, so name settings and file yourself: "
-            "spheremouse ctl set KEY=VALUE --save --config FILE"
-        )
     changes = status.changes or [] if assignments is None else assignments
-    file = config or (None if status.config is None else Path(status.config))
-    if file is None or not file.is_file():
-        raise ControlError("the daemon has no configuration file; start it with --config FILE to have one")
     keys = [assignment.partition("=")[0].strip() for assignment in changes]
     given = [key for key in keys if key in (status.given or ())]
     if given:
         words = f"{', '.join(given)}: set on the daemon's command line, which overrides the file; leave it out there"
         raise ControlError(words)
+    if config is None and status.saved is not None:
+        return None
+    if not client.is_trusted and (config is None or assignments is None):
+        raise ControlError(
+            f"{client.path}: another user runs the daemon, so name settings and file yourself: "
+            "spheremouse ctl set KEY=VALUE --save --config FILE"
+        )
+    file = config or (None if status.config is None else Path(status.config))
+    if file is None or not file.is_file():
+        raise ControlError("the daemon has no configuration file; start it with --config FILE to have one")
     return file, changes

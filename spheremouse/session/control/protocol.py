@@ -70,6 +70,7 @@ class Request(BaseModel):
         "watch",
         "pictures",
         "replay",
+        "save",
     ]
     id: Id | None = None
 
@@ -87,6 +88,15 @@ class Profile(Request):
     """Use a profile of the configuration file until the next start or reload, in place of all changes by `set`."""
 
     name: str | None = Field(default=None, max_length=50, description="leave it out for the list of profiles")
+
+
+class Save(Request):
+    """Keep what was set, in the service's own file beside its state. Only the daemon's user and root may."""
+
+    keys: tuple[Annotated[str, Field(max_length=200)], ...] | None = Field(
+        default=None, max_length=50, description="leave it out for all that was set"
+    )
+    forget: bool = Field(default=False, description="true removes the file and reads the configuration again")
 
 
 class Record(Request):
@@ -133,6 +143,7 @@ _REQUESTS: dict[str, type[Request]] = {
     **dict.fromkeys(("status", "settings", "scene", "reinit", "pause", "resume", "reload", "stop"), Request),
     "set": Set,
     "profile": Profile,
+    "save": Save,
     "record": Record,
     "snapshot": Snapshot,
     "watch": Watch,

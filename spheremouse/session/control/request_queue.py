@@ -38,7 +38,7 @@ class PendingRequest:
         """Requests of one kind exclude each other."""
         if isinstance(self.request, Record) and self.request.stop:
             return _STOP
-        return "load" if self.request.command in ("set", "profile", "reload") else self.request.command
+        return "load" if self.request.command in ("set", "profile", "save", "reload") else self.request.command
 
     def answer(self, message: dict[str, Any]) -> None:
         """Send the reply, and let the next request of this kind begin. From any thread."""

@@ -28,6 +28,7 @@ from spheremouse.session.control.protocol import (
     MAX_LINE,
     BadRequestError,
     Request,
+    Save,
     Set,
     Watch,
     done,
@@ -384,6 +385,8 @@ class _Client:
 
 
 def _check_rights(trusted: bool, request: Request) -> None:
+    if isinstance(request, Save) and not trusted:
+        raise BadRequestError("save: only the daemon's own user and root may", request.id)
     if trusted or not isinstance(request, Set):
         return
     for assignment in request.assignments:

@@ -166,6 +166,7 @@ class StatusReport(TrackerStatus):
     config: Text | None = None
     changes: list[Text] | None = None
     given: list[Text] | None = None
+    saved: list[Text] | None = None  # None: the daemon keeps no file of saved settings
     rig: Text | None = None
     map: Text | None = None
     recording: RecordingStatus | None = None

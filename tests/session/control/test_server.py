@@ -402,6 +402,8 @@ def test_members_may_set_parameters_but_not_what_the_daemon_opens(serve, path, m
             reply["error"]
             == f"set: {key} names a file or device that the daemon opens; only its own user and root may set it"
         )
+    reply = wire.ask('{"command": "save"}\n')
+    assert reply["error"] == "save: only the daemon's own user and root may"
     assert asked == [("motion.scale_x=2",)]
     as_peer(monkeypatch, os.geteuid())
     assert Wire(path).ask('{"command": "set", "assignments": ["output=null"]}\n') == {"ok": True}
