@@ -3,8 +3,9 @@
 A daemon tracks a simulated ball, 640x480 at 60 Hz, from a camera that sends MJPEG. Browsers ask for pictures as fast as
 they get them. The table has, for each number of them, the pictures a second that each gets, the processor time of the
 page process as a part of a core, and its resident memory, with pages of files. Then N connections are opened and
-dropped, every second one without reading. The last lines have the time until the first picture: after opening, while
-nobody looks, and after another page process begins to start.
+dropped, every second one without reading. Before, a browser asks for pictures and reads none. The last lines have the
+time until the first picture: after opening, while nobody looks, and after another page process begins to start; and the
+daemon's latency during each row.
 """
 
 import argparse
@@ -18,6 +19,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
 import simplejpeg
 from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
@@ -32,6 +34,7 @@ from tests.daemon_process import Camera, RawFrame
 from tests.live_cost import serve
 
 SETTLE = 5.0  # s after a change, in which links and leases begin or end
+UNREAD = 60.0  # s in which a browser does not read
 QUALITY = 85  # of the camera's MJPEG
 
 
@@ -156,14 +159,33 @@ async def flood(page: Page, connections: int) -> list[str]:
     return ["-", "-", f"{after:.0f} MB ({after - before:+.1f} MB)", f"{most:.0f} MB"]
 
 
-async def table(page: Page, seconds: float, connections: int) -> None:
-    """Print the table."""
+async def unread(page: Page, seconds: float) -> list[str]:
+    """Ask for 15 pictures a second, and read none. Return cells as `measure`."""
+    before = during = page.memory()[0]
+    with contextlib.suppress(WebSocketException):
+        async with page.browser() as browser:
+            browser.transport.pause_reading()
+            end = time.monotonic() + seconds
+            while time.monotonic() < end:
+                await browser.send('{"type":"next"}')
+                await asyncio.sleep(1 / 15)
+                during = page.memory()[0]
+            browser.transport.abort()
+    await asyncio.sleep(SETTLE)
+    return ["-", "-", f"{during:.0f} MB ({during - before:+.1f} MB)", f"{page.memory()[1]:.0f} MB"]
+
+
+async def table(page: Page, seconds: float, connections: int, periods: dict[str, tuple[float, float]]) -> None:
+    """Print the table. Add the begin and the end of each row to `periods`."""
     print("| browsers | pictures/s | of a core | memory | at most |\n| --- | --- | --- | --- | --- |")
     rows = {"none": [], "one owner": [True], "two owners": [True, True], "one visitor, masked": [False]}
-    for name, owners in rows.items():
-        print(f"| {name} | {' | '.join(await measure(page, owners, seconds))} |", flush=True)
-    if connections:
-        print(f"| {connections:,} connections | {' | '.join(await flood(page, connections))} |", flush=True)
+    work = {name: measure(page, owners, seconds) for name, owners in rows.items()}
+    work[f"one that never reads, {UNREAD:g} s"] = unread(page, UNREAD)
+    work[f"{connections:,} connections"] = flood(page, connections)
+    for name, cells in work.items():
+        begun = time.monotonic()
+        print(f"| {name} | {' | '.join(await cells)} |", flush=True)
+        periods[name] = begun, time.monotonic()
 
 
 def main() -> None:
@@ -181,7 +203,8 @@ def main() -> None:
         daemon = subprocess.Popen([sys.executable, "-m", "tests.view_cost", "--serve", name], stdout=subprocess.DEVNULL)
         wait_for_tracking(path)
         page = Page(Path(name), path)
-        asyncio.run(table(page, given.seconds, given.connections))
+        periods: dict[str, tuple[float, float]] = {}
+        asyncio.run(table(page, given.seconds, given.connections, periods))
         times = asyncio.run(openings(page))
         print(f"\nfirst picture {times[len(times) // 2]:.2f} s after opening, at most {times[-1]:.2f} s")
         page.process.terminate()
@@ -194,6 +217,10 @@ def main() -> None:
         page.process.terminate()
         Client(path).ask("stop")
         daemon.wait(60.0)
+        stamps, latency = np.load(Path(name) / "times.npy").T
+        for row, (begun, ended) in periods.items():
+            own = latency[(stamps >= begun) & (stamps < ended)]
+            print(f"99 % of the tracker's latency, {row}: {1e3 * np.percentile(own, 99):.2f} ms")
 
 
 if __name__ == "__main__":

@@ -99,8 +99,16 @@ class Service(Server):
         with (folder / "config.yaml").open("a") as file:
             file.write(SETTINGS)
         shutil.copytree(HERE / "data/far26_clip", folder / "clip")
-        self._daemon = start(__file__, folder)
+        self.start_daemon()
         self.start_page()
+
+    def start_daemon(self):
+        """Start the daemon."""
+        self._daemon = start(__file__, self.folder)
+
+    def end_daemon(self):
+        """End the daemon."""
+        end(self._daemon)
 
     def status(self):
         """Return the daemon's status as a dictionary; empty if none answers."""
@@ -125,7 +133,7 @@ class Service(Server):
     def close(self):
         """End both processes."""
         self.end_page()
-        end(self._daemon)
+        self.end_daemon()
 
 
 def main(folder):

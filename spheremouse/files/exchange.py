@@ -11,7 +11,30 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files import safe_files
 from spheremouse.files.config import to_yaml
 from spheremouse.files.edit import put
-from spheremouse.files.yaml import MAX_BYTES, SCHEMAS, parse_bytes, parse_value
+from spheremouse.files.validate import nearest
+from spheremouse.files.yaml import SCHEMAS, Document, parse_value, read_document
+
+Settings = Iterable[Mapping[str, Any]]  # with `key`, `value` and `default`, as the daemon describes its settings
+
+
+def exported(settings: Settings) -> str:
+    """Return the settings that differ from their defaults, as the text of a configuration file."""
+    return settings_text({about["key"]: about["value"] for about in settings if about["value"] != about["default"]})
+
+
+def imported(settings: Settings, document: Document) -> dict[str, Any]:
+    """Return the values of a document, by dotted key, that are not in force."""
+    known = {about["key"]: about["value"] for about in settings}
+    return {key: v for key, v in read_settings(document).items() if key not in known or known[key] != v}
+
+
+def defaults(settings: Settings, keys: Iterable[str]) -> dict[str, Any]:
+    """Return the defaults of settings, by dotted key. Raises ConfigurationError for a key that is not there."""
+    known = {about["key"]: about["default"] for about in settings}
+    unknown = [key for key in keys if key not in known]
+    if unknown:
+        raise ConfigurationError(f"{unknown[0]}: unknown setting", nearest(unknown[0], list(known)))
+    return {key: known[key] for key in keys}
 
 
 def settings_text(values: Mapping[str, Any]) -> str:
@@ -21,17 +44,16 @@ def settings_text(values: Mapping[str, Any]) -> str:
         put(sections, tuple(key.split(".")), value)
     text = io.StringIO()
     yaml = YAML(typ="safe", pure=True)
-    yaml.default_flow_style = False
+    yaml.default_flow_style = yaml.representer.sort_base_mapping_type_on_output = False
     yaml.dump({"schema": SCHEMAS["configuration"], **sections}, text)
     return text.getvalue()
 
 
-def read_settings(text: str, name: str = "the imported file") -> dict[str, Any]:
-    """Return the settings, by dotted key, in the text of a file. Raises ConfigurationError with its name and line."""
-    data = parse_bytes(text.encode(), name).data
-    if not isinstance(data, dict):
-        raise ConfigurationError(f"{name}: has no settings", "export one to see its form")
-    return dict(_flat({k: v for k, v in data.items() if k not in ("schema", "profiles")}))
+def read_settings(document: Document) -> dict[str, Any]:
+    """Return the settings of a document, by dotted key. Raises ConfigurationError if it has none."""
+    if not isinstance(document.data, dict):
+        raise ConfigurationError(f"{document.name}: has no settings", "export one to see its form")
+    return dict(_flat({k: v for k, v in document.data.items() if k not in ("schema", "profiles")}))
 
 
 def values_of(assignments: Iterable[str]) -> dict[str, Any]:
@@ -42,12 +64,7 @@ def values_of(assignments: Iterable[str]) -> dict[str, Any]:
 
 def read_saved(path: Path) -> tuple[str, ...]:
     """Return the settings of a file as KEY=VALUE; none without a file. Raises ConfigurationError if it is invalid."""
-    try:
-        found = read_settings(safe_files.read_text(path, MAX_BYTES, "settings"), str(path))
-    except FileNotFoundError:
-        return ()
-    except (OSError, UnicodeError) as e:
-        raise ConfigurationError(f"{path}: cannot be read ({e})") from None
+    found = read_settings(read_document(path)) if path.exists() else {}
     return tuple(f"{key}={to_yaml(value)}" for key, value in found.items())
 
 

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from spheremouse.errors import ConfigurationError
 from spheremouse.files import plain_json
 from spheremouse.files.safe_files import read_bytes
 
@@ -20,9 +21,12 @@ def read_figures(folders: Sequence[Path]) -> list[dict[str, Any]]:
     """Return the figures in these folders: `file`, `kind`, `date`, `rows`, `photos` and `advice`, or `problem`.
 
     A photo has `file`, `rms_px`, `points` and the reason `why` it is left out. A JSON file of another kind counts as a
-    report if it has the name of a YAML file. Raises OSError if a folder cannot be read.
+    report if it has the name of a YAML file. Raises ConfigurationError if a folder cannot be read.
     """
-    files = {path.resolve() for folder in folders if folder.is_dir() for path in folder.glob("*.json")}
+    try:
+        files = {path.resolve() for folder in folders if folder.is_dir() for path in folder.glob("*.json")}
+    except OSError as e:
+        raise ConfigurationError(f"{e.filename}: cannot be read ({e.strerror})") from None
     found = [_read(path) for path in sorted(files)[:_MAX_FILES]]
     return [each for each in found if "problem" not in each or Path(each["file"]).with_suffix(".yaml").exists()]
 

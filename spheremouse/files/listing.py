@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from spheremouse.errors import ConfigurationError
 from spheremouse.files import plain_json
 from spheremouse.files.safe_files import read_bytes
 
@@ -25,13 +26,16 @@ class Listed(NamedTuple):
 def list_recordings(folders: Sequence[Path]) -> list[Listed]:
     """Return the recordings in these folders, the newest first. Of two with the same name, the first folder's counts.
 
-    Raises OSError if a folder cannot be read.
+    Raises ConfigurationError if a folder cannot be read.
     """
     found: dict[str, Path] = {}
-    for folder in folders:
-        for path in folder.iterdir() if folder.is_dir() else ():
-            if not path.name.startswith(".") and (path / "scene.json").is_file():
-                found.setdefault(path.name, path)
+    try:
+        for folder in folders:
+            for path in folder.iterdir() if folder.is_dir() else ():
+                if not path.name.startswith(".") and (path / "scene.json").is_file():
+                    found.setdefault(path.name, path)
+    except OSError as e:
+        raise ConfigurationError(f"{e.filename}: cannot be read ({e.strerror})", "add yourself to its group") from None
     newest = sorted(found.values(), key=lambda path: path.stat().st_mtime, reverse=True)
     return [_read(path) for path in newest[:_MAX_LISTED]]
 

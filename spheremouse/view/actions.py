@@ -9,9 +9,11 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from spheremouse.errors import ConfigurationError, ControlError, printable
+from spheremouse.files.calibration_folder import default_folder
 from spheremouse.files.edit import save_settings
-from spheremouse.files.exchange import read_settings, settings_text, values_of
+from spheremouse.files.exchange import defaults, exported, imported, values_of
 from spheremouse.files.figures import read_figures
+from spheremouse.files.yaml import parse_bytes
 from spheremouse.session.control.client import Client, settings_to_save
 from spheremouse.session.process import child
 from spheremouse.view.daemon import Daemon, Values
@@ -26,7 +28,6 @@ _WORDS = {
     "reload": "Configuration read again.",
     "undo": "Undone.",
 }
-_MAX_IMPORTED = 50  # settings, as many as a request takes
 
 
 class Done(NamedTuple):
@@ -51,12 +52,10 @@ class Actions:
         """Carry out an action by its name. Raises ControlError if it is refused or unknown."""
         if action in _REQUESTS:
             return Done(_message(await self._daemon.ask(action, **arguments), _WORDS.get(action, "Done.")))
-        if action == "stop-record":
-            return Done(_message(await self._daemon.ask("record", stop=True), "The recording has ended."))
         if action == "undo":
             return Done(_message(await self._daemon.undo(), _WORDS["undo"]))
         if action == "reset":
-            return await self._set_all(self._daemon.defaults(arguments.get("keys", [])), "reset")
+            return await self._set_all(defaults(self._daemon.settings, arguments.get("keys", [])), "reset")
         if action == "save":
             return Done(await asyncio.to_thread(self._save))
         if action == "doctor":
@@ -75,27 +74,21 @@ class Actions:
         if action == "guide":
             return Done(data=await self._guide.do(str(arguments.get("do", "steps")), arguments))
         if action == "export":
-            return Done(data={"text": settings_text(self._daemon.changed())})
+            return Done(data={"text": exported(self._daemon.settings)})
         if action == "import":
-            return await self._set_all(self._daemon.differing(read_settings(str(arguments.get("text", "")))), "import")
+            document = parse_bytes(str(arguments.get("text", "")).encode(), "the imported file")
+            return await self._set_all(imported(self._daemon.settings, document), "import")
         raise ControlError(f"{action}: there is no such action")
 
     async def _calibration(self) -> dict[str, Any]:
         """Return the reports beside the rig and in the folder of the calibration."""
-        rig, folder = (self._daemon.status or {}).get("rig"), self._guide.folder
-        given = Path("cabinet" if Path("cabinet").is_dir() else "") if folder is None else folder
-        folders = [*([] if rig is None else [Path(rig).parent]), given.absolute()]
-        try:
-            reports = await asyncio.to_thread(read_figures, folders)
-        except OSError as e:
-            raise ControlError(f"{e.filename}: cannot be read ({e.strerror})") from None
-        return {"reports": reports, "folders": [str(f) for f in folders]}
+        rig, folder = (self._daemon.status or {}).get("rig"), self._guide.folder or default_folder()
+        folders = [*([] if rig is None else [Path(rig).parent]), folder.absolute()]
+        return {"reports": await asyncio.to_thread(read_figures, folders), "folders": [str(f) for f in folders]}
 
     async def _set_all(self, values: Values, name: str) -> Done:
         if not values:
             return Done("Nothing differs.")
-        if len(values) > _MAX_IMPORTED:
-            raise ControlError(f"{name}: {len(values)} settings; at most {_MAX_IMPORTED} are changed at once")
         return await self.set(values, f"{name} {time.monotonic()}")
 
     def _save(self) -> str:

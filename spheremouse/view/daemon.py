@@ -10,7 +10,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -81,6 +81,11 @@ class Daemon:
             self._undo.clear()
             self._ended("connecting to the daemon")
 
+    @property
+    def settings(self) -> list[Message]:
+        """The settings in use, with value and default."""
+        return self._described.settings
+
     def hello(self) -> Message:
         """Return settings, profiles, scene and log for a browser."""
         settings, scene, profiles = self._described
@@ -141,23 +146,6 @@ class Daemon:
         await asyncio.sleep(max(0.0, self._next_change - time.monotonic()))
         self._next_change = time.monotonic() + (_REBUILD_INTERVAL if rebuilds else _SET_INTERVAL)
         return await self.ask("set", assignments=[f"{key}={json.dumps(v)}" for key, v in values.items()], **gesture)
-
-    def defaults(self, keys: Iterable[str]) -> Values:
-        """Return the defaults of settings. Raises ControlError if there is no such setting."""
-        known = {about["key"]: about["default"] for about in self._described.settings}
-        unknown = [key for key in keys if key not in known]
-        if unknown:
-            raise ControlError(f"{unknown[0]}: unknown setting")
-        return {key: known[key] for key in keys}
-
-    def changed(self) -> Values:
-        """Return the settings that differ from their defaults."""
-        return {a["key"]: a["value"] for a in self._described.settings if a["value"] != a["default"]}
-
-    def differing(self, values: Values) -> Values:
-        """Return the values that are not in force."""
-        known = {about["key"]: about["value"] for about in self._described.settings}
-        return {key: value for key, value in values.items() if key not in known or known[key] != value}
 
     def _ask(self, command: str, arguments: Message) -> Message:
         with Client(self.socket) as client:

@@ -161,19 +161,14 @@ class Guide:
 
     def _take(self, line: str) -> None:
         """Publish a line of the command: JSON of a frame, or text."""
-        check = _json_object(line)
-        if check is None or "text" in check:
-            self._lines.append(line if check is None else str(check["text"]))
+        try:
+            check = json.loads(line)
+        except ValueError:
+            check = None
+        if not isinstance(check, dict) or "text" in check:
+            self._lines.append(str(check["text"]) if isinstance(check, dict) else line)
         else:
             with contextlib.suppress(OSError):
                 self._state["picture"] = base64.b64encode(self._picture.read_bytes()).decode()
             self._state["check"] = check
         self._publish(self.state())
-
-
-def _json_object(line: str) -> dict[str, Any] | None:
-    try:
-        found = json.loads(line)
-    except ValueError:
-        return None
-    return found if isinstance(found, dict) else None

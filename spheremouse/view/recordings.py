@@ -116,10 +116,7 @@ class Recordings:
         return [*([] if given is None else [Path(given)]), Path.cwd()]
 
     def _found(self) -> dict[str, Listed]:
-        try:
-            return {each.path.name: each for each in list_recordings(self._folders())}
-        except OSError as e:
-            raise ControlError(f"{e.filename}: cannot be read ({e.strerror})", "add yourself to its group") from None
+        return {each.path.name: each for each in list_recordings(self._folders())}
 
     async def _recording(self, name: str) -> Listed:
         """Return the recording of a name in the list. No other path is opened."""

@@ -49,6 +49,7 @@ _PICTURE_TIMEOUT = 0.5  # s; then `next` is answered without a picture
 _REQUEST_TIMEOUT = 5.0  # s in which a connection must request something
 _SEND_TIMEOUT = 30.0  # s in which a browser must read a message
 _LINGER = 3.0  # s after the last browser, in which the link to the daemon stays
+_SHOWN = ("number", "stamp", "width", "height", "annotations")  # of a picture
 _COOKIE_AGE = 365 * 86400  # s
 
 
@@ -147,8 +148,8 @@ class _Browser:
         return json.dumps({**hello, "version": __version__, "owner": self.owner, "tune": tune})
 
     def push(self, kind: str, message: str | bytes) -> None:
-        """Add a message; a newer status replaces one that waits. If too many wait, the oldest is dropped."""
-        if kind in ("status", "values", "scene", "hello", "guide"):
+        """Add a message; a newer status or frame replaces one that waits. If too many wait, the oldest is dropped."""
+        if kind in ("status", "values", "scene", "hello", "guide", "frame"):
             self._waiting = deque((w for w in self._waiting if w[0] != kind), _MAX_WAITING)
         self._waiting.append((kind, message))
         self._has_waiting.set()
@@ -177,9 +178,10 @@ class _Browser:
                 _, message = self._waiting.popleft()
                 if not self._waiting:
                     self._has_waiting.clear()
+                send: Any = self._socket.send_text if isinstance(message, str) else self._socket.send_bytes
                 try:
                     async with asyncio.timeout(_SEND_TIMEOUT):
-                        await self._socket.send({"type": "websocket.send", _form(message): message})
+                        await send(message)
                 except TimeoutError:
                     await self._socket.close(1008, "does not read")
                     return
@@ -189,7 +191,8 @@ class _Browser:
             message = _MESSAGES.validate_json(text)
         except ValidationError as e:
             error = e.errors(include_url=False, include_input=False)[-1]
-            self._answer_trouble(None, f"{'.'.join(map(str, error['loc'][1:])) or 'message'}: {one_line(error['msg'])}")
+            text = f"{'.'.join(map(str, error['loc'][1:])) or 'message'}: {one_line(error['msg'])}"
+            self._answer("trouble", None, text=printable(text))
             return
         if isinstance(message, _Next):
             if self._frame is None or self._frame.done():
@@ -199,9 +202,9 @@ class _Browser:
                 self._frame.cancel()
         elif not self.owner:
             words = "this page only shows; open it with its token, which `spheremouse view --url` prints"
-            self._answer_trouble(message.id, words)
+            self._answer("trouble", message.id, text=words)
         elif len(self._tasks) > 8:  # a browser that asks for more does not wait for answers
-            self._answer_trouble(message.id, "busy: too many requests are under way")
+            self._answer("trouble", message.id, text="busy: too many requests are under way")
         else:
             self._begin(self._carry_out(message))
 
@@ -217,38 +220,23 @@ class _Browser:
                 done = await self._page.actions.set(message.values, message.gesture)
             else:
                 done = await self._page.actions.do(message.action, message.arguments)
-            self.push(
-                "done", json.dumps({"type": "done", "id": message.id, "message": done.message, "data": dict(done.data)})
-            )
+            self._answer("done", message.id, message=done.message, data=dict(done.data))
         except SpheremouseError as e:
-            self._answer_trouble(message.id, str(e))
+            self._answer("trouble", message.id, text=printable(str(e)))
 
-    def _answer_trouble(self, id_: int | None, text: str) -> None:
-        self.push("trouble", json.dumps({"type": "trouble", "id": id_, "text": printable(text)}))
+    def _answer(self, type_: str, id_: int | None, **words: Any) -> None:
+        self.push(type_, json.dumps({"type": type_, "id": id_, **words}))
 
     async def _send_frame(self) -> None:
         """Answer `next` with the next picture, or without one if none comes."""
         shown = await self._page.pictures.after(self._shown, _PICTURE_TIMEOUT)
-        daemon, picture, jpeg = self._page.daemon, None, b""
+        rows, self._rows = self._page.daemon.rows(self._rows)
+        head, jpeg = {"type": "frame", "samples": rows}, b""
         if shown is not None:
-            self._shown, picture = shown, shown.picture
-            jpeg = shown.whole if self.owner else shown.masked
-        rows, self._rows = daemon.rows(self._rows)
-        head = {
-            "type": "frame",
-            "number": picture.number if picture else 0,
-            "stamp": picture.stamp if picture else None,
-            "width": picture.width if picture else 0,
-            "height": picture.height if picture else 0,
-            "annotations": picture.annotations if picture else None,
-            "samples": rows,
-        }
+            self._shown, jpeg = shown, shown.whole if self.owner else shown.masked
+            head |= {name: getattr(shown.picture, name) for name in _SHOWN}
         text = orjson.dumps(head)
         self.push("frame", struct.pack(">I", len(text)) + text + jpeg)
-
-
-def _form(message: str | bytes) -> str:
-    return "text" if isinstance(message, str) else "bytes"
 
 
 def application(socket: Path | None, access: Access, guide: GuideOptions) -> Starlette:

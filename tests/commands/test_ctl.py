@@ -21,6 +21,7 @@ from typer.testing import CliRunner
 
 from spheremouse.commands import ctl as cli_ctl
 from spheremouse.commands.ctl import words as said_of
+from spheremouse.errors import ConfigurationError
 from spheremouse.output import Report
 from spheremouse.output.lines import json_lines
 from spheremouse.output.sample import Sample
@@ -79,7 +80,7 @@ def shown(status, width=80):
 
 
 def test_there_is_a_command_for_every_request():
-    own, of_programs = {"save"}, {"pictures", "scene"}
+    own, of_programs = {"reset", "export", "import"}, {"pictures", "scene"}
     assert set(typer.main.get_group(cli_ctl.app).commands) == {*protocol.COMMANDS, *own} - of_programs
 
 
@@ -351,6 +352,23 @@ def test_a_profile_is_used_by_its_name_and_all_are_listed_without_one(ctl, daemo
     assert ctl("profile") == (0, "doom: motion.scale_x=2\nmenu: motion.scale_x=1\n", "")
     assert ctl("profile", "doom") == (0, "configuration applied: motion.scale_x 1.0 → 2\n", "")
     assert json.loads(ctl("profile", "--json")[1])["profiles"]["menu"] == ["motion.scale_x=1"]
+
+
+def test_export_import_and_reset_set_what_differs(ctl, daemon, tmp_path):
+    assert ctl("export") == (0, "schema: 2\nmotion:\n  scale_x: 2.0\n", "")
+    file = tmp_path / "settings.yaml"
+    file.write_text("motion: {scale_x: 2.0}\n")
+    assert ctl("import", str(file))[:2] == (0, "nothing differs\n")
+    file.write_text("motion: {scale_x: 3.0}\n")
+    for words, value in ((("import", str(file)), 3.0), (("reset", "motion.scale_x"), 1.0)):
+        assert ctl(*words) == (0, f"configuration applied: motion.scale_x 1.0 → {value}\n", "")
+        assert daemon.asked[-1].assignments == (f"motion.scale_x={value}",)
+    daemon.asked.clear()
+    file.write_text("motion: [\n")
+    for words, reason in ((("import", str(file)), "settings.yaml:2"), (("reset", "motion.x"), "unknown setting")):
+        with pytest.raises(ConfigurationError, match=reason):
+            ctl(*words)
+    assert {request.command for request in daemon.asked} == {"settings"}
 
 
 # ---- save ----

@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import time
 
 import numpy as np
 import pytest
@@ -146,16 +147,19 @@ def test_a_gesture_on_a_slider_is_one_step_of_undo(page, service):
 
 def test_the_stage_that_a_setting_changes_is_shown_before_and_now(page, service):
     slider = page.locator('[data-key="discs.contrast"] .slider')
-    slider.focus()
-    page.keyboard.press("ArrowRight")
+    slider.scroll_into_view_if_needed()
+    box = slider.bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.down()
     figures = page.locator(".comparison figure")
     before = figures.first.screenshot()
     words = re.fullmatch(r"Before: (\d+) of (\d+) contours used", figures.first.inner_text())
     assert 0 < int(words[1]) <= int(words[2])
     assert figures.last.inner_text().startswith("Now: ")
-    page.keyboard.press("End")  # of the same gesture: no disc has so much contrast
+    page.mouse.move(box["x"] + box["width"] - 1, box["y"] + box["height"] / 2)  # no disc has so much contrast
     wait_for("fewer contours", lambda: int(re.search(r"\d+", figures.last.inner_text())[0]) < int(words[1]))
     assert figures.first.screenshot() == before
+    page.mouse.up()
     page.locator("#undo").click()
     wait_for("the contours", lambda: int(re.search(r"\d+", figures.last.inner_text())[0]) >= int(words[1]) - 2)
 
@@ -429,15 +433,40 @@ def test_a_hidden_page_asks_for_no_picture(page):
     assert len(sent) == number
 
 
-def test_the_page_comes_back_by_itself_after_a_restart_of_the_page_process(page, service):
+@pytest.fixture
+def searched(page, service):
+    """Return the page with a search, of which the number of hits is checked at the end."""
     choose(page, "Expert")
     page.locator("#search").fill("blobs")
     shown = page.locator("#panel-Expert .setting:visible")
     before = shown.count()
-    service.end_page()
-    page.get_by_text("offline", exact=True).wait_for()
-    assert page.get_by_role("button", name="Snapshot").is_disabled()
-    service.start_page()
-    page.get_by_text("tracking", exact=True).wait_for(timeout=5000)
+    yield page
     assert page.locator("#search").input_value() == "blobs"
     assert shown.count() == before
+
+
+def check_first_picture(page, within=2.0):
+    """Check the time from now to the next picture, s."""
+    begun = time.monotonic()
+    page.locator("#picture-rate", has_text="pictures/s").wait_for()
+    assert time.monotonic() - begun <= within
+
+
+def test_the_picture_is_back_two_seconds_after_another_page_process_answers(searched, service):
+    service.end_page()
+    searched.get_by_text("offline", exact=True).wait_for()
+    assert searched.get_by_role("button", name="Snapshot").is_disabled()
+    service.start_page()
+    check_first_picture(searched)
+    searched.get_by_text("tracking", exact=True).wait_for()
+
+
+@pytest.mark.slow
+def test_the_picture_is_back_two_seconds_after_another_service_tracks(searched, service):
+    service.end_daemon()
+    searched.get_by_text("offline", exact=True).wait_for()
+    searched.locator("#picture-rate", has_text="no picture").wait_for()
+    service.start_daemon()
+    service.reach(state="tracking")
+    check_first_picture(searched)
+    searched.get_by_text("tracking", exact=True).wait_for()

@@ -193,7 +193,7 @@ def test_buttons_do_what_ctl_does(world, page):
         assert browser.ask("do", action="resume")["message"] == "Resumed."
         assert browser.ask("do", action="snapshot")["message"].endswith(".png")
         assert "recording" in browser.ask("do", action="record")["message"]
-        assert "nothing" not in browser.ask("do", action="stop-record")["message"]
+        assert "nothing" not in browser.ask("do", action="record", arguments={"stop": True})["message"]
         assert browser.ask("do", action="reinit")["message"].startswith("camera pose")
         assert "no such action" in browser.ask("do", action="rm")["text"]
 

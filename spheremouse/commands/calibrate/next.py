@@ -34,7 +34,7 @@ def next_(
     It reads the folder alone, so you can leave a calibration at any time and continue it later.
     """
     from spheremouse.calibrate.guide.checklist import checklist
-    from spheremouse.calibrate.guide.folder import default_folder
+    from spheremouse.files.calibration_folder import default_folder
     from spheremouse.files.safe_files import write_atomically
 
     if json_file is not None and json_file != Path("-") and not json_file.parent.is_dir():

@@ -111,6 +111,47 @@ def settings(as_json: _Json = False, socket: Socket = None) -> None:
     Console(highlight=False).print(settings_table(reply))
 
 
+@app.command()
+def reset(
+    keys: Annotated[list[str], typer.Argument(metavar="KEY...", show_default=False)],
+    as_json: _Json = False,
+    socket: Socket = None,
+) -> None:
+    """Set parameters to their defaults, as `set` does."""
+    from spheremouse.files.exchange import defaults
+
+    _set_all(socket, defaults(_ask(socket, "settings")["settings"], keys), as_json)
+
+
+@app.command()
+def export(socket: Socket = None) -> None:
+    """Print the settings that differ from their defaults, as a configuration file."""
+    from spheremouse.files.exchange import exported
+
+    typer.echo(exported(_ask(socket, "settings")["settings"]), nl=False)
+
+
+@app.command("import")
+def import_(
+    file: Annotated[Path, typer.Argument(metavar="FILE", show_default=False)],
+    as_json: _Json = False,
+    socket: Socket = None,
+) -> None:
+    """Set the parameters in a file that `export` wrote, as `set` does."""
+    from spheremouse.files.exchange import imported
+    from spheremouse.files.yaml import read_document
+
+    _set_all(socket, imported(_ask(socket, "settings")["settings"], read_document(file)), as_json)
+
+
+def _set_all(socket: Path | None, values: dict[str, Any], as_json: bool) -> None:
+    if not values:
+        typer.echo("nothing differs")
+        return
+    assignments = [f"{key}={json.dumps(value)}" for key, value in values.items()]
+    _report(_ask(socket, "set", assignments=assignments), as_json, "set")
+
+
 @app.command(epilog="Example: spheremouse ctl profile doom")
 def profile(
     name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Of the configuration's `profiles`.")] = None,

@@ -3,7 +3,7 @@
 /** @typedef {import("./types.js").Frame} Frame */
 /** @typedef {import("./types.js").Done} Done */
 
-const RETRY_MS = [100, 250, 500, 1000];
+const RETRY_MS = [100, 250, 500];
 const ANSWER_MS = 65000; // the daemon answers within 60 s
 const PICTURE_MS = 2000; // the page process answers `next` within 0.5 s
 

@@ -165,7 +165,7 @@ function advice(now) {
 
 byId("reinit", HTMLElement).addEventListener("click", () => void perform("reinit"));
 byId("pause", HTMLElement).addEventListener("click", () => void perform(status?.paused ? "resume" : "pause"));
-byId("record", HTMLElement).addEventListener("click", () => void perform(status?.recording ? "stop-record" : "record"));
+byId("record", HTMLElement).addEventListener("click", () => void perform("record", status?.recording ? { stop: true } : {}));
 byId("snapshot", HTMLElement).addEventListener("click", () => void perform("snapshot"));
 
 /** @type {[name: string, element: HTMLElement, wide: boolean][]} */

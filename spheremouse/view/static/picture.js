@@ -45,14 +45,15 @@ export class Picture {
    * @param {ImageBitmap | null} bitmap
    */
   take(frame, bitmap) {
-    if (!bitmap) return;
+    const { width, height } = frame;
+    if (!bitmap || !width || !height) return;
     this.#bitmap?.close();
     this.#bitmap = bitmap;
     this.#annotations = frame.annotations ?? {};
-    [this.view.width, this.view.height] = [frame.width, frame.height];
+    [this.view.width, this.view.height] = [width, height];
     const used = this.#annotations.detected?.filter((d) => d.used) ?? [];
     this.#trail = [...this.#trail.slice(1 - TRAIL), used.map((d) => /** @type {Point} */ ([d.x, d.y]))];
-    this.canvas.style.setProperty("--ratio", `${frame.width} / ${frame.height}`);
+    this.canvas.style.setProperty("--ratio", `${width} / ${height}`);
     this.draw();
   }
 

@@ -30,11 +30,11 @@
  * @property {{code: string, x: number, y: number, radius: number}[]} [strangers]
  *
  * @typedef {object} Frame
- * @property {number} number
- * @property {number} stamp s
- * @property {number} width px
- * @property {number} height px
- * @property {Annotations | null} annotations
+ * @property {number} [number] with `stamp` in s, size in px and annotations, if it has a picture
+ * @property {number} [stamp]
+ * @property {number} [width]
+ * @property {number} [height]
+ * @property {Annotations} [annotations]
  * @property {any[][]} samples stamp, ball, confirmed, quaternion (4), rate (3), sigma (3), counts (3), latency, discs, position (3)
  *
  * @typedef {object} Scene
