@@ -211,7 +211,7 @@ def _predicted(motion: Motion, dt: float, density: float, informed: bool) -> tup
     """
     fading = np.inf if informed and dt <= 0.5 * PERSISTENCE_S else PERSISTENCE_S
     twice = np.tile(motion.covariance, (2, 2))
-    attitude, rate, acceleration, P, _ = so3_motion.predict(*motion[:3], twice, dt, fading, density)
+    attitude, rate, acceleration, P, *_ = so3_motion.predict(*motion[:3], twice, dt, fading, density)
     return Motion(attitude, rate, acceleration, P[:KINEMATIC_DIM, :KINEMATIC_DIM]), P[:KINEMATIC_DIM, KINEMATIC_DIM:]
 
 

@@ -23,11 +23,12 @@ from spheremouse.ball.filters.so3_settings import (
     PERSISTENCE_S,
     So3Settings,
     prior_of_levels,
+    squared_drift,
     squared_levels,
     usual_acceleration,
     variances,
 )
-from spheremouse.ball.filters.so3_state import So3State, augment, delays, drop, inject
+from spheremouse.ball.filters.so3_state import Modes, So3State, augment, delays, drop, inject
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array
 
@@ -76,11 +77,11 @@ class So3Filter:
         return So3State(stamp, attitude, np.zeros(3), np.zeros(3), np.zeros((0, 3)), np.zeros((0, 3, 2)), joint)
 
     def predict(self, state: So3State, stamp: float) -> So3State:
-        """Predict the state for `stamp`, by up to 10 s, with an acceleration without steps.
+        """Predict the state for `stamp`, by up to 10 s, with an acceleration that drifts but makes no step.
 
-        The covariance is that of a ball left alone. `process` and `weights` describe the additional variance of a more
-        active player. If the interval exceeds half the mean time between two steps, the prediction applies this only to
-        the last part. Before that part the acceleration fades (Singer 1970), which is the mean effect of the steps.
+        `process` and `weights` describe the additional variance by steps. If the interval exceeds half the mean time
+        between two steps, the prediction applies this only to the last part. Before that part the acceleration fades
+        (Singer 1970), which is the mean effect of the steps.
         """
         s = self.settings
         dt = float(min(max(stamp - state.stamp, 0.0), _LONGEST))
@@ -89,15 +90,22 @@ class So3Filter:
         weights = state.weights if len(state.weights) else usual
         density = 2.0 * variances(s.acceleration_sigma, s.levels)[0] / PERSISTENCE_S
         attitude, rate, acceleration, joint = state.attitude, state.rate, state.acceleration, state.joint
+        modes = state.modes
         if dt > last:
+            modes = None
             density_of_all = density * float(weights @ squared_levels(s.levels))
-            attitude, rate, acceleration, joint, _ = so3_motion.predict(
+            attitude, rate, acceleration, joint, *_ = so3_motion.predict(
                 attitude, rate, acceleration, joint, dt - last, PERSISTENCE_S, density_of_all
             )
-        attitude, rate, acceleration, joint, process = so3_motion.predict(
-            attitude, rate, acceleration, joint, last, np.inf, density
+        drift = squared_drift(s.levels)
+        noise_scale = 1.0 + float(weights @ drift)
+        attitude, rate, acceleration, joint, process, transition = so3_motion.predict(
+            attitude, rate, acceleration, joint, last, np.inf, noise_scale * density
         )
+        process /= noise_scale
         stay = math.exp(-dt / DWELL_S)
+        if modes is not None:
+            modes = so3_motion.predict_modes(*modes, transition, process, drift, stay, usual)
         return So3State(
             stamp,
             attitude,
@@ -114,11 +122,14 @@ class So3Filter:
             process,
             readout=state.readout,
             interval=last,
+            modes=modes,
         )
 
     def adopt(self, state: So3State, before: "So3Filter") -> So3State:
         """Return the state of the filter `before`. If the levels changed, they start at their prior."""
-        return state if self.settings.levels == before.settings.levels else replace(state, weights=np.zeros(0))
+        return (
+            state if self.settings.levels == before.settings.levels else replace(state, weights=np.zeros(0), modes=None)
+        )
 
     def visible(self, state: So3State) -> NDArray[np.intp]:
         """Indices, (k,), of the discs that face the camera."""
@@ -350,10 +361,15 @@ class So3Filter:
     ) -> tuple[So3State, Array, float]:
         """Return the state after one correction by the points `rows`, the correction, and the log likelihood."""
         steps = state.interval, PERSISTENCE_S, variances(self.settings.acceleration_sigma, self.settings.levels)
-        joint, weights, dx, log_likelihood, nis, level = kernel.correct(
-            state.joint, *innovation, state.rate, state.acceleration, steps, self._level_probabilities(state)
+        joint, modes, weights, dx, log_likelihood, nis, level = kernel.correct(
+            state.joint, *innovation, state.rate, state.acceleration, steps, state.modes or self._one_mode(state)
         )
-        return inject(state, dx, joint, weights, level, rows, float(nis)), dx, log_likelihood
+        return inject(state, dx, joint, weights, level, rows, float(nis), modes), dx, log_likelihood
+
+    def _one_mode(self, state: So3State) -> Modes:
+        """Return the moments of a state without modes, as one mode."""
+        covariance = state.joint[None, 3:KINEMATIC_DIM, 3:KINEMATIC_DIM].copy()
+        return np.zeros((1, KINEMATIC_DIM - 3)), covariance, self._level_probabilities(state)[None]
 
     def innovation(self, state: So3State, points: SpherePoints, pairing: Pairing) -> Innovation:
         """Return for k pairs H, (2k, 9), H @ joint, (2k, 23 + 2m), the innovation, (2k,) rad, and its covariance."""
@@ -455,6 +471,7 @@ def relocate(
         joint=joint,
         weights=np.zeros(0),
         process=np.zeros((KINEMATIC_DIM, KINEMATIC_DIM)),
+        modes=None,
     )
 
 

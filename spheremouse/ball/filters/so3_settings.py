@@ -9,6 +9,7 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.settings import param
 
 PERSISTENCE_S = 0.2  # mean time between two steps of the acceleration: a hand takes hold, lets go or stops the ball
+DRIFT = 0.1  # share of a level by which the acceleration drifts between two steps: no hand pushes evenly
 DWELL_S = 1.0  # mean time at a level of acceleration: a gesture takes about a second
 ESTABLISHED_HITS = 3  # frames in which a disc is seen until it is established
 MAX_TRIAL_MISSES = 3  # frames in which a disc on trial may be missing where it should be
@@ -42,6 +43,12 @@ class So3Settings:
 def squared_levels(levels: tuple[float, ...]) -> Array:
     """Variances of the levels over that of the first, (l,)."""
     return np.square(np.array(levels) / levels[0])
+
+
+@cache
+def squared_drift(levels: tuple[float, ...]) -> Array:
+    """Return the process noise by the drift of the acceleration at each level, (l,), over that of the first level."""
+    return DRIFT**2 * squared_levels(levels)
 
 
 @cache

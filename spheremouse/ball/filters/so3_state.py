@@ -19,6 +19,11 @@ PLACED = 0.1  # rad, standard deviation: a third of the way between neighbours o
 _NO_PROCESS = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
 
+# Hypotheses about a step of the acceleration in the last interval, none or one at each level: mean (j, 6), rad/s and
+# rad/s², of rate and acceleration less those of the state, covariance (j, 6, 6), probability with each level (j, l).
+Modes = tuple[Array, Array, Array]
+
+
 @dataclass(frozen=True, slots=True)
 class So3State:
     """Attitude, rate and map with their joint covariance."""
@@ -42,6 +47,7 @@ class So3State:
     known_seen: int = 0  # discs beyond their trial that took part in the last update
     known_missed: float = 0.0  # discs beyond their trial that should have been detected and were not, expected number
     interval: float = 0.0  # s, of the last prediction, where no update has used it yet
+    modes: Modes | None = None  # of which attitude, rate, acceleration and joint are the moments; None: one
 
     @property
     def is_placed(self) -> bool:
@@ -108,6 +114,7 @@ class So3State:
             self.readout,
             self.known_seen,
             self.known_missed,
+            modes=self.modes,
         )
 
     def with_reference_of(self, other: "So3State") -> "So3State":
@@ -152,6 +159,7 @@ def inject(
     manoeuvre_level: float = 1.0,
     used: NDArray[np.intp] | None = None,
     nis: float = 0.0,
+    modes: Modes | None = None,
 ) -> So3State:
     """Move the state by an error vector, (23 + 2m,); then no prediction is pending.
 
@@ -177,6 +185,7 @@ def inject(
         manoeuvre_level,
         nis,
         state.readout + float(dx[READOUT]),
+        modes=modes,
     )
 
 

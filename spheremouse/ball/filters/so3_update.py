@@ -11,87 +11,75 @@ The errors have this order:
 import numpy as np
 from numba import njit
 
-from spheremouse.ball.filters import so3_motion
+from spheremouse.ball.filters import so3_steps
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.geometry.rotation import exp_into, left_jacobian_into
 
 
 @njit(cache=True, error_model="numpy")
-def correct(prior, H, HP, z, S, rate, acceleration, steps, weights):
-    """Return covariance (n, n), level weights (l,), correction (n,), log likelihood, normalised square and rms level.
+def correct(prior, H, HP, z, S, rate, acceleration, steps, modes):
+    """Return covariance, modes, level weights, correction, log likelihood, normalised square and rms level.
 
-    `prior` is the covariance before. H (2k, n), H P (2k, n), z (2k,) and S (2k, 2k) are those of
-    `so3_match.innovation`; `rate` (3,) rad/s, `acceleration` (3,) rad/s²; `steps` as in `so3_motion.posterior`. No
-    argument changes. Raises LinAlgError if S is not positive definite.
+    `prior` (n, n) is the covariance before. H (2k, n), H P (2k, n), z (2k,) and S (2k, 2k) are those of
+    `so3_match.innovation`; `rate` (3,) rad/s, `acceleration` (3,) rad/s²; `steps` and `modes` as in
+    `so3_steps.posterior`. No argument changes. Raises LinAlgError if S is not positive definite.
 
-    A mixture over the steps is replaced by the normal distribution of its mean and covariance once the innovations are
-    taken in (generalised pseudo-Bayesian of order 1: Bar-Shalom, Li, Kirubarajan 2001, section 11.6.4). Considered
-    parameters get no gain (Schmidt 1966), nor does the reference, since its increment was sent. The readout time gets
-    one only while the rate is significant. The covariance is Joseph's form multiplied out, which holds for any gain:
-    P - K H P - (K H P)' + K S K' (Bierman 1977, section V).
+    Rate and acceleration are a mixture of modes. The other errors are a regression on them, and its residuals have one
+    covariance for all modes. The new covariance is that of the whole mixture.
+
+    Considered parameters keep their estimate and covariance (Schmidt 1966), and so does the readout time while the rate
+    is not significant. They are independent of the modes, so rate and acceleration are taken given these parameters.
+    Each hypothesis is then an ordinary update of Schmidt's filter, and their sum has a positive covariance. The
+    reference keeps its estimate, since its increment was sent. Its covariance is the second moment about that estimate.
     """
-    P, weights, k, n = prior.copy(), weights.copy(), len(z), len(prior)
-    learn = _rate_is_significant(rate, P)
-    L = np.linalg.cholesky(S)
-    W = _whitened(L, HP, H, z)
-    onto, white = W[:, n : n + KINEMATIC_DIM].copy(), W[:, n + KINEMATIC_DIM].copy()
-    K = W[:, :n].copy()  # becomes S^-1 H P: transposed gain
-    KH = K.T @ onto
-    for i in range(k - 1, -1, -1):
-        for m in range(i + 1, k):
-            f = L[m, i]
-            for j in range(n):
-                K[i, j] -= f * K[m, j]
-        f = 1.0 / L[i, i]
-        for j in range(n):
-            K[i, j] *= f
-    left = -KH  # of a step in the errors after the correction
-    held = np.zeros((n, KINEMATIC_DIM))  # gains that are not taken
-    for j in range(n):
-        if KINEMATIC_DIM <= j < (READOUT if learn else MAP_OFFSET) or j >= n - CLONE_DIM:
-            held[j] = KH[j]
-            left[j] = 0.0
-            for i in range(k):
-                K[i, j] = 0.0
-        if j < KINEMATIC_DIM:
-            left[j, j] += 1.0
-    KU = K.T @ (HP - 0.5 * (S @ K))
-    mean, covariance, gain, level, ratio, nis = so3_motion.posterior(
-        onto.T @ onto, onto.T @ white, acceleration, steps, weights
+    n, core, past, both = len(prior), KINEMATIC_DIM, so3_steps.PAST, so3_steps.PAST + KINEMATIC_DIM
+    end = READOUT if _rate_is_significant(rate, prior) else MAP_OFFSET  # of the held parameters
+    U, M, Lc = prior[core:end].copy(), HP[:, core:end].T.copy(), np.zeros((end - core, end - core))
+    so3_steps.lower(prior[core:end, core:end], Lc)
+    so3_steps.solve_lower(Lc, U)
+    so3_steps.solve_lower(Lc, M)
+    by_held = U[:, 3:core].T.copy()
+    shared, V, N = by_held @ by_held.T, prior[3:core] - by_held @ U, HP[:, 3:core].T - by_held @ M
+    V[:, core:end] = 0.0
+    root = np.zeros((past, past))
+    so3_steps.lower(V[:, 3:core], root)
+    so3_steps.solve_lower(root, V)
+    so3_steps.solve_lower(root, N)
+    W = np.empty((len(z), n + both + 1))
+    W[:, :n] = HP - N.T @ V  # of the residuals of the regression on rate and acceleration
+    W[:, n : n + past] = N.T
+    W[:, n + past : n + both] = H
+    W[:, n + both] = z
+    L = np.linalg.cholesky(S - N.T @ N)
+    so3_steps.solve_lower(L, W)
+    rest, seen = W[:, :n].copy(), W[:, n:].copy()
+    T = -(rest.T @ seen[:, :both].copy())  # of past and step in the errors after the correction
+    T[:, :past] += V.T
+    for i in range(core):
+        T[i, past + i] += 1.0
+    moved = root, T[3:core].copy(), shared - rest[:, 3:core].T.copy() @ rest[:, 3:core].copy()
+    mean, covariance, within, modes, level, ratio, nis = so3_steps.posterior(
+        seen.T @ seen, moved, acceleration, steps, (modes[0], modes[1] - shared, modes[2])
     )
-    KU += (held @ gain - 0.5 * (left @ covariance)) @ left.T
+    white = seen[:, both].copy()
+    dx = T @ mean + rest.T @ white
+    dx[core:end] = 0.0
+    gained = np.vstack((V, rest, -(T @ covariance).T)).T @ np.vstack((V, rest, T.T))
+    gained[:, core:end] = np.vstack((rest, -(T @ within).T)).T @ np.vstack((rest, T.T))[:, core:end].copy()
+    gained[core:end] = gained[:, core:end].T
+    gained[core:end, core:end] = 0.0
+    P = np.empty((n, n))
     for i in range(n):
         for j in range(i + 1):
-            value = P[i, j] - KU[i, j] - KU[j, i]
-            P[i, j] = value
-            P[j, i] = value
-    dx = K.T @ z + left @ mean
-    nis += white @ white
-    log_likelihood = ratio - 0.5 * (white @ white + k * np.log(2.0 * np.pi))
-    for i in range(k):
+            P[i, j] = prior[i, j] - 0.5 * (gained[i, j] + gained[j, i])
+            if j >= n - CLONE_DIM:
+                P[i, j] += dx[i] * dx[j]
+            P[j, i] = P[i, j]
+    dx[n - CLONE_DIM :] = 0.0
+    log_likelihood = ratio - 0.5 * (white @ white + len(z) * np.log(2.0 * np.pi))
+    for i in range(len(z)):
         log_likelihood -= np.log(L[i, i])
-    return P, weights, dx, log_likelihood, nis, level
-
-
-@njit(cache=True, error_model="numpy")
-def _whitened(L, HP, H, z):
-    """Return L^-1 [H P, H, z], (2k, n + 10), with L L' = S."""
-    k, n = len(z), HP.shape[1]
-    W = np.empty((k, n + KINEMATIC_DIM + 1))
-    for i in range(k):
-        for j in range(n):
-            W[i, j] = HP[i, j]
-        for j in range(KINEMATIC_DIM):
-            W[i, n + j] = H[i, j]
-        W[i, n + KINEMATIC_DIM] = z[i]
-        for m in range(i):
-            f = L[i, m]
-            for j in range(n + KINEMATIC_DIM + 1):
-                W[i, j] -= f * W[m, j]
-        f = 1.0 / L[i, i]
-        for j in range(n + KINEMATIC_DIM + 1):
-            W[i, j] *= f
-    return W
+    return P, modes, modes[2].sum(axis=0), dx, log_likelihood, nis + white @ white, level
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,0 +1,130 @@
+"""The correction with a step of unknown instant and level, against the update of each hypothesis on its own."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import multivariate_normal
+
+from spheremouse.ball.filters import so3_steps, so3_update
+from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET
+
+DT = 1.0 / 30.0
+BETWEEN = 0.2
+VARIANCES = np.array([0.1, 2.0, 30.0]) ** 2
+N = MAP_OFFSET + 8 + CLONE_DIM  # four discs
+HELD = slice(KINEMATIC_DIM, MAP_OFFSET)
+SIGMA = np.repeat([1e-3, 0.02, 0.5, 3e-3, 1e-3, 5e-4, 1e-3], [3, 3, 3, 10, 1, 8, 3])
+
+
+def covariance(rng, n):
+    A = rng.normal(size=(n, 2 * n))
+    return A @ A.T / (2 * n)
+
+
+def drawn(rng, far):
+    """A prior with three modes, `far` standard deviations apart: sizes as in play."""
+    to_motion, to_held = np.zeros((N, 6)), np.zeros((N, MAP_OFFSET - KINEMATIC_DIM))
+    to_motion[3:9], to_held[HELD] = np.eye(6), np.eye(MAP_OFFSET - KINEMATIC_DIM)
+    others = np.r_[0:3, MAP_OFFSET:N]
+    to_motion[others], to_held[others] = rng.normal(size=(len(others), 6)), rng.normal(size=(len(others), 11))
+    to_held[3:9] = rng.normal(size=(6, 11))
+    motion = np.array([share * covariance(rng, 6) for share in (0.05, 0.1, 0.2)])
+    weights = rng.dirichlet(np.ones(9)).reshape(3, 3)
+    means = far * rng.normal(size=(3, 6))
+    means -= weights.sum(axis=1) @ means
+    own = np.zeros((N, N))
+    own[np.ix_(others, others)] = covariance(rng, len(others))
+    held = covariance(rng, 11)
+    shared = to_held @ held @ to_held.T + own
+    of_modes = np.array([to_motion @ C @ to_motion.T + shared for C in motion]) * np.outer(SIGMA, SIGMA)
+    means = means @ to_motion.T * SIGMA
+    H = rng.normal(size=(8, N)) * np.repeat([1.0, 0.01, 1e-4, 0.5, 0.1, 1.0, 0.0], [3, 3, 3, 10, 1, 8, 3])
+    R = 1e-7 * (np.eye(8) + 0.3 * np.ones((8, 8)))
+    z = 3e-3 * rng.normal(size=8)
+    return means, of_modes, weights, H, R, z, 5.0 * rng.normal(size=3)
+
+
+def each_on_its_own(means, covariances, weights, H, R, z, acceleration):
+    """Return for each hypothesis its modes before and after, its joint probability, and Schmidt's moments."""
+    quiet = np.exp(-DT / BETWEEN)
+    for mean, P, at_level in zip(means, covariances, weights, strict=True):
+        for level, weight in enumerate(at_level):
+            yield 0, level, *schmidt(weight * (quiet if level else 1.0), mean, P, H, R, z)
+            for before in so3_steps.INSTANTS if level else ():
+                t = before * DT
+                effect = np.zeros((N, 3))
+                effect[:KINEMATIC_DIM] = np.kron(np.array([[0.5 * t * t], [t], [1.0]]), np.eye(3))
+                moved = mean - effect @ (acceleration + mean[6:9])
+                share = (1.0 - quiet) / len(so3_steps.INSTANTS) * weight
+                yield level, level, *schmidt(share, moved, P + VARIANCES[level] * effect @ effect.T, H, R, z)
+
+
+def schmidt(share, mean, P, H, R, z):
+    S = R + H @ P @ H.T
+    K = P @ H.T @ np.linalg.inv(S)
+    K[HELD] = 0.0
+    rest = np.eye(N) - K @ H
+    after = rest @ P @ rest.T + K @ R @ K.T
+    return share * multivariate_normal.pdf(z, H @ mean, S), mean + K @ (z - H @ mean), after
+
+
+def moments(p, means, covariances):
+    mean = p @ means
+    return mean, np.einsum("k,kij->ij", p, covariances) + (means - mean).T @ (p[:, None] * (means - mean))
+
+
+@pytest.mark.parametrize("far", [0.0, 0.3, 2.0])
+def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far):
+    """Within what the hypotheses below a thousandth of their mode add, which are left out."""
+    rng = np.random.default_rng(1)
+    for _ in range(10):
+        means, covariances, weights, H, R, z, acceleration = drawn(rng, far)
+        new, levels, p, after, spreads = map(
+            np.array, zip(*each_on_its_own(means, covariances, weights, H, R, z, acceleration), strict=True)
+        )
+        likelihood, p = p.sum(), p / p.sum()
+        mean, total = moments(p, after, spreads)
+        total[-CLONE_DIM:, -CLONE_DIM:] += np.outer(mean, mean)[-CLONE_DIM:, -CLONE_DIM:]  # about what was sent
+        expected = mean.copy()
+        expected[-CLONE_DIM:] = 0.0
+
+        _, prior = moments(weights.sum(axis=1), means, covariances)
+        modes = means[:, 3:9], covariances[:, 3:9, 3:9], weights
+        S = H @ prior @ H.T + R
+        P, modes, at_level, dx, log_likelihood, *_ = so3_update.correct(
+            prior, H[:, :9], H @ prior, z, S, np.zeros(3), acceleration, (DT, BETWEEN, VARIANCES), modes
+        )
+        scale = np.sqrt(np.diag(total))
+        assert_allclose(dx / scale, expected / scale, atol=2e-2)
+        assert_allclose(P / np.outer(scale, scale), total / np.outer(scale, scale), atol=0.1)
+        assert np.linalg.eigvalsh(P / np.outer(scale, scale))[0] > -1e-9
+        assert_allclose(log_likelihood, np.log(likelihood), atol=2e-2)
+        assert_allclose(at_level, [p[levels == k].sum() for k in range(len(VARIANCES))], atol=5e-3)
+        for k in range(len(VARIANCES)):
+            share = p[new == k].sum()
+            if share > 1e-2:
+                m, C = moments(p[new == k] / share, after[new == k][:, 3:9], spreads[new == k][:, 3:9, 3:9])
+                s = np.sqrt(np.diag(C))
+                assert_allclose(modes[0][k] / s, (m - mean[3:9]) / s, atol=0.1)
+                assert_allclose(modes[1][k] / np.outer(s, s), C / np.outer(s, s), atol=0.1)
+
+
+def test_a_wrong_pose_leaves_the_covariance_positive_in_a_long_jerky_play():
+    """Modes that lie far apart, a pose that is correlated with all, and one step after the other."""
+    rng = np.random.default_rng(2)
+    means, covariances, weights, H, R, _, acceleration = drawn(rng, 3.0)
+    _, P = moments(weights.sum(axis=1), means, covariances)
+    modes = means[:, 3:9], covariances[:, 3:9, 3:9], weights
+    F = np.eye(N)
+    F[:3, 3:6] = F[3:6, 6:9] = DT * np.eye(3)
+    F[:3, 6:9] = 0.5 * DT * DT * np.eye(3)
+    for _ in range(200):
+        S = H @ P @ H.T + R
+        z = np.linalg.cholesky(S) @ rng.normal(size=8) * rng.choice([1.0, 10.0])
+        P, modes, *_ = so3_update.correct(
+            P, H[:, :9], H @ P, z, S, np.zeros(3), acceleration, (DT, BETWEEN, VARIANCES), modes
+        )
+        P = F @ P @ F.T
+        modes = modes[0] @ F[3:9, 3:9].T, F[3:9, 3:9] @ modes[1] @ F[3:9, 3:9].T, modes[2]
+        scale = np.sqrt(np.diag(P))
+        assert np.linalg.eigvalsh(P / np.outer(scale, scale))[0] > -1e-8
