@@ -76,6 +76,8 @@ def test_the_defaults_lie_within_their_bounds():
         ("blobs.area=[400, 300]", "blobs: area: give [F_min, F_max]; 400 is above 300"),
         ("rings.cyan=[105, 75]", "rings: cyan: 105 is above 75"),
         ("discs.masks=[[10, 0, 5, 5]]", "discs: masks: give [left, top, right, bottom]"),
+        ("discs.masks=[[1, 2, 3, 4, 5]]", "discs: masks: give 4 edges of a rectangle, or x and y of each corner"),
+        (f"discs.masks=[{[1] * 66}]", "must be a list of at most 64, is a list of 66"),
         ("camera.size=[16384, 16384]", "camera: size: 16384x16384 is more than can be worked on"),
     ],
 )

@@ -266,7 +266,7 @@ def _annotation(hint: Any, bounds: dict[str, float], most: int | None = None) ->
     if origin in (typing.Union, types.UnionType):
         return typing.Union[tuple(_annotation(a, bounds, most) for a in args)]  # noqa: UP007  built at run time
     if origin is tuple:
-        inner = tuple[tuple(a if a is ... else _annotation(a, bounds) for a in args)]  # type: ignore[misc]
+        inner = tuple[tuple(a if a is ... else _annotation(a, bounds, most) for a in args)]  # type: ignore[misc]
         return Annotated[inner, Field(max_length=most)] if most is not None and args[-1] is ... else inner
     raise TypeError(f"settings cannot hold {hint}: use bool, int, float, str, Literal, None and tuples")
 

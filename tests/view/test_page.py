@@ -280,6 +280,40 @@ def test_a_rectangle_without_discs_can_be_drawn(page, service, by):
         wait_for("its edge", lambda: masks() == [12, *first[1:]])
 
 
+@pytest.mark.parametrize("by", ["mouse", "keys"])
+def test_a_polygon_without_discs_can_be_drawn_and_changed(page, service, by):
+    choose(page, "Draw")
+    masks = lambda: [float(n) for n in re.findall(r"-?[\d.]+", value(service, "discs.masks") or "")]  # noqa: E731
+    page.get_by_role("button", name="Draw polygon").click()
+    if by == "keys":  # 4 px a step, from the middle
+        for key in ("Enter", *["ArrowRight"] * 10, "Enter", *["ArrowDown"] * 10, "Enter", "Enter"):
+            page.keyboard.press(key)
+        wait_for("a triangle", lambda: masks() == [320, 240, 360, 240, 360, 280])
+        page.get_by_label("y 3").fill("300")
+        page.get_by_label("y 3").press("Enter")
+        wait_for("its corner", lambda: masks()[-2:] == [360, 300])
+        return
+    box = page.locator("#picture").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    for at in ((0, 0), (60, 0), (60, 60), (0, 60), (0, 60)):
+        page.mouse.click(x + at[0], y + at[1])
+    square = wait_for("a square", masks)
+    assert len(square) == 8
+    assert (square[2] - square[0]) / (square[5] - square[1]) == pytest.approx(1.0, abs=0.1)
+    page.mouse.move(x + 60, y)
+    page.mouse.down()
+    page.mouse.move(x + 40, y + 20, steps=3)
+    page.mouse.up()
+    wait_for(
+        "its corner", lambda: masks()[:2] == square[:2] and masks()[2] < square[2] - 10 and masks()[4:] == square[4:]
+    )
+    page.mouse.move(x + 30, y + 40)
+    page.mouse.down()
+    page.mouse.move(x + 30, y, steps=3)
+    page.mouse.up()
+    wait_for("its place", lambda: masks()[1] < square[1] - 20)
+
+
 @pytest.mark.slow
 def test_a_colour_is_picked_from_the_picture_by_keys(page, service):
     choose(page, "Draw")
@@ -365,10 +399,12 @@ def test_a_report_of_a_calibration_is_shown_and_nonsense_refused_with_its_reason
 
 
 @pytest.mark.slow
-def test_the_doctor_reports(page):
+def test_the_doctor_reports_and_carries_out_a_remedy(page, service):
     choose(page, "Doctor")
+    service.ask("pause")
     page.locator("#doctor").click()
-    page.locator(".findings li").first.wait_for(timeout=60000)
+    page.locator("#panel-Doctor").get_by_role("button", name="Resume").click(timeout=60000)
+    service.reach(paused=False)
 
 
 # ---- everybody can use it ----

@@ -75,13 +75,14 @@ class DiscSettings:
         ge=1e-3,
         lt=1,
     )
-    masks: tuple[tuple[float, float, float, float], ...] = param(
+    masks: tuple[tuple[float, ...], ...] = param(
         (),
         "px",
-        "rectangles [left, top, right, bottom] in which no disc is looked for: buttons, a screen's reflection",
+        "rectangles [left, top, right, bottom] or polygons [x, y, x, y, ...] in which no disc is looked for: buttons, "
+        "a screen's reflection",
         ge=-MAX_SIDE,
         le=2 * MAX_SIDE,  # somewhat beyond a picture's edge means: up to it
-        most=64,  # a ball has fewer things before it
+        most=64,  # a ball has fewer things before it, and they have fewer corners
     )
     # Not settings, since they follow from pixels and print.
     smoothing: float = 0.8  # px, standard deviation of the Gaussian before all else; the fit's 7 px hold at most 1.5
@@ -95,9 +96,11 @@ class DiscSettings:
             raise ValueError("weights: give [blue, green, red], one of them not 0, or [] to use polarity")
         if self.weights and self.polarity != "auto":
             raise ValueError("weights: they decide which discs are darker: set polarity to auto, or weights to []")
-        for left, top, right, bottom in self.masks:
-            if left > right or top > bottom:
+        for mask in self.masks:
+            if len(mask) == 4 and (mask[0] > mask[2] or mask[1] > mask[3]):
                 raise ValueError("masks: give [left, top, right, bottom], left not above right, top not above bottom")
+            if len(mask) < 4 or len(mask) % 2:
+                raise ValueError("masks: give 4 edges of a rectangle, or x and y of each corner of a polygon")
 
     @property
     def projection(self) -> Projection | None:
@@ -259,11 +262,11 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose, before: object =
     f = max(int(np.rint(diameter / _FINE)), 1)
     # pixels on the outline mix with the room
     mask = cv2.erode(ball_mask(rig, pose), np.ones((3, 3), np.uint8))
-    for box in settings.masks:
-        left, top, right, bottom = (max(round(side), 0) for side in box)
-        mask[top : bottom + 1, left : right + 1] = 0
+    for place in settings.masks:
+        corners = np.array(place)[[0, 1, 2, 1, 2, 3, 0, 3] if len(place) == 4 else slice(None)].reshape(-1, 2)
+        cv2.fillPoly(mask, [np.rint(corners).astype(np.int32)], 0)  # with its outline
     if not mask.any():
-        raise ConfigurationError("discs.masks: they leave nothing of the ball: give smaller rectangles")
+        raise ConfigurationError("discs.masks: they leave nothing of the ball: give smaller ones")
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     height, width = mask.shape
     window = (

@@ -31,17 +31,13 @@ class RingSettings:
     """Bounds of the targets' colours and shapes."""
 
     cyan: tuple[int, int] = param(
-        (75, 105), "OpenCV hue, 0..180", "cyan print is 90; 15 either way for the light", ge=0, le=180
+        (75, 105), "OpenCV hue", "cyan print is 90; 15 either way for the light", ge=0, le=180
     )
-    magenta: tuple[int, int] = param(
-        (135, 170), "OpenCV hue, 0..180", "magenta print is 150 and leans to red", ge=0, le=180
-    )
-    yellow: tuple[int, int] = param(
-        (18, 42), "OpenCV hue, 0..180", "yellow print is 30; orange ends at 18", ge=0, le=180
-    )
-    saturation: tuple[int, int] = param((60, 255), "0..255", "saturation bounds (Wittich 2017, table 4)", ge=0, le=255)
+    magenta: tuple[int, int] = param((135, 170), "OpenCV hue", "magenta print is 150 and leans to red", ge=0, le=180)
+    yellow: tuple[int, int] = param((18, 42), "OpenCV hue", "yellow print is 30; orange ends at 18", ge=0, le=180)
+    saturation: tuple[int, int] = param((60, 255), "-", "saturation bounds (Wittich 2017, table 4)", ge=0, le=255)
     value: tuple[int, int] = param(
-        (60, 255), "0..255", "value bounds; table 4 has 110, which loses a dimmed scene", ge=0, le=255
+        (60, 255), "-", "value bounds; table 4 has 110, which loses a dimmed scene", ge=0, le=255
     )
     # Not settings, since they follow from pixels and print. The search for rejected targets widens them.
     min_radius: float = 1.5  # px, of an inner disc; below it a colour is a guess

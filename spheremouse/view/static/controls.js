@@ -98,7 +98,7 @@ export function control(setting, settings, prefix) {
   const error = el("p", { class: "refused", id: `${id}-error`, role: "alert" });
   const meaning = (setting.meaning.charAt(0).toUpperCase() + setting.meaning.slice(1)).replace(/\.?$/, ". ").split("`").map((part, i) => (i % 2 ? el("code", {}, part) : part));
   const help = el("p", { class: "help", id: `${id}-help` }, ...meaning,
-    range(setting), defaultText(setting), setting.live ? "" : " Read at the start only.", " ", el("code", {}, key));
+    range(setting), defaultText(setting), setting.live || setting.meaning.includes("at the start only") ? "" : " Read at the start only.", " ", el("code", {}, key));
   const state = { id, "aria-describedby": `${id}-help ${id}-error` };
   const field = entry(setting, state, change);
   const conversion = scale(setting);
@@ -146,12 +146,7 @@ export function control(setting, settings, prefix) {
   return { element: row, show };
 }
 
-/**
- * @param {Setting} setting
- * @param {Record<string, string>} state
- * @param {(value: Value) => void} change
- */
-function entry(setting, state, change) {
+function entry(/** @type {Setting} */ setting, /** @type {Record<string, string>} */ state, /** @type {(value: Value) => void} */ change) {
   if (setting.type === "flag")
     return el("input", { ...state, type: "checkbox", change: (event) => change(event.target.checked) });
   if (setting.choices?.length) {
@@ -168,11 +163,7 @@ function entry(setting, state, change) {
   });
 }
 
-/**
- * @param {HTMLInputElement | HTMLSelectElement} field
- * @param {Value} value
- */
-function setField(field, value) {
+function setField(/** @type {HTMLInputElement | HTMLSelectElement} */ field, /** @type {Value} */ value) {
   if (field instanceof HTMLInputElement && field.type === "checkbox") field.checked = value === true;
   else field.value = valueText(value);
 }

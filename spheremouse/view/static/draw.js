@@ -1,23 +1,24 @@
-/** Draw on the picture: rectangles without discs, and colours of targets and discs. */
+/** Draw on the picture: rectangles and polygons without discs, and colours of targets and discs. */
 
 import { el, setText } from "./dom.js";
 import { control } from "./controls.js";
 
-/** @typedef {import("./types.js").Rectangle} Rectangle */
+/** @typedef {import("./types.js").Mask} Mask */
 /** @typedef {import("./types.js").Point} Point */
 /** @typedef {import("./settings.js").Settings} Settings */
 /** @typedef {import("./picture.js").Picture} Picture */
-/** @typedef {{hint: string, take: (rgb: [number, number, number]) => void}} Pick */
+/** @typedef {{hint: string, take: (rgb: [number, number, number], at: Point) => unknown}} Pick true from `take`: once more */
 
 const MASKS = "discs.masks";
 const WEIGHTS = "discs.weights";
 const POLARITY = "discs.polarity";
+const RECTANGLE = [[0, 1], [2, 1], [2, 3], [0, 3]]; // edges at the corners
 const EDGES = ["left", "top", "right", "bottom"];
 const TARGETS = ["rings.cyan", "rings.magenta", "rings.yellow"];
 const LIMITS = ["rings.saturation", "rings.value"];
 const HUE_HALF_WIDTH = 15; // OpenCV hue, for the light
 const GRIP_RADIUS = 9; // screen pixels about a corner
-const MIN_SIDE = 3; // px of a side
+const MIN_SIDE = 3; // px of a rectangle
 
 /**
  * Return OpenCV's hue, 0 to 180, and saturation, 0 to 255.
@@ -31,32 +32,30 @@ export function hue([r, g, b]) {
 }
 
 export class DrawPanel {
-  /** @type {Rectangle[]} */ #masks = [];
+  /** @type {Mask[]} */ #masks = [];
+  /** @type {number[]} */ #draft = []; // corners of a polygon that is being drawn
   #chosen = -1;
   #active = false;
   /** @type {Pick | null} */ #pick = null;
   /** @type {Point} */ #cross = [0, 0];
-  /** @type {{from: Point, edges: number[], start: Rectangle} | null} */ #drag = null;
+  /** @type {{from: Point, edges: number[], start: Mask} | null} */ #drag = null;
   /** @type {(() => void)[]} */ #shows = [];
   #list = el("ol", { class: "masks" });
   #add = el("button", { type: "button", id: "add-mask", click: () => this.#insert() }, "Add rectangle");
+  #polygon = this.#picker("Draw polygon", [{ hint: "Click the corners one after another, and the last one twice.", take: (_, at) => this.#corner(at) }]);
   #hint = el("p", { class: "hint", role: "status" });
   #colours = el("div", {});
   element = el("div", {}, this.#hint,
     el("h3", {}, "Regions without discs"),
-    el("p", { class: "help" }, "The tracker looks for no disc in these rectangles: buttons, screws, reflections."),
-    el("p", { class: "help" }, "Pointer: drag on the picture to add one, drag it to move it, drag a corner to resize it."),
+    el("p", { class: "help" }, "The tracker looks for no disc in these places: buttons, screws, reflections."),
+    el("p", { class: "help" }, "Pointer: drag on the picture to add a rectangle, drag a place to move it, drag a corner to change it."),
     el("p", { class: "help" }, "Keys, with the picture in focus: arrows move it, Shift and arrows resize it, Page Down chooses " +
       "the next one, Delete removes it."),
-    this.#list, el("div", { class: "row" }, this.#add), this.#colours);
+    this.#list, el("div", { class: "row" }, this.#add, this.#polygon), this.#colours);
   #settings;
   #picture;
 
-  /**
-   * @param {Settings} settings
-   * @param {Picture} picture
-   */
-  constructor(settings, picture) {
+  constructor(/** @type {Settings} */ settings, /** @type {Picture} */ picture) {
     this.#settings = settings;
     this.#picture = picture;
     picture.painters.push((c, view) => this.#paint(c, view.scale));
@@ -98,14 +97,14 @@ export class DrawPanel {
       ...(targets.length ? [el("h3", {}, "Colours of the targets"), ...[...targets, ...limits].map((c) => c.element)] : []),
       ...(discs.length ? [el("h3", {}, "Colours of the discs"), ...discs.map((c) => c.element)] : []));
     if (this.#settings.all.has(WEIGHTS)) this.#colours.append(el("div", { class: "row" }, this.#discPicker()));
-    this.#add.disabled = !this.#settings.all.has(MASKS);
+    this.#add.disabled = this.#polygon.disabled = !this.#settings.all.has(MASKS);
     this.#show();
   }
 
   /** @param {boolean} active */
   activate(active) {
     this.#active = active;
-    this.#pick = null;
+    [this.#pick, this.#draft] = [null, []];
     const { canvas } = this.#picture;
     canvas.classList.toggle("drawing", active);
     if (active) canvas.tabIndex = 0;
@@ -113,24 +112,14 @@ export class DrawPanel {
     this.#refresh();
   }
 
-  /**
-   * @param {string} words
-   * @param {Pick[]} steps
-   */
-  #picker(words, steps) {
+  #picker(/** @type {string} */ words, /** @type {Pick[]} */ steps) {
+    /** @type {(steps: Pick[]) => void} */
+    const choose = ([step, ...rest]) => {
+      this.#pick = step ? { hint: step.hint, take: (rgb, at) => step.take(rgb, at) === true || choose(rest) } : null;
+    };
     const begin = () => {
-      const [first, ...rest] = steps;
-      if (!first) return;
-      const chain = (/** @type {Pick} */ step, /** @type {Pick[]} */ more) => {
-        this.#pick = { hint: step.hint, take: (rgb) => {
-          step.take(rgb);
-          this.#pick = null;
-          const [next, ...others] = more;
-          if (next) chain(next, others);
-        } };
-      };
-      chain(first, rest);
-      this.#cross = [this.#picture.view.width / 2, this.#picture.view.height / 2];
+      choose(steps);
+      [this.#draft, this.#cross] = [[], [this.#picture.view.width / 2, this.#picture.view.height / 2]];
       this.#picture.canvas.focus();
       this.#refresh();
     };
@@ -167,6 +156,19 @@ export class DrawPanel {
     this.#send(this.#masks.length - 1);
   }
 
+  /** @param {Point} at of a polygon; the last one again ends it. Returns true if there are more. */
+  #corner(at) {
+    const [x = NaN, y = NaN] = this.#draft.slice(-2);
+    const again = Math.hypot(at[0] - x, at[1] - y) <= GRIP_RADIUS / this.#picture.view.scale;
+    if (!again) this.#draft.push(...at.map(Math.round));
+    if (!again || this.#draft.length < 6) return true;
+    this.#settings.release();
+    this.#masks.push(this.#draft);
+    this.#draft = [];
+    this.#send(this.#masks.length - 1);
+    return false;
+  }
+
   /** @param {number} index */
   #remove(index) {
     this.#settings.release();
@@ -186,13 +188,11 @@ export class DrawPanel {
     this.#settings.hold();
     this.#picture.canvas.setPointerCapture(event.pointerId);
     const grip = GRIP_RADIUS / this.#picture.view.scale;
-    const near = (/** @type {number} */ a, /** @type {number} */ b) => Math.abs(a - b) <= grip;
     for (const [i, mask] of this.#masks.entries()) {
-      const x = [0, 2].find((e) => near(at[0], mask[e] ?? 0));
-      const y = [1, 3].find((e) => near(at[1], mask[e] ?? 0));
-      const inside = at[0] >= mask[0] && at[0] <= mask[2] && at[1] >= mask[1] && at[1] <= mask[3];
-      const edges = x !== undefined && y !== undefined ? [x, y] : inside ? [0, 1, 2, 3] : null;
-      if (!edges) continue;
+      const places = corners(mask);
+      const corner = places.findIndex(([x, y]) => Math.abs(at[0] - x) <= grip && Math.abs(at[1] - y) <= grip);
+      const edges = corner < 0 ? [...mask.keys()] : mask.length > 4 ? [2 * corner, 2 * corner + 1] : RECTANGLE[corner] ?? [];
+      if (corner < 0 && !contains(places, at)) continue;
       this.#chosen = i;
       this.#drag = { from: at, edges, start: [...mask] };
       return;
@@ -207,15 +207,14 @@ export class DrawPanel {
     if (!this.#drag) return;
     const at = this.#picture.locate(event);
     const { from, edges, start } = this.#drag;
-    const moved = /** @type {Rectangle} */ (start.map((v, e) => (edges.includes(e) ? v + (at[e % 2] ?? 0) - (from[e % 2] ?? 0) : v)));
-    this.#masks[this.#chosen] = ordered(moved);
+    this.#masks[this.#chosen] = ordered(start.map((v, e) => (edges.includes(e) ? v + (at[e % 2] ?? 0) - (from[e % 2] ?? 0) : v)));
     this.#refresh();
   }
 
   #up() {
     if (!this.#drag) return;
     this.#drag = null;
-    this.#masks = this.#masks.filter((m) => m[2] - m[0] >= MIN_SIDE && m[3] - m[1] >= MIN_SIDE);
+    this.#masks = this.#masks.filter(isLarge);
     if (JSON.stringify(this.#masks.map((m) => m.map(Math.round))) !== JSON.stringify(this.#settings.value(MASKS)))
       this.#send(Math.min(this.#chosen, this.#masks.length - 1));
     this.#refresh();
@@ -229,12 +228,12 @@ export class DrawPanel {
     const mask = this.#masks[this.#chosen];
     if (this.#pick && arrow) this.#cross = [this.#cross[0] + 4 * arrow[0], this.#cross[1] + 4 * arrow[1]];
     else if (this.#pick && (event.key === "Enter" || event.key === " ")) this.#take(this.#cross);
-    else if (this.#pick && event.key === "Escape") this.#pick = null;
+    else if (this.#pick && event.key === "Escape") [this.#pick, this.#draft] = [null, []];
     else if (arrow && mask) {
       const step = event.ctrlKey ? 20 : 4;
-      const edges = event.shiftKey ? [2, 3] : [0, 1, 2, 3];
-      const moved = /** @type {Rectangle} */ (mask.map((v, e) => (edges.includes(e) ? v + step * (arrow[e % 2] ?? 0) : v)));
-      if (moved[2] - moved[0] >= MIN_SIDE && moved[3] - moved[1] >= MIN_SIDE) this.#masks[this.#chosen] = moved;
+      const first = event.shiftKey ? mask.length - 2 : 0;
+      const moved = mask.map((v, e) => (e >= first ? v + step * (arrow[e % 2] ?? 0) : v));
+      if (isLarge(moved)) this.#masks[this.#chosen] = moved;
       this.#send(this.#chosen);
     } else if (event.key === "Delete" && mask) this.#remove(this.#chosen);
     else if (event.key === "PageDown" && this.#masks.length) this.#chosen = (this.#chosen + 1) % this.#masks.length;
@@ -246,7 +245,7 @@ export class DrawPanel {
   /** @param {Point} at */
   #take(at) {
     const rgb = this.#picture.sample(at);
-    if (rgb) this.#pick?.take(rgb);
+    if (rgb) this.#pick?.take(rgb, at);
     this.#refresh();
   }
 
@@ -255,27 +254,23 @@ export class DrawPanel {
     if (this.#drag) return;
     const value = this.#settings.value(MASKS);
     if (!this.#list.contains(document.activeElement) || (Array.isArray(value) && value.length !== this.#masks.length)) {
-      this.#masks = Array.isArray(value) ? value.map((m) => /** @type {Rectangle} */ ([...m])) : [];
+      this.#masks = Array.isArray(value) ? value.map((m) => [...m]) : [];
       this.#list.replaceChildren(...this.#masks.map((mask, i) => this.#row(mask, i)));
     }
     this.#refresh();
   }
 
-  /**
-   * @param {Rectangle} mask
-   * @param {number} i
-   */
-  #row(mask, i) {
-    const fields = EDGES.map((name, e) => el("label", {}, name, el("input", {
-      type: "number", value: Math.round(mask[e] ?? 0), step: 1,
+  #row(/** @type {Mask} */ mask, /** @type {number} */ i) {
+    const fields = mask.map((v, e) => el("label", {}, mask.length > 4 ? `${"xy"[e % 2]} ${(e >> 1) + 1}` : EDGES[e] ?? "", el("input", {
+      type: "number", value: Math.round(v), step: 1,
       focus: () => this.#choose(i),
       change: (event) => {
-        this.#masks[i] = ordered(/** @type {Rectangle} */ (mask.map((v, k) => (k === e ? Number(event.target.value) : v))));
         mask[e] = Number(event.target.value);
+        this.#masks[i] = ordered(mask);
         this.#send(i);
       },
     })));
-    return el("li", {}, ...fields, el("button", { type: "button", class: "quiet", "aria-label": `Remove rectangle ${i + 1}`,
+    return el("li", {}, ...fields, el("button", { type: "button", class: "quiet", "aria-label": `Remove place ${i + 1}`,
       click: () => this.#remove(i) }, "Remove"));
   }
 
@@ -291,20 +286,18 @@ export class DrawPanel {
     this.#picture.draw();
   }
 
-  /**
-   * @param {CanvasRenderingContext2D} c
-   * @param {number} s
-   */
-  #paint(c, s) {
+  #paint(/** @type {CanvasRenderingContext2D} */ c, /** @type {number} */ s) {
     if (!this.#active) return;
-    for (const [i, [left, top, right, bottom]] of this.#masks.entries()) {
-      const place = /** @type {const} */ ([left * s, top * s, (right - left) * s, (bottom - top) * s]);
-      c.fillStyle = i === this.#chosen ? "rgba(255, 157, 46, .35)" : "rgba(255, 157, 46, .2)";
-      c.fillRect(...place);
-      [c.strokeStyle, c.lineWidth] = ["#ffb764", i === this.#chosen ? 2.5 : 1.5];
-      c.strokeRect(...place);
-      c.fillStyle = "#ffb764";
-      if (i === this.#chosen) for (const x of [left, right]) for (const y of [top, bottom]) c.fillRect(x * s - 4, y * s - 4, 8, 8);
+    for (const [i, places] of [...this.#masks.map(corners), pairs(this.#draft)].entries()) {
+      const chosen = i === this.#chosen || i === this.#masks.length;
+      c.beginPath();
+      for (const [x, y] of places) c.lineTo(x * s, y * s);
+      c.closePath();
+      c.fillStyle = chosen ? "rgba(255, 157, 46, .35)" : "rgba(255, 157, 46, .2)";
+      c.fill();
+      [c.fillStyle, c.strokeStyle, c.lineWidth] = ["#ffb764", "#ffb764", chosen ? 2.5 : 1.5];
+      c.stroke();
+      if (chosen) for (const [x, y] of places) c.fillRect(x * s - 4, y * s - 4, 8, 8);
     }
     if (!this.#pick) return;
     const [x, y] = [this.#cross[0] * s, this.#cross[1] * s];
@@ -321,10 +314,34 @@ export class DrawPanel {
 }
 
 /**
- * Return the rectangle with left before right, and top before bottom.
- * @param {Rectangle} mask
- * @returns {Rectangle}
+ * Return a mask; of a rectangle, left is before right, and top before bottom.
+ * @param {Mask} mask
  */
-function ordered([a, b, c, d]) {
-  return [Math.min(a, c), Math.min(b, d), Math.max(a, c), Math.max(b, d)];
+function ordered(mask) {
+  const [a = 0, b = 0, c = 0, d = 0] = mask;
+  return mask.length > 4 ? mask : [Math.min(a, c), Math.min(b, d), Math.max(a, c), Math.max(b, d)];
+}
+
+const isLarge = (/** @type {Mask} */ [a = 0, b = 0, c = 0, d = 0, ...more]) => more.length > 0 || (c - a >= MIN_SIDE && d - b >= MIN_SIDE);
+
+/** @type {(flat: number[]) => Point[]} */
+const pairs = (flat) => flat.flatMap((x, e) => (e % 2 ? [] : [[x, flat[e + 1] ?? 0]]));
+
+/** @param {Mask} mask */
+function corners(mask) {
+  const [a = 0, b = 0, c = 0, d = 0] = mask;
+  return pairs(mask.length > 4 ? mask : [a, b, c, b, c, d, a, d]);
+}
+
+/**
+ * Return if a polygon contains a point: a ray from it crosses an odd number of sides.
+ * @param {Point[]} places
+ * @param {Point} point
+ */
+function contains(places, [x, y]) {
+  const crossed = places.filter(([ax, ay], i) => {
+    const [bx, by] = places[(i + 1) % places.length] ?? [0, 0];
+    return ay > y !== by > y && x < ax + ((y - ay) / (by - ay)) * (bx - ax);
+  });
+  return crossed.length % 2 === 1;
 }

@@ -18,7 +18,7 @@ export class GuidePanel {
   #status = el("pre", { class: "coverage", role: "group", "aria-label": "Photos by region and tilt" });
   #checks = el("ul", { class: "findings" });
   #output = el("div", { class: "output", role: "log", "aria-label": "Output of the command" });
-  #steps = el("ol", { class: "findings" });
+  #steps = el("ol", { class: "findings" }, el("li", { class: "busy" }, "Reading the folder"));
   element = el("div", {}, el("div", { class: "row" }, this.#look, this.#stop), this.#note, this.#wanted, this.#picture, this.#status,
     this.#checks, this.#output, el("h3", {}, "Steps"), this.#steps);
   #perform;

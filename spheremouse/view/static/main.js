@@ -64,11 +64,7 @@ async function perform(action, words = {}) {
   }
 }
 
-/**
- * @param {string} text
- * @param {boolean} refused
- */
-function showMessage(text, refused) {
+function showMessage(/** @type {string} */ text, /** @type {boolean} */ refused) {
   const line = byId("message", HTMLElement);
   clearTimeout(messageTimer);
   setText(line, text);
@@ -103,11 +99,7 @@ function hello(message) {
   log.load(message.log);
 }
 
-/**
- * @param {import("./types.js").Frame} frame
- * @param {ImageBitmap | null} bitmap
- */
-function draw(frame, bitmap) {
+function draw(/** @type {import("./types.js").Frame} */ frame, /** @type {ImageBitmap | null} */ bitmap) {
   const now = performance.now();
   if (bitmap) pictures.push(now);
   while (pictures[0] !== undefined && pictures[0] < now - 2000) pictures.shift();

@@ -25,11 +25,7 @@ export class Picture {
   /** @type {Point[][]} */ #trail = [];
   /** @type {Map<string, HTMLInputElement>} */ #shown = new Map();
 
-  /**
-   * @param {HTMLCanvasElement} canvas
-   * @param {HTMLElement} layers
-   */
-  constructor(canvas, layers) {
+  constructor(/** @type {HTMLCanvasElement} */ canvas, /** @type {HTMLElement} */ layers) {
     this.canvas = canvas;
     for (const [name, label, shown] of LAYERS) {
       const box = el("input", { type: "checkbox", id: `layer-${name}`, checked: shown, change: () => this.draw() });
@@ -158,11 +154,7 @@ export class Picture {
     if (on("masked")) for (const [x, y] of masked ?? []) cross(c, x * s, y * s, "#ff9d2e");
   }
 
-  /**
-   * @param {CanvasRenderingContext2D} c
-   * @param {number} s
-   */
-  #trails(c, s) {
+  #trails(/** @type {CanvasRenderingContext2D} */ c, /** @type {number} */ s) {
     this.#trail.forEach((points, age) => {
       c.fillStyle = `rgba(120, 220, 255, ${(age + 1) / this.#trail.length})`;
       for (const [x, y] of points) {
@@ -211,13 +203,7 @@ function ellipse(c, x, y, [xx, xy, yy], s, line, width, dash) {
   strokeWithHalo(c, line, width, dash);
 }
 
-/**
- * @param {CanvasRenderingContext2D} c
- * @param {number} x
- * @param {number} y
- * @param {string} line
- */
-function cross(c, x, y, line) {
+function cross(/** @type {CanvasRenderingContext2D} */ c, /** @type {number} */ x, /** @type {number} */ y, /** @type {string} */ line) {
   c.beginPath();
   for (const d of [4, -4]) {
     c.moveTo(x - 4, y - d);

@@ -1,6 +1,6 @@
 /** The panels of the log, the outputs and the doctor. */
 
-import { el, formatDuration, formatLatency, setText, table } from "./dom.js";
+import { byId, el, formatDuration, formatLatency, setText, table } from "./dom.js";
 
 /** @typedef {import("./types.js").Status} Status */
 /** @typedef {import("./tune.js").Act} Act */
@@ -95,8 +95,11 @@ export class DoctorPanel {
   #list = el("div", {});
   element = el("div", {}, el("div", { class: "row" }, this.#run), this.#note, this.#list);
 
+  #perform;
+
   /** @param {Act} perform */
   constructor(perform) {
+    this.#perform = perform;
     this.#run.addEventListener("click", async () => {
       this.#run.disabled = true;
       setText(this.#note, "Examining. This takes a few seconds.");
@@ -113,6 +116,18 @@ export class DoctorPanel {
     this.#list.replaceChildren(...subjects.map((subject) => el("section", {}, el("h3", {}, subject),
       el("ul", { class: "findings" }, ...checks.filter((c) => c.subject === subject).map((c) =>
         el("li", { class: c.verdict.replace(" ", "-") }, el("b", {}, c.verdict), el("span", {}, `${c.name}: ${c.text}`),
-          ...(c.advice ? [el("p", { class: "help" }, c.advice)] : [])))))));
+          ...(c.advice ? [el("p", { class: "help" }, c.advice, ...this.#remedies(c.advice))] : [])))))));
+  }
+
+  /** @param {string} advice */
+  #remedies(advice) {
+    const open = (/** @type {string} */ panel) => () => byId(`tab-${panel}`, HTMLElement).click();
+    /** @type {[RegExp, string, () => void][]} */
+    const remedies = [
+      [/ctl resume/, "Resume", () => void this.#perform("resume")], [/ctl reload/, "Read the configuration again", () => void this.#perform("reload")],
+      [/uncover and light the targets/, "Estimate camera pose", () => void this.#perform("reinit")], [/section output/, "Open Outputs", open("Outputs")],
+      [/calibrat/, "Open Guide", open("Guide")], [/camera\.\w+|exposure|discs\./, "Open Tune", open("Tune")],
+    ];
+    return remedies.filter(([words]) => words.test(advice)).map(([, name, click]) => el("button", { type: "button", class: "quiet", click }, name));
   }
 }

@@ -81,12 +81,7 @@ export class Space {
   #pitch = 0;
   #zoom = 1;
 
-  /**
-   * @param {HTMLCanvasElement} canvas
-   * @param {HTMLElement} note
-   * @param {HTMLElement} views
-   */
-  constructor(canvas, note, views) {
+  constructor(/** @type {HTMLCanvasElement} */ canvas, /** @type {HTMLElement} */ note, /** @type {HTMLElement} */ views) {
     this.canvas = canvas;
     this.note = note;
     [this.#yaw, this.#pitch] = VIEWS["Oblique"] ?? [0, 0];
@@ -343,33 +338,19 @@ export class Space {
   }
 }
 
-/**
- * @param {CanvasRenderingContext2D} c
- * @param {Vector[]} points
- */
-function line(c, points) {
+function line(/** @type {CanvasRenderingContext2D} */ c, /** @type {Vector[]} */ points) {
   c.beginPath();
   for (const [x, y] of points) c.lineTo(x, y);
   c.stroke();
 }
 
-/**
- * @param {CanvasRenderingContext2D} c
- * @param {Vector[]} points
- */
-function fill(c, points) {
+function fill(/** @type {CanvasRenderingContext2D} */ c, /** @type {Vector[]} */ points) {
   c.beginPath();
   for (const [x, y] of points) c.lineTo(x, y);
   c.fill();
 }
 
-/**
- * @param {CanvasRenderingContext2D} c
- * @param {string} words
- * @param {number} x
- * @param {number} y
- */
-function text(c, words, x, y) {
+function text(/** @type {CanvasRenderingContext2D} */ c, /** @type {string} */ words, /** @type {number} */ x, /** @type {number} */ y) {
   c.font = "11px system-ui, sans-serif";
   c.fillText(words, Math.max(4, Math.min(x, c.canvas.clientWidth - c.measureText(words).width - 4)), Math.min(y, c.canvas.clientHeight - 4));
 }

@@ -20,12 +20,7 @@ export class TunePanel {
   element;
   #settings;
 
-  /**
-   * @param {Settings} settings
-   * @param {Act} perform
-   * @param {import("./picture.js").Picture} picture
-   */
-  constructor(settings, perform, picture) {
+  constructor(/** @type {Settings} */ settings, /** @type {Act} */ perform, /** @type {import("./picture.js").Picture} */ picture) {
     this.#settings = settings;
     const comparison = new Comparison(picture);
     settings.begun = (key) => comparison.begin(key);
@@ -79,11 +74,7 @@ export class ExpertPanel {
   element;
   #settings;
 
-  /**
-   * @param {Settings} settings
-   * @param {Act} perform
-   */
-  constructor(settings, perform) {
+  constructor(/** @type {Settings} */ settings, /** @type {Act} */ perform) {
     this.#settings = settings;
     const exporting = el("button", { type: "button", id: "export", click: async () => download(await perform("export")) }, "Export");
     const importing = el("button", { type: "button", id: "import", click: () => this.#file.click() }, "Import");

@@ -19,7 +19,7 @@
  * @typedef {[number, number]} Point px
  * @typedef {[number, number, number]} Vector m, or a direction
  * @typedef {[number, number, number]} Shape xx, xy, yy of S, px²: (x-c)' S^-1 (x-c) = 1 is the outline
- * @typedef {[number, number, number, number]} Rectangle left, top, right, bottom, px
+ * @typedef {number[]} Mask left, top, right, bottom of a rectangle, or x and y of each corner of a polygon, px
  *
  * @typedef {object} Annotations
  * @property {Point[]} [outline]

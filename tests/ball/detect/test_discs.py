@@ -151,10 +151,11 @@ def test_a_ball_partly_outside_of_the_picture(offset):
     assert np.abs(errors(seen, truth)).max() < 0.3
 
 
-def test_what_the_user_masks_is_not_looked_at():
+@pytest.mark.parametrize("corners", [(-15, -15, 15, 15), (-15, -15, 15, -15, 15, 15, -15, 15), (0, -25, 25, 9, -25, 9)])
+def test_what_the_user_masks_is_not_looked_at(corners):
     a, b = TRUTH[0], TRUTH[1]
-    box = (a[0] - 15.0, a[1] - 15.0, a[0] + 15.0, a[1] + 15.0)
-    detector = disc_detector(replace(SETTINGS, masks=(box,)), RIG, POSE)
+    place = tuple(float(c + a[k % 2]) for k, c in enumerate(corners))
+    detector = disc_detector(replace(SETTINGS, masks=(place,)), RIG, POSE)
     seen = detector.detect(photo(CLEAN, 1.0)).centre
     assert np.linalg.norm(seen - a, axis=1).min() > 10.0
     assert np.linalg.norm(seen - b, axis=1).min() < 1.0
