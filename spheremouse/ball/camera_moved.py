@@ -70,8 +70,8 @@ def hidden(watch: CameraMonitor | None) -> bool:
     return int(np.count_nonzero(watch.seen)) < 3
 
 
-def surprised(state: TrackState[So3State]) -> bool:
-    """Return whether a bumped camera would explain the discs of the last frame."""
+def bump_suspected(state: TrackState[So3State]) -> bool:
+    """Return whether the discs of the last frame fit so badly that the camera may have moved; always True in LOST."""
     if state.status is not Status.TRACKING:
         return state.status is Status.LOST
     freedom = 2 * len(state.filter.used)

@@ -138,17 +138,19 @@ def target_shifts(watch: CameraMonitor, image: Image) -> tuple[CameraMonitor, Ar
     return replace(watch, seen=np.isfinite(shift[:, 0])), shift
 
 
-def check_next_target(watch: CameraMonitor, image: Image, stamp: float, surprised: bool) -> tuple[CameraMonitor, bool]:
-    """Check the next target if it is due, or the next two at once after a surprise. Return whether one is displaced.
+def check_next_target(
+    watch: CameraMonitor, image: Image, stamp: float, bump_suspected: bool
+) -> tuple[CameraMonitor, bool]:
+    """Check the next target if it is due, or the next two at once if a bump is suspected.
 
-    A target that has just disappeared counts as displaced once. A displaced target does not prove that the camera has
-    moved. That decision needs a check of all targets.
+    Return the monitor, and whether one is displaced. A target that has just disappeared counts as displaced once. A
+    displaced target does not prove that the camera has moved. That decision needs a check of all targets.
     """
     step = _INTERVAL_S / len(watch)
-    if not surprised and watch.due - step <= stamp < watch.due:
+    if not bump_suspected and watch.due - step <= stamp < watch.due:
         return watch, False
     seen, odd, turn = watch.seen.copy(), False, watch.turn
-    for _ in range(2 if surprised else 1):
+    for _ in range(2 if bump_suspected else 1):
         turn = (turn + 1) % len(watch)
         if watch.patches[turn] is None:
             continue

@@ -79,7 +79,7 @@ def step(
         return _with_check(state, None, frame, tracker, seek)
     done = _stages(state, frame, tracker, detected)
     watch = camera_moved.with_references(state.watch, frame, tracker)
-    watch, odd = watching.check_next_target(watch, frame.image, frame.stamp, camera_moved.surprised(done.state))
+    watch, odd = watching.check_next_target(watch, frame.image, frame.stamp, camera_moved.bump_suspected(done.state))
     if watch is not done.state.watch:
         done = done._replace(state=replace(done.state, watch=watch))
     if odd or watch.asked or camera_moved.out_of_sight(done.state, frame.stamp):

@@ -11,7 +11,10 @@ from spheremouse.simulate.ball.film import Simulation, SimulationOptions, prepar
 
 
 def open(argument: str, realtime: bool) -> Stream:
-    """Open the frames of a simulation, and the simulated rig."""
+    """Open the frames of a simulation, paced by their stamps if `realtime`, and its rig.
+
+    Raises ConfigurationError if the argument is invalid.
+    """
     simulation = check(argument)
     frames = (rendered.frame for rendered in simulate(simulation))
     return Stream(

@@ -20,7 +20,7 @@ def view(
         str,
         typer.Option(
             metavar="ADDRESS",
-            help="Network address of the page. Only its owner may open one beyond this computer; it is not encrypted.",
+            help="Network address of the page. From other computers it needs the token; it is not encrypted.",
         ),
     ] = ADDRESS,
     port: Annotated[int, typer.Option(min=1, max=65535, help="TCP port.")] = PORT,
@@ -47,8 +47,8 @@ def view(
 ) -> None:
     """Serve the live page: picture, motion, settings, log and doctor of the running daemon, in a browser.
 
-    It is a process of its own. The daemon need not run yet. Without the token in its address, the page
-    shows the ball and the targets alone, and can change nothing.
+    It is a process of its own. The daemon need not run yet. Without the token in the address, others on this
+    computer see a masked picture, motion, settings and log, and can change nothing.
     """
     if url:
         print(owners_address(address, port, read_token(token_file or present_token())))

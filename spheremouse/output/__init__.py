@@ -72,7 +72,7 @@ class Mapping(Protocol):
         ...
 
     def counts(self, estimate: Estimate) -> tuple[Counts, Rate | None]:
-        """Return the counts of an estimate, and their rate; None if the estimate is not confirmed."""
+        """Return the counts of an estimate, and their rate; zeros and None if the estimate is not confirmed."""
         ...
 
     def interrupted(self) -> None:

@@ -151,7 +151,10 @@ class Outputs:
         return plus(self._past[1], self.main.thread.unsent)
 
     def status(self) -> list[tuple[str, ReporterStatus]]:
-        """Return each output's text and status. The sums of the main output are those of the run."""
+        """Return each output's `KIND:ARGUMENT` and status, the main one first.
+
+        Its `reports` and `unsent` include those of earlier main outputs. Its other sums are its own.
+        """
         (reports, unsent), (first, *others) = self._past, [(o.spec, o.thread.status()) for o in self._all]
         spec, main = first
         whole = replace(main, reports=reports + main.reports, unsent=plus(unsent, main.unsent))

@@ -148,7 +148,7 @@ class Daemon:
 
     @property
     def adapter(self) -> TrackerAdapter:
-        """The tracker's adapter; another one after a change of the device."""
+        """The tracker's adapter. A change of rig or balls replaces it."""
         return self._worker.adapter
 
     @property

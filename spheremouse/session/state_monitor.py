@@ -46,9 +46,10 @@ def derive_state(conditions: Conditions) -> tuple[State, str]:
 
 
 def log_line(before: tuple[State, str], now: tuple[State, str], event: str) -> str:
-    """Return the log line: state and reason after a change, or the tracker's event; empty if nothing has changed.
+    """Return the log line for the states and reasons `before` and `now`; empty if there is nothing to log.
 
-    Reasons that differ in their numbers alone count as equal. While the ball is in view, only events are logged.
+    A change of the state comes first, then the tracker's `event`, then another reason. Reasons that differ in their
+    numbers alone count as equal. In TRACKING and LOST another reason alone is not logged.
     """
     (old, why_before), (state, why) = before, now
     if state is not old:
@@ -77,7 +78,7 @@ class StateMonitor:
         log: Callable[[str], None],
         notify: Callable[[str], None],
     ) -> None:
-        """`log` takes lines for the log, `notify` how it is in one line for systemd."""
+        """`log` takes lines for the log, `notify` the state as one line for systemd."""
         self._worker, self._capture, self._arrivals, self._outputs = worker, capture, arrivals, outputs
         self._log, self._notify, self._notify_at = log, notify, 0.0
         self.starting = "the program is being made ready"  # why nothing is tracked yet; empty once it can be

@@ -116,7 +116,7 @@ class TrackerAdapter(Protocol):
         ...
 
     def take_messages(self) -> LogMessages:
-        """Return the log lines since the previous call."""
+        """Return the log lines since the previous call, and clear them. Of several changes it keeps the last."""
         ...
 
     def interrupted(self, reason: str) -> None:

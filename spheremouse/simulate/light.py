@@ -130,7 +130,10 @@ class Lighting:
 
 
 def develop(light: Array) -> Array:
-    """Convert linear light, any shape, to grey values 0 to 255 by the curve of sRGB, without a hard limit at white."""
+    """Convert linear light, any shape, to grey values 0 to 255 by the curve of sRGB.
+
+    Light 1 is white; near and above it the values approach 255 smoothly.
+    """
     x = np.maximum(light, 0.0)
     x = x / (1.0 + x**4) ** 0.25
     return 255.0 * np.where(x < 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055)

@@ -1,7 +1,7 @@
 """Access to the page: exact hosts and origins, a token beyond this computer, and headers that forbid foreign content.
 
-A request comes from the owner if it carries the token, at first in the address and from then on in a cookie. On this
-computer others get a masked page without buttons; from elsewhere they get nothing.
+A request comes from the owner if it carries the token, at first in the address and from then on in a cookie. Others
+on this computer get a masked picture, and can change nothing. From elsewhere they get nothing.
 """
 
 import hmac

@@ -1,6 +1,7 @@
 """The guide from an empty folder to the service. It runs the commands of `calibrate next`, one at a time.
 
-A browser names a step and the number of its command, and never a command or a path.
+A browser names a step and the number of its command, never a command or a path. It can also give the length of the
+board's square and the text of device.yaml.
 """
 
 import asyncio
@@ -59,7 +60,12 @@ class Guide:
         return {"type": "guide", "lines": list(self._lines), **self._state}
 
     async def do(self, action: str, arguments: dict[str, Any]) -> dict[str, Any]:
-        """Carry out an action, and return the steps if it reads them. Raises ControlError if it is refused."""
+        """Carry out an action: `look`, `stop`, `run`, `steps` or `describe`.
+
+        The last two return the steps as `calibrate next --json` prints them, with the text of device.yaml as `device`
+        if that is the next step. The others return nothing. `look` and `run` end the command that runs. Raises
+        ControlError if an action is unknown, refused or fails.
+        """
         if action == "look":
             source = [] if self._source is None else [self._source]
             every = ("--every", f"{_LOOK_INTERVAL}", "--json", "--out", f"{self._picture}")
@@ -79,7 +85,7 @@ class Guide:
         return {}
 
     async def stop(self, name: str | None = None) -> None:
-        """End the command that runs, or that of one step. It keeps its photos."""
+        """End the command that runs, but only that of step `name` if given. After 10 s it is killed. Photos stay."""
         process = self._process
         if process is None or name not in (None, self._state["running"]):
             return
@@ -94,7 +100,7 @@ class Guide:
             await self._following
 
     async def rest(self) -> None:
-        """Close the camera if no browser shows its picture."""
+        """Close the camera that `look` opened. Call it when the last browser has left."""
         await self.stop(_LOOK)
 
     async def _read_steps(self) -> dict[str, Any]:
@@ -107,7 +113,10 @@ class Guide:
         return steps
 
     def _command(self, arguments: dict[str, Any]) -> tuple[str, list[str]]:
-        """Return the open step, and the words of one of its commands."""
+        """Return the name of the next step, and the words after `spheremouse` of its command with this number.
+
+        Raises ControlError if the step or number is not in the last list, or the command or square is not permitted.
+        """
         step = next((s for s in self._steps.get("steps", ()) if s["state"] == "next"), _NO_STEP)
         commands = [step["command"], *(command for _, command in step["otherwise"])]
         name, number, square = (arguments.get(key) for key in ("step", "number", "square"))

@@ -1,4 +1,7 @@
-"""Recordings on the page: a replay in a process of its own, which takes the daemon's place, and comparisons."""
+"""Recordings on the page: replays and comparisons of settings.
+
+A replay is a process of its own, which takes the daemon's place on the page. The daemon goes on meanwhile.
+"""
 
 import asyncio
 import contextlib
@@ -28,13 +31,20 @@ class Recordings:
         self._end: asyncio.Task[str] | None = None  # of the last replay
 
     async def listed(self) -> Message:
-        """Return name, length, kind and problem of each recording, and the folders that were searched."""
+        """Return the recordings, as `Listed` with their names in place of paths, and the folders that were searched.
+
+        Raises ControlError if a folder cannot be read.
+        """
         found = await asyncio.to_thread(self._found)
         recordings = [each._asdict() | {"path": None, "name": name} for name, each in found.items()]
         return {"recordings": recordings, "folders": [str(folder) for folder in self._folders()]}
 
     async def play(self, name: str) -> str:
-        """Replay a recording with the settings that the page shows. Raises ControlError if it cannot be tracked."""
+        """Replay a recording with the settings that the page shows, in place of another replay. Return a message.
+
+        Raises ControlError if the list has no such recording, or if the replay ends at its start or refuses a setting.
+        Then the page shows the camera.
+        """
         recording, status = await self._recording(name), self._daemon.status or {}
         self.end()
         replay = self._replay = await ReplayProcess.start(recording.path, self._options(recording))
@@ -49,7 +59,10 @@ class Recordings:
         return f"{name} plays in place of the camera."
 
     async def leave(self) -> str:
-        """Return to the camera with the settings that were changed for the recording, as one step of undo."""
+        """End the replay, and set the settings that it had changed in the daemon, as one step of undo.
+
+        Without a daemon they are lost. Raises ControlError if the replay does not answer, or the daemon refuses them.
+        """
         changes = (await self._daemon.ask("status"))["changes"]
         self.end()
         with contextlib.suppress(NoDaemonError):
@@ -60,22 +73,24 @@ class Recordings:
         return "The page shows the camera."
 
     def end(self) -> None:
-        """End the replay, and show the camera."""
+        """End the replay, and show the camera. Settings changed for the replay are lost."""
         replay, self._replay = self._replay, None
         if replay is not None:
             replay.end()
         self._daemon.switch(self._live)
 
     async def close(self) -> None:
-        """End the replay, and wait until its files are removed."""
+        """End the replay, and wait until its files are removed, at most 3 s."""
         self.end()
         if self._end is not None:
             await asyncio.wait([self._end], timeout=_MAX_END)
 
     async def compare(self, name: str, begin: float = 0.0, end: float | None = None) -> Message:
-        """Return the reports of `evaluate` for the saved and for the present settings, on the same seconds.
+        """Return reports of `evaluate` by the saved and by the present settings, as `before` and `after`.
 
-        Raises ControlError for a section that is too long.
+        Both are of the section from `begin` to `end`, s, at most 60 s. None or 0 is the end of the recording. The
+        reports of hand-held balls are of the whole recording. Raises ControlError for a longer section, an unknown
+        recording, or one that cannot be tracked.
         """
         recording, status = await self._recording(name), self._daemon.status or {}
         end = min(end or recording.seconds, recording.seconds)
@@ -97,7 +112,10 @@ class Recordings:
         return reason
 
     def _options(self, recording: Listed) -> list[str]:
-        """Return configuration file, saved settings and command line's settings of the daemon, and another tracker."""
+        """Return options of `run` and `evaluate`: configuration file, saved and command line's settings of the daemon.
+
+        They exclude settings of this computer. `--tracker` is added if the daemon's does not fit the recording.
+        """
         status, values = self._daemon.status or {}, self._daemon.values()["values"]
         config, given = status.get("config"), [key for key in status.get("given") or [] if key in values]
         words = [] if config is None else ["--config", str(config)]

@@ -43,7 +43,7 @@ def initialise(stamp: float, position: Array, rotation: Array, covariance: Array
 
 
 def with_velocity(state: PoseVelocityState, velocity: Array, covariance: Array) -> PoseVelocityState:
-    """Replace the velocity by a known one, (6,) m/s and rad/s, with covariance (6, 6)."""
+    """Replace the velocity by a known one, (6,) m/s and rad/s, with covariance (6, 6), uncorrelated with the pose."""
     P = np.zeros((12, 12))
     P[:6, :6], P[6:, 6:] = state.covariance[:6, :6], covariance
     return replace(state, velocity=velocity, covariance=P)

@@ -62,14 +62,14 @@ def test_a_camera_that_stands(near):
         _, shift = watching.target_shifts(watch, image)
         assert np.abs(shift).max() < 0.05
         assert watching.displaced(shift, watching.DISPLACED_PX) is False
-        watch, odd = watching.check_next_target(watch, image, 0.3 * k, surprised=k % 2 == 0)
+        watch, odd = watching.check_next_target(watch, image, 0.3 * k, bump_suspected=k % 2 == 0)
         assert not odd
 
 
 def test_every_target_is_looked_at_once_in_an_interval(near):
     watch, turns = near.watch(), []
     for k in range(61):
-        after, _ = watching.check_next_target(watch, near.still[1], k / 30.0, surprised=False)
+        after, _ = watching.check_next_target(watch, near.still[1], k / 30.0, bump_suspected=False)
         turns += [after.turn] if after is not watch else []
         watch = after
     n = len(watch)
@@ -83,7 +83,7 @@ def test_a_pushed_camera(name, grey, request):
     film = request.getfixturevalue(name)
     image = cv2.cvtColor(film.pushed[0], cv2.COLOR_BGR2GRAY) if grey else film.pushed[0]
     watch = film.watch(grey)
-    _, odd = watching.check_next_target(watch, image, 0.1, surprised=True)
+    _, odd = watching.check_next_target(watch, image, 0.1, bump_suspected=True)
     assert odd
     watch, shift = watching.target_shifts(watch, image)
     assert_allclose(shift, film.shift, atol=0.25)

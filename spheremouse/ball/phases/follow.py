@@ -211,8 +211,11 @@ def confirms(posterior: FilterState, points: int, predicted: FilterState, tracke
     return used > 1 or _known_well(posterior, tracker)
 
 
-def updated(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:
-    """Filter the points; candidates that have moved with the ball may become discs."""
+def update_filter(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:
+    """Return the state after the filter's update of `predicted` with the points, and whether they confirm it.
+
+    Only candidates that earlier frames have proven to turn with the ball may start discs.
+    """
     points, centre = state.points, state.detections.centre[state.points.index]
     proven = static.known_before_to_turn(state.lookalikes, centre, predicted.attitude, tracker.rig, tracker.pose)
     posterior = tracker.filter.update(predicted, points, proven)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from spheremouse.ball.phases.follow import all_are_discs, classify_unmatched, confirms, detect_everywhere, updated
+from spheremouse.ball.phases.follow import all_are_discs, classify_unmatched, confirms, detect_everywhere, update_filter
 from spheremouse.ball.phases.learn import learn
 from spheremouse.ball.phases.recover import begin_anew, seen_since
 from spheremouse.ball.published.euler import EulerState
@@ -36,7 +36,7 @@ def _next_phase(state: State, stamp: float, tracker: Tracker, predicted: EulerSt
 
 def _followed(state: State, stamp: float, tracker: Tracker, predicted: EulerState) -> State:
     """Return the state after an update. A candidate that moved with the ball becomes a disc at its next sighting."""
-    state = updated(state, tracker, predicted)
+    state = update_filter(state, tracker, predicted)
     if all_are_discs(state):
         return state
     if not state.confirmed:  # then no point starts a landmark

@@ -38,7 +38,10 @@ def region_grid(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def regions_of(uv: Array, size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return True for regions with corners, (n, 2) px, as (rows, columns)."""
+    """Return True for regions with two or more of the corners `uv`, (n, 2) px, as (rows, columns).
+
+    `size` is (width, height) px. Corners outside the image count in the nearest region.
+    """
     rows, columns = region_grid(size)
     column = np.clip((uv[:, 0] + 0.5) * columns / size[0], 0, columns - 1).astype(int)
     row = np.clip((uv[:, 1] + 0.5) * rows / size[1], 0, rows - 1).astype(int)

@@ -1,7 +1,7 @@
 """The checklist of a calibration: the first open step is the next one to do.
 
-It reads the folder alone: photos, the files made from them, and the hashes in their provenance. So you can leave a
-calibration at any time, and another person can continue it.
+It reads only files: photos in the folder, files made from them, the hashes in their provenance, printed pages, and the
+service's rig. So you can leave a calibration at any time, and another person can continue it.
 """
 
 import os

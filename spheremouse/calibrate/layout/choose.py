@@ -30,8 +30,9 @@ class Place:
 
 
 def choose_directions(n: int, view_angle: float, min_distance: float, seed: int) -> Array:
-    """Return irregular directions (n, 3), well spread; of 20 candidates those with most discs in view.
+    """Return irregular directions (n, 3), at least `min_distance` apart.
 
+    Of 20 candidates it takes the one with most discs within `view_angle` of a camera's direction, at the barest side.
     Disc 1 is at the pole z, its nearest neighbour towards x; the others follow from the pole down. The same arguments
     give the same directions. Raises ValueError if so many discs do not fit.
     """

@@ -31,7 +31,8 @@ def next_(
 ) -> None:
     """Show how far a calibration is, and the next step with its command.
 
-    It reads the folder alone, so you can leave a calibration at any time and continue it later.
+    It reads only files: those of the folder, printed pages, and the service's rig. So you can leave a calibration
+    at any time and continue it later.
     """
     from spheremouse.calibrate.guide.checklist import checklist
     from spheremouse.files.calibration_folder import default_folder

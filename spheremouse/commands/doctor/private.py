@@ -18,7 +18,10 @@ _KEPT = 2  # characters of a serial number
 def redactor(
     home: str | None = None, user: str | None = None, host: str | None = None, serials: Iterable[str] | None = None
 ) -> Callable[[Any], Any]:
-    """Return a function that removes such words from texts and containers; by default those of this computer."""
+    """Return a function that replaces these words in a text, or in the values of dicts and lists, nested.
+
+    The words are those of this computer by default. Tuples become lists; keys and other values stay.
+    """
     home = os.path.expanduser("~") if home is None else home
     users = _users() if user is None else [user]
     host = platform.node() if host is None else host

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from rich.console import Console
 
 from spheremouse.ball.disc_map import DiscMap
@@ -99,10 +100,12 @@ def _tracks(options: Options, settings: Settings) -> Iterator[_Track]:
 
 def _run(each: _Track, settings: Settings, options: Options, err: Console) -> BallRun:
     recording, rig, known = each
+    since = recording.seconds - recording.seconds[0]
+    total = int(np.count_nonzero((since >= options.begin) & (since < options.end)))
     with terminal.progress_bar() as progress:
-        task = progress.add_task(recording.name, total=recording.frames)
+        task = progress.add_task(recording.name, total=total)
         numbered = section(numbered_frames(recording), options.begin, options.end)
-        frames = progress.track(numbered, recording.frames, task_id=task)
+        frames = progress.track(numbered, total, task_id=task)
         passed_over: list[str] = []  # reasons why the first views gave no pose, if later ones did
         run = run_ball(
             degraded(iter(frames), options.noise, options.brightness), rig, settings, known, passed_over.append

@@ -65,21 +65,28 @@ class Recorded:
     stamps: Stamps | None = None
     times: Array | None = None  # (frames,) s, of the truth
 
+    @property
+    def seconds(self) -> Array:
+        """Stamps of the frames, (frames,) s: recorded ones, else those of the truth, else index / fps."""
+        if self.stamps is not None:
+            return self.stamps.stamp
+        return np.arange(self.frames) / self.fps if self.times is None else self.times
+
 
 def read_frames(recording: Recorded) -> Iterator[Frame]:
     """Yield the frames in order, with stamp, number and colour of the recording.
 
-    Without stamps they are in colour, counted from 0, with the times of the truth, or index / fps. A truncated
-    recording yields its frames and then raises DatasetError.
+    Without stamps.csv they are in colour and counted from 0. A truncated recording yields its frames and then raises
+    DatasetError.
     """
-    folder, stamps, times = recording.path, recording.stamps, recording.times
+    folder, stamps, seconds = recording.path, recording.stamps, recording.seconds
     video = (folder / "video.mkv").is_file()
     size = recording.camera.width, recording.camera.height
     for count, image in enumerate(recorded_images(folder, size, recording.frames)):
         if stamps is not None:
             yield _as_recorded(folder, image, count, stamps, video)
         else:
-            yield Frame(image, count / recording.fps if times is None else float(times[count]), count)
+            yield Frame(image, float(seconds[count]), count)
 
 
 def _as_recorded(folder: Path, image: NDArray[np.uint8], index: int, stamps: Stamps, in_video: bool) -> Frame:

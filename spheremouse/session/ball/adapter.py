@@ -181,7 +181,7 @@ class BallAdapter:
         return observe(epoch.estimate, epoch.state.filter, epoch.state.points, tracker.filter)
 
     def take_messages(self) -> LogMessages:
-        """Return the log lines about the ball since the previous call."""
+        """Return the last log line about the ball since the previous call, and clear it."""
         return LogMessages(self._messages.take())
 
     def interrupted(self, reason: str) -> None:

@@ -111,7 +111,7 @@ class WandAdapter:
         """Return None: a hand-held ball has no smoother."""
 
     def take_messages(self) -> LogMessages:
-        """Return the log lines since the previous call."""
+        """Return the log lines since the previous call, and clear them. Of several changes it keeps the last."""
         return self._messages.take()
 
     def interrupted(self, reason: str) -> None:

@@ -79,7 +79,7 @@ class WandMessages:
             self._more.append(f"not found for {PATIENCE:g} s: {self.why}")
 
     def take(self) -> LogMessages:
-        """Return the log lines since the previous call."""
+        """Return the log lines since the previous call, and clear them. Of several changes it keeps the last."""
         log = LogMessages(self._change, tuple(self._more))
         self._change = ""
         self._more.clear()

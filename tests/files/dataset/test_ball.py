@@ -95,6 +95,7 @@ def test_what_is_written_comes_back_bit_for_bit(tmp_path, size, kept_in):
     recording = open_dataset(path)
     frames = list(read_frames(recording))
     assert [f.sequence for f in frames] == list(range(FRAMES))
+    assert [f.stamp for f in frames] == recording.seconds.tolist()
     for i, frame in enumerate(frames):
         assert np.array_equal(frame.image, picture(i, size))
         assert frame.stamp == 0.04 * i + 0.001

@@ -81,6 +81,7 @@ def test_without_truth_the_rate_stamps_the_frames(folder):
     recording = open_wand(folder)
     assert recording.truth is None
     assert [f.stamp for f in read_frames(recording)] == pytest.approx([0.0, 0.1, 0.2])
+    assert recording.seconds == pytest.approx([0.0, 0.1, 0.2])
 
 
 @pytest.mark.parametrize(
