@@ -144,7 +144,7 @@ def dump_commented(settings: Any, keys: Collection[str] | None = None) -> str:
 
 
 def dump(settings: S, default: S) -> str:
-    """Return settings as YAML without comments, but for the default of each setting that differs from `default`."""
+    """Return all settings as YAML. A comment gives the default of each setting that differs from `default`."""
     before = dict(parameters(default))
     lines = [f"schema: {SCHEMAS[KIND]}"]
     section: Key = ()

@@ -79,7 +79,10 @@ def open(argument: str) -> WebSocket:
 
 
 def check(argument: str) -> tuple[str, int, LineFormat, str]:
-    """Return host, port, format and origin. Raise OutputError if one is invalid or websockets is missing."""
+    """Return host, port, format and origin, which is empty if not given.
+
+    Raise OutputError if one is invalid or websockets is missing.
+    """
     address, form, options = parse_target("ws", argument, {"origin": str})
     host, port = parse_host("ws", address)
     import_extra("ws", "websockets", "network")

@@ -34,7 +34,7 @@ class Asked:
 
     @property
     def ways(self) -> list[Array]:
-        """Unit vectors (3, 3) of the gestures of each choice: along, against and along its directions."""
+        """Unit vectors, (3, 3), of the gestures for each choice: its directions, the second one reversed."""
         return [np.array([[1.0], [-1.0], [1.0]]) * choice.axes for choice in self.directions]
 
 
