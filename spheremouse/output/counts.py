@@ -195,7 +195,8 @@ class OutputCounter:
     """Counts of one output, by its response. Call `apply` with the report of each frame of a run, in their order."""
 
     def __init__(self, response: Response) -> None:
-        self._response, self._fraction, self._remainder = response, np.zeros(3), Remainder()
+        self._response, self._changes = response, response != COUNTS
+        self._fraction, self._remainder = np.zeros(3), Remainder()
 
     def apply(self, report: Report) -> Report:
         """Return the report with the counts of this output, and their rate.
@@ -203,7 +204,7 @@ class OutputCounter:
         Without a dead zone and a curve, the sum of all counts stays within one of the gain times the integral of the
         motion, because the fractions that the run has not reported yet are scaled as well.
         """
-        if self._response == COUNTS:
+        if not self._changes:
             return report
         sample, fraction = report.pointing_sample, np.array(report.fraction)
         factor = self._response.factor(0.0 if sample is None else hypot(*sample.rate.tolist()))

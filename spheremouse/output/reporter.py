@@ -18,7 +18,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import floor, inf
-from typing import NamedTuple
 
 import numpy as np
 
@@ -62,12 +61,10 @@ class ReporterStatus:
     latency: Latency | None  # None: no frame was sent yet
 
 
-class _QueuedReport(NamedTuple):
-    report: Report
-    taken: float  # s, the frame's stamp on the clock
-    wanted: bool  # send it; False during a pause
-    submitted: float  # s
-    frame: bool = True  # False: an empty report that ends the prediction
+# A report in the queue. `taken` is the frame's stamp on the clock (s), or None for an empty report that ends the
+# prediction. `wanted` is False during a pause. `submitted` is in s. A plain tuple costs each frame and output least.
+_QueuedReport = tuple[Report, float | None, bool, float]
+_Call = tuple[str, str]  # of the output: what it means for a message, and the usual reason of a hang or nothing
 
 
 class OutputThread:
@@ -91,8 +88,7 @@ class OutputThread:
         self._wakeup = threading.Lock()
         self._wakeup.acquire()
         self._queue: deque[_QueuedReport] = deque()
-        self._sum, self._overflow = _NONE, _NONE  # counts submitted, and those of them that overflowed the queue
-        self._overflowed = 0  # frames
+        self._overflow, self._overflowed = _NONE, 0  # counts and frames that the queue did not hold
         self._over = self._paused = self._ended = False
         self._output: Output | None = None
         self._failed: str | None = None
@@ -101,12 +97,16 @@ class OutputThread:
         self._resampler = Resampler()
         self._frame_sum, self._sent = _NONE, _NONE  # counts of frames, and those sent, since the output was opened
         self._past, self._unsent = _NONE, _NONE
-        # The pending call of the output, and the one that a caller saw last with the time (s) of the first sight.
-        self._pending_call: _PendingCall | None = None
-        self._seen_call: tuple[_PendingCall, float] | None = None
+        # The pending call of the output, the one that a caller saw last with the time (s) of the first sight, and the
+        # last one that hung.
+        self._pending_call: _Call | None = None
+        self._seen_call: tuple[_Call, float] | None = None
+        self._hung_call: _Call | None = None
         self._reports = self._frames = self._dropped = 0
         self._latency = [0.0] * LATENCY_COUNT
-        self._last: _QueuedReport | None = None
+        self._acknowledges = False  # True: the output may report trouble of its receiver
+        self._paced = False  # True: counts at a steady rate, with prediction; False: a report a frame
+        self._last: tuple[Report, float] | None = None  # of the last frame, and its stamp on the clock, s
         self._grid, self._period = 0.0, 1.0 / settings.rate  # s; reports follow a frame at whole periods
         self._next = inf  # s, when the next one is due
         self._thread = threading.Thread(target=self._run, name="reporter", daemon=True)
@@ -117,18 +117,18 @@ class OutputThread:
 
         If it is not `wanted`, or during a pause, its counts become unsent.
         """
-        self._sum = plus(self._sum, report.counts)
-        self._queue.append(_QueuedReport(report, taken, wanted and not self._paused, self._clock()))
+        self._queue.append((report, taken, wanted and not self._paused, self._clock()))
         if len(self._queue) > MAX_QUEUED_FRAMES:
             with contextlib.suppress(IndexError):  # the thread has emptied the queue
-                self._overflow = plus(self._overflow, self._queue.popleft().report.counts)
+                self._overflow = plus(self._overflow, self._queue.popleft()[0].counts)
                 self._overflowed += 1
         self._wake_thread()
-        self.failed  # noqa: B018  checks whether the output hangs
+        if self._pending_call is not None:
+            self.failed  # noqa: B018  checks whether the output hangs
 
     def end_prediction(self, now: float) -> None:
         """End the prediction at `now` (s, monotonic), because no frame will correct it."""
-        self._queue.append(_QueuedReport(_empty(now), now, True, self._clock(), frame=False))
+        self._queue.append((_empty(now), None, True, self._clock()))
         self._wake_thread()
 
     def pause(self, paused: bool) -> None:
@@ -155,7 +155,7 @@ class OutputThread:
         """Counts that were submitted and that the thread has not processed."""
         total = _NONE
         for queued in tuple(self._queue):
-            total = plus(total, queued.report.counts)
+            total = plus(total, queued[0].counts)
         return total
 
     @property
@@ -167,10 +167,11 @@ class OutputThread:
         """Return the reason of a failure, and the counts sent, unsent and ahead."""
         failed, past, sent, delivery = self.failed, self._past, self._sent, _delivery(self._output)
         arrived = minus(plus(past, sent), plus(delivery.waiting, delivery.lost))
-        if failed is not None:  # counts that have not arrived will not arrive
-            return failed, arrived, minus(self._sum, arrived), _NONE
         unsent = plus(plus(self._unsent, self._overflow), delivery.lost)
-        return None, arrived, unsent, minus(minus(sent, self._frame_sum), delivery.waiting)
+        ahead = minus(minus(sent, self._frame_sum), delivery.waiting)
+        if failed is not None:  # counts that have not arrived will not arrive
+            return failed, arrived, plus(minus(unsent, ahead), self.queued), _NONE
+        return None, arrived, unsent, ahead
 
     @property
     def failed(self) -> str | None:
@@ -183,10 +184,10 @@ class OutputThread:
         took = now - self._seen_call[1]
         if took < HANG_TIMEOUT:
             return self._failed
-        hint = f" ({call.hint})" if call.hint else ""
-        reason = f"the output hangs: {call.what}{hint} for {took:.1f} s"
-        if not call.hangs:
-            call.hangs = True
+        what, hint = call
+        reason = f"the output hangs: {what}{f' ({hint})' if hint else ''} for {took:.1f} s"
+        if self._hung_call is not call:
+            self._hung_call = call
             self._log(f"{self._name}: {reason}")
         return reason
 
@@ -206,9 +207,8 @@ class OutputThread:
         self._wake_thread()
         if self._thread.ident is None:  # the thread was never started
             return
-        self._thread.join(
-            HANG_TIMEOUT if self._pending_call is not None and self._pending_call.hangs else _MAX_JOIN_TIME
-        )
+        hangs = self._pending_call is not None and self._pending_call is self._hung_call
+        self._thread.join(HANG_TIMEOUT if hangs else _MAX_JOIN_TIME)
 
     def _wake_thread(self) -> None:
         try:  # noqa: SIM105  suppress takes three times as long, for each frame and output
@@ -244,42 +244,40 @@ class OutputThread:
     def _work(self) -> None:
         if self._output is None and not self._ended and self._clock() >= self._retry_time:
             self._open_again()
-        self._check_delivery()
+        if self._acknowledges:
+            self._check_delivery()
         if self._paused:
             self._reset()
         while self._queue:
-            queued = self._queue.popleft()
-            if not queued.frame and self._per_frame:
-                continue
+            report, taken, wanted, submitted = self._queue.popleft()
             now = self._clock()
-            late = now - queued.submitted > MAX_QUEUE_TIME and not self._per_frame
-            if self._failed is not None or self._output is None or self._paused or late or not queued.wanted:
-                self._unsent, self._dropped = plus(self._unsent, queued.report.counts), self._dropped + 1
+            if taken is None and not self._paced:
+                continue
+            late = self._paced and now - submitted > MAX_QUEUE_TIME
+            if self._failed is not None or self._output is None or self._paused or late or not wanted:
+                self._unsent, self._dropped = plus(self._unsent, report.counts), self._dropped + 1
                 if self._output is not None and self._failed is not None and not self._paused:
-                    self._send(_empty(queued.report.stamp), self._sent)
+                    self._send(_empty(report.stamp), self._sent)
             else:
-                self._take(queued, now)
-        if self._output is not None and (now := self._clock()) >= self._next:
-            self._carry_on(now)
+                self._take(report, submitted if taken is None else taken, now)
+        if self._next < inf and self._clock() >= self._next:
+            self._carry_on(self._clock())
 
-    def _take(self, queued: _QueuedReport, now: float) -> None:
+    def _take(self, report: Report, taken: float, now: float) -> None:
         """Send a frame's report at once, even an empty one: some outputs use it as a sign of life."""
-        report = queued.report
         self._frame_sum = due = plus(self._frame_sum, report.counts)
-        if not self._per_frame:
-            due = self._predict(queued, now)
+        if self._paced:
+            due = self._predict(report, taken, now)
             report = report._replace(counts=minus(due, self._sent))
         if self._send(report, due):
-            self._latency[self._frames % LATENCY_COUNT] = self._clock() - queued.taken
+            self._latency[self._frames % LATENCY_COUNT] = self._clock() - taken
             self._frames += 1
 
-    def _predict(self, queued: _QueuedReport, now: float) -> Counts:
+    def _predict(self, report: Report, taken: float, now: float) -> Counts:
         """Start the prediction from a frame, and return the sum of counts that is due."""
-        report, settings = queued.report, self._settings
-        self._resampler = pointer.take(
-            self._resampler, self._sent, report.counts, report.rate, queued.taken, now, settings
-        )
-        self._last, self._grid, self._period = queued, now, 1.0 / settings.rate
+        settings = self._settings
+        self._resampler = pointer.take(self._resampler, self._sent, report.counts, report.rate, taken, now, settings)
+        self._last, self._grid, self._period = (report, taken), now, 1.0 / settings.rate
         self._plan(now)
         return pointer.due(self._resampler, now)
 
@@ -289,19 +287,14 @@ class OutputThread:
         due = pointer.due(self._resampler, now)
         if due != self._sent:
             assert self._last is not None
-            stamp = self._last.report.stamp + now - self._last.taken
-            self._send(Report(minus(due, self._sent), self._last.report.rate, stamp), due)
+            last, taken = self._last
+            self._send(Report(minus(due, self._sent), last.rate, last.stamp + now - taken), due)
 
     def _plan(self, now: float) -> None:
         """Set the time of the next report: on a grid without drift, and once after the end of the prediction."""
         period = self._period
         after = self._grid + (floor((now - self._grid) / period) + 1) * period
         self._next = after if now < self._resampler.until else inf
-
-    @property
-    def _per_frame(self) -> bool:
-        """True if the output gets one report a frame, without prediction."""
-        return self._output is not None and not self._output.paced
 
     def _send(self, report: Report, due: Counts) -> bool:
         assert self._output is not None
@@ -334,7 +327,8 @@ class OutputThread:
         self._next = inf
 
     def _enter(self) -> None:
-        self._output = self._open().__enter__()
+        self._output = output = self._open().__enter__()
+        self._paced, self._acknowledges = output.paced, type(output).delivery is not Output.delivery
 
     def _check_delivery(self) -> None:
         """Log the start and the end of trouble that an open output reports."""
@@ -357,12 +351,12 @@ class OutputThread:
 
     def _call(self, what: str, function: Callable[..., object], *arguments: object) -> bool:
         """Call the output, and return True if the call hung. The call is pending, because it may never return."""
-        self._pending_call = call = _PendingCall(what, "" if self._output is None else self._output.hang_hint)
+        self._pending_call = call = (what, "" if self._output is None else self._output.hang_hint)
         try:
             function(*arguments)
         finally:
             self._pending_call = None
-        return call.hangs
+        return call is self._hung_call
 
     def _fail(self, reason: str, error: Exception) -> None:
         """Close the output, log the reason and set the time of the next attempt."""
@@ -396,16 +390,7 @@ class OutputThread:
     def _drop_queue(self) -> None:
         """Count the queued reports as unsent: sent all at once they would make the pointer jump."""
         for _ in range(len(self._queue)):
-            self._unsent, self._dropped = plus(self._unsent, self._queue.popleft().report.counts), self._dropped + 1
-
-
-@dataclass(slots=True, eq=False)
-class _PendingCall:
-    """A call of the output that has not returned."""
-
-    what: str  # for the message
-    hint: str  # usual reason; empty if there is none
-    hangs: bool = False
+            self._unsent, self._dropped = plus(self._unsent, self._queue.popleft()[0].counts), self._dropped + 1
 
 
 def _empty(stamp: float) -> Report:
