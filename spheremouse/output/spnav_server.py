@@ -53,14 +53,17 @@ class SpnavServer:
     def close(self) -> None:
         """End the connections and remove the socket."""
         self._over = True
+        self._listener.shutdown(socket.SHUT_RDWR)  # wakes the thread
         self._thread.join()
         for connection in (self._listener, *self._clients):
             connection.close()
         self._path.unlink(missing_ok=True)
 
     def _serve(self) -> None:
-        while not self._over:
-            readable, _, _ = select.select([self._listener, *self._clients], [], [], 0.05)
+        while True:
+            readable, _, _ = select.select([self._listener, *self._clients], [], [])
+            if self._over:
+                return
             for connection in readable:
                 with self._lock, contextlib.suppress(OSError):
                     self._accept() if connection is self._listener else self._read(connection)
