@@ -10,17 +10,22 @@ animal looks away from the camera: X is -Z of `obj`, Y is X, Z is -Y. For a hand
 
 import time
 from math import atan2, cos, hypot, pi, radians, sin, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
+import orjson
 
-from spheremouse.geometry.rotation import Array, exp, log
+from spheremouse.geometry import Array
 from spheremouse.output import Report
-from spheremouse.output.sample import Sample
+from spheremouse.output.sample import Sample, to_quaternion
 from spheremouse.tracker import Status
 
+if TYPE_CHECKING:
+    from spheremouse.geometry.camera import Pose
+
 FRAMES = ("camera", "window")
-_LINE = ", ".join(["FT", "%d", *["%.14g"] * 21, "%d", *["%.14g"] * 2])
 _R_LAB_OBJ = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+_UNKNOWN = [[np.nan] * 3] * 3
 _R_LAB_CAM = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
@@ -33,6 +38,8 @@ class FicTrac:
         `forward` is the animal's forward direction, degrees to the right of the direction away from the camera.
         """
         self._window = frame == "window"
+        self._camera: Pose | None = None  # of the line before
+        self._R_cam = _UNKNOWN  # its rotation from obj
         c, s = cos(radians(forward)), sin(radians(forward))
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         self._R_lab = {"obj": (turn @ _R_LAB_OBJ).tolist(), "cam": (turn @ _R_LAB_CAM).tolist()}
@@ -55,9 +62,9 @@ class FicTrac:
         if self._first is None:  # the way while the ball was lost is unknown
             self._first, self._last = sample.sequence, sample.stamp
             self._x = self._y = self._heading = 0.0
-        increment, attitude = sample.increment.tolist(), log(sample.rotation).tolist()
+        increment, attitude = sample.increment.tolist(), _rotation_vector(sample.rotation)
         (xx, _, _), (_, yy, _), (_, _, zz) = sample.increment_covariance.tolist()
-        R_cam, R_lab = self._camera_axes(sample).tolist(), self._R_lab[sample.coordinates]
+        R_cam, R_lab = self._camera_axes(sample), self._R_lab[sample.coordinates]
         lab = _rotated(R_lab, increment)
         forward, side = lab[1], -lab[0]
         self._integrate(forward, side, -lab[2])
@@ -69,7 +76,8 @@ class FicTrac:
         values += [1e3 * (sample.stamp - self._last)]
         values += [1e3 * (capture if sample.wall is None else _since_midnight(capture))]
         self._last = sample.stamp
-        return _LINE % tuple(values)
+        numbers = orjson.dumps(values, option=orjson.OPT_SERIALIZE_NUMPY)[1:-1].decode()
+        return "FT, " + numbers.replace("null", "nan").replace(",", ", ")
 
     def _integrate(self, forward: float, side: float, turn: float) -> None:
         """Add a step (rad) along a circular arc: heading and motion change evenly between two frames."""
@@ -80,15 +88,25 @@ class FicTrac:
         self._forward += forward
         self._side += side
 
-    def _camera_axes(self, sample: Sample) -> Array:
+    def _camera_axes(self, sample: Sample) -> list[list[float]]:
         """Return the rotation from the still axes to the camera or the window, (3, 3); nan if it is unknown."""
         if sample.coordinates == "cam":
-            R_cam, centre = np.eye(3), sample.position
-        elif sample.camera is None:
-            return np.full((3, 3), np.nan)
-        else:
-            R_cam, centre = sample.camera.rotation.T, sample.camera.to_cam(np.zeros(3))
-        return _window_axes(centre) @ R_cam if self._window else R_cam
+            return (_window_axes(sample.position) if self._window else np.eye(3)).tolist()
+        if sample.camera is not self._camera:
+            self._camera, self._R_cam = sample.camera, _UNKNOWN if sample.camera is None else self._axes(sample.camera)
+        return self._R_cam
+
+    def _axes(self, camera: "Pose") -> list[list[float]]:
+        window = _window_axes(camera.to_cam(np.zeros(3))) if self._window else np.eye(3)
+        return (window @ camera.rotation.T).tolist()
+
+
+def _rotation_vector(R: Array) -> list[float]:
+    """Return the rotation vector, (3,) rad, without compiled code, which would take a while to load."""
+    w, x, y, z = to_quaternion(R)
+    size = hypot(x, y, z)
+    scale = 2.0 * atan2(size, w) / size if size > 0.0 else 2.0
+    return [scale * x, scale * y, scale * z]
 
 
 def _rotated(R: list[list[float]], vector: list[float]) -> list[float]:
@@ -99,9 +117,9 @@ def _rotated(R: list[list[float]], vector: list[float]) -> list[float]:
 
 def _window_axes(centre: Array) -> Array:
     """Return the smallest rotation that turns the direction of the ball's centre, (3,) m in cam, to z."""
-    axis = np.cross(centre, (0.0, 0.0, 1.0))
-    length = float(np.linalg.norm(axis))
-    return exp(axis * (atan2(length, centre[2]) / length)) if length else np.eye(3)
+    x, y, z = (centre / np.linalg.norm(centre)).tolist()  # z > 0: the camera sees the ball
+    V = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
+    return np.eye(3) + V + V @ V / (1.0 + z)
 
 
 def _since_midnight(wall: float) -> float:

@@ -36,7 +36,7 @@ def messages(sample: Sample, counts: Counts) -> list[Message]:
     }
     if sample.coordinates == "cam":
         values["position"] = sample.position.tolist()
-    return made + [(f"{place}/{name}", "f" * len(v), v) for name, v in values.items() if all(map(isfinite, v))]
+    return made + [(f"{place}/{name}", "f" * len(v), v) for name, v in values.items() if isfinite(sum(v))]
 
 
 class Osc(DatagramOutput):

@@ -43,6 +43,8 @@ class Response:
 
     def to_axes(self, motion: Sequence[float]) -> list[float]:
         """Return the motion (3,) along the output's axes."""
+        if self.axes == "xyz":
+            return list(motion)
         x, y, z = motion
         return [a * x + b * y + c * z for a, b, c in _matrix(self.axes)]
 

@@ -222,7 +222,7 @@ def _array(read: Mapping[str, Any], key: str, *shape: int) -> Array:
 
 
 def _vector(values: list[float], known: bool) -> list[float] | None:
-    return values if known and all(map(isfinite, values)) else None
+    return values if known and isfinite(sum(values)) else None
 
 
 def _matrix(covariance: Array, start: int, known: bool) -> list[list[float]] | None:
@@ -230,7 +230,7 @@ def _matrix(covariance: Array, start: int, known: bool) -> list[list[float]] | N
     if not known:
         return None
     block = covariance[start : start + 3, start : start + 3].tolist()
-    return block if all(map(isfinite, chain(*block))) else None
+    return block if isfinite(sum(chain(*block))) else None
 
 
 def _yaw_pitch_roll(estimate: Estimate) -> list[float] | None:
