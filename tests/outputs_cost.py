@@ -1,10 +1,11 @@
 """Measure what outputs cost, and whether a bad receiver delays another output.
 
 python -m tests.outputs_cost cost [OUTPUT ...] publishes 100 tracked samples a second to one output after another, each
-with its thread as in a run. The table has the processor time of this process for each sample, less that without an
-output. Receivers are other processes, and not counted. `{port}` in an OUTPUT is a free port, `{folder}` a new folder.
-`watch` is a client of `ctl watch`, and `gamepad` writes its events to the null device. An OUTPUT with spaces is several
-outputs of one run, and the table has the time for each of them.
+with its thread as in a run. Each round has a second of each output and one without, in a random order. The table has
+the processor time of this process for each sample, less that without an output in the same round: the median and its
+interval of 95 %. Receivers are other processes, and not counted. `{port}` in an OUTPUT is a free port, `{folder}` a new
+folder. `watch` is a client of `ctl watch`, and `gamepad` writes its events to the null device. An OUTPUT with spaces is
+several outputs of one run, and the table has the time for each of them.
 
 python -m tests.outputs_cost receivers sends the frames of a camera of 60 Hz to a paced output without a device and to
 `udp`, `tcp` and `ws`, whose receivers misbehave. Each round has a run of each kind of receivers, in a random order,
@@ -28,18 +29,21 @@ from evdev import _uinput
 from scipy.stats import quantile_test
 
 from spheremouse.output import Output, Report, open_output
+from spheremouse.output.counts import OutputCounter
 from spheremouse.output.gamepad import Gamepad
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.output.reporter import OutputThread
-from spheremouse.output.response import STICK
+from spheremouse.output.response import COUNTS, STICK
 from spheremouse.output.sample import Sample
 from spheremouse.session.control.server import ControlServer
+from spheremouse.session.outputs import RunOutput
 from spheremouse.session.process import realtime
 from spheremouse.session.settings import ControlSettings
 from spheremouse.tracker import Status, unknown
 
 FPS, RATE = 60.0, 250.0  # frames/s, paced reports/s
 SAMPLES_PER_S = 100.0  # to measure the cost
+WARM_UP = 20  # samples of each second that are not measured
 OUTPUTS = (
     "null",
     "text:{folder}/samples.json",
@@ -185,37 +189,47 @@ def subscriber(spec):
             yield lambda report, taken: server.submit(report)
         return
     open_it = (lambda: Gamepad(NullDevice(), STICK)) if kind == "gamepad" else (lambda: open_output(spec))
-    thread = OutputThread(open_it, PointerSettings(), print)
-    yield thread.submit
-    thread.close()
+    output = RunOutput(spec, OutputThread(open_it, PointerSettings(), print), OutputCounter(COUNTS))
+    yield lambda report, taken: output.submit(report, taken, True)
+    output.thread.close()
 
 
-def seconds_per_sample(specs, count):
-    """Return the processor time of this process, s a sample."""
-    with ExitStack() as stack:
-        publish = [stack.enter_context(subscriber(spec)) for spec in specs]
-        for spec in specs:
-            stack.enter_context(receiver(spec))
-        warm_up, measured = reports(200, FPS), reports(count, FPS)
-        for made in (warm_up, measured):
-            start, processor = time.monotonic(), time.process_time()
-            for k, report in enumerate(made):
-                taken = start + k / SAMPLES_PER_S
-                time.sleep(max(0.0, taken - time.monotonic()))
-                for submit in publish:
-                    submit(report, taken)
-        return (time.process_time() - processor) / count
+def processor_time(publish, made):
+    """Return the processor time of this process, s a sample, to publish reports at `SAMPLES_PER_S`."""
+    processor, start = 0.0, time.monotonic()
+    for k, report in enumerate(made):
+        if k == WARM_UP:
+            processor = time.process_time()
+        taken = start + k / SAMPLES_PER_S
+        time.sleep(max(0.0, taken - time.monotonic()))
+        for submit in publish:
+            submit(report, taken)
+    time.sleep(1.0 / SAMPLES_PER_S)
+    return (time.process_time() - processor) / (len(made) - WARM_UP)
 
 
-def cost(specs, count):
+def cost(specs, rounds):
     """Print the cost of each output."""
-    print("| output | a sample |\n| --- | --- |")
+    rng, made = np.random.default_rng(), reports(WARM_UP + int(SAMPLES_PER_S), FPS)
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        publish = {"": []}
+        for k, spec in enumerate(specs):
+            several = [one.format(port=free_port(), folder=f"{folder}/{k}") for one in spec.split()]
+            os.mkdir(f"{folder}/{k}")
+            publish[spec] = [stack.enter_context(subscriber(one)) for one in several]
+            for one in several:
+                stack.enter_context(receiver(one))
+            processor_time(publish[spec], made)  # loads code, and connects
+        spent = {spec: [] for spec in publish}
+        for _ in range(rounds):
+            for spec in rng.permutation(list(publish)).tolist():
+                spent[spec].append(processor_time(publish[spec], made))
+    print("| output | a sample | 95 % interval of the median |\n| --- | --- | --- |")
     for spec in specs:
-        with tempfile.TemporaryDirectory() as folder:
-            several = [one.format(port=free_port(), folder=folder) for one in spec.split()]
-            spent = seconds_per_sample(several, count) - seconds_per_sample([], count)
+        each = 1e3 * (np.array(spent[spec]) - spent[""]) / len(publish[spec])
+        low, high = quantile_test(each, p=0.5).confidence_interval(0.95)
         name = spec.replace("{port}", "PORT").replace("{folder}/", "")
-        print(f"| `{name}` | {1e3 * spent / len(several):.3f} ms |", flush=True)
+        print(f"| `{name}` | {np.median(each):.3f} ms | {low:.3f} to {high:.3f} ms |")
 
 
 def p99_interval(mode, seconds):
@@ -240,14 +254,14 @@ def p99_interval(mode, seconds):
     return float(np.percentile(np.diff(sink.times), 99))
 
 
-def receivers(seconds, rounds):
+def receivers(rounds):
     """Print the intervals relative to those with good receivers."""
     realtime.claim(0)  # as the daemon's worker has it; the threads do not inherit it
     p99_interval(GOOD, 1.0)  # compiles
     rng, p99 = np.random.default_rng(), {mode: [] for mode in (GOOD, *MODES)}
     for _ in range(rounds):
         for mode in rng.permutation(list(p99)).tolist():
-            p99[mode].append(p99_interval(mode, seconds))
+            p99[mode].append(p99_interval(mode, 2.0))
     print(f"good receivers: 99 % of the intervals within {1e3 * np.median(p99[GOOD]):.2f} ms, median of {rounds} runs")
     print("| receivers of the others | ratio: median | 95 % interval of the median |\n| --- | --- | --- |")
     for mode, words in MODES.items():
@@ -261,14 +275,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=["cost", "receivers"])
     parser.add_argument("outputs", nargs="*", default=OUTPUTS)
-    parser.add_argument("--samples", type=int, default=1000, help="of each output")
-    parser.add_argument("--seconds", type=float, default=2.0, help="of each run with receivers")
-    parser.add_argument("--rounds", type=int, default=30, help="runs of each kind of receivers")
+    parser.add_argument("--rounds", type=int, default=25)
     given = parser.parse_args()
     if given.what == "cost":
-        cost(given.outputs, given.samples)
+        cost(given.outputs, given.rounds)
     else:
-        receivers(given.seconds, given.rounds)
+        receivers(given.rounds)
 
 
 if __name__ == "__main__":
