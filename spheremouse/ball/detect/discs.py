@@ -331,7 +331,7 @@ def best_projection(image: Image, detector: DiscDetector, present: Projection) -
         return best, information.get(best, 0.0)
     fisher = _better_than_grey(image, detector, best, found[best])
     more = 0.0 if fisher is None else information_of(detector.seeing(fisher).detect(image), detector.settings.sigma)
-    if fisher is None or more <= information[best]:
+    if fisher is None or more < _MIN_GAIN * information[best]:  # such as spots on a hand, which are as dark in grey
         return best, information[best]
     return fisher, more
 
