@@ -111,29 +111,97 @@ def test_a_flat_thing_that_moves_alone_is_no_ball_that_turns():
     assert not len(states[-31].lookalikes.masks)
 
 
-def behind_a_sheet(picture, t):
-    spots, (left, right) = sheet(t)
-    picture[:, max(int(left), 0) : max(int(right), 0)] = 225
+STANDS = 12.0  # s
+
+
+def _with_spots(picture, spots, radius=6.0):
     for x, y in np.rint(16.0 * spots).astype(int).tolist():
-        cv2.circle(picture, (x, y), 16 * 6, (25, 25, 25), -1, cv2.LINE_AA, 4)
+        cv2.circle(picture, (x, y), round(16 * radius), (25, 25, 25), -1, cv2.LINE_AA, 4)
     return picture
 
 
-def seen_by_a_turning_camera(picture, t):
-    """A rotation by 0.3° within 8 s, without parallax."""
-    H = (
-        CAMERA.matrix
-        @ exp(np.radians(0.3) * min(t / 8.0, 1.0) * np.array([0.8, 0.6, 0.0]))
-        @ np.linalg.inv(CAMERA.matrix)
+def spotted_sheet(picture, t):
+    spots, (left, right) = sheet(t)
+    picture[:, max(int(left), 0) : max(int(right), 0)] = 225
+    return _with_spots(picture, spots)
+
+
+def passing_sheet(picture, t):
+    """A narrow spotted sheet that passes again and again, as fast as a hand carries it."""
+    x = (180.0 * t) % 1100.0 - 200.0
+    picture[:, max(int(x - 120.0), 0) : max(int(x + 120.0), 0)] = 225
+    spots = lattice(45.0, (x - MIDDLE[0], 5.0 * np.sin(3.0 * t)))
+    return _with_spots(picture, spots[np.abs(spots[:, 0] - x) < 115.0])
+
+
+def falling_dots(picture, t):
+    return _with_spots(picture, dots(t)[0])
+
+
+def spotted_hand(picture, t):
+    """A hand with dark spots that comes from below, strokes the ball and leaves."""
+    x = MIDDLE + np.array(
+        [60.0 * np.sin(2.0 * t), 60.0 + 30.0 * np.sin(1.3 * t) + 600.0 * (max(1.0 - t, 0.0) + max(t - 10.0, 0.0))]
     )
+    cv2.ellipse(picture, np.rint(x).astype(int).tolist(), (130, 90), 20.0, 0.0, 360.0, (130, 160, 215), -1, cv2.LINE_AA)
+    angle = np.arange(10) * 2.4
+    out = np.sqrt(np.arange(10) + 0.5) * 22.0
+    return _with_spots(picture, x + np.stack([1.2 * out * np.cos(angle), 0.8 * out * np.sin(angle)], axis=1))
+
+
+def breathing_focus(picture, t):
+    """The image grows by 5 % and shrinks again."""
+    grown = 1.0 + 0.025 * (1.0 - np.cos(1.5 * min(t, STANDS - 0.5)))
+    return _warped(
+        picture, np.array([[grown, 0.0, 320.0 * (1.0 - grown)], [0.0, grown, 240.0 * (1.0 - grown)], [0, 0, 1]])
+    )
+
+
+def _warped(picture, H):
     return cv2.warpPerspective(picture, H, picture.shape[1::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("disturbed", [behind_a_sheet, seen_by_a_turning_camera])
-def test_a_disturbed_picture_of_a_standing_ball_sends_nothing_and_delays_no_play(disturbed):
-    scene, rng = default_scene(12, seed=1), np.random.default_rng(7)
-    play = Gestures((Gesture(9.5, 1.2, (0.6, 0.0, -0.8), 0.9),), 11.5)
+def _rotated(picture, turn):
+    """The picture of a camera that turns by a rotation vector, without parallax."""
+    return _warped(picture, CAMERA.matrix @ exp(np.asarray(turn)) @ np.linalg.inv(CAMERA.matrix))
+
+
+def drifting_camera(picture, t):
+    """A rotation by 0.3° within 8 s."""
+    return _rotated(picture, np.radians(0.3) * min(t / 8.0, 1.0) * np.array([0.8, 0.6, 0.0]))
+
+
+def shaking_camera(picture, t):
+    """Steps on the floor: 0.1° at 5 Hz."""
+    return _rotated(picture, np.radians(0.1) * np.sin(31.0 * t) * np.array([0.8, 0.6, 0.0]) * (t < STANDS - 0.5))
+
+
+def passing_shadow(picture, t):
+    """The shadow of a person who walks up and down before the lamp."""
+    x = MIDDLE[0] + 250.0 * np.sin(1.1 * t)
+    shade = 1.0 - 0.6 * np.exp(-(((np.arange(640) - x) / 70.0) ** 4))
+    return (picture * shade[None, :, None]).astype(np.uint8)
+
+
+def spotted_wheel(picture, t):
+    """A spotted plate that turns in front of a part of the ball."""
+    at, angle = MIDDLE + np.array([70.0, -50.0]), 0.8 * t + np.arange(6) * np.pi / 3.0
+    if not 1.0 < t < STANDS - 1.0:
+        return picture
+    cv2.circle(picture, np.rint(at).astype(int).tolist(), 75, (225, 225, 225), -1, cv2.LINE_AA)
+    return _with_spots(picture, at + 55.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+
+
+def waving_sleeve(picture, t):
+    spots, (left, right) = sleeve(8.0 * t / STANDS)
+    picture[:, max(int(left), 0) : max(int(right), 0)] = 200
+    return _with_spots(picture, spots)
+
+
+def stand(disturbed, discs=12, seed=1):
+    """Return the farthest counts while the ball stands, the delay (s) and missing counts of the play after it."""
+    scene, rng = default_scene(discs, seed=seed), np.random.default_rng(7)
+    play = Gestures((Gesture(STANDS, 1.2, (0.6, 0.0, -0.8), 0.9),), STANDS + 2.0)
     tracker, renderer = build(scene.rig(), scene.pose, Settings()), Renderer(scene, RenderOptions(noise=4.0))
     state, estimates, truth = begin(tracker, 0.0), [], []
     for k in range(round(play.seconds / DT)):
@@ -143,8 +211,23 @@ def test_a_disturbed_picture_of_a_standing_ball_sends_nothing_and_delays_no_play
         estimates.append(estimate)
         truth.append(MATRIX @ log(made.attitude))
     counts, truth = np.cumsum(counts_of(estimates, tracker.rig), axis=0), np.array(truth)
-    stands = round(9.5 / DT)
-    assert np.linalg.norm(counts[:stands], axis=1).max() <= 5.0
+    stands = round(STANDS / DT)
+    farthest = float(np.linalg.norm(counts[:stands], axis=1).max())
     moved = [np.argmax(np.linalg.norm(x[stands:] - x[stands - 1], axis=1) >= 3.0) for x in (truth, counts)]
-    assert (moved[1] - moved[0]) * DT <= 0.3
-    assert np.linalg.norm(counts[-1] - counts[stands - 1] - truth[-1]) <= 5.0
+    return farthest, (moved[1] - moved[0]) * DT, float(np.linalg.norm(counts[-1] - counts[stands - 1] - truth[-1]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "disturbed",
+    [
+        spotted_sheet, passing_sheet, falling_dots, spotted_hand, breathing_focus, drifting_camera, shaking_camera,
+        passing_shadow, spotted_wheel, waving_sleeve
+    ],
+)  # fmt: skip
+def test_a_disturbed_picture_of_a_standing_ball_sends_nothing_and_delays_no_play(disturbed):
+    farthest, delay, missing = stand(disturbed)
+    print(f"{disturbed.__name__}: {farthest:.0f} counts, {delay:.2f} s, {missing:.0f} counts missing")
+    assert farthest <= 5.0
+    assert delay <= 0.3
+    assert missing <= 5.0
