@@ -64,9 +64,8 @@ demo: $(STAMP)
 picture: demo
 	PYTHONPATH=tests $(BIN)/python docs/picture.py
 
-# Compiled by one process before the tests are several; a test process that crashes ends them all, and is told.
+# A test process that crashes ends them all, and is told.
 test: $(STAMP)
-	$(BIN)/python -m spheremouse.wand.warm
 	$(PYTEST) -m "not slow" $(TEST_ARGS)
 
 # What takes hours or minutes, or needs what few machines have.

@@ -13,6 +13,8 @@ namespace nb = nanobind;
 
 namespace spheremouse {
 
+using nb::arg;
+
 template <class T, nb::ssize_t... Shape>
 using Array = nb::ndarray<T, nb::shape<Shape...>, nb::c_contig, nb::device::cpu>;  // a size of -1 is free
 
@@ -34,7 +36,8 @@ Array<T, Shape...> array(nb::handle given, const char* name) {
     const nb::object dtype = nb::getattr(given, "dtype", nb::none()), sizes = nb::getattr(given, "shape", nb::none());
     throw nb::type_error((std::string(name) + ": must be an array of type " + kind + std::to_string(sizeof(T)) +
                           " and shape (" + shape + ") in C order, is " + nb::str(dtype).c_str() + " " +
-                          nb::str(sizes).c_str()).c_str());
+                          nb::str(sizes).c_str())
+                             .c_str());
 }
 
 /// Return a new array of NumPy, filled with zeros.

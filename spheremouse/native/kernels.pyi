@@ -26,3 +26,105 @@ def grow_glare(
     `distance`, (k, l) px, is that from the spot, for the pixels from `top`, `left` on. Pale print is within 8 px of the
     spot. It has the hue of a colour, and a quarter to all of its least saturation.
     """
+
+def connected_areas(binary: _Byte, diagonal: bool) -> tuple[_Float, _Index, _Index]:
+    """Find the connected pixels of value 255 in a picture, (h, w), in the order of their first ones.
+
+    Return left, top, width, height, area and centre u, v of each area in px, (n, 7). Then return row and column of all
+    pixels, area by area, (k, 2), and the index of each area's first pixel, (n + 1,). `diagonal` connects corners too.
+    """
+
+# spheremouse/wand/likelihood.cpp
+
+class BallModel:
+    """Ball with its points before a camera: `model.Points.table`, (p, 10), `colour`, (p,), and `lens`, (9,)."""
+
+    def __init__(self, table: _Float, colour: _Index, radius: float, lens: _Float) -> None: ...
+
+class FieldsView:
+    """Weight fields, (c, h, w), and glare, (1, h, w) or (0, 1, 1), for the functions below, without a copy.
+
+    `place` has left, top and factor, `fraction` and `rim` a value for each colour (`colour.Fields`).
+    """
+
+    def __init__(self, weight: _Byte, glare: _Byte, place: _Float, fraction: _Float, rim: _Float) -> None: ...
+
+def log_likelihood(
+    position: _Float, rotation: _Float, ball: BallModel, fields: FieldsView, sigma: float, disc_weight: _Float,
+    which: _Index,
+) -> tuple[_Float, _Float]:  # fmt: skip
+    """Return log-likelihood ratios and matches of n poses, (n,) each (`likelihood.log_likelihood`).
+
+    `disc_weight`, (k, d), has weights of the points of each disc, and `which`, (n,), the row for a pose or -1.
+    """
+
+def expected_field(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the expected field e of n points of discs, (n,), and de / d(rim offset in px of the field), (n,).
+
+    Each row of `points`, (n, 8), has: the scalar product of the rim's tangent and the line of sight; that of the
+    direction out of the disc; the cosine of the viewing angle; px per rad seen from the front; the distances to the
+    near and the far rim, rad; the rim's curvature 1 / tan(angle); the px by which bounds select the rim outward.
+    """
+
+# spheremouse/wand/limb.cpp
+
+def measure_edges(
+    image: _Byte, position: _Float, rotation: _Float, discs: _Float, ball: BallModel, factor: int
+) -> _Float:
+    """Return edges across the outline of a ball, (24, 5) (`limb.measure_edges`)."""
+
+def outline_log_likelihood(position: _Float, which: _Index, edges: _Float, ball: BallModel, factor: int) -> _Float:
+    """Return the log-likelihood ratios, (n,), of the edges `edges[which]` of (k, 24, 5), for balls at (n, 3) m."""
+
+def outline_points(position: _Float, radius: float) -> _Float:
+    """Return 24 points of the outline of a ball at (3,) m, (24, 3) m from its centre, in cam axes."""
+
+# spheremouse/wand/refine.cpp
+
+def refine(
+    position: _Float, rotation: _Float, ball: BallModel, fields: FieldsView, edges: _Float, rounds: int
+) -> tuple[_Float, _Float, _Float, float]:
+    """Return position, rotation, covariance and slope of the peak near a pose (`refine.refine_pose`)."""
+
+# spheremouse/wand/particles.cpp
+
+class Proposal:
+    """Products of m motions with k peaks, in this order, then the k peaks alone: c = m k + k components.
+
+    `shift` (m, 6), `motion_covariance` (m, 6, 6) and `probability` (m,) are those of `MotionMixture`, `birth` too.
+    `position` (k, 3), `rotation` (k, 3, 3), `covariance` (k, 6, 6) and `log_mass` (k,) are those of `PeakMixture`.
+    """
+
+    def __init__(
+        self, shift: _Float, motion_covariance: _Float, probability: _Float, birth: float,
+        position: _Float, rotation: _Float, covariance: _Float, log_mass: _Float,
+    ) -> None: ...  # fmt: skip
+    def score(self, position: _Float, rotation: _Float) -> tuple[_Float, _Float]:
+        """Return log weights of the products for n particles, (n, m k), and differences from the peak, (n, m k, 6)."""
+
+    def draw(self, chosen: _Index, difference: _Float, normal: _Float) -> tuple[_Float, _Float]:
+        """Draw poses, (n, 3) m and (n, 3, 3), from the components `chosen`, (n,), with normal numbers, (n, 6)."""
+
+    def log_ratio(
+        self, base_position: _Float, base_rotation: _Float, position: _Float, rotation: _Float, difference: _Float,
+        responsibility: _Float, blind: float,
+    ) -> tuple[_Float, _Index]:  # fmt: skip
+        """Return log p(x | parent) - log q(x | parent), (n,), and the index of the nearest peak, (n,).
+
+        The parents are the `base` poses, with their differences and the probability of each component, (n, c).
+        The fraction `blind` of the poses comes from the motions alone.
+        """
+
+# spheremouse/wand/assign.cpp
+
+def assign_spots(
+    spots: _Float, discs: _Float, glare: _Float, limits: _Float, min_score: float, first_spot: int,
+    max_assignments: int, max_found: int,
+) -> tuple[_Float, _Float, _Float, int]:  # fmt: skip
+    """Return poses that explain spots: score, (k,), centre in radii of the ball, (k, 3), rotation, (k, 3, 3).
+
+    Spots, (n, 4), are x, y in reduced coordinates, area and index of the colour. Discs, (m, 5), are direction, angular
+    radius and index of the colour. Glare, (g, 3), is x, y and radius. `limits` are the least and the greatest radius
+    of the ball over its distance, and the tolerance of a centroid. The last result is the spot at which
+    `max_assignments` were reached, or 0.
+    """

@@ -1,10 +1,15 @@
 #include "spheremouse/native/arrays.h"
 
 namespace spheremouse::wand {
+void bind_assign(nb::module_& m);
 void bind_colour(nb::module_& m);
-}
+void bind_likelihood(nb::module_& m);
+void bind_limb(nb::module_& m);
+void bind_particles(nb::module_& m);
+void bind_refine(nb::module_& m);
+}  // namespace spheremouse::wand
 
 NB_MODULE(kernels, m) {
-    m.doc() = "Per-frame functions in C++. Each source lies beside the Python module that calls it.";
-    spheremouse::wand::bind_colour(m);
+    using namespace spheremouse::wand;
+    for (auto bind : {bind_assign, bind_colour, bind_likelihood, bind_limb, bind_particles, bind_refine}) bind(m);
 }

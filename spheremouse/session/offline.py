@@ -22,8 +22,8 @@ from spheremouse.ball.track import step as step_ball
 from spheremouse.ball.warm import warm_up as warm_up_ball
 from spheremouse.compiling import told
 from spheremouse.errors import ConfigurationError, OutputError, PoseError, SourceError
-from spheremouse.geometry.camera import Pose
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project, unproject
+from spheremouse.geometry.rotation import Array, exp, left_jacobian, log
 from spheremouse.output import Output, OutputClosed, Report, report_of
 from spheremouse.output.counts import OutputCounter
 from spheremouse.output.response import split_response
@@ -33,7 +33,6 @@ from spheremouse.tracker import Frame, check_size
 from spheremouse.wand.state import WandEpoch, WandState, WandTracker
 from spheremouse.wand.track import begin as begin_wand
 from spheremouse.wand.track import step as step_wand
-from spheremouse.wand.warm import warm_up as warm_up_wand
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,9 +188,14 @@ Known = dict[int, tuple[Array, Array]]  # position and rotation of balls, by the
 
 
 def make_wand_ready(tell: Callable[[str], None] | None = None) -> None:
-    """Compile the functions of tracking, or read them from disk. `compiling.told` reports the progress."""
+    """Compile the few functions of `geometry` that the wand uses, or read them from disk."""
     with told(tell):
-        warm_up_wand()
+        camera, part = InteriorOrientation(1, 1, 1.0, 1.0, 0.0, 0.0), np.ones((2, 4))  # of rows, or with gaps
+        left_jacobian(log(exp(part[0, :3])))
+        exp(part[:, :3])
+        project(part[:, :3], camera)
+        unproject(part[:, :2], camera)
+        unproject(part[:, :2].copy(), camera)
 
 
 def track_wand(

@@ -5,7 +5,7 @@ Gaussian (Grzonka 2005, sections 3.4.2 and 3.4.3). A region of interest and a re
 time independent of the ball's size. A further field marks glare, which hides all colours.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -19,6 +19,7 @@ from spheremouse.wand.settings import ColourSettings
 Region = tuple[int, int, int, int]  # left, top, right, bottom px; right and bottom excluded
 
 MEAN_BRIGHTNESS = 127.0
+_MIN_FRACTION, _MAX_FRACTION = 0.003, 0.5  # of a colour in the likelihood ratio
 FIELD_SIGMA = 1.2  # px of the field: 1.1 of the kernel, 0.5 of thresholding and interpolation
 _KERNEL = (5, 5)
 _SAMPLE_STEP = 16  # rows and columns, for mean brightness and colours: thousands of pixels suffice
@@ -56,9 +57,12 @@ class Fields:
     rim: Array  # (c,) px of the field by which a rim between print and white is selected too far outward
     glare: NDArray[np.uint8]  # (1, h, w) 255 inside glare, blurred as `weight`; (0, 1, 1) without glare
 
-    def place(self) -> Array:
-        """Return left, top, factor, (3,), for compiled code."""
-        return np.array([self.left, self.top, self.factor], dtype=float)
+    kernel: kernels.FieldsView = field(init=False)  # the same for native functions
+
+    def __post_init__(self) -> None:
+        place = np.array([self.left, self.top, self.factor], dtype=float)
+        fraction = np.clip(self.fraction, _MIN_FRACTION, _MAX_FRACTION)
+        object.__setattr__(self, "kernel", kernels.FieldsView(self.weight, self.glare, place, fraction, self.rim))
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,25 +134,20 @@ def _glare(
     image: Image, bounds: NDArray[np.float32], white: NDArray[np.uint8], binary: NDArray[np.uint8]
 ) -> NDArray[np.uint8]:
     """Return the field of glare, (1, h, w), or (0, 1, 1) without any: overexposed spots `white` and their halos."""
-    n, label, stats, _ = cv2.connectedComponentsWithStats(white, connectivity=8)
-    width, height, area = (stats[:, k] for k in (cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT, cv2.CC_STAT_AREA))
-    spots = 1 + np.flatnonzero(
-        (width[1:n] <= _MAX_GLARE_SIZE) & (height[1:n] <= _MAX_GLARE_SIZE) & (area[1:n] >= _MIN_GLARE_PIXELS)
-    )
+    areas, pixels, first = kernels.connected_areas(white, diagonal=True)
+    left, top, width, height, area = areas[:, :5].astype(int).T
+    spots = np.flatnonzero((width <= _MAX_GLARE_SIZE) & (height <= _MAX_GLARE_SIZE) & (area >= _MIN_GLARE_PIXELS))
     if len(spots) == 0:
         return np.zeros((0, 1, 1), dtype=np.uint8)
     pale = np.zeros(white.shape, dtype=np.uint8)
-    margin = int(_MAX_HALO) + 1
+    margin, (h, w) = int(_MAX_HALO) + 1, white.shape
     for i in spots[np.argsort(-area[spots], kind="stable")][:_MAX_GLARE_SPOTS]:
         reach = float(np.clip(_HALO_RADII * np.sqrt(area[i] / np.pi), _MIN_HALO, _MAX_HALO))
-        x, y = stats[i, cv2.CC_STAT_LEFT], stats[i, cv2.CC_STAT_TOP]
-        top, left = max(y - margin, 0), max(x - margin, 0)
-        part = np.s_[top : y + height[i] + margin, left : x + width[i] + margin]
-        distance = np.asarray(
-            cv2.distanceTransform(np.where(label[part] == i, np.uint8(0), np.uint8(1)), cv2.DIST_L2, 5),
-            dtype=np.float32,
-        )
-        kernels.grow_glare(image, bounds, distance, top, left, reach, pale)
+        y, x = max(top[i] - margin, 0), max(left[i] - margin, 0)
+        beside = np.ones((min(top[i] + height[i] + margin, h) - y, min(left[i] + width[i] + margin, w) - x), np.uint8)
+        beside[tuple((pixels[first[i] : first[i + 1]] - (y, x)).T)] = 0
+        distance = np.asarray(cv2.distanceTransform(beside, cv2.DIST_L2, 5), dtype=np.float32)
+        kernels.grow_glare(image, bounds, distance, y, x, reach, pale)
     for one in binary:
         pale[one > 0] = 0
     return np.asarray(cv2.GaussianBlur(pale, _KERNEL, 0.0, borderType=cv2.BORDER_REPLICATE), dtype=np.uint8)[None]

@@ -1,25 +1,19 @@
 """Points on a ball with their expected colours, which the likelihood compares with a picture."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.geometry.camera import InteriorOrientation, distorted
+from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array, tangent_basis
+from spheremouse.native import kernels
 from spheremouse.wand.ball import WandBall
 
 _RIM_POINTS = 12
 _OUTER_POINTS = 6  # just outside a rim
 _OUTER_DISTANCE = 0.11  # rad from the rim: half the gap of two discs, and 3 px of a ball 50 px across
 _BARE_CANDIDATES = 80  # directions
-# Single precision: with one double the loops over points would be computed in double.
-ZERO, _HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
-_MAX_ARGUMENT = np.float32(3.6)
-_CUBIC = (np.float32(0.7988), np.float32(0.03528), np.float32(0.10584))
-_TANH = tuple(np.float32(c) for c in (135135.0, 17325.0, 378.0, 62370.0, 3150.0, 28.0))
-_ARC = (np.float32(0.1350363), np.float32(0.0472763), np.float32(0.0119235))
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +29,16 @@ class Points:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """Ball, points and camera for compiled functions."""
+    """Ball, points and camera."""
 
     points: Points
     radius: float  # m
     lens: Array  # (9,) fx, fy, cx, cy, k1, k2, p1, p2, k3
+    kernel: kernels.BallModel = field(init=False)  # the same for native functions
+
+    def __post_init__(self) -> None:
+        kernel = kernels.BallModel(self.points.table, self.points.colour, self.radius, self.lens)
+        object.__setattr__(self, "kernel", kernel)
 
 
 def ball_points(ball: WandBall, names: tuple[str, ...]) -> Points:
@@ -100,44 +99,3 @@ def _within(u: Array, ball: WandBall, margin: float, colour: str | None) -> bool
         for d in ball.discs
         if colour is None or d.colour == colour
     )
-
-
-@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def normal_cdf_pdf(x):
-    """Return the standard normal distribution function and density, to 0.02 %.
-
-    It is the logistic function of a cubic (Bowling et al. 2009), with the hyperbolic tangent as a continued fraction.
-    """
-    x = min(max(x, -_MAX_ARGUMENT), _MAX_ARGUMENT)
-    xx = x * x
-    y = x * (_CUBIC[0] + _CUBIC[1] * xx)
-    yy = y * y
-    t = y * (_TANH[0] + yy * (_TANH[1] + yy * (_TANH[2] + yy)))
-    t /= _TANH[0] + yy * (_TANH[3] + yy * (_TANH[4] + _TANH[5] * yy))
-    return _HALF + _HALF * t, _HALF * (ONE - t * t) * (_CUBIC[0] + _CUBIC[2] * xx)
-
-
-@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def scaled_asin(cosine):
-    """Return 2 / pi times the arc sine, to 5e-5 (Abramowitz, Stegun 1964, 4.4.45)."""
-    x = min(abs(cosine), ONE)
-    rest = np.sqrt(ONE - x) * (ONE - x * (_ARC[0] - x * (_ARC[1] - x * _ARC[2])))
-    return ONE - rest if cosine > ZERO else rest - ONE
-
-
-@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def rotate(R, rows, q, k):
-    """Return R v for the vector v in the columns from k on of a row q."""
-    x, y, z = rows[q, k], rows[q, k + 1], rows[q, k + 2]
-    return (
-        R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
-        R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
-        R[2, 0] * x + R[2, 1] * y + R[2, 2] * z,
-    )
-
-
-@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def to_pixel(x, y, z, lens):
-    """Return u, v px of a point in `cam`; `lens` is that of the model."""
-    xd, yd, _, _, _ = distorted(x / z, y / z, lens[4:])
-    return lens[0] * xd + lens[2], lens[1] * yd + lens[3]

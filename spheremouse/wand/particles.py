@@ -15,12 +15,11 @@ the search can miss a peak.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.geometry.rotation import Array, align, exp, exp_into, log, log_into
+from spheremouse.geometry.rotation import Array, align, exp, log
+from spheremouse.native import kernels
 
-_LOG_2PI = float(np.log(2.0 * np.pi))
 _MIN_EFFECTIVE = 0.5  # of the particles: below, they are resampled
 _PRIOR_PARTICLES = 7.0  # weight of the expected covariance: the least for which an inverse Wishart prior has a mean
 
@@ -142,16 +141,13 @@ def propose(
     (n,) of each one's nearest peak. The corrected weight is still to be multiplied by the likelihood. Parents are
     resampled by their weight under the peaks if fewer than half of them would be effective.
     """
-    g = _products(motions, peaks)
-    motion_R = exp(motions.shift[:, 3:])
-    m, k = len(motions.probability), len(peaks.log_mass)
-    score = np.empty((len(particles.weight), m * k + k))
-    difference = np.empty((len(particles.weight), m * k, 6))
-    _score_products(
-        particles.position, particles.rotation, motions.shift, motion_R, peaks.position, peaks.rotation, *g.evidence,
-        score, difference,
+    proposal = kernels.Proposal(
+        motions.shift, motions.covariance, motions.probability, motions.birth,
+        peaks.position, peaks.rotation, peaks.covariance, peaks.log_mass,
     )  # fmt: skip
-    score[:, m * k :] = np.log(motions.birth) + peaks.log_mass
+    products, difference = proposal.score(particles.position, particles.rotation)
+    births = np.broadcast_to(np.log(motions.birth) + peaks.log_mass, (len(products), len(peaks.log_mass)))
+    score = np.concatenate([products, births], axis=1)
     most = np.max(score, axis=1)
     responsibility = np.exp(score - most[:, None])
     total = np.sum(responsibility, axis=1)
@@ -165,173 +161,13 @@ def propose(
     else:
         parent = np.arange(n)
     base = Particles(particles.position[parent], particles.rotation[parent], np.full(n, 1.0 / n))
-    responsibility = responsibility[parent]
+    responsibility, difference = responsibility[parent], difference[parent]
     chosen = np.argmax(np.cumsum(responsibility, axis=1) > rng.random(n)[:, None], axis=1)
     alone = rng.random(n) < blind
     drawn = move(Particles(base.position[alone], base.rotation[alone], base.weight[alone]), motions, rng)
-    position, rotation = base.position.copy(), base.rotation.copy()
+    position, rotation = proposal.draw(chosen, difference, rng.standard_normal((n, 6)))
     position[alone], rotation[alone] = drawn.position, drawn.rotation
-    normal = rng.standard_normal((n, 6))
-    _draw(parent, difference, peaks.position, peaks.rotation, g.gain, g.root, chosen, alone, normal, position, rotation)
-    ratio, nearest = np.empty(n), np.empty(n, dtype=np.int64)
-    _log_ratios(
-        parent, difference, base.position, base.rotation, motions.shift, motion_R, g.motion_inverse, g.motion_norm,
-        np.log(motions.probability), motions.birth, peaks.position, peaks.rotation, g.gain, g.inverse, g.norm,
-        responsibility, blind, position, rotation, ratio, nearest,
-    )  # fmt: skip
+    ratio, nearest = proposal.log_ratio(
+        base.position, base.rotation, position, rotation, difference, responsibility, blind
+    )
     return Particles(position, rotation, base.weight), ratio + correction, nearest
-
-
-@dataclass(frozen=True, slots=True)
-class _Products:
-    """Products of every motion (m) with every peak (k), then the peaks alone: c = m k + k components.
-
-    An inverse is that of the Cholesky root of a covariance; a norm is the logarithm of a Gaussian's normalisation.
-    """
-
-    evidence: tuple[Array, Array]  # (m k, 6, 6) inverse of motion plus peak; (m k,) log of the factor before exp
-    gain: Array  # (c, 6, 6): mean of the product, from the peak, per difference of motion and peak; 0 for births
-    root: Array  # (c, 6, 6) Cholesky root of the product's covariance
-    inverse: Array  # (c, 6, 6)
-    norm: Array  # (c,)
-    motion_inverse: Array  # (m, 6, 6)
-    motion_norm: Array  # (m,)
-
-
-def _products(motions: MotionMixture, peaks: PeakMixture) -> _Products:
-    m, k = len(motions.probability), len(peaks.log_mass)
-    Q, P = motions.covariance[:, None], peaks.covariance[None]
-    S = (Q + P).reshape(m * k, 6, 6)
-    P = np.broadcast_to(P, (m, k, 6, 6)).reshape(m * k, 6, 6)
-    gain = P @ np.linalg.inv(S)
-    C = P - gain @ P
-    C = np.concatenate([0.5 * (C + C.transpose(0, 2, 1)), peaks.covariance])
-    root: Array = np.linalg.cholesky(C).astype(float)
-    outer, outer_norm = _inverse_roots(np.linalg.cholesky(S).astype(float))
-    outer_norm = outer_norm + (np.log(motions.probability)[:, None] + peaks.log_mass[None]).ravel()
-    gain = np.concatenate([gain, np.zeros((k, 6, 6))])
-    motion_root = np.linalg.cholesky(motions.covariance).astype(float)
-    return _Products((outer, outer_norm), gain, root, *_inverse_roots(root), *_inverse_roots(motion_root))
-
-
-def _inverse_roots(root: Array) -> tuple[Array, Array]:
-    """Return inverse Cholesky roots, (n, 6, 6), and the logarithms of the Gaussians' normalisation, (n,)."""
-    log_det = np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
-    return np.linalg.inv(root).astype(float), -3.0 * _LOG_2PI - log_det
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _pose_difference(c, R, shift, motion_R, to_c, to_R, spare, spare2, d):
-    """Write the pose (c, R) moved by shift and rotation, less (to_c, to_R), to d, (6,)."""
-    for i in range(3):
-        d[i] = c[i] + shift[i] - to_c[i]
-        for j in range(3):
-            spare[i, j] = motion_R[i, 0] * R[0, j] + motion_R[i, 1] * R[1, j] + motion_R[i, 2] * R[2, j]
-    for i in range(3):
-        for j in range(3):
-            spare2[i, j] = spare[i, 0] * to_R[j, 0] + spare[i, 1] * to_R[j, 1] + spare[i, 2] * to_R[j, 2]
-    log_into(spare2, d[3:])
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _mahalanobis_squared(inverse_root, d):
-    """Return |L^-1 d|² for a lower triangular L^-1."""
-    total = 0.0
-    for i in range(6):
-        x = 0.0
-        for j in range(i + 1):
-            x += inverse_root[i, j] * d[j]
-        total += x * x
-    return total
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _log_haar(d):
-    """Return the logarithm of the Haar measure per rad³ at the rotation vector d[3:]: 2 (1 - cos a) / a²."""
-    square = d[3] * d[3] + d[4] * d[4] + d[5] * d[5]
-    if square < 1e-4:
-        return -square / 12.0
-    return np.log(max(2.0 * (1.0 - np.cos(np.sqrt(square))) / square, 1e-6))
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _score_products(position, rotation, shift, motion_R, peak_c, peak_R, outer, outer_norm, score, difference):
-    m, k = len(shift), len(peak_c)
-    spare, spare2, d = np.empty((3, 3)), np.empty((3, 3)), np.empty(6)
-    for n in range(len(position)):
-        for a in range(m):
-            for b in range(k):
-                _pose_difference(
-                    position[n], rotation[n], shift[a], motion_R[a], peak_c[b], peak_R[b], spare, spare2, d
-                )
-                at = a * k + b
-                difference[n, at] = d
-                score[n, at] = outer_norm[at] - 0.5 * _mahalanobis_squared(outer[at], d)
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _draw(parent, difference, peak_c, peak_R, gain, root, chosen, alone, normal, to_c, to_R):
-    k = len(peak_c)
-    mk = difference.shape[1]
-    spare, x = np.empty((3, 3)), np.empty(6)
-    for n in range(len(parent)):
-        if alone[n]:
-            continue
-        at = chosen[n]
-        b = at % k
-        x[:] = 0.0
-        if at < mk:
-            d = difference[parent[n], at]
-            for i in range(6):
-                for j in range(6):
-                    x[i] += gain[at, i, j] * d[j]
-        for i in range(6):
-            for j in range(i + 1):
-                x[i] += root[at, i, j] * normal[n, j]
-        exp_into(x[3:], spare)
-        for i in range(3):
-            to_c[n, i] = peak_c[b, i] + x[i]
-            for j in range(3):
-                to_R[n, i, j] = (
-                    spare[i, 0] * peak_R[b, 0, j] + spare[i, 1] * peak_R[b, 1, j] + spare[i, 2] * peak_R[b, 2, j]
-                )
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _log_ratios(
-    parent, difference, position, rotation, shift, motion_R, motion_inverse, motion_norm, log_p, birth, peak_c, peak_R,
-    gain, inverse, norm, responsibility, blind, to_c, to_R, ratio, nearest,
-):  # fmt: skip
-    """Write log p(x | parent) - log q(x | parent) to ratio, and the index of the nearest peak to nearest, (n,)."""
-    m, k = len(shift), len(peak_c)
-    spare, spare2, d, e = np.empty((3, 3)), np.empty((3, 3)), np.empty(6), np.empty(6)
-    none, same = np.zeros(6), np.eye(3)
-    x = np.empty((k, 6))
-    haar = np.empty(k)
-    for n in range(len(position)):
-        p = 0.0
-        for a in range(m):
-            _pose_difference(position[n], rotation[n], shift[a], motion_R[a], to_c[n], to_R[n], spare, spare2, d)
-            p += np.exp(log_p[a] + motion_norm[a] - 0.5 * _mahalanobis_squared(motion_inverse[a], d) - _log_haar(d))
-        for b in range(k):
-            _pose_difference(to_c[n], to_R[n], none, same, peak_c[b], peak_R[b], spare, spare2, x[b])
-            haar[b] = _log_haar(x[b])
-        most, best, q = -1e300, 0, 0.0
-        for a in range(m + 1):
-            for b in range(k):
-                at = a * k + b
-                e[:] = x[b]
-                if a < m:
-                    by = difference[parent[n], at]
-                    for i in range(6):
-                        for j in range(6):
-                            e[i] -= gain[at, i, j] * by[j]
-                gap = _mahalanobis_squared(inverse[at], e)
-                fit = norm[at] - 0.5 * gap
-                if responsibility[n, at] > 0.0:
-                    q += responsibility[n, at] * np.exp(fit - haar[b])
-                if fit > most:
-                    most, best = fit, b
-        q = (1.0 - blind) * q + blind * p
-        ratio[n] = np.log(max(p + birth, 1e-300)) - np.log(max(q, 1e-300))
-        nearest[n] = best

@@ -134,8 +134,8 @@ def _weigh(peaks: list[Peak], m: Model, fields: Fields) -> Modes:
     position = np.array([k.position for k in peaks])
     edges = np.array([k.edges for k in peaks])
     value, match = log_likelihood(position, np.array([k.rotation for k in peaks]), m, fields)
-    limb.add_log_likelihood(position, np.arange(len(peaks)), edges, m.radius, m.lens, fields.factor, value)
-    return Modes(tuple(peaks), value, match, fields)
+    outline = limb.log_likelihood(position, np.arange(len(peaks)), edges, m, fields.factor)
+    return Modes(tuple(peaks), value + outline, match, fields)
 
 
 def refine_modes(
@@ -193,7 +193,7 @@ def _in_view(peak: Peak, context: SearchContext) -> bool:
 def _refine_with_outline(peak: Peak, context: SearchContext, fields: Fields) -> Peak:
     m, discs = context.model, context.tracker.discs[context.index]
     p, R = peak.position, peak.rotation
-    edges = limb.measure_edges(context.scene.image, p, R, discs, context.ball.radius, m.lens, fields.factor)
+    edges = limb.measure_edges(context.scene.image, p, R, discs, m, fields.factor)
     return _converge(refine_pose(p, R, m, fields, edges, _MAX_ROUNDS_NEAR), m, fields)
 
 

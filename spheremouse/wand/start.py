@@ -8,14 +8,12 @@ to discs of their colours in all ways and ranks the poses by how many discs have
 
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import InteriorOrientation, project, unproject
 from spheremouse.geometry.rotation import Array
-from spheremouse.wand.assign import assign_spots
+from spheremouse.native import kernels
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import Fields
 from spheremouse.wand.likelihood import FULL_FACING, MIN_FACING
@@ -59,14 +57,11 @@ def find_spots(fields: Fields) -> Spots:
     rows = []
     f = fields.factor
     for c, binary in enumerate(fields.binary):
-        n, _, stats, centre = cv2.connectedComponentsWithStats(binary, connectivity=4)
-        area = stats[:, cv2.CC_STAT_AREA]
-        box = stats[:, cv2.CC_STAT_WIDTH] * stats[:, cv2.CC_STAT_HEIGHT]
+        areas, _, _ = kernels.connected_areas(binary, diagonal=False)
+        area, box = areas[:, 4], areas[:, 2] * areas[:, 3]
         good = (area >= _MIN_SPOT_AREA) & (area <= binary.size / 8) & (area >= _MIN_BOX_FRACTION * box)
-        good[0] = False  # the background
-        for i in np.flatnonzero(good[:n]):
-            u, v = (centre[i] + 0.5) * f - 0.5
-            rows.append((u + fields.left, v + fields.top, area[i] * f * f, c))
+        for u, v, size in zip(*((areas[good, 5:] + 0.5) * f - 0.5).T, area[good], strict=True):
+            rows.append((u + fields.left, v + fields.top, size * f * f, c))
     rows.sort(key=lambda row: -row[2])
     table = np.array(rows[:_MAX_SPOTS], dtype=float).reshape(-1, 4)
     return Spots(table[:, :2], table[:, 2], table[:, 3].astype(np.int64), _glare_spots(fields))
@@ -77,9 +72,9 @@ def _glare_spots(fields: Fields) -> Array:
     if len(fields.glare) == 0:
         return np.zeros((0, 3))
     f = fields.factor
-    n, _, stats, centre = cv2.connectedComponentsWithStats((fields.glare[0] > 127).astype(np.uint8), connectivity=8)
-    area = stats[1:n, cv2.CC_STAT_AREA].astype(float)
-    place = (centre[1:n] + 0.5) * f - 0.5 + [fields.left, fields.top]
+    areas, _, _ = kernels.connected_areas(np.where(fields.glare[0] > 127, np.uint8(255), np.uint8(0)), diagonal=True)
+    area = areas[:, 4]
+    place = (areas[:, 5:] + 0.5) * f - 0.5 + [fields.left, fields.top]
     largest = np.argsort(-area, kind="stable")[:_MAX_GLARE_SPOTS]
     return np.column_stack([place, area * f * f])[largest]
 
@@ -106,23 +101,19 @@ def pose_hypotheses(
     xy, area, colour = xy[good], spots.area[good], spots.colour[good]
     if len(xy) < 2:
         return none
-    direction = np.array([d.direction for d in ball.discs])
-    angle = np.array([d.angle for d in ball.discs])
-    colours = np.array([names.index(d.colour) for d in ball.discs])
+    discs = np.array([[*d.direction, d.angle, names.index(d.colour)] for d in ball.discs])
     glare, _ = unproject(spots.glare[:, :2], camera)
     radius = np.sqrt(spots.glare[:, 2] / (np.pi * camera.fx * camera.fy))
     glare = np.column_stack([glare, radius])[np.isfinite(glare[:, 0])]
-    found = np.empty((_MAX_HYPOTHESES, 13))
-    limits = np.array([ball.radius / settings.farthest, ball.radius / settings.nearest])
-    n, next_spot = assign_spots(
-        xy, area / (camera.fx * camera.fy), colour, direction, angle, colours, limits, 1.5 / camera.fx, _MIN_SCORE,
-        glare, first_spot % len(xy), max_assignments, found,
-    )  # fmt: skip
-    found = found[np.argsort(-found[:n, 0], kind="stable")]
-    position = found[:, 1:4] * ball.radius
-    rotation = found[:, 4:].reshape(-1, 3, 3)
+    limits = np.array([ball.radius / settings.farthest, ball.radius / settings.nearest, 1.5 / camera.fx])
+    table = np.column_stack([xy, area / (camera.fx * camera.fy), colour.astype(float)])
+    score, position, rotation, next_spot = kernels.assign_spots(
+        table, discs, glare, limits, _MIN_SCORE, first_spot % len(xy), max_assignments, _MAX_HYPOTHESES
+    )
+    best = np.argsort(-score, kind="stable")
+    score, position, rotation = score[best], ball.radius * position[best], rotation[best]
     chosen = distinct_poses(position, rotation, ball.radius)
-    return Hypotheses(position[chosen], rotation[chosen], found[chosen, 0], next_spot)
+    return Hypotheses(position[chosen], rotation[chosen], score[chosen], next_spot)
 
 
 def evidence_without_prior(
@@ -174,26 +165,18 @@ def distinct_poses(
 
     The first `kept` poses are kept in any case.
     """
+    near = _coincide(position, rotation, radius)
     chosen = list(range(kept))
     for i in range(kept, len(position)):
-        if len(chosen) < count and not any(
-            _coincide(position[i], rotation[i], position[j], rotation[j], radius) for j in chosen
-        ):
+        if len(chosen) < count and not near[i, chosen].any():
             chosen.append(i)
     return chosen
 
 
-@njit(cache=True)
-def _coincide(p, R, q, S, radius):
-    """Compare two poses, less strictly along the line of sight, where a pose is less certain."""
-    square, dot, gap = 0.0, 0.0, 0.0
-    trace = 0.0
-    for i in range(3):
-        square += p[i] * p[i]
-        dot += (p[i] - q[i]) * p[i]
-        gap += (p[i] - q[i]) ** 2
-        for j in range(3):
-            trace += R[i, j] * S[i, j]
-    along = dot * dot / square
-    near = gap - along < (_SAME_ACROSS * radius) ** 2 and along < (_SAME_DEPTH * radius) ** 2
-    return near and 0.5 * (trace - 1.0) > np.cos(_SAME_ANGLE)
+def _coincide(position: Array, rotation: Array, radius: float) -> NDArray[np.bool_]:
+    """Compare each pair of poses, (n, n), less strictly along the line of sight, where a pose is less certain."""
+    gap = position[:, None] - position[None]
+    along = np.einsum("ijk,ik->ij", gap, position) ** 2 / np.sum(position**2, axis=1)[:, None]
+    near = np.sum(gap**2, axis=2) - along < (_SAME_ACROSS * radius) ** 2
+    trace = np.tensordot(rotation, rotation, axes=((1, 2), (1, 2)))
+    return near & (along < (_SAME_DEPTH * radius) ** 2) & (0.5 * (trace - 1.0) > np.cos(_SAME_ANGLE))

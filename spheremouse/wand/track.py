@@ -106,7 +106,9 @@ def step(state: WandState, frame: Frame, tracker: WandTracker, command: Array | 
     rad/s in cam axes is a known velocity since the last frame, for example a robot's. Equal frames and seeds give equal
     poses.
     """
-    image = frame.image if frame.image.ndim == 3 else np.repeat(frame.image[:, :, None], 3, axis=2)
+    image = np.ascontiguousarray(
+        frame.image if frame.image.ndim == 3 else np.repeat(frame.image[:, :, None], 3, axis=2)
+    )
     rng = np.random.default_rng((state.seed, frame.sequence))
     scene = Scene(image, tracker, picture_colours(image, tracker.colours, tracker.names))
     tracks, poses = list(state.tracks), []
@@ -277,9 +279,8 @@ def _log_likelihoods(
     assert modes.fields is not None
     f = modes.fields.factor
     fixed = disc_weights(modes.position, modes.rotation, m, f), weighted_as
-    value, _ = log_likelihood(position, rotation, m, modes.fields, matches=False, fixed_weights=fixed)
-    limb.add_log_likelihood(position, nearest, np.array([k.edges for k in modes.peaks]), m.radius, m.lens, f, value)
-    return value
+    value, _ = log_likelihood(position, rotation, m, modes.fields, fixed_weights=fixed)
+    return value + limb.log_likelihood(position, nearest, np.array([k.edges for k in modes.peaks]), m, f)
 
 
 def _weighted_as(particles: Particles, peaks: PeakMixture, nearest: NDArray[np.int64]) -> NDArray[np.int64]:

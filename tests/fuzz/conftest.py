@@ -9,7 +9,7 @@ import pytest
 
 from spheremouse.ball import warm as ball
 from spheremouse.ball.settings import Settings
-from spheremouse.wand import warm as wand
+from spheremouse.session.offline import make_wand_ready
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -17,7 +17,7 @@ def compiled():
     """Compile first, since that takes longer than an example may."""
     for tracker, detector in product(("so3", "ekf1", "ekf2"), ("default", "blobs")):
         ball.warm_up(replace(Settings(), tracker=tracker, detector=detector))
-    wand.warm_up()
+    make_wand_ready()
 
 
 @pytest.fixture(autouse=True)

@@ -33,7 +33,6 @@ from spheremouse.tracker import Estimate, Frame, Status
 from spheremouse.wand import state as state_module
 from spheremouse.wand import track as wand
 from spheremouse.wand.build import build as build_wand
-from spheremouse.wand.warm import warm_up as warm_up_wand
 from tests.fuzz.extremes import extremes, numbers
 from tests.fuzz.fuzzing import bounded, fuzz, refused
 
@@ -227,6 +226,5 @@ def follow(tracker: state_module.WandTracker, frames: list[Frame], c: Configurat
 
 @cache
 def hand() -> tuple[WandFilm, list[Frame]]:
-    warm_up_wand()
     film = prepare_wand(WandOptions(motion="hand", size=(320, 240), focal=300.0, seconds=0.27, seed=3, distance=0.6))
     return film, [shot.frame for shot in simulate_wand(film)]

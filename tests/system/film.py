@@ -25,8 +25,8 @@ from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import open_wand
 from spheremouse.files.rig import load_rig, rig_text, save_camera
+from spheremouse.session.offline import make_wand_ready
 from spheremouse.tracker import Frame
-from spheremouse.wand import warm as wand_warm
 from spheremouse.wand.build import build as build_wand
 from spheremouse.wand.track import begin as begin_wand
 from spheremouse.wand.track import step as step_wand
@@ -73,7 +73,7 @@ def convert_wand(dataset: Path, folder: Path) -> None:
     recording = open_wand(dataset)
     assert recording.truth is not None
     folder.mkdir()
-    wand_warm.warm_up()
+    make_wand_ready()
     tracker = build_wand(recording.camera, recording.balls)
     state = begin_wand(tracker, 1, 0.0)
     with (folder / "YUYV").open("wb") as plain:

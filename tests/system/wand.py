@@ -20,7 +20,7 @@ from spheremouse.geometry.rotation import log
 from spheremouse.output.wand_mapping import PointingSettings
 from spheremouse.session import service, setup
 from spheremouse.session.control.client import Client
-from spheremouse.wand import warm
+from spheremouse.session.offline import make_wand_ready
 
 IMPORTED = (service, setup)  # once, before the forks
 
@@ -98,7 +98,7 @@ def desk(tmp_path_factory):
     """With the film at rest on its first picture, and the ball found."""
     with suppress(subprocess.CalledProcessError):
         insert("v4l2loopback", video_nr=9, max_buffers=8)
-    warm.warm_up()
+    make_wand_ready()
     made = CameraRun(tmp_path_factory.mktemp("desk"))
     yield made
     for end in (made.program.kill, made.mouse.close, made.writer.end):

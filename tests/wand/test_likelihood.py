@@ -8,14 +8,16 @@ import pytest
 
 from spheremouse.geometry.camera import InteriorOrientation, project, project_sphere
 from spheremouse.geometry.rotation import exp, log
+from spheremouse.native import kernels
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand import limb
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, colour_fields
-from spheremouse.wand.likelihood import expected_field, log_likelihood
+from spheremouse.wand.likelihood import disc_weights, log_likelihood
 from spheremouse.wand.model import ball_model
 from spheremouse.wand.published.track import log_product
 from spheremouse.wand.refine import refine_pose
+from tests.wand import twins
 
 BALL = grzonka_ball()
 NONE = np.zeros((limb.DIRECTIONS, 5))
@@ -82,33 +84,29 @@ def test_refinement_finds_the_peak_and_its_curvature(view):
 
 def test_outline_equals_that_of_the_projected_sphere():
     camera = InteriorOrientation(1280, 960, 900.0, 900.0, 640.0, 480.0)
-    lens = np.concatenate([camera.intrinsic, camera.distortion])
     c = np.array([0.3, -0.2, 0.8])
     centre, shape = project_sphere(c, 0.05)
-    for k in range(limb.DIRECTIONS):
-        u, v, x, y, z = limb.outline_point(c, 0.05, lens, k)
-        xy = (np.array([u, v]) - [640, 480]) / 900.0 - centre
+    points = kernels.outline_points(c, 0.05)
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), 0.05)
+    for uv in project(c + points, camera)[0]:
+        xy = (uv - [640, 480]) / 900.0 - centre
         assert xy @ np.linalg.solve(shape, xy) == pytest.approx(1.0, abs=1e-9)
-        np.testing.assert_allclose(project((c + np.array([x, y, z]))[None], camera)[0][0], [u, v], atol=1e-9)
-        assert np.hypot(np.hypot(x, y), z) == pytest.approx(0.05)
 
 
 def test_measured_edges_lie_on_the_true_outline(view):
     """The predicted ball is 3 % too close."""
     _, m, p, R, image = view
     discs = np.array([[*d.direction, d.angle] for d in BALL.discs])
-    found = limb.measure_edges(image, 0.97 * p, R, discs, BALL.radius, m.lens, 1)
+    found = limb.measure_edges(image, 0.97 * p, R, discs, m, 1)
     good = found[:, 4] > 0
     assert good.sum() >= 8
-    r = []
-    for k in np.flatnonzero(good):
-        u, v, *_ = limb.outline_point(p, BALL.radius, m.lens, k)
-        r.append((found[k, :2] - (u, v)) @ found[k, 2:4])
-    r = np.array(r)
+    camera = InteriorOrientation(640, 480, *m.lens[:4], m.lens[4:])
+    outline = project(p + kernels.outline_points(p, BALL.radius), camera)[0]
+    r = np.sum((found[:, :2] - outline) * found[:, 2:4], axis=1)[good]
     edge = np.abs(r) < 1.0  # the others belong to the room
     assert edge.mean() > 0.5
     assert np.median(r[edge]) == pytest.approx(0.0, abs=0.15)
-    middle = project(p[None], InteriorOrientation(640, 480, *m.lens[:4], m.lens[4:]))[0][0]
+    middle = project(p[None], camera)[0][0]
     out = (found[good, :2] - middle) / np.linalg.norm(found[good, :2] - middle, axis=1, keepdims=True)
     assert np.all(np.sum(out * found[good, 2:4], axis=1) > 0.98)  # outward normals
 
@@ -122,7 +120,8 @@ def test_expected_field_equals_the_convolution_at_the_limb(turned):
     c, s = np.cos(np.radians(turned)), np.sin(np.radians(turned))
     outward = np.array([c * facing, s]) / np.hypot(c * facing, s)  # on the ball: radial, aside
     along = -outward[1] * aside  # the tangent's part along the line of sight
-    e, g = expected_field(along, outward[0] * aside, facing, scale, 0.0, 3.0, 0.0, 0.0)
+    point = [[along, outward[0] * aside, facing, scale, 0.0, 3.0, 0.0, 0.0]]
+    (e,), (g,) = kernels.expected_field(np.array(point, dtype=np.float32))
     grid = np.arange(-8.0, 8.0, 0.05)
     x, y = np.meshgrid(grid, grid)
     weight = np.exp(-0.5 * (x**2 + y**2) / sigma**2)
@@ -176,3 +175,78 @@ def test_glare_in_place_of_discs_is_no_evidence(view, part):
     value, match = log_likelihood(p[None], R[None], m, replace(seen, weight=np.zeros_like(seen.weight), glare=glare))
     assert value[0] < 0.0
     assert match[0] < 0.5
+
+
+# ---- native functions and their twins ----
+
+
+def poses(p, R, n, spread):
+    d = np.random.default_rng(7).normal(size=(n, 6)) * spread * [0.01, 0.01, 0.1, 0.3, 0.3, 0.3]
+    return p + d[:, :3], exp(d[:, 3:]) @ R
+
+
+def test_expected_field_equals_its_twin():
+    """Single precision in the same order of operations: the same bits but for the last ones of wider registers."""
+    rng = np.random.default_rng(3)
+    low, high = [-1.0, -1.0, -1.0, 1.0, -0.2, 0.0, 0.5, -0.5], [1.0, 1.0, 1.0, 300.0, 0.3, 0.6, 9.0, 0.5]
+    points = rng.uniform(low, high, (500, 8)).astype(np.float32)
+    for got, expected in zip(kernels.expected_field(points), twins.expected_field(points), strict=True):
+        np.testing.assert_array_equal(got, expected)
+
+
+@pytest.mark.parametrize("spread", [0.1, 1.0, 20.0])
+@pytest.mark.parametrize("glare", [False, True])
+def test_likelihood_equals_its_twin(view, spread, glare):
+    """Poses near the truth and anywhere, some behind the camera or beside the picture.
+
+    The tables of |m - e| have steps of 1/511, so a residual is off by at most 1/1022: per unit weight that is the
+    slope of the log density there, at most 1 / (2 * 511 * 0.065) of a unit for each of about a hundred points, with
+    either sign.
+    """
+    seen, m, p, R, _ = view
+    if glare:
+        veil = np.random.default_rng(1).integers(0, 256, (1, 12, 16), dtype=np.uint8)
+        veil = np.asarray(cv2.resize(veil[0], seen.weight.shape[:0:-1]))[None]
+        seen = replace(seen, glare=veil)
+    position, rotation = poses(p, R, 60, spread)
+    value, match = log_likelihood(position, rotation, m, seen)
+    expected = np.array([twins.log_likelihood(*pose, m, seen) for pose in zip(position, rotation, strict=True)])
+    np.testing.assert_allclose(value, expected[:, 0], atol=0.25)
+    np.testing.assert_allclose(match, expected[:, 1], atol=2e-3)
+
+
+def test_likelihood_with_the_weights_of_a_peak_equals_its_twin(view):
+    seen, m, p, R, _ = view
+    position, rotation = poses(p, R, 10, 0.2)
+    weights = disc_weights(position[:2], rotation[:2], m, seen.factor)
+    which = np.array([0, 1, -1] * 4)[:10]
+    value, _ = log_likelihood(position, rotation, m, seen, fixed_weights=(weights, which))
+    for i in range(10):
+        fixed = weights[which[i]] if which[i] >= 0 else None
+        expected, _ = twins.log_likelihood(position[i], rotation[i], m, seen, fixed=fixed)
+        assert value[i] == pytest.approx(expected, abs=0.25)
+
+
+def test_likelihood_of_the_outline_equals_its_twin(view):
+    _, m, p, R, image = view
+    discs = np.array([[*d.direction, d.angle] for d in BALL.discs])
+    edges = np.stack([limb.measure_edges(image, 0.97 * p, R, discs, m, 1), NONE])
+    position, _ = poses(p, R, 40, 1.0)
+    which = np.arange(40) % 2
+    value = limb.log_likelihood(position, which, edges, m, 2)
+    expected = [twins.outline_log_likelihood(c, edges[k], m, 2) for c, k in zip(position, which, strict=True)]
+    np.testing.assert_allclose(value, expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(kernels.outline_points(p, 0.05), twins.outline(p, 0.05), rtol=1e-12, atol=1e-16)
+
+
+def test_refinement_equals_its_twin(view):
+    """One step. Residuals of single precision, 1e-6, over a step of half a pixel give derivatives to 1e-4."""
+    seen, m, p, R, image = view
+    discs = np.array([[*d.direction, d.angle] for d in BALL.discs])
+    for edges in (NONE, limb.measure_edges(image, p, R, discs, m, 1)):
+        for c, S in zip(*poses(p, R, 8, 0.3), strict=True):
+            peak = refine_pose(c, S, m, seen, edges, 1)
+            position, rotation = twins.refine_once(c, S, m, seen, edges)
+            moved = np.abs(peak.position - c).max() + 1e-4
+            np.testing.assert_allclose(peak.position, position, atol=2e-3 * moved)
+            assert np.linalg.norm(log(peak.rotation @ rotation.T)) < 2e-3 * (np.linalg.norm(log(rotation @ S.T)) + 1e-3)

@@ -10,15 +10,15 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import Array
+from spheremouse.native import kernels
 from spheremouse.tracker import Status
 from spheremouse.wand.colour import Fields, Region
-from spheremouse.wand.likelihood import FULL_FACING, interpolate, log_likelihood
-from spheremouse.wand.limb import DIRECTIONS, outline_point
-from spheremouse.wand.model import Model, rotate, to_pixel
+from spheremouse.wand.likelihood import FULL_FACING, log_likelihood
+from spheremouse.wand.model import Model
 from spheremouse.wand.motions import random_walk
 from spheremouse.wand.particles import Particles, effective_number, mean_pose, move, normalise, resample_degenerate
 from spheremouse.wand.peaks import SearchContext, covered_region, fields_near
@@ -78,39 +78,43 @@ def log_product(position: Array, rotation: Array, model: Model, fields: Fields) 
     camera. A product over fewer points is larger, so this one is the geometric mean to the power of 20 points.
     `position` (n, 3) m and `rotation` (n, 3, 3) R_cam_ball are the poses.
     """
-    value, mean = np.empty(len(position)), np.empty(len(position))
-    p = model.points
-    _weigh_product(
-        position, rotation, p.table, p.colour, model.radius, model.lens, fields.weight, fields.place(), value, mean
-    )
-    return value, mean
+    inner = (model.points.colour >= 0) & (model.points.table[:, 6] > 0.0)
+    facing, u, v = _seen(position, rotation, model, inner)
+    x, y = (u - fields.left + 0.5) / fields.factor - 0.5, (v - fields.top + 0.5) / fields.factor - 0.5
+    _, h, w = fields.weight.shape
+    inside = (facing > 0.0) & (x >= 0.0) & (y >= 0.0) & (x < w - 1) & (y < h - 1)
+    x, y = np.where(inside, x, 0.0), np.where(inside, y, 0.0)
+    j, i = x.astype(int), y.astype(int)
+    a, b = x - j, y - i
+    field = fields.weight[model.points.colour[inner]]
+    k = np.arange(len(field))
+    high, low = ((1.0 - a) * field[k, row, j] + a * field[k, row, j + 1] for row in (i, i + 1))
+    m = np.where(inside, ((1.0 - b) * high + b * low) / 255.0, 0.0)
+    return _mean_of_visible(np.log(np.maximum(m, _MIN_FACTOR)), facing > 0.0, np.log(_MIN_FACTOR), m)
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _weigh_product(position, rotation, table, colour, radius, lens, weight, place, value, mean):
-    """Write `log_product` to value and mean, (n,)."""
-    _, field_h, field_w = weight.shape
-    for n in range(len(position)):
-        c, R = position[n], rotation[n]
-        total, shown, number = 0.0, 0.0, 0
-        for q in range(len(table)):
-            if colour[q] < 0 or table[q, 6] <= 0.0:
-                continue
-            nx, ny, nz = rotate(R, table, q, 0)
-            x, y, z = c[0] + radius * nx, c[1] + radius * ny, c[2] + radius * nz
-            if z <= 0.0 or nx * x + ny * y + nz * z >= 0.0:
-                continue
-            u, v = to_pixel(x, y, z, lens)
-            px, py = (u - place[0] + 0.5) / place[2] - 0.5, (v - place[1] + 0.5) / place[2] - 0.5
-            m = 0.0
-            if px >= 0.0 and py >= 0.0 and px < field_w - 1 and py < field_h - 1:
-                j, i = np.int64(px), np.int64(py)
-                m = interpolate(weight, colour[q], i, j, px - j, py - i)
-            total += np.log(max(m, _MIN_FACTOR))
-            shown += m
-            number += 1
-        value[n] = _EFFECTIVE_POINTS * total / number if number else _EFFECTIVE_POINTS * np.log(_MIN_FACTOR)
-        mean[n] = shown / number if number else 0.0
+def _seen(position: Array, rotation: Array, model: Model, chosen: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Return the cosine of the viewing angle and the pixel of the chosen points, (n, p) each; -1 behind the camera."""
+    normal = np.einsum("nij,pj->npi", rotation, model.points.table[chosen, :3])
+    x = position[:, None] + model.radius * normal
+    facing = np.where(x[..., 2] > 0.0, -np.sum(normal * x, axis=2) / np.linalg.norm(x, axis=2), -1.0)
+    return facing, *_pixels(x, model)
+
+
+def _pixels(x: Array, model: Model) -> tuple[Array, Array]:
+    """Return u and v, px, of points (..., 3) m in cam."""
+    fx, fy, cx, cy = model.lens[:4]
+    camera = InteriorOrientation(0, 0, fx, fy, cx, cy, model.lens[4:])
+    uv = project(x.reshape(-1, 3), camera)[0].reshape(*x.shape[:-1], 2)
+    return uv[..., 0], uv[..., 1]
+
+
+def _mean_of_visible(log_value: Array, visible: NDArray[np.bool_], empty: float, fit: Array) -> tuple[Array, Array]:
+    """Return 20 times the mean of the logarithm over the visible points, (n,), or that of `empty`, and the mean fit."""
+    number = np.sum(visible, axis=1)
+    some = np.maximum(number, 1)
+    mean = np.where(number > 0, np.sum(np.where(visible, log_value, 0.0), axis=1) / some, empty)
+    return _EFFECTIVE_POINTS * mean, np.sum(np.where(visible, fit, 0.0), axis=1) / some
 
 
 def edge_distances(image: Image, region: Region | None, factor: int) -> tuple[NDArray[np.float32], Array]:
@@ -136,38 +140,15 @@ def log_edges(
     It is the mean over the points times 20, so that a pose gains nothing by hiding points. `distance` and `place` are
     those of `edge_distances`.
     """
-    value, fraction = np.empty(len(position)), np.empty(len(position))
-    p = model.points
-    _weigh_edges(position, rotation, p.table, p.colour, model.radius, model.lens, distance, place, value, fraction)
-    return value, fraction
-
-
-@njit(cache=True, error_model="numpy")
-def _weigh_edges(position, rotation, table, colour, radius, lens, distance, place, value, fraction):
-    for n in range(len(position)):
-        c, R = position[n], rotation[n]
-        total, near, number = 0.0, 0.0, 0
-        for q in range(len(table) + DIRECTIONS):
-            if q < len(table):
-                if colour[q] < 0 or table[q, 6] != 0.0:  # no rim
-                    continue
-                nx, ny, nz = rotate(R, table, q, 0)
-                x, y, z = c[0] + radius * nx, c[1] + radius * ny, c[2] + radius * nz
-                if z <= 0.0 or nx * x + ny * y + nz * z > -FULL_FACING * np.sqrt(x * x + y * y + z * z):
-                    continue
-                u, v = to_pixel(x, y, z, lens)
-            else:
-                if c[2] <= radius:
-                    continue
-                u, v, _, _, _ = outline_point(c, radius, lens, q - len(table))
-            j = np.int64(np.floor((u - place[0] + 0.5) / place[2]))
-            i = np.int64(np.floor((v - place[1] + 0.5) / place[2]))
-            number += 1
-            fit = 0.0
-            if 0 <= i < distance.shape[0] and 0 <= j < distance.shape[1]:
-                d = distance[i, j] / _SIGMA
-                fit = np.exp(-0.5 * d * d)
-            total += np.log((1.0 - _OUTLIER) * fit + _OUTLIER)
-            near += fit
-        value[n] = _EFFECTIVE_POINTS * total / number if number else _EFFECTIVE_POINTS * np.log(_OUTLIER)
-        fraction[n] = near / number if number else 0.0
+    rims = (model.points.colour >= 0) & (model.points.table[:, 6] == 0.0)
+    facing, u, v = _seen(position, rotation, model, rims)
+    outline = position[:, None] + np.array([kernels.outline_points(c, model.radius) for c in position])
+    both = (np.concatenate(one, axis=1) for one in zip((u, v), _pixels(outline, model), strict=True))
+    visible = np.concatenate([facing >= FULL_FACING, np.repeat(position[:, 2:] > model.radius, outline.shape[1], 1)], 1)
+    left, top, factor = place
+    j, i = (np.floor((one - start + 0.5) / factor) for one, start in zip(both, (left, top), strict=True))
+    h, w = distance.shape
+    inside = visible & (i >= 0) & (i < h) & (j >= 0) & (j < w)
+    at = np.where(inside, i, 0).astype(int), np.where(inside, j, 0).astype(int)
+    fit = np.where(inside, np.exp(-0.5 * (distance[at] / _SIGMA) ** 2), 0.0)
+    return _mean_of_visible(np.log((1.0 - _OUTLIER) * fit + _OUTLIER), visible, np.log(_OUTLIER), fit)

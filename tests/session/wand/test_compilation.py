@@ -15,9 +15,8 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.wand.build import build
 from spheremouse.wand.settings import WandSettings
 from spheremouse.output.wand_mapping import PointingSettings
-from spheremouse.wand.warm import warm_up
 from spheremouse.output.wand_mapping import WandMapping
-from spheremouse.session.offline import track_wand
+from spheremouse.session.offline import make_wand_ready, track_wand
 
 
 def compiled():
@@ -32,7 +31,7 @@ def compiled():
 
 film = prepare_wand(WandOptions("hand", seed=2, fps=15.0, seconds=2.4, size=(480, 360), balls=2))
 images = [s.frame for s in simulate_wand(film)]
-warm_up()
+make_wand_ready()
 before = compiled()
 
 

@@ -1,0 +1,313 @@
+// Log-likelihood ratio of poses: one pass over poses x points. `likelihood.py` has the equations.
+#include "spheremouse/wand/kernels.h"
+
+namespace spheremouse::wand {
+namespace {
+
+constexpr double KERNEL_AREA = 2.0 * PI * FIELD_SIGMA * FIELD_SIGMA;  // px²
+constexpr int TABLE = 511;                                            // steps of |m - e|
+constexpr float PER_SIGMA = float(1.0 / FIELD_SIGMA), HALF_SIGMA = float(0.5 * FIELD_SIGMA);
+constexpr double MIN_EXPECTED = 0.3;      // of the field's range, in the match
+constexpr double MATCH_TOLERANCE = 0.25;  // of the field's range
+
+/// Standard normal distribution function and density, to 0.02f %: the logistic function of a cubic (Bowling et al.
+/// 2009), with the hyperbolic tangent as a continued fraction.
+struct Normal {
+    float cdf, pdf;
+
+    explicit Normal(float argument) {
+        const float x = std::min(std::max(argument, -3.6f), 3.6f), xx = x * x;
+        const float y = x * (0.7988f + 0.03528f * xx), yy = y * y;
+        const float t = y * (135135.0f + yy * (17325.0f + yy * (378.0f + yy))) /
+                        (135135.0f + yy * (62370.0f + yy * (3150.0f + 28.0f * yy)));
+        cdf = 0.5f + 0.5f * t;
+        pdf = 0.5f * (1.0f - t * t) * (0.7988f + 0.10584f * xx);
+    }
+};
+
+/// Return 2 / pi times the arc sine, to 5e-5 (Abramowitz, Stegun 1964, 4.4.45).
+inline float scaled_asin(float sine) {
+    const float x = std::min(std::abs(sine), 1.0f);
+    const float rest = std::sqrt(1.0f - x) * (1.0f - x * (0.1350363f - x * (0.0472763f - x * 0.0119235f)));
+    return sine > 0.0f ? 1.0f - rest : rest - 1.0f;
+}
+
+/// Write the expected field e and de / d(rim offset) of n points. The arguments are those of `kernels.expected_field`.
+WIDE void expect(size_t n, const std::vector<float> (&argument)[8], float* e_out, float* g_out) {
+    const float *along = argument[0].data(), *outward = argument[1].data(), *facing = argument[2].data();
+    const float *scale = argument[3].data(), *inside = argument[4].data(), *width = argument[5].data();
+    const float *bend = argument[6].data(), *offset = argument[7].data();
+#pragma GCC ivdep
+    for (size_t i = 0; i < n; i++) {
+        const float per_root = 1.0f / std::sqrt(std::max(1.0f - along[i] * along[i], 0.02f));
+        const float across = scale[i] * facing[i] * per_root * PER_SIGMA;  // field sigmas per rad, across the rim
+        // a blurred rim of curvature k moves inward by k s² / 2
+        const float bent = HALF_SIGMA * facing[i] * bend[i] * per_root * per_root * per_root / scale[i];
+        const float shift = std::min(bent, 0.8f) - offset[i] * PER_SIGMA;
+        const Normal near(inside[i] * across - shift), far(width[i] * across - shift);
+        const float disc = std::max(near.cdf + far.cdf - 1.0f, 0.0f), slope = near.pdf + far.pdf;
+        // disc and limb are two half planes, hence two Gaussian variables; exact for a point on both edges
+        const float aside = std::sqrt(std::max(1.0f - facing[i] * facing[i], 1e-6f));
+        const float ball = Normal(scale[i] * (1.0f - aside) * PER_SIGMA).cdf;
+        const float v = scaled_asin(outward[i] / aside * per_root), weight = std::abs(v);
+        const float same_way = v > 0.0f ? std::min(disc, ball) : std::max(disc + ball - 1.0f, 0.0f);
+        const float limit = v > 0.0f ? ball - disc : disc + ball - 1.0f;  // above 0 the rim limits the overlap
+        e_out[i] = (1.0f - weight) * disc * ball + weight * same_way;
+        g_out[i] = ((1.0f - weight) * slope * ball + (limit > 0.0f ? weight * slope : 0.0f)) * PER_SIGMA;
+    }
+}
+
+/// Write the view of all points of a ball: one product with a direction in the ball's axes gives each angle.
+WIDE void project(const BallModel& ball, const Pose& pose, const FieldsView& fields, Sight& s) {
+    const Camera<float> lens = ball.camera;
+    const float per_factor = float(1.0 / fields.factor), left = float(fields.left - 0.5), top = float(fields.top - 0.5);
+    const float px_per_rad = float(ball.camera.fx * ball.radius / fields.factor);
+    const Eigen::Matrix3f R = pose.R.cast<float>();
+    const Eigen::Vector3f c = (pose.R.transpose() * pose.c).cast<float>(), p = pose.c.cast<float>();
+    const float a = float(ball.radius), x0 = p[0], y0 = p[1], z0 = p[2];
+    const float c0 = c[0], c1 = c[1], c2 = c[2], squared = x0 * x0 + y0 * y0 + z0 * z0 - a * a;
+    const float r00 = R(0, 0), r01 = R(0, 1), r02 = R(0, 2), r10 = R(1, 0), r11 = R(1, 1);
+    const float r12 = R(1, 2), r20 = R(2, 0), r21 = R(2, 1), r22 = R(2, 2);
+    const float *u0 = ball.column[0].data(), *u1 = ball.column[1].data(), *u2 = ball.column[2].data();
+    const float *t0 = ball.column[3].data(), *t1 = ball.column[4].data(), *t2 = ball.column[5].data();
+    const float *o0 = ball.column[6].data(), *o1 = ball.column[7].data(), *o2 = ball.column[8].data();
+    float *facing = s.facing.data(), *x = s.x.data(), *y = s.y.data(), *along = s.along.data();
+    float *outward = s.outward.data(), *scale = s.scale.data(), *depth = s.depth.data();
+    const size_t size = ball.size;
+#pragma GCC ivdep
+    for (size_t q = 0; q < size; q++) {
+        const float towards = u0[q] * c0 + u1[q] * c1 + u2[q] * c2 + a;
+        const float per_length = 1.0f / std::sqrt(squared + (a + a) * towards);
+        const float z = z0 + a * (r20 * u0[q] + r21 * u1[q] + r22 * u2[q]), per_z = 1.0f / z;
+        facing[q] = -towards * per_length;
+        float u, v;
+        lens.pixel((x0 + a * (r00 * u0[q] + r01 * u1[q] + r02 * u2[q])) * per_z,
+                   (y0 + a * (r10 * u0[q] + r11 * u1[q] + r12 * u2[q])) * per_z, u, v);
+        x[q] = (u - left) * per_factor - 0.5f;
+        y[q] = (v - top) * per_factor - 0.5f;
+        along[q] = per_length * (t0[q] * c0 + t1[q] * c1 + t2[q] * c2);
+        outward[q] = per_length * (o0[q] * c0 + o1[q] * c1 + o2[q] * c2);
+        scale[q] = px_per_rad * per_length;
+        depth[q] = z;
+    }
+}
+
+/// Tables over |m - e| of the two densities in the ratio, in steps of 1 / 511.
+struct Densities {
+    std::vector<double> agree, bare;              // (1 - o) N(m - e); log of that plus o
+    std::vector<std::vector<double>> per_chance;  // 1 / B(e), of each colour
+
+    Densities(const FieldsView& fields, double sigma) : agree(TABLE + 1), bare(TABLE + 1) {
+        std::vector<double> normal(TABLE + 1);
+        for (int i = 0; i <= TABLE; i++) {
+            const double d = double(i) / TABLE / sigma;
+            normal[i] = std::exp(-0.5 * d * d);
+            agree[i] = (1.0 - OUTLIER) * normal[i];
+            bare[i] = std::log(agree[i] + OUTLIER);
+        }
+        for (double p : fields.fraction) {
+            per_chance.emplace_back(TABLE + 1);
+            for (int i = 0; i <= TABLE; i++) per_chance.back()[i] = 1.0 / ((1.0 - p) * normal[i] + p);
+        }
+    }
+
+    static size_t index(double d) { return size_t(int(std::min(std::max(d, 0.0), 1.0) * TABLE + 0.5)); }
+};
+
+/// Sums of one pose over its points.
+struct Ratio {
+    double log_ratio = 0.0, matched = 0.0, expected = 0.0;
+};
+
+/// Return the log-likelihood ratio, and the sums of the match.
+Ratio ratio(const BallModel& ball, const FieldsView& fields, const Densities& density, double sigma, const Sight& s) {
+    Ratio sum;
+    const double variance = sigma * sigma;
+    std::vector<double> product(s.disc_weight.size(), 1.0), rg(fields.rim.size()), gg(fields.rim.size());
+    for (size_t i = 0; i < s.bare; i++) {
+        for (size_t k = 0; k < fields.rim.size(); k++) {
+            const double m = FieldsView::at(fields.weight, k, s.bare_x[i], s.bare_y[i]);
+            if (m > 0.0) sum.log_ratio += s.bare_w[i] * density.bare[Densities::index(m)];
+            if (m > 0.5) sum.expected += s.bare_w[i];
+        }
+    }
+    for (size_t i = 0; i < s.coloured; i++) {
+        const size_t k = size_t(ball.colour[s.index[i]]);
+        const double m = s.m[i], e = s.e[i], r = s.r[i], w = s.w[i], g = s.g[i];
+        const double near = density.agree[Densities::index(std::abs(r))];
+        // a picture without the ball has by chance the value e, or less in glare
+        const double each = near * density.per_chance[k][Densities::index(m - r)] + OUTLIER;
+        const size_t disc = size_t(ball.disc[s.index[i]]);
+        if (w == s.disc_weight[disc]) {
+            product[disc] *= each;
+        } else {
+            sum.log_ratio += w * std::log(each);
+        }
+        const double inlier = w * near / (near + OUTLIER);  // the offset explains a displaced rim, not a missing one
+        rg[k] += inlier * r * g;
+        gg[k] += inlier * g * g;
+        if (s.hidden[i] > 0.0 && m < MIN_EXPECTED) continue;  // glare shows no colour
+        if (e > MIN_EXPECTED) {
+            sum.expected += w;
+            sum.matched += w * (std::abs(r) < MATCH_TOLERANCE ? 1.0 : std::min(m / e, 1.0));
+        } else if (m > 0.5) {
+            sum.expected += w;
+        }
+    }
+    for (size_t d = 0; d < product.size(); d++) sum.log_ratio += s.disc_weight[d] * std::log(product[d]);
+    for (size_t k = 0; k < rg.size(); k++) {  // the common offset, marginalised
+        const double information = 1.0 / (RIM_OFFSET * RIM_OFFSET) + gg[k] / variance, b = rg[k] / variance;
+        sum.log_ratio += 0.5 * b * b / information - 0.5 * std::log(information * RIM_OFFSET * RIM_OFFSET);
+    }
+    return sum;
+}
+
+nb::tuple log_likelihood(nb::handle position_, nb::handle rotation_, const BallModel& ball, const FieldsView& fields,
+                         double sigma, nb::handle disc_weight_, nb::handle which_) {
+    const auto position = array<const double, -1, 3>(position_, "position");
+    const auto rotation = array<const double, -1, 3, 3>(rotation_, "rotation");
+    const auto disc_weight = array<const double, -1, -1>(disc_weight_, "disc_weight");
+    const auto which = array<const int64_t, -1>(which_, "which");
+    const size_t n = position.shape(0), k = disc_weight.shape(0);
+    if (rotation.shape(0) != n) throw nb::type_error("rotation: must have as many poses as position");
+    if (k > 0 && (which.shape(0) != n || disc_weight.shape(1) != ball.first.size()))
+        throw nb::type_error("disc_weight: must have a column for each disc, and which an index for each pose");
+    for (size_t i = 0; k > 0 && i < n; i++)
+        if (which(i) >= int64_t(k)) throw nb::type_error("which: must be an index of disc_weight");
+    auto value = zeros<double>({n}), match = zeros<double>({n});
+    double *value_ = value.data(), *match_ = match.data();
+    nb::gil_scoped_release release;
+    const Densities density(fields, sigma);
+    Sight s(ball.size);
+    for (size_t i = 0; i < n; i++) {
+        const Pose pose{Eigen::Map<const Vector3d>(&position(i, 0)), Eigen::Map<const RowMatrix3d>(&rotation(i, 0, 0))};
+        measure(ball, fields, pose, k > 0 && which(i) >= 0 ? &disc_weight(size_t(which(i)), 0) : nullptr, s);
+        const Ratio sum = ratio(ball, fields, density, sigma, s);
+        value_[i] = sum.log_ratio;
+        match_[i] = sum.expected > 0.0 ? sum.matched / sum.expected : 0.0;
+    }
+    nb::gil_scoped_acquire acquire;
+    return nb::make_tuple(value, match);
+}
+
+nb::tuple expected_field(nb::handle points_) {
+    const auto points = array<const float, -1, 8>(points_, "points");
+    const size_t n = points.shape(0);
+    auto e = zeros<float>({n}), g = zeros<float>({n});
+    std::vector<float> argument[8];
+    for (size_t k = 0; k < 8; k++) {
+        for (size_t i = 0; i < n; i++) argument[k].push_back(points(i, k));
+    }
+    expect(n, argument, e.data(), g.data());
+    return nb::make_tuple(e, g);
+}
+
+}  // namespace
+
+BallModel::BallModel(nb::handle table_, nb::handle colour_, double radius, nb::handle lens_) : radius(radius) {
+    const auto table = array<const double, -1, 10>(table_, "table");
+    const auto index = array<const int64_t, -1>(colour_, "colour");
+    const auto lens = array<const double, 9>(lens_, "lens");
+    size = table.shape(0);
+    if (index.shape(0) != size) throw nb::type_error("colour: must have a value for each row of table");
+    if (size > 0 && table(0, 9) <= 0.0) throw nb::type_error("table: must begin with the centre of a disc");
+    camera = {lens(0), lens(1), lens(2), lens(3), lens(4), lens(5), lens(6), lens(7), lens(8)};
+    for (size_t q = 0; q < size; q++) {
+        const double* p = &table(q, 0);
+        const Vector3d out = Vector3d(p[3], p[4], p[5]).cross(Vector3d(p[0], p[1], p[2]));
+        const double row[12] = {p[0], p[1], p[2], p[3], p[4], p[5], out[0], out[1], out[2], p[6], p[7], p[8]};
+        for (size_t k = 0; k < 12; k++) column[k].push_back(float(row[k]));
+        if (p[9] > 0.0) first.push_back(q), solid_angle.push_back(p[9]);
+        colour.push_back(int(index(q)));
+        disc.push_back(int(first.size()) - 1);
+    }
+}
+
+FieldsView::FieldsView(nb::handle weight_, nb::handle glare_, nb::handle place_, nb::handle fraction_, nb::handle rim_)
+    : weight(array<const uint8_t, -1, -1, -1>(weight_, "weight")),
+      glare(array<const uint8_t, -1, -1, -1>(glare_, "glare")) {
+    const auto place = array<const double, 3>(place_, "place");
+    const auto p = array<const double, -1>(fraction_, "fraction"), shift = array<const double, -1>(rim_, "rim");
+    if (p.shape(0) != weight.shape(0)) throw nb::type_error("fraction: must have a value for each colour");
+    if (shift.shape(0) != weight.shape(0)) throw nb::type_error("rim: must have a value for each colour");
+    if (glare.shape(0) > 0 && (glare.shape(1) != weight.shape(1) || glare.shape(2) != weight.shape(2)))
+        throw nb::type_error("glare: must have the size of weight");
+    left = place(0), top = place(1), factor = place(2);
+    fraction.assign(p.data(), p.data() + p.shape(0));
+    rim.assign(shift.data(), shift.data() + shift.shape(0));
+}
+
+Sight::Sight(size_t points) {
+    for (auto* v : {&facing, &x, &y, &along, &outward, &scale, &depth, &e, &g}) v->resize(points);
+    for (auto* v : {&w, &hidden, &m, &r, &bare_w, &bare_x, &bare_y}) v->resize(points);
+    for (auto& v : argument) v.resize(points);
+    index.resize(points), bare_index.resize(points);
+}
+
+void measure(const BallModel& ball, const FieldsView& fields, const Pose& pose, const double* disc_weight, Sight& s) {
+    const double right = double(fields.weight.shape(2)) - 1.0, bottom = double(fields.weight.shape(1)) - 1.0;
+    const bool glare = fields.glare.shape(0) > 0;
+    project(ball, pose, fields, s);
+    s.disc_weight.resize(ball.first.size());
+    for (size_t d = 0; d < ball.first.size(); d++) {  // area in the picture over that of the kernel
+        const size_t q = ball.first[d];
+        const double scale = s.scale[q],
+                     area = std::max(double(s.facing[q]), MIN_FACING) * scale * scale * ball.solid_angle[d];
+        s.disc_weight[d] = disc_weight ? disc_weight[d] : std::min(area / KERNEL_AREA, 1.0);
+    }
+    size_t n = 0, visible = 0;
+    s.bare = 0;
+    // local pointers, since a store to an array might change a vector's own pointer for all the compiler knows
+    size_t* index = s.index.data();
+    const float *facing = s.facing.data(), *depth = s.depth.data(), *x = s.x.data(), *y = s.y.data();
+    const float* from[7] = {s.along.data(),        s.outward.data(),      facing,
+                            s.scale.data(),        ball.column[9].data(), ball.column[10].data(),
+                            ball.column[11].data()};
+    float* to[8];
+    for (int k = 0; k < 8; k++) to[k] = s.argument[k].data();
+    double *w = s.w.data(), *m = s.m.data(), *hidden = s.hidden.data();
+    for (size_t q = 0; q < ball.size; q++) {  // without a branch, which the processor would mispredict
+        index[visible] = q;
+        visible += size_t(facing[q] > float(MIN_FACING)) & size_t(depth[q] > 0.0f);
+    }
+    for (size_t at = 0; at < visible; at++) {
+        const size_t q = index[at];
+        const double px = x[q], py = y[q];
+        if (!(px >= 0.0 && py >= 0.0 && px < right && py < bottom)) continue;
+        const double ramp = std::min((double(facing[q]) - MIN_FACING) * (1.0 / (FULL_FACING - MIN_FACING)), 1.0);
+        const double veil = glare ? FieldsView::at(fields.glare, 0, px, py) : 0.0;
+        const double weight = ramp * s.disc_weight[size_t(ball.disc[q])] * (1.0 - veil);
+        const int k = ball.colour[q];
+        if (k < 0) {
+            s.bare_index[s.bare] = q, s.bare_w[s.bare] = weight, s.bare_x[s.bare] = px, s.bare_y[s.bare] = py, s.bare++;
+            continue;
+        }
+        m[n] = FieldsView::at(fields.weight, size_t(k), px, py);
+        index[n] = q, w[n] = weight, hidden[n] = veil;
+        for (int i = 0; i < 7; i++) to[i][n] = from[i][q];
+        to[7][n] = float(fields.rim[size_t(k)]), n++;
+    }
+    s.coloured = n;
+    expect(n, s.argument, s.e.data(), s.g.data());
+    for (size_t i = 0; i < n; i++) {
+        s.r[i] = s.m[i] - s.e[i];
+        if (s.hidden[i] > 0.0 && s.r[i] < 0.0) {  // the field without glare is between m and m plus the glare
+            s.r[i] = std::min(s.r[i] + s.hidden[i], 0.0);
+            if (s.r[i] == 0.0) s.g[i] = 0.0f;
+        }
+    }
+}
+
+void bind_likelihood(nb::module_& m) {
+    nb::class_<BallModel>(m, "BallModel")
+        .def(nb::init<nb::handle, nb::handle, double, nb::handle>(), arg("table"), arg("colour"), arg("radius"),
+             arg("lens"));
+    nb::class_<FieldsView>(m, "FieldsView")
+        .def(nb::init<nb::handle, nb::handle, nb::handle, nb::handle, nb::handle>(), arg("weight"), arg("glare"),
+             arg("place"), arg("fraction"), arg("rim"));
+    m.def("log_likelihood", &log_likelihood, arg("position"), arg("rotation"), arg("ball"), arg("fields"), arg("sigma"),
+          arg("disc_weight"), arg("which"));
+    m.def("expected_field", &expected_field, arg("points"));
+}
+
+}  // namespace spheremouse::wand
