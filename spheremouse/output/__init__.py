@@ -1,9 +1,11 @@
 """Outputs: `KIND:ARGUMENT` opens a context manager that takes reports.
 
-An output is a module of this package with `open(argument: str) -> Output`. Its name is in `KINDS`. Other distributions
-add outputs by entry points in the group `spheremouse.output`.
+An output is a module of this package with `open(argument: str) -> Output`. Its name is in `KINDS`. A module that sends
+rates in place of counts has its default response as `RESPONSE`, and applies the options of a response itself. Other
+distributions add outputs by entry points in the group `spheremouse.output`.
 """
 
+import importlib
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,10 +13,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Protocol, Self
 
+import numpy as np
+
 from spheremouse.errors import OutputError
 from spheremouse.files import registry
 from spheremouse.finding import Finding, ok
-from spheremouse.output.response import split_response
+from spheremouse.geometry import Array
+from spheremouse.output.response import COUNTS, Response, split_response
 from spheremouse.output.sample import Sample
 from spheremouse.output.third_axis import left_out, sent_as
 from spheremouse.tracker import Estimate
@@ -51,11 +56,24 @@ class Report(NamedTuple):
     samples: tuple[Sample, ...] = ()  # of all balls; empty between two frames
     pointing: int = 0  # index of the ball that makes the counts
     fraction: Rate = (0.0, 0.0, 0.0)  # counts, less than one on each axis, that are made and not reported yet
+    matrix: Array | None = None  # (3, 3) counts per radian of a rotation in obj; None for a hand-held ball
 
     @property
     def pointing_sample(self) -> Sample | None:
         """Sample of the ball that makes the counts; None between two frames."""
         return self.samples[self.pointing] if self.samples else None
+
+    @property
+    def to_camera(self) -> Array:
+        """Matrix (3, 3) from counts to those by the camera's axes (x right, y up, z to the camera) in place of `obj`.
+
+        It is the identity for a hand-held ball, whose motion is in `cam`, and if the camera's pose is unknown.
+        """
+        sample, M = self.pointing_sample, self.matrix
+        if M is None or sample is None or sample.camera is None:
+            return np.eye(3)
+        R_obj_view = sample.camera.rotation * (1.0, -1.0, -1.0)
+        return M @ R_obj_view.T @ np.linalg.inv(M)
 
     @property
     def counted(self) -> list[tuple[Sample, Counts]]:
@@ -71,6 +89,11 @@ class Mapping(Protocol):
         """Counts that are carried to the next call."""
         ...
 
+    @property
+    def matrix(self) -> Array | None:
+        """Counts per radian of a rotation in `obj`, (3, 3); None for a hand-held ball."""
+        ...
+
     def counts(self, estimate: Estimate) -> tuple[Counts, Rate | None]:
         """Return the counts of an estimate, and their rate; zeros and None if the estimate is not confirmed."""
         ...
@@ -84,7 +107,7 @@ def report_of(samples: tuple[Sample, ...], mapping: Mapping, pointing: int = 0) 
     """Return the report of a frame: its samples, and the counts of the ball at index `pointing`."""
     estimate = samples[pointing].estimate
     counts, rate = mapping.counts(estimate)
-    return Report(counts, rate, estimate.stamp, samples, pointing, mapping.fraction)
+    return Report(counts, rate, estimate.stamp, samples, pointing, mapping.fraction, mapping.matrix)
 
 
 class OutputClosed(Exception):  # noqa: N818  an end, not an error
@@ -145,8 +168,18 @@ class Output:
 
 
 def full_spec(spec: str) -> str:
-    """Return the output `KIND:ARGUMENT` without the options of its response to counts, which the run applies."""
-    return split_response(spec)[0]
+    """Return the output `KIND:ARGUMENT` without the options of its response, unless it applies them itself."""
+    return spec if _applies_response(spec) else split_response(spec)[0]
+
+
+def response_of(spec: str) -> Response:
+    """Return the response that the run applies to the counts of an output. Raise OutputError if it is invalid."""
+    return COUNTS if _applies_response(spec) else split_response(spec)[1]
+
+
+def _applies_response(spec: str) -> bool:
+    kind = spec.partition(":")[0]
+    return kind in KINDS and hasattr(importlib.import_module(f"{__name__}.{kind}"), "RESPONSE")
 
 
 def open_output(spec: str) -> Output:

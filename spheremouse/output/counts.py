@@ -209,8 +209,9 @@ class OutputCounter:
         sample, fraction = report.pointing_sample, np.array(report.fraction)
         factor = self._response.factor(0.0 if sample is None else hypot(*sample.rate.tolist()))
         motion, self._fraction = report.counts + fraction - self._fraction, fraction
-        mapped = np.array(self._response.to_axes(motion.tolist()))
+        turn = report.to_camera if self._response.in_camera else np.eye(3)
+        mapped = np.array(self._response.to_axes((turn @ motion).tolist()))
         counts, self._remainder = to_counts(mapped, factor * np.eye(3), self._remainder)
-        x, y, z = (0.0, 0.0, 0.0) if report.rate is None else self._response.to_axes(report.rate)
+        x, y, z = (0.0, 0.0, 0.0) if report.rate is None else self._response.to_axes((turn @ report.rate).tolist())
         rate = None if report.rate is None else (factor * x, factor * y, factor * z)
         return report._replace(counts=counts, rate=rate, fraction=self._remainder.value)

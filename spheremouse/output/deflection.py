@@ -9,24 +9,26 @@ from collections.abc import Callable
 from math import hypot
 
 from spheremouse.output import Report
+from spheremouse.output.response import COUNTS, Response
 from spheremouse.tracker import Status
 
 RELEASE_TIME = 0.3  # s without a confirmed frame; a camera at 5 Hz takes 0.2 s
 
 
-def pointer_rate(report: Report) -> list[float] | None:
+def pointer_rate(report: Report, response: Response = COUNTS) -> list[float] | None:
     """Return the ball's angular velocity along the directions of the counts (x, y, third axis), (3,) rad/s.
 
-    Its direction is that of the counts' rate, and its length that of the angular velocity. It is zero if the ball is
-    not tracked, and None if this frame does not confirm it.
+    Its direction is that of the counts' rate, by the frame of `response`, and its length that of the angular velocity.
+    It is zero if the ball is not tracked, and None if this frame does not confirm it.
     """
     sample = report.pointing_sample
     if sample is None or sample.status is not Status.TRACKING:
         return [0.0, 0.0, 0.0]
     if report.rate is None:
         return None
-    size, speed = hypot(*report.rate), hypot(*sample.rate.tolist())
-    return [r * speed / size if size > 0.0 else 0.0 for r in report.rate]
+    rate = (report.to_camera @ report.rate).tolist() if response.in_camera else report.rate
+    size, speed = hypot(*rate), hypot(*sample.rate.tolist())
+    return [r * speed / size if size > 0.0 else 0.0 for r in rate]
 
 
 class Watchdog:

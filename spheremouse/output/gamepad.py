@@ -19,6 +19,7 @@ from spheremouse.output.response import STICK, Response, parse_response
 
 NAME = "spheremouse gamepad"
 PRODUCT = 0x4D32
+RESPONSE = STICK
 FULL_DEFLECTION = 32767
 
 # Linux, input-event-codes.h
@@ -33,7 +34,7 @@ _CENTRE: Sticks = (0, 0, 0)
 
 def to_sticks(report: Report, response: Response) -> Sticks | None:
     """Return the positions of the sticks; None if the frame is not confirmed and they keep theirs."""
-    rate, sample = pointer_rate(report), report.pointing_sample
+    rate, sample = pointer_rate(report, response), report.pointing_sample
     if rate is None:
         return None
     if sample is not None and sample.coordinates == "obj":
@@ -91,7 +92,7 @@ def open(argument: str) -> Gamepad:
 
 def check(argument: str) -> Response:
     """Return the response. Raise OutputError if the argument is invalid."""
-    return parse_response(argument, f"gamepad:{argument}", STICK)
+    return parse_response(argument, f"gamepad:{argument}", RESPONSE)
 
 
 def probe(argument: str) -> list[Finding]:

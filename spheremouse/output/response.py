@@ -1,4 +1,4 @@
-"""Response of one output to the motion of the ball: gain, axes, dead zone and curve.
+"""Response of one output to the motion of the ball: frame and order of the axes, gain, dead zone and curve.
 
 The motion is that of the pointer and the third axis, to which the settings `motion` or `wand.pointing` convert a
 rotation or a shift. Every output has the options, and the trackers do not know of them.
@@ -6,7 +6,7 @@ rotation or a shift. Every output has the options, and the trackers do not know 
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from math import degrees, hypot
 
@@ -14,7 +14,7 @@ from spheremouse.errors import OutputError
 from spheremouse.files.registry import options
 
 _BOUNDS = {"gain": (1e-3, 1e3), "full": (1.0, 10_000.0), "dead": (0.0, 0.9), "curve": (0.2, 5.0)}
-_AXES = re.compile(r"(-?[xyz]|0){3}")
+_AXES = re.compile(r"(cam:)?((?:-?[xyz]|0){3})")
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +26,7 @@ class Response:
     full: float = 180.0  # deg/s, at which the curve changes nothing; a hand rolls a ball at 60 to 170 deg/s in play
     dead: float = 0.0  # dead zone as a fraction of `full`
     curve: float = 1.0  # exponent; above 1, slow motion has less effect
+    in_camera: bool = False  # the motion's directions are those of the camera's axes in place of obj's
 
     def factor(self, speed: float) -> float:
         """Return the factor on a motion at an angular speed, rad/s: `gain`, without a dead zone and a curve."""
@@ -49,21 +50,17 @@ class Response:
         return [a * x + b * y + c * z for a, b, c in _matrix(self.axes)]
 
 
-KEYS: dict[str, type[float] | type[str]] = {f.name: str if f.name == "axes" else float for f in fields(Response)}
+KEYS: dict[str, type[float] | type[str]] = {"axes": str, **dict.fromkeys(_BOUNDS, float)}
 COUNTS = Response()  # of outputs that send counts: without loss
 STICK = Response(dead=0.02)  # of outputs that send rates: a ball at rest must not move a game
-_STICKS = ("gamepad", "spacenav")  # they read their options themselves
 
 
 def split_response(spec: str) -> tuple[str, Response]:
-    """Return the output `KIND:ARGUMENT` without these options, and its response. Raise OutputError if it is invalid.
-
-    An output that sends rates keeps its options, since its response is not that of the counts.
-    """
+    """Return the output `KIND:ARGUMENT` without these options, and its response. Raise OutputError if it is invalid."""
     kind, _, argument = spec.partition(":")
     parts = argument.split(",")
     given = [part for part in parts if part.partition("=")[0].strip() in KEYS]
-    if kind in _STICKS or not given:
+    if not given:
         return spec, COUNTS
     rest = ",".join(part for part in parts if part not in given)
     return f"{kind}:{rest}" if rest else kind, parse_response(",".join(given), spec, COUNTS)
@@ -73,13 +70,15 @@ def parse_response(text: str, spec: str, default: Response) -> Response:
     """Return the response that `KEY=VALUE,KEY=VALUE` describes. Raise OutputError with the output `spec` if invalid."""
     given = options(text, dict(KEYS), spec, OutputError)
     axes = str(given.pop("axes", default.axes))
-    if not _AXES.fullmatch(axes):
-        raise OutputError(f"{spec}: axes must be three of x, y, z and 0, is {axes!r}", "write for example axes=x-yz")
+    match = _AXES.fullmatch(axes)
+    if match is None:
+        problem = f"{spec}: axes must be three of x, y, z and 0, is {axes!r}"
+        raise OutputError(problem, "write for example axes=x-yz, or axes=cam:xyz")
     for key, value in given.items():
         low, high = _BOUNDS[key]
         if not low <= float(value) <= high:
             raise OutputError(f"{spec}: {key} must be {low:g} to {high:g}, is {value:g}")
-    return replace(default, axes=axes, **given)
+    return replace(default, axes=match[2], in_camera=match[1] is not None, **given)
 
 
 @cache

@@ -16,13 +16,14 @@ from spheremouse.output.deflection import Watchdog, pointer_rate
 from spheremouse.output.response import STICK, Response, parse_response
 from spheremouse.output.spnav_server import SpnavServer
 
+RESPONSE = STICK
 FULL_DEFLECTION = 350  # units, of 3Dconnexion's mice
 _REST = [0.0, 0.0, 0.0]
 
 
 def to_rotation(report: Report, response: Response) -> list[float] | None:
     """Return rx, ry and rz, (3,) units; None if the frame is not confirmed and the rotation goes on."""
-    rate, sample = pointer_rate(report), report.pointing_sample
+    rate, sample = pointer_rate(report, response), report.pointing_sample
     if rate is None or sample is None:
         return rate
     x, y, z = response.to_axes(rate)
@@ -74,7 +75,7 @@ def check(argument: str) -> tuple[Path, Response]:
     """Return the socket and the response. Raise OutputError if the argument is invalid or the system is not Linux."""
     first, _, rest = argument.partition(",")
     name, rest = ("", argument) if "=" in first else (first, rest)
-    response = parse_response(rest, f"spacenav:{argument}", STICK)
+    response = parse_response(rest, f"spacenav:{argument}", RESPONSE)
     if not hasattr(os, "O_PATH"):
         raise OutputError("spacenav: needs Linux", "use another output, for example osc")
     return Path(name or os.environ.get("SPNAV_SOCKET") or "/var/run/spnav.sock"), response

@@ -60,11 +60,9 @@ class SpnavServer:
         self._path.unlink(missing_ok=True)
 
     def _serve(self) -> None:
-        while True:
+        while not self._over:
             readable, _, _ = select.select([self._listener, *self._clients], [], [])
-            if self._over:
-                return
-            for connection in readable:
+            for connection in () if self._over else readable:
                 with self._lock, contextlib.suppress(OSError):
                     self._accept() if connection is self._listener else self._read(connection)
 

@@ -124,6 +124,8 @@ def apply_backlash(slack: Array, displacement: Array, half_width: Array) -> tupl
 class WandMapping:
     """Mapping of a hand-held ball."""
 
+    matrix: None = None  # its motion is in `cam`
+
     def __init__(self, settings: PointingSettings) -> None:
         self._settings, self._state = settings, PointingState()
 

@@ -24,9 +24,8 @@ from spheremouse.compiling import told
 from spheremouse.errors import ConfigurationError, OutputError, PoseError, SourceError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project, unproject
 from spheremouse.geometry.rotation import Array, exp, left_jacobian, log
-from spheremouse.output import Output, OutputClosed, Report, report_of
+from spheremouse.output import Output, OutputClosed, Report, report_of, response_of
 from spheremouse.output.counts import OutputCounter
-from spheremouse.output.response import split_response
 from spheremouse.output.sample import Sample
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.tracker import Frame, check_size
@@ -142,7 +141,7 @@ def follow(tracked: Iterable[FrameResult], adapter: TrackerAdapter, outputs: dic
     `view` also logs changes, with the frame's stamp. An output that fails or whose reader is gone is logged and left
     out. The error of the last one ends the run.
     """
-    working = {spec: (output, OutputCounter(split_response(spec)[1])) for spec, output in outputs.items()}
+    working = {spec: (output, OutputCounter(response_of(spec))) for spec, output in outputs.items()}
     for made in tracked:
         report = report_of(made.samples, adapter.mapping, made.pointing)
         _send(report, working, view)

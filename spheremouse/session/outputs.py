@@ -10,12 +10,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from spheremouse.errors import ControlError
-from spheremouse.output import Counts, DescribeRun, Output, Report, open_output
+from spheremouse.output import Counts, DescribeRun, Output, Report, open_output, response_of
 from spheremouse.output.counts import OutputCounter
 from spheremouse.output.null import Null
 from spheremouse.output.pointer import PointerSettings, minus, plus
 from spheremouse.output.reporter import OutputThread, ReporterStatus
-from spheremouse.output.response import split_response
 from spheremouse.session.process.threads import WorkerPool, begin
 
 OUTPUT = "output"  # kind of the pool's work
@@ -173,7 +172,7 @@ class Outputs:
             for spec, open_it in openers:
                 name = f"output {spec}" if several else "output"
                 thread = OutputThread(open_it, settings, self._log, start=self._begin, name=name)
-                begun.append(RunOutput(spec, thread, OutputCounter(split_response(spec)[1])))
+                begun.append(RunOutput(spec, thread, OutputCounter(response_of(spec))))
         except ControlError:
             give_up()
             for output in begun:

@@ -6,10 +6,14 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from reporting import refused, rolling
+from scipy.spatial.transform import Rotation
 
-from spheremouse.output import Report
-from spheremouse.output.counts import OutputCounter
-from spheremouse.output.response import COUNTS, Response, split_response
+from spheremouse.geometry.camera import Pose
+from spheremouse.output import Report, full_spec, response_of
+from spheremouse.output.counts import MotionSettings, OutputCounter
+from spheremouse.output.deflection import pointer_rate
+from spheremouse.output.response import COUNTS, Response
+from spheremouse.output.sample import Sample
 
 RATES = arrays(float, 3, elements=st.floats(-20.0, 20.0))
 RESPONSES = st.builds(Response, full=st.floats(1.0, 1e4), dead=st.floats(0.0, 0.9), curve=st.floats(0.2, 5.0))
@@ -46,6 +50,21 @@ def test_each_axis_of_an_output_has_the_motion_of_its_own_letter_times_the_gain(
     assert made == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
+@given(RATES, RATES, st.sampled_from(["far-side", "left"]))
+def test_axes_of_cam_do_not_depend_on_the_camera_pose(w, turn, player):
+    """A rotation about the axes of the camera moves as one about `obj` does with a camera that is not turned."""
+    assume(np.linalg.norm(w) > 1e-3)
+    R_obj_view, settings = Rotation.from_rotvec(turn), MotionSettings(player=player, scale_y=2.0, invert_x=True)
+    pose = Pose(R_obj_view.as_matrix() * (1.0, -1.0, -1.0), np.zeros(3))
+    straight = rolling(w, settings)
+    turned = rolling(R_obj_view.apply(w), settings, seen=lambda estimate: Sample(estimate, camera=pose))
+    made = OutputCounter(Response(in_camera=True)).apply(turned).rate
+    assert made == pytest.approx(straight.rate, rel=1e-9, abs=1e-6)
+    assert pointer_rate(turned, Response(in_camera=True)) == pytest.approx(
+        pointer_rate(straight, Response()), rel=1e-9, abs=1e-9
+    )
+
+
 @given(RESPONSES, st.floats(0.1, 20.0), st.integers(1, 100_000))
 def test_counts_and_deflections_have_the_same_curve(response, speed, counts):
     """Over a second, a mouse at a steady speed makes the counts of its deflection times those of full speed."""
@@ -74,10 +93,11 @@ def test_a_ball_in_the_dead_zone_moves_no_mouse_and_a_plain_output_gets_the_repo
         ("null:dead=0.1,curve=1.5,full=90", "null", Response(dead=0.1, curve=1.5, full=90.0)),
         ("serial:auto", "serial:auto", COUNTS),
         ("gamepad:gain=2", "gamepad:gain=2", COUNTS),
+        ("null:axes=cam:y0x", "null", Response(axes="y0x", in_camera=True)),
     ],
 )
 def test_every_output_has_the_options_and_one_that_sends_rates_reads_them_itself(spec, place, response):
-    assert split_response(spec) == (place, response)
+    assert (full_spec(spec), response_of(spec)) == (place, response)
 
 
 @pytest.mark.parametrize(
@@ -91,8 +111,8 @@ def test_every_output_has_the_options_and_one_that_sends_rates_reads_them_itself
         ("curve=-1", "curve must be 0.2 to 5, is -1"),
         ("curve=a", "curve must be a number, is 'a'"),
         ("deed=0", "unknown key deed; did you mean dead?"),
-        ("axes=xy", "axes must be three of x, y, z and 0, is 'xy'; write for example axes=x-yz"),
-        ("axes=x--yz", "axes must be three of x, y, z and 0, is 'x--yz'; write for example axes=x-yz"),
+        ("axes=xy", "axes must be three of x, y, z and 0, is 'xy'; write for example axes=x-yz, or axes=cam:xyz"),
+        ("axes=x--yz", "axes must be three of x, y, z and 0, is 'x--yz'; write for example axes=x-yz, or axes=cam:xyz"),
         ("dead=0,dead=0", "dead is given twice; leave one out"),
     ],
 )
