@@ -18,25 +18,27 @@ from spheremouse.output.sample import Sample, to_quaternion
 from spheremouse.tracker import Status
 
 _MAX_COUNT = 2**31 - 1  # an OSC integer is signed and has 32 bits
+_BUNDLE = struct.Struct(">8sQ")  # name and time tag, in 2**-32 s since 1900
+_IMMEDIATELY, _NTP_EPOCH = 1, 2208988800  # s from 1900 to 1970 (RFC 5905)
 Message = tuple[str, str, list[Any]]  # address, types, values
 
 
 def messages(sample: Sample, counts: Counts) -> list[Message]:
     """Return the messages of a sample: status and counts, and the others if the ball is tracked and they are finite."""
-    place = f"/spheremouse/{sample.ball}"
+    estimate, place = sample.estimate, f"/spheremouse/{sample.ball}"
     whole = [max(-_MAX_COUNT, min(_MAX_COUNT, n)) for n in counts]
-    made: list[Message] = [(f"{place}/status", "s", [str(sample.status)]), (f"{place}/counts", "iii", whole)]
-    if sample.status is not Status.TRACKING:
+    made: list[Message] = [(f"{place}/status", "s", [str(estimate.status)]), (f"{place}/counts", "iii", whole)]
+    if estimate.status is not Status.TRACKING:
         return made
-    variances = sample.attitude_covariance.diagonal().tolist()
-    values = {
-        "quaternion": to_quaternion(sample.rotation),
-        "rate": sample.rate.tolist(),
-        "sigma": [sqrt(max(v, 0.0)) for v in variances],
-    }
+    variances = estimate.covariance.diagonal().tolist()[:3]
+    values = [
+        ("quaternion", "ffff", to_quaternion(estimate.rotation)),
+        ("rate", "fff", estimate.rate.tolist()[:3]),
+        ("sigma", "fff", [sqrt(max(v, 0.0)) for v in variances]),
+    ]
     if sample.coordinates == "cam":
-        values["position"] = sample.position.tolist()
-    return made + [(f"{place}/{name}", "f" * len(v), v) for name, v in values.items() if isfinite(sum(v))]
+        values.append(("position", "fff", estimate.position.tolist()))
+    return made + [(f"{place}/{name}", types, v) for name, types, v in values if isfinite(sum(v))]
 
 
 class Osc(DatagramOutput):
@@ -54,9 +56,8 @@ class Osc(DatagramOutput):
 
 def encode(sample: Sample, counts: Counts) -> bytes:
     """Return the bundle of a sample. Only its numbers are new; the builders of python-osc take ten times as long."""
-    from pythonosc.parsing import osc_types
-
-    bundle = [b"#bundle\0", osc_types.write_date(osc_types.IMMEDIATELY if sample.wall is None else sample.wall)]
+    tag = _IMMEDIATELY if sample.wall is None else round((sample.wall + _NTP_EPOCH) * 2**32) % 2**64
+    bundle = [_BUNDLE.pack(b"#bundle", tag)]
     for address, types, values in messages(sample, counts):
         if types == "s":
             bundle.append(_text_message(address, values[0]))
