@@ -133,7 +133,8 @@ def connect(socket: str | Path | None = None) -> Iterator[Sample]:
     """Yield the samples of the running service, from now on.
 
     `socket` is the path of its control socket; by default it is found as by `spheremouse ctl`. Raises SpheremouseError
-    if no service runs, if you have no access to the socket, or when the service ends.
+    if no service runs, if you have no access to the socket, or when the service ends. A caller that is too slow loses
+    the oldest samples.
     """
     with Client(None if socket is None else Path(socket)) as client:
         yield from client.samples()

@@ -208,7 +208,7 @@ def statistics(state: TrackState) -> dict[str, float]:
 
 
 def current(state: TrackState, tracker: Tracker[K]) -> Tracker[K]:
-    """The tracker in use: the one given, or the one rebuilt since, when the camera was moved."""
+    """Return the tracker in use: `tracker`, or the one that was rebuilt for a new camera pose."""
     return tracker if state.rebuilt is None else state.rebuilt
 
 

@@ -82,7 +82,7 @@ class CountPath(NamedTuple):
         return cls(np.insert(t, rest + 1, t[rest + 1] - interval), np.insert(sums, rest + 1, sums[rest], axis=0))
 
     def at(self, t: Array) -> Array:
-        """Return the sums, (..., 2), at times t (...) of the log."""
+        """Return the sums, (..., 2), at times t (...) s of the log; before and after it, those at its ends."""
         return np.stack([np.interp(t, self.time, self.sums[:, k]) for k in range(2)], axis=-1)
 
 

@@ -36,7 +36,7 @@ class Header(NamedTuple):
 
 
 def decoded(data: bytes, *, upright: bool = False) -> NDArray[np.uint8]:
-    """Decode a file after a check of its header: (h, w, 3) blue, green, red, as stored or `upright`.
+    """Decode an image file: (h, w, 3) blue, green, red, as stored or `upright`. Call `read_header` first, for its size.
 
     Raises OSError if OpenCV cannot decode it.
     """

@@ -51,7 +51,7 @@ class Face:
         return np.where(inside, s, np.inf)
 
     def stripe(self, points: Array) -> NDArray[np.int64]:
-        """Number of the board, a stripe, that each of points, (n, 3), lies on."""
+        """Return the index, (n,), of the stripe that each of points, (n, 3) m, lies on; 0 on a face without stripes."""
         if self.stripes == 0.0:
             return np.zeros(len(points), dtype=np.int64)
         along = self.corners[1] - self.corners[0]

@@ -54,9 +54,10 @@ def log_likelihood(
 
 
 def disc_weights(position: Array, rotation: Array, model: Model, factor: int) -> Array:
-    """Return the weight of a point of each disc, and of a bare one, in a picture reduced by `factor`: (k, d).
+    """Return the weight of a point of each disc, and last of a bare point, in a picture reduced by `factor`: (k, d).
 
-    The k poses are (k, 3) m in cam and R_cam_ball (k, 3, 3).
+    It is the point's area in that picture over the kernel's, at most 1. The k poses are (k, 3) m in cam and R_cam_ball
+    (k, 3, 3).
     """
     first = model.points.table[model.points.table[:, 9] > 0.0]
     normal = np.einsum("kij,qj->kqi", rotation, first[:, :3])

@@ -178,7 +178,7 @@ class Bundle:
         return Normal(N[:, :9, :9].sum(axis=0), down[:, :9].sum(axis=0), N[:, 9:, 9:], N[:, 9:, :9], down[:, 9:])
 
     def jacobian(self, x: Array, sigma: Array) -> tuple[Array, Jacobian]:
-        """Return the residuals of `evaluate`, (2n,), and the e estimated columns of their Jacobian, (2n, e)."""
+        """Return residuals and Jacobian as `evaluate`, but only the e columns of estimated unknowns, (2n, e)."""
         residual, J = self.evaluate(x, sigma)
         return residual, J if self._open.all() else sparse.csr_array(J.tocsc()[:, np.flatnonzero(self._open)])
 

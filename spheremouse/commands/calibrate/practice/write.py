@@ -23,9 +23,10 @@ _FULL_COLOUR = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACT
 
 
 def device_of(dataset: Path) -> DeviceShape:
-    """Return ball, targets and discs of a dataset, with the attitude of its first frame.
+    """Return ball, targets and discs of a dataset, with the true attitude of its first frame, or the identity.
 
-    Raises CalibrationError without the true places of the discs, or with fewer than three targets.
+    Raises DatasetError if it is invalid, and CalibrationError without the true places of the discs, or with fewer than
+    three targets.
     """
     recording = open_dataset(dataset)
     rig, directions = recording.rig, recording.truth_directions
