@@ -46,7 +46,7 @@ class Comparison:
 
     @property
     def same_ball(self) -> bool:
-        """Do the maps agree in enough discs? In half of those of the smaller one: a few always fit by chance."""
+        """True if three discs and half of those of the smaller map stayed, since a few always fit by chance."""
         k = len(self.stayed)
         return k >= 3 and 2 * k >= min(k + len(self.moved) + len(self.gone), k + len(self.moved) + len(self.new))
 
@@ -66,7 +66,7 @@ def compare(a: DiscMap, b: DiscMap) -> Comparison | None:
 
 
 def compare_at(a: DiscMap, b: DiscMap, rotation: Array) -> Comparison:
-    """The maps with `b` turned by `rotation` (3, 3) against `a`; the identity for two states of one map."""
+    """Compare two maps. `rotation`, (3, 3), turns `a` into `b`: directions of `b` are about those of `a` @ rotation.T."""
     cosine = b.directions @ rotation @ a.directions.T
     apart = np.arccos(np.clip(cosine, -1.0, 1.0)).T
     near = np.clip(5.0 * np.sqrt(variances(a)[:, None] + variances(b)[None]), _LEAST, _MOST)

@@ -63,7 +63,7 @@ class PartWriter:
 
 
 def open(argument: str) -> Table:
-    """Open a file that rows are added to. Raise OutputError if it is another file."""
+    """Open a table to add rows. Raise OutputError as `check`, or if the file cannot be written."""
     check(argument)
     return open_table(file_of(argument), _START, PartWriter)
 

@@ -60,7 +60,7 @@ class Sample:
 
     @property
     def rotation(self) -> Array:
-        """Attitude, (3, 3), from the ball's axes to the still axes."""
+        """Attitude, (3, 3), from the ball's axes to the still axes, `coordinates`."""
         return self.estimate.rotation
 
     @property

@@ -111,7 +111,10 @@ def results(frames: Iterable[Frame], adapter: TrackerAdapter) -> Iterator[FrameR
 
 
 def smoothed(tracked: Iterable[FrameResult], adapter: TrackerAdapter, settings: So3Settings) -> list[FrameResult]:
-    """Return the results with estimates given all frames, and without images."""
+    """Return the results with estimates given all frames, and without images.
+
+    The adapter must be of tracker so3. Raise ConfigurationError if it gives no observations.
+    """
     kept, samples = list[FrameResult](), list[Sample]()
     for made in tracked:
         samples.append(replace(made.samples[0], observation=adapter.observation(made)))

@@ -88,7 +88,7 @@ class WandRunSettings(WandSettings):
 
 @dataclass(frozen=True, slots=True)
 class Configuration(Settings):
-    """All settings. An option of the command line comes before the setting of the same meaning."""
+    """All settings. An option of the command line overrides its setting."""
 
     # the settings of daily use, which `config init` writes; the others are for experts
     COMMON: ClassVar[tuple[str, ...]] = (

@@ -174,8 +174,8 @@ class TrackerAdapter(Protocol):
         """
         ...
 
-    def last_words(self, failed: bool) -> tuple[str, ...]:
-        """Return further closing lines; `failed`: the failure is reported already."""
+    def final_messages(self, failed: bool) -> tuple[str, ...]:
+        """Return further log lines for the end of a run. If it `failed`, the failure is reported already."""
         ...
 
     def close(self) -> None:

@@ -78,7 +78,7 @@ class Objective:
 
     @property
     def seconds(self) -> float:
-        """Duration of the frames, s: no longer waiting time has an effect."""
+        """Duration of the frames, s. A setting in s has no effect above it."""
         return (self._span[1] - self._span[0]) / self._recording.fps
 
     @cached_property

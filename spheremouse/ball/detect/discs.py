@@ -176,7 +176,7 @@ class DiscDetector:
         return found, replace(state, noise=noise, size=size) if again else state
 
     def find_new_discs(self, image: Image, state: SearchState, known: Array) -> tuple[Detections, SearchState]:
-        """A share of the search for discs that are not at `known`, (m, 2) px."""
+        """Search a part of the picture for discs that are not at `known`, (m, 2) px. `state` selects the next part."""
         noise = state.noise or self.noise(image)
         colours = _with_channels(image)
         places = candidate_pixels(colours, self.model, self.lattice, state, known, noise)

@@ -61,7 +61,10 @@ class StaticDistractors:
 
 
 def unmasked(state: StaticDistractors, centre: Array, stamp: float) -> tuple[NDArray[np.bool_], StaticDistractors]:
-    """Return a mask, (n,), of the detections, (n, 2) px, outside all masks, and the masks with the time of use."""
+    """Return which detections, (n, 2) px, are outside all masks, (n,), and the state.
+
+    A mask that hides a detection gets `stamp`, s. The state loses masks that hid nothing for 600 s.
+    """
     if len(state.masks) == 0 or len(centre) == 0:
         return np.ones(len(centre), dtype=bool), state
     near = np.linalg.norm(centre[:, None] - state.masks[None], axis=2) < MASK_RADIUS_PX

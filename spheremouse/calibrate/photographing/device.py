@@ -51,7 +51,7 @@ class DeviceSelector(Selector[TargetDetections]):
         return self.count >= DEVICE_MOST or (self.count >= least and not self._missing_sides())
 
     def detect(self, picture: Image, quick: bool) -> TargetDetections:
-        """Detect the targets. Raises CalibrationError if the picture is grey."""
+        """Detect the targets; `quick` changes nothing. Raises CalibrationError if the picture is grey."""
         if picture.ndim == 2:
             raise CalibrationError("the camera gives grey pictures, but the targets differ only in colour")
         return detect_targets(picture, self._device.target_radii, self._rings)
@@ -70,7 +70,7 @@ class DeviceSelector(Selector[TargetDetections]):
         return f"{len(set(seen.codes) & set(self._device.codes))} of {len(self._device.codes)} targets"
 
     def resume(self, read: Callable[[], Image]) -> bool:
-        """Count an existing photo with three targets."""
+        """Count an existing photo with three targets; return False for another."""
         counts = super().resume(read)
         self._resumed += counts
         return counts

@@ -50,7 +50,7 @@ class Parts:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredTargets:
-    """Targets at places that were unknown."""
+    """Targets whose places were estimated with the axes."""
 
     codes: tuple[str, ...]
     position: Array  # (n, 3) m in cam

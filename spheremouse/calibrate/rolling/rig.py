@@ -212,7 +212,7 @@ def _scaled(rolled: RollingAdjustment, found: Axes, source: str, axes: AxesFrom,
 
 
 def with_direction(axes: Axes, rolled: RollingAdjustment) -> Axes:
-    """Return the axes with the covariance of the direction added."""
+    """Return the axes with a covariance that includes the error of the direction to the ball's centre."""
     return replace(axes, covariance=_joint(rolled, axes)[:3, :3])
 
 

@@ -232,7 +232,7 @@ def serve(
         view.tally.words = f"from stamp to output {median:.1f} ms (99 %: {slow:.1f} ms)"
     if daemon.finished and failure is None and not stopping.asked:
         failure = daemon.adapter.failure(daemon.trouble)
-    return failure, daemon.adapter.last_words(failed=failure is not None)
+    return failure, daemon.adapter.final_messages(failed=failure is not None)
 
 
 def follow(
@@ -275,4 +275,4 @@ def follow(
         except SpheremouseError as e:
             failure = e
     view.tally.left_out = {"before anything could be tracked": adapter.untracked}
-    return failure, adapter.last_words(failed=failure is not None)
+    return failure, adapter.final_messages(failed=failure is not None)

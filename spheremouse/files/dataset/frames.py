@@ -121,7 +121,7 @@ def recorded_images(folder: Path, size: tuple[int, int], frames: int) -> Iterato
 
 
 def picture_file(folder: Path, index: int) -> Path:
-    """Return the path of an image that is not in the video."""
+    """Return the path of a frame's image file: of each frame without a video, of colour frames beside one."""
     return folder / "frames" / f"{index:06d}.png"
 
 

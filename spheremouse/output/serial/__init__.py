@@ -184,7 +184,7 @@ class Serial(Output):
         return self._link.settled
 
     def close(self) -> None:
-        """Wait a moment for confirmation of all counts, release the buttons and close the port."""
+        """Wait up to 0.5 s for confirmation of all counts, release the buttons, close the port and log statistics."""
         if self._closing.is_set():
             return
         end = time.perf_counter() + CLOSE_TIMEOUT

@@ -322,7 +322,7 @@ class BallAdapter:
         why = self.waiting if self.untracked else unused or "the source gave no frame"
         return PoseError(why) if self.waiting else None
 
-    def last_words(self, failed: bool) -> tuple[str, ...]:
+    def final_messages(self, failed: bool) -> tuple[str, ...]:
         """Return no closing lines: the map's own line comes when it is saved."""
         return ()
 

@@ -65,7 +65,8 @@ class WorkerPool:
     def do(self, kind: str, work: Work) -> None:
         """Have the thread of a kind do work, from any thread, without waiting.
 
-        The call that it returns follows when the kind is not busy with it any more, so a client may ask again at once.
+        If the work returns a function, the thread calls it when `busy` no longer counts this work. So a client that gets
+        its answer there may ask again at once.
         """
         with self._lock:
             self._left[kind] += 1
@@ -76,7 +77,7 @@ class WorkerPool:
         return self._left[kind] > 0
 
     def end(self, *kinds: str) -> None:
-        """End the threads after their work. Wait for work of these kinds, but not for ever."""
+        """End the threads after their work. Wait for work of these kinds, at most 30 s in all."""
         for given in self._given.values():
             given.put(None)
         end = time.monotonic() + _MAX_FINISH_S

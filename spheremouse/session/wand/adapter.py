@@ -204,8 +204,8 @@ class WandAdapter:
         why = f"{self._messages.why} (looked for in {frames})" if self._frames else unused or "gave no frame"
         return SourceError(f"{self._plan.source}: {why}")
 
-    def last_words(self, failed: bool) -> tuple[str, ...]:
-        """Return a line for each ball never seen, except the pointing one if the failure names it."""
+    def final_messages(self, failed: bool) -> tuple[str, ...]:
+        """Return a log line for each ball never seen; after a failure without the pointing one, which it names."""
         return self._messages.never_found(but=self.points if failed else None)
 
     def close(self) -> None:
