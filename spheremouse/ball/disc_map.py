@@ -66,7 +66,7 @@ def compare(a: DiscMap, b: DiscMap) -> Comparison | None:
 
 
 def compare_at(a: DiscMap, b: DiscMap, rotation: Array) -> Comparison:
-    """Compare two maps. `rotation`, (3, 3), turns `a` into `b`: directions of `b` are about those of `a` @ rotation.T."""
+    """Compare two maps. `rotation`, (3, 3), turns `a`: directions of `b` are about those of `a` @ rotation.T."""
     cosine = b.directions @ rotation @ a.directions.T
     apart = np.arccos(np.clip(cosine, -1.0, 1.0)).T
     near = np.clip(5.0 * np.sqrt(variances(a)[:, None] + variances(b)[None]), _LEAST, _MOST)

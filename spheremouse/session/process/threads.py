@@ -65,8 +65,8 @@ class WorkerPool:
     def do(self, kind: str, work: Work) -> None:
         """Have the thread of a kind do work, from any thread, without waiting.
 
-        If the work returns a function, the thread calls it when `busy` no longer counts this work. So a client that gets
-        its answer there may ask again at once.
+        If the work returns a function, the thread calls it when `busy` no longer counts this work. A client that gets
+        its answer there may request again at once.
         """
         with self._lock:
             self._left[kind] += 1
