@@ -18,7 +18,7 @@ from spheremouse.output.sample import Sample
 from spheremouse.session import evaluate as evaluation
 from spheremouse.session import offline
 from spheremouse.session.control.client import Client
-from spheremouse.session.run_config import RunConfig, told_apart
+from spheremouse.session.run_config import RunConfig, with_distinct_names
 from spheremouse.session.settings import Configuration
 from spheremouse.session.setup import Setup
 from spheremouse.session.tracker_adapter import here
@@ -121,7 +121,7 @@ def evaluate(
     if smooth and settings.tracker != "so3":
         raise ConfigurationError(f"smooth: there is no smoother for tracker {settings.tracker}", "use so3")
     if isinstance(recording, WandRecording):
-        balls = told_apart(recording.balls)
+        balls = with_distinct_names(recording.balls)
         tracker = build(recording.camera, balls, settings.wand)
         return evaluation.wand_reports(recording, balls, [evaluation.run_wand(read_frames(recording), tracker)])
     frames, device = evaluation.numbered_frames(recording), evaluation.rig_of(recording, rig)

@@ -16,12 +16,12 @@ _EVERY = 5.0  # s between two lines on standard error
 
 
 @contextmanager
-def told(tell: Callable[[str], None] | None = None) -> Iterator[None]:
-    """Say in words how many of how many kernels are compiled, and the time left; nothing where all are on disk.
+def report_compilation(log: Callable[[str], None] | None = None) -> Iterator[None]:
+    """Report how many kernels are compiled in this block, of how many, and the time left; nothing if all are on disk.
 
-    By default a line now and then on standard error. `tell` is called by the thread that compiles.
+    The thread that compiles calls `log` with each line. By default lines go to standard error, one in 5 s at most.
     """
-    progress = _Progress(tell or _Lines())
+    progress = _Progress(log or _Lines())
     event.register("numba:compile", progress)
     try:
         yield
@@ -30,8 +30,8 @@ def told(tell: Callable[[str], None] | None = None) -> Iterator[None]:
 
 
 class _Progress(event.Listener):
-    def __init__(self, tell: Callable[[str], None]) -> None:
-        self._tell, self._total, self._began = tell, 0, 0.0
+    def __init__(self, log: Callable[[str], None]) -> None:
+        self._log, self._total, self._began = log, 0, 0.0
         self._waiting: set[Dispatcher] = set()
 
     def on_start(self, event: event.Event) -> None:
@@ -39,22 +39,22 @@ class _Progress(event.Listener):
         if self._total == 0 and _ours(_kernel(event)):
             self._waiting = {kernel for kernel in _kernels() if not _on_disk(kernel)}
             self._total, self._began = len(self._waiting), time.monotonic()
-            self._say("")
+            self._report("")
 
     def on_end(self, event: event.Event) -> None:
         """One is done; for types that it was compiled for before, it does not count again."""
         if _kernel(event) in self._waiting:
             self._waiting.remove(_kernel(event))
             left = len(self._waiting) * (time.monotonic() - self._began) / (self._total - len(self._waiting))
-            self._say(f", about {left:.0f} s left" if left < 100.0 else f", about {left / 60.0:.0f} min left")
+            self._report(f", about {left:.0f} s left" if left < 100.0 else f", about {left / 60.0:.0f} min left")
 
-    def _say(self, left: str) -> None:
+    def _report(self, left: str) -> None:
         done = self._total - len(self._waiting)
-        self._tell(f"compiling for this machine, once after an installation: {done} of {self._total}{left}")
+        self._log(f"compiling for this machine, once after an installation: {done} of {self._total}{left}")
 
 
 class _Lines:
-    """On standard error, the first, and not too many of the others."""
+    """Prints the first line to standard error, then at most one each 5 s."""
 
     def __init__(self) -> None:
         self._due = 0.0
@@ -75,7 +75,7 @@ def _ours(kernel: Dispatcher) -> bool:
 
 
 def _kernels() -> Iterator[Dispatcher]:
-    """All that have been imported, without those that only become part of others."""
+    """Yield all kernels that have been imported, without those that only become part of others."""
     for name, module in list(sys.modules.items()):
         for one in list(vars(module).values()) if name.startswith(f"{__package__}.") else ():
             if isinstance(one, Dispatcher) and _ours(one) and one.targetoptions.get("inline") != "always":

@@ -12,7 +12,7 @@ from spheremouse import compiling
 from spheremouse.geometry.rotation import exp, log
 
 said = []
-with compiling.told(said.append):
+with compiling.report_compilation(said.append):
     log(exp(np.array([[0.1, 0.2, 0.3]])))
 print(*said, sep="\\n")
 exp(np.array([[0.1]] * 3).T)

@@ -39,7 +39,7 @@ class Detector(Protocol):
         """Return the disc candidates in an image (h, w, 3) BGR or (h, w)."""
         ...
 
-    def seeing(self, projection: Projection) -> "Detector":
+    def with_projection(self, projection: Projection) -> "Detector":
         """Return the detector with a projection of colours; a detector without projections stays the same."""
         ...
 

@@ -132,7 +132,7 @@ def _stages(
     detected()
     done = advance(state, frame.stamp, detections, tracker, predicted, search)
     done = colours.refined(done, frame, tracker)
-    return done if done.state.colours is before else colours.told(done, before)
+    return done if done.state.colours is before else colours.with_colour_event(done, before)
 
 
 def _with_check(

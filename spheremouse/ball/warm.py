@@ -18,7 +18,7 @@ from spheremouse.ball.rig import NO_TARGETS, Ball, Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker, disc_map
 from spheremouse.ball.track import step
-from spheremouse.compiling import told
+from spheremouse.compiling import report_compilation
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.rotation import Array, exp, left_jacobian, log
 from spheremouse.tracker import Frame
@@ -80,5 +80,5 @@ def _spread(n: int) -> Array:
 
 
 if __name__ == "__main__":
-    with told():
+    with report_compilation():
         warm_up(Settings())

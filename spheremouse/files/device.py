@@ -91,7 +91,7 @@ def load_device(path: Path) -> Device:
 
 
 def untouched(path: Path) -> bool:
-    """Return True if the device file still has the first line that `calibrate init` writes."""
+    """Return True if the device file is readable and has the first line that `calibrate init` writes."""
     try:
         return UNTOUCHED.encode() in read_bytes(path, MAX_BYTES, "device file")
     except OSError:

@@ -130,7 +130,7 @@ def values(before: RunConfig, now: RunConfig, assignments: tuple[str, ...]) -> V
     return {key: (a[key], b[key]) for key in b if a[key] != b[key] or key in asked}
 
 
-def told(values: Values) -> str:
+def describe_changes(values: Values) -> str:
     """Return the changes in words."""
     return ", ".join(
         f"{key} {config.to_yaml(old)} → {config.to_yaml(new)}" if old != new else f"{key} {config.to_yaml(new)} already"
@@ -223,7 +223,7 @@ class ConfigReloader:
     def log_gesture(self, now: float) -> None:
         """Log the changes of a gesture that has ended; `now` is monotonic, s."""
         if self._gesture is not None and now - self._gesture.at > _GESTURE_PAUSE_S:
-            self._log(f"configuration applied: {told(self._gesture.values)}")
+            self._log(f"configuration applied: {describe_changes(self._gesture.values)}")
             self._gesture = None
 
     def set(self, assignments: tuple[str, ...], pending: PendingRequest) -> None:
@@ -358,7 +358,7 @@ class ConfigReloader:
                 self._files[path] = stamp  # the time of reading: a later write counts as a change
         ended = apply()
         read = [name for name in changed if name in ("rig", "map", "balls") and name not in exact]  # from their files
-        text = f"configuration applied: {', '.join(filter(None, (told(exact), *read))) or 'nothing has changed'}"
+        text = f"configuration applied: {', '.join(filter(None, (describe_changes(exact), *read))) or 'nothing has changed'}"
         later = [name for name in changed if name in AT_START]
         if later:
             text += f" ({', '.join(later)}: from the next start on)"

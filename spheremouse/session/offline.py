@@ -20,7 +20,7 @@ from spheremouse.ball.smooth import smooth
 from spheremouse.ball.state import Epoch, Tracker, TrackState
 from spheremouse.ball.track import step as step_ball
 from spheremouse.ball.warm import warm_up as warm_up_ball
-from spheremouse.compiling import told
+from spheremouse.compiling import report_compilation
 from spheremouse.errors import ConfigurationError, OutputError, PoseError, SourceError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project, unproject
 from spheremouse.geometry.rotation import Array, exp, left_jacobian, log
@@ -87,9 +87,9 @@ def _colour(frame: Frame) -> NDArray[np.uint8]:
     return frame.image
 
 
-def make_ready(settings: Settings, tell: Callable[[str], None] | None = None) -> None:
-    """Compile the functions of tracking, or read them from disk. `compiling.told` reports the progress."""
-    with told(tell):
+def make_ready(settings: Settings, report: Callable[[str], None] | None = None) -> None:
+    """Compile the functions of tracking, or read them from disk. `report` takes lines of `report_compilation`."""
+    with report_compilation(report):
         warm_up_ball(settings)
 
 
@@ -189,9 +189,9 @@ _NO_HUE = ("dark", "light")  # colours that grey frames show as well
 Known = dict[int, tuple[Array, Array]]  # position and rotation of balls, by their index
 
 
-def make_wand_ready(tell: Callable[[str], None] | None = None) -> None:
-    """Compile the few functions of `geometry` that the wand uses, or read them from disk."""
-    with told(tell):
+def make_wand_ready(report: Callable[[str], None] | None = None) -> None:
+    """Compile the few functions of `geometry` that the wand uses, or read them from disk; `report` as in `make_ready`."""
+    with report_compilation(report):
         camera, part = InteriorOrientation(1, 1, 1.0, 1.0, 0.0, 0.0), np.ones((2, 4))  # of rows, or with gaps
         left_jacobian(log(exp(part[0, :3])))
         exp(part[:, :3])

@@ -60,7 +60,7 @@ def read_balls(files: Iterable[Path]) -> Balls:
     return Balls(tuple(balls), colours)
 
 
-def told_apart(balls: tuple[WandBall, ...]) -> tuple[WandBall, ...]:
+def with_distinct_names(balls: tuple[WandBall, ...]) -> tuple[WandBall, ...]:
     """Number the balls of a recording that share a name, for messages."""
     names = [ball.name for ball in balls]
     return tuple(

@@ -281,7 +281,7 @@ class Daemon:
         """Compile the functions of tracking while requests are handled. Return False if a stop came before."""
         plan = self._reloader.plan
         self._monitor.starting = "the program is made ready"
-        self._notifier.patience(_COMPILING)
+        self._notifier.set_timeout(_COMPILING)
         self._update_state(time.monotonic())
         with held(plan):  # a second daemon fails here
             compile_all = partial(self._setup.make_ready, plan, self._log_progress)
@@ -292,7 +292,7 @@ class Daemon:
                 if stopping.asked or self._ending:
                     return False
             compiled.result()
-        self._notifier.usual()
+        self._notifier.restore_timeout()
         self._monitor.starting = ""
         return True
 

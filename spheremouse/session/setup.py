@@ -16,7 +16,7 @@ from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.cameras import is_camera
 from spheremouse.session.offline import make_ready, make_wand_ready
-from spheremouse.session.run_config import CommandLineOverrides, RunConfig, told_apart, without_map
+from spheremouse.session.run_config import CommandLineOverrides, RunConfig, with_distinct_names, without_map
 from spheremouse.session.tracker_adapter import MAP, Do, TrackerAdapter
 from spheremouse.session.wand.adapter import WandAdapter
 from spheremouse.wand.ball import WandBall, grzonka_ball
@@ -55,12 +55,12 @@ class Setup:
         replay = self.replay
         return None if replay is None else lambda: replay
 
-    def make_ready(self, plan: RunConfig, tell: Callable[[str], None] | None = None) -> None:
-        """Compile the functions of tracking, or read them from disk. `compiling.told` reports the progress."""
+    def make_ready(self, plan: RunConfig, log: Callable[[str], None] | None = None) -> None:
+        """Compile the functions of tracking, or read them from disk. `log` takes lines, as `report_compilation` does."""
         if _is_wand(plan):
-            make_wand_ready(tell)
+            make_wand_ready(log)
         else:
-            make_ready(plan.configuration, tell)
+            make_ready(plan.configuration, log)
 
     def adapter(self, plan: RunConfig, log: Callable[[str], None], do: Do) -> TrackerAdapter:
         """Return the tracker's adapter. Raise ConfigurationError or PoseError if the plan is incomplete."""
@@ -90,7 +90,7 @@ class Setup:
         if settings.points > len(balls):
             many = "is one ball" if len(balls) == 1 else f"are {len(balls)} balls"
             raise ConfigurationError(f"wand.points: is {settings.points}, but there {many}; balls are counted from 1")
-        return build(camera, told_apart(balls), settings, plan.balls.colours)
+        return build(camera, with_distinct_names(balls), settings, plan.balls.colours)
 
 
 def open_replay(plan: RunConfig) -> Setup:

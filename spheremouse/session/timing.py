@@ -83,7 +83,7 @@ class Arrivals:
         return now - self._last < NEXT_FRAME
 
     def silent(self, now: float) -> bool:
-        """Return True if no frame has arrived for longer than a camera may take."""
+        """Return True if no frame has arrived for longer than `patience`."""
         return now - self._last > self._patience
 
     def trouble(self, now: float) -> str:

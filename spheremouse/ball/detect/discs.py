@@ -123,8 +123,8 @@ class DiscDetector:
     slivers: Lattice  # its part near the limb, where discs are too thin for the coarse picture
     model: DiscModel
 
-    def seeing(self, projection: Projection) -> "DiscDetector":
-        """The detector with another projection of colours."""
+    def with_projection(self, projection: Projection) -> "DiscDetector":
+        """Return the detector with another projection of colours."""
         if projection == self.model.fit.projection:
             return self
         return replace(self, model=self.model._replace(fit=self.model.fit._replace(projection=projection)))
@@ -320,7 +320,7 @@ def best_projection(image: Image, detector: DiscDetector, present: Projection) -
     unless another one is clearly better. Grey or its negative takes precedence over colours if it is nearly as good.
     """
     tried = (GREY, NEGATIVE) if image.ndim == 2 else dict.fromkeys((present, *CANDIDATES))
-    found = {p: detector.seeing(p).detect(image) for p in tried}
+    found = {p: detector.with_projection(p).detect(image) for p in tried}
     information = {p: information_of(found[p], detector.settings.sigma) for p in tried}
     best, most = max(information, key=information.__getitem__), max(information.values())
     if most < _MIN_GAIN * information.get(present, 0.0) + _MIN_INFORMATION:
@@ -330,7 +330,11 @@ def best_projection(image: Image, detector: DiscDetector, present: Projection) -
     if image.ndim == 2 or best.needs_colour:
         return best, information.get(best, 0.0)
     fisher = _better_than_grey(image, detector, best, found[best])
-    more = 0.0 if fisher is None else information_of(detector.seeing(fisher).detect(image), detector.settings.sigma)
+    more = (
+        0.0
+        if fisher is None
+        else information_of(detector.with_projection(fisher).detect(image), detector.settings.sigma)
+    )
     if fisher is None or more < _MIN_GAIN * information[best]:  # such as spots on a hand, which are as dark in grey
         return best, information[best]
     return fisher, more

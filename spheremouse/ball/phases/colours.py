@@ -86,7 +86,7 @@ def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[Trac
         return done
     fisher = contrast.fisher
     before, after = (
-        information_of(detector.seeing(p).detect(frame.image), detector.settings.sigma)
+        information_of(detector.with_projection(p).detect(frame.image), detector.settings.sigma)
         for p in (colours.projection, fisher)
     )
     if after <= before:
@@ -101,7 +101,7 @@ def _adaptable(tracker: Tracker) -> DiscDetector:
     return detector
 
 
-def told(done: Step[TrackState], before: Colours) -> Step[TrackState]:
+def with_colour_event(done: Step[TrackState], before: Colours) -> Step[TrackState]:
     """Return the step, with a `DiscColours` event if its projection differs from that of `before`."""
     projection = done.state.colours.projection
     if projection == before.projection:

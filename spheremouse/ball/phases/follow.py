@@ -41,7 +41,7 @@ def detect_everywhere(
     state: TrackState, frame: Frame, tracker: Tracker, predicted: FilterState
 ) -> tuple[Detections, SearchState]:
     """Return the disc candidates of the whole image, and the search as it was."""
-    return tracker.detector.seeing(state.colours.projection).detect(frame.image), state.search
+    return tracker.detector.with_projection(state.colours.projection).detect(frame.image), state.search
 
 
 def detect_discs(
@@ -52,7 +52,9 @@ def detect_discs(
     While the attitude is confirmed, the detector measures each disc of the map in a window at its predicted place, and
     searches a part of the rest of the ball. If it sees too few of the discs of the frame before, it searches all of it.
     """
-    detector: Any = tracker.detector.seeing(state.colours.projection)  # a DiscDetector, as `build` chose this method
+    detector: Any = tracker.detector.with_projection(
+        state.colours.projection
+    )  # a DiscDetector, as `build` chose this method
     if not isinstance(state.phase, Tracking) or state.confirmed_at != state.filter.stamp:
         return detector.detect(frame.image), state.search
     which = tracker.filter.visible(predicted)

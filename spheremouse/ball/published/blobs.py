@@ -24,7 +24,7 @@ class BlobDetector:
 
     settings: BlobSettings
 
-    def seeing(self, projection: Projection) -> "BlobDetector":
+    def with_projection(self, projection: Projection) -> "BlobDetector":
         """Return the same detector: its masks are of grey values."""
         return self
 

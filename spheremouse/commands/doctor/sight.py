@@ -131,7 +131,7 @@ def in_colours(seen: Sight, views: tuple[Frame, ...]) -> Sight:
     if seen.detector.settings.projection is not None:
         return seen
     found = Counter(best_projection(v.image, seen.detector, seen.projection)[0] for v in views)
-    return replace(seen, detector=seen.detector.seeing(found.most_common(1)[0][0])) if found else seen
+    return replace(seen, detector=seen.detector.with_projection(found.most_common(1)[0][0])) if found else seen
 
 
 def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Finding:

@@ -16,7 +16,7 @@ from spheremouse.files.dataset.wand import WandRecording, open_wand
 from spheremouse.files.rig import load_camera
 from spheremouse.session.evaluate import run_wand, wand_reports
 from spheremouse.session.offline import Known
-from spheremouse.session.run_config import read_balls, told_apart
+from spheremouse.session.run_config import read_balls, with_distinct_names
 from spheremouse.session.settings import Configuration
 from spheremouse.session.wand.messages import sentence
 from spheremouse.wand.ball import WandBall
@@ -45,7 +45,7 @@ def evaluate_wands(options: Options, out: Console, err: Console) -> tuple[list[d
     failed = False
     for recording in recordings:
         try:
-            balls = told_apart(given.balls or recording.balls)
+            balls = with_distinct_names(given.balls or recording.balls)
             tracker = build(recording.camera if camera is None else camera, balls, settings, given.colours)
             known: Known | None = None
             if options.pose == "known":

@@ -99,7 +99,7 @@ def test_two_discs_are_too_few_for_fisher_and_so_are_three_that_are_aslant():
 def test_the_projection_chosen_shows_every_disc(pair, light, noise):
     """In full light and in a quarter of it, with the noise of cameras: each disc, and nothing else."""
     projection, _ = best_projection(picture(pair, noise, 1, light), DETECTOR, GREY)
-    seen = DETECTOR.seeing(projection).detect(picture(pair, noise, 2, light))
+    seen = DETECTOR.with_projection(projection).detect(picture(pair, noise, 2, light))
     assert len(match(seen, TRUTH)) == len(seen) == len(DISCS)
     assert np.sqrt(np.mean(errors(seen, TRUTH) ** 2)) < 0.1
     if noise > 1.0:  # with less, rounding to integers decides
@@ -143,7 +143,7 @@ def test_a_disc_or_two_in_view_are_enough(count):
     image = red + cover[:, :, None] * (white - red)
     noisy = np.clip(np.rint(image + 4.0 * np.random.default_rng(5).normal(size=image.shape)), 0, 255).astype(np.uint8)
     projection, told = best_projection(noisy, DETECTOR, GREY)
-    assert len(match(DETECTOR.seeing(projection).detect(noisy), TRUTH[:count])) == count
+    assert len(match(DETECTOR.with_projection(projection).detect(noisy), TRUTH[:count])) == count
     assert told > 0.05 * count
 
 

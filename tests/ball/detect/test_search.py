@@ -51,7 +51,7 @@ def picture(discs, scale=1, seed=0):
 
 
 def look(image, state, known=NOWHERE, detector: DiscDetector = PLAIN, projection=GREY):
-    model = detector.seeing(projection).model
+    model = detector.with_projection(projection).model
     return candidate_pixels(image, model, detector.lattice, state, known, NOISE)
 
 

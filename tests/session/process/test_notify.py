@@ -75,8 +75,8 @@ def test_the_watchdog_is_fed_by_progress_only_and_not_at_every_frame(manager):
 
 def test_something_long_is_announced(manager):
     notifier = Notifier()
-    notifier.patience(900.0)
-    notifier.usual()
+    notifier.set_timeout(900.0)
+    notifier.restore_timeout()
     assert manager.heard() == ["WATCHDOG_USEC=900000000", "WATCHDOG=1", "WATCHDOG_USEC=20000000", "WATCHDOG=1"]
 
 
@@ -91,8 +91,8 @@ def test_without_a_watchdog_none_is_fed(manager, monkeypatch, change):
     for k in range(5):
         manager.now += 100.0
         notifier.progress(k)
-    notifier.patience(9.0)
-    notifier.usual()
+    notifier.set_timeout(9.0)
+    notifier.restore_timeout()
     assert manager.heard() == []
 
 
