@@ -29,7 +29,10 @@ class Response:
     in_camera: bool = False  # the motion's directions are those of the camera's axes in place of obj's
 
     def factor(self, speed: float) -> float:
-        """Return the factor on a motion at an angular speed, rad/s: 0 in the dead zone; `gain` if there is none, nor a curve."""
+        """Return the factor on a motion at an angular speed, rad/s; 0 in the dead zone.
+
+        Without a dead zone and a curve it is `gain`.
+        """
         if self.dead == 0.0 and self.curve == 1.0:
             return self.gain
         fraction = degrees(speed) / self.full
