@@ -358,7 +358,8 @@ class ConfigReloader:
                 self._files[path] = stamp  # the time of reading: a later write counts as a change
         ended = apply()
         read = [name for name in changed if name in ("rig", "map", "balls") and name not in exact]  # from their files
-        text = f"configuration applied: {', '.join(filter(None, (describe_changes(exact), *read))) or 'nothing has changed'}"
+        changes = ", ".join(filter(None, (describe_changes(exact), *read)))
+        text = f"configuration applied: {changes or 'nothing has changed'}"
         later = [name for name in changed if name in AT_START]
         if later:
             text += f" ({', '.join(later)}: from the next start on)"

@@ -56,7 +56,7 @@ class Setup:
         return None if replay is None else lambda: replay
 
     def make_ready(self, plan: RunConfig, log: Callable[[str], None] | None = None) -> None:
-        """Compile the functions of tracking, or read them from disk. `log` takes lines, as `report_compilation` does."""
+        """Compile the functions of tracking, or read them from disk. `log` takes lines of `report_compilation`."""
         if _is_wand(plan):
             make_wand_ready(log)
         else:
