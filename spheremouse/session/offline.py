@@ -190,7 +190,7 @@ Known = dict[int, tuple[Array, Array]]  # position and rotation of balls, by the
 
 
 def make_wand_ready(report: Callable[[str], None] | None = None) -> None:
-    """Compile the few functions of `geometry` that the wand uses, or read them from disk; `report` as in `make_ready`."""
+    """Compile the functions of `geometry` that the wand uses, or read them from disk; `report` as in `make_ready`."""
     with report_compilation(report):
         camera, part = InteriorOrientation(1, 1, 1.0, 1.0, 0.0, 0.0), np.ones((2, 4))  # of rows, or with gaps
         left_jacobian(log(exp(part[0, :3])))
