@@ -290,3 +290,16 @@ def test_a_wrong_array_is_a_type_error_with_its_name():
         kernels.grow_glare(
             image, bounds, np.zeros((4, 4), dtype=np.float32), 1, 0, 2.0, np.zeros((4, 4), dtype=np.uint8)
         )
+
+
+@pytest.mark.parametrize("diagonal", [False, True])
+@pytest.mark.parametrize("density", [0.0, 0.02, 0.4, 0.6, 1.0])
+def test_connected_areas_equal_those_of_opencv(diagonal, density):
+    binary = np.where(np.random.default_rng(2).random((40, 57)) < density, np.uint8(255), np.uint8(0))
+    areas, pixels, first = kernels.connected_areas(binary, diagonal)
+    n, label, stats, centre = cv2.connectedComponentsWithStats(binary, connectivity=8 if diagonal else 4)
+    of = [label[tuple(pixels[k])] for k in first[:-1]]  # OpenCV's numbers
+    assert sorted(of) == list(range(1, n))
+    np.testing.assert_array_equal(areas[:, :5], stats[of])
+    np.testing.assert_allclose(areas[:, 5:], centre[of])
+    np.testing.assert_array_equal(label[tuple(pixels.T)], np.repeat(of, np.diff(first)))
