@@ -115,7 +115,7 @@ def evaluate(
     """Track a recording, and return the report of `spheremouse evaluate --json` with its errors.
 
     With `smooth` it is the report of the smoother, for a ball in its frame and tracker so3. Values are None without a
-    truth. Raises SpheremouseError if the recording cannot be tracked.
+    truth. For hand-held balls `rig` has no effect. Raises SpheremouseError if the recording cannot be tracked.
     """
     settings = _settings_for(recording, settings)
     if smooth and settings.tracker != "so3":

@@ -175,7 +175,7 @@ class OutputThread:
 
     @property
     def failed(self) -> str | None:
-        """Reason of a failure; None: the output works."""
+        """Reason of a failure; None: the output works. Read it often: it logs a call that hangs for 0.4 s."""
         call, now = self._pending_call, self._clock()
         if call is None:
             return self._failed

@@ -201,7 +201,7 @@ def standing(resection: Resection, rig: Rig) -> str:
     )
 
 
-def found(seen: Iterable[str], known: Iterable[str] | None) -> str:
+def list_targets(seen: Iterable[str], known: Iterable[str] | None) -> str:
     """List the targets in a picture by their codes, beside those of the rig, if there is one."""
     seen, known = list(seen), None if known is None else list(known)
     if known is None:

@@ -61,7 +61,7 @@ def read_balls(files: Iterable[Path]) -> Balls:
 
 
 def with_distinct_names(balls: tuple[WandBall, ...]) -> tuple[WandBall, ...]:
-    """Number the balls of a recording that share a name, for messages."""
+    """Return the balls with numbers after names that several share, for messages."""
     names = [ball.name for ball in balls]
     return tuple(
         replace(ball, name=f"{ball.name} {names[: k + 1].count(ball.name)}") if names.count(ball.name) > 1 else ball

@@ -123,7 +123,7 @@ class Configuration(Settings):
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Destinations of the motion."""
+        """Destinations of the motion, `KIND:ARGUMENT`; the first is the main one."""
         return (self.output,) if isinstance(self.output, str) else self.output or ()
 
     rig: str | None = param(None, "-", "rig file of the calibrated device, relative to this file's folder")

@@ -119,7 +119,10 @@ class Daemon:
         return await asyncio.to_thread(self._ask, command, arguments)
 
     async def set(self, values: Values, gesture: str) -> Message:
-        """Change settings, and return the daemon's reply. All changes of a gesture are one step of undo."""
+        """Change settings, and return the daemon's reply. All changes of a gesture are one step of undo.
+
+        Raises ControlError if the daemon refuses or does not answer.
+        """
         async with self._setting:
             reply = await self._change(values, gesture=gesture)
             before = {key: old for key, (old, _) in reply.get("values", {}).items()}
@@ -130,7 +133,7 @@ class Daemon:
         return reply
 
     async def undo(self) -> Message:
-        """Change the settings of the last gesture back. Raises ControlError if there is none."""
+        """Change the settings of the last gesture back. Raises ControlError if there is none, or if the daemon refuses."""
         async with self._setting:
             if not self._undo:
                 raise ControlError("undo: nothing was changed on this page")

@@ -85,11 +85,11 @@ class Columns:
         return INTERIOR + 6 * self.photos + 3 * self.points
 
     def pose(self, photo: NDArray[np.intp] | int) -> NDArray[np.intp]:
-        """(..., 6)"""
+        """Return the columns of poses, (..., 6)."""
         return INTERIOR + 6 * np.asarray(photo)[..., None] + np.arange(6)
 
     def point(self, point: NDArray[np.intp] | int) -> NDArray[np.intp]:
-        """(..., 3)"""
+        """Return the columns of points, (..., 3)."""
         return INTERIOR + 6 * self.photos + 3 * np.asarray(point)[..., None] + np.arange(3)
 
 

@@ -75,7 +75,7 @@ class BoardSelector(Selector[Sighting]):
         return f"come closer: {words}" if share < _MIN_SHARE else words
 
     def gain(self, seen: Sighting) -> tuple[str, str]:
-        """Return the regions and tilts that a view adds."""
+        """Return the regions and tilts that a view adds, or an empty text and the reason for none."""
         R, _, _ = resect_views([self._view(seen)], self._camera)
         new = gain(self.coverage, self.size, seen.uv, R[0], self._corners)
         return new or "", "such a view is there already"

@@ -89,7 +89,7 @@ class DeviceSelector(Selector[TargetDetections]):
         return [f"{self.count} photos of {DEVICE_ENOUGH} to {DEVICE_MOST}"]
 
     def gain(self, seen: TargetDetections) -> tuple[str, str]:
-        """Return how far a picture is from the places of the others."""
+        """Return how far a picture is from the others, or an empty text and the reason why it adds nothing."""
         if not self._seen:
             return "the first", ""
         try:

@@ -77,7 +77,7 @@ class Selector(ABC, Generic[S]):
 
     @abstractmethod
     def gain(self, seen: S) -> tuple[str, str]:
-        """Return what a picture adds to the photos, and if nothing, why."""
+        """Return the addition of a picture to the photos in words, or an empty text and the reason."""
 
     @abstractmethod
     def add(self, seen: S) -> None:

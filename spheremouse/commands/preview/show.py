@@ -69,7 +69,7 @@ class Analysis:
     @property
     def picture(self) -> Image:
         """Draw the results into the frame."""
-        words = messages.found(self.sight.targets.codes, self.sight.codes)
+        words = messages.list_targets(self.sight.targets.codes, self.sight.codes)
         brief = f"{self.sharpness}; brightest {self.light.values['grey']:.0f} of 255"
         return draw_sight(
             self.frame.image, self.sight, ((words, 0.012), (brief, 0.68)), (self.spots.centre, self.spots.area)
@@ -107,7 +107,7 @@ class Analysis:
         colour = self.frame.image.ndim == 3
         yield f"picture     {width}x{height}" + ("" if colour else ", grey: ring targets need colour")
         if colour:
-            yield f"targets     {messages.found(self.sight.targets.codes, self.sight.codes)}"
+            yield f"targets     {messages.list_targets(self.sight.targets.codes, self.sight.codes)}"
         for (reason, bound), n in Counter((messages.refusal(r), r.bound) for r in self.sight.refused).items():
             yield f"refused     {reason}{f' ({n} times)' if n > 1 else ''}; {messages.remedy(bound)}"
         across = 2.0 * float(np.sqrt(np.median(self.spots.area) / np.pi)) if len(self.spots.area) else 0.0

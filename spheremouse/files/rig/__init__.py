@@ -17,7 +17,15 @@ from ruamel.yaml import YAML
 from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.rig.checks import camera_problems, rig_problems
-from spheremouse.files.rig.models import CameraFile, CameraPart, RigFile, Vector3, matrix, of_each, targets_covariance
+from spheremouse.files.rig.models import (
+    CameraFile,
+    CameraPart,
+    RigFile,
+    Vector3,
+    block_diagonal,
+    matrix,
+    targets_covariance,
+)
 from spheremouse.files.safe_files import write_atomically
 from spheremouse.files.validate import read_checked
 from spheremouse.files.yaml import SCHEMAS
@@ -125,7 +133,7 @@ def _targets_lines(rig: Rig) -> list[str]:
     """Return the lines of the targets; each has its covariance, or a joint one follows the last target."""
     joint, n = rig.targets.covariance, len(rig.targets.ids)
     own = joint.reshape(n, 3, n, 3)[np.arange(n), :, np.arange(n)]
-    correlated = bool(np.any(joint != of_each(own))) if n else False
+    correlated = bool(np.any(joint != block_diagonal(own))) if n else False
     lines = ["targets:  # colours inside to outside" if n else "targets: []"]
     for id_, code, position, covariance in zip(
         rig.targets.ids, rig.targets.codes, rig.targets.position, own, strict=True

@@ -93,7 +93,7 @@ def matrix(rows: Matrix | None, n: int, m: int | None = None) -> Array:
     return np.zeros((n, m or n)) if rows is None else np.array(rows, dtype=float)
 
 
-def of_each(covariance: Array) -> Array:
+def block_diagonal(covariance: Array) -> Array:
     """Return the joint covariance, (3n, 3n), of n independent positions with covariances (n, 3, 3)."""
     n = len(covariance)
     joint = np.zeros((n, 3, n, 3))
@@ -106,4 +106,4 @@ def targets_covariance(file: RigFile) -> Array:
     n = len(file.targets)
     if file.targets_covariance is not None or n == 0:
         return matrix(file.targets_covariance, 3 * n)
-    return of_each(np.array([matrix(t.covariance, 3) for t in file.targets]))
+    return block_diagonal(np.array([matrix(t.covariance, 3) for t in file.targets]))
