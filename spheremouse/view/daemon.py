@@ -133,7 +133,7 @@ class Daemon:
         return reply
 
     async def undo(self) -> Message:
-        """Change the settings of the last gesture back. Raises ControlError if there is none, or if the daemon refuses."""
+        """Change the settings of the last gesture back. Raises ControlError without one, or if the daemon refuses."""
         async with self._setting:
             if not self._undo:
                 raise ControlError("undo: nothing was changed on this page")
