@@ -27,7 +27,7 @@ from spheremouse.ball.state import Epoch, Tracker, current
 from spheremouse.files.dataset.write import device_description
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.camera import Pose
-from spheremouse.session.messages import found
+from spheremouse.session.messages import list_targets
 from spheremouse.session.overlay.ball import Overlay
 from spheremouse.session.overlay.marks import target_marks
 from spheremouse.session.overlay.pen import Image, in_blocks
@@ -132,4 +132,4 @@ def sought(image: Image, rig: Rig, settings: Configuration, *, everything: bool 
     """
     sight = sight_of(image, rig.targets.radii, rig.targets.codes, settings.rings)
     shown = image if everything else in_blocks(image, sight.kept(image.shape[:2]))
-    return draw_sight(shown, sight, ((found(sight.targets.codes, rig.targets.codes), 0.012),))
+    return draw_sight(shown, sight, ((list_targets(sight.targets.codes, rig.targets.codes), 0.012),))
