@@ -9,6 +9,7 @@ animal looks away from the camera: X is -Z of `obj`, Y is X, Z is -Y. For a hand
 """
 
 import time
+from functools import lru_cache
 from math import atan2, cos, hypot, pi, radians, sin, sqrt
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from spheremouse.geometry.camera import Pose
 
 FRAMES = ("camera", "window")
+_QUARTER = 900.0  # s; clocks change at its ends alone
 _R_LAB_OBJ = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _UNKNOWN = [[np.nan] * 3] * 3
 _R_LAB_CAM = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -124,5 +126,11 @@ def _window_axes(centre: Array) -> Array:
 
 def _since_midnight(wall: float) -> float:
     """Return the seconds since the last midnight of the local time."""
-    local = time.localtime(wall)
-    return 3600 * local.tm_hour + 60 * local.tm_min + local.tm_sec + wall % 1.0
+    quarter, rest = divmod(wall, _QUARTER)
+    return _seconds_of_day(quarter) + rest
+
+
+@lru_cache(maxsize=1)
+def _seconds_of_day(quarter: float) -> int:
+    local = time.localtime(quarter * _QUARTER)  # looks for a new time zone on the disk
+    return 3600 * local.tm_hour + 60 * local.tm_min + local.tm_sec

@@ -1,7 +1,6 @@
 """A table of samples in a file, for the outputs `csv` and `parquet`, and the description of its run beside it.
 
-A file with the same columns is continued. Each opening of it is one run of the JSON file. Rows are written once a
-second and at the end: a row costs half as much then.
+A file with the same columns is continued. Each opening of it is one run of the JSON file. Rows are written each second.
 """
 
 import contextlib
