@@ -37,7 +37,7 @@ class CentreOffset:
 
     @property
     def distance(self) -> float:
-        """m."""
+        """Length of `shift`, m."""
         return float(np.sqrt(self.shift @ self.shift))
 
 

@@ -206,7 +206,10 @@ def _candidates(used: list[Sighting], which: NDArray[np.intp], rig: Rig) -> list
 
 
 def closed_form_poses(points: Array, xy: Array) -> list[Pose]:
-    """Return poses in closed form from points (n, 3) m, n >= 3, and their images, (n, 2) on the plane z = 1."""
+    """Return camera poses in the frame of the points (n, 3) m, n >= 3, from their images, (n, 2) on the plane z = 1.
+
+    Three points give up to four poses (P3P), four or more in a plane two (IPPE), others one or more (SQPnP).
+    """
     frame, origin = np.eye(3), np.zeros(3)
     if len(points) == 3:
         _, rvecs, tvecs = cv2.solveP3P(points, xy[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_P3P)

@@ -88,7 +88,10 @@ def _profiles(document: Document, settings: Any) -> Profiles:
 
 
 def in_force(file: Path | None, assignments: Iterable[str], root: type[S]) -> S:
-    """Return the settings of a run: the defaults, then the file, then each KEY=VALUE in order."""
+    """Return the settings of a run: the defaults, then the file, then each KEY=VALUE in order.
+
+    Raises ConfigurationError if one is invalid.
+    """
     settings = root() if file is None else load(file, root)
     for assignment in assignments:
         settings = override(settings, assignment)

@@ -227,7 +227,10 @@ class ConfigReloader:
             self._gesture = None
 
     def set(self, assignments: tuple[str, ...], pending: PendingRequest) -> None:
-        """Change parameters, KEY=VALUE. ControlError if one could not take effect."""
+        """Change parameters, KEY=VALUE, all or none. `pending` gets the result, perhaps later.
+
+        Raises ControlError or ConfigurationError if one cannot take effect.
+        """
         self._change(self.plan.configuration, self.overrides.changes, assignments, pending)
 
     def profile(self, name: str | None, pending: PendingRequest) -> None:
@@ -298,7 +301,7 @@ class ConfigReloader:
         pending.answer({"file": str(path), "saved": list(changes), "message": text})
 
     def reload(self, pending: PendingRequest) -> None:
-        """Read all files again, and drop the values of `set`."""
+        """Read all files again, and drop the changes by `set` and `profile`. If a file is invalid, all stays."""
         self._load(replace(self.overrides, changes=()), pending)
 
     def _load(self, wanted: CommandLineOverrides, pending: PendingRequest, assigned: tuple[str, ...] = ()) -> None:

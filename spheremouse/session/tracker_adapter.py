@@ -142,7 +142,7 @@ class TrackerAdapter(Protocol):
         ...
 
     def tracker_status(self, seeing: bool) -> TrackerStatus:
-        """Return the tracker's part of the status, from any thread."""
+        """Return the tracker's part of the status, from any thread. `seeing` is False if no frames arrive."""
         ...
 
     def scene(self) -> dict[str, Any]:

@@ -106,7 +106,7 @@ def recover(
     ):
         return state, ()
     if np.count_nonzero(state.filter.hits >= ESTABLISHED_HITS) < 2:  # too few for recognition
-        return begin_anew(state, stamp, tracker)
+        return start_new_map(state, stamp, tracker)
     return try_new_map(state, phase, stamp, tracker)
 
 
@@ -171,7 +171,7 @@ def _followed(
     return start_tracking(updated, phase.last, filtered, filtered.attitude, stamp), (Recognised(pairs),)
 
 
-def begin_anew(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[TrackState[F], Events]:
+def start_new_map(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[TrackState[F], Events]:
     """Return a lost ball as tracked from its last attitude, with a new map."""
     attitude = state.filter.attitude
     filtered, view = _new_map(state, stamp, tracker)

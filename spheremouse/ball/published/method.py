@@ -11,7 +11,7 @@ import numpy as np
 
 from spheremouse.ball.phases.follow import all_are_discs, classify_unmatched, confirms, detect_everywhere, update_filter
 from spheremouse.ball.phases.learn import learn
-from spheremouse.ball.phases.recover import begin_anew, seen_since
+from spheremouse.ball.phases.recover import seen_since, start_new_map
 from spheremouse.ball.published.euler import EulerState
 from spheremouse.ball.state import Events, Learning, Lost, Method, Recognising, Tracker, Tracking, TrackState
 from spheremouse.geometry.rotation import Array
@@ -29,7 +29,7 @@ def _next_phase(state: State, stamp: float, tracker: Tracker, predicted: EulerSt
         case Lost():
             phase = seen_since(state.phase, len(state.points), stamp)
             state = replace(state, phase=phase)
-            return (state, ()) if phase.in_view_since is None else begin_anew(state, stamp, tracker)
+            return (state, ()) if phase.in_view_since is None else start_new_map(state, stamp, tracker)
         case Recognising():
             raise AssertionError("no map, nothing to recognise")
 

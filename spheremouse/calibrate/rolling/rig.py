@@ -294,7 +294,10 @@ def rescale_targets(targets: Targets, free: Ball, ball: Ball) -> tuple[Targets, 
 def place_targets(
     axes: Axes, device: Device, rolled: RollingAdjustment, radius: float, radius_sigma: float
 ) -> tuple[Targets, Array]:
-    """Return targets measured in cam, in `obj`, and their covariance with the ball's centre and radius, (3n, 4)."""
+    """Convert the measured targets from `cam` to `obj`.
+
+    Return them, and their covariance with the ball's centre and radius, (3n, 4) m².
+    """
     found = axes.targets
     assert found is not None
     c, ratio, R = rolled.rolling.direction, rolled.rolling.ratio, axes.rotation
