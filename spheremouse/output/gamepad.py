@@ -52,7 +52,7 @@ class Gamepad(Output):
         self._watchdog = Watchdog(self._release)
 
     def send(self, report: Report) -> None:
-        """Move the sticks."""
+        """Move the sticks. Without a confirmed frame they keep their positions, for 0.3 s at most."""
         sticks = to_sticks(report, self._response)
         if sticks is None:
             return

@@ -22,7 +22,7 @@ _REST = [0.0, 0.0, 0.0]
 
 
 def to_rotation(report: Report, response: Response) -> list[float] | None:
-    """Return rx, ry and rz, (3,) units; None if the frame is not confirmed and the rotation goes on."""
+    """Return rx, ry and rz, (3,) units, 350 at full deflection; None if the frame is not confirmed."""
     rate, sample = pointer_rate(report, response), report.pointing_sample
     if rate is None or sample is None:
         return rate
@@ -41,14 +41,14 @@ class SpaceNav(Output):
         self._watchdog = Watchdog(lambda: self._turn(_REST))
 
     def send(self, report: Report) -> None:
-        """Send the rotation to each client."""
+        """Send the rotation to each client. Without a confirmed frame the last one stays, for 0.3 s at most."""
         rotation = to_rotation(report, self._response)
         if rotation is not None:
             self._watchdog.feed()
             self._turn(rotation)
 
     def describe(self, report: Report) -> str:
-        """Return the rotation, as in `rx +120 ry +0 rz -7`; empty if the one before goes on."""
+        """Return the rotation, as in `rx +120 ry +0 rz -7`; empty if `send` would keep the last one."""
         rotation = to_rotation(report, self._response)
         return "" if rotation is None else "rx {:+d} ry {:+d} rz {:+d}".format(*map(round, rotation))
 

@@ -98,7 +98,7 @@ class BoardSelector(Selector[Sighting]):
         return missing(self.coverage)
 
     def status(self) -> list[str]:
-        """Count the views by region and tilt."""
+        """Return lines with the numbers of views by region and tilt."""
         covered = self.coverage
         lines = ["".join(f"{count or '·':>3}" for count in row) for row in covered.regions]
         lines[0] += f"   {covered.views} photos, {VIEWS} or more wanted"

@@ -85,7 +85,7 @@ class DeviceSelector(Selector[TargetDetections]):
         return [f"take one {side}" for side in self._missing_sides()] or ["take more from places between"]
 
     def status(self) -> list[str]:
-        """Count the photos."""
+        """Return a line with the number of photos."""
         return [f"{self.count} photos of {DEVICE_ENOUGH} to {DEVICE_MOST}"]
 
     def gain(self, seen: TargetDetections) -> tuple[str, str]:

@@ -87,7 +87,7 @@ class _Scene(SceneEntry):
 
 
 def is_wand(path: Path | str) -> bool:
-    """Is a folder a recording of a wand? False if it cannot be read."""
+    """Return True for the folder of a recording of hand-held balls; False if it cannot be read."""
     try:
         data = read_json(Path(path) / "scene.json").data
     except DatasetError:
