@@ -59,6 +59,7 @@ from spheremouse.session.tracker_adapter import MAP, POSE, TARGETS, FrameResult,
 from spheremouse.session.worker import Worker
 
 _TICK = 0.25  # s; the longest wait for a frame
+_REQUEST_TIME = 0.01  # s; `set` takes 3 to 7 ms
 _EVERY = 1.0  # s between two checks of the files, and of the memory and processor in use
 _COMPILING = 900.0  # s that a small computer may take to compile
 _PAUSED = "by `spheremouse ctl pause`; `resume` ends it"
@@ -180,7 +181,7 @@ class Daemon:
     # ---- the loop ----
 
     def _loop(self, stopping: SignalHandler) -> None:
-        """Work on frames. Requests come directly after a frame, so that no frame waits for one."""
+        """Work on frames. Requests come after a frame or well before the next one, so that no frame waits for one."""
         now = time.monotonic()
         while not (stopping.asked or self._ending):
             arrival = self._ring.take(NEXT_FRAME if self._arrivals.expected(now) else _TICK)
@@ -188,7 +189,8 @@ class Daemon:
             if arrival is not None:
                 self._work(arrival, now)
             self._update_state(now)
-            if arrival is not None or finished or not self._arrivals.expected(now):
+            late = not self._arrivals.expected(now)
+            if arrival is not None or finished or late or self._arrivals.time_left(now) > _REQUEST_TIME:
                 self._requests.run(self._handle)
             if arrival is None and finished:
                 if self._capture.failure is not None:

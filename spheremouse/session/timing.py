@@ -82,6 +82,10 @@ class Arrivals:
         """Return True if the next frame of a camera with 20 frames/s or more is not yet late."""
         return now - self._last < NEXT_FRAME
 
+    def time_left(self, now: float) -> float:
+        """Return the time until the next frame, s, by the mean interval of the last second; nan if that is unknown."""
+        return self._last + 1.0 / self._times.rate - now
+
     def silent(self, now: float) -> bool:
         """Return True if no frame has arrived for longer than `patience`."""
         return now - self._last > self._patience
