@@ -7,7 +7,14 @@ import pytest
 from spheremouse.errors import ConfigurationError, ControlError
 from spheremouse.files import config
 from spheremouse.files.yaml import dotted
-from spheremouse.session.config_reloader import check_read, check_settable, given, settings_in_use, told, values
+from spheremouse.session.config_reloader import (
+    check_read,
+    check_settable,
+    describe_changes,
+    given,
+    settings_in_use,
+    values,
+)
 from spheremouse.session.control.protocol import MAX_LINE, encode
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 
@@ -67,7 +74,7 @@ def test_values_are_of_what_differs_and_of_what_was_assigned():
     )
     found = values(before, now, ("motion.scale_y=1",))
     assert found == {"motion.scale_x": (1.0, 2.0), "motion.scale_y": (1.0, 1.0), "discs.polarity": ("auto", "light")}
-    assert set(told(found).split(", ")) == {
+    assert set(describe_changes(found).split(", ")) == {
         "motion.scale_x 1.0 → 2.0", "motion.scale_y 1.0 already", "discs.polarity auto → light",
     }  # fmt: skip
 
