@@ -65,7 +65,7 @@ def drop_unfinished_line(path: Path, descriptor: int) -> None:
 
 
 def probe_file(path: Path, what: str) -> list[Finding]:
-    """Return whether this account may write the file; `what` it has, in words."""
+    """Return whether this account may write the file; `what` names its content, such as "table"."""
     if not path.parent.is_dir():
         missing = wrong if path.parent != STATE_FOLDER else absent
         return [missing("output", f"{path.parent}: no such folder", "make it, or name another")]

@@ -193,7 +193,7 @@ class _Gesture(NamedTuple):
 
 
 class ConfigReloader:
-    """The request and the plan of a run."""
+    """Holds the overrides and the plan of a run, and changes both together."""
 
     def __init__(
         self,

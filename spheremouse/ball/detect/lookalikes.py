@@ -111,7 +111,7 @@ def classify_candidates(
     track = _found(candidates, expected, centre)
     known = track >= 0
     which = track[known]
-    turns, stands = _told_apart(centre[known], candidates.anchor[which], expected[which])
+    turns, stands = _classify_by_motion(centre[known], candidates.anchor[which], expected[which])
     proven, still = np.zeros(len(centre), dtype=bool), np.zeros(len(centre), dtype=bool)
     proven[known] = (candidates.proven[which] | turns) & ~stands
     still[known] = stands
@@ -126,7 +126,7 @@ def classify_candidates(
     return proven, still, mask(replace(state, candidates=followed.joined(new)), centre[still], stamp)
 
 
-def _told_apart(centre: Array, first: Array, turned: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _classify_by_motion(centre: Array, first: Array, turned: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return masks, (n,), of the candidates that turn with the ball and of the static ones.
 
     `centre`, (n, 2) px, are their current places, `first` their first ones, and `turned` those of discs in this frame.

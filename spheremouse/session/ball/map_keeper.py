@@ -71,7 +71,7 @@ def succession(saved: DiscMap | None, now: DiscMap, *, absolute: bool) -> Succes
 
 
 def changed(saved: DiscMap | None, now: DiscMap) -> bool:
-    """Return True if `now` has other discs than `saved`, or one with less than half its standard deviation."""
+    """Return True if `now` has other discs than `saved`, or one with less than half the saved standard deviation."""
     if saved is None:
         return True
     there = compare_at(saved, now, np.eye(3))
