@@ -63,23 +63,33 @@ class BallModel {
     std::vector<int> colour, disc;    // of each point; colour -1 of a bare one
 };
 
+/// Fields of equal size, 0 to 255.
+struct Planes {
+    const uint8_t* data;
+    size_t count;
+    int height, width;
+
+    /// Field k at a place in px of the fields, interpolated bilinearly, 0 to 1.
+    double at(int k, double x, double y) const {
+        const int j = int(x), i = int(y);
+        const double a = x - j, b = y - i;
+        const uint8_t *p = data + (size_t(k) * size_t(height) + size_t(i)) * size_t(width) + j, *q = p + width;
+        const double high = (1.0 - a) * p[0] + a * p[1], low = (1.0 - a) * q[0] + a * q[1];
+        return ((1.0 - b) * high + b * low) * (1.0 / 255.0);
+    }
+};
+
 /// Weight fields of part of a picture: `colour.Fields`.
 class FieldsView {
   public:
     FieldsView(nb::handle weight, nb::handle glare, nb::handle place, nb::handle fraction, nb::handle rim);
 
-    Array<const uint8_t, -1, -1, -1> weight, glare;
+    Planes weight, glare;
     double left, top, factor;
     std::vector<double> fraction, rim;  // of each colour
 
-    /// Field k at a place in px of the fields, interpolated bilinearly, 0 to 1.
-    static double at(const Array<const uint8_t, -1, -1, -1>& fields, size_t k, double x, double y) {
-        const int j = int(x), i = int(y), w = int(fields.shape(2));
-        const double a = x - j, b = y - i;
-        const uint8_t* p = fields.data() + (k * fields.shape(1) + size_t(i)) * size_t(w) + j;
-        const double high = (1.0 - a) * p[0] + a * p[1], low = (1.0 - a) * p[w] + a * p[w + 1];
-        return ((1.0 - b) * high + b * low) * (1.0 / 255.0);
-    }
+  private:
+    Array<const uint8_t, -1, -1, -1> arrays_[2];  // that own the planes
 };
 
 /// Points that one pose shows within the fields, each with its weight. Arrays have one value for each such point.

@@ -92,22 +92,28 @@ WIDE void project(const BallModel& ball, const Pose& pose, const FieldsView& fie
     }
 }
 
-/// Tables over |m - e| of the two densities in the ratio, in steps of 1 / 511.
+/// Tables over |m - e| of the densities in the ratio, in steps of 1 / 511.
 struct Densities {
-    std::vector<double> agree, bare;              // (1 - o) N(m - e); log of that plus o
+    std::vector<double> normal, agree, bare;      // N(m - e); (1 - o) N(m - e); log of that plus o
     std::vector<std::vector<double>> per_chance;  // 1 / B(e), of each colour
 
-    Densities(const FieldsView& fields, double sigma) : agree(TABLE + 1), bare(TABLE + 1) {
-        std::vector<double> normal(TABLE + 1);
+    explicit Densities(double sigma) {
         for (int i = 0; i <= TABLE; i++) {
             const double d = double(i) / TABLE / sigma;
-            normal[i] = std::exp(-0.5 * d * d);
-            agree[i] = (1.0 - OUTLIER) * normal[i];
-            bare[i] = std::log(agree[i] + OUTLIER);
+            normal.push_back(std::exp(-0.5 * d * d));
+            agree.push_back((1.0 - OUTLIER) * normal.back());
+            bare.push_back(std::log(agree.back() + OUTLIER));
         }
+    }
+
+    Densities(const FieldsView& fields, double sigma) {
+        static thread_local double last_sigma = 0.0;  // the tracker has two
+        static thread_local Densities last(1.0);
+        if (sigma != last_sigma) last = Densities(last_sigma = sigma);
+        *this = last;
         for (double p : fields.fraction) {
-            per_chance.emplace_back(TABLE + 1);
-            for (int i = 0; i <= TABLE; i++) per_chance.back()[i] = 1.0 / ((1.0 - p) * normal[i] + p);
+            per_chance.emplace_back(normal);
+            for (double& n : per_chance.back()) n = 1.0 / ((1.0 - p) * n + p);
         }
     }
 
@@ -126,7 +132,7 @@ Ratio ratio(const BallModel& ball, const FieldsView& fields, const Densities& de
     std::vector<double> product(s.disc_weight.size(), 1.0), rg(fields.rim.size()), gg(fields.rim.size());
     for (size_t i = 0; i < s.bare; i++) {
         for (size_t k = 0; k < fields.rim.size(); k++) {
-            const double m = FieldsView::at(fields.weight, k, s.bare_x[i], s.bare_y[i]);
+            const double m = fields.weight.at(int(k), s.bare_x[i], s.bare_y[i]);
             if (m > 0.0) sum.log_ratio += s.bare_w[i] * density.bare[Densities::index(m)];
             if (m > 0.5) sum.expected += s.bare_w[i];
         }
@@ -224,13 +230,15 @@ BallModel::BallModel(nb::handle table_, nb::handle colour_, double radius, nb::h
 }
 
 FieldsView::FieldsView(nb::handle weight_, nb::handle glare_, nb::handle place_, nb::handle fraction_, nb::handle rim_)
-    : weight(array<const uint8_t, -1, -1, -1>(weight_, "weight")),
-      glare(array<const uint8_t, -1, -1, -1>(glare_, "glare")) {
+    : arrays_{array<const uint8_t, -1, -1, -1>(weight_, "weight"), array<const uint8_t, -1, -1, -1>(glare_, "glare")} {
+    Planes* planes[] = {&weight, &glare};
+    for (int i : {0, 1})
+        *planes[i] = {arrays_[i].data(), arrays_[i].shape(0), int(arrays_[i].shape(1)), int(arrays_[i].shape(2))};
     const auto place = array<const double, 3>(place_, "place");
     const auto p = array<const double, -1>(fraction_, "fraction"), shift = array<const double, -1>(rim_, "rim");
-    if (p.shape(0) != weight.shape(0)) throw nb::type_error("fraction: must have a value for each colour");
-    if (shift.shape(0) != weight.shape(0)) throw nb::type_error("rim: must have a value for each colour");
-    if (glare.shape(0) > 0 && (glare.shape(1) != weight.shape(1) || glare.shape(2) != weight.shape(2)))
+    if (p.shape(0) != weight.count) throw nb::type_error("fraction: must have a value for each colour");
+    if (shift.shape(0) != weight.count) throw nb::type_error("rim: must have a value for each colour");
+    if (glare.count > 0 && (glare.height != weight.height || glare.width != weight.width))
         throw nb::type_error("glare: must have the size of weight");
     left = place(0), top = place(1), factor = place(2);
     fraction.assign(p.data(), p.data() + p.shape(0));
@@ -245,8 +253,9 @@ Sight::Sight(size_t points) {
 }
 
 void measure(const BallModel& ball, const FieldsView& fields, const Pose& pose, const double* disc_weight, Sight& s) {
-    const double right = double(fields.weight.shape(2)) - 1.0, bottom = double(fields.weight.shape(1)) - 1.0;
-    const bool glare = fields.glare.shape(0) > 0;
+    const Planes weight_field = fields.weight, glare_field = fields.glare;
+    const double right = weight_field.width - 1.0, bottom = weight_field.height - 1.0;
+    const bool glare = glare_field.count > 0;
     project(ball, pose, fields, s);
     s.disc_weight.resize(ball.first.size());
     for (size_t d = 0; d < ball.first.size(); d++) {  // area in the picture over that of the kernel
@@ -275,14 +284,14 @@ void measure(const BallModel& ball, const FieldsView& fields, const Pose& pose, 
         const double px = x[q], py = y[q];
         if (!(px >= 0.0 && py >= 0.0 && px < right && py < bottom)) continue;
         const double ramp = std::min((double(facing[q]) - MIN_FACING) * (1.0 / (FULL_FACING - MIN_FACING)), 1.0);
-        const double veil = glare ? FieldsView::at(fields.glare, 0, px, py) : 0.0;
+        const double veil = glare ? glare_field.at(0, px, py) : 0.0;
         const double weight = ramp * s.disc_weight[size_t(ball.disc[q])] * (1.0 - veil);
         const int k = ball.colour[q];
         if (k < 0) {
             s.bare_index[s.bare] = q, s.bare_w[s.bare] = weight, s.bare_x[s.bare] = px, s.bare_y[s.bare] = py, s.bare++;
             continue;
         }
-        m[n] = FieldsView::at(fields.weight, size_t(k), px, py);
+        m[n] = weight_field.at(k, px, py);
         index[n] = q, w[n] = weight, hidden[n] = veil;
         for (int i = 0; i < 7; i++) to[i][n] = from[i][q];
         to[7][n] = float(fields.rim[size_t(k)]), n++;

@@ -63,7 +63,7 @@ class Refinement {
             const auto q = Eigen::Index(sight_.bare_index[i]);
             out.w[q] = sight_.bare_w[i];
             for (size_t k = 0; k < colours_; k++)
-                out.r[q] = std::max(out.r[q], FieldsView::at(fields_.weight, k, sight_.bare_x[i], sight_.bare_y[i]));
+                out.r[q] = std::max(out.r[q], fields_.weight.at(int(k), sight_.bare_x[i], sight_.bare_y[i]));
         }
         if (!outline) return;
         out.outline.setZero(DIRECTIONS);

@@ -165,18 +165,19 @@ def distinct_poses(
 
     The first `kept` poses are kept in any case.
     """
-    near = _coincide(position, rotation, radius)
-    chosen = list(range(kept))
-    for i in range(kept, len(position)):
-        if len(chosen) < count and not near[i, chosen].any():
+    chosen: list[int] = []
+    free = np.ones(len(position), dtype=bool)
+    for i in range(len(position)):
+        if i < kept or (len(chosen) < count and free[i]):
             chosen.append(i)
+            free &= ~_coincide(position, rotation, i, radius)
     return chosen
 
 
-def _coincide(position: Array, rotation: Array, radius: float) -> NDArray[np.bool_]:
-    """Compare each pair of poses, (n, n), less strictly along the line of sight, where a pose is less certain."""
-    gap = position[:, None] - position[None]
-    along = np.einsum("ijk,ik->ij", gap, position) ** 2 / np.sum(position**2, axis=1)[:, None]
-    near = np.sum(gap**2, axis=2) - along < (_SAME_ACROSS * radius) ** 2
-    trace = np.tensordot(rotation, rotation, axes=((1, 2), (1, 2)))
+def _coincide(position: Array, rotation: Array, i: int, radius: float) -> NDArray[np.bool_]:
+    """Compare each pose with pose i, (n,), less strictly along the line of sight, where a pose is less certain."""
+    gap = position - position[i]
+    along = np.einsum("nj,nj->n", gap, position) ** 2 / np.einsum("nj,nj->n", position, position)
+    near = np.einsum("nj,nj->n", gap, gap) - along < (_SAME_ACROSS * radius) ** 2
+    trace = np.einsum("njk,jk->n", rotation, rotation[i])
     return near & (along < (_SAME_DEPTH * radius) ** 2) & (0.5 * (trace - 1.0) > np.cos(_SAME_ANGLE))
