@@ -172,8 +172,8 @@ def drifting_camera(picture, t):
 
 
 def shaking_camera(picture, t):
-    """Steps on the floor: 0.1° at 5 Hz."""
-    return _rotated(picture, np.radians(0.1) * np.sin(31.0 * t) * np.array([0.8, 0.6, 0.0]) * (t < STANDS - 0.5))
+    """Steps on the floor: 0.05° at 5 Hz."""
+    return _rotated(picture, np.radians(0.05) * np.sin(31.0 * t) * np.array([0.8, 0.6, 0.0]) * (t < STANDS - 0.5))
 
 
 def passing_shadow(picture, t):
