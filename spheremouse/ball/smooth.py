@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spheremouse.ball.filters import so3_match, so3_motion
+from spheremouse.ball.filters import so3_match
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM
 from spheremouse.ball.filters.so3_settings import (
@@ -28,6 +28,7 @@ from spheremouse.ball.filters.so3_settings import (
 from spheremouse.ball.filters.so3_state import PLACED, So3State, delays
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, left_jacobian, rotation_between
+from spheremouse.native import kernels
 from spheremouse.tracker import Estimate, Status
 
 _EXACT = 1e-6  # rad: the axes of a map without error
@@ -211,7 +212,7 @@ def _predicted(motion: Motion, dt: float, density: float, informed: bool) -> tup
     """
     fading = np.inf if informed and dt <= 0.5 * PERSISTENCE_S else PERSISTENCE_S
     twice = np.tile(motion.covariance, (2, 2))
-    attitude, rate, acceleration, P, *_ = so3_motion.predict(*motion[:3], twice, dt, fading, density)
+    attitude, rate, acceleration, P, *_ = kernels.predict(*motion[:3], twice, dt, fading, density)
     return Motion(attitude, rate, acceleration, P[:KINEMATIC_DIM, :KINEMATIC_DIM]), P[:KINEMATIC_DIM, KINEMATIC_DIM:]
 
 

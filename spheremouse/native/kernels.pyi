@@ -7,6 +7,55 @@ _Float = NDArray[np.float64]
 _Index = NDArray[np.int64]
 _Byte = NDArray[np.uint8]
 
+# spheremouse/ball/filters/so3_motion.cpp, so3_update.cpp. Errors have the order of so3_motion.py.
+
+_Modes = tuple[_Float, _Float, _Float]  # as so3_state.Modes
+
+def predict(
+    attitude: _Float, rate: _Float, acceleration: _Float, joint: _Float, dt: float, tau: float, q: float
+) -> tuple[_Float, _Float, _Float, _Float, _Float, _Float]:
+    """Predict the motion by dt, s, under an acceleration that fades with the time constant tau, s (inf: it lasts).
+
+    `attitude` is (3, 3), `rate` (3,) rad/s and `acceleration` (3,) rad/s². `joint` (n, n) is the covariance, and q the
+    density of the white jerk, (rad/s³)²/Hz. Return attitude, rate, acceleration, covariance, the process noise in that,
+    (9, 9), and the transition, (9, 9).
+    """
+
+def predict_modes(
+    modes: _Modes, F: _Float, Q: _Float, drift: _Float, stay: float, usual: _Float
+) -> tuple[_Float, _Float, _Float]:
+    """Return the modes after a prediction with transition F and process noise Q at the first level, (9, 9).
+
+    At level k the noise is 1 + `drift`[k] times as large. A level stays with the probability `stay`. Else the levels
+    have the probabilities `usual`, (l,).
+    """
+
+def correct(
+    prior: _Float,
+    innovation: tuple[_Float, _Float, _Float, _Float],
+    rate: _Float,
+    acceleration: _Float,
+    steps: tuple[float, float, _Float],
+    modes: _Modes,
+) -> tuple[_Float, _Modes, _Float, _Float, float, float, float]:
+    """Return covariance, modes, level weights, correction, log likelihood, normalised square and rms level.
+
+    `prior` (n, n) is the covariance before, and `innovation` that of `so3_match.innovation`. `rate` (3,) rad/s and
+    `acceleration` (3,) rad/s² are predicted. `steps` holds the interval since the last frame, s (0: no step), the mean
+    time between two steps, s, and the variance of each level, (l,) (rad/s²)² per axis. Raises ValueError if the
+    innovation's covariance is not positive definite.
+    """
+
+def since_reference(P: _Float, turn: _Float) -> _Float:
+    """Return the covariance, (6, 6), of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.
+
+    The turn is exp(e) R exp(-e_reference). Its error in obj is e - R e_reference, which is Jl times the error of its
+    vector. `P` (n, n) is the covariance.
+    """
+
+def move(attitude: _Float, discs: _Float, basis: _Float, dx: _Float) -> tuple[_Float, _Float, _Float]:
+    """Return attitude, (3, 3), discs, (m, 3), and their axes, (m, 3, 2), moved by an error vector, (23 + 2m,)."""
+
 # spheremouse/wand/colour.cpp
 
 def select_colours(image: _Byte, bounds: NDArray[np.float32]) -> tuple[_Byte, _Index, _Byte, int]:

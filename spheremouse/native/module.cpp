@@ -1,5 +1,9 @@
 #include "spheremouse/native/arrays.h"
 
+namespace spheremouse::ball {
+void bind_so3_motion(nb::module_& m);
+void bind_so3_update(nb::module_& m);
+}
 namespace spheremouse::wand {
 void bind_assign(nb::module_& m);
 void bind_colour(nb::module_& m);
@@ -10,6 +14,8 @@ void bind_refine(nb::module_& m);
 }  // namespace spheremouse::wand
 
 NB_MODULE(kernels, m) {
-    using namespace spheremouse::wand;
-    for (auto bind : {bind_assign, bind_colour, bind_likelihood, bind_limb, bind_particles, bind_refine}) bind(m);
+    using namespace spheremouse;
+    for (auto bind : {ball::bind_so3_motion, ball::bind_so3_update}) bind(m);
+    for (auto bind : {wand::bind_assign, wand::bind_colour, wand::bind_likelihood, wand::bind_limb,
+                      wand::bind_particles, wand::bind_refine}) bind(m);
 }

@@ -15,9 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import pdtrc
 
-from spheremouse.ball.filters import so3_match, so3_motion, so3_sightings
-from spheremouse.ball.filters import so3_update as kernel
-from spheremouse.ball.filters.so3_motion import CLONE_DIM, CONSIDERED_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
+from spheremouse.ball.filters import so3_match, so3_sightings
+from spheremouse.ball.filters.so3_motion import (
+    CLONE_DIM,
+    CONSIDERED_DIM,
+    KINEMATIC_DIM,
+    MAP_OFFSET,
+    READOUT,
+    integrals,
+)
 from spheremouse.ball.filters.so3_settings import (
     DWELL_S,
     PERSISTENCE_S,
@@ -31,6 +37,7 @@ from spheremouse.ball.filters.so3_settings import (
 from spheremouse.ball.filters.so3_state import Modes, So3State, augment, delays, drop, inject
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array
+from spheremouse.native import kernels
 
 _LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow, and the covariance must stay finite
 _LINEAR = 0.02  # rad: a correction larger than that is made again about where it led
@@ -94,18 +101,18 @@ class So3Filter:
         if dt > last:
             modes = None
             density_of_all = density * float(weights @ squared_levels(s.levels))
-            attitude, rate, acceleration, joint, *_ = so3_motion.predict(
+            attitude, rate, acceleration, joint, *_ = kernels.predict(
                 attitude, rate, acceleration, joint, dt - last, PERSISTENCE_S, density_of_all
             )
         drift = squared_drift(s.levels)
         noise_scale = 1.0 + float(weights @ drift)
-        attitude, rate, acceleration, joint, process, transition = so3_motion.predict(
+        attitude, rate, acceleration, joint, process, transition = kernels.predict(
             attitude, rate, acceleration, joint, last, np.inf, noise_scale * density
         )
         process /= noise_scale
         stay = math.exp(-dt / DWELL_S)
         if modes is not None:
-            modes = so3_motion.predict_modes(*modes, transition, process, drift, stay, usual)
+            modes = kernels.predict_modes(modes, transition, process, drift, stay, usual)
         return So3State(
             stamp,
             attitude,
@@ -361,8 +368,8 @@ class So3Filter:
     ) -> tuple[So3State, Array, float]:
         """Return the state after one correction by the points `rows`, the correction, and the log likelihood."""
         steps = state.interval, PERSISTENCE_S, variances(self.settings.acceleration_sigma, self.settings.levels)
-        joint, modes, weights, dx, log_likelihood, nis, level = kernel.correct(
-            state.joint, *innovation, state.rate, state.acceleration, steps, state.modes or self._one_mode(state)
+        joint, modes, weights, dx, log_likelihood, nis, level = kernels.correct(
+            state.joint, innovation, state.rate, state.acceleration, steps, state.modes or self._one_mode(state)
         )
         return inject(state, dx, joint, weights, level, rows, float(nis), modes), dx, log_likelihood
 
@@ -386,7 +393,7 @@ class So3Filter:
         joint = state.joint.copy()
         joint[:KINEMATIC_DIM, :KINEMATIC_DIM] += (noise_scale - 1.0) * state.process
         t, tau = state.interval, PERSISTENCE_S
-        gain, reach = so3_motion.integrals(t, tau)
+        gain, reach = integrals(t, tau)
         mean[:KINEMATIC_DIM] = np.outer(
             [reach - 0.5 * t * t, gain - t, math.expm1(-t / tau)], state.acceleration
         ).ravel()

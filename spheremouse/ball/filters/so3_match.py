@@ -5,7 +5,7 @@ Most functions take these arguments, inside as the tuples `body` and `seen`, sin
 - `seen`: of n points the directions, (n, 3), image noise, (n, 3, 3) rad², delays, (n,) s, and rows, (n,); the Jacobians
   of their places by pose, (n, 3, 6), and by ball, (n, 3, 4); and the radius of the ball, m.
 
-`P` is the joint covariance; `so3_update` gives its order. `added` (9, 9) is process noise that P does not include yet.
+`P` is the joint covariance; `so3_motion` gives its order. `added` (9, 9) is process noise that P does not include yet.
 """
 
 import numpy as np

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.filters import so3_update as kernel
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_sightings import HIDDEN_SHARE
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
+from spheremouse.native import kernels
 
 PLACED = 0.1  # rad, standard deviation: a third of the way between neighbours of fifty discs
 _NO_PROCESS = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
@@ -95,6 +95,9 @@ class So3State:
 
     def clone_attitude(self) -> "So3State":
         """Return the state with its current attitude as the reference of the next increment."""
+        joint = self.joint.copy()
+        joint[-CLONE_DIM:] = joint[:3]
+        joint[:, -CLONE_DIM:] = joint[:, :3]
         return So3State(  # each frame: `replace` would take twice as long
             self.stamp,
             self.attitude,
@@ -102,7 +105,7 @@ class So3State:
             self.acceleration,
             self.discs,
             self.basis,
-            kernel.clone_attitude(self.joint),
+            joint,
             self.hits,
             self.missed,
             self.hidden,
@@ -130,7 +133,7 @@ class So3State:
         The state includes the error of the reference (stochastic cloning: Roumeliotis, Burdick 2002). Thus errors of
         the map and the camera's pose that two attitudes share cancel.
         """
-        return kernel.since_reference(self.joint, turn)
+        return kernels.since_reference(self.joint, turn)
 
     @property
     def statistics(self) -> dict[str, float]:
@@ -166,8 +169,7 @@ def inject(
     The new covariance is `joint` (23 + 2m, 23 + 2m), the probability of the levels `weights` (l,); None keeps the old
     one. `used` (k,) are indices of the points in the update.
     """
-    attitude, discs, basis = np.empty((3, 3)), np.empty_like(state.discs), np.empty_like(state.basis)
-    kernel.move(state.attitude, state.discs, state.basis, dx, attitude, discs, basis)
+    attitude, discs, basis = kernels.move(state.attitude, state.discs, state.basis, dx)
     return So3State(
         state.stamp,
         attitude,

@@ -5,11 +5,13 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
-from spheremouse.ball.filters import so3_steps, so3_update
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET
+from spheremouse.geometry.rotation import exp, left_jacobian
+from spheremouse.native import kernels
 
 DT = 1.0 / 30.0
 BETWEEN = 0.2
+INSTANTS = (np.arange(6) + 0.5) / 6
 VARIANCES = np.array([0.1, 2.0, 30.0]) ** 2
 N = MAP_OFFSET + 8 + CLONE_DIM  # four discs
 HELD = slice(KINEMATIC_DIM, MAP_OFFSET)
@@ -50,12 +52,12 @@ def each_on_its_own(means, covariances, weights, H, R, z, acceleration):
     for mean, P, at_level in zip(means, covariances, weights, strict=True):
         for level, weight in enumerate(at_level):
             yield 0, level, *schmidt(weight * (quiet if level else 1.0), mean, P, H, R, z)
-            for before in so3_steps.INSTANTS if level else ():
+            for before in INSTANTS if level and (1.0 - quiet) / len(INSTANTS) * weight > 1e-5 else ():
                 t = before * DT
                 effect = np.zeros((N, 3))
                 effect[:KINEMATIC_DIM] = np.kron(np.array([[0.5 * t * t], [t], [1.0]]), np.eye(3))
                 moved = mean - effect @ (acceleration + mean[6:9])
-                share = (1.0 - quiet) / len(so3_steps.INSTANTS) * weight
+                share = (1.0 - quiet) / len(INSTANTS) * weight
                 yield level, level, *schmidt(share, moved, P + VARIANCES[level] * effect @ effect.T, H, R, z)
 
 
@@ -75,13 +77,15 @@ def moments(p, means, covariances):
 
 @pytest.mark.parametrize("far", [0.0, 0.3, 2.0])
 def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far):
-    """Within what the hypotheses below a thousandth of their mode add, which are left out."""
+    """Without hypotheses below a thousandth of their mode, which are left out."""
     rng = np.random.default_rng(1)
     for _ in range(10):
         means, covariances, weights, H, R, z, acceleration = drawn(rng, far)
         new, levels, p, after, spreads = map(
             np.array, zip(*each_on_its_own(means, covariances, weights, H, R, z, acceleration), strict=True)
         )
+        for level in range(1, len(VARIANCES)):
+            p[(new == level) & (p < max(1e-3 * p[new == level].sum(), 1e-8 * p.sum()))] = 0.0
         likelihood, p = p.sum(), p / p.sum()
         mean, total = moments(p, after, spreads)
         total[-CLONE_DIM:, -CLONE_DIM:] += np.outer(mean, mean)[-CLONE_DIM:, -CLONE_DIM:]  # about what was sent
@@ -89,24 +93,24 @@ def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far):
         expected[-CLONE_DIM:] = 0.0
 
         _, prior = moments(weights.sum(axis=1), means, covariances)
-        modes = means[:, 3:9], covariances[:, 3:9, 3:9], weights
+        modes = means[:, 3:9].copy(), covariances[:, 3:9, 3:9].copy(), weights
         S = H @ prior @ H.T + R
-        P, modes, at_level, dx, log_likelihood, *_ = so3_update.correct(
-            prior, H[:, :9], H @ prior, z, S, np.zeros(3), acceleration, (DT, BETWEEN, VARIANCES), modes
+        P, modes, at_level, dx, log_likelihood, *_ = kernels.correct(
+            prior, (H[:, :9].copy(), H @ prior, z, S), np.zeros(3), acceleration, (DT, BETWEEN, VARIANCES), modes
         )
         scale = np.sqrt(np.diag(total))
-        assert_allclose(dx / scale, expected / scale, atol=2e-2)
-        assert_allclose(P / np.outer(scale, scale), total / np.outer(scale, scale), atol=0.1)
+        assert_allclose(dx / scale, expected / scale, atol=1e-7)
+        assert_allclose(P / np.outer(scale, scale), total / np.outer(scale, scale), atol=1e-7)
         assert np.linalg.eigvalsh(P / np.outer(scale, scale))[0] > -1e-9
-        assert_allclose(log_likelihood, np.log(likelihood), atol=2e-2)
-        assert_allclose(at_level, [p[levels == k].sum() for k in range(len(VARIANCES))], atol=5e-3)
+        assert_allclose(log_likelihood, np.log(likelihood), atol=1e-9)
+        assert_allclose(at_level, [p[levels == k].sum() for k in range(len(VARIANCES))], atol=1e-9)
         for k in range(len(VARIANCES)):
             share = p[new == k].sum()
-            if share > 1e-2:
+            if share > 0.0:
                 m, C = moments(p[new == k] / share, after[new == k][:, 3:9], spreads[new == k][:, 3:9, 3:9])
                 s = np.sqrt(np.diag(C))
-                assert_allclose(modes[0][k] / s, (m - mean[3:9]) / s, atol=0.1)
-                assert_allclose(modes[1][k] / np.outer(s, s), C / np.outer(s, s), atol=0.1)
+                assert_allclose(modes[0][k] / s, (m - mean[3:9]) / s, atol=1e-6)
+                assert_allclose(modes[1][k] / np.outer(s, s), C / np.outer(s, s), atol=1e-6)
 
 
 def test_a_wrong_pose_leaves_the_covariance_positive_in_a_long_jerky_play():
@@ -114,17 +118,76 @@ def test_a_wrong_pose_leaves_the_covariance_positive_in_a_long_jerky_play():
     rng = np.random.default_rng(2)
     means, covariances, weights, H, R, _, acceleration = drawn(rng, 3.0)
     _, P = moments(weights.sum(axis=1), means, covariances)
-    modes = means[:, 3:9], covariances[:, 3:9, 3:9], weights
+    modes = means[:, 3:9].copy(), covariances[:, 3:9, 3:9].copy(), weights
     F = np.eye(N)
     F[:3, 3:6] = F[3:6, 6:9] = DT * np.eye(3)
     F[:3, 6:9] = 0.5 * DT * DT * np.eye(3)
     for _ in range(200):
         S = H @ P @ H.T + R
         z = np.linalg.cholesky(S) @ rng.normal(size=8) * rng.choice([1.0, 10.0])
-        P, modes, *_ = so3_update.correct(
-            P, H[:, :9], H @ P, z, S, np.zeros(3), acceleration, (DT, BETWEEN, VARIANCES), modes
+        P, modes, *_ = kernels.correct(
+            P, (H[:, :9].copy(), H @ P, z, S), np.zeros(3), acceleration, (DT, BETWEEN, VARIANCES), modes
         )
         P = F @ P @ F.T
         modes = modes[0] @ F[3:9, 3:9].T, F[3:9, 3:9] @ modes[1] @ F[3:9, 3:9].T, modes[2]
         scale = np.sqrt(np.diag(P))
         assert np.linalg.eigvalsh(P / np.outer(scale, scale))[0] > -1e-8
+
+
+def test_without_an_interval_there_is_no_step():
+    rng = np.random.default_rng(3)
+    _, (P, *_), weights, H, R, z, acceleration = drawn(rng, 0.0)
+    modes = np.zeros((1, 6)), P[None, 3:9, 3:9].copy(), weights[:1] / weights[0].sum()
+    innovation = H[:, :9].copy(), H @ P, z, H @ P @ H.T + R
+    steps = 0.0, BETWEEN, VARIANCES
+    _, _, at_level, dx, *_, level = kernels.correct(P, innovation, np.zeros(3), acceleration, steps, modes)
+    assert_allclose(at_level, modes[2][0])
+    assert level == 1.0
+    free = np.r_[0:KINEMATIC_DIM, MAP_OFFSET : N - CLONE_DIM]
+    assert_allclose(dx[free], (P @ H.T @ np.linalg.solve(innovation[3], z))[free])
+
+
+def test_the_covariance_of_a_turn_is_that_of_its_two_attitudes():
+    rng = np.random.default_rng(4)
+    P, turn = covariance(rng, N), rng.normal(size=3)
+    J = np.linalg.inv(left_jacobian(turn))
+    A = np.zeros((6, N))
+    A[:3, :3], A[3:, 3:6], A[:3, -CLONE_DIM:] = J, np.eye(3), -J @ exp(turn)
+    assert_allclose(kernels.since_reference(P, turn), A @ P @ A.T, rtol=1e-12, atol=1e-12)
+
+
+def test_discs_move_along_their_axes_which_stay_orthonormal_and_keep_their_hand():
+    rng = np.random.default_rng(5)
+    frames = exp(rng.normal(size=(4, 3)))
+    discs, basis = frames[:, :, 0].copy(), frames[:, :, 1:].copy()
+    basis[::2, :, 1] *= -1.0  # left-handed as well
+    dx = 0.1 * rng.normal(size=N)
+    attitude, moved, axes = kernels.move(frames[0], discs, basis, dx)
+    to = discs + np.einsum("kia,ka->ki", basis, dx[MAP_OFFSET:-CLONE_DIM].reshape(4, 2))
+    assert_allclose(attitude, exp(dx[:3]) @ frames[0], atol=1e-15)
+    assert_allclose(moved, to / np.linalg.norm(to, axis=1, keepdims=True), atol=1e-15)
+    full = np.concatenate([moved[:, :, None], axes], axis=2)
+    assert_allclose(full.transpose(0, 2, 1) @ full, np.broadcast_to(np.eye(3), (4, 3, 3)), atol=1e-15)
+    assert np.all(np.einsum("kia,kia->ka", axes, basis) > 0.9)
+
+
+def test_a_wrong_argument_is_named():
+    rng = np.random.default_rng(6)
+    _, (P, *_), weights, H, R, z, acceleration = drawn(rng, 0.0)
+    innovation = H[:, :9].copy(), H @ P, z, H @ P @ H.T + R
+    modes = np.zeros((1, 6)), P[None, 3:9, 3:9].copy(), weights[:1]
+    good = [P, innovation, np.zeros(3), acceleration, (DT, BETWEEN, VARIANCES), modes]
+    for at, wrong, name in [
+        (0, P[:5], "prior"),
+        (0, P.astype(np.float32), "prior"),
+        (1, (H, *innovation[1:]), "H"),
+        (1, (*innovation[:2], z[:-1].copy(), innovation[3]), "z"),
+        (2, np.zeros(4), "rate"),
+        (3, [1.0, 2.0, 3.0], "acceleration"),
+        (4, (DT, BETWEEN, VARIANCES[:2].copy()), "weights"),
+        (5, (np.zeros((2, 6)), *modes[1:]), "modes"),
+    ]:
+        with pytest.raises(TypeError, match=name):
+            kernels.correct(*good[:at], wrong, *good[at + 1 :])
+    with pytest.raises(ValueError, match="positive definite"):
+        kernels.correct(P, (*innovation[:3], -innovation[3]), *good[2:])

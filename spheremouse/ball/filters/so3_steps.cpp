@@ -1,0 +1,253 @@
+#include "spheremouse/ball/filters/so3_steps.h"
+
+#include <array>
+#include <limits>
+
+namespace spheremouse::ball {
+namespace {
+
+constexpr double NEGLIGIBLE = 1e-5;  // probability of a mode or step
+constexpr double MINOR = 1e-3;       // share of a mode below which a hypothesis is left out
+constexpr double INFINITE = std::numeric_limits<double>::infinity();
+
+/// One instant of a step: the information y, B on the new acceleration, and its levels' probabilities.
+struct Instant {
+    Vector<3> g;       // effect of a unit step on rotation, rate and acceleration
+    Matrix<3> B;       // B^-1 y is the estimate of the new acceleration, B its information
+    Vector<3> y;
+    Vector<Dynamic> p, square;  // (levels,) probability, normalised square of z less z' R^-1 z
+};
+
+/// The posterior given one mode of the last frame.
+struct Given {
+    Vector<6> x;              // mean without a step
+    Matrix<6> C;              // covariance of x for a known step
+    Matrix<6, 9> Cd;          // a step d moves the mean of x by -Cd d
+    Matrix<9> A;              // information on d
+    Vector<9> v;
+    Vector<3> acceleration;   // rad/s², before a step
+    double volume;            // factor of the likelihood by the determinant
+    double square;            // normalised square of z without a step, less z' R^-1 z
+    double none = 0.0;        // probability of no step
+    std::array<Instant, INSTANTS> instants;
+
+    /// Return the probability of a step at the level k.
+    double at_level(int k) const {
+        double sum = 0.0;
+        for (const Instant& one : instants) sum += one.p(k);
+        return sum;
+    }
+};
+
+/// Moments of d, times their probability, over the instants of one mode.
+struct Moments {
+    double probability = 0.0;
+    Vector<9> first = Vector<9>::Zero();
+    Matrix<9> second = Matrix<9>::Zero(), within = Matrix<9>::Zero();
+};
+
+Given condition(const Matrix<16>& gram, const Matrix<6>& root, const Vector<6>& mean, const Matrix<6>& covariance) {
+    Given r;
+    Matrix<6> Q = lower(covariance);
+    Vector<6> m = mean;
+    solve_lower(root, Q);
+    solve_lower(root, m);
+    const Matrix<6> N = gram.topLeftCorner<6, 6>(), S = Matrix<6>::Identity() + Q.transpose() * N * Q;
+    const Matrix<6> L = lower(S);
+    Matrix<6> Y = Q.transpose();
+    solve_lower(L, Y);
+    r.C = Y.transpose() * Y;
+    r.volume = 1.0 / L.diagonal().prod();
+    const Vector<6> z = gram.block<6, 1>(0, 15), left = z - N * m;
+    r.x = m + r.C * left;
+    r.square = -m.dot(z + left) - left.dot(r.x - m);
+    const Matrix<9, 6> D = gram.block<9, 6>(6, 0), DY = D * Y.transpose();
+    r.A = gram.block<9, 9>(6, 6) - DY * DY.transpose();
+    r.v = gram.block<9, 1>(6, 15) - D * r.x;
+    r.Cd = Y.transpose() * DY.transpose();
+    return r;
+}
+
+/// Weigh the levels of a step at one instant, and return the least square.
+///
+/// With the matrix inversion lemma no matrix is larger than 3x3 (Willsky and Jones 1976, "A generalized likelihood
+/// ratio approach to the detection and estimation of jumps in linear systems").
+double weigh(Instant& step, const Given& given, const Vector<Dynamic>& priors, const Vector<Dynamic>& variances) {
+    step.B.setZero();
+    Vector<3> c = Vector<3>::Zero();
+    for (int i = 0; i < 3; i++) {
+        c += step.g(i) * given.v.segment<3>(3 * i);
+        for (int k = 0; k < 3; k++) step.B += step.g(i) * step.g(k) * given.A.block<3, 3>(3 * i, 3 * k);
+    }
+    step.y = c + step.B * given.acceleration;
+    const double constant = given.square + given.acceleration.dot(c + step.y);
+    step.p.setZero(priors.size());
+    step.square.setConstant(priors.size(), INFINITE);
+    for (int k = 0; k < priors.size(); k++) {
+        if (!(priors(k) > NEGLIGIBLE)) continue;
+        const Matrix<3> K = Matrix<3>::Identity() + variances(k) * step.B;
+        step.p(k) = priors(k) * given.volume / std::sqrt(K.determinant());
+        step.square(k) = constant - variances(k) * step.y.dot(K.inverse() * step.y);
+    }
+    return step.square.size() ? step.square.minCoeff() : INFINITE;
+}
+
+/// Add the moments of a step at one instant and level, with its probability.
+void add(Moments& to, const Instant& step, int level, double variance, const Vector<3>& acceleration) {
+    const double p = step.p(level);
+    const Matrix<3> C = variance * (Matrix<3>::Identity() + variance * step.B).inverse();
+    const Vector<3> size = C * step.y - acceleration;
+    const Matrix<3> square = C + size * size.transpose();
+    to.probability += p;
+    for (int i = 0; i < 3; i++) {
+        to.first.segment<3>(3 * i) += p * step.g(i) * size;
+        for (int k = 0; k < 3; k++) {
+            const double f = p * step.g(i) * step.g(k);
+            to.second.block<3, 3>(3 * i, 3 * k) += f * square;
+            to.within.block<3, 3>(3 * i, 3 * k) += f * C;
+        }
+    }
+}
+
+double total(const std::vector<Given>& given, int levels) {
+    double sum = 0.0;
+    for (const Given& one : given) {
+        sum += one.none;
+        for (int k = 0; k < levels; k++) sum += one.at_level(k);
+    }
+    return sum;
+}
+
+/// Set to zero the probability of each hypothesis that adds little to its mode.
+void drop_minor(std::vector<Given>& given, int levels) {
+    const double all = total(given, levels);
+    for (int k = 0; k < levels; k++) {
+        double of_level = 0.0;
+        for (const Given& one : given) of_level += one.at_level(k);
+        const double least = std::max(MINOR * of_level, 1e-3 * NEGLIGIBLE * all);
+        for (Given& one : given)
+            for (Instant& step : one.instants)
+                if (step.p(k) < least) step.p(k) = 0.0;
+    }
+}
+
+/// Join the hypotheses: all with the same new level become one mode.
+void merge(const std::vector<Given>& given, const Effect& effect, const Vector<Dynamic>& variances, Posterior& r) {
+    const int levels = int(variances.size());
+    const Matrix<6> Tx = effect.T.leftCols<6>();
+    r.mean.setZero();
+    r.covariance.setZero();
+    r.within.setZero();
+    Vector<Dynamic> share = Vector<Dynamic>::Zero(1 + levels);
+    r.modes.means.assign(1 + levels, Vector<6>::Zero());
+    r.modes.covariances.assign(1 + levels, Matrix<6>::Zero());
+    for (const Given& one : given) {
+        const Vector<6> base = Tx * one.x;
+        const Matrix<6, 9> M = effect.T.rightCols<9>() - Tx * one.Cd;
+        const Matrix<6> spread = Tx * one.C * Tx.transpose() + base * base.transpose();
+        Moments all;
+        all.probability = one.none;
+        for (int k = 0; k <= levels; k++) {
+            Moments d;
+            d.probability = k == 0 ? one.none : 0.0;
+            for (const Instant& step : one.instants)
+                if (k > 0 && step.p(k - 1) > 0.0) add(d, step, k - 1, variances(k - 1), one.acceleration);
+            if (d.probability == 0.0) continue;
+            const Vector<6> moved = M * d.first;
+            const Matrix<6> cross = base * moved.transpose();
+            share(k) += d.probability;
+            r.modes.means[k] += d.probability * base + moved;
+            r.modes.covariances[k] += d.probability * spread + cross + cross.transpose() + M * d.second * M.transpose();
+            if (k == 0) continue;
+            all.probability += d.probability;
+            all.first += d.first;
+            all.second += d.second;
+            all.within += d.within;
+        }
+        const Vector<6> back = one.Cd * all.first;
+        const Matrix<6> cross = one.x * back.transpose();
+        const Matrix<6, 9> half = one.Cd * all.second, inner = one.Cd * all.within;
+        r.mean.head<6>() += all.probability * one.x - back;
+        r.mean.tail<9>() += all.first;
+        r.covariance.topLeftCorner<6, 6>() += all.probability * (one.C + one.x * one.x.transpose()) - cross - cross.transpose() + half * one.Cd.transpose();
+        r.covariance.topRightCorner<6, 9>() += one.x * all.first.transpose() - half;
+        r.covariance.bottomRightCorner<9, 9>() += all.second;
+        r.within.topLeftCorner<6, 6>() += all.probability * one.C + inner * one.Cd.transpose();
+        r.within.topRightCorner<6, 9>() -= inner;
+        r.within.bottomRightCorner<9, 9>() += all.within;
+    }
+    r.covariance.bottomLeftCorner<9, 6>() = r.covariance.topRightCorner<6, 9>().transpose();
+    r.within.bottomLeftCorner<9, 6>() = r.within.topRightCorner<6, 9>().transpose();
+    r.covariance -= r.mean * r.mean.transpose();
+    const Vector<6> mean = effect.T * r.mean;
+    for (int k = 0; k <= levels; k++) {
+        if (k > 0) r.modes.weights(k, k) = share(k);
+        if (share(k) == 0.0) continue;
+        r.modes.means[k] /= share(k);
+        r.modes.covariances[k] = r.modes.covariances[k] / share(k) + effect.shared - r.modes.means[k] * r.modes.means[k].transpose();
+        r.modes.means[k] -= mean;
+    }
+}
+
+}  // namespace
+
+Posterior posterior(const Matrix<16>& gram, const Effect& effect, const Vector<3>& acceleration, const Steps& steps,
+                    const Modes& modes) {
+    const int levels = int(steps.variances.size()) - 1;
+    const double quiet = std::exp(-steps.interval / steps.between);
+    const Vector<Dynamic> variances = steps.variances.tail(levels);
+    std::vector<Given> given;
+    std::vector<Vector<Dynamic>> kept;  // (1 + levels,) probability of no step
+    double least = INFINITE;
+    for (size_t j = 0; j < modes.means.size(); j++) {
+        const Vector<Dynamic> weights = modes.weights.row(nb::ssize_t(j));
+        if (weights.sum() < NEGLIGIBLE) continue;
+        Given one = condition(gram, effect.root, modes.means[j], modes.covariances[j]);
+        one.acceleration = acceleration + modes.means[j].tail<3>();
+        kept.push_back(quiet * weights);
+        kept.back()(0) = weights(0);
+        one.none = kept.back().sum() * one.volume;
+        const Vector<Dynamic> priors = (1.0 - quiet) / INSTANTS * weights.tail(levels);
+        least = std::min(least, one.square);
+        for (int s = 0; s < INSTANTS; s++) {
+            const double before = (s + 0.5) / INSTANTS * steps.interval;  // the frame, s
+            one.instants[s].g = Vector<3>(0.5 * before * before, before, 1.0);
+            least = std::min(least, weigh(one.instants[s], one, priors, variances));
+        }
+        given.push_back(std::move(one));
+    }
+    for (Given& one : given) {
+        one.none *= std::exp(-0.5 * (one.square - least));
+        for (Instant& step : one.instants)
+            for (int k = 0; k < levels; k++) step.p(k) *= std::exp(-0.5 * (step.square(k) - least));
+    }
+    drop_minor(given, levels);
+    const double all = total(given, levels);
+    Posterior r;
+    r.modes.weights = Matrix<Dynamic>::Zero(1 + levels, 1 + levels);
+    r.excess = 0.0;
+    double mean_square = 0.0;
+    for (size_t j = 0; j < given.size(); j++) {
+        Given& one = given[j];
+        one.none /= all;
+        mean_square += one.none;
+        if (one.none > 0.0) {
+            r.excess += one.none * one.square;
+            r.modes.weights.row(0) += one.none / kept[j].sum() * kept[j];
+        }
+        for (Instant& step : one.instants) {
+            step.p /= all;
+            for (int k = 0; k < levels; k++) {
+                if (step.p(k) == 0.0) continue;
+                mean_square += step.p(k) * variances(k) / steps.variances(0);
+                r.excess += step.p(k) * step.square(k);
+            }
+        }
+    }
+    merge(given, effect, variances, r);
+    r.level = std::sqrt(mean_square);
+    r.log_ratio = std::log(all) - 0.5 * least;
+    return r;
+}
+
+}  // namespace spheremouse::ball

@@ -1,0 +1,59 @@
+// Steps of the acceleration between frames, and their posterior from the innovations.
+//
+// A hand takes hold of the ball, pushes it, lets it go and stops it. The acceleration jumps at each of these events and
+// is nearly constant between them. The events are a Poisson process. Each event draws a new acceleration about zero,
+// independent of the last one (compound Poisson jumps). The second moments are those of Singer (1970).
+//
+// The instant of a step between two frames, its level and its size are unknown. Each pair (instant, level) is a
+// hypothesis, and its likelihood is its weight. A step shortly before a frame hardly shows in that frame. So the
+// hypotheses about the last interval stay apart for one more frame as the modes of the state: no step, or a step at one
+// of the levels. The next frame weighs each mode together with each hypothesis about the new interval. Then all with
+// the same new level become one mode (generalised pseudo-Bayesian of order 2: Bar-Shalom, Li, Kirubarajan 2001, section
+// 11.6.5).
+#pragma once
+
+#include "spheremouse/native/matrices.h"
+
+namespace spheremouse::ball {
+
+constexpr int INSTANTS = 6;  // of a step in an interval
+
+/// The errors of rate and acceleration, less those that all modes share, for each level of the last step.
+struct Modes {
+    std::vector<Vector<6>> means;
+    std::vector<Matrix<6>> covariances;
+    Matrix<Dynamic> weights;  // (modes, levels) joint probability of each mode and level
+};
+
+/// Possible steps in the interval since the last frame.
+struct Steps {
+    double interval;           // s
+    double between;            // s, mean time between two events
+    Vector<Dynamic> variances;  // (rad/s²)² per axis of each level; the first is a ball left to roll, without steps
+};
+
+/// The errors after the correction, of rate and acceleration, as a linear function of x and d.
+struct Effect {
+    Matrix<6> root;      // rate and acceleration before the step are root x, and what all modes share
+    Matrix<6, 15> T;     // of x and d
+    Matrix<6> shared;    // covariance of what all modes share
+};
+
+struct Posterior {
+    Vector<15> mean;        // of x and d
+    Matrix<15> covariance;  // of x and d
+    Matrix<15> within;      // its mean over the hypotheses
+    Modes modes;            // of the next frame, relative to the new mean
+    double level;           // rms of the steps, relative to the first level; 1 without a step
+    double log_ratio;       // log likelihood ratio of z to no error
+    double excess;          // mean normalised square of z, less z' R^-1 z
+};
+
+/// Return the posterior of the errors x of the predicted motion and of the effect d, (9,), of a step.
+///
+/// A step adds d to rotation, rate and acceleration. `gram` is G' R^-1 G. The columns of G are those of x, d, and the
+/// innovations z, whose covariance is R if x and d are known. `acceleration`, rad/s², is the predicted one.
+Posterior posterior(const Matrix<16>& gram, const Effect& effect, const Vector<3>& acceleration, const Steps& steps,
+                    const Modes& modes);
+
+}  // namespace spheremouse::ball
