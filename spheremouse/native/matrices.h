@@ -36,8 +36,10 @@ Eigen::Map<const Vector<N>> vector(nb::handle given, const char* name) {
 template <int M, int N>
 nb::ndarray<nb::numpy, double> to_numpy(const Matrix<M, N>& m) {
     auto a = [&] {
-        if constexpr (N == 1) return zeros<double>({size_t(m.rows())});
-        else return zeros<double>({size_t(m.rows()), size_t(m.cols())});
+        if constexpr (N == 1)
+            return zeros<double>({size_t(m.rows())});
+        else
+            return zeros<double>({size_t(m.rows()), size_t(m.cols())});
     }();
     std::copy(m.data(), m.data() + m.size(), a.data());
     return a;

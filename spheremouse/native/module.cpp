@@ -3,7 +3,7 @@
 namespace spheremouse::ball {
 void bind_so3_motion(nb::module_& m);
 void bind_so3_update(nb::module_& m);
-}
+}  // namespace spheremouse::ball
 namespace spheremouse::wand {
 void bind_assign(nb::module_& m);
 void bind_colour(nb::module_& m);
@@ -17,5 +17,6 @@ NB_MODULE(kernels, m) {
     using namespace spheremouse;
     for (auto bind : {ball::bind_so3_motion, ball::bind_so3_update}) bind(m);
     for (auto bind : {wand::bind_assign, wand::bind_colour, wand::bind_likelihood, wand::bind_limb,
-                      wand::bind_particles, wand::bind_refine}) bind(m);
+                      wand::bind_particles, wand::bind_refine})
+        bind(m);
 }

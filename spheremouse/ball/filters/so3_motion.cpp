@@ -54,7 +54,8 @@ Matrix<CORE> process_noise(const Motion& motion, const Vector<3>& turn, double q
     return Q;
 }
 
-nb::tuple predict(nb::handle attitude_, nb::handle rate_, nb::handle acceleration_, nb::handle joint_, double dt, double tau, double q) {
+nb::tuple predict(nb::handle attitude_, nb::handle rate_, nb::handle acceleration_, nb::handle joint_, double dt,
+                  double tau, double q) {
     const auto attitude = matrix<3, 3>(attitude_, "attitude");
     const Motion motion{vector<3>(rate_, "rate"), vector<3>(acceleration_, "acceleration"), dt, tau};
     const auto joint = matrix(joint_, "joint");
@@ -69,10 +70,12 @@ nb::tuple predict(nb::handle attitude_, nb::handle rate_, nb::handle acceleratio
     const Matrix<CORE> core = top.leftCols<CORE>() * F.transpose() + Q;
     P.topLeftCorner<CORE, CORE>() = 0.5 * (core + core.transpose());
     const Vector<3> rate = motion.rate + F(3, 6) * motion.acceleration, acceleration = F(6, 6) * motion.acceleration;
-    return nb::make_tuple(to_numpy(Matrix<3>(F.block<3, 3>(0, 0) * attitude)), to_numpy(rate), to_numpy(acceleration), to_numpy(P), to_numpy(Q), to_numpy(F));
+    return nb::make_tuple(to_numpy(Matrix<3>(F.block<3, 3>(0, 0) * attitude)), to_numpy(rate), to_numpy(acceleration),
+                          to_numpy(P), to_numpy(Q), to_numpy(F));
 }
 
-nb::tuple predict_modes(nb::tuple modes, nb::handle F_, nb::handle Q_, nb::handle drift_, double stay, nb::handle usual_) {
+nb::tuple predict_modes(nb::tuple modes, nb::handle F_, nb::handle Q_, nb::handle drift_, double stay,
+                        nb::handle usual_) {
     const auto means = matrix<Dynamic, 6>(modes[0], "means");
     const auto covariances = array<const double, -1, 6, 6>(modes[1], "covariances");
     const auto weights = matrix(modes[2], "weights");
@@ -80,13 +83,15 @@ nb::tuple predict_modes(nb::tuple modes, nb::handle F_, nb::handle Q_, nb::handl
     const auto drift = vector(drift_, "drift"), usual = vector(usual_, "usual");
     const size_t n = size_t(means.rows());
     if (covariances.shape(0) != n || size_t(weights.rows()) != n) throw nb::type_error("modes: must have one length");
-    if (weights.cols() != drift.size() || usual.size() != drift.size()) throw nb::type_error("usual, drift: must have one element for each level");
+    if (weights.cols() != drift.size() || usual.size() != drift.size())
+        throw nb::type_error("usual, drift: must have one element for each level");
     const Matrix<6> A = F.block<6, 6>(3, 3), noise = Q.block<6, 6>(3, 3);
     auto now = zeros<double>({n, 6, 6});
     for (size_t j = 0; j < n; j++) {
         const auto w = weights.row(nb::ssize_t(j));
         const double scale = 1.0 + w.dot(drift) / (1e-300 + w.sum());
-        Eigen::Map<Matrix<6>>(now.data() + 36 * j) = A * View<6, 6>(covariances.data() + 36 * j) * A.transpose() + scale * noise;
+        Eigen::Map<Matrix<6>>(now.data() + 36 * j) =
+            A * View<6, 6>(covariances.data() + 36 * j) * A.transpose() + scale * noise;
     }
     const Matrix<Dynamic> then = stay * weights + (1.0 - stay) * weights.rowwise().sum() * usual.transpose();
     return nb::make_tuple(to_numpy(Matrix<Dynamic, 6>(means * A.transpose())), now, to_numpy(then));
@@ -95,8 +100,10 @@ nb::tuple predict_modes(nb::tuple modes, nb::handle F_, nb::handle Q_, nb::handl
 }  // namespace
 
 void bind_so3_motion(nb::module_& m) {
-    m.def("predict", &predict, nb::arg("attitude"), nb::arg("rate"), nb::arg("acceleration"), nb::arg("joint"), nb::arg("dt"), nb::arg("tau"), nb::arg("q"));
-    m.def("predict_modes", &predict_modes, nb::arg("modes"), nb::arg("F"), nb::arg("Q"), nb::arg("drift"), nb::arg("stay"), nb::arg("usual"));
+    m.def("predict", &predict, nb::arg("attitude"), nb::arg("rate"), nb::arg("acceleration"), nb::arg("joint"),
+          nb::arg("dt"), nb::arg("tau"), nb::arg("q"));
+    m.def("predict_modes", &predict_modes, nb::arg("modes"), nb::arg("F"), nb::arg("Q"), nb::arg("drift"),
+          nb::arg("stay"), nb::arg("usual"));
 }
 
 }  // namespace spheremouse::ball

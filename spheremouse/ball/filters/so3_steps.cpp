@@ -12,23 +12,23 @@ constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
 /// One instant of a step: the information y, B on the new acceleration, and its levels' probabilities.
 struct Instant {
-    Vector<3> g;       // effect of a unit step on rotation, rate and acceleration
-    Matrix<3> B;       // B^-1 y is the estimate of the new acceleration, B its information
+    Vector<3> g;  // effect of a unit step on rotation, rate and acceleration
+    Matrix<3> B;  // B^-1 y is the estimate of the new acceleration, B its information
     Vector<3> y;
     Vector<Dynamic> p, square;  // (levels,) probability, normalised square of z less z' R^-1 z
 };
 
 /// The posterior given one mode of the last frame.
 struct Given {
-    Vector<6> x;              // mean without a step
-    Matrix<6> C;              // covariance of x for a known step
-    Matrix<6, 9> Cd;          // a step d moves the mean of x by -Cd d
-    Matrix<9> A;              // information on d
+    Vector<6> x;      // mean without a step
+    Matrix<6> C;      // covariance of x for a known step
+    Matrix<6, 9> Cd;  // a step d moves the mean of x by -Cd d
+    Matrix<9> A;      // information on d
     Vector<9> v;
-    Vector<3> acceleration;   // rad/s², before a step
-    double volume;            // factor of the likelihood by the determinant
-    double square;            // normalised square of z without a step, less z' R^-1 z
-    double none = 0.0;        // probability of no step
+    Vector<3> acceleration;  // rad/s², before a step
+    double volume;           // factor of the likelihood by the determinant
+    double square;           // normalised square of z without a step, less z' R^-1 z
+    double none = 0.0;       // probability of no step
     std::array<Instant, INSTANTS> instants;
 
     /// Return the probability of a step at the level k.
@@ -169,7 +169,8 @@ void merge(const std::vector<Given>& given, const Effect& effect, const Vector<D
         const Matrix<6, 9> half = one.Cd * all.second, inner = one.Cd * all.within;
         r.mean.head<6>() += all.probability * one.x - back;
         r.mean.tail<9>() += all.first;
-        r.covariance.topLeftCorner<6, 6>() += all.probability * (one.C + one.x * one.x.transpose()) - cross - cross.transpose() + half * one.Cd.transpose();
+        r.covariance.topLeftCorner<6, 6>() += all.probability * (one.C + one.x * one.x.transpose()) - cross -
+                                              cross.transpose() + half * one.Cd.transpose();
         r.covariance.topRightCorner<6, 9>() += one.x * all.first.transpose() - half;
         r.covariance.bottomRightCorner<9, 9>() += all.second;
         r.within.topLeftCorner<6, 6>() += all.probability * one.C + inner * one.Cd.transpose();
@@ -184,7 +185,8 @@ void merge(const std::vector<Given>& given, const Effect& effect, const Vector<D
         if (k > 0) r.modes.weights(k, k) = share(k);
         if (share(k) == 0.0) continue;
         r.modes.means[k] /= share(k);
-        r.modes.covariances[k] = r.modes.covariances[k] / share(k) + effect.shared - r.modes.means[k] * r.modes.means[k].transpose();
+        r.modes.covariances[k] =
+            r.modes.covariances[k] / share(k) + effect.shared - r.modes.means[k] * r.modes.means[k].transpose();
         r.modes.means[k] -= mean;
     }
 }

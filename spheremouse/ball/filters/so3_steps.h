@@ -27,16 +27,16 @@ struct Modes {
 
 /// Possible steps in the interval since the last frame.
 struct Steps {
-    double interval;           // s
-    double between;            // s, mean time between two events
+    double interval;            // s
+    double between;             // s, mean time between two events
     Vector<Dynamic> variances;  // (rad/s²)² per axis of each level; the first is a ball left to roll, without steps
 };
 
 /// The errors after the correction, of rate and acceleration, as a linear function of x and d.
 struct Effect {
-    Matrix<6> root;      // rate and acceleration before the step are root x, and what all modes share
-    Matrix<6, 15> T;     // of x and d
-    Matrix<6> shared;    // covariance of what all modes share
+    Matrix<6> root;    // rate and acceleration before the step are root x, and what all modes share
+    Matrix<6, 15> T;   // of x and d
+    Matrix<6> shared;  // covariance of what all modes share
 };
 
 struct Posterior {

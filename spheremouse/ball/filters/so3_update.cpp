@@ -5,10 +5,10 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr int CORE = 9;                // rotation, rate, acceleration
-constexpr int READOUT = CORE + 10;     // after pose and ball
+constexpr int CORE = 9;             // rotation, rate, acceleration
+constexpr int READOUT = CORE + 10;  // after pose and ball
 constexpr int MAP_OFFSET = READOUT + 1;
-constexpr int CLONE = 3;               // at the end
+constexpr int CLONE = 3;  // at the end
 using Dense = Matrix<Dynamic>;
 
 /// The innovations of k pairs: H, (2k, 9), H P, (2k, n), z, (2k,), and the covariance S of z.
@@ -119,7 +119,8 @@ Corrected correct(const View<>& prior, const Innovation& seen, const Vector<3>& 
     r.P = prior;
     subtract_product(W, reduced, r.P, true);
     r.P.leftCols<CORE>() += cross;
-    r.P.topLeftCorner<CORE, CORE>() += cross.topRows<CORE>().transpose() + r.steps.covariance.bottomRightCorner<CORE, CORE>();
+    r.P.topLeftCorner<CORE, CORE>() +=
+        cross.topRows<CORE>().transpose() + r.steps.covariance.bottomRightCorner<CORE, CORE>();
     const Matrix<15, Dynamic> inner = r.steps.within * (G.leftCols<15>().transpose() * rest.middleCols(CORE, held));
     Dense of_held = B * inner;
     of_held.bottomRows(k2) += rest.middleCols(CORE, held);
@@ -133,24 +134,31 @@ Corrected correct(const View<>& prior, const Innovation& seen, const Vector<3>& 
     r.P.triangularView<Eigen::StrictlyUpper>() = r.P.transpose();
     const double square = white.squaredNorm();
     r.nis = r.steps.excess + square;
-    r.log_likelihood = r.steps.log_ratio - 0.5 * (square + k2 * std::log(2.0 * M_PI)) - L.matrixLLT().diagonal().array().log().sum();
+    r.log_likelihood =
+        r.steps.log_ratio - 0.5 * (square + k2 * std::log(2.0 * M_PI)) - L.matrixLLT().diagonal().array().log().sum();
     return r;
 }
 
-nb::tuple correct_(nb::handle prior_, nb::tuple innovation, nb::handle rate_, nb::handle acceleration_, nb::tuple steps_, nb::tuple modes_) {
+nb::tuple correct_(nb::handle prior_, nb::tuple innovation, nb::handle rate_, nb::handle acceleration_,
+                   nb::tuple steps_, nb::tuple modes_) {
     const auto prior = matrix(prior_, "prior");
-    const Innovation seen{matrix<Dynamic, CORE>(innovation[0], "H"), matrix(innovation[1], "HP"), vector(innovation[2], "z"), matrix(innovation[3], "S")};
+    const Innovation seen{matrix<Dynamic, CORE>(innovation[0], "H"), matrix(innovation[1], "HP"),
+                          vector(innovation[2], "z"), matrix(innovation[3], "S")};
     const nb::ssize_t n = prior.rows(), k2 = seen.z.size();
-    if (prior.cols() != n || n < MAP_OFFSET + CLONE) throw nb::type_error("prior: must be square, with 23 rows or more");
-    if (seen.H.rows() != k2 || seen.HP.rows() != k2 || seen.HP.cols() != n) throw nb::type_error("H, HP: must have the rows of z, and HP the columns of prior");
+    if (prior.cols() != n || n < MAP_OFFSET + CLONE)
+        throw nb::type_error("prior: must be square, with 23 rows or more");
+    if (seen.H.rows() != k2 || seen.HP.rows() != k2 || seen.HP.cols() != n)
+        throw nb::type_error("H, HP: must have the rows of z, and HP the columns of prior");
     if (seen.S.rows() != k2 || seen.S.cols() != k2) throw nb::type_error("S: must have the rows and columns of z");
     const Steps steps{nb::cast<double>(steps_[0]), nb::cast<double>(steps_[1]), vector(steps_[2], "variances")};
     const auto means = matrix<Dynamic, 6>(modes_[0], "means");
     const auto weights = matrix(modes_[2], "weights");
     const auto covariances = array<const double, -1, 6, 6>(modes_[1], "covariances");
     Modes modes{{}, {}, weights};
-    if (nb::ssize_t(covariances.shape(0)) != means.rows() || weights.rows() != means.rows()) throw nb::type_error("modes: must have one length");
-    if (weights.cols() != steps.variances.size() || weights.cols() == 0) throw nb::type_error("weights: must have a column for each level");
+    if (nb::ssize_t(covariances.shape(0)) != means.rows() || weights.rows() != means.rows())
+        throw nb::type_error("modes: must have one length");
+    if (weights.cols() != steps.variances.size() || weights.cols() == 0)
+        throw nb::type_error("weights: must have a column for each level");
     for (int j = 0; j < means.rows(); j++) {
         modes.means.emplace_back(means.row(j).transpose());
         modes.covariances.emplace_back(View<6, 6>(covariances.data() + 36 * j));
@@ -169,13 +177,15 @@ nb::tuple correct_(nb::handle prior_, nb::tuple innovation, nb::handle rate_, nb
     }
     const nb::tuple now = nb::make_tuple(new_means, new_covariances, to_numpy(r.steps.modes.weights));
     const Vector<Dynamic> at_level = r.steps.modes.weights.colwise().sum().transpose();
-    return nb::make_tuple(to_numpy(r.P), now, to_numpy(at_level), to_numpy(r.dx), r.log_likelihood, r.nis, r.steps.level);
+    return nb::make_tuple(to_numpy(r.P), now, to_numpy(at_level), to_numpy(r.dx), r.log_likelihood, r.nis,
+                          r.steps.level);
 }
 
 nb::ndarray<nb::numpy, double> since_reference(nb::handle P_, nb::handle turn_) {
     const auto P = matrix(P_, "P");
     const Vector<3> turn = vector<3>(turn_, "turn");
-    if (P.rows() != P.cols() || P.rows() < MAP_OFFSET + CLONE) throw nb::type_error("P: must be square, with 23 rows or more");
+    if (P.rows() != P.cols() || P.rows() < MAP_OFFSET + CLONE)
+        throw nb::type_error("P: must be square, with 23 rows or more");
     const Matrix<3> J = left_jacobian(turn).inverse();
     Matrix<6, 9> A = Matrix<6, 9>::Zero();  // of rotation, rate and reference in turn and rate
     A.topLeftCorner<3, 3>() = J;
@@ -193,11 +203,13 @@ nb::tuple move(nb::handle attitude_, nb::handle discs_, nb::handle basis_, nb::h
     const auto dx = vector(dx_, "dx");
     const size_t m = size_t(discs.rows());
     if (basis.shape(0) != m) throw nb::type_error("basis: must have the length of discs");
-    if (size_t(dx.size()) != MAP_OFFSET + 2 * m + CLONE) throw nb::type_error("dx: must have 23 elements and two for each disc");
+    if (size_t(dx.size()) != MAP_OFFSET + 2 * m + CLONE)
+        throw nb::type_error("dx: must have 23 elements and two for each disc");
     auto new_discs = zeros<double>({m, 3}), new_basis = zeros<double>({m, 3, 2});
     for (size_t i = 0; i < m; i++) {
         const Matrix<3, 2> E = View<3, 2>(basis.data() + 6 * i);
-        const Vector<3> to = (discs.row(nb::ssize_t(i)).transpose() + E * dx.segment<2>(MAP_OFFSET + 2 * nb::ssize_t(i))).normalized();
+        const Vector<3> to =
+            (discs.row(nb::ssize_t(i)).transpose() + E * dx.segment<2>(MAP_OFFSET + 2 * nb::ssize_t(i))).normalized();
         const Vector<3> first = (E.col(0) - to.dot(E.col(0)) * to).normalized(), second = to.cross(first);
         Eigen::Map<Vector<3>>(new_discs.data() + 3 * i) = to;
         Eigen::Map<Matrix<3, 2>> axes(new_basis.data() + 6 * i);
@@ -212,7 +224,8 @@ nb::tuple move(nb::handle attitude_, nb::handle discs_, nb::handle basis_, nb::h
 void bind_so3_update(nb::module_& m) {
     m.def("since_reference", &since_reference, nb::arg("P"), nb::arg("turn"));
     m.def("move", &move, nb::arg("attitude"), nb::arg("discs"), nb::arg("basis"), nb::arg("dx"));
-    m.def("correct", &correct_, nb::arg("prior"), nb::arg("innovation"), nb::arg("rate"), nb::arg("acceleration"), nb::arg("steps"), nb::arg("modes"));
+    m.def("correct", &correct_, nb::arg("prior"), nb::arg("innovation"), nb::arg("rate"), nb::arg("acceleration"),
+          nb::arg("steps"), nb::arg("modes"));
 }
 
 }  // namespace spheremouse::ball
