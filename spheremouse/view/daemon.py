@@ -6,7 +6,6 @@ The connection is open only while a browser looks, so the page costs the daemon 
 import asyncio
 import contextlib
 import json
-import math
 import threading
 import time
 from collections import deque
@@ -17,6 +16,7 @@ from typing import Any, NamedTuple
 
 from spheremouse.errors import ControlError
 from spheremouse.session.control.client import Client, NoDaemonError, RefusedError
+from spheremouse.session.control.sample_row import row_of
 
 Message = dict[str, Any]
 Values = dict[str, Any]
@@ -230,29 +230,6 @@ class Daemon:
     def _post(self, function: Callable[..., None], *arguments: Any) -> None:
         with contextlib.suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(function, *arguments)
-
-
-def row_of(sample: Message) -> list[Any]:
-    """Return a sample in the form of `frame`: stamp, ball, confirmed, quaternion, rate and its standard deviations,
-    counts, latency, discs, position. Unknown values are None. Units as in docs/samples.md.
-    """
-    covariance = sample.get("rate_covariance")
-    sigma = [math.sqrt(max(0.0, covariance[k][k])) for k in range(3)] if covariance else _NONE
-    return [
-        sample["stamp"],
-        sample["ball"],
-        sample["confirmed"],
-        *(sample.get("quaternion") or [None] * 4),
-        *(sample.get("rate") or _NONE),
-        *sigma,
-        *sample["counts"],
-        sample.get("latency"),
-        sample.get("statistics", {}).get("discs_used"),
-        *(sample.get("position") or _NONE),
-    ]
-
-
-_NONE = [None] * 3
 
 
 def _describe(client: Client) -> _Description:
