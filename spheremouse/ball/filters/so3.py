@@ -46,6 +46,8 @@ _RARE = 1e-3  # probability per frame below which chance does not explain the pa
 _LARGE_TWIST = 6.0  # rad/s: a third of `loss.fastest`, it counts by its logarithm
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _NO_NOISE = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
+# Two pairs are four equations for a rotation. A step and a half-hidden disc look alike then, and one mode remains.
+_PAIRS_WITHOUT_MODES = 2
 _DETECTED = 0.8  # probability that a disc in view is seen: hands and struts hide some
 
 
@@ -371,7 +373,8 @@ class So3Filter:
         joint, modes, weights, dx, log_likelihood, nis, level = kernels.correct(
             state.joint, innovation, state.rate, state.acceleration, steps, state.modes or self._one_mode(state)
         )
-        return inject(state, dx, joint, weights, level, rows, float(nis), modes), dx, log_likelihood
+        kept = modes if len(rows) > _PAIRS_WITHOUT_MODES else None
+        return inject(state, dx, joint, weights, level, rows, float(nis), kept), dx, log_likelihood
 
     def _one_mode(self, state: So3State) -> Modes:
         """Return the moments of a state without modes, as one mode."""

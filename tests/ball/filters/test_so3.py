@@ -415,6 +415,17 @@ def test_the_modes_have_the_mean_and_covariance_of_the_state():
             )
 
 
+@pytest.mark.parametrize("pairs", [1, 2, 3])
+def test_modes_need_three_pairs(pairs):
+    """With two a step and a wrong centre look alike."""
+    rng = np.random.default_rng(9)
+    state, R = settled(rate=(0.0, 0.0, 0.0), n=60)
+    predicted = FILTER.predict(state, state.stamp + DT)
+    after = FILTER.update(predicted, points_at(seen(R)[:pairs], rng=rng))
+    assert len(after.used) == pairs
+    assert (after.modes is None) == (pairs < 3)
+
+
 def test_a_steady_push_leaves_no_error_behind():
     """A ball that speeds up evenly for half a second: the acceleration lasts, so that the rate does not lag."""
     push, t = np.array([6.0, -3.0, 2.0]), np.arange(45) * DT
