@@ -31,6 +31,13 @@ inline Matrix<3> exp(const Vector<3>& v) {
     return about(v, 1.0 - b * square, small ? 1.0 - square / 6.0 : std::sin(angle) / angle, b);
 }
 
+/// Return the rotation vector of a matrix, length in [0, pi], by the unit quaternion (Shepperd 1978).
+inline Vector<3> log(const Matrix<3>& R) {
+    const Eigen::Quaterniond q(R);
+    const double s = q.vec().norm(), w = q.w() < 0.0 ? -q.w() : q.w(), sign = q.w() < 0.0 ? -1.0 : 1.0;
+    return sign * (s < 1e-6 ? 2.0 : 2.0 * std::atan2(s, w) / s) * q.vec();
+}
+
 /// Return J with exp(v + d) = exp(J d) exp(v), to first order in d.
 inline Matrix<3> left_jacobian(const Vector<3>& v) {
     const double square = v.squaredNorm(), angle = std::sqrt(square);

@@ -1,9 +1,6 @@
 // Matrices of Eigen on arrays of NumPy, and triangular factors of covariances without variance in some direction.
 #pragma once
 
-// Up to these sizes plain loops are faster than blocks for the cache.
-#define EIGEN_CACHEFRIENDLY_PRODUCT_THRESHOLD 16
-#define EIGEN_GEMM_TO_COEFFBASED_THRESHOLD 64
 #include <Eigen/Dense>
 
 #include "spheremouse/native/arrays.h"

@@ -283,7 +283,7 @@ nb::tuple assign_spots(nb::handle spots_, nb::handle discs_, nb::handle glare_, 
     for (size_t i = 0; i < n; i++) {
         score.data()[i] = search.found[i].score;
         Eigen::Map<Vector3d>(position.data() + 3 * i) = search.found[i].centre;
-        Eigen::Map<RowMatrix3d>(rotation.data() + 9 * i) = search.found[i].R;
+        Eigen::Map<Matrix<3>>(rotation.data() + 9 * i) = search.found[i].R;
     }
     return nb::make_tuple(score, position, rotation, next);
 }

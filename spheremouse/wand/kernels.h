@@ -1,16 +1,13 @@
 // Plain structs of the wand's functions: ball, camera, fields of a picture, and the points that one pose shows.
 #pragma once
 
-#include <Eigen/Dense>
-
-#include "spheremouse/native/arrays.h"
+#include "spheremouse/geometry/rotation.h"
 
 namespace spheremouse::wand {
 
 using Eigen::Matrix3d, Eigen::Vector2d, Eigen::Vector3d;
 using Positions = Array<const double, -1, 3>;
 using Rotations = Array<const double, -1, 3, 3>;
-using RowMatrix3d = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 
 constexpr double SIGMA = 0.065;       // of a field's range, `likelihood.SIGMA`
 constexpr double OUTLIER = 0.08;      // fraction of the points that a finger, a highlight or a stick hides
@@ -110,19 +107,6 @@ struct Sight {
 
 /// Measure the points that a pose shows. `disc_weight` has the weight of the points of each disc, null for its own.
 void measure(const BallModel& ball, const FieldsView& fields, const Pose& pose, const double* disc_weight, Sight& s);
-
-/// Return the rotation matrix of a rotation vector (Rodrigues).
-inline Matrix3d exp_rotation(const Vector3d& v) {
-    const double angle = v.norm();
-    return angle == 0.0 ? Matrix3d(Matrix3d::Identity()) : Eigen::AngleAxisd(angle, v / angle).toRotationMatrix();
-}
-
-/// Return the rotation vector of a rotation matrix, length in [0, pi], by the unit quaternion (Shepperd 1978).
-inline Vector3d log_rotation(const Matrix3d& R) {
-    const Eigen::Quaterniond q(R);
-    const double s = q.vec().norm(), w = q.w() < 0.0 ? -q.w() : q.w(), sign = q.w() < 0.0 ? -1.0 : 1.0;
-    return sign * (s < 1e-6 ? 2.0 : 2.0 * std::atan2(s, w) / s) * q.vec();
-}
 
 /// Return two columns across the line of sight to c and one along it. A move along the third moves no image point.
 inline Matrix3d ray_basis(const Vector3d& c) {

@@ -186,7 +186,7 @@ nb::tuple log_likelihood(nb::handle position_, nb::handle rotation_, const BallM
     const Densities density(fields, sigma);
     Sight s(ball.size);
     for (size_t i = 0; i < n; i++) {
-        const Pose pose{Eigen::Map<const Vector3d>(&position(i, 0)), Eigen::Map<const RowMatrix3d>(&rotation(i, 0, 0))};
+        const Pose pose{Eigen::Map<const Vector3d>(&position(i, 0)), Eigen::Map<const Matrix<3>>(&rotation(i, 0, 0))};
         measure(ball, fields, pose, k > 0 && which(i) >= 0 ? &disc_weight(size_t(which(i)), 0) : nullptr, s);
         const Ratio sum = ratio(ball, fields, density, sigma, s);
         value_[i] = sum.log_ratio;

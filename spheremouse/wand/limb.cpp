@@ -88,7 +88,7 @@ nb::object measure_edges(nb::handle image_, nb::handle position_, nb::handle rot
     const auto position = array<const double, 3>(position_, "position");
     const auto rotation = array<const double, 3, 3>(rotation_, "rotation");
     const auto discs = array<const double, -1, 4>(discs_, "discs");
-    const Pose pose{Eigen::Map<const Vector3d>(position.data()), Eigen::Map<const RowMatrix3d>(rotation.data())};
+    const Pose pose{Eigen::Map<const Vector3d>(position.data()), Eigen::Map<const Matrix<3>>(rotation.data())};
     const double h = double(image.shape(0)), w = double(image.shape(1)), step = STEP * factor,
                  reach = MIDDLE * step + 1.0;
     const double radius_px = ball.camera.fx * ball.radius / pose.c.norm() / factor;

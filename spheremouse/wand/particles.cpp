@@ -5,46 +5,44 @@
 namespace spheremouse::wand {
 namespace {
 
-using Vector6d = Eigen::Matrix<double, 6, 1>;
-using Matrix6d = Eigen::Matrix<double, 6, 6>;
 using Vectors = Array<const double, -1, 6>;
 using Matrices = Array<const double, -1, 6, 6>;
 using Numbers = Array<const double, -1>;
 
 /// Gaussian with the inverse of its covariance's Cholesky root.
 struct Gaussian {
-    Matrix6d root, inverse;
+    Matrix<6> root, inverse;
     double log_norm;
 
-    explicit Gaussian(const Matrix6d& covariance) : root(covariance.llt().matrixL()) {
-        inverse = root.triangularView<Eigen::Lower>().solve(Matrix6d::Identity());
+    explicit Gaussian(const Matrix<6>& covariance) : root(covariance.llt().matrixL()) {
+        inverse = root.triangularView<Eigen::Lower>().solve(Matrix<6>::Identity());
         log_norm = -3.0 * std::log(2.0 * PI) - root.diagonal().array().log().sum();
     }
 
-    double log_density(const Vector6d& d) const {
+    double log_density(const Vector<6>& d) const {
         return log_norm - 0.5 * (inverse.triangularView<Eigen::Lower>() * d).squaredNorm();
     }
 };
 
 /// Product of a motion and a peak, or a peak alone: `shift` gives its mean from the difference of motion and peak.
 struct Component {
-    Matrix6d shift;
+    Matrix<6> shift;
     Gaussian product;
 };
 
 /// Position, rotation vector of `to` from `from`.
-Vector6d difference(const Pose& from, const Pose& to) {
-    Vector6d d;
-    d << from.c - to.c, log_rotation(from.R * to.R.transpose());
+Vector<6> difference(const Pose& from, const Pose& to) {
+    Vector<6> d;
+    d << from.c - to.c, log(from.R * to.R.transpose());
     return d;
 }
 
-Pose moved(const Pose& pose, const Vector6d& shift, const Matrix3d& turn) {
+Pose moved(const Pose& pose, const Vector<6>& shift, const Matrix3d& turn) {
     return {pose.c + shift.head<3>(), turn * pose.R};
 }
 
 /// Logarithm of the Haar measure per rad³ at a rotation vector: 2 (1 - cos a) / a².
-double log_haar(const Vector6d& d) {
+double log_haar(const Vector<6>& d) {
     const double square = d.tail<3>().squaredNorm();
     if (square < 1e-4) return -square / 12.0;
     return std::log(std::max(2.0 * (1.0 - std::cos(std::sqrt(square))) / square, 1e-6));
@@ -70,23 +68,23 @@ class Proposal {
             throw nb::type_error("position: peaks must have equal numbers");
         for (size_t b = 0; b < k; b++)
             peaks_.push_back(
-                {Eigen::Map<const Vector3d>(&position(b, 0)), Eigen::Map<const RowMatrix3d>(&rotation(b, 0, 0))});
+                {Eigen::Map<const Vector3d>(&position(b, 0)), Eigen::Map<const Matrix<3>>(&rotation(b, 0, 0))});
         for (size_t a = 0; a < m; a++) {
-            const Matrix6d motion = Eigen::Map<const Matrix6d>(&Q(a, 0, 0));
-            shift_vectors_.push_back(Eigen::Map<const Vector6d>(&shift(a, 0)));
-            turns_.push_back(exp_rotation(shift_vectors_[a].tail<3>()));
+            const Matrix<6> motion = Eigen::Map<const Matrix<6>>(&Q(a, 0, 0));
+            shift_vectors_.push_back(Eigen::Map<const Vector<6>>(&shift(a, 0)));
+            turns_.push_back(exp(shift_vectors_[a].tail<3>()));
             motions_.emplace_back(motion);
             motions_[a].log_norm += std::log(probability(a));
             for (size_t b = 0; b < k; b++) {
-                const Matrix6d peak = Eigen::Map<const Matrix6d>(&P(b, 0, 0)), sum = motion + peak;
-                const Matrix6d gain = sum.llt().solve(peak).transpose(), product = peak - gain * peak;
+                const Matrix<6> peak = Eigen::Map<const Matrix<6>>(&P(b, 0, 0)), sum = motion + peak;
+                const Matrix<6> gain = sum.llt().solve(peak).transpose(), product = peak - gain * peak;
                 evidence_.emplace_back(sum);
                 evidence_.back().log_norm += std::log(probability(a)) + log_mass(b);
                 components_.push_back({gain, Gaussian(0.5 * (product + product.transpose()))});
             }
         }
         for (size_t b = 0; b < k; b++)
-            components_.push_back({Matrix6d::Zero(), Gaussian(Eigen::Map<const Matrix6d>(&P(b, 0, 0)))});
+            components_.push_back({Matrix<6>::Zero(), Gaussian(Eigen::Map<const Matrix<6>>(&P(b, 0, 0)))});
     }
 
     /// Return the logarithm of the weight of each product for particles (n,), (n, m k), and its difference, (n, m k,
@@ -103,7 +101,7 @@ class Proposal {
             const Pose pose = pose_at(position, rotation, i);
             for (size_t at = 0; at < products; at++) {
                 const Pose ahead = moved(pose, shift_vectors_[at / k], turns_[at / k]);
-                Eigen::Map<Vector6d> to(d_ + 6 * (i * products + at));
+                Eigen::Map<Vector<6>> to(d_ + 6 * (i * products + at));
                 to = difference(ahead, peaks_[at % k]);
                 value_[i * products + at] = evidence_[at].log_density(to);
             }
@@ -126,12 +124,12 @@ class Proposal {
                 throw nb::type_error("chosen: must be an index of a component");
             const size_t at = size_t(chosen(i));
             const Component& component = components_[at];
-            Vector6d x =
-                component.product.root.triangularView<Eigen::Lower>() * Eigen::Map<const Vector6d>(&normal(i, 0));
-            if (at < products) x += component.shift * Eigen::Map<const Vector6d>(&d(i, at, 0));
+            Vector<6> x =
+                component.product.root.triangularView<Eigen::Lower>() * Eigen::Map<const Vector<6>>(&normal(i, 0));
+            if (at < products) x += component.shift * Eigen::Map<const Vector<6>>(&d(i, at, 0));
             const Pose& peak = peaks_[at % peaks_.size()];
             Eigen::Map<Vector3d>(position.data() + 3 * i) = peak.c + x.head<3>();
-            Eigen::Map<RowMatrix3d>(rotation.data() + 9 * i) = exp_rotation(x.tail<3>()) * peak.R;
+            Eigen::Map<Matrix<3>>(rotation.data() + 9 * i) = exp(x.tail<3>()) * peak.R;
         }
         return nb::make_tuple(position, rotation);
     }
@@ -155,18 +153,18 @@ class Proposal {
         double* ratio_ = ratio.data();
         int64_t* nearest_ = nearest.data();
         nb::gil_scoped_release release;
-        std::vector<Vector6d> x(k);
+        std::vector<Vector<6>> x(k);
         for (size_t i = 0; i < n; i++) {
             const Pose base = pose_at(base_position, base_rotation, i), pose = pose_at(position, rotation, i);
             double p = 0.0, q = 0.0, best = -1e300;
             for (size_t a = 0; a < motions_.size(); a++) {
-                const Vector6d e = difference(moved(base, shift_vectors_[a], turns_[a]), pose);
+                const Vector<6> e = difference(moved(base, shift_vectors_[a], turns_[a]), pose);
                 p += std::exp(motions_[a].log_density(e) - log_haar(e));
             }
             for (size_t b = 0; b < k; b++) x[b] = difference(pose, peaks_[b]);
             for (size_t at = 0; at < components_.size(); at++) {
-                Vector6d e = x[at % k];
-                if (at < evidence_.size()) e -= components_[at].shift * Eigen::Map<const Vector6d>(&d(i, at, 0));
+                Vector<6> e = x[at % k];
+                if (at < evidence_.size()) e -= components_[at].shift * Eigen::Map<const Vector<6>>(&d(i, at, 0));
                 const double fit = components_[at].product.log_density(e);
                 if (share(i, at) > 0.0) q += share(i, at) * std::exp(fit - log_haar(x[at % k]));
                 if (fit > best) best = fit, nearest_[i] = int64_t(at % k);
@@ -180,7 +178,7 @@ class Proposal {
 
   private:
     static Pose pose_at(const Positions& position, const Rotations& rotation, size_t i) {
-        return {Eigen::Map<const Vector3d>(&position(i, 0)), Eigen::Map<const RowMatrix3d>(&rotation(i, 0, 0))};
+        return {Eigen::Map<const Vector3d>(&position(i, 0)), Eigen::Map<const Matrix<3>>(&rotation(i, 0, 0))};
     }
 
     void check(const Array<const double, -1, -1, 6>& difference, size_t n) const {
@@ -190,7 +188,7 @@ class Proposal {
 
     double birth_;
     std::vector<Pose> peaks_;
-    std::vector<Vector6d> shift_vectors_;
+    std::vector<Vector<6>> shift_vectors_;
     std::vector<Matrix3d> turns_;
     std::vector<Gaussian> motions_, evidence_;  // of the motions, times their probability; of the products' weights
     std::vector<Component> components_;

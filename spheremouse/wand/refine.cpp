@@ -5,8 +5,6 @@
 namespace spheremouse::wand {
 namespace {
 
-using Vector6d = Eigen::Matrix<double, 6, 1>;
-using Matrix6d = Eigen::Matrix<double, 6, 6>;
 using Edges = Array<const double, DIRECTIONS, 5>;
 
 constexpr double CONVERGED = 0.01;                          // `slope` of a peak: a tenth of a standard deviation off
@@ -41,8 +39,8 @@ class Refinement {
         }
     }
 
-    Matrix6d covariance() const {
-        Matrix6d full = Matrix6d::Identity();
+    Matrix<6> covariance() const {
+        Matrix<6> full = Matrix<6>::Identity();
         full.topLeftCorner<3, 3>() = ray_basis(pose.c);
         return full * A_.inverse().topLeftCorner<6, 6>() * full.transpose();
     }
@@ -91,7 +89,7 @@ class Refinement {
                 if (k < 3) {
                     at.c += signed_by * B.col(k);
                 } else {
-                    at.R = exp_rotation(signed_by * Vector3d::Unit(k - 3)) * pose.R;
+                    at.R = exp(signed_by * Vector3d::Unit(k - 3)) * pose.R;
                 }
                 evaluate(at, k < 3, side_[s]);
             }
@@ -102,7 +100,7 @@ class Refinement {
     }
 
     /// Add a residual's row to the normal equations; `slope` is its derivative by the offset number `k`, if k >= 0.
-    void add(double weight, const Vector6d& J, double residual, int k, double slope) {
+    void add(double weight, const Vector<6>& J, double residual, int k, double slope) {
         A_.topLeftCorner<6, 6>().noalias() += weight * J * J.transpose();
         b_.head<6>() -= weight * residual * J;
         if (k < 0 || slope == 0.0) return;
@@ -152,7 +150,7 @@ class Refinement {
                      turn = dx.segment<3>(3).cwiseAbs().maxCoeff() / 0.4;
         const double scale = 1.0 / std::max({across, along, turn, 1.0});
         pose.c += scale * ray_basis(pose.c) * dx.head<3>();
-        pose.R = exp_rotation(scale * dx.segment<3>(3)) * pose.R;
+        pose.R = exp(scale * dx.segment<3>(3)) * pose.R;
         offsets_ += dx.tail(offsets_.size());
     }
 
@@ -176,11 +174,11 @@ nb::tuple refine(nb::handle position_, nb::handle rotation_, const BallModel& ba
     {
         nb::gil_scoped_release release;
         Refinement refinement(ball, fields, edges,
-                              {Eigen::Map<const Vector3d>(position.data()), Eigen::Map<const RowMatrix3d>(R.data())});
+                              {Eigen::Map<const Vector3d>(position.data()), Eigen::Map<const Matrix<3>>(R.data())});
         slope = refinement.run(rounds);
         Eigen::Map<Vector3d>(new_position.data()) = refinement.pose.c;
-        Eigen::Map<RowMatrix3d>(new_rotation.data()) = refinement.pose.R;
-        Eigen::Map<Matrix6d>(covariance.data()) = refinement.covariance();
+        Eigen::Map<Matrix<3>>(new_rotation.data()) = refinement.pose.R;
+        Eigen::Map<Matrix<6>>(covariance.data()) = refinement.covariance();
     }
     return nb::make_tuple(new_position, new_rotation, covariance, slope);
 }

@@ -1,4 +1,5 @@
 // The motion of the default filter between two frames, under an acceleration that lasts or fades.
+#include "spheremouse/ball/filters/so3_steps.h"
 #include "spheremouse/geometry/rotation.h"
 
 namespace spheremouse::ball {
@@ -28,10 +29,11 @@ struct Integrals {
 
 Matrix<CORE> transition(const Motion& motion, const Vector<3>& turn) {
     const Integrals whole(motion.dt, motion.tau);
+    const Matrix<3> J = left_jacobian(turn);
     Matrix<CORE> F = Matrix<CORE>::Identity();
     F.block<3, 3>(0, 0) = exp(turn);
-    F.block<3, 3>(0, 3) = motion.dt * left_jacobian(turn);
-    F.block<3, 3>(0, 6) = whole.second * left_jacobian(turn);
+    F.block<3, 3>(0, 3) = motion.dt * J;
+    F.block<3, 3>(0, 6) = whole.second * J;
     F.block<3, 3>(3, 6).diagonal().setConstant(whole.first);
     F.block<3, 3>(6, 6).diagonal().setConstant(std::exp(-motion.dt / motion.tau));
     return F;
@@ -74,36 +76,31 @@ nb::tuple predict(nb::handle attitude_, nb::handle rate_, nb::handle acceleratio
                           to_numpy(P), to_numpy(Q), to_numpy(F));
 }
 
-nb::tuple predict_modes(nb::tuple modes, nb::handle F_, nb::handle Q_, nb::handle drift_, double stay,
+nb::tuple predict_modes(nb::tuple modes_, nb::handle F_, nb::handle Q_, nb::handle drift_, double stay,
                         nb::handle usual_) {
-    const auto means = matrix<Dynamic, 6>(modes[0], "means");
-    const auto covariances = array<const double, -1, 6, 6>(modes[1], "covariances");
-    const auto weights = matrix(modes[2], "weights");
+    Modes modes = read_modes(modes_);
     const auto F = matrix<CORE, CORE>(F_, "F"), Q = matrix<CORE, CORE>(Q_, "Q");
     const auto drift = vector(drift_, "drift"), usual = vector(usual_, "usual");
-    const size_t n = size_t(means.rows());
-    if (covariances.shape(0) != n || size_t(weights.rows()) != n) throw nb::type_error("modes: must have one length");
-    if (weights.cols() != drift.size() || usual.size() != drift.size())
+    if (modes.weights.cols() != drift.size() || usual.size() != drift.size())
         throw nb::type_error("usual, drift: must have one element for each level");
     const Matrix<6> A = F.block<6, 6>(3, 3), noise = Q.block<6, 6>(3, 3);
-    auto now = zeros<double>({n, 6, 6});
-    for (size_t j = 0; j < n; j++) {
-        const auto w = weights.row(nb::ssize_t(j));
+    for (size_t j = 0; j < modes.means.size(); j++) {
+        const auto w = modes.weights.row(nb::ssize_t(j));
         const double scale = 1.0 + w.dot(drift) / (1e-300 + w.sum());
-        Eigen::Map<Matrix<6>>(now.data() + 36 * j) =
-            A * View<6, 6>(covariances.data() + 36 * j) * A.transpose() + scale * noise;
+        modes.means[j] = (A * modes.means[j]).eval();
+        modes.covariances[j] = A * modes.covariances[j] * A.transpose() + scale * noise;
     }
-    const Matrix<Dynamic> then = stay * weights + (1.0 - stay) * weights.rowwise().sum() * usual.transpose();
-    return nb::make_tuple(to_numpy(Matrix<Dynamic, 6>(means * A.transpose())), now, to_numpy(then));
+    const Vector<Dynamic> of_mode = modes.weights.rowwise().sum();
+    modes.weights = stay * modes.weights + (1.0 - stay) * of_mode * usual.transpose();
+    return modes_to_numpy(modes);
 }
 
 }  // namespace
 
 void bind_so3_motion(nb::module_& m) {
-    m.def("predict", &predict, nb::arg("attitude"), nb::arg("rate"), nb::arg("acceleration"), nb::arg("joint"),
-          nb::arg("dt"), nb::arg("tau"), nb::arg("q"));
-    m.def("predict_modes", &predict_modes, nb::arg("modes"), nb::arg("F"), nb::arg("Q"), nb::arg("drift"),
-          nb::arg("stay"), nb::arg("usual"));
+    m.def("predict", &predict, arg("attitude"), arg("rate"), arg("acceleration"), arg("joint"), arg("dt"), arg("tau"),
+          arg("q"));
+    m.def("predict_modes", &predict_modes, arg("modes"), arg("F"), arg("Q"), arg("drift"), arg("stay"), arg("usual"));
 }
 
 }  // namespace spheremouse::ball

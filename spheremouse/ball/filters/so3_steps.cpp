@@ -193,6 +193,29 @@ void merge(const std::vector<Given>& given, const Effect& effect, const Vector<D
 
 }  // namespace
 
+Modes read_modes(nb::tuple arrays) {
+    const auto means = matrix<Dynamic, 6>(arrays[0], "means");
+    const auto covariances = array<const double, -1, 6, 6>(arrays[1], "covariances");
+    Modes modes{{}, {}, matrix(arrays[2], "weights")};
+    if (nb::ssize_t(covariances.shape(0)) != means.rows() || modes.weights.rows() != means.rows())
+        throw nb::type_error("modes: must have one length");
+    for (int j = 0; j < means.rows(); j++) {
+        modes.means.emplace_back(means.row(j).transpose());
+        modes.covariances.emplace_back(View<6, 6>(covariances.data() + 36 * j));
+    }
+    return modes;
+}
+
+nb::tuple modes_to_numpy(const Modes& modes) {
+    const size_t n = modes.means.size();
+    auto means = zeros<double>({n, 6}), covariances = zeros<double>({n, 6, 6});
+    for (size_t j = 0; j < n; j++) {
+        std::copy_n(modes.means[j].data(), 6, means.data() + 6 * j);
+        std::copy_n(modes.covariances[j].data(), 36, covariances.data() + 36 * j);
+    }
+    return nb::make_tuple(means, covariances, to_numpy(modes.weights));
+}
+
 Posterior posterior(const Matrix<16>& gram, const Effect& effect, const Vector<3>& acceleration, const Steps& steps,
                     const Modes& modes) {
     const int levels = int(steps.variances.size()) - 1;

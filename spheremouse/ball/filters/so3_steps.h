@@ -25,6 +25,11 @@ struct Modes {
     Matrix<Dynamic> weights;  // (modes, levels) joint probability of each mode and level
 };
 
+/// Read the modes that Python holds as arrays of means, (j, 6), covariances, (j, 6, 6), and weights, (j, l).
+Modes read_modes(nb::tuple arrays);
+
+nb::tuple modes_to_numpy(const Modes& modes);
+
 /// Possible steps in the interval since the last frame.
 struct Steps {
     double interval;            // s

@@ -151,34 +151,18 @@ nb::tuple correct_(nb::handle prior_, nb::tuple innovation, nb::handle rate_, nb
         throw nb::type_error("H, HP: must have the rows of z, and HP the columns of prior");
     if (seen.S.rows() != k2 || seen.S.cols() != k2) throw nb::type_error("S: must have the rows and columns of z");
     const Steps steps{nb::cast<double>(steps_[0]), nb::cast<double>(steps_[1]), vector(steps_[2], "variances")};
-    const auto means = matrix<Dynamic, 6>(modes_[0], "means");
-    const auto weights = matrix(modes_[2], "weights");
-    const auto covariances = array<const double, -1, 6, 6>(modes_[1], "covariances");
-    Modes modes{{}, {}, weights};
-    if (nb::ssize_t(covariances.shape(0)) != means.rows() || weights.rows() != means.rows())
-        throw nb::type_error("modes: must have one length");
-    if (weights.cols() != steps.variances.size() || weights.cols() == 0)
+    Modes modes = read_modes(modes_);
+    if (modes.weights.cols() != steps.variances.size() || modes.weights.cols() == 0)
         throw nb::type_error("weights: must have a column for each level");
-    for (int j = 0; j < means.rows(); j++) {
-        modes.means.emplace_back(means.row(j).transpose());
-        modes.covariances.emplace_back(View<6, 6>(covariances.data() + 36 * j));
-    }
     const Vector<3> rate = vector<3>(rate_, "rate"), acceleration = vector<3>(acceleration_, "acceleration");
     Corrected r;
     {
         nb::gil_scoped_release release;
         r = correct(prior, seen, rate, acceleration, steps, modes);
     }
-    const size_t levels = r.steps.modes.means.size();
-    auto new_means = zeros<double>({levels, 6}), new_covariances = zeros<double>({levels, 6, 6});
-    for (size_t j = 0; j < levels; j++) {
-        std::copy_n(r.steps.modes.means[j].data(), 6, new_means.data() + 6 * j);
-        std::copy_n(r.steps.modes.covariances[j].data(), 36, new_covariances.data() + 36 * j);
-    }
-    const nb::tuple now = nb::make_tuple(new_means, new_covariances, to_numpy(r.steps.modes.weights));
     const Vector<Dynamic> at_level = r.steps.modes.weights.colwise().sum().transpose();
-    return nb::make_tuple(to_numpy(r.P), now, to_numpy(at_level), to_numpy(r.dx), r.log_likelihood, r.nis,
-                          r.steps.level);
+    return nb::make_tuple(to_numpy(r.P), modes_to_numpy(r.steps.modes), to_numpy(at_level), to_numpy(r.dx),
+                          r.log_likelihood, r.nis, r.steps.level);
 }
 
 nb::ndarray<nb::numpy, double> since_reference(nb::handle P_, nb::handle turn_) {
@@ -222,10 +206,10 @@ nb::tuple move(nb::handle attitude_, nb::handle discs_, nb::handle basis_, nb::h
 }  // namespace
 
 void bind_so3_update(nb::module_& m) {
-    m.def("since_reference", &since_reference, nb::arg("P"), nb::arg("turn"));
-    m.def("move", &move, nb::arg("attitude"), nb::arg("discs"), nb::arg("basis"), nb::arg("dx"));
-    m.def("correct", &correct_, nb::arg("prior"), nb::arg("innovation"), nb::arg("rate"), nb::arg("acceleration"),
-          nb::arg("steps"), nb::arg("modes"));
+    m.def("since_reference", &since_reference, arg("P"), arg("turn"));
+    m.def("move", &move, arg("attitude"), arg("discs"), arg("basis"), arg("dx"));
+    m.def("correct", &correct_, arg("prior"), arg("innovation"), arg("rate"), arg("acceleration"), arg("steps"),
+          arg("modes"));
 }
 
 }  // namespace spheremouse::ball
