@@ -98,11 +98,16 @@ def in_force(file: Path | None, assignments: Iterable[str], root: type[S]) -> S:
     return settings
 
 
+def key_of(assignment: str) -> str:
+    """Return the key of KEY=VALUE."""
+    return assignment.partition("=")[0].strip()
+
+
 def assigned(settings: Any, assignments: Iterable[str]) -> dict[tuple[str, ...], Any]:
     """Return the values of the settings that the assignments name, by key."""
     found: dict[tuple[str, ...], Any] = {}
     for assignment in assignments:
-        key, value = tuple(assignment.partition("=")[0].strip().split(".")), settings
+        key, value = tuple(key_of(assignment).split(".")), settings
         for name in key:
             value = getattr(value, name)
         found[key] = value

@@ -12,6 +12,7 @@ from typing import TypeVar
 from spheremouse import capture, output
 from spheremouse.errors import ConfigurationError, SourceError, SpheremouseError
 from spheremouse.files.access import STATE_FOLDER
+from spheremouse.files.config import key_of
 from spheremouse.files.disc_map import check_fits, load_map
 from spheremouse.files.registry import check
 from spheremouse.files.rig import load_camera, load_rig
@@ -19,7 +20,7 @@ from spheremouse.files.wand import load_wand
 from spheremouse.files.yaml import Key, Problem
 from spheremouse.finding import Finding, Verdict
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.session.config_reloader import AT_START, key_of
+from spheremouse.session.config_reloader import AT_START
 from spheremouse.session.run_config import beside
 from spheremouse.session.settings import Configuration
 

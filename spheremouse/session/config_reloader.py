@@ -16,6 +16,7 @@ import numpy as np
 from spheremouse.ball.settings import Settings
 from spheremouse.errors import ConfigurationError, ControlError, SpheremouseError
 from spheremouse.files import config, exchange
+from spheremouse.files.config import key_of
 from spheremouse.files.validate import nearest
 from spheremouse.files.yaml import dotted
 from spheremouse.session.control.protocol import Save, Set, internal_error, refused
@@ -59,13 +60,8 @@ def stages_of(plan: RunConfig) -> tuple[str, str]:
 
 def latest(assignments: tuple[str, ...]) -> tuple[str, ...]:
     """Return the last assignment to each key, in order."""
-    last = {a.partition("=")[0].strip(): k for k, a in enumerate(assignments)}
-    return tuple(a for k, a in enumerate(assignments) if last[a.partition("=")[0].strip()] == k)
-
-
-def key_of(assignment: str) -> str:
-    """Return the key of KEY=VALUE."""
-    return assignment.partition("=")[0].strip()
+    last = {key_of(a): k for k, a in enumerate(assignments)}
+    return tuple(a for k, a in enumerate(assignments) if last[key_of(a)] == k)
 
 
 def given(overrides: CommandLineOverrides) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
+from spheremouse.files.config import key_of
 from spheremouse.session.control.client import Client, NoDaemonError
 from spheremouse.session.process import child
 
@@ -66,7 +67,7 @@ class ReplayProcess:
         with contextlib.suppress(NoDaemonError), Client(self.socket) as client:
             status = client.ask("status")
             if status["state"] != "starting":
-                own = [change for change in changes if change.partition("=")[0] not in status["given"]]
+                own = [change for change in changes if key_of(change) not in status["given"]]
                 if own:
                     client.ask("set", assignments=own)
                 return True

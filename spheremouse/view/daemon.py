@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from spheremouse.errors import ControlError
+from spheremouse.files.config import key_of
 from spheremouse.session.control.client import Client, NoDaemonError, RefusedError
 from spheremouse.session.control.sample_row import row_of
 
@@ -102,7 +103,7 @@ class Daemon:
         return {
             "type": "values",
             "values": {about["key"]: about["value"] for about in self._described.settings},
-            "unsaved": [change.partition("=")[0] for change in changes],
+            "unsaved": [key_of(change) for change in changes],
             "undo": len(self._undo),
         }
 

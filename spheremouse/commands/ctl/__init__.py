@@ -83,12 +83,14 @@ def set_(
 
     Prints each old and new value. The daemon refuses what cannot take effect. `save` keeps the changes.
     """
+    from spheremouse.files.config import key_of
+
     place = _file_to_write(socket, config, assignments) if keep else None
     reply = _ask(socket, "set", assignments=assignments)
     if not as_json:
         _report(reply, False, "set")
     if keep:
-        keys = [assignment.partition("=")[0].strip() for assignment in assignments]
+        keys = [key_of(assignment) for assignment in assignments]
         saved = _ask(socket, "save", keys=keys) if place is None else _write(*place)
         reply |= saved
         if not as_json:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from spheremouse.errors import ControlError, printable
 from spheremouse.files import plain_json
+from spheremouse.files.config import key_of
 from spheremouse.session.control import socket_file
 from spheremouse.session.control.pictures import PictureReader
 from spheremouse.session.control.protocol import MAX_LINE
@@ -243,7 +244,7 @@ def settings_to_save(
     """
     status = client.status()
     changes = status.changes or [] if assignments is None else assignments
-    keys = [assignment.partition("=")[0].strip() for assignment in changes]
+    keys = [key_of(assignment) for assignment in changes]
     given = [key for key in keys if key in (status.given or ())]
     if given:
         words = f"{', '.join(given)}: set on the daemon's command line, which overrides the file; leave it out there"

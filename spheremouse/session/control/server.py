@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from spheremouse.errors import ControlError, SpheremouseError, one_line
+from spheremouse.files.config import key_of
 from spheremouse.output import Report
 from spheremouse.output.lines import json_lines
 from spheremouse.session.control import socket_file
@@ -400,7 +401,7 @@ def _check_rights(trusted: bool, request: Request) -> None:
     if trusted or not isinstance(request, Set):
         return
     for assignment in request.assignments:
-        key = assignment.partition("=")[0].strip()
+        key = key_of(assignment)
         if any(key == place or key.startswith(place + ".") for place in PLACES):
             raise BadRequestError(
                 f"set: {key[:60]} names a file or device that the daemon opens; only its own user and root may set it",
