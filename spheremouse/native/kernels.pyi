@@ -7,6 +7,20 @@ _Float = NDArray[np.float64]
 _Index = NDArray[np.int64]
 _Byte = NDArray[np.uint8]
 
+# spheremouse/geometry/matching.cpp
+
+def match(worth: _Float) -> _Index:
+    """Return for each row of `worth`, (n, m), its column in the one-to-one pairs of greatest total worth, or -1.
+
+    An unpaired row is worth 0. If the best columns of all rows differ, they are the solution.
+    """
+
+def suppress(points: _Float, radius: _Float, norm: float = 2.0) -> _Index:
+    """Return the indices of points, (n, d), that no earlier kept point has within its radius, of (n,).
+
+    Non-maximum suppression (Neubeck, Van Gool 2006) of points in the order of their worth. The norm is 2 or inf.
+    """
+
 # spheremouse/ball/filters/so3_motion.cpp, so3_update.cpp. Errors have the order of so3_motion.py.
 
 _Modes = tuple[_Float, _Float, _Float]  # as so3_state.Modes
