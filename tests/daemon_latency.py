@@ -50,7 +50,7 @@ def measure(folder: Path, seconds: float, realtime: str) -> tuple[list[str], dic
     with tempfile.TemporaryDirectory() as name:
         config = Path(name) / "config.yaml"
         config.write_text(f'schema: 2\nrealtime: "{realtime}"\ncontrol: {{socket: {name}/s}}\n')
-        command = [sys.executable, "-m", "spheremouse", "run", "--config", str(config), "--no-map", "--no-table"]
+        command = [sys.executable, "-m", "spheremouse", "run", "--config", str(config), "--no-map", "--no-status"]
         command += ["--source", f"dataset:{folder}", "--realtime", "--output", "null"]
         client = Client(Path(name) / "s")
         with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:

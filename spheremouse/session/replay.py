@@ -33,7 +33,7 @@ class ReplayProcess:
         with (folder / "log").open("wb") as log:
             process = await child.start(
                 *(None, "run", "--replay", "--source", f"dataset:{recording}", "--output", "null", "--no-map"),
-                *("--no-table", *options, "--set", f"control.socket={folder / 's'}", "--set", "control.group=null"),
+                *("--no-status", *options, "--set", f"control.socket={folder / 's'}", "--set", "control.group=null"),
                 stderr=log.fileno(),
             )  # fmt: skip
         with contextlib.suppress(OSError, AttributeError):  # it has ended already; or the system has no such limit

@@ -127,9 +127,9 @@ def test_a_run_gives_counts_that_sum_to_the_motion_and_says_what_happened(sphere
     assert list(tmp_path.iterdir()) == [picture]
 
 
-def test_frames_ends_the_run_early_and_a_table_without_a_terminal_is_plain_lines(spheremouse, roll, tmp_path):
+def test_frames_ends_the_run_early_and_a_status_without_a_terminal_is_plain_lines(spheremouse, roll, tmp_path):
     log_file, video = tmp_path / "motion.txt", tmp_path / "seen.mkv"
-    words = ("--output", f"text:{log_file}", "--frames", "7", "--table", "--overlay", video, *QUICK)
+    words = ("--output", f"text:{log_file}", "--frames", "7", "--status", "--overlay", video, *QUICK)
     code, out, err = spheremouse("run", "--source", f"dataset:{roll}", *words)
     assert (code, out) == (0, "")
     assert len(motions(log_file.read_text())) == 7

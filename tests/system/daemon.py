@@ -457,7 +457,7 @@ def test_a_recording_replays_to_the_same_counts(cabinet):
     replay = Program(
         cabinet.folder,
         *("run", "--config", cabinet.config, "--source", f"dataset:{folder}", "--rig", folder / "rig.yaml"),
-        *("--output", "null", "--no-map", "--no-table"),
+        *("--output", "null", "--no-map", "--no-status"),
     )
     assert replay.wait() == 0, replay.said
     assert f"{ended['frames']} frames" in replay.said

@@ -241,7 +241,7 @@ def _own_cabinet_step(folder: Path) -> Step:
     else:
         command = (cabinet.next_command if usual.is_dir() else cabinet.init_command)(usual)
     film = cabinet.practice_film(folder)
-    watch = _run(folder, "--source", film, "--output", "null", "--table") if film else ""
+    watch = _run(folder, "--source", film, "--output", "null", "--status") if film else ""
     otherwise = (("To watch the tracker on the film of the practice:", watch),) if film else ()
     return Step("your cabinet", "next", "", todo, command, otherwise)
 

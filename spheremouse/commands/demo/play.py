@@ -37,7 +37,7 @@ from spheremouse.session.overlay.file import OverlayFile, write_picture
 from spheremouse.session.overlay.marks import target_marks
 from spheremouse.session.overlay.pen import Image
 from spheremouse.session.run_description import versions
-from spheremouse.session.screen import StatusTable, Tally
+from spheremouse.session.screen import StatusLine, Tally, ball_line
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame, Status
@@ -154,7 +154,7 @@ class _Film:
 
 
 def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Console) -> tuple[History, Tally]:
-    """Track all frames. Show the table, write motion and video, and a picture of the frame with most to see."""
+    """Track all frames. Show the status, write motion and video, and a picture of the frame with most to see."""
     history, tally = History(), Tally()
     marks = target_marks(tracker.rig, start.pose, start.resection)
     best: tuple[float, Image | None] = (-1.0, None)
@@ -163,7 +163,7 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
     with (
         open_output(f"csv:{out / 'motion.csv'}") as motions,
         OverlayFile(out / "overlay.mp4", fps) as video,
-        StatusTable("spheremouse demo", True, tally, console) as screen,
+        StatusLine(True, console) as screen,
     ):
         motions.begin(lambda: {"configuration": asdict(_SETTINGS), "source": "demo", "versions": versions()})
         if start.resection is not None:
@@ -176,7 +176,7 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
             history.add(epoch)
             if epoch.events:
                 screen.log(f"{epoch.frame.stamp:9.3f} s  {messages.line(epoch.events)}")
-            screen.show(epoch)
+            screen.show(ball_line, epoch, tally)
             video.add(epoch, lambda: tally.counts)
             large.remember(epoch.state)
             interest = _interest(epoch)

@@ -70,11 +70,11 @@ def run(
             "`pause` control it.",
         ),
     ] = False,
-    table: Annotated[
+    status: Annotated[
         bool | None,
         typer.Option(
-            "--table/--no-table",
-            help="Show a live table on standard error, or a line per second if that is no terminal. "
+            "--status/--no-status",
+            help="Show a status line on standard error, once a second if that is no terminal. "
             "[default: if standard error is a terminal to which no output writes]",
         ),
     ] = None,
@@ -125,7 +125,7 @@ def run(
     if balls and plan.configuration.tracker != "wand":
         raise ConfigurationError("--ball: goes with --tracker wand; add that, or leave it out")
     pace: Pace = "replay" if replay else "realtime" if realtime else "fast"
-    run_plan(overrides, plan, pace, _has_terminal(plan) if table is None else table, overlay, frames, verbose)
+    run_plan(overrides, plan, pace, _has_terminal(plan) if status is None else status, overlay, frames, verbose)
 
 
 Pace = Literal["fast", "realtime", "replay"]  # of the frames of a recording
@@ -145,7 +145,7 @@ def run_plan(
     overrides: "CommandLineOverrides",
     plan: "RunConfig",
     pace: Pace = "fast",
-    table: bool = False,
+    status: bool = False,
     overlay: Path | None = None,
     frames: int | None = None,
     verbose: bool = False,
@@ -166,7 +166,7 @@ def run_plan(
             stopping = stack.enter_context(SignalHandler())
             setup = open_replay(plan) if pace == "replay" else open_setup(plan, pace == "realtime")
             plan = setup.planned(overrides, plan)
-            shown = view(plan, table, overlay, None if setup.source is None else setup.source.fps, stack, verbose)
+            shown = view(plan, status, overlay, None if setup.source is None else setup.source.fps, stack, verbose)
             try:
                 work = serve if live else partial(follow, smooth=smooth)
                 failure, words = work(overrides, plan, setup, stopping, shown, frames)

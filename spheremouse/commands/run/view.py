@@ -1,4 +1,4 @@
-"""View of a run for people: table on the terminal, overlay in a file, and summary."""
+"""View of a run for people: status line on the terminal, overlay in a file, and summary."""
 
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,7 +12,7 @@ from spheremouse.session.overlay.file import OverlayFile
 from spheremouse.session.overlay.marks import target_marks
 from spheremouse.session.overlay.wand import WandOverlay
 from spheremouse.session.run_config import RunConfig
-from spheremouse.session.screen import StatusTable, Tally, WandStatusTable
+from spheremouse.session.screen import StatusLine, Tally, ball_line, pose_lines
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.session.wand.adapter import WandAdapter
 from spheremouse.wand.state import WandTracker
@@ -33,12 +33,10 @@ class View(Counting, Protocol):
 class BallView:
     """Shows the ball in its frame."""
 
-    def __init__(
-        self, plan: RunConfig, wanted: bool, overlay: OverlayFile | None, stack: ExitStack, verbose: bool = False
-    ) -> None:
-        """Show a table if it is `wanted`; `stack` closes it. `verbose` prints all details of the pose."""
+    def __init__(self, wanted: bool, overlay: OverlayFile | None, stack: ExitStack, verbose: bool = False) -> None:
+        """Show a line if it is `wanted`; `stack` closes it. `verbose` prints all details of the pose."""
         self.tally, self._verbose = Tally(), verbose
-        self._screen = stack.enter_context(StatusTable(plan.source, wanted, self.tally))
+        self._screen = stack.enter_context(StatusLine(wanted))
         self.overlay = overlay
 
     def log(self, text: str) -> None:
@@ -46,11 +44,11 @@ class BallView:
         self._screen.log(text)
 
     def show(self, made: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
-        """Table and overlay."""
+        """Line and overlay."""
         self.tally.add(report.counts, sum(made.seconds.values()))
         if self._verbose and self.tally.frames == 1 and isinstance(adapter, BallAdapter) and adapter.resection:
             self.log(describe(adapter.resection, adapter.rig))
-        self._screen.show(made.epoch)
+        self._screen.show(ball_line, made.epoch, self.tally)
         if self.overlay is not None:
             assert isinstance(adapter, BallAdapter)
             tracker = adapter.tracker
@@ -63,12 +61,10 @@ class BallView:
 class WandView:
     """Shows balls in a hand."""
 
-    def __init__(
-        self, plan: RunConfig, wanted: bool, overlay: OverlayFile | None, stack: ExitStack, verbose: bool = False
-    ) -> None:
+    def __init__(self, wanted: bool, overlay: OverlayFile | None, stack: ExitStack, verbose: bool = False) -> None:
         """Show lines if they are `wanted`; `stack` closes them."""
         self.tally = Tally()
-        self._screen = stack.enter_context(WandStatusTable(wanted, self.tally))
+        self._screen = stack.enter_context(StatusLine(wanted))
         self.overlay = overlay
         self._pen: tuple[WandTracker, WandOverlay] | None = None
 
@@ -79,7 +75,7 @@ class WandView:
     def show(self, made: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
         """Line and overlay."""
         self.tally.add(report.counts, sum(made.seconds.values()))
-        self._screen.show(made.frame.stamp, made.epoch.poses)
+        self._screen.show(pose_lines, made.frame.stamp, made.epoch.poses, self.tally)
         if self.overlay is not None:
             assert isinstance(adapter, WandAdapter)
             tracker = adapter.tracker
@@ -96,4 +92,4 @@ def view(
     """Return the view of a run; `fps` is the frame rate of its video."""
     file = None if overlay is None else stack.enter_context(OverlayFile(overlay, fps))
     kind = WandView if plan.configuration.tracker == "wand" else BallView
-    return kind(plan, wanted, file, stack, verbose)
+    return kind(wanted, file, stack, verbose)

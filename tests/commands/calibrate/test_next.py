@@ -188,7 +188,7 @@ def test_a_practice_set_ends_with_its_truth_and_your_own_cabinet(finished, tmp_p
 
     step = next_of(finished)
     assert shlex.split(step.command) == ["spheremouse", "calibrate", "init", "cabinet"]
-    watched = ["spheremouse", "run", "--config", str(config), *source, "--output", "null", "--table"]
+    watched = ["spheremouse", "run", "--config", str(config), *source, "--output", "null", "--status"]
     assert shlex.split(step.otherwise[0][1]) == watched
     compared = next(s.found for s in checklist(finished) if s.name == "truth")
     for figure in ("focal length -0.498 %", "ball's radius -0.30", "targets at most 2.00 mm"):

@@ -235,7 +235,7 @@ def test_the_commands_replay_a_recording_without_further_options(tmp_path):
     live = as_live(frames, KINDS["grey, targets in colour"])
     epochs, folder = record(tmp_path / "made", live, rig, pose)
     sent = np.sum(counts_of([e.estimate for e in epochs], rig), axis=0)
-    done = run("run", "--source", f"dataset:{folder}", "--output", f"text:{tmp_path / 'out.txt'}", "--no-table")
+    done = run("run", "--source", f"dataset:{folder}", "--output", f"text:{tmp_path / 'out.txt'}", "--no-status")
     assert done.exit_code == 0, done.output
     x, y, z = sent
     assert f"counts x {x:+d}, y {y:+d}, third {z:+d}" in done.stderr
