@@ -411,6 +411,7 @@ class So3Filter:
     ) -> So3State:
         """Count sightings, drop discs that did not last their trial, and add points as new discs.
 
+        A disc is missed only where it should be. So frames in which the attitude is known too badly count no miss.
         `may_start_landmark` is a mask (n,) of the points that may become discs; None: all.
         """
         hits, missed, hidden, keep, known_seen, known_missed = so3_sightings.count_sightings(
@@ -422,7 +423,7 @@ class So3Filter:
             self.towards_camera,
             self.horizon,
             pairing.columns,
-            len(points) > 0,
+            len(points) > 0 and state.is_placed,
         )
         free = np.ones(len(points), dtype=np.bool_) if may_start_landmark is None else may_start_landmark
         new = self._new_discs(state, points, free, pairing.rows)

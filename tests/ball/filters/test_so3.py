@@ -310,6 +310,17 @@ def test_a_disc_that_is_not_seen_again_is_dropped_the_later_the_better_it_is_kno
     assert len(state.joint) == MAP_OFFSET + 2 * len(state.discs) + CLONE_DIM
 
 
+@pytest.mark.parametrize(("sigma", "misses"), [(1e-3, True), (0.3, False)])
+def test_a_disc_is_missed_only_where_it_should_be(sigma, misses):
+    """An attitude known to 17 degrees does not tell which discs face the camera."""
+    state = settled()[0]
+    joint = state.joint.copy()
+    joint[:3, :3] = sigma**2 * np.eye(3)
+    none = Pairing(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp))
+    after = FILTER.keep_map(replace(state, joint=joint), points_at([0.0, 0.0, 1.0]), none, np.zeros(1, dtype=bool))
+    assert np.any(after.missed > state.missed) == misses
+
+
 def test_the_map_is_bounded():
     small = replace(FILTER, settings=replace(SETTINGS, most_discs=5))
     R, t = rolling([0.0, 1.5, 0.0], 60)
