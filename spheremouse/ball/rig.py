@@ -107,6 +107,8 @@ class BallView(NamedTuple):
     distortion: Array  # (5,)
     fold_r2: float  # squared reduced radius beyond which a pixel has no ray
     height: int  # px
+    readout: float  # s, time a rolling shutter takes over all rows
+    covariance: Array  # (10, 10) of the errors common to all frames: m, rad
 
 
 _latest_view: tuple[Rig | None, Pose | None, BallView | None] = (None, None, None)  # each frame asks for the same
@@ -125,13 +127,15 @@ def view_of(rig: Rig, pose: Pose) -> BallView:
 def _view_of(rig: Rig, pose: Pose) -> BallView:
     ball, camera = rig.ball, rig.camera
     return BallView(
-        ball.centre,
+        np.ascontiguousarray(ball.centre),
         ball.radius,
         rig.disc_radius / ball.radius,
         np.ascontiguousarray(pose.rotation),
-        pose.position,
+        np.ascontiguousarray(pose.position),
         camera.intrinsic,
-        camera.distortion,
+        np.ascontiguousarray(camera.distortion),
         camera.fold_r2,
         camera.height,
+        rig.readout_s,
+        considered_covariance(pose, ball),
     )

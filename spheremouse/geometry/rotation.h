@@ -18,6 +18,9 @@ inline Matrix<3> about(const Vector<3>& v, double one, double a, double b) {
     return M;
 }
 
+/// Return the matrix of the cross product v x.
+inline Matrix<3> hat(const Vector<3>& v) { return about(v, 0.0, 1.0, 0.0); }
+
 /// Return (1 - cos angle) / angle², the coefficient of hat(v)² in the series of both functions below.
 inline double half_square(double square, double angle, bool small) {
     return small ? 0.5 - square / 24.0 : 2.0 * std::pow(std::sin(0.5 * angle) / angle, 2);

@@ -21,6 +21,16 @@ def suppress(points: _Float, radius: _Float, norm: float = 2.0) -> _Index:
     Non-maximum suppression (Neubeck, Van Gool 2006) of points in the order of their worth. The norm is 2 or inf.
     """
 
+# spheremouse/ball/points.cpp. The tuple `view` is a rig.BallView.
+
+def intersect(
+    centre: _Float, noise: _Float, view: tuple[object, ...]
+) -> tuple[_Float, _Float, _Float, _Float, _Float, _Float, _Float, _Float, _Index]:
+    """Return the fields of `SpherePoints` for pixels `centre`, (n, 2), with the covariances `noise`, (n, 2, 2) px²."""
+
+def directions_at(uv: _Float, view: tuple[object, ...]) -> tuple[_Float, _Index]:
+    """Return the directions, (k, 3) unit vectors in obj, of the points seen at pixels (n, 2), and their k indices."""
+
 # spheremouse/ball/filters/so3_motion.cpp, so3_update.cpp. Errors have the order of so3_motion.py.
 
 _Modes = tuple[_Float, _Float, _Float]  # as so3_state.Modes

@@ -4,6 +4,7 @@ namespace spheremouse {
 void bind_matching(nb::module_& m);
 }  // namespace spheremouse
 namespace spheremouse::ball {
+void bind_points(nb::module_& m);
 void bind_so3_motion(nb::module_& m);
 void bind_so3_update(nb::module_& m);
 }  // namespace spheremouse::ball
@@ -19,7 +20,7 @@ void bind_refine(nb::module_& m);
 NB_MODULE(kernels, m) {
     using namespace spheremouse;
     bind_matching(m);
-    for (auto bind : {ball::bind_so3_motion, ball::bind_so3_update}) bind(m);
+    for (auto bind : {ball::bind_points, ball::bind_so3_motion, ball::bind_so3_update}) bind(m);
     for (auto bind : {wand::bind_assign, wand::bind_colour, wand::bind_likelihood, wand::bind_limb,
                       wand::bind_particles, wand::bind_refine})
         bind(m);

@@ -138,3 +138,16 @@ def test_covariance_is_that_of_the_gauss_helmert_model(place):
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     actual = intersect(seen, RIG, POSE).covariance[0]
     assert_allclose(actual / scale, expected / scale, atol=1e-5)
+
+
+def test_a_wrong_argument_is_named():
+    seen = detections(to_pixels(places()))
+    for wrong, name in [
+        (replace(seen, centre=seen.centre[:, :1]), "centre"),
+        (replace(seen, centre=seen.centre[:2]), "noise"),
+        (replace(seen, covariance=seen.covariance.astype(np.float32)), "noise"),
+    ]:
+        with pytest.raises(TypeError, match=name):
+            intersect(wrong, RIG, POSE)
+    with pytest.raises(TypeError, match="rotation"):
+        intersect(seen, RIG, replace(POSE, rotation=np.eye(4)))

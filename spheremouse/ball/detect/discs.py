@@ -32,7 +32,7 @@ from spheremouse.ball.detect.projection import (
 )
 from spheremouse.ball.detect.search import Lattice, SearchState, candidate_pixels, lattice, update_rejections
 from spheremouse.ball.detect.windows import DiscModel, Motion, measure_discs
-from spheremouse.ball.points import directions_in
+from spheremouse.ball.points import directions_at
 from spheremouse.ball.rig import Rig, view_of
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import MAX_SIDE, Pose
@@ -134,7 +134,7 @@ class DiscDetector:
         noise = self.noise(image)
         offset = offset_of(self.model.fit.projection, 1 if image.ndim == 2 else 3)
         places, size = self._dark_places(self._grey(image), noise, offset)
-        directions, index = directions_in(places, self.model.ball)
+        directions, index = directions_at(places, self.rig, self.pose)
         seen = appearance(directions, self.rig, self.pose)
         share = size[index] / seen.area
         # half a disc to one with its shadow; of several regions in one place that which covers a disc best
@@ -182,7 +182,7 @@ class DiscDetector:
         places = candidate_pixels(colours, self.model, self.lattice, state, known, noise)
         if len(places) == 0:
             return no_detections(), update_rejections(state, places, self.lattice.reduction)
-        directions, index = directions_in(places, self.model.ball)
+        directions, index = directions_at(places, self.rig, self.pose)
         found, _ = measure_discs(colours, directions, self.model, noise, places[index])
         near = np.linalg.norm(places[:, None] - found.centre[None], axis=2) < 0.5 * self.model.diameter
         return found, update_rejections(state, places[~near.any(axis=1)], self.lattice.reduction)

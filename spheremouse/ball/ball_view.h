@@ -1,0 +1,53 @@
+// A ball as one camera sees it, and the first intersection of a ray with it.
+#pragma once
+
+#include <nanobind/stl/tuple.h>
+
+#include "spheremouse/geometry/camera.h"
+
+namespace spheremouse::ball {
+
+struct BallView {
+    Vector<3> centre;    // m, of the ball, obj
+    double radius;       // m
+    double disc_angle;   // rad, angular radius of a disc
+    Matrix<3> rotation;  // R_obj_cam
+    Vector<3> position;  // m, of the camera, obj
+    Camera camera;
+    double readout;         // s, time a rolling shutter takes over all rows
+    Matrix<10> covariance;  // of the errors common to all frames, pose and ball: m, rad
+};
+
+/// Read a `rig.BallView`.
+inline BallView read_ball_view(nb::tuple view) {
+    const auto number = [&](int i) { return nb::cast<double>(view[i]); };
+    const auto [fx, fy, cx, cy] = nb::cast<std::tuple<double, double, double, double>>(view[5]);
+    const auto k = vector<5>(view[6], "distortion");
+    return {vector<3>(view[0], "centre"),
+            number(1),
+            number(2),
+            matrix<3, 3>(view[3], "rotation"),
+            vector<3>(view[4], "position"),
+            Camera{fx, fy, cx, cy, k(0), k(1), k(2), k(3), k(4), number(7), nb::cast<int>(view[8])},
+            number(9),
+            matrix<10, 10>(view[10], "covariance")};
+}
+
+/// A point of the ball at position + scale * ray, with a ray of unit depth in cam, written in obj.
+struct Hit {
+    Vector<3> ray, point;  // obj, m
+    double scale;
+    bool met;  // false if the ray misses the ball
+};
+
+/// Return the nearer of two points on the ray of reduced coordinates (Wittich 2017, eq. 110-113).
+inline Hit first_hit(const BallView& view, const Vector<2>& xy) {
+    const Vector<3> ray = view.rotation * xy.homogeneous(), to = view.centre - view.position;
+    const double a = ray.squaredNorm(), b = ray.dot(to),
+                 root = b * b - a * (to.squaredNorm() - view.radius * view.radius);
+    if (!(root > 0.0 && b > 0.0)) return {ray, ray, 0.0, false};  // nan of a pixel without a ray is a miss
+    const double scale = (b - std::sqrt(root)) / a;
+    return {ray, view.position + scale * ray, scale, true};
+}
+
+}  // namespace spheremouse::ball
