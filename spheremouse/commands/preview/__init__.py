@@ -21,10 +21,7 @@ def preview(
         ),
     ] = None,
     out: Annotated[
-        Path,
-        typer.Option(
-            metavar="FILE", help="A picture (.png, .jpg) or a film (.mkv, .mp4, .avi). An earlier one is replaced."
-        ),
+        Path, typer.Option(metavar="FILE", help="The picture (.png, .jpg). An earlier one is replaced.")
     ] = Path("preview.png"),
     at: Annotated[
         float | None,
@@ -37,7 +34,6 @@ def preview(
     every: Annotated[
         float | None, typer.Option(metavar="S", min=0.2, help="Replace the picture every S seconds, until Ctrl-C.")
     ] = None,
-    seconds: Annotated[float, typer.Option(metavar="S", min=0.2, max=600.0, help="Length of a film.")] = 5.0,
     rig: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Report the targets that this rig has.  [default: the recording's rig]"),
@@ -53,14 +49,11 @@ def preview(
     """
     from spheremouse.capture import full_spec
     from spheremouse.capture.nodes import default_camera
-    from spheremouse.commands.preview.show import PreviewOptions, film, pictures
+    from spheremouse.commands.preview.show import PreviewOptions, pictures
 
-    if every is not None and out.suffix.lower() not in _PICTURES:
-        raise ConfigurationError(f"--every: {out} is not a picture; end its name in .png, or omit --every")
+    if out.suffix.lower() not in _PICTURES:
+        raise ConfigurationError(f"--out: {out} is not a picture; end its name in .png or .jpg")
     options = PreviewOptions(
         full_spec(source or default_camera()), out, at, rig, config, tuple(assignments or ()), as_json
     )
-    if out.suffix.lower() in _PICTURES:
-        pictures(options, every)
-    else:
-        film(options, seconds)
+    pictures(options, every)

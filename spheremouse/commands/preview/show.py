@@ -25,13 +25,12 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.geometry.statistics import mad_sigma
 from spheremouse.session import messages
 from spheremouse.session.cameras import looked_through
-from spheremouse.session.overlay.file import OverlayFile, write_picture
+from spheremouse.session.overlay.file import write_picture
 from spheremouse.session.overlay.sight import Sight, draw_sight, sight_of
 from spheremouse.session.settings import Configuration
 from spheremouse.tracker import Frame
 
 _EXPOSURE_S = 1.0  # until a camera has set its exposure
-_FILM_FPS = 5.0  # each picture takes some tenths of a second
 _TARGET_PROPORTIONS = np.array([1.0, 2.0, 3.0])  # of the targets of `calibrate print`
 _MAX_SHARP_PX, _MAX_SOFT_PX = 1.0, 1.5  # blur: a focused lens has 0.3 to 0.7; rings of 4 px are lost from 1.5
 
@@ -134,28 +133,6 @@ def pictures(options: PreviewOptions, every: float | None) -> None:
                 break
     if due == -np.inf:
         raise _no_frame(options)
-
-
-def film(options: PreviewOptions, seconds: float) -> None:
-    """Write a film at a steady rate. If the analysis of a frame takes longer, its picture is repeated."""
-    analysis: Analysis | None = None
-    with OverlayFile(options.out, _FILM_FPS) as file, _open(options, False) as (frames, analyse):
-        first_stamp, written = 0.0, 0
-        for frame in frames:
-            first_stamp = first_stamp if written else frame.stamp
-            due = int((frame.stamp - first_stamp) * _FILM_FPS) + 1
-            if due <= written:
-                continue
-            if frame.stamp - first_stamp > seconds:
-                break
-            analysis = analyse(frame)
-            picture = analysis.picture
-            for _ in range(due - written):
-                file.show(lambda picture=picture: picture)
-            written = due
-    if analysis is None:
-        raise _no_frame(options)
-    _print(options, analysis)
 
 
 def _no_frame(options: PreviewOptions) -> SourceError:
