@@ -26,6 +26,7 @@ from spheremouse.files.safe_files import open_to_read, others_may_change, replac
 UNIT = "spheremouse.service"
 VIEW_UNIT = "spheremouse-view.service"  # the live page
 USER = "spheremouse"  # and its group
+_ENTRY = "desktop/spheremouse.desktop"  # opens the live page
 RESTART_STEPS = 254  # the first systemd with RestartSteps
 _MARK = "# Placed by `spheremouse service install`; do not edit (digest of what follows: {})\n"
 _MARKED = re.compile(re.escape(_MARK.strip()).replace(r"\{\}", "([0-9a-f]{16})"))
@@ -34,7 +35,7 @@ _UNREACHABLE = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # the unit's
 
 # folders that the installation may have made
 _MADE = (
-    "spheremouse", "spheremouse-view", f"{UNIT}.d", "xorg.conf.d", "X11", "sysusers.d", "autostart",
+    "spheremouse", "spheremouse-view", f"{UNIT}.d", "xorg.conf.d", "X11", "sysusers.d", "applications",
     "default.target.wants", "user", "systemd",
 )  # fmt: skip
 
@@ -106,7 +107,7 @@ class Place:
             return [
                 ("systemd/spheremouse-user.service", configuration / "systemd" / "user" / UNIT),
                 ("systemd/spheremouse-view-user.service", configuration / "systemd" / "user" / VIEW_UNIT),
-                ("desktop/spheremouse-tray.desktop", configuration / "autostart" / "spheremouse-tray.desktop"),
+                (_ENTRY, self._users("XDG_DATA_HOME", ".local/share") / "applications" / "spheremouse.desktop"),
             ]
         places = {
             "systemd/spheremouse.service": f"/etc/systemd/system/{UNIT}",
@@ -116,7 +117,7 @@ class Place:
             "systemd/modules-load.conf": "/etc/modules-load.d/spheremouse.conf",
             "udev/70-spheremouse.rules": "/etc/udev/rules.d/70-spheremouse.rules",
             "desktop/90-spheremouse-xorg.conf": "/etc/X11/xorg.conf.d/90-spheremouse.conf",
-            "desktop/spheremouse-tray.desktop": "/etc/xdg/autostart/spheremouse-tray.desktop",
+            _ENTRY: "/usr/local/share/applications/spheremouse.desktop",
         }
         return [(name, self.at(path)) for name, path in places.items()]
 
