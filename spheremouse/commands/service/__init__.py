@@ -44,7 +44,7 @@ def install(
 ) -> None:
     """Place the unit, its user, udev rules and a first configuration; safe to repeat.
 
-    If you have edited a file, the command keeps yours as FILE.bak. It never changes an existing configuration.
+    If a file differs, the command keeps it as FILE.bak. It never changes an existing configuration.
     """
     place = _place(root, user)
     if user and allow:
@@ -52,7 +52,7 @@ def install(
     program, trouble = service.executable(place)
     if trouble and not dry_run:
         raise ServiceError(trouble)
-    actions = list(service.install(place, program, service.systemd_version(), allow or ()))
+    actions = list(service.install(place, program, allow or ()))
     if dry_run:
         _would(actions)
     else:

@@ -31,25 +31,23 @@ def check_files(place: Place) -> Finding:
     """Check the files that the service consists of, and its start with the computer."""
     user = " --user" if place.user else ""
     program, trouble = service.executable(place)
-    systemd = service.systemd_version()
-    states: dict[str, str] = {}
+    missing, other = list[Path](), list[Path]()
     for name, path in place.files():
         # a program that cannot be the service's did not place these files, so their text may differ
-        states[str(path)] = service.state_of(path, None if trouble else service.rendered(name, program, systemd))
+        if not os.path.lexists(path):
+            missing.append(path)
+        elif not trouble and service.differs(path, service.rendered(name, program)):
+            other.append(path)
     config = place.configuration / "config.yaml"
-    states[str(config)] = "ok" if os.path.lexists(config) else "missing"
-    missing, older, edited = (
-        ", ".join(p for p, s in states.items() if s == state) for state in ("missing", "older", "edited")
-    )
+    missing += [] if os.path.lexists(config) else [config]
     name, starts = "own service files" if place.user else "service files", place.link.is_symlink()
     text = f"{'starts' if starts else 'does not start'} {'at login' if place.user else 'with the computer'}"
-    text += f"; edited by hand: {edited}" if edited else ""
     install = trouble or f"spheremouse service install{user}"
     return classify(
         name,
         text,
-        (bool(missing), Verdict.WARNING, f"; missing: {missing}", install),
-        (bool(older), Verdict.WARNING, f"; of another version or installation: {older}", install),
+        (bool(missing), Verdict.WARNING, f"; missing: {', '.join(map(str, missing))}", install),
+        (bool(other), Verdict.WARNING, f"; edited, or of another version: {', '.join(map(str, other))}", install),
         (not starts, Verdict.WARNING, "", f"systemctl{user} enable {UNIT}"),
     )
 

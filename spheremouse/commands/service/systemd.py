@@ -1,15 +1,12 @@
 """Plan and carry out the changes of files that make spheremouse a service of systemd.
 
-A placed file begins with a line that has the digest of the rest. So the program detects an edited file, and
-copies it before it replaces or removes it. All changes are planned as actions first.
+A file that differs is kept as a copy before it is replaced. All changes are planned as actions first.
 """
 
 import contextlib
-import hashlib
 import os
 import re
 import shutil
-import subprocess
 import sys
 import sysconfig
 from collections.abc import Callable, Iterator, Sequence
@@ -17,7 +14,6 @@ from dataclasses import dataclass
 from functools import partial
 from ipaddress import ip_network
 from pathlib import Path
-from typing import Literal
 
 from spheremouse.errors import ConfigurationError, ServiceError, printable
 from spheremouse.files.access import service_files
@@ -27,9 +23,7 @@ UNIT = "spheremouse.service"
 VIEW_UNIT = "spheremouse-view.service"  # the live page
 USER = "spheremouse"  # and its group
 _ENTRY = "desktop/spheremouse.desktop"  # opens the live page
-RESTART_STEPS = 254  # the first systemd with RestartSteps
-_MARK = "# Placed by `spheremouse service install`; do not edit (digest of what follows: {})\n"
-_MARKED = re.compile(re.escape(_MARK.strip()).replace(r"\{\}", "([0-9a-f]{16})"))
+_MARK = "# Placed by `spheremouse service install`, which replaces it.\n"
 _NETWORKS = ("multicast", "link-local", "localhost")  # names of IPAddressAllow, systemd.resource-control(5)
 _UNREACHABLE = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # the unit's ProtectHome and PrivateTmp
 
@@ -38,8 +32,6 @@ _MADE = (
     "spheremouse", "spheremouse-view", f"{UNIT}.d", "xorg.conf.d", "X11", "sysusers.d", "applications",
     "default.target.wants", "user", "systemd",
 )  # fmt: skip
-
-State = Literal["missing", "ok", "older", "edited"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,22 +212,21 @@ def refuse_unsafe(place: Place) -> None:
 # ---- plan ----
 
 
-def install(place: Place, program: str, systemd: int | None, allow: Sequence[str] = ()) -> Iterator[FileAction]:
-    """Yield the actions that are left until the service is in place. `systemd` is its version, if known.
+def install(place: Place, program: str, allow: Sequence[str] = ()) -> Iterator[FileAction]:
+    """Yield the actions that are left until the service is in place.
 
     If network addresses are given in `allow`, they replace those of the last installation.
     """
     fresh = [unit for unit in place.units if not unit.exists()]
-    texts = {path: rendered(name, program, systemd) for name, path in place.files()}
+    texts = {path: rendered(name, program) for name, path in place.files()}
     if allow:
         texts[place.network] = network_text(allow)
     for path, text in texts.items():
-        state = state_of(path, text)
-        if state == "edited":
-            yield _backup(path)
-        if state != "ok":
-            what = "write" if state == "missing" else "update"
-            yield FileAction(what, path, partial(_write, path, text))
+        there = os.path.lexists(path)
+        if not there or differs(path, text):
+            if there:
+                yield _backup(path)
+            yield FileAction("update" if there else "write", path, partial(_write, path, text))
     for unit in fresh:  # a disabled service stays disabled
         if not place.link_of(unit).is_symlink():
             yield FileAction("enable", place.link_of(unit), partial(_link, place, unit))
@@ -249,9 +240,7 @@ def uninstall(place: Place, purge: bool) -> Iterator[FileAction]:
     for link in filter(Path.is_symlink, map(place.link_of, place.units)):
         yield FileAction("disable", link, link.unlink)
     for path in (*(path for _, path in place.files()), place.network):
-        if path.exists() or path.is_symlink():
-            if state_of(path, None) == "edited" and not purge:
-                yield _backup(path)
+        if os.path.lexists(path):
             yield FileAction("remove", path, path.unlink)
         for backup in sorted(path.parent.glob(f"{path.name}.bak*")) if purge else ():
             yield FileAction("remove", backup, backup.unlink)
@@ -287,27 +276,17 @@ def tidy(place: Place) -> None:
                 path.rmdir()
 
 
-def state_of(path: Path, text: str | None) -> State:
-    """Return the state of a file that should have this `text`, or, for None, any text that a version of ours placed."""
-    if not path.exists():
-        return "missing"
+def differs(path: Path, text: str) -> bool:
+    """Return whether a file has another text, or cannot be read."""
     try:
-        there = path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8") != text
     except (OSError, UnicodeDecodeError):
-        return "edited"
-    if there == text:
-        return "ok"
-    first, _, rest = there.partition("\n")
-    mark = _MARKED.fullmatch(first)
-    return "edited" if mark is None or mark[1] != _digest(rest) else "ok" if text is None else "older"
+        return True
 
 
-def rendered(name: str, program: str, systemd: int | None) -> str:
-    """Return the text of a file to install, with the program's path. Omit lines that this systemd does not support."""
-    text = (service_files() / name).read_text(encoding="utf-8").replace("@EXECUTABLE@", program)
-    known = systemd is not None and systemd >= RESTART_STEPS
-    text = re.sub(r"^@254@(.*\n)", r"\1" if known else "", text, flags=re.M)
-    return _marked(text)
+def rendered(name: str, program: str) -> str:
+    """Return the text of a file to install, with the program's path."""
+    return _MARK + (service_files() / name).read_text(encoding="utf-8").replace("@EXECUTABLE@", program)
 
 
 def network_text(addresses: Sequence[str]) -> str:
@@ -325,7 +304,7 @@ def network_text(addresses: Sequence[str]) -> str:
                 f"--allow {address}: {why}", f"write for example 192.168.1.7, 192.168.1.0/24 or {_NETWORKS[0]}"
             ) from None
     lines = "\n".join(f"IPAddressAllow={address}" for address in dict.fromkeys(addresses))
-    return _marked(f"# Addresses of network outputs and metrics.\n[Service]\n{lines}\n")
+    return f"{_MARK}# Addresses of network outputs and metrics.\n[Service]\n{lines}\n"
 
 
 def configuration(place: Place) -> str:
@@ -336,16 +315,6 @@ def configuration(place: Place) -> str:
     for name, path in (("@RIG@", own / "rig.yaml"), ("@MAP@", learnt / "rig.map.yaml")):
         text = text.replace(name, place.inside(path))
     return text
-
-
-def systemd_version() -> int | None:
-    """Return the version of systemd, if it is there."""
-    try:
-        done = subprocess.run(["systemctl", "--version"], capture_output=True, text=True, timeout=30, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    found = re.match(r"systemd (\d+)", done.stdout)
-    return None if found is None else int(found[1])
 
 
 def carry_out(actions: Iterator[FileAction] | list[FileAction], umask: int = 0o022) -> Iterator[str]:
@@ -388,14 +357,6 @@ def _umask(mask: int) -> Iterator[None]:
         os.umask(before)
 
 
-def _marked(text: str) -> str:
-    return _MARK.format(_digest(text)) + text
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
 def _write(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     replace(path, text.encode("utf-8"), 0o644)  # systemd, udev and desktops must read it, whatever the umask
@@ -410,7 +371,7 @@ def _link(place: Place, unit: Path) -> None:
 def _backup(path: Path) -> FileAction:
     names = (path.with_name(f"{path.name}.bak{n or ''}") for n in range(1000))
     free = next(p for p in names if not os.path.lexists(p))
-    return FileAction("keep", free, partial(_copy, path, free), f"{path.name} as it was edited")
+    return FileAction("keep", free, partial(_copy, path, free), f"{path.name} as it was")
 
 
 def _copy(path: Path, free: Path) -> None:

@@ -605,7 +605,7 @@ def test_a_daemon_of_another_version_is_to_be_started_anew(tmp_path_factory):
 def test_the_service_and_what_is_missing_of_it(tmp_path, monkeypatch):
     place = Place(tmp_path)
     assert check.installed(None, tmp_path)[0].text.startswith("not installed")
-    for action in list(service.install(place, service.executable(place)[0], None)):
+    for action in list(service.install(place, service.executable(place)[0])):
         action.do()
     told = {"ActiveState": "active", "SubState": "running", "Result": "success", "NRestarts": "0"}
     shown = lambda: SimpleNamespace(stdout="\n".join(f"{key}={value}" for key, value in told.items()))  # noqa: E731
