@@ -1,0 +1,219 @@
+"""`spheremouse bench`: measure the time of the tracker's step on this machine, on one thread, for many steps in a row.
+
+A tracker that has lost the ball is fast, so the figures also have the steps in which it was tracked.
+"""
+
+import gc
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from spheremouse.commands.options import JsonFile
+from spheremouse.commands.terminal import progress_bar
+from spheremouse.errors import DatasetError
+
+if TYPE_CHECKING:
+    from spheremouse.ball.rig import Rig
+    from spheremouse.geometry.rotation import Array
+    from spheremouse.tracker import Frame
+
+WARM_UP = 10  # steps that do not count: caches, allocator and processor clock settle
+_STEPS = 10_000  # a hundred of them are above the 99th percentile
+_FRAMES = 300  # of the simulated film, in which the ball is at rest at both ends
+_MEMORY_FROM = 1000  # steps, until the allocator has enough memory
+_MAX_FRAME_BYTES = 1 << 29  # of the frames that are played repeatedly
+_MIN_TRACKED = 0.95  # of the steps; with fewer the times are not those of tracking
+_QUANTILES = {"median": 0.5, "p99": 0.99, "max": 1.0}
+
+
+def bench(
+    dataset: Annotated[
+        Path | None,
+        typer.Argument(metavar="DATASET", help="Folder.  [default: the simulated far scene]", show_default=False),
+    ] = None,
+    steps: Annotated[int, typer.Option(metavar="N", min=WARM_UP + 1, help="Steps in a row.")] = _STEPS,
+    json_file: JsonFile = None,
+) -> None:
+    """Measure the time of the tracker's step, from the picture to the estimate, on one thread.
+
+    The film is played forwards and backwards. The command finds the camera's pose before. Pose and the first 10 steps
+    do not count. For another picture size, give a dataset that `simulate --size` made.
+    """
+    from spheremouse.ball.settings import Settings
+    from spheremouse.ball.warm import warm_up
+    from spheremouse.calibrate.outputs import check_outputs
+    from spheremouse.files.safe_files import write_json
+
+    check_outputs([json_file], [dataset], True)
+    film = _simulated() if dataset is None else _recorded(dataset)
+    with _one_thread(), progress_bar(auto_refresh=False) as bar:
+        task = bar.add_task("stepping", total=steps)
+        began = time.perf_counter()
+        warm_up(Settings())
+        start = time.perf_counter() - began
+        every = max(1, steps // 100)
+        found = measure(film, steps, lambda k: k % every or bar.update(task, completed=k, refresh=True))
+    figures = report(film, found, start)
+    if json_file is None or not write_json(json_file, figures):
+        print("\n".join(lines(figures)))
+
+
+@dataclass(frozen=True, slots=True)
+class Film:
+    """A film, and the device in it."""
+
+    name: str
+    rig: "Rig"
+    interval: float  # s from frame to frame
+    frames: "Callable[[], Iterator[Frame]]"
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Steps in a row by one tracker, after the warm-up."""
+
+    seconds: "Array"  # (n,) s, wall time
+    processor: "Array"  # (n,) s, processor time of this thread, without that of other programs
+    tracked: int  # of the n steps
+    lost: int  # how often the ball was lost
+    slowest: str  # events of the slowest step
+    grown_mb: float | None = None  # of the resident memory since _MEMORY_FROM steps
+
+
+def _simulated() -> Film:
+    from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
+
+    fps = SimulationOptions().fps
+    film = prepare(SimulationOptions(seconds=_FRAMES / fps))
+    return Film("simulated far scene", film.scene.rig(), 1.0 / fps, lambda: (made.frame for made in simulate(film)))
+
+
+def _recorded(path: Path) -> Film:
+    from spheremouse.files.dataset.ball import open_dataset
+    from spheremouse.files.dataset.frames import read_frames
+
+    recording = open_dataset(path)
+    return Film(recording.name, recording.rig, 1.0 / recording.fps, lambda: read_frames(recording))
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Run OpenCV on one thread in this block. The linear algebra has one in all commands."""
+    import cv2
+
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def measure(film: Film, steps: int, progress: Callable[[int], object] = lambda _: None) -> Steps:
+    """Measure steps of the tracker; DatasetError if there are too few frames.
+
+    Garbage is collected and frozen before, as in the daemon.
+    """
+    import numpy as np
+
+    from spheremouse.ball.build import begin, build
+    from spheremouse.ball.settings import Settings
+    from spheremouse.ball.track import step
+    from spheremouse.session import messages
+    from spheremouse.session.offline import initialise
+    from spheremouse.session.timing import memory_mb
+    from spheremouse.tracker import Frame, Status
+
+    settings = Settings()
+    start = initialise(film.frames(), film.rig, settings)
+    tracker, frames = build(film.rig, start.pose, settings), _fitting(film, start.frames)
+    state, first = begin(tracker, frames[0].stamp), frames[0].stamp
+    # filled now, since memory that is first used later would look like a leak
+    times, status = np.full((2, steps), np.nan), np.full(steps, Status.TRACKING, dtype=object)
+    slowest, early_mb = (0.0, ""), None
+    gc.collect()
+    gc.freeze()
+    try:
+        for k in range(steps):
+            frame = Frame(frames[back_and_forth(k, len(frames))].image, first + k * film.interval, k)
+            used, began = time.thread_time(), time.perf_counter()
+            made = step(state, frame, tracker)
+            took, used = time.perf_counter() - began, time.thread_time() - used
+            state, status[k], times[:, k] = made.state, made.state.status, (took, used)
+            if k >= WARM_UP and took > slowest[0]:
+                slowest = took, messages.line(made.events)
+            early_mb = memory_mb() if k + 1 == _MEMORY_FROM else early_mb
+            progress(k + 1)
+    finally:
+        gc.unfreeze()
+    lost = status[WARM_UP:] == Status.LOST
+    lost[1:] &= status[WARM_UP:-1] != Status.LOST
+    tracked = int(np.count_nonzero(status[WARM_UP:] == Status.TRACKING))
+    grown = None if early_mb is None else memory_mb() - early_mb
+    return Steps(times[0, WARM_UP:], times[1, WARM_UP:], tracked, int(np.count_nonzero(lost)), slowest[1], grown)
+
+
+def _fitting(film: Film, frames: "Iterator[Frame]") -> "list[Frame]":
+    """Return the first frames of a film, as many as memory may hold."""
+    from itertools import islice
+
+    size = film.rig.camera.width * film.rig.camera.height * 3
+    found = list(islice(frames, max(_MAX_FRAME_BYTES // size, WARM_UP + 1)))
+    if len(found) <= WARM_UP:
+        raise DatasetError(f"{film.name}: {len(found)} frames to track, but the first {WARM_UP} do not count")
+    return found
+
+
+def back_and_forth(k: int, n: int) -> int:
+    """Return the index of the k-th frame if `n` are played forwards and backwards: 0, 1, 2, 1, 0, 1 for three."""
+    k %= 2 * (n - 1)
+    return min(k, 2 * (n - 1) - k)
+
+
+def report(film: Film, steps: Steps, start: float = 0.0) -> dict[str, Any]:
+    """Return the figures that --json writes: µs, MB, and the 99th percentile and the slowest over the median."""
+    import numpy as np
+
+    us, processor = (
+        {name: float(np.quantile(s, q)) * 1e6 for name, q in _QUANTILES.items()}
+        for s in (steps.seconds, steps.processor)
+    )
+    return {
+        "dataset": film.name,
+        "size": [film.rig.camera.width, film.rig.camera.height],
+        "interval_us": film.interval * 1e6,
+        "start_us": start * 1e6,
+        "steps": len(steps.seconds),
+        "tracked": steps.tracked,
+        "lost_episodes": steps.lost,
+        "us": us,
+        "processor_us": processor,
+        "ratios": {name: us[name] / us["median"] for name in ("p99", "max")},
+        "slowest_event": steps.slowest,
+        "memory_grown_mb": steps.grown_mb,
+    }
+
+
+def lines(figures: dict[str, Any]) -> Iterator[str]:
+    """Yield the figures as lines of text."""
+    (width, height), n, tracked, lost = (figures[key] for key in ("size", "steps", "tracked", "lost_episodes"))
+    yield f"{figures['dataset']}, {width}x{height}: {n:,} steps in a row on one thread; times in ms"
+    yield f"{'':16}{'median':>8}{'p99':>8}{'worst':>8}"
+    for name, us in (("step", figures["us"]), ("processor time", figures["processor_us"])):
+        yield f"{name:16}" + "".join(f"{us[quantile] / 1e3:8.2f}" for quantile in _QUANTILES)
+    yield f"{'over median':16}{'':8}" + "".join(f"{ratio:7.3g}×" for ratio in figures["ratios"].values())
+    yield f"tracked: {tracked:,} of {n:,}; {f'lost {lost} times' if lost else 'never lost'}"
+    if figures["slowest_event"]:
+        yield f"the slowest step: {figures['slowest_event']}"
+    if figures["memory_grown_mb"] is not None:
+        yield f"memory after {_MEMORY_FROM:,} steps: {figures['memory_grown_mb']:+.1f} MB"
+    yield f"start: {figures['start_us'] / 1e6:.2f} s for the compiled functions, before the first frame"
+    faster = (figures["interval_us"] / us for us in figures["us"].values())
+    yield "faster than real time: {:.1f} times by the median, {:.1f} by the p99, {:.1f} by the slowest".format(*faster)
+    if tracked < _MIN_TRACKED * n:
+        yield f"warning: tracked in less than {100 * _MIN_TRACKED:.0f} % of the steps, so these times are not valid"
