@@ -1,10 +1,10 @@
-"""Output files of the calibration commands, and their notes, tables and advice on a terminal."""
+"""Output files of the calibration commands, and their notes and advice on a terminal."""
 
 import hashlib
 import os
 import shlex
 import sys
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,26 +57,6 @@ def sha256(path: Path) -> str:
 def copyable(*words: str | Path) -> str:
     """Quote a command for a shell."""
     return shlex.join([str(w) for w in words])
-
-
-def print_table(
-    console: "Console",
-    head: Sequence[str],
-    rows: Iterable[Sequence[str]],
-    words: Collection[int] = (0,),
-    faulty: Collection[int] = (),
-) -> None:
-    """Print a table. The columns `words` have text, the others numbers. The `faulty` rows are red."""
-    from rich.padding import Padding
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
-    for i, name in enumerate(head):
-        table.add_column(name, justify="left" if i in words else "right")
-    for i, row in enumerate(rows):
-        table.add_row(*map(Text, row), style="red" if i in faulty else None)
-    console.print(Padding(table, (0, 0, 1, 0), expand=False))
 
 
 def print_advice(console: "Console", advice: Iterable[tuple[str, str]]) -> None:

@@ -90,14 +90,12 @@ def test_distances_add_up_and_are_better_than_the_tape(calibration, free, photos
     assert device_json(free, names(photos), advise(free, names(photos)))["distances"] == []
 
 
-def test_text_says_radius_photos_and_advice(calibration, photos):
+def test_text_has_radius_and_advice(calibration, photos):
     out = io.StringIO()
-    print_device(calibration, names(photos), advise(calibration, names(photos)), Console(file=out, width=200))
+    print_device(calibration, advise(calibration, names(photos)), Console(file=out, width=200))
     text = out.getvalue()
     sigma = 1e3 * np.sqrt(calibration.ball_covariance[3, 3])
     assert f"{1e3 * calibration.radius:.2f} mm   ± {sigma:.2f} mm" in text
-    for name in names(photos)[:6]:
-        assert name in text
     for a in advise(calibration, names(photos)):
         assert a.text[:60] in text
 

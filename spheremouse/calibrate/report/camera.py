@@ -1,4 +1,4 @@
-"""Report of `calibrate camera`: advice, JSON, tables on the terminal, and the HTML page."""
+"""Report of `calibrate camera`: advice, JSON, a summary on the terminal, and the HTML page."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ import numpy as np
 from spheremouse.calibrate.camera.bundle import PARAMETERS
 from spheremouse.calibrate.camera.calibrate import CameraCalibration, inconsistent_views
 from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, join_words, missing_leans, missing_regions
-from spheremouse.calibrate.outputs import print_advice, print_table
+from spheremouse.calibrate.outputs import print_advice
 from spheremouse.calibrate.photos import image
 from spheremouse.files.report.page import page, rendered
 from spheremouse.files.report.style import BLUE, GRID, INK, PAPER, RED, round_number, styled
@@ -134,15 +134,11 @@ def _views(done: CameraCalibration) -> list[dict[str, Any]]:
 
 
 def print_camera(done: CameraCalibration, console: "Console") -> None:
-    """Print parameters, views and advice."""
+    """Print the number of views, the residual and the advice. The page and the JSON have all figures."""
     console.print(
         f"{int(done.found.used.sum())} views of {len(done.photos)} photos, {done.found.camera.width}x"
         f"{done.found.camera.height}: reprojection {done.found.rms:.3f} px RMS"
     )
-    print_table(console, ("", "value", "std. dev."), [row[:3] for row in _parameter_rows(done)])
-    rows, faulty = _view_rows(done)
-    head = ("view", "rms, px", "tilt, °", "distance, m", "")
-    print_table(console, head, rows, (0, 4), np.flatnonzero(faulty))
     print_advice(console, advise(done))
 
 

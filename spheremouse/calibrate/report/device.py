@@ -1,4 +1,4 @@
-"""Report of `calibrate device`: JSON, tables on the terminal, and the HTML page.
+"""Report of `calibrate device`: JSON, a summary on the terminal, and the HTML page.
 
 The tables are those of Wittich 2017 (9-13) for this device. Lengths are in mm, or in thousandths of the ball's radius
 if the scale is free.
@@ -16,7 +16,7 @@ from rich.table import Table
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration, distance_redundancy
 from spheremouse.calibrate.device.advice import Advice
-from spheremouse.calibrate.outputs import print_advice, print_table
+from spheremouse.calibrate.outputs import print_advice
 from spheremouse.calibrate.photos import Photo, image
 from spheremouse.files.report.page import page, rendered
 from spheremouse.files.report.style import BLUE, GOLD, INK, MUTED, round_number, styled
@@ -119,17 +119,12 @@ def _points_of_photos(c: DeviceCalibration) -> list[tuple[int, int, float | None
 # ---- the terminal ----
 
 
-def print_device(c: DeviceCalibration, names: Sequence[str], advice: Sequence[Advice], console: "Console") -> None:
-    """Print the figures that matter, and the advice; `names` of all photos."""
-    show = _Lengths(c)
+def print_device(c: DeviceCalibration, advice: Sequence[Advice], console: "Console") -> None:
+    """Print the figures that matter, and the advice. The page and the JSON have all figures."""
     lines = Table(box=None, show_header=False, pad_edge=False, padding=(0, 3, 0, 0))
-    for line in _headlines(c, show):
+    for line in _headlines(c, _Lengths(c)):
         lines.add_row(*line)
     console.print(Padding(lines, (0, 0, 1, 0), expand=False))
-    print_table(console, _photo_head(show), _photo_rows(c, names, show))
-    if c.device.distances:
-        columns = [[row[i] for i in (0, 1, 3, 5, 6)] for row in _distance_rows(c)]
-        print_table(console, ("distance", "tape mm", "adjusted mm", "residual mm", "over sigma"), columns)
     print_advice(console, [(a.kind, a.text) for a in advice])
 
 

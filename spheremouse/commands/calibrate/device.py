@@ -99,7 +99,7 @@ def device(
     figures = device_json(calibration, names, advice)
     if write_json(json_file, figures):
         return
-    print_device(calibration, names, advice, Console(highlight=False))
+    print_device(calibration, advice, Console(highlight=False))
     typer.echo(f"{out}: the rig; {the_map}: the map of its discs; {page}: the report; {json_file}: its figures")
     if any(a.kind != "good" for a in advice):
         files = ["--device", device_file, "--camera", camera_file, *([] if config is None else ["--config", config])]
