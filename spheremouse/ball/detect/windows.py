@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from spheremouse.ball.detect.appearance import appearance_of, pixels_of
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
@@ -16,7 +17,6 @@ from spheremouse.ball.detect.fit_model import PATH
 from spheremouse.ball.detect.projection import weights_of
 from spheremouse.ball.rig import BallView
 from spheremouse.geometry.camera import row_of
-from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import Array, exp_into
 
 
@@ -69,6 +69,18 @@ def measure_discs(
     return Detections(centre, covariance, area), told
 
 
+@njit(cache=True)
+def _suppress(points: Array, radius: float) -> NDArray[np.bool_]:
+    """Return True for points (n, 2), the best first, that no better kept point has within a radius, as `suppress`."""
+    kept = np.ones(len(points), dtype=np.bool_)
+    for i in range(len(points)):
+        for k in range(i):
+            if kept[k] and np.hypot(points[i, 0] - points[k, 0], points[i, 1] - points[k, 1]) <= radius:
+                kept[i] = False
+                break
+    return kept
+
+
 @njit(cache=True, error_model="numpy")
 def _measure_discs(image, directions, model, noise, weights, places, motion, size):
     n = len(directions)
@@ -106,7 +118,7 @@ def _measure_discs(image, directions, model, noise, weights, places, motion, siz
     found = fits.centroid - (centroid[index] - centre[index])  # the eccentricity
     ok = np.flatnonzero(fits.ok)
     best = ok[np.argsort(-fits.rim[ok], kind="mergesort")]
-    kept = best[suppress(found[best], np.full(len(best), _APART * model.diameter))]
+    kept = best[_suppress(found[best], _APART * model.diameter)]
     return found[kept], fits.covariance[kept], area[index[kept]], told
 
 
