@@ -245,18 +245,6 @@ def test_two_shots_are_held_while_others_come(vivid):
             raw.release()
 
 
-def test_while_all_buffers_are_held_the_driver_drops_and_says_so(vivid):
-    with open_camera(vivid(), CameraSettings(size=(320, 180), fps=30.0)) as camera:
-        held = [camera.next(WAIT) for _ in camera._device.buffers]
-        assert camera.next(0.5) is None
-        time.sleep(1.0)
-        for raw in held:
-            raw.release()
-        raw = camera.next(WAIT)
-        assert raw.sequence > held[-1].sequence + 10
-        raw.release()
-
-
 @pytest.mark.parametrize(
     ("ask", "words"),
     [

@@ -25,7 +25,6 @@ import pytest
 from film import SLOW
 from modules import insert, remove
 from numba.core.dispatcher import Dispatcher
-from seats import LOOKS
 
 from spheremouse import commands as cli
 from spheremouse.commands import ctl as cli_ctl
@@ -45,7 +44,6 @@ IMPORTED = (cli_ctl, cli_run, run)  # once, before the forks
 FILMS = Path(os.environ["FILMS"])
 PATIENCE = 120.0  # s, for what takes a few
 INTERVAL = 0.2  # s between two pictures, on a guest that is fast enough
-AXES_INTERVAL = 0.35  # s: peaks of 28 °/s, which are gestures still
 LONGEST = 0.5  # s; three of them are less than what a camera may be silent
 W, H = 640, 480
 COUNTS = 600.0  # per radian: the default, 1 per mm of a ball of 0.6 m
@@ -267,8 +265,7 @@ class Cabinet:
         self.folder, self.film = folder, film
         self.config, self.socket = folder / "config.yaml", folder / "socket"
         self.config.write_text(CONFIG.format(folder=folder, slow=SLOW.loss))
-        for name in ("rig.yaml", "posed.yaml"):
-            (folder / name).write_text((film.folder / name).read_text())
+        (folder / "rig.yaml").write_text((film.folder / "rig.yaml").read_text())
         self.writer = self.daemon = self.mouse = None
         self._place = 0  # in the film played forwards and backwards
 
@@ -309,11 +306,6 @@ class Cabinet:
         """`spheremouse ctl`: exit code, output, complaint."""
         asked = Program(self.folder, "ctl", *arguments, "--socket", self.socket)
         return asked.wait(), asked.out, asked.said
-
-    def told(self, command, **arguments):
-        """The reply to what `spheremouse ctl` sends, which must be yes; ten times as quick as the command itself."""
-        with Client(self.socket) as client:
-            return client.ask(command, **arguments)
 
     def missed(self):
         """Frames that were there and were not worked on: the daemon or its driver was behind."""
@@ -415,55 +407,6 @@ def test_the_sum_of_events_is_what_the_ball_has_turned_with_frames_missing(cabin
     print({key: status[key] for key in ("fps", "latency_ms", "stages_ms", "skipped", "dropped", "memory_mb")})
 
 
-# ---- spheremouse ctl ----
-
-
-def test_while_paused_nothing_moves_and_nothing_is_saved_up(cabinet):
-    assert cabinet.told("pause")["state"] == "paused"
-    before = cabinet.status()["outputs"][0]["unsent"]
-    counts, truth, path = cabinet.play(cabinet.onward(12))
-    np.testing.assert_array_equal(counts, 0)
-    unsent = np.subtract(cabinet.status()["outputs"][0]["unsent"], before)
-    assert np.all(np.abs(unsent - truth) <= 0.01 * path + 2.0)
-    assert cabinet.told("resume")["state"] == "tracking"
-    before = cabinet.mouse.counts
-    cabinet.settle()
-    at_rest(cabinet.mouse.counts, before)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("player", list(reversed(LOOKS)))  # the far side last, where the other tests stand
-def test_the_kernels_pointer_follows_the_hand_on_the_top_of_the_ball(cabinet, player):
-    """REL_X is right and REL_Y is down, as the player looks at the ball, whose film turns as it is known to."""
-    if cabinet.told("set", assignments=[f"motion.player={player}"])["changed"]:
-        cabinet.settle()
-    way = cabinet.onward(12)
-    counts, _, _ = cabinet.play(way)
-    ahead = np.array(LOOKS[player])
-    hand = COUNTS * np.cross(cabinet.film.turns(way), (0, 1, 0))  # the way of the top, as far as counts go
-    seen = hand @ np.array([np.cross(ahead, (0, 1, 0)), -ahead]).T  # right, down
-    check(player, (counts[:2], seen.sum(axis=0), np.abs(seen).sum(axis=0)), 1.0)
-
-
-@pytest.mark.slow
-def test_a_recording_replays_to_the_same_counts(cabinet):
-    folder = Path(cabinet.told("record", folder="bug")["folder"])
-    until(lambda: cabinet.status()["recording"]["frames"] > 1, "nothing is recorded")
-    played = cabinet.play(cabinet.onward(24))
-    ended = cabinet.told("record", stop=True)
-    check("recorded", played, 1.0)
-    assert Path(ended["folder"]) == folder == cabinet.folder / "recordings" / "bug"
-    assert ended["frames"] > 12
-    replay = Program(
-        cabinet.folder,
-        *("run", "--config", cabinet.config, "--source", f"dataset:{folder}", "--rig", folder / "rig.yaml"),
-        *("--output", "null", "--no-map", "--no-status"),
-    )
-    assert replay.wait() == 0, replay.said
-    assert f"{ended['frames']} frames" in replay.said
-    check("replayed", (told_at_the_end(replay), played[0], played[2]), 1.0)
-
-
 # ---- what may happen ----
 
 
@@ -537,45 +480,3 @@ def test_stopped_it_leaves_nothing_and_has_sent_what_the_frames_said(cabinet):
     assert not cabinet.socket.exists()
     np.testing.assert_array_equal(told_at_the_end(cabinet.daemon), cabinet.mouse.counts)
     assert "internal error" not in cabinet.daemon.said
-
-
-@pytest.mark.slow
-def test_axes_asks_for_three_gestures_and_writes_down_where_the_player_stands(cabinet):
-    film, config = Film(FILMS / "axes"), cabinet.folder / "axes.yaml"
-    seated = CONFIG.format(folder=cabinet.folder, slow=SLOW.loss) + "motion: {player: left}  # says the last tenant\n"
-    config.write_text(seated)
-    cabinet.writer.end()
-    cabinet.writer = Writer(film, 11, "YUYV", 0)
-    asked = Program(cabinet.folder, "axes", "--config", config, "--rig", film.folder / "rig.yaml")
-    until(lambda: "1 of 3" in asked.out or asked.ended() is not None, "it does not ask")
-    for _ in range(3):  # what a slow guest has not seen is asked for again
-        if asked.ended() is None:
-            cabinet.writer.play(range(len(film)), AXES_INTERVAL)
-    assert asked.wait() == 0, asked.said
-    print(asked.out)
-    assert config.read_text() == seated.replace("left", "'far-side'")
-
-
-@pytest.mark.slow
-def test_a_camera_without_ball_and_with_stamps_ahead_of_the_clock(cabinet):
-    insert("vivid", n_devs=1, node_types="0x1", num_inputs=1, input_types=0)
-    (node,) = [p for p in Path("/sys/class/video4linux").iterdir() if "vid-cap" in (p / "name").read_text()]
-    cabinet.start("--source", f"v4l2:/dev/{node.name},width={W},height={H},fps=5", "--output", "null")
-    first = cabinet.reach("searching-targets")
-    until(lambda: cabinet.status()["fps"] > 0, "no frames")
-    time.sleep(3.0)
-    status = cabinet.reach("searching-targets")
-    print(f"searching-targets: {status['reason']}; {status['source']['description']}")
-    assert status["since_s"] > first["since_s"] + 3.0
-    assert (status["frames"], status["latency_ms"], status["pose"]) == (0, None, None)
-    assert cabinet.told("set", assignments=["rig=posed.yaml"])["changed"] == ["rig", "map"]
-    cabinet.reach("lost")
-    until(lambda: "wait" in cabinet.status()["stages_ms"], "no frames are tracked")
-    status = cabinet.reach("lost")
-    print({key: status[key] for key in ("fps", "latency_ms", "stages_ms")})
-    assert 0 < status["latency_ms"]["p50"] <= status["latency_ms"]["max"] < 10_000
-    assert status["stages_ms"]["wait"]["p50"] >= 0
-    assert status["damaged"] == 0
-    assert cabinet.daemon.kill(signal.SIGTERM) == 0
-    assert "internal error" not in cabinet.daemon.said
-    assert "ahead of the clock" in status["source"]["description"]

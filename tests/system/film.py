@@ -92,9 +92,6 @@ def main() -> None:
     seconds, fps = (3, 16) if short else (4, 30)
     words = f"simulate {out / 'dataset'} --motion play --seed 7 --seconds {seconds} --fps {fps} --noise 2"
     subprocess.run([sys.executable, "-m", "spheremouse", *words.split()], check=True, stdout=subprocess.DEVNULL)
-    words = f"simulate {out / 'gestures'} --motion axes --fps 8 --noise 2"
-    subprocess.run([sys.executable, "-m", "spheremouse", *words.split()], check=True, stdout=subprocess.DEVNULL)
-    convert(out / "gestures", out / "axes")
     words = f"wand simulate {out / 'hand'} --path hand --seed 1 --seconds {seconds} --fps 10 --size 640x480"
     subprocess.run([sys.executable, "-m", "spheremouse", *words.split()], check=True, stdout=subprocess.DEVNULL)
     convert_wand(out / "hand", out / "wand")

@@ -121,19 +121,6 @@ def test_the_desktop_still_gets_its_motion_unless_it_is_grabbed(tmp_path):
         assert read_log(out).counts.sum(axis=0).tolist() == [5.0, 0.0]
 
 
-def test_two_mice_are_listed(tmp_path):
-    with trackball("Trackball A"), trackball("Trackball B"):
-        ended = subprocess.run(
-            [sys.executable, "-m", "spheremouse", "log-mouse", "--out", str(tmp_path / "log.csv")],
-            capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        assert ended.returncode == 2
-        assert "(Trackball A)" in ended.stderr
-        assert "(Trackball B)" in ended.stderr
-        assert "choose one with --device" in ended.stderr
-        assert list(tmp_path.iterdir()) == []
-
-
 def test_without_permission_it_says_what_to_do():
     with trackball():
         mouse = choose(NAME, mice())

@@ -19,7 +19,6 @@ from modules import insert
 from spheremouse.geometry.rotation import log
 from spheremouse.output.wand_mapping import PointingSettings
 from spheremouse.session import service, setup
-from spheremouse.session.control.client import Client
 from spheremouse.session.offline import make_wand_ready
 
 IMPORTED = (service, setup)  # once, before the forks
@@ -55,7 +54,6 @@ class CameraRun:
         words += ["--output", f"text:{self.samples}"]
         words += ["--set", "pointer.horizon=0"]  # what is predicted too far on so slow a guest would stay ahead
         words += ["--set", f"control.socket={folder / 's'}"]
-        self.client = Client(folder / "s")
         self.program = Program(folder, "run", "--tracker", "wand", "--source", source, *words)
         self.reach("tracking")
         self.mouse = Reader(folder)
@@ -129,34 +127,6 @@ def test_samples_have_the_position_of_the_ball(desk):
     sigma = np.sqrt(np.diag(last["position_covariance"]))
     assert np.all(np.abs(off) < 4.0 * sigma + (1e-3, 1e-3, 5e-3))
     assert np.all(sigma < (3e-3, 3e-3, 3e-2))
-
-
-def test_it_is_asked_and_told_as_any_service(desk):
-    status = desk.client.ask("status")
-    assert (status["state"], status["tracker"]) == ("tracking", "wand")
-    (ball,) = status["balls"]
-    off = np.array(ball["position_m"]) - desk.film.position[-1]
-    assert np.all(np.abs(off) < 4e-3 * np.array(ball["sigma_mm"]) + (1e-3, 1e-3, 5e-3))
-    desk.client.ask("pause")
-    before = desk.mouse.counts
-    desk.writer.play(list(reversed(range(len(desk.film)))), min(2.0 * INTERVAL, LONGEST))
-    worked_on = desk.client.ask("status")["frames"]
-    until(lambda: desk.client.ask("status")["frames"] > worked_on + 20, "no frames come")  # of the ball at rest
-    desk.client.ask("resume")
-    desk.settle()
-    still = sigma_of(desk.last()) * COUNTS  # it may come to rest by as much
-    assert np.all(np.abs(desk.mouse.counts - before) <= still + 1.0), "nothing moves while it is paused"
-
-
-def test_a_camera_that_goes_is_waited_for_and_moves_nothing(desk):
-    before = desk.mouse.counts
-    desk.writer.end()
-    until(lambda: "no-camera" in desk.program.said, lambda: desk.program.said)
-    desk.writer = Writer(desk.film, 9, "YUYV", 0)  # the ball is elsewhere when it comes back
-    until(lambda: desk.program.said.rstrip().split("\n")[-1].startswith("tracking"), lambda: desk.program.said)
-    desk.settle()
-    assert np.all(np.abs(desk.mouse.counts - before) <= 1), "nothing is sent for what nobody saw"
-    assert desk.mouse.gone is False
 
 
 def test_ended_it_has_sent_what_it_tells(desk):
