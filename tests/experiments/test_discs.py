@@ -1,7 +1,5 @@
 """Sizes, places, hands: layouts are what they are called; tiny films."""
 
-import json
-
 import numpy as np
 import pytest
 from experiments import discs
@@ -34,18 +32,3 @@ def test_an_irregular_layout_is_recognised_and_a_regular_one_is_not():
     g = (1 + np.sqrt(5)) / 2
     icosahedron = np.array([np.roll([0, a, b * g], k) for a in (-1, 1) for b in (-1, 1) for k in range(3)])
     assert discs.recognition(icosahedron / np.hypot(1, g))[0] == 0.0
-
-
-def test_a_larger_disc_is_seen_larger_and_followed():
-    small, large = (json.loads(json.dumps(discs.of_size(mm, 0, 4))) for mm in (10, 20))
-    assert large["diameter_px"] == pytest.approx(2.0 * small["diameter_px"])
-    assert large["diameter_px"] == pytest.approx(640.0 * 0.04 / 1.75)
-    for result in (small, large):
-        assert result["rows"]["so3"]["tracked"] == 4
-        assert result["bound"]["attitude_deg"]["combined"] < 0.1
-
-
-def test_hands_hide_discs():
-    free, hidden = (discs.with_hands(kind, 0, 24) for kind in ("none", "two very large"))
-    assert hidden["in_view_share"] < 0.75 * free["in_view_share"]
-    assert hidden["rows"]["so3"]["frames"] == 3  # from half a second after they came

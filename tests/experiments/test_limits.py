@@ -1,13 +1,11 @@
 """Limits of tracking: what is seen without pictures against pictures, laws of the trials."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from experiments import covers, limits
 from experiments.covers import COVERS
 from experiments.kit import world as world_module
-from experiments.kit.world import NEW, SpedUp, world
+from experiments.kit.world import SpedUp, world
 from experiments.limits import ACCELERATIONS, FASTEST, Trial
 
 from spheremouse.geometry.matching import assign
@@ -57,12 +55,6 @@ def test_centres_are_off_by_what_they_claim(there):
 class _Exact:
     def standard_normal(self, shape):
         return np.zeros(shape)
-
-
-def test_what_is_covered_is_not_seen(there):
-    rng = np.random.default_rng(0)
-    assert len(there.see(np.eye(3), rng)) >= 5
-    assert len(there.see(np.eye(3), rng, there.ball)) == 0
 
 
 def test_a_cover_grows_over_the_whole_ball_from_its_side(there):
@@ -117,22 +109,6 @@ def test_a_course_ends_where_what_was_turned_is_wrong_or_the_ball_is_lost(trial)
     small, large = (SpedUp(trial.axis, 1e9, a).attitude(np.array([1.0]))[0] for a in np.radians((2.0, 4.0)))
     assert begun.then(trial.start, small.T) is not None
     assert begun.then(trial.start, large.T) is None
-
-
-def test_so3_follows_what_ekf2_loses(there, trial):
-    """A ball new to it: what it knows of it before would be of use."""
-    tracker = world_module.tracker_for(NEW, there)
-    ours = replace(trial, tracker=tracker, start=world_module.after_rest(NEW, tracker, there))
-    hard = trial.hardest(limits.PUSH)
-    assert 1.0 < hard < limits.HARDEST
-    assert ours.hardest(limits.PUSH) > 1.5 * hard
-
-
-def test_so3_finds_the_ball_again_at_once_and_ekf2_not_its_attitude():
-    found = covers.found_again(15.0, 1)
-    assert found["so3"]["attitude"]["frames"] == 1
-    assert found["so3"]["attitude"]["ms"] < 1e3 / 15.0
-    assert "error" in found["ekf2"] or found["ekf2"]["attitude"] is None
 
 
 def test_the_wait_is_counted_from_when_the_cover_goes():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from experiments import places
 from experiments.kit.job import Request
-from experiments.places import Place, Size, expected, fitted, scene_from, targets_in_view
+from experiments.places import Place, Size, expected, scene_from, targets_in_view
 
 from spheremouse.ball.truth import VISIBLE
 from spheremouse.simulate.ball.profile import thesis
@@ -43,12 +43,6 @@ def test_discs_that_are_seldom_found_tell_less_and_smaller_ones_nothing():
     assert sigma[0] == pytest.approx(0.1 / np.sqrt(0.5))
     assert sigma[1:3] == pytest.approx([0.02, 0.02])
     assert np.all(np.isinf(sigma[3:]))
-
-
-def test_a_fitted_lens_has_the_ball_fill_the_picture():
-    for distance in (0.9, 2.35):
-        half = np.tan(np.arcsin(0.6 / distance)) * fitted(distance)
-        assert half == pytest.approx(0.45 * 480.0)
 
 
 def test_targets_are_in_view_from_the_front_and_not_from_the_side_or_too_near():

@@ -5,12 +5,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from experiments import pointer
-from experiments.pointer import DEFAULT, NONE, WAYS, ZERO, Path, latency, settings
+from experiments.pointer import Path, latency
 
 from spheremouse.geometry.rotation import log
 from spheremouse.output.counts import MotionSettings, Remainder, to_counts
-from spheremouse.output.pointer import PointerSettings
-from spheremouse.simulate.ball.profile import Gestures, play, stroke
+from spheremouse.simulate.ball.profile import play
 
 MATRIX = MotionSettings().matrix(0.6)
 
@@ -55,11 +54,6 @@ def test_a_delay_is_found_to_a_millisecond(true, late):
     assert pointer.delay(shifted(true, late), true) == pytest.approx(1e3 * late, abs=1.0)
 
 
-def test_no_motion_has_no_delay(true):
-    still = Path(true.t, np.zeros_like(true.place))
-    assert pointer.delay(still.place, still) is None
-
-
 def test_without_resampling_counts_come_as_frames_arrive(told, true):
     shown = pointer.pointer(told, 30.0, None, true.t)
     k = 100
@@ -69,24 +63,10 @@ def test_without_resampling_counts_come_as_frames_arrive(told, true):
     assert np.array_equal(shown[after - 1], told.counts[:k].sum(axis=0))
 
 
-def test_a_horizon_of_zero_is_no_resampling(told, true):
-    a, b = (pointer.pointer(told, 30.0, way, true.t) for way in (None, settings(ZERO, 30.0)))
-    assert np.array_equal(a, b)
-
-
 def test_without_resampling_the_pointer_is_late_by_latency_and_half_a_frame(told, true):
     shown = pointer.pointer(told, 30.0, None, true.t)
     expected = 1e3 * (latency(30.0) + 0.5 / 30.0)
     assert pointer.measured(shown, true, 1.2)["delay"] == pytest.approx(expected, abs=2.0)
-
-
-def test_prediction_brings_the_pointer_nearer_and_smoother(told, true):
-    bare, led = (
-        pointer.measured(pointer.pointer(told, 30.0, way, true.t), true, 1.2) for way in (None, PointerSettings())
-    )
-    assert led["off"] < 0.4 * bare["off"]
-    assert led["rough"] < 0.4 * bare["rough"]
-    assert abs(led["delay"]) < 0.2 * bare["delay"]
 
 
 def test_distance_and_roughness_are_what_they_say():
@@ -97,26 +77,3 @@ def test_distance_and_roughness_are_what_they_say():
     found = pointer.measured(shown, true, 0.1)
     assert found["off"] == pytest.approx(1.0)
     assert found["rough"] == pytest.approx(4.0 / np.sqrt(3.0))
-
-
-def test_the_exact_pointer_overshoots_a_stop_by_at_most_its_horizon():
-    push = stroke(0.3, (-1.0, 0.0, 0.0), 7.0, up=0.12, hold=0.25, down=0.05)
-    moving = Gestures((push,), 1.3)
-    told = exact(moving, np.arange(1.0, 39.0) / 30.0)
-    true = pointer.ball(moving, 1.3, MATRIX)
-    beyond = {
-        way: (pointer.pointer(told, 30.0, None if way == NONE else settings(way, 30.0), true.t) - true.place[-1]).max()
-        for way in WAYS
-    }
-    assert beyond[NONE] < 1.0
-    assert beyond[pointer.ONE] < beyond[DEFAULT] < 7.0 * 600.0 * PointerSettings().horizon
-
-
-def test_so3_plays_nearly_as_well_as_exact_attitudes():
-    found = pointer.played(30.0, 0, 5.0)
-    assert found["tracked"] > 0.99
-    motion = play(5.0, np.random.default_rng([0, 2]))
-    true = pointer.ball(motion, 149.0 / 30.0, MATRIX)
-    best = pointer.pointer(exact(motion, np.arange(1.0, 150.0) / 30.0), 30.0, PointerSettings(), true.t)
-    assert found[DEFAULT]["off"] < 1.5 * pointer.measured(best, true, 1.2)["off"]
-    assert found[DEFAULT]["rough"] < found[NONE]["rough"]

@@ -44,10 +44,6 @@ def test_blur_and_middle_of_an_edge(sigma, shift):
     assert blur_of(edge) == pytest.approx(sigma, rel=0.02)
 
 
-def test_edges_that_are_none_have_no_blur():
-    assert np.isnan(blur_of(pd.Series([0.0, 1.0])))
-
-
 def test_the_edge_of_painted_ellipses_is_a_pixel_wide_and_in_its_place():
     scene = default_scene(1, "far")
     a = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
@@ -73,13 +69,6 @@ def test_discs_are_paired_by_their_number_where_both_show_them():
     assert own.disc.tolist() == whole.disc.tolist() == [4]
     small = truth([4], [VISIBLE], area=5.0)
     assert len(renderer.whole_in_both(truth([4], [VISIBLE]), small)[1]) == 0
-
-
-def test_a_disc_without_a_detection_is_nan():
-    found = renderer.Detections(np.array([[11.0, 5.0]]), np.array([0.09 * np.eye(2)]), np.array([80.0]))
-    at = renderer.measured_centres(found, np.array([[10.0, 5.0], [40.0, 5.0]]))
-    assert at[0] == pytest.approx([11.0, 5.0, 0.3])
-    assert np.all(np.isnan(at[1]))
 
 
 def test_large_discs_of_the_reference_recording_agree(far26):

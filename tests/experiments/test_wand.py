@@ -1,14 +1,11 @@
 """The hand-held ball: a tiny film, and what is asked of it."""
 
-import json
-
 import pytest
 from experiments import wand
 from experiments import wand_films as wand_experiments
 from experiments.kit.job import Request
 from experiments.wand_films import Film, Variant
 
-from spheremouse.evaluation.wand import errors
 from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.ball import grzonka_ball
@@ -42,10 +39,3 @@ def test_a_shared_recording_has_rows_of_its_own(tmp_path):
     assert len(kept["index"]) == 6
     (row,) = wand.rows({job.key: result})
     assert (row.film.name, row.variant, row.runs, row.lost) == ("wand_drive", "350, known start", 1, 0)
-
-
-def test_results_put_together_are_the_metrics_of_the_runs():
-    result = json.loads(json.dumps(wand.film("drive-01", True)))
-    row = wand.rows({"drive-01": result})[0]
-    assert row.figures == errors(*wand_experiments.restored(result["variants"]["350, known start"]))
-    assert (row.runs, row.lost) == (1, int(result["variants"]["350, known start"][0]["lost"]))

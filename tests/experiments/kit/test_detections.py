@@ -1,10 +1,9 @@
 """A film looked at once and filtered again: the same as tracking it, and the same errors."""
 
-import numpy as np
 import pytest
 from experiments.kit import detections
 from experiments.kit.film import film_of, options_of, settings_of, tracked
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 
 from spheremouse.simulate.ball.film import prepare
 
@@ -30,15 +29,3 @@ def test_filtering_again_gives_the_run_of_tracking(film, seen):
     expected["detection"] = {**expected["detection"], "recall_axis": None}  # it takes the camera's true pose
     assert errors == expected
     assert errors["tracked"] > 30
-
-
-def test_so3_is_refused_since_it_looks_where_it_expects_discs(film, seen):
-    with pytest.raises(AssertionError, match="so3"):
-        detections.filtered(seen, settings_of(), film)
-
-
-def test_sigma_is_that_of_all_centres_and_changes_no_centre(seen):
-    even = detections.with_sigma(seen, 0.5)
-    for new, old in zip(even.detections, seen.detections, strict=True):
-        assert_allclose(new.covariance, np.tile(0.25 * np.eye(2), (len(old), 1, 1)))
-        assert_array_equal(new.centre, old.centre)

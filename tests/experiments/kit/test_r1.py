@@ -44,12 +44,6 @@ def test_the_agreement_finds_lag_scale_and_offset_of_a_log_made_from_the_speeds(
     assert found.r > 0.9999
 
 
-def test_what_does_not_move_agrees_with_nothing():
-    t = np.arange(0.0, 5.0, 1.0 / 30.0)
-    mouse = simulate_log(motion().rate, 0.0, 5.0, TRACKBALL)
-    assert agreement(t[:-1], t[1:], np.zeros((len(t) - 1, 2)), mouse) is None
-
-
 def test_the_true_motion_agrees_with_the_trackball_but_for_its_faults():
     slow = motion()
     t = np.arange(0.0, 16.0, 1.0 / 30.0)

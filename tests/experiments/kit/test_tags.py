@@ -61,17 +61,3 @@ def test_a_sheet_covers_what_it_covers(scene, bare):
     tag, white, dark = (painted(bare, scene, [s]).astype(float).sum() for s in (sheet, plain, black))
     share = np.count_nonzero(~cells) / cells.size / 1.22**2  # of the sheet, its margin included
     assert (white - tag) / (white - dark) == pytest.approx(share, abs=0.01)
-
-
-def test_cells_have_a_black_border_and_differ():
-    one, other = tag_cells(FAMILY, 0), tag_cells(FAMILY, 1)
-    assert one.shape == (6, 6)
-    assert tag_cells(cv2.aruco.DICT_APRILTAG_36h11, 0).shape == (8, 8)
-    assert not one[0].any()
-    assert not one[:, -1].any()
-    assert np.any(one != other)
-
-
-def test_a_sheet_out_of_the_picture_changes_nothing(scene, bare):
-    sheet = tag_sheet(np.array([5.0, 0.0, 0.5]), HALF, tag_cells(FAMILY, 0))
-    assert np.array_equal(painted(bare, scene, [sheet]), bare)
