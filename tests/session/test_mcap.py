@@ -138,7 +138,7 @@ def test_a_wand_has_the_transforms_of_its_balls_in_cam(tmp_path):
     from spheremouse.simulate.to_dataset import write_wand
     from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 
-    film = prepare_wand(WandOptions(motion="hand", seed=1, seconds=1.0, size=(640, 480)))
+    film = prepare_wand(WandOptions(motion="hand", seed=1, seconds=0.4, size=(640, 480)))
     list(write_wand(tmp_path / "film", film))
     code, text = invoke(app, "export", tmp_path / "film", tmp_path / "wand.mcap")
     assert code == 0, text

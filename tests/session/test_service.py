@@ -298,6 +298,8 @@ def test_frames_that_cannot_be_used_are_told_and_the_camera_is_opened_anew(playi
     world.fault = fault
     world.reach("no-camera")
     assert reason in ask(world, "status")["reason"]
+    if fault == "size":
+        assert cv2.imread(ask(world, "snapshot")["file"]).shape == (960, 1280, 3)
     world.until(lambda: world.opened > opened, "opened anew")
     world.fault = ""
     world.reach("tracking")
@@ -348,7 +350,7 @@ def test_an_output_that_fails_is_opened_again_and_what_it_missed_is_counted(play
 # ---- the configuration ----
 
 
-def test_a_broken_file_is_refused_with_its_line_and_all_stays(playing):
+def test_a_change_on_disk_is_picked_up_and_a_broken_file_is_refused_with_its_line(playing):
     world = playing
     good = world.config.read_text()
     world.config.write_text(good + "motion:\n  scale_x: many\n")
@@ -364,6 +366,9 @@ def test_a_broken_file_is_refused_with_its_line_and_all_stays(playing):
     assert np.abs(world.counts - before).max() > 20
     world.config.write_text(good)
     world.until(lambda: ask(world, "reload")["message"].endswith("nothing has changed"))
+    world.config.write_text(good + "motion: {scale_x: 2}\n")
+    world.until(lambda: said(world, "configuration applied: motion"))
+    follows(world, (2, 1, 1))
 
 
 def test_the_changes_of_a_gesture_are_one_line_of_the_log(playing):
@@ -411,13 +416,6 @@ def test_a_service_saves_in_a_file_of_its_own_and_forgets_it(world):
     assert (world.saved.exists(), ask(world, "status")["saved"]) == (False, [])
     assert world.config.read_text() == before
     world.stop()
-
-
-def test_a_change_on_disk_is_picked_up(playing):
-    world = playing
-    world.config.write_text(world.config.read_text() + "motion: {scale_x: 2}\n")
-    world.until(lambda: said(world, "configuration applied: motion"))
-    follows(world, (2, 1, 1))
 
 
 def test_each_section_is_applied_between_two_frames(playing, monkeypatch):
@@ -491,15 +489,6 @@ def test_an_output_that_leaves_the_third_axis_out_says_so_when_it_is_taken(playi
         assert times(world, words) == told
     sent = sum(any(m.counts) for m in world.sent)
     world.until(lambda: ask(world, "status")["outputs"][0]["reports"] == sent)  # those before are closed, and counted
-
-
-@pytest.mark.parametrize("slip", ["output=nonsense", "source=vl42:/dev/video0"])
-def test_a_slip_in_a_kind_is_refused(playing, slip):
-    world = playing
-    opened = world.opened, list(world.outputs)
-    assert f"unknown {slip.partition('=')[0]}" in refused(world, "set", assignments=[slip])
-    world.settle()
-    assert (world.opened, world.outputs) == opened
 
 
 def test_the_tracker_itself_is_exchanged(playing):
@@ -600,21 +589,6 @@ def test_hidden_targets_at_the_start_are_waited_for(world):
     world.reach("tracking")
 
 
-def test_a_camera_that_goes_ends_the_estimate(playing):
-    world = playing
-    world.silent = True
-    answer = in_thread(lambda: ask(world, "reinit"))
-    world.until(lambda: world.daemon.adapter._reinitialisation is not None)
-    with pytest.raises(ControlError, match="already"):
-        Client(world.socket).ask("reinit")
-    world.missing = "unplugged"
-    assert "unplugged; the pose before stays" in str(answer())
-    world.missing, world.silent = "", False
-    world.reach("tracking")
-    world.settle()
-    assert ask(world, "reinit")["message"]
-
-
 def test_the_scene_is_the_device_and_the_map_in_its_axes(playing):
     """Seen from the camera, each target and the ball are where the rig has them."""
     rig, scene = playing.film.rig, ask(playing, "scene")
@@ -672,23 +646,19 @@ def test_a_snapshot_while_targets_are_sought(world):
         assert np.median(np.abs(coarse[inner].astype(int) - truth[inner])) < 15  # but for cross and rings
 
 
-def test_a_snapshot_of_pictures_of_another_size(playing):
-    playing.fault = "size"
-    playing.reach("no-camera")
-    assert cv2.imread(ask(playing, "snapshot")["file"]).shape == (960, 1280, 3)
-
-
-@pytest.mark.parametrize(
-    ("assignment", "why"),
-    [
-        ("wand.particles=300", "the tracker in use, so3, does not read this setting"),
-        ("control.group=nobody", "read at the start only"),
-    ],
-)
-def test_what_could_not_take_effect_is_refused(world, assignment, why):
+def test_what_could_not_take_effect_is_refused(world):
     world.start(assignments=("loss.lost_after=0.5",))
     world.reach("tracking")
-    assert why in refused(world, "set", assignments=[assignment, "motion.scale_x=5"])
+    opened = world.opened, list(world.outputs)
+    for assignment, why in (
+        ("wand.particles=300", "the tracker in use, so3, does not read this setting"),
+        ("control.group=nobody", "read at the start only"),
+        ("output=nonsense", "unknown output"),
+        ("source=vl42:/dev/video0", "unknown source"),
+    ):
+        assert why in refused(world, "set", assignments=[assignment, "motion.scale_x=5"])
+    world.settle()
+    assert (world.opened, world.outputs) == opened
     assert ask(world, "status")["changes"] == []
     assert ask(world, "status")["given"] == ["loss.lost_after"]
     done = ask(world, "set", assignments=["motion.scale_x=5", "motion.scale_y=1"])
@@ -882,8 +852,9 @@ def _loop(world):
     assert min(done.values()) > 5, done
 
 
-def test_a_recording_is_begun_ended_and_refused_twice(playing):
-    world = playing
+def test_a_recording_is_begun_once_and_ended_by_request_or_by_another_tracker(playing, monkeypatch):
+    """A `set` reads no file, and other settings do not end a recording."""
+    world, read = playing, []
     folder = ask(world, "record", folder="first")["folder"]
     assert "already" in refused(world, "record")
     world.until(lambda: (ask(world, "status")["recording"] or {}).get("frames", 0) > 10, "frames recorded")
@@ -893,6 +864,16 @@ def test_a_recording_is_begun_ended_and_refused_twice(playing):
     assert "nothing is being recorded" in refused(world, "record", stop=True)
     assert ask(world, "status")["recording"] is None
     assert (Path(folder) / "scene.json").exists()
+    monkeypatch.setattr(loader_module, "read_run_config", read.append)
+    ask(world, "record", folder="second")
+    world.until(lambda: (ask(world, "status")["recording"] or {}).get("frames", 0) > 3)
+    assert ask(world, "set", assignments=["motion.scale_x=2", "pointer.rate=500"])["changed"] == ["motion", "pointer"]
+    assert ask(world, "status")["recording"] is not None
+    message = ask(world, "set", assignments=["so3.acceleration_sigma=30"])["message"]
+    assert message.endswith("; the recording has ended, since it holds one tracker configuration")
+    world.until((world.folder / "recordings" / "second" / "scene.json").exists)
+    assert ask(world, "status")["recording"] is None
+    assert read == []
 
 
 def test_a_disk_that_is_full_ends_a_recording_and_nothing_else(playing, monkeypatch):
@@ -913,20 +894,6 @@ def test_a_disk_that_is_full_ends_a_recording_and_nothing_else(playing, monkeypa
     world.turn()
     near(world)
     assert world.state == "tracking"
-
-
-def test_a_set_reads_no_file_and_ends_a_recording_only_if_the_tracker_changes(playing, monkeypatch):
-    world, read = playing, []
-    monkeypatch.setattr(loader_module, "read_run_config", read.append)
-    ask(world, "record", folder="first")
-    world.until(lambda: (ask(world, "status")["recording"] or {}).get("frames", 0) > 3)
-    assert ask(world, "set", assignments=["motion.scale_x=2", "pointer.rate=500"])["changed"] == ["motion", "pointer"]
-    assert ask(world, "status")["recording"] is not None
-    message = ask(world, "set", assignments=["so3.acceleration_sigma=30"])["message"]
-    assert message.endswith("; the recording has ended, since it holds one tracker configuration")
-    world.until((world.folder / "recordings" / "first" / "scene.json").exists)
-    assert ask(world, "status")["recording"] is None
-    assert read == []
 
 
 # ---- the service manager ----
@@ -1000,25 +967,23 @@ def test_an_internal_error_is_told_and_the_ball_is_looked_for_anew(playing):
     follows(world)
 
 
-@pytest.mark.parametrize(
-    ("function", "command"),
-    [
-        ("config_reloader.read_run_config", "reload"),
-        ("ball.search.find_pose", "reinit"),
-        ("record.archive.Archive.want_snapshot", "snapshot"),
-    ],
-)
-def test_an_internal_error_in_a_request_is_answered_and_the_next_one_works(playing, monkeypatch, function, command):
+def test_an_internal_error_in_a_request_is_answered_and_the_next_one_works(playing, monkeypatch):
     def wrong(*_, **__):
         raise ZeroDivisionError("as if")
 
-    with monkeypatch.context() as patch:
-        patch.setattr(f"spheremouse.session.{function}", wrong)
-        assert "internal error (ZeroDivisionError: as if)" in refused(playing, command)
-    playing.until(lambda: said(playing, "internal error") or said(playing, "Traceback"))
-    playing.settle()
-    assert playing.state == "tracking"
-    assert ask(playing, command)
+    for function, command in (
+        ("config_reloader.read_run_config", "reload"),
+        ("ball.search.find_pose", "reinit"),
+        ("record.archive.Archive.want_snapshot", "snapshot"),
+    ):
+        playing.said.clear()
+        with monkeypatch.context() as patch:
+            patch.setattr(f"spheremouse.session.{function}", wrong)
+            assert "internal error (ZeroDivisionError: as if)" in refused(playing, command)
+        playing.until(lambda: said(playing, "internal error") or said(playing, "Traceback"))
+        playing.settle()
+        assert playing.state == "tracking"
+        assert ask(playing, command)
 
 
 # ---- the process ----

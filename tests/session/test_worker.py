@@ -12,15 +12,10 @@ from spheremouse.ball.rig import Targets
 from spheremouse.capture.newest import Arrival
 from spheremouse.errors import DamagedFrameError, PoseError
 from spheremouse.session.ball.adapter import BallAdapter
-from spheremouse.session.run_config import RunConfig
 from spheremouse.session.settings import Configuration
 from spheremouse.session.tracker_adapter import POSE, here
 from spheremouse.session.worker import Worker
 from spheremouse.tracker import Frame, Status
-
-
-def plan(configuration):
-    return RunConfig(configuration, "film:", "null", None, None, None, None, None)
 
 
 @pytest.fixture(scope="module")
@@ -159,27 +154,6 @@ def test_grey_frames_cannot_show_the_targets(film):
     for k in range(2):
         play.worker.work(Arrival(RawFrame(film.grey[0], film.grey[0], k), 0.0))
     assert "grey" in play.adapter.waiting
-
-
-def test_other_settings_from_the_next_frame_on(film):
-    play = Play(film)
-    play()
-    play()
-    tracker = play.adapter.tracker
-    other = replace(SETTINGS, motion=replace(SETTINGS.motion, scale_x=2.0))
-    play.adapter.prepare(plan(other), {"motion"})()  # before the first frame
-    play()
-    other = replace(SETTINGS, motion=replace(SETTINGS.motion, scale_x=4.0))
-    apply = play.adapter.prepare(plan(other), {"motion"})
-    assert play.adapter.settings.motion.scale_x == 2.0  # nothing has changed
-    assert apply() is play.adapter
-    play()
-    assert play.adapter.tracker is tracker  # a scale is not the tracker's
-    play.adapter.prepare(plan(replace(other, detector="blobs")), {"tracker"})()
-    assert play.adapter.tracker is not tracker
-    assert play.adapter.tracker is not None
-    assert np.allclose(play.adapter.mapping.matrix, replace(SETTINGS.motion, scale_x=4.0).matrix(film.rig.ball.radius))
-    assert play.adapter.settings.motion.scale_x == 4.0
 
 
 def in_a_thread(kind, work):

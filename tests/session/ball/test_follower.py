@@ -78,7 +78,7 @@ def watched(options, covered=(0.0, 0.0), level=170, disc=1.0):
     ],
 )
 def test_a_ball_without_discs_states_why_within_two_seconds_and_the_log_has_it_once(options, change, told):
-    seen, _ = watched(SimulationOptions(seed=5, motion="rest", noise=2.0, seconds=3.0, **options), **change)
+    seen, _ = watched(SimulationOptions(seed=5, motion="rest", noise=2.0, seconds=3.0, fps=10.0, **options), **change)
     after = [k for k, t in enumerate(seen.stamps) if t - seen.stamps[0] >= 2.0]
     for k in after:
         assert seen.reasons[k].startswith("no disc found on the ball for ")
@@ -89,7 +89,9 @@ def test_a_ball_without_discs_states_why_within_two_seconds_and_the_log_has_it_o
 
 
 def test_a_lens_cap_put_on_in_play_is_told_within_two_seconds_and_forgotten_when_the_ball_is_seen_again():
-    seen, _ = watched(SimulationOptions(seed=3, motion="play", noise=2.0, seconds=4.5), covered=(1.0, 3.5), level=2)
+    seen, _ = watched(
+        SimulationOptions(seed=3, motion="play", noise=2.0, seconds=4.5, fps=15.0), covered=(1.0, 3.5), level=2
+    )
     black = [t for t, reason in zip(seen.stamps, seen.reasons, strict=True) if "nearly black" in reason]
     assert black[0] <= 3.0
     assert 3.4 <= black[-1] <= 3.6

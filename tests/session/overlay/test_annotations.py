@@ -40,7 +40,7 @@ def inside(ellipse, size):
 
 def test_detected_and_predicted_discs_cover_those_of_the_picture():
     """The film's discs are black on grey, and the ball is at rest."""
-    tracker, epoch = list(epochs(1920, 1080, frames=3))[-1]
+    tracker, epoch = list(epochs(1280, 720, frames=3))[-1]
     marks = of_discs(epoch.state, tracker, DT)
     dark = epoch.frame.image[..., 0] < 115
     parts, labels = cv2.connectedComponents(dark.astype(np.uint8))
@@ -48,7 +48,7 @@ def test_detected_and_predicted_discs_cover_those_of_the_picture():
     assert sum(disc["used"] for disc in marks["detected"]) == len(epoch.state.filter.used)
     assert len(marks["predicted"]) >= 3
     for disc in marks["detected"] + marks["predicted"]:
-        disc_pixels, ellipse = labels == labels[round(disc["y"]), round(disc["x"])], inside(disc, (1920, 1080))
+        disc_pixels, ellipse = labels == labels[round(disc["y"]), round(disc["x"])], inside(disc, (1280, 720))
         assert np.sum(disc_pixels & ellipse) > 0.85 * np.sum(disc_pixels | ellipse)
 
 

@@ -18,7 +18,7 @@ from spheremouse.session.overlay.marks import target_marks
 from spheremouse.session.overlay.pen import GREEN, OUTLINE, RED, WHITE
 from spheremouse.tracker import Frame
 
-SIZES = ((640, 480), (1280, 720), (1920, 1080))
+SIZES = ((640, 480), (1280, 720))
 
 
 def is_near(image, colour, tolerance=60):

@@ -52,11 +52,6 @@ def test_ready_status_and_end(manager):
     ]
 
 
-def test_letters_of_all_kinds_arrive(manager):
-    Notifier().status("tracking: 0.3° off, ± 2 µm, 球")
-    assert manager.heard() == ["STATUS=tracking: 0.3° off, ± 2 µm, 球"]
-
-
 def test_the_watchdog_is_fed_by_progress_only_and_not_at_every_frame(manager):
     notifier = Notifier(lambda: manager.now)
     fed = []

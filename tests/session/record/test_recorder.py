@@ -382,16 +382,6 @@ def test_no_frame_is_no_recording(tmp_path):
     assert not recorder.add(small_frame(0))
 
 
-@pytest.mark.parametrize(("place", "words"), [("full", "not empty"), ("file", "is a file"), ("file/made", "file")])
-def test_what_is_there_is_not_overwritten(tmp_path, place, words):
-    (tmp_path / "file").write_text("")
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "scene.json").write_text("{}")
-    with pytest.raises(DatasetError, match=words):
-        begin(tmp_path / place)
-    assert sorted(p.name for p in tmp_path.rglob("*")) == ["file", "full", "scene.json"]
-
-
 def test_somebody_who_comes_first_is_not_overwritten(tmp_path):
     *device, frames = film()
     recorder = begin(tmp_path / "made", PLENTY, device)
@@ -428,6 +418,7 @@ def in_another_process(code, path):
     )
 
 
+@pytest.mark.slow
 def test_a_disk_that_fills_up_leaves_nothing(tmp_path):
     """Writes fail half-way: here by a limit on the size of a file, since OpenCV's writer does not say so."""
     code = """

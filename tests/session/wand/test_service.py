@@ -8,12 +8,11 @@ import json
 import os
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from daemon_world import Film, World, check_samples, left_over
+from daemon_world import Film, World, left_over
 from scipy.spatial.transform import Rotation
 
 from spheremouse.errors import ControlError
@@ -130,31 +129,6 @@ def test_counts_are_the_turn_of_the_ball(playing):
     assert playing.daemon.latency is not None
 
 
-def test_a_client_gets_the_samples_that_a_text_output_writes(world, tmp_path):
-    check_samples(world, tmp_path / "run.jsonl", 20)
-
-
-def test_a_camera_is_missing_goes_and_comes_back(world):
-    world.missing = "no such device; plug it in"
-    world.start()
-    world.heard("no-camera: no such device; plug it in")
-    world.missing = ""
-    world.heard("tracking")
-    near(*world.turn(28))
-    world.missing = "unplugged"
-    world.heard("no-camera: unplugged")
-    time.sleep(0.1)
-    before = world.counts
-    world.turned_unseen(3)
-    world.stamp += 2.0
-    world.missing = ""
-    world.heard("tracking", times=2)
-    world.settle()
-    assert np.abs(world.counts - before).max() < 30  # and nothing jumps
-    near(*world.turn(20))
-    assert world.opened == 2
-
-
 def test_a_lost_ball_moves_nothing_and_nothing_jumps_when_it_is_back(playing):
     playing.fault = "hidden"
     playing.heard("lost: ")
@@ -166,19 +140,6 @@ def test_a_lost_ball_moves_nothing_and_nothing_jumps_when_it_is_back(playing):
     playing.settle()
     assert np.abs(playing.counts - before).max() < 30
     near(*playing.turn(9))
-
-
-@pytest.mark.slow
-def test_grey_frames_are_reported_and_the_camera_is_opened_again(playing, monkeypatch):
-    monkeypatch.setattr("spheremouse.session.service._USELESS", 0.1)
-    playing.fault = "grey"
-    playing.heard("no-camera: ")
-    playing.heard("the frames are grey")
-    playing.until(lambda: playing.opened > 1, "opened anew")
-    playing.fault = ""
-    playing.heard("tracking", times=2)
-    near(*playing.turn(10))
-    assert sum("the frames are grey" in line for line in playing.said) == 1
 
 
 def test_it_ends_when_the_reader_has_gone_and_after_as_many_frames_as_were_wanted(world, film, tmp_path_factory):
@@ -254,17 +215,14 @@ def test_other_parameters_are_used_and_the_ball_is_followed_on(playing):
     assert playing.client.ask("reload")["changed"] == ["tracker", "motion"]
 
 
-@pytest.mark.parametrize(
-    ("assignment", "why"),
-    [
+def test_what_cannot_be_is_refused_and_nothing_changes(playing):
+    for assignment, why in (
         ("wand.points=2", "wand.points: is 2, but there is one ball; balls are counted from 1"),
         ("wand.balls=[none.yaml]", "none.yaml: no such file; check the path"),
         ("tracker=so3", "stop this run and start again"),
-    ],
-)
-def test_what_cannot_be_is_refused_and_nothing_changes(playing, assignment, why):
-    with pytest.raises(ControlError, match=why.replace("(", r"\(")):
-        playing.client.ask("set", assignments=[assignment])
+    ):
+        with pytest.raises(ControlError, match=why):
+            playing.client.ask("set", assignments=[assignment])
     near(*playing.turn(20))
     assert playing.client.ask("status")["state"] == "tracking"
 
@@ -355,18 +313,15 @@ def test_a_recording_is_tracked_again_to_the_last_bit(world, tmp_path):
     assert seen > 20
 
 
-def test_nothing_is_shown_of_what_hides_a_ball(playing):
+def test_a_snapshot_shows_the_balls_and_nothing_else(playing):
+    """Neither the person who holds them, nor what hides them."""
+    image = cv2.imread(playing.client.ask("snapshot", file="seen.png")["file"])
+    assert image.shape == (960, 1280, 3)
+    assert np.mean(image[:-80].any(axis=2)) < 0.5
+    assert image[:-80].any()
     playing.client.ask("set", assignments=["wand.lost_after=30"])
     playing.settle()
     playing.fault = "hidden"
     playing.until(lambda: playing.client.ask("status")["balls"][0]["state"] == "hidden", "hidden")
     image = cv2.imread(playing.client.ask("snapshot", file="hidden.png")["file"])
     assert np.mean(image[:-80].any(axis=2)) < 0.05  # outlines alone
-
-
-def test_a_snapshot_shows_the_balls_and_nobody_who_holds_them(playing):
-    path = Path(playing.client.ask("snapshot", file="seen.png")["file"])
-    image = cv2.imread(str(path))
-    assert image.shape == (960, 1280, 3)
-    assert np.mean(image[:-80].any(axis=2)) < 0.5
-    assert image[:-80].any()
