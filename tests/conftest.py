@@ -21,7 +21,7 @@ from spheremouse.simulate.wand import render as wand_render
 _SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP") if hasattr(signal, name)]
 
 threadpool_limits(1)  # as the command line does
-hypothesis.settings.register_profile("untimed", deadline=None)  # machines are shared
+hypothesis.settings.register_profile("untimed", deadline=None, max_examples=60)  # machines are shared
 hypothesis.settings.load_profile("untimed")
 
 

@@ -94,11 +94,6 @@ def video_frames(path):
     return count
 
 
-def test_version(spheremouse):
-    code, out, err = spheremouse("--version")
-    assert (code, out, err) == (0, "spheremouse 0.1.0\n", "")
-
-
 # ---- a run ----
 
 

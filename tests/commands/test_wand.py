@@ -56,17 +56,17 @@ def picture(shot, tmp_path):
 
 def test_a_film_is_made_and_evaluated(run, tmp_path):
     out = tmp_path / "film"
-    words = ("--path", "hand", "--seconds", 1, "--seed", 3, "--size", "640x480", "--blur", 0.005)
+    words = ("--path", "hand", "--seconds", 0.6, "--seed", 3, "--size", "640x480", "--blur", 0.005)
     code, said = run("wand", "simulate", out, *words)
     assert code == 0
-    assert said.startswith(f"{out}: 15 frames of 640x480 at 15 Hz, motion hand, ball grzonka; ")
+    assert said.startswith(f"{out}: 9 frames of 640x480 at 15 Hz, motion hand, ball grzonka; ")
     assert f"next: spheremouse evaluate {out} --tracker wand" in said
     code, said = run(
         "evaluate", out, "--tracker", "wand", "--runs", 2, "--pose", "known", "--json", tmp_path / "a.json"
     )
     assert code == 0, said
     figures = json.loads((tmp_path / "a.json").read_text())
-    assert (figures["dataset"], figures["tracker"], figures["frames"], figures["runs"]) == ("film", "wand", 15, 2)
+    assert (figures["dataset"], figures["tracker"], figures["frames"], figures["runs"]) == ("film", "wand", 9, 2)
     assert set(figures["position_p95_mm"]) == {"x", "y", "z"}
     assert figures["lost_runs"] in (0, 1, 2)
     assert figures["fps"] > 0.0
@@ -97,13 +97,6 @@ def test_evaluate_refuses_what_does_not_go_with_a_wand(run, tmp_path, words, sai
     code, output = run("evaluate", tmp_path, "--tracker", "wand", *words)
     assert code == 2
     assert said in output
-
-
-def test_a_recording_of_a_ball_in_its_frame_is_no_wand(run, tmp_path):
-    (tmp_path / "scene.json").write_text('{"ball": {"radius": 0.6}}')
-    code, said = run("evaluate", tmp_path, "--tracker", "wand")
-    assert code == 2
-    assert "no `wand` in it" in said
 
 
 # ---- colours ----

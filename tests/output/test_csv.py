@@ -12,7 +12,6 @@ from tables import frame, full_disk, write_and_be_killed
 from spheremouse.errors import OutputError
 from spheremouse.output import open_output
 from spheremouse.output.columns import columns
-from spheremouse.tracker import Status
 
 # pandas 3 reads every digit without being asked to
 EXACT = {} if int(pd.__version__.partition(".")[0]) >= 3 else {"float_precision": "round_trip"}
@@ -78,14 +77,6 @@ def test_each_column_has_its_unit_and_frame_in_the_head(tmp_path):
     assert [line[2:].split(" [")[0].split(":")[0] for line in head[1:-2]] == [c.name for c in columns("obj")]
 
 
-@pytest.mark.parametrize("status", [Status.SEARCHING, Status.LOST])
-def test_a_ball_that_is_not_tracked_has_no_attitude(tmp_path, status):
-    table = written(tmp_path / "a.csv", frame(1), frame(2, status))
-    assert table["status"].tolist() == ["tracking", str(status)]
-    unknown = table.columns[table.loc[1].isna()]
-    assert list(unknown) == [c.name for c in columns("obj") if c.frame]
-
-
 def test_a_table_is_continued_and_no_other_file_is_written_to(tmp_path):
     path = tmp_path / "a.csv"
     path.touch()
@@ -146,16 +137,3 @@ def test_a_second_run_does_not_write_into_the_table_of_the_first(tmp_path):
 @pytest.mark.parametrize("spec", ["csv", "csv:", "csv:-"])
 def test_a_table_needs_a_file(spec):
     assert refused(spec).endswith("needs a file; write csv:FILE")
-
-
-def test_files_that_cannot_be_written(tmp_path):
-    assert "Is a directory" in refused(f"csv:{tmp_path}")
-    assert "No such file or directory" in refused(f"csv:{tmp_path / 'no' / 'a.csv'}")
-    assert "cannot be written" in refused("csv:a\0b")
-
-
-def test_the_text_twin_is_the_row(tmp_path):
-    with open_output(f"csv:{tmp_path / 'a.csv'}") as output:
-        output.send(frame(3))
-        text = output.describe(frame(3))
-    assert text == (tmp_path / "a.csv").read_text().splitlines()[-1]

@@ -13,7 +13,6 @@ from tables import frame
 
 from spheremouse.output import open_output
 from spheremouse.output.columns import columns, rows
-from spheremouse.tracker import Status
 
 try:
     import pylsl
@@ -59,12 +58,6 @@ def test_an_inlet_gets_every_number_exactly_with_label_unit_and_frame(stream, co
     places = [k for k, c in enumerate(columns(coordinates)) if c.type is not str]
     expected = [[row[k] for k in places] for report in frames for row in rows(report)]
     assert np.array_equal([values for values, _ in samples], expected)
-
-
-def test_a_ball_that_is_not_tracked_has_no_attitude(stream):
-    _, ((values, _),) = stream(frame(1, Status.LOST))
-    numeric = [c for c in columns("obj") if c.type is not str]
-    assert [c.name for c, v in zip(numeric, values, strict=True) if np.isnan(v)] == [c.name for c in numeric if c.frame]
 
 
 def test_the_time_stamp_is_that_of_the_exposure_on_the_clock_of_lsl(stream):

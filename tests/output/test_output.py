@@ -53,11 +53,6 @@ def test_stamp_and_counts_read_back_exactly(stamp, counts):
     assert tuple(map(int, whole)) == counts
 
 
-def test_the_text_twin_is_the_line(tmp_path):
-    with open_output(counts_log(tmp_path / "log.txt")) as output:
-        assert output.describe(turned(1)) == "1.5 1 0 0"
-
-
 def test_standard_output(capsys):
     for spec in ("text:-,format=counts", "text:,format=counts"):
         with open_output(spec) as output:
@@ -116,16 +111,14 @@ print("ended quietly", sent < 99_999, file=__import__("sys").stderr)
 """
 
 
-@pytest.mark.parametrize("lines", [0, 1, 5])
-def test_a_reader_that_goes_away_is_a_quiet_end(lines):
+def test_a_reader_that_goes_away_is_a_quiet_end():
     """A real pipe, as in `spheremouse run --output text:- | head`."""
     with subprocess.Popen(
         [sys.executable, "-c", PROGRAM], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=REPOSITORY
     ) as process:
         assert process.stdout is not None
         assert process.stderr is not None
-        for _ in range(lines):
-            process.stdout.readline()
+        process.stdout.readline()
         process.stdout.close()
         assert process.stderr.read() == "ended quietly True\n"
     assert process.returncode == 0

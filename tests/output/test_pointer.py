@@ -120,11 +120,6 @@ def test_the_lead_is_bounded(given_frames, settings):
         assert np.all(np.abs(np.subtract(due(player.resampler, np.inf), player.resampler.truth)) <= most + 1e-6)
 
 
-@given(st.lists(st.tuples(speeds, speeds, speeds), max_size=20), knobs)
-def test_a_ball_at_rest_sends_nothing(rates, settings):
-    assert not np.any(played([((0, 0, 0), rate, 1 / 30, True) for rate in rates], settings).sent)
-
-
 @given(frames, knobs, st.sampled_from([-1, 1]))
 def test_no_loss_and_nothing_twice(given_frames, settings, way):
     """Wherever it stops: once the ball has moved on both ways by more than was overshot, the sum is the truth."""

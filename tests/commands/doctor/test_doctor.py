@@ -135,15 +135,6 @@ def test_one_thing_wrong_hides_nothing_else(tmp_path, far26):
     assert ("computer", "disk") in found
 
 
-def test_each_problem_of_a_file_is_a_line_with_its_advice(tmp_path):
-    config = tmp_path / "config.yaml"
-    config.write_text("schema: 2\ndiscs:\n  contrast: much\n  contrst: 1\nrig: gone.yaml\n")
-    _, found = files.read(CommandLineOverrides(config, source="null", outputs=("null",)), None)
-    assert [f.text.partition(": ")[0] for f in found] == [f"{config}:3", f"{config}:4"]
-    assert all(str(config) not in f.advice for f in found)
-    assert [f.verdict for f in found] == [WRONG, WRONG]
-
-
 def test_a_source_that_gives_nothing_leaves_the_other_subjects(tmp_path):
     found = examined(source=f"dataset:{tmp_path / 'gone'}", outputs=("text:-",))
     assert one(found, "camera", "film").verdict is WRONG

@@ -126,15 +126,6 @@ def test_samples_may_go_beside_the_pointer_and_the_configuration_may_say_all(sph
     assert (code, f"{file}:6: wand.pointing.by: must be 'turn' or 'shift'" in err) == (2, True), err
 
 
-def test_a_video_with_a_camera_file_and_a_balls_file(spheremouse, hand, camera, tmp_path):
-    save_wand(tmp_path / "ball.yaml", grzonka_ball())
-    words = ("--source", f"video:{hand / 'video.mkv'}", "--camera", camera, "--ball", tmp_path / "ball.yaml")
-    code, out, err = spheremouse(*WAND, *words, "--output", "text:-", "--frames", 5)
-    assert code == 0, err
-    table, truth = read(out), open_wand(hand).truth
-    assert columns(table, "x y z") == pytest.approx(truth.position[:5], abs=0.03)
-
-
 def test_several_balls_and_which_of_them_points(spheremouse, two, tmp_path):
     words = (*WAND, "--source", f"dataset:{two}", "--output", "text:-", "--set", "wand.points=2")
     code, out, err = spheremouse(*words)
@@ -167,20 +158,6 @@ def test_a_declared_ball_that_is_never_found_is_told_at_the_end(spheremouse, han
     assert code == 2
     assert "was never found" not in err  # the error says so
     assert err.splitlines()[-1].startswith(f"spheremouse: dataset:{hand}: no ball like grzonka 2 in view")
-
-
-@pytest.mark.slow
-def test_held_to_its_stamps_it_tracks_the_same_ball(spheremouse, hand, tmp_path):
-    """Through the live loop: frames may be left out, their poses may not be others'."""
-    log = tmp_path / "axes.txt"
-    words = ("--source", f"dataset:{hand}", "--output", f"text:{log}", "--realtime")
-    code, _, err = spheremouse(*WAND, *words, "--set", "realtime=off")
-    assert code == 0, err
-    assert "from stamp to output" in err
-    table, truth = read(log.read_text()), open_wand(hand).truth
-    assert len(table["t"]) >= 2
-    k = [truth.stamp.tolist().index(t) for t in table["t"]]
-    assert columns(table, "x y z") == pytest.approx(truth.position[k], abs=0.05)
 
 
 # ---- what may be wrong ----

@@ -348,12 +348,6 @@ def test_a_folder_with_something_in_it_is_refused(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
-def test_an_empty_folder_is_filled(tmp_path):
-    (tmp_path / "out").mkdir()
-    write(tmp_path / "out")
-    assert open_dataset(tmp_path / "out").frames == FRAMES
-
-
 def test_what_is_no_dataset_is_never_replaced(tmp_path):
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "letters.txt").write_text("dear")

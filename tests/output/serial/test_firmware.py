@@ -239,45 +239,6 @@ def test_a_computer_that_asks_every_8_ms(mouse):
 # ---- the light ----
 
 
-def test_the_light(mouse):
-    led, runtime = SimpleNamespace(value=None), SimpleNamespace(usb_connected=False)
-    noise = SimpleNamespace(in_waiting=0, readinto=lambda b: b.__setitem__(slice(3), b"\x01\x07\0") or 3)
-    port = SimpleNamespace(in_waiting=0, out_waiting=0, connected=False, readinto=None)
-    hid = SimpleNamespace(get_last_received_report=lambda report_id: None, send_report=lambda report, report_id: None)
-    pico = mouse.Mouse(1, b"", hid, port, noise, led, runtime)
-    dark = mouse.Mouse(1, b"", hid, port, None, None, runtime)  # a board without a plain LED
-
-    def lights(begin, end, frame=b""):
-        """States of the LED, a ms apart."""
-        seen = []
-        for now in range(begin, end):
-            data, frame = frame, b""
-            port.in_waiting, port.readinto = len(data), lambda b, d=data: b.__setitem__(slice(len(d)), d) or len(d)
-            pico.turn(now)
-            dark.turn(now)
-            port.in_waiting = 0
-            seen.append(bool(led.value))
-        return seen
-
-    assert not any(lights(0, 2048))  # no computer
-    runtime.usb_connected = True
-    assert sum(lights(2048, 4096)) == 1024  # waits: slow blinking
-    assert all(lights(4096, 4150, messages.hello(0, 5)))  # a session
-    assert all(lights(4150, 4200, messages.motion(1, (1, 0, 0, 0), 0)))
-    worried = lights(4200, 4250, messages.motion(3, (1, 0, 0, 0), 0))  # a frame was lost: flicker
-    assert 0 < sum(worried) < 50
-    damaged = bytearray(messages.motion(4, (1, 0, 0, 0), 0))
-    damaged[7] ^= 1
-    assert all(lights(4550, 4580, messages.motion(5, (1, 0, 0, 0), 0)[:0] + messages.hello(4, 6)))
-    assert 0 < sum(lights(4580, 4640, bytes(damaged))) < 60  # a wrong check sum: flicker
-    assert all(lights(4900, 4930, messages.hello(5, 7)))
-    noise.in_waiting = 3  # an open pin
-    assert all(lights(4930, 4980))
-    noise.in_waiting = 0
-    lights(4980, 6144)
-    assert sum(lights(6144, 8192)) == 1024  # silence: waits again
-
-
 # ---- the report descriptor and the version ----
 
 

@@ -14,7 +14,7 @@ from serial_world import Board, Wire, World
 from spheremouse.output.serial import messages
 from spheremouse.output.serial.firmware import load_protocol
 from spheremouse.output.serial.link import SILENCE, STEP_LIMIT, Link
-from spheremouse.output.serial.messages import BODY_BYTES, Flags, Splitter, parse, signed
+from spheremouse.output.serial.messages import BODY_BYTES, Flags, Splitter, parse
 
 BOARD: Any = load_protocol()
 PAGE = (Path(__file__).parents[3] / "docs" / "protocol.md").read_text(encoding="utf-8")
@@ -82,11 +82,6 @@ def test_one_damaged_byte_is_always_noticed(body, at, change):
     coded[at % (len(coded) - 1)] ^= change
     assert [c for c in taken(bytes(coded), len(coded)) if len(c) == BODY_BYTES[body[0]] + 8] == []
     assert [f for f in Splitter().take(bytes(coded)) if f.version == 1] == []
-
-
-@given(st.integers(-(10**9), 10**9))
-def test_signed_differences(n):
-    assert signed(n) == BOARD.signed(n) == (n + 2**15) % 2**16 - 2**15
 
 
 def test_a_name_of_control_characters_stays_off_the_terminal():
@@ -187,14 +182,6 @@ def test_a_session_without_a_motion_leaves_no_trace():
     assert (again.session, again.last, again.counters[0]) == (8, 7, 5)
 
 
-def test_stop_releases_buttons():
-    board = begun()
-    asked(board, messages.motion(101, (5, 0, 0, 0), 3))
-    (ack,) = asked(board, messages.encode(messages.STOP, 102))
-    assert (ack.number, board.buttons) == (102, 0)
-    assert not ack.flags & Flags.RUNNING
-
-
 def test_counts_of_a_sleeping_computer_stay_due_and_buttons_are_sent_again_on_waking():
     board = begun()
     asked(board, messages.motion(101, (1, 0, 0, 0), 1))
@@ -242,17 +229,6 @@ def test_status_counts():
 def world(seed=0, **wire):
     rng = np.random.default_rng(seed)
     return World(Board(), Wire(rng, **wire), Wire(rng, **wire), begin_ms=2**29 - 500)
-
-
-def test_a_sound_line_passes_on_everything_at_once():
-    w = world()
-    for k in range(3000):
-        w.give((k % 23 - 9, 4 - k % 8, 1, -1))
-        w.step()
-        if k > 3:
-            assert w.short == [0, 0, 0, 0]
-    assert (w.link.sessions, w.board.device.refused, w.board.device.lost) == (1, 0, 0)
-    assert w.link.round_trip(0.5) == pytest.approx(0.002)
 
 
 events = st.sampled_from(["run", "cut", "half", "hang", "noise", "flood", "reopen", "sleep", "fast", "reset"])
