@@ -11,8 +11,8 @@ import time
 import numpy as np
 
 from spheremouse.output import open_output
-from spheremouse.output.serial.simulator import Simulator
 from tests.reporting import report
+from tests.simulated_board import Simulator
 
 
 def board(connection):

@@ -14,7 +14,7 @@ import numpy as np
 
 from spheremouse.output.serial import messages
 from spheremouse.output.serial.link import Link
-from spheremouse.output.serial.simulator import Board
+from tests.simulated_board import Board
 
 
 class Wire:

@@ -1,7 +1,5 @@
-"""`spheremouse firmware`: install the firmware on a board, check a board, simulate one."""
+"""`spheremouse firmware`: install the firmware on a board, or check a board."""
 
-import os
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +8,7 @@ import typer
 from spheremouse.calibrate.outputs import check_outputs
 from spheremouse.commands.calibrate.options import Force
 from spheremouse.commands.options import JsonFile
-from spheremouse.errors import ConfigurationError, OutputError
+from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import write_json
 
 if TYPE_CHECKING:
@@ -19,7 +17,7 @@ if TYPE_CHECKING:
 
 _MAX_DAMAGED = 0.01  # fraction of damaged frames on a good line
 
-app = typer.Typer(no_args_is_help=True, help="The board that is the mouse: install, check, simulate.")
+app = typer.Typer(no_args_is_help=True, help="The board that is the mouse: install, check.")
 
 
 @app.command(epilog="Example: spheremouse firmware install")
@@ -114,58 +112,3 @@ def _line_problems(status: "Status") -> list[str]:
             "connected, and plug the board in again to reset the count"
         )
     return wrong
-
-
-@app.command(epilog="Example: spheremouse firmware simulate --link board --seconds 60")
-def simulate(
-    link: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Make a symbolic link to the port, as a constant name.")
-    ] = None,
-    damage: Annotated[
-        float,
-        typer.Option(
-            metavar="PERCENT", min=0.0, max=50.0, help="Damaged bytes, each way; above 3 a session may never begin."
-        ),
-    ] = 0.0,
-    baud: Annotated[int | None, typer.Option(metavar="N", help="Speed of the line.  [default: any]")] = None,
-    seconds: Annotated[
-        float | None, typer.Option(metavar="S", min=0.0, help="End after this time.  [default: at Ctrl-C]")
-    ] = None,
-) -> None:
-    """Simulate a board: open a serial port on which the firmware answers, and print the motion of its mouse."""
-    from spheremouse.capture.signals import SignalHandler
-    from spheremouse.output.serial import validate_baud
-    from spheremouse.output.serial.simulator import Simulator
-
-    if baud is not None:
-        validate_baud(baud, "--baud")
-    if link is not None:
-        _check_link(link)
-    with SignalHandler() as stopping, Simulator(damage / 100.0, baud=baud) as board:
-        if link is not None:
-            link.unlink(missing_ok=True)
-            os.symlink(board.port, link)
-        typer.echo(f"{link or board.port}: a simulated board; try: spheremouse demo, then")
-        typer.echo(f"  spheremouse run --source dataset:demo/roll --output serial:{link or board.port}")
-        try:
-            printed = ""
-            end = time.monotonic() + (float("inf") if seconds is None else seconds)
-            while not stopping.asked and time.monotonic() < end:
-                state = "session" if board.device.running else "waits"
-                if (line := f"{board.describe()} buttons {board.buttons:05b} {state}") != printed:
-                    printed = line
-                    typer.echo(line)
-                time.sleep(min(0.2, max(0.0, end - time.monotonic())))
-        finally:
-            if link is not None:
-                link.unlink(missing_ok=True)
-    typer.echo(f"in all: {board.describe()} in {board.reports} reports")
-
-
-def _check_link(link: Path) -> None:
-    """Raise ConfigurationError if a link to a port cannot be made there, or would replace anything else."""
-    if not link.parent.is_dir():
-        raise ConfigurationError(f"--link: there is no folder {link.parent}", "make it, or choose another name")
-    ours = link.is_symlink() and os.readlink(link).startswith(("/dev/pts/", "/dev/tty"))
-    if os.path.lexists(link) and not ours:
-        raise ConfigurationError(f"--link: {link} is there and is no link to a port", "choose another name")

@@ -413,7 +413,7 @@ class Playing:
 @pytest.fixture
 def board():
     pytest.importorskip("pty", reason="no pseudo-terminals here")
-    from spheremouse.output.serial.simulator import Simulator
+    from simulated_board import Simulator
 
     with Simulator() as simulator:
         yield simulator
@@ -442,7 +442,7 @@ def put_to_sleep(board):
 def test_a_board_that_takes_nothing_is_a_failed_output_and_unconfirmed_counts_are_unsent(
     start, board, fault, reason, tmp_path
 ):
-    from spheremouse.output.serial.simulator import Simulator
+    from simulated_board import Simulator
 
     link = tmp_path / "board"
     link.symlink_to(board.port)

@@ -4,13 +4,11 @@ CircuitPython appears as a drive with a file boot_out.txt. Its first line has th
 """
 
 import contextlib
-import importlib.util
 import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 
 from spheremouse.errors import OutputError, printable
 from spheremouse.files.access import service_files
@@ -42,16 +40,6 @@ class Drive:
     path: Path
     circuitpython: tuple[int, int]
     board: str
-
-
-def load_protocol() -> ModuleType:
-    """Return the board's protocol.py as a module, because it runs in CPython too."""
-    spec = importlib.util.spec_from_file_location("spheremouse_firmware_protocol", service_files(PICO) / "protocol.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def version_of(path: Path) -> Version | None:

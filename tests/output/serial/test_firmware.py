@@ -495,7 +495,7 @@ def test_a_full_drive_keeps_the_old_file(drive, monkeypatch):
 def simulated():
     """Return the class of simulated boards."""
     pytest.importorskip("pty")
-    from spheremouse.output.serial.simulator import Simulator
+    from simulated_board import Simulator
 
     return Simulator
 
@@ -534,7 +534,9 @@ def test_a_check_over_a_bad_line(simulated):
     ],
 )
 def test_another_version_runs(simulated, runs, kind, advice):
-    protocol: Any = firmware.load_protocol()
+    from simulated_board import load_protocol
+
+    protocol: Any = load_protocol()
     protocol.FIRMWARE, protocol.SIMULATOR = runs, kind
     with simulated(protocol=protocol) as board:
         result = run("check", "--port", board.port)
@@ -542,21 +544,6 @@ def test_another_version_runs(simulated, runs, kind, advice):
     assert advice in result.output
 
 
-def test_a_simulation_ends_with_the_sums_of_its_mouse(simulated, tmp_path):
-    result = run("simulate", "--link", tmp_path / "board", "--seconds", "0.1")
-    assert result.exit_code == 0, result.exception
-    assert "a simulated board" in result.output
-    assert "in all: X +0 Y +0 wheel +0 pan +0 in 0 reports" in result.output
-    assert not (tmp_path / "board").is_symlink()
-    result = run("simulate", "--link", tmp_path / "none" / "board", "--seconds", "0.1")
-    assert "there is no folder" in str(result.exception)
-    (tmp_path / "precious").symlink_to(tmp_path)
-    result = run("simulate", "--link", tmp_path / "precious", "--seconds", "0.1")
-    assert "is there and is no link to a port" in str(result.exception)
-    assert (tmp_path / "precious").is_symlink()
-
-
 def test_options_are_checked_first():
-    for command in (("simulate",), ("check", "--port", "x")):
-        assert refusal(*command, "--baud", "1200") == "--baud=1200: must be from 38400 to 4000000"
+    assert refusal("check", "--port", "x", "--baud", "1200") == "--baud=1200: must be from 38400 to 4000000"
     assert "write a port's name, or auto" in refusal("check", "--port", "")

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from serial_world import Board, Wire, World
+from simulated_board import load_protocol
 
 from spheremouse.output.serial import messages
-from spheremouse.output.serial.firmware import load_protocol
 from spheremouse.output.serial.link import SILENCE, STEP_LIMIT, Link
 from spheremouse.output.serial.messages import BODY_BYTES, Flags, Splitter, parse
 

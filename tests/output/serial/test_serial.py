@@ -17,7 +17,6 @@ from spheremouse.output import open_output
 from spheremouse.output import serial as output_module
 from spheremouse.output.serial import Serial
 from spheremouse.output.serial import ports as ports_module
-from spheremouse.output.serial.firmware import load_protocol
 from spheremouse.output.serial.messages import STOP, encode
 from spheremouse.output.serial.ports import find_board
 from spheremouse.output.third_axis import left_out
@@ -26,7 +25,7 @@ pty = pytest.importorskip("pty", reason="no pseudo-terminals here")
 import termios  # noqa: E402
 import tty  # noqa: E402
 
-from spheremouse.output.serial.simulator import Simulator  # noqa: E402  needs them
+from simulated_board import Simulator, load_protocol  # noqa: E402  needs them
 
 
 def until(condition, seconds=20.0):

@@ -1,9 +1,12 @@
 """Simulate a board: the Pico's own protocol.py behind a pseudo-terminal, and a mouse that adds up its reports.
 
-A caller can damage the line, reset the board, let its computer sleep, and unplug it.
+A caller can damage the line, reset the board, let its computer sleep, and unplug it. `python -m tests.simulated_board`
+prints the port of one, and the motion of its mouse until Ctrl-C.
 """
 
+import argparse
 import contextlib
+import importlib.util
 import os
 import random
 import select
@@ -13,8 +16,18 @@ from collections.abc import Callable
 from types import ModuleType
 from typing import Any, Self
 
-from spheremouse.errors import OutputError
-from spheremouse.output.serial.firmware import load_protocol
+from spheremouse.files.access import service_files
+from spheremouse.output.serial.firmware import PICO
+
+
+def load_protocol() -> ModuleType:
+    """Return the board's protocol.py as a module, because it runs in CPython too."""
+    spec = importlib.util.spec_from_file_location("spheremouse_firmware_protocol", service_files(PICO) / "protocol.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 class Board:
@@ -93,11 +106,9 @@ class Simulator(Board):
 
         `baud` limits the line's speed, and `on_move` is called with `moved` after each report.
         """
-        try:
-            import pty
-            import tty
-        except ImportError:
-            raise OutputError("a simulated board needs pseudo-terminals", "use Linux or macOS") from None
+        import pty
+        import tty
+
         self._lock = threading.RLock()
         self.resets = -1  # the first one starts the board
         super().__init__(protocol=protocol)
@@ -174,3 +185,18 @@ class Simulator(Board):
             return data
         draw = self._random.random
         return bytes(b if draw() >= self._damage else b ^ self._random.randrange(1, 256) for b in data)
+
+
+def main() -> None:
+    """Simulate a board until Ctrl-C."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--damage", type=float, default=0.0, help="damaged bytes each way, per cent")
+    with Simulator(parser.parse_args().damage / 100.0) as board, contextlib.suppress(KeyboardInterrupt):
+        print(f"serial:{board.port}")
+        while True:
+            print(f"{board.describe()} buttons {board.buttons:05b}")
+            time.sleep(1.0)
+
+
+if __name__ == "__main__":
+    main()
