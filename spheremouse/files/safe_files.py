@@ -1,8 +1,7 @@
 """Read files of strangers with limits, and write files and folders whole or not at all.
 
-To read, open a regular file, or a pipe if the caller allows one (`/dev/stdin`, `<(...)` of a shell). The functions
-limit the bytes of a file and the length of a line. They report each refusal as an OSError. Its `strerror` has problem
-and remedy in one line.
+To read, open a regular file. The functions limit the bytes of a file and the length of a line. They report each
+refusal as an OSError. Its `strerror` has problem and remedy in one line.
 
 To write, the functions write under a hidden name beside the place and then rename. At any moment the old file or the
 new one is there. If a killed process left a hidden file, the next write of that file removes it when it is OLD. The
@@ -19,7 +18,6 @@ import json
 import os
 import re
 import secrets
-import select
 import shutil
 import stat
 import sys
@@ -33,7 +31,6 @@ from typing import Any, BinaryIO, Self
 from spheremouse.errors import ConfigurationError, SpheremouseError
 
 OLD = 3600.0  # s since the last write; no file of ours takes so long until it has its name
-PIPE_TIMEOUT_S = 10.0  # until the writer of a pipe has closed it
 LONGEST_LINE = 65_536  # characters of a table's line; a wand's truth of 20 balls has 6,000
 _OPEN_FLAGS = sum(getattr(os, name, 0) for name in ("O_CLOEXEC", "O_NOCTTY", "O_BINARY"))
 _NO_WAIT = getattr(os, "O_NONBLOCK", 0)
@@ -46,29 +43,32 @@ _STREAM = re.compile(r"/dev/(stdin|stdout|stderr)|/(?:dev|proc/self)/fd/(\d{1,9}
 # ---- read ----
 
 
-def read_bytes(path: Path, max_bytes: int, kind: str, *, pipe: bool = False) -> bytes:
-    """Read a file, or a `pipe`. Raise OSError above `max_bytes`, which no file of this `kind` has."""
-    with _open_checked(path, pipe) as file:
-        found = os.fstat(file.fileno())
-        if found.st_size > max_bytes:
-            raise _too_large(max_bytes, kind)
-        if stat.S_ISFIFO(found.st_mode):
-            data = _read_pipe(file.fileno(), max_bytes)
-        else:
-            data = file.read(found.st_size + _CHUNK_BYTES)  # the file may have grown since
-    if len(data) > max_bytes:
-        raise _too_large(max_bytes, kind)
+def read_bytes(path: Path, max_bytes: int, kind: str) -> bytes:
+    """Read a file. Raise OSError above `max_bytes`, which no file of this `kind` has."""
+    with open_to_read(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        data = file.read(size + _CHUNK_BYTES) if size <= max_bytes else b""  # the file may have grown since
+    if max(size, len(data)) > max_bytes:
+        text = f"larger than {max_bytes / 1e6:g} MB, and no {kind} is; name another file"
+        raise OSError(errno.EFBIG, text)
     return data
 
 
-def read_text(path: Path, max_bytes: int, kind: str, *, pipe: bool = False) -> str:
+def read_text(path: Path, max_bytes: int, kind: str) -> str:
     """Read UTF-8 text as `read_bytes` does, without a byte order mark; UnicodeDecodeError for other text."""
-    return read_bytes(path, max_bytes, kind, pipe=pipe).decode("utf-8-sig")
+    return read_bytes(path, max_bytes, kind).decode("utf-8-sig")
 
 
 def open_to_read(path: Path) -> BufferedReader:
-    """Open a regular file without waiting; OSError for anything else."""
-    return _open_checked(path, pipe=False)
+    """Open a regular file; OSError for anything else, without waiting for a pipe or opening a device."""
+    _refuse_other_kinds(path.stat().st_mode)
+    file = os.fdopen(os.open(path, os.O_RDONLY | _NO_WAIT | _OPEN_FLAGS), "rb")
+    try:
+        _refuse_other_kinds(os.fstat(file.fileno()).st_mode)  # another process may have exchanged it meanwhile
+    except BaseException:
+        file.close()
+        raise
+    return file
 
 
 def lines(file: BufferedReader) -> Iterator[str]:
@@ -316,42 +316,11 @@ def _folders_on_the_way(folder: Path) -> set[Path]:
 # ---- within ----
 
 
-def _too_large(max_bytes: int, kind: str) -> OSError:
-    return OSError(errno.EFBIG, f"larger than {max_bytes / 1e6:g} MB, and no {kind} is; name another file")
-
-
-def _open_checked(path: Path, pipe: bool) -> BufferedReader:
-    """Open without waiting for a pipe's writer, and without opening a device, which could start something."""
-    _check_kind(path.stat().st_mode, pipe)
-    file = os.fdopen(os.open(path, os.O_RDONLY | _NO_WAIT | _OPEN_FLAGS), "rb")
-    try:
-        _check_kind(os.fstat(file.fileno()).st_mode, pipe)  # another process may have exchanged it meanwhile
-    except BaseException:
-        file.close()
-        raise
-    return file
-
-
-def _check_kind(mode: int, pipe: bool) -> None:
+def _refuse_other_kinds(mode: int) -> None:
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-    if not stat.S_ISREG(mode) and not (pipe and stat.S_ISFIFO(mode)):
+    if not stat.S_ISREG(mode):
         raise OSError(errno.EINVAL, "is not a file; name one")
-
-
-def _read_pipe(descriptor: int, max_bytes: int) -> bytes:
-    """Read until the writer closes the pipe, or beyond `max_bytes`; the writer may open it later."""
-    data, end = bytearray(), time.monotonic() + PIPE_TIMEOUT_S
-    while len(data) <= max_bytes:
-        if not select.select([descriptor], [], [], max(0.0, end - time.monotonic()))[0]:
-            raise OSError(
-                errno.ETIMEDOUT, f"the writer of the pipe did not end within {PIPE_TIMEOUT_S:g} s; name a file"
-            )
-        chunk = os.read(descriptor, _CHUNK_BYTES)
-        if not chunk:
-            break
-        data += chunk
-    return bytes(data)
 
 
 def _open_to_write(path: Path, flags: int) -> int:

@@ -86,7 +86,7 @@ def _word(key: str) -> str:
 def read_document(path: Path) -> Document:
     """Read the document in a file. Raise ConfigurationError, with the line, for anything but plain YAML."""
     try:
-        raw = read_bytes(path, MAX_BYTES, "file of spheremouse", pipe=True)
+        raw = read_bytes(path, MAX_BYTES, "file of spheremouse")
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: no such file; check the path") from None
     except IsADirectoryError:

@@ -19,7 +19,7 @@ from spheremouse.capture import open_source
 from spheremouse.commands.options import parse_size
 from spheremouse.commands.wand.picture import read_picture
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
-from spheremouse.files import pictures, safe_files, tables, validate
+from spheremouse.files import pictures, tables, validate
 from spheremouse.files import yaml as yaml_file
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.wand import is_wand
@@ -251,8 +251,7 @@ def readers(path):
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no fifos here")
 @pytest.mark.parametrize("kind", list(readers(Path())))
-def test_a_fifo_that_nobody_writes_to_is_not_waited_for(tmp_path, monkeypatch, kind):
-    monkeypatch.setattr(safe_files, "PIPE_TIMEOUT_S", 0.2)
+def test_a_fifo_that_nobody_writes_to_is_not_waited_for(tmp_path, kind):
     path = tmp_path / "pipe"
     os.mkfifo(path)
     ended = threading.Event()
@@ -268,36 +267,7 @@ def test_a_fifo_that_nobody_writes_to_is_not_waited_for(tmp_path, monkeypatch, k
     ended.set()
     assert not hung
     one_line(e, "pipe")
-    assert any(
-        words in str(e.value) for words in ("is not a file", "is no file", "no such", "did not end within 0.2 s")
-    )
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no fifos here")
-def test_a_pipe_given_on_purpose_is_read_as_a_configuration(tmp_path):
-    path = tmp_path / "pipe"
-    os.mkfifo(path)
-    threading.Thread(target=path.write_text, args=("a: 1\n" * 1,), daemon=True).start()
-    assert yaml_file.read_document(path).data == {"a": 1}
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no fifos here")
-def test_a_pipe_that_does_not_end_is_cut_off(tmp_path):
-    read, write = os.pipe()
-
-    def flood():
-        try:
-            while True:
-                os.write(write, b"#" * 65536)
-        except OSError:
-            os.close(write)
-
-    thread = threading.Thread(target=flood, daemon=True)
-    thread.start()
-    with pytest.raises(ConfigurationError, match="larger than 1 MB"):
-        yaml_file.read_document(Path(f"/dev/fd/{read}"))
-    os.close(read)
-    thread.join(10.0)
+    assert any(words in str(e.value) for words in ("is not a file", "is no file", "no such"))
 
 
 def test_few_of_many_problems_are_looked_up_and_the_rest_counted(monkeypatch):
