@@ -26,7 +26,7 @@ def run(text: str, *arguments: str) -> str:
 
 def main() -> None:
     """Replace the table of the page."""
-    table = run("The simulated far scene, which every checkout can film:", "--repeat", "2", "--steps", "100000")
+    table = run("The simulated far scene, which every checkout can film:", "--steps", "100000")
     before, _, rest = PAGE.read_text(encoding="utf-8").partition(MARKS[0])
     after = rest.partition(MARKS[1])[2]
     PAGE.write_text(f"{before}{MARKS[0]}\n\n{table}\n{MARKS[1]}{after}", encoding="utf-8")
