@@ -31,6 +31,39 @@ def intersect(
 def directions_at(uv: _Float, view: tuple[object, ...]) -> tuple[_Float, _Index]:
     """Return the directions, (k, 3) unit vectors in obj, of the points seen at pixels (n, 2), and their k indices."""
 
+# spheremouse/ball/detect/appearance.cpp
+
+def appearance(
+    directions: _Float, view: tuple[object, ...]
+) -> tuple[_Float, _Float, _Float, _Float, NDArray[np.bool_]]:
+    """Return the fields of `appearance.Appearance` for discs at (n, 3) unit vectors in obj."""
+
+def seen_at(directions: _Float, view: tuple[object, ...]) -> _Float:
+    """Return the pixels, (n, 2), of the ball's points at (n, 3) unit vectors in obj (`appearance.seen_at`)."""
+
+# spheremouse/ball/detect/fit.cpp, windows.cpp
+
+def noise_of(image: _Byte, weights: NDArray[np.float32], top: int, bottom: int, left: int, right: int) -> float:
+    """Return the standard deviation of a pixel's projection by `weights`, (c,), in a window of an image (h, w, c)."""
+
+def fit_discs(
+    image: _Byte, mask: _Byte, expected: tuple[_Float, _Float, _Float], noise: float, settings: tuple[object, ...],
+    contrast: float, size: float,
+) -> tuple[NDArray[np.bool_], _Float, _Float, _Float, float]:  # fmt: skip
+    """Fit discs expected at n places, (n, 2) px, with shapes, (n, 2, 2) px², and paths, (n, 7), in an image (h, w, c).
+
+    `mask`, (h, w), is not 0 on the ball. A path is the motion during the exposure: way and half of its curvature, px,
+    and the change of the inverse shape, px^-2. `noise` is that of a pixel, `settings` is a `windows.FitSettings`, and
+    `contrast` the least one. If `size`, fitted over expected, is not 0, it is known. Return which fits are discs, their
+    centroids, (n, 2) px, covariances, (n, 2, 2) px², parts of the rim that fit, (n,), and the common size, or 0.
+    """
+
+def measure_discs(
+    image: _Byte, directions: _Float, model: tuple[object, ...], noise: float, places: _Float,
+    motion: tuple[_Float, float], size: float,
+) -> tuple[_Float, _Float, _Float, float]:  # fmt: skip
+    """Return centres, covariances and areas of discs, and their size (`windows.measure_discs`)."""
+
 # spheremouse/ball/filters/so3_motion.cpp, so3_update.cpp. Errors have the order of so3_motion.py.
 
 _Modes = tuple[_Float, _Float, _Float]  # as so3_state.Modes

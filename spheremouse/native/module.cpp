@@ -4,9 +4,12 @@ namespace spheremouse {
 void bind_matching(nb::module_& m);
 }  // namespace spheremouse
 namespace spheremouse::ball {
+void bind_appearance(nb::module_& m);
+void bind_fit(nb::module_& m);
 void bind_points(nb::module_& m);
 void bind_so3_motion(nb::module_& m);
 void bind_so3_update(nb::module_& m);
+void bind_windows(nb::module_& m);
 }  // namespace spheremouse::ball
 namespace spheremouse::wand {
 void bind_assign(nb::module_& m);
@@ -20,7 +23,9 @@ void bind_refine(nb::module_& m);
 NB_MODULE(kernels, m) {
     using namespace spheremouse;
     bind_matching(m);
-    for (auto bind : {ball::bind_points, ball::bind_so3_motion, ball::bind_so3_update}) bind(m);
+    for (auto bind : {ball::bind_appearance, ball::bind_fit, ball::bind_points, ball::bind_so3_motion,
+                      ball::bind_so3_update, ball::bind_windows})
+        bind(m);
     for (auto bind : {wand::bind_assign, wand::bind_colour, wand::bind_likelihood, wand::bind_limb,
                       wand::bind_particles, wand::bind_refine})
         bind(m);

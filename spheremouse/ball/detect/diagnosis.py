@@ -14,9 +14,9 @@ import numpy as np
 from spheremouse.ball.detect.appearance import ball_mask, largest_disc
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import DiscSettings
-from spheremouse.ball.detect.fit_model import noise_of
 from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose
+from spheremouse.native import kernels
 
 _ONE_CHANNEL = np.ones(1, dtype=np.float32)
 _PRINT = 0.8  # contrast of black print on white
@@ -78,9 +78,12 @@ def why_no_disc(image: Image, rig: Rig, pose: Pose, settings: DiscSettings) -> A
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     grey = image[window] if image.ndim == 2 else cv2.cvtColor(image[window], cv2.COLOR_BGR2GRAY)
-    grey, mask, disc = np.ascontiguousarray(grey), mask[window], largest_disc(rig, pose)
+    grey, mask, disc = np.ascontiguousarray(grey, dtype=np.uint8), mask[window], largest_disc(rig, pose)
     values = grey[mask > 0]
-    middle, noise = float(np.median(values)), noise_of(grey[:, :, None], _ONE_CHANNEL, 0, len(grey), 0, grey.shape[1])
+    middle, noise = (
+        float(np.median(values)),
+        kernels.noise_of(grey[:, :, None], _ONE_CHANNEL, 0, len(grey), 0, grey.shape[1]),
+    )
     if np.percentile(values, 95.0) < (4.0 * noise + 1.0) / (0.5 * _PRINT):  # the detector's limit for a disc's edge
         return Absence(Cause.DARK, middle, disc=disc)
     if np.mean(values >= _CLIPPED) > 0.5:

@@ -4,7 +4,7 @@ A projection of the colours (detect.projection) makes discs darker than the ball
 surroundings (grey closing wider than a disc) by a part of the lighter of the two. This criterion is a ratio, so neither
 the level of the light nor its slope matters. The model of the image around each candidate is a sloped background minus
 a blurred ellipse, whose shape follows from the geometry. The fit gives centre, size and contrast with a covariance
-(detect.fit). A fit without enough of the rim is rejected. During tracking the map predicts the discs. Then the detector
+(`fit.cpp`). A fit without enough of the rim is rejected. During tracking the map predicts the discs. Then the detector
 measures each disc in its own window and does not process the whole image.
 """
 
@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.appearance import appearance, ball_mask, largest_disc
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
-from spheremouse.ball.detect.fit import FitSettings
-from spheremouse.ball.detect.fit_model import noise_of, smoothing_kernel
 from spheremouse.ball.detect.projection import (
     CANDIDATES,
     GREY,
@@ -31,13 +29,14 @@ from spheremouse.ball.detect.projection import (
     sample_weights_of,
 )
 from spheremouse.ball.detect.search import Lattice, SearchState, candidate_pixels, lattice, update_rejections
-from spheremouse.ball.detect.windows import DiscModel, Motion, measure_discs
+from spheremouse.ball.detect.windows import DiscModel, FitSettings, Motion, measure_discs
 from spheremouse.ball.points import directions_at
 from spheremouse.ball.rig import Rig, view_of
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import MAX_SIDE, Pose
 from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import Array
+from spheremouse.native import kernels
 from spheremouse.settings import param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
@@ -192,7 +191,7 @@ class DiscDetector:
         rows, columns = self.window
         colours = _with_channels(image)
         weights = sample_weights_of(self.model.fit.projection, colours.shape[2])
-        return noise_of(colours, weights, rows.start, rows.stop, columns.start, columns.stop)
+        return kernels.noise_of(colours, weights, rows.start, rows.stop, columns.start, columns.stop)
 
     def _grey(self, image: Image) -> Image:
         """Smoothed projection of the window, coarse, dark discs."""
@@ -243,7 +242,7 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose, before: object =
     """
     fit = FitSettings(
         settings.projection or GREY,
-        smoothing_kernel(settings.smoothing),
+        settings.smoothing,
         # rims are blurred by pixels, lens and our own smoothing
         float(np.sqrt(settings.smoothing**2 + 1.0 / 12.0 + _LENS_BLUR**2)),
         settings.contrast,
@@ -301,7 +300,7 @@ def _levels(part: float, offset: float) -> NDArray[np.uint8]:
 
 
 def _with_channels(image: Image) -> Image:
-    return image if image.ndim == 3 else image[:, :, None]
+    return np.ascontiguousarray(image if image.ndim == 3 else image[:, :, None])
 
 
 def _centroid(contour: Image) -> tuple[float, float]:

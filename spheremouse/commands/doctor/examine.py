@@ -13,7 +13,6 @@ import numpy as np
 
 from spheremouse import capture, output
 from spheremouse.ball.detect.appearance import ball_mask
-from spheremouse.ball.detect.fit_model import noise_of
 from spheremouse.ball.detect.projection import GREY, sample_weights_of
 from spheremouse.ball.rig import Rig
 from spheremouse.capture.nodes import Node, nodes
@@ -25,6 +24,7 @@ from spheremouse.commands.service.systemd import Place
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.rig import with_camera
 from spheremouse.finding import Finding, Verdict, ok, refused, unchecked, wrong
+from spheremouse.native import kernels
 from spheremouse.session.cameras import is_camera, node_of
 from spheremouse.session.control.status import StatusReport
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig, without_map
@@ -202,7 +202,9 @@ def _noise(footage: cameras.Footage, seen: sight.Sight | None) -> float:
         return float(np.median([seen.detector.noise(v.image) for v in footage.views]))
     images = [v.image if v.image.ndim == 3 else v.image[:, :, None] for v in footage.views]
     return float(
-        np.median([noise_of(i, sample_weights_of(GREY, i.shape[2]), 0, i.shape[0], 0, i.shape[1]) for i in images])
+        np.median(
+            [kernels.noise_of(i, sample_weights_of(GREY, i.shape[2]), 0, i.shape[0], 0, i.shape[1]) for i in images]
+        )
     )
 
 

@@ -35,7 +35,7 @@ from spheremouse.session.overlay.sight import draw_sight, sight_of
 from spheremouse.session.settings import Configuration, configuration_text
 from spheremouse.session.tracker_adapter import Subject
 
-_NOISE_LINES = 16  # by which detect.fit measures the noise
+_NOISE_LINES = 16  # by which the detector measures the noise
 _FIT = 4  # px of the reduced picture around a pixel of the ball: kernel of the fit, and a block cut by the outline
 _PUSHED = 3  # px of a target's reduced patch: its search window in an ordinary check (watch)
 _RINGS = 6  # px, and a quarter of the patch: around a target whose rings are measured (watch)

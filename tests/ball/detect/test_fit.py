@@ -1,13 +1,15 @@
 """The fit of a disc: against ellipses that are rendered another way (supersampled, then blurred), with known noise."""
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from spheremouse.ball.detect.fit import FitSettings, measure
-from spheremouse.ball.detect.fit_model import noise_of, smoothing_kernel
 from spheremouse.ball.detect.projection import GREY
+from spheremouse.ball.detect.windows import FitSettings
+from spheremouse.native.kernels import fit_discs, noise_of
 
 LENS = 0.4  # px of the whole picture, the blur of an ordinary lens
 BALL, PRINT = 150.0, 40.0  # grey values
@@ -15,9 +17,18 @@ ONE = np.ones(1, dtype=np.float32)  # the weight of a grey picture's only channe
 OVER = 6  # subpixels along each side of a pixel
 
 
+class Fits(NamedTuple):
+    """Results of `fit_discs`."""
+
+    ok: np.ndarray
+    centroid: np.ndarray
+    covariance: np.ndarray
+    rim: np.ndarray
+
+
 SETTINGS = FitSettings(
     GREY,
-    smoothing_kernel(0.8),
+    0.8,
     float(np.sqrt(0.8**2 + 1.0 / 12.0 + LENS**2)),
     0.25,
     size_tolerance=0.25,
@@ -70,7 +81,8 @@ def fits_of(image, places, shape, noise=0.5, *, mask=None, settings=SETTINGS, pa
     mask = np.full(image.shape[:2], 255, np.uint8) if mask is None else mask
     path = np.zeros((len(places), 7)) if path is None else path
     shapes = np.repeat(shape[None], len(places), axis=0)
-    return measure(image, mask, places, shapes, path, noise, ONE, settings, settings.contrast, 0.0)[0]
+    expected = places, shapes, path
+    return Fits(*fit_discs(image, mask, expected, noise, settings, settings.contrast, 0.0)[:4])
 
 
 def off_centre(rng, n, minor, ratio, noise=0.3):
@@ -241,5 +253,6 @@ def test_edges_do_not_raise_the_noise_much():
 def test_noise_of_a_still_or_empty_picture_is_that_of_rounding():
     """An exact picture has noise all the same: its grey values are whole numbers."""
     for image in (np.full((40, 40, 1), 90, np.uint8), np.zeros((40, 40, 3), np.uint8)):
-        assert_allclose(noise_of(image, ONE, 0, 40, 0, 40), np.sqrt(1.0 / 12.0), atol=0.01)
+        weights = np.ones(image.shape[2], dtype=np.float32)
+        assert_allclose(noise_of(image, weights, 0, 40, 0, 40), np.sqrt(1.0 / 12.0), atol=0.01)
     assert_allclose(noise_of(np.zeros((40, 40, 1), np.uint8), ONE, 5, 5, 5, 5), np.sqrt(1.0 / 12.0), atol=0.01)

@@ -1,0 +1,66 @@
+// Images of discs on a ball, and their fit to a picture.
+#pragma once
+
+#include "spheremouse/ball/ball_view.h"
+
+namespace spheremouse::ball {
+
+using Image = Array<const uint8_t, -1, -1, -1>;  // (h, w, c), three channels of BGR or one
+using Mask = Array<const uint8_t, -1, -1>;       // (h, w), not 0 on the ball
+using Shape = Matrix<2>;                         // px², (x - centroid)' shape^-1 (x - centroid) = 1 on the rim
+
+/// Image of a disc (`appearance.Appearance`). All are nan unless the whole rim faces the camera.
+struct Appearance {
+    Vector<2> centre, centroid;  // px
+    Shape shape;
+    double area;  // px²
+    bool whole;
+};
+
+Appearance appearance(const BallView& view, const Vector<3>& direction);
+
+/// Return the pixel of the ball's point in a direction, of the far side too; nan behind the camera.
+Vector<2> seen_at(const BallView& view, const Vector<3>& direction);
+
+/// A picture, and a linear projection of its colours in which discs are darker than the ball.
+struct Photo {
+    Image image;
+    Mask mask;
+    float weights[3];  // of each channel; one that is missing has 0
+    double noise;      // standard deviation of a projected pixel
+};
+
+Photo read_photo(nb::handle image, nb::handle mask, nb::handle projection, double noise);
+
+/// `windows.FitSettings` without the projection.
+struct FitSettings {
+    double smoothing, blur, contrast, size_tolerance, rim, sigma;
+};
+
+FitSettings read_fit_settings(nb::tuple settings);
+
+/// A disc's image to be fitted.
+struct Expected {
+    Vector<2> place;  // px, where the fit begins
+    Shape shape;
+    Vector<7> path;  // motion during the exposure: way, half of its curvature, px; change of shape^-1, px^-2
+};
+
+/// The result of a fit; without `ok` the numbers are meaningless.
+struct Fit {
+    Vector<2> centroid = Vector<2>::Zero();    // px
+    Matrix<2> covariance = Matrix<2>::Zero();  // px²
+    double rim = 0.0;                          // part of the rim on the ball that fits
+    bool ok = false;
+};
+
+/// Fit discs to a picture. `contrast` is the least one over the light of the lighter of disc and ball.
+///
+/// The first fit leaves the size free. It separates discs from other objects and gives the common size of all discs,
+/// fitted over expected. The second fit fixes the size at that value. Otherwise a disc cut by a strut would look
+/// smaller instead of cut. If fewer than three discs determine the size, it is fixed at 1 and `size` stays 0. If `size`
+/// is not 0, both fits use that size.
+std::vector<Fit> fit_discs(const Photo& photo, const std::vector<Expected>& discs, const FitSettings& settings,
+                           double contrast, double& size);
+
+}  // namespace spheremouse::ball

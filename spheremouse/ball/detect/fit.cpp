@@ -1,0 +1,350 @@
+// Fit of the expected ellipses to a picture: centres of discs, their covariances, and tests of a disc.
+//
+// The model of the picture around each place is a sloped background minus a blurred ellipse. The geometry gives its
+// shape:
+//
+//     I = b0 + b1 x + b2 y - (a0 + a1 x + a2 y) e(x - c; s)
+//
+// with the background b, the contrast a, the centre c and the size s, fitted by Gauss-Newton. The contrast has a slope
+// because gloss lightens print on one side. A disc that moves during the exposure is the mean of its ellipses along its
+// path. Pixels that fit neither (a strut, a highlight) are weighted down (Tukey's biweight). The covariance is that of
+// the adjustment (Wittich 2017, chapter 5, names it as the next step).
+#include "spheremouse/ball/detect/pixels.h"
+
+namespace spheremouse::ball {
+namespace {
+
+constexpr double SURROUND = 3.0;      // px of background around a disc: enough for its slope, too few for more
+constexpr double UNEVEN = 0.02;       // of the contrast: unevenness of print and ball that a good fit leaves
+constexpr double GLOSS = 0.3;         // of the contrast, the most that gloss takes of it, from a centre to its rim
+constexpr double SLOPE = 0.02;        // 1/px of the ball's shade, as 60 degrees off the light at 100 px radius
+constexpr double SIZE = 0.02;         // discs cut from one sheet differ by this part of their size
+constexpr double RIM_OFFSET = 0.35;   // px by which lens blur and gloss may shift a rim: much of a sliver's size
+constexpr double SLIVER = 2.0;        // px, semi-minor axis below which both rims are one blur
+constexpr double SLIVER_BIAS = 0.15;  // px at a semi-minor axis of one pixel
+constexpr double CUT = 1.5;           // px², variance per covered part of the rim: a cover's edge may pass for a rim
+constexpr double LARGE = 3.0;         // px, semi-minor axis from which a disc contributes to the common size
+constexpr float LIMITS[] = {0.35f, 0.25f, 0.25f, 0.25f, 0.25f};  // of the contrast: residuals beyond weigh nothing
+constexpr double STILL = 0.01;                                   // px: a step this short is the last
+
+using Unknowns = Vector<UNKNOWNS>;
+
+/// Expected ranges of the unknowns, as observations with these standard deviations.
+struct Expectation {
+    double gloss;             // 1/px of the contrast, of its slope
+    double size, size_sigma;  // of all discs
+};
+
+struct DiscFit {
+    Expected disc;
+    Ellipse rest;
+    double minor, major;  // px, semi-axes
+    Pixels pixels;
+    Unknowns x = Unknowns::Zero();
+    double scale;        // grey values of an ordinary residual
+    double gloss;        // 1/px
+    Matrix<UNKNOWNS> L;  // triangle of the last normal matrix
+    bool plausible = false;
+
+    void expect(float blur) {
+        rest.x = float(x(6));
+        rest.y = float(x(7));
+        rest.size = float(x(8));
+        ball::expect(pixels, rest, disc.path, blur);
+    }
+};
+
+/// Return the light of the lighter of ball and disc.
+double lighter(const Unknowns& x) { return std::max(std::abs(x(0)), std::abs(x(0) - x(3))); }
+
+/// Return true if the contrast exceeds this part of the lighter of disc and ball, and the noise.
+bool is_deep(const Unknowns& x, double contrast, double noise) {
+    const double ball = x(0) + x(1) * x(6) + x(2) * x(7);
+    return x(3) > std::max(contrast * std::max(std::abs(ball), std::abs(ball - x(3))), 4.0 * noise);
+}
+
+/// Return the solution of L L' x = b.
+Unknowns solve(const Matrix<UNKNOWNS>& L, Unknowns b) {
+    solve_lower(L, b);
+    for (int i = UNKNOWNS - 1; i >= 0; i--) {
+        for (int k = i + 1; k < UNKNOWNS; k++) b(i) -= L(k, i) * b(k);
+        b(i) = L(i, i) == 0.0 ? 0.0 : b(i) / L(i, i);
+    }
+    return b;
+}
+
+/// Take one Gauss-Newton step times `damping`, and return the length of the centre's full step, px.
+///
+/// Without damping, changing weights make the steps oscillate. Three expectations enter as observations:
+/// - A ball's shade slopes little. A steeper slope belongs to a strut.
+/// - Print leaves a part of the light, so the contrast slopes as the shade of a light ball does. A dark ball's shade
+///   gives no information about it. Gloss changes that slope.
+/// - The size. In the image of a sliver, size and contrast are inseparable, so this value decides.
+double gauss_newton_step(DiscFit& fit, const Expectation& expected, double damping) {
+    Unknowns& x = fit.x;
+    const Matrix<UNKNOWNS, UNKNOWNS + 1> Ng = normal_equations(fit.pixels, x);
+    Matrix<UNKNOWNS> N = Ng.leftCols<UNKNOWNS>();
+    Unknowns g = Ng.col(UNKNOWNS);
+    const double shade = std::pow(fit.scale / (SLOPE * std::max(std::abs(x(0)), 1.0)), 2);
+    const double gleam = std::pow(fit.scale / (expected.gloss * std::max(x(3), 1.0)), 2);
+    const double hold = std::pow(fit.scale / expected.size_sigma, 2);
+    const double as_shade = x(3) * x(0) / std::pow(std::max(lighter(x), 1.0), 2);
+    for (int k = 1; k < 3; k++) {
+        const double difference = x(k + 3) - as_shade * x(k);
+        N(k, k) += shade + gleam * as_shade * as_shade;
+        N(k, k + 3) -= gleam * as_shade;
+        N(k + 3, k) -= gleam * as_shade;
+        N(k + 3, k + 3) += gleam;
+        g(k) -= shade * x(k) - gleam * as_shade * difference;
+        g(k + 3) -= gleam * difference;
+    }
+    N(8, 8) += hold;
+    g(8) -= hold * (x(8) - expected.size);
+    N.diagonal().array() += 1e-6;
+    fit.L = lower(N);
+    Unknowns step = solve(fit.L, g);
+    step(6) = std::clamp(step(6), -1.0, 1.0);
+    step(7) = std::clamp(step(7), -1.0, 1.0);
+    step(8) = std::clamp(step(8), -0.2, 0.2);
+    x += damping * step;
+    x(8) = std::clamp(x(8), 0.3, 2.5);
+    return std::max(std::abs(step(6)), std::abs(step(7)));
+}
+
+/// Collect the pixels on the ball within an ellipse whose axes are longer by SURROUND and half of the way.
+bool collect_pixels(DiscFit& fit, const Photo& photo, double smoothing) {
+    const Shape& S = fit.disc.shape;
+    const double u0 = fit.disc.place(0), v0 = fit.disc.place(1);
+    const double det = S.determinant(), mean = 0.5 * S.trace(), half = std::hypot(0.5 * (S(0, 0) - S(1, 1)), S(0, 1));
+    if (!(det > 1e-3 && std::isfinite(u0 + v0) && fit.disc.path.allFinite())) return false;
+    fit.minor = std::sqrt(std::max(mean - half, 1e-6));
+    fit.major = std::sqrt(std::max(mean + half, 1e-6));
+    fit.rest = {float(S(1, 1) / det), float(-S(0, 1) / det), float(S(0, 0) / det), 0.0f, 0.0f, 1.0f};
+    // of the same axes, so a combination of S and I
+    const double lo = fit.minor * fit.minor, hi = fit.major * fit.major;
+    const double margin = SURROUND + 0.5 * fit.disc.path.head<2>().norm();
+    const double low = std::pow(fit.minor + margin, 2), high = std::pow(fit.major + margin, 2);
+    const double slope = hi - lo > 1e-9 * hi ? (high - low) / (hi - lo) : 1.0;
+    const Shape G = slope * S + (low - slope * lo) * Shape::Identity();
+    const double bound = G.determinant(), half_w = std::ceil(std::sqrt(G(0, 0))),
+                 half_h = std::ceil(std::sqrt(G(1, 1)));
+    const int width = int(photo.mask.shape(1)), height = int(photo.mask.shape(0));
+    if (!(half_w <= width && half_h <= height && std::abs(u0) <= 2.0 * width && std::abs(v0) <= 2.0 * height))
+        return false;
+    const int left = int(std::rint(u0) - half_w), top = int(std::rint(v0) - half_h), w = 2 * int(half_w) + 1,
+              h = 2 * int(half_h) + 1;
+    const std::vector<float> patch = cut_patch(photo, smoothing, top, left, h, w);
+    Pixels& pixels = fit.pixels;
+    for (auto* column : {&pixels.x, &pixels.y, &pixels.grey}) column->resize(patch.size() + 1);
+    size_t count = 0;
+    for (int i = std::max(-top, 0); i < std::min(h, height - top); i++) {
+        const double dy = float(top + i - v0);
+        for (int j = std::max(-left, 0); j < std::min(w, width - left); j++) {
+            const double dx = float(left + j - u0);
+            pixels.x[count] = float(dx);
+            pixels.y[count] = float(dy);
+            pixels.grey[count] = patch[size_t(i * w + j)];
+            count += (photo.mask(size_t(top + i), size_t(left + j)) != 0) &
+                     (G(1, 1) * dx * dx - 2.0 * G(0, 1) * dx * dy + G(0, 0) * dy * dy < bound);
+        }
+    }
+    if (count < 2 * UNKNOWNS) return false;
+    pixels.resize(count);
+    return true;
+}
+
+/// Begin a fit with the ball's shade beside the disc; return false if there is no disc.
+bool begin(DiscFit& fit, const Photo& photo, const FitSettings& settings, double contrast) {
+    if (!collect_pixels(fit, photo, settings.smoothing)) return false;
+    Pixels& pixels = fit.pixels;
+    fit.x(8) = 1.0;
+    fit.expect(float(settings.blur));
+    if (std::count_if(pixels.e.begin(), pixels.e.begin() + long(pixels.count), [](float e) { return e < CLEAR; }) <
+        UNKNOWNS)
+        return false;
+    fit_background(pixels, fit.x, float(photo.noise));
+    const double a = contrast_of(pixels, fit.x);
+    fit.x(3) = a;
+    if (!(a >= std::max(0.3 * contrast * lighter(fit.x), 2.0 * photo.noise))) return false;
+    fit.scale = std::max(photo.noise, UNEVEN * a);
+    // across a sliver a slope of the contrast and a shift of the centre look alike: there gloss is left out
+    fit.gloss = std::clamp((fit.minor - 2.0 * settings.blur) / 1.5, 0.01, 1.0) / fit.major;
+    leave_out_foreign(pixels, fit.x, float(BESIDE * a + 4.0 * photo.noise));
+    return true;
+}
+
+/// Fit the size, too; return false if the result is no disc.
+bool fit_size(DiscFit& fit, const Photo& photo, const FitSettings& settings, double contrast) {
+    const double tolerance = settings.size_tolerance;
+    for (int round = 0; round < 2; round++) {
+        if (round > 0) biweight(fit.pixels, fit.x, 0.5f, float(fit.scale));
+        gauss_newton_step(fit, {GLOSS * fit.gloss, 1.0, 0.4 * tolerance}, 1.0);
+        fit.expect(float(settings.blur));
+        if (round == 0 && (!is_deep(fit.x, 0.5 * contrast, photo.noise) || std::abs(fit.x(8) - 1.0) > 2.0 * tolerance))
+            return false;
+    }
+    return std::abs(fit.x(8) - 1.0) < std::max(tolerance, RIM_OFFSET / fit.minor) &&
+           is_deep(fit.x, contrast, photo.noise);
+}
+
+/// Return the median size of large discs, or 0 of fewer than three.
+double common_size(const std::vector<DiscFit>& fits) {
+    std::vector<double> sizes;
+    for (const DiscFit& fit : fits)
+        if (fit.plausible && fit.minor > LARGE) sizes.push_back(fit.x(8));
+    if (sizes.size() < 3) return 0.0;
+    std::sort(sizes.begin(), sizes.end());
+    return 0.5 * (sizes[(sizes.size() - 1) / 2] + sizes[sizes.size() / 2]);
+}
+
+/// Return the contrast over light of discs without gloss: the largest measured; 1 with fewer than three discs.
+///
+/// Gloss reduces the contrast. A slope due to gloss is at most as steep as that reduction.
+double full_contrast(const std::vector<DiscFit>& fits) {
+    double full = 0.0;
+    int count = 0;
+    for (const DiscFit& fit : fits)
+        if (fit.plausible && fit.minor > LARGE) {
+            full = std::max(full, fit.x(3) / lighter(fit.x));
+            count++;
+        }
+    return count >= 3 ? full : 1.0;
+}
+
+/// Fit a disc of known size.
+Fit fit_centre(DiscFit& fit, const Photo& photo, const FitSettings& settings, double contrast, double size,
+               double full) {
+    const Unknowns& x = fit.x;
+    const double size_sigma = SIZE + RIM_OFFSET / 3.0 / fit.minor;
+    double moved = 1.0;
+    for (size_t round = 0; round < std::size(LIMITS) && !(round > 1 && moved < STILL); round++) {
+        biweight(fit.pixels, x, LIMITS[round], float(fit.scale));
+        const double gloss = fit.gloss * std::min(std::max(1.0 - x(3) / lighter(x) / full, UNEVEN), GLOSS);
+        moved = gauss_newton_step(fit, {gloss, size, size_sigma}, round < 2 ? 1.0 : 0.5);
+        fit.expect(float(settings.blur));
+    }
+    const Quality q = quality(fit.pixels, x);
+    const double rim = q.fits / (q.rim + 1e-9), cut = q.covered / (q.rim + 1e-9);
+    // the far rim of a sliver drowns in the limb; half of it, with the known size, still fixes the centre
+    const double least = fit.minor < SLIVER ? std::min(0.45, settings.rim) : settings.rim;
+    const double area = 3.14159265358979323846 * std::sqrt(fit.disc.shape.determinant()) * size * size;
+    Fit result;
+    result.ok = is_deep(x, contrast, photo.noise) && rim > least && q.inside > 0.4 * area && moved < 0.1;
+    result.rim = rim;
+    result.centroid = fit.disc.place + x.segment<2>(6);
+    // of the pixels' noise the smoothing leaves about a half in a centre
+    const double variance = std::max(q.squares / std::max(q.weight - UNKNOWNS, 1.0), 0.5 * photo.noise * photo.noise);
+    // where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
+    const double systematic =
+        settings.sigma * settings.sigma + std::pow(SLIVER_BIAS / (fit.minor * fit.minor), 2) + CUT * cut;
+    for (int j = 0; j < 2; j++) result.covariance.row(j) = variance * solve(fit.L, Unknowns::Unit(6 + j)).segment<2>(6);
+    result.covariance.diagonal().array() += systematic;
+    return result;
+}
+
+nb::tuple fit_discs_(nb::handle image, nb::handle mask, nb::tuple expected, double noise, nb::tuple settings_,
+                     double contrast, double size) {
+    const auto place = array<const double, -1, 2>(expected[0], "place");
+    const auto shape = array<const double, -1, 2, 2>(expected[1], "shape");
+    const auto path = array<const double, -1, 7>(expected[2], "path");
+    const size_t n = place.shape(0);
+    if (shape.shape(0) != n || path.shape(0) != n) throw nb::type_error("shape, path: must have the length of place");
+    const Photo photo = read_photo(image, mask, settings_[0], noise);
+    const FitSettings settings = read_fit_settings(settings_);
+    std::vector<Expected> discs(n);
+    for (size_t i = 0; i < n; i++)
+        discs[i] = {View<2, 1>(&place(i, 0)), View<2, 2>(&shape(i, 0, 0)), View<7, 1>(&path(i, 0))};
+    std::vector<Fit> fits;
+    {
+        nb::gil_scoped_release release;
+        fits = fit_discs(photo, discs, settings, contrast, size);
+    }
+    auto ok = zeros<bool>({n});
+    auto centroid = zeros<double>({n, 2}), covariance = zeros<double>({n, 2, 2}), rim = zeros<double>({n});
+    for (size_t i = 0; i < n; i++) {
+        static_cast<bool*>(ok.data())[i] = fits[i].ok;
+        Eigen::Map<Vector<2>>(centroid.data() + 2 * i) = fits[i].centroid;
+        Eigen::Map<Matrix<2>>(covariance.data() + 4 * i) = fits[i].covariance;
+        rim.data()[i] = fits[i].rim;
+    }
+    return nb::make_tuple(ok, centroid, covariance, rim, size);
+}
+
+/// Return the standard deviation of a projected pixel, from second differences along sixteen rows.
+///
+/// Their median: half of the pixels may be edges.
+double noise_of(nb::handle image_, nb::handle weights_, int top, int bottom, int left, int right) {
+    const auto image = array<const uint8_t, -1, -1, -1>(image_, "image");
+    const auto weights = array<const float, -1>(weights_, "weights");
+    if (weights.shape(0) != image.shape(2)) throw nb::type_error("weights: must have one for each channel of image");
+    if (top < 0 || left < 0 || bottom > int(image.shape(0)) || right > int(image.shape(1)))
+        throw nb::value_error("window: must lie in image");
+    constexpr double ROUNDING = 0.29;  // standard deviation of a whole number
+    int count[1024] = {}, total = 0;
+    const int step = std::max((bottom - top) / 16, 1);
+    for (int i = top + step / 2; i < bottom; i += step)
+        for (int j = left + 1; j < right - 1; j++) {
+            float d = 0.0f;
+            for (size_t c = 0; c < weights.shape(0); c++) {
+                const uint8_t* p = &image(size_t(i), size_t(j), c);
+                d += weights(c) * float(2 * p[0] - p[-int(weights.shape(0))] - p[weights.shape(0)]);
+            }
+            count[int(std::min(std::fabs(d) + 0.5f, 1023.0f))]++;
+            total++;
+        }
+    int below = 0;
+    for (int d = 0; d < 1024; below += count[d++])
+        if (2 * (below + count[d]) >= total)  // of whole numbers the median lies within the step: interpolated
+            return std::max((d - 0.5 + (0.5 * total - below) / std::max(count[d], 1)) * 1.4826 / std::sqrt(6.0),
+                            ROUNDING);
+    return ROUNDING;
+}
+
+}  // namespace
+
+Photo read_photo(nb::handle image_, nb::handle mask_, nb::handle projection, double noise) {
+    const auto image = array<const uint8_t, -1, -1, -1>(image_, "image");
+    const auto mask = array<const uint8_t, -1, -1>(mask_, "mask");
+    if (image.shape(0) != mask.shape(0) || image.shape(1) != mask.shape(1) || image.size() == 0)
+        throw nb::type_error("mask: must have the size of image");
+    if (image.shape(2) != 1 && image.shape(2) != 3) throw nb::type_error("image: must have one channel or three");
+    Photo photo{image, mask, {}, noise};
+    const auto weights = nb::cast<nb::tuple>(nb::cast<nb::tuple>(projection)[0]);
+    float sum = 0.0f;
+    for (size_t k = 0; k < 3; k++) sum += photo.weights[k] = nb::cast<float>(weights[k]);
+    if (image.shape(2) == 1) photo.weights[0] = sum >= 0.0f ? 1.0f : -1.0f;
+    return photo;
+}
+
+FitSettings read_fit_settings(nb::tuple settings) {
+    const auto number = [&](int i) { return nb::cast<double>(settings[i]); };
+    return {number(1), number(2), number(3), number(4), number(5), number(6)};
+}
+
+std::vector<Fit> fit_discs(const Photo& photo, const std::vector<Expected>& discs, const FitSettings& settings,
+                           double contrast, double& size) {
+    std::vector<DiscFit> fits(discs.size());
+    for (size_t i = 0; i < discs.size(); i++) {
+        fits[i].disc = discs[i];
+        fits[i].plausible = begin(fits[i], photo, settings, contrast);
+        if (fits[i].plausible && size > 0.0)
+            fits[i].x(8) = size;
+        else if (fits[i].plausible)
+            fits[i].plausible = fit_size(fits[i], photo, settings, contrast);
+    }
+    if (!(size > 0.0)) size = common_size(fits);
+    const double full = full_contrast(fits);
+    std::vector<Fit> results(discs.size());
+    for (size_t i = 0; i < discs.size(); i++)
+        if (fits[i].plausible)
+            results[i] = fit_centre(fits[i], photo, settings, contrast, size > 0.0 ? size : 1.0, full);
+    return results;
+}
+
+void bind_fit(nb::module_& m) {
+    m.def("noise_of", &noise_of, arg("image"), arg("weights"), arg("top"), arg("bottom"), arg("left"), arg("right"));
+    m.def("fit_discs", &fit_discs_, arg("image"), arg("mask"), arg("expected"), arg("noise"), arg("settings"),
+          arg("contrast"), arg("size"));
+}
+
+}  // namespace spheremouse::ball

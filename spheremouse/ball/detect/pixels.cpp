@@ -1,0 +1,297 @@
+#include "spheremouse/ball/detect/pixels.h"
+
+#include <cstring>
+
+namespace spheremouse::ball {
+namespace {
+
+constexpr double RIPPLE_STEP = 1.8;  // of the blur, px between the images of a smear: its ripple is below 1 %
+
+#pragma GCC diagnostic ignored "-Wpsabi"  // all functions of lanes are inlined
+#define INLINE [[gnu::always_inline]] inline
+
+/// Consecutive pixels of a column. Each has its own partial sum, so wide registers give the same results.
+typedef float Lanes __attribute__((vector_size(LANES * sizeof(float))));
+
+INLINE Lanes lanes(const std::vector<float>& column, size_t i) {
+    Lanes v;
+    std::memcpy(&v, &column[i], sizeof(v));
+    return v;
+}
+
+INLINE void put(const Lanes& v, std::vector<float>& column, size_t i) { std::memcpy(&column[i], &v, sizeof(v)); }
+
+INLINE Lanes root(const Lanes& v) {
+    Lanes r = v;
+    for (size_t l = 0; l < LANES; l++) r[l] = std::sqrt(v[l]);
+    return r;
+}
+
+INLINE Lanes absolute(const Lanes& v) { return v < 0.0f ? -v : v; }
+
+INLINE float total(const Lanes& s) { return ((s[0] + s[1]) + (s[2] + s[3])) + ((s[4] + s[5]) + (s[6] + s[7])); }
+
+/// Return the sum over all pixels of f at the first of each lanes.
+template <class F>
+INLINE float sum(const Pixels& p, F f) {
+    Lanes s = {};
+    for (size_t i = 0; i < p.size; i += LANES) s += f(i);
+    return total(s);
+}
+
+/// Background and contrast, sloped: I = b0 + b1 x + b2 y - (a0 + a1 x + a2 y) e.
+struct Light {
+    float b0, b1, b2, a0, a1, a2;
+
+    explicit Light(const Vector<UNKNOWNS>& x)
+        : b0(float(x(0))), b1(float(x(1))), b2(float(x(2))), a0(float(x(3))), a1(float(x(4))), a2(float(x(5))) {}
+
+    template <class T>
+    INLINE T background(const T& x, const T& y) const {
+        return b0 + b1 * x + b2 * y;
+    }
+    template <class T>
+    INLINE T contrast(const T& x, const T& y) const {
+        return a0 + a1 * x + a2 * y;
+    }
+    INLINE Lanes off_background(const Pixels& p, size_t i) const {
+        return lanes(p.grey, i) - background(lanes(p.x, i), lanes(p.y, i));
+    }
+    INLINE Lanes residual(const Pixels& p, size_t i) const {
+        return off_background(p, i) + contrast(lanes(p.x, i), lanes(p.y, i)) * lanes(p.e, i);
+    }
+};
+
+/// Return the Gaussian distribution function of sqrt(2) x, x >= 0, less a half, and its derivative by x.
+///
+/// Abramowitz and Stegun 1964, 7.1.27: within 3e-4, the derivative that of the approximation.
+INLINE Lanes phi(const Lanes& x, Lanes& bell) {
+    const Lanes p = 1.0f + x * (0.278393f + x * (0.230389f + x * (0.000972f + x * 0.078108f)));
+    const Lanes dp = 0.278393f + x * (0.460778f + x * (0.002916f + x * 0.312432f));
+    const Lanes inverse = 1.0f / p, square = inverse * inverse, tail = 0.5f * square * square;
+    bell = 4.0f * tail * inverse * dp;
+    return 0.5f - tail;
+}
+
+/// Add a share of the image of an ellipse to e and its derivatives.
+///
+/// With rho² = (x - c)' S^-1 (x - c) the rim lies (s - rho) / |grad rho| ahead and (s + rho) / |grad rho| behind. A
+/// strip of that width, blurred, is e = Phi(ahead) + Phi(behind) - 1. A disc that travels by u, v px while the shutter
+/// is open is blurred by that too, across its rim: the variance of a box is a twelfth of its square.
+WIDE void add_ellipse(Pixels& p, const Ellipse& s, float u, float v, float blur, float share) {
+    const float square = blur * blur, lx = 0.28867513f * u, ly = 0.28867513f * v;
+    for (size_t i = 0; i < p.size; i += LANES) {
+        const Lanes dx = lanes(p.x, i) - s.x, dy = lanes(p.y, i) - s.y;
+        const Lanes gx = s.xx * dx + s.xy * dy, gy = s.xy * dx + s.yy * dy, along = gx * lx + gy * ly;
+        const Lanes rho = root(gx * dx + gy * dy + 1e-6f);
+        const Lanes steep = 0.70710678f * rho / root((gx * gx + gy * gy) * square + along * along + 1e-12f);
+        const Lanes z = (s.size - rho) * steep;
+        Lanes bell_ahead, bell_behind;
+        const Lanes ahead = phi(absolute(z), bell_ahead), behind = phi((s.size + rho) * steep, bell_behind);
+        const Lanes by_rho = share * (bell_ahead - bell_behind) * steep / rho;  // minus de/drho
+        put(lanes(p.e, i) + share * ((z < 0.0f ? -ahead : ahead) + behind), p.e, i);
+        put(lanes(p.d[0], i) + by_rho * gx, p.d[0], i);  // rho falls by g / rho along dc
+        put(lanes(p.d[1], i) + by_rho * gy, p.d[1], i);
+        put(lanes(p.d[2], i) + share * (bell_ahead + bell_behind) * steep, p.d[2], i);
+    }
+}
+
+/// Project the colours of n pixels.
+WIDE void project_colours(const uint8_t* line, int channels, const float* weights, size_t n, float* __restrict out) {
+    const float w0 = weights[0], w1 = weights[1], w2 = weights[2];
+    if (channels == 3)
+        for (size_t j = 0; j < n; j++)
+            out[j] = w0 * float(line[3 * j]) + w1 * float(line[3 * j + 1]) + w2 * float(line[3 * j + 2]);
+    else
+        for (size_t j = 0; j < n; j++) out[j] = w0 * float(line[j]);
+}
+
+/// Smooth n values by a symmetric kernel of seven, whose middle has k[0]; their neighbours lie `step` apart.
+WIDE void smooth(const float* __restrict in, size_t step, const float* k, size_t n, float* __restrict out) {
+    const float k0 = k[0], k1 = k[1], k2 = k[2], k3 = k[3];
+    for (size_t j = 0; j < n; j++) {
+        const float* r = in + j;
+        out[j] = k0 * r[3 * step] + k1 * (r[2 * step] + r[4 * step]) + k2 * (r[step] + r[5 * step]) +
+                 k3 * (r[0] + r[6 * step]);
+    }
+}
+
+/// Set x[:3] to level and slopes of the weighted grey values.
+WIDE void fit_plane(const Pixels& p, Vector<UNKNOWNS>& x) {
+    Lanes s[9] = {};
+    for (size_t i = 0; i < p.size; i += LANES) {
+        const Lanes px = lanes(p.x, i), py = lanes(p.y, i), g = lanes(p.grey, i), w = lanes(p.weight, i);
+        const Lanes wx = w * px, wy = w * py, terms[9] = {w, wx, wy, w * g, wx * px, wx * py, wy * py, wx * g, wy * g};
+        for (int k = 0; k < 9; k++) s[k] += terms[k];
+    }
+    const double sw = total(s[0]);
+    if (sw < 3.0) return;
+    const double mx = total(s[1]) / sw, my = total(s[2]) / sw, mg = total(s[3]) / sw;
+    const double cxx = total(s[4]) - sw * mx * mx + 1e-3, cxy = total(s[5]) - sw * mx * my,
+                 cyy = total(s[6]) - sw * my * my + 1e-3, cxg = total(s[7]) - sw * mx * mg,
+                 cyg = total(s[8]) - sw * my * mg;
+    const double det = cxx * cyy - cxy * cxy;
+    x(1) = (cyy * cxg - cxy * cyg) / det;
+    x(2) = (cxx * cyg - cxy * cxg) / det;
+    x(0) = mg - x(1) * mx - x(2) * my;
+}
+
+/// Set weight 1 for pixels beside the disc within 1.5 mean deviations of the plane x[:3], else 0.
+WIDE void keep_near(Pixels& p, const Vector<UNKNOWNS>& x, float noise) {
+    const Light light(x);
+    const float deviations =
+        sum(p, [&](size_t i) { return lanes(p.weight, i) * absolute(light.off_background(p, i)); });
+    const float count = sum(p, [&](size_t i) { return lanes(p.weight, i); });
+    const float off = std::max(1.5f * deviations / (count + 1e-3f), 2.0f * noise);
+    for (size_t i = 0; i < p.size; i += LANES) {
+        const auto near = (absolute(light.off_background(p, i)) < off) & (lanes(p.e, i) < CLEAR);
+        put(near ? Lanes{} + 1.0f : Lanes{}, p.weight, i);
+    }
+}
+
+}  // namespace
+
+void Pixels::resize(size_t pixels) {
+    count = pixels;
+    size = (count + LANES - 1) / LANES * LANES;
+    for (auto* column : {&x, &y, &grey, &weight, &e, &d[0], &d[1], &d[2]}) column->resize(size);
+    const float far = 50.0f + 0.25f * float(count);  // px beyond the disc and its blur
+    for (size_t i = count; i < size; i++) x[i] = x[0] + far, y[i] = y[0] + far, grey[i] = 1e6f;
+}
+
+std::vector<float> cut_patch(const Photo& photo, double smoothing, int top, int left, int h, int w) {
+    const int height = int(photo.image.shape(0)), width = int(photo.image.shape(1)),
+              channels = int(photo.image.shape(2));
+    const size_t rows = size_t(h + 2 * EDGE), columns = size_t(w + 2 * EDGE);
+    float kernel[EDGE + 1], total = 0.0f;
+    for (int k = 0; k <= EDGE; k++) {
+        kernel[k] = float(std::exp(-0.5 * std::pow(k / std::max(smoothing, 1e-3), 2)));
+        total += k == 0 ? kernel[k] : 2.0f * kernel[k];
+    }
+    for (float& k : kernel) k /= total;
+    std::vector<float> raw(columns), across(rows * size_t(w)), patch(size_t(h) * size_t(w));
+    std::vector<uint8_t> edge(columns * size_t(channels));
+    const int x0 = left - EDGE;
+    for (size_t i = 0; i < rows; i++) {
+        const int row = std::clamp(top - EDGE + int(i), 0, height - 1);
+        const uint8_t* line = &photo.image(size_t(row), 0, 0);
+        if (x0 >= 0 && x0 + int(columns) <= width)
+            line += x0 * channels;
+        else {
+            for (size_t j = 0; j < columns; j++)
+                std::copy_n(line + std::clamp(x0 + int(j), 0, width - 1) * channels, channels,
+                            &edge[j * size_t(channels)]);
+            line = edge.data();
+        }
+        project_colours(line, channels, photo.weights, columns, raw.data());
+        smooth(raw.data(), 1, kernel, size_t(w), &across[i * size_t(w)]);
+    }
+    smooth(across.data(), size_t(w), kernel, patch.size(), patch.data());
+    return patch;
+}
+
+/// At time t, from -1/2 to 1/2 of the exposure, the centre is c + t s + t² q. The curvature q matters: seen in
+/// perspective, a turning ball's discs travel along arcs at a changing speed. Foreshortening changes the shape. The
+/// images are RIPPLE_STEP apart and each is blurred by its own part of the way.
+void expect(Pixels& p, const Ellipse& rest, const Vector<7>& path, float blur) {
+    constexpr double MAX_PARTS = 1000.0;
+    const double way = std::hypot(path(0), path(1));
+    const int parts = int(std::clamp(std::ceil(way / (RIPPLE_STEP * double(blur))), 1.0, MAX_PARTS));
+    std::fill(p.e.begin(), p.e.end(), 0.0f);
+    for (auto& column : p.d) std::fill(column.begin(), column.end(), 0.0f);
+    for (int k = 0; k < parts; k++) {
+        const double t = (k + 0.5) / parts - 0.5, square = t * t + 1.0 / (12.0 * parts * parts);  // mean of t²
+        const Ellipse at{rest.xx + float(t * path(4)),
+                         rest.xy + float(t * path(5)),
+                         rest.yy + float(t * path(6)),
+                         rest.x + float(t * path(0) + square * path(2)),
+                         rest.y + float(t * path(1) + square * path(3)),
+                         rest.size};
+        add_ellipse(p, at, float(path(0) / parts), float(path(1) / parts), blur, 1.0f / float(parts));
+    }
+}
+
+WIDE Matrix<UNKNOWNS, UNKNOWNS + 1> normal_equations(const Pixels& p, const Vector<UNKNOWNS>& x) {
+    const Light light(x);
+    Lanes sums[UNKNOWNS][UNKNOWNS + 1] = {};
+    for (size_t i = 0; i < p.size; i += LANES) {
+        const Lanes px = lanes(p.x, i), py = lanes(p.y, i), e = lanes(p.e, i), contrast = light.contrast(px, py);
+        const Lanes A[UNKNOWNS + 1] = {Lanes{} + 1.0f,
+                                       px,
+                                       py,
+                                       -e,
+                                       -e * px,
+                                       -e * py,
+                                       -contrast * lanes(p.d[0], i),
+                                       -contrast * lanes(p.d[1], i),
+                                       -contrast * lanes(p.d[2], i),
+                                       light.residual(p, i)};
+        for (int j = 0; j < UNKNOWNS; j++) {
+            const Lanes weighted = lanes(p.weight, i) * A[j];
+            for (int k = j; k <= UNKNOWNS; k++) sums[j][k] += weighted * A[k];
+        }
+    }
+    Matrix<UNKNOWNS, UNKNOWNS + 1> N;
+    for (int j = 0; j < UNKNOWNS; j++)
+        for (int k = j; k <= UNKNOWNS; k++) {
+            N(j, k) = total(sums[j][k]);
+            if (k < UNKNOWNS) N(k, j) = N(j, k);
+        }
+    return N;
+}
+
+WIDE void biweight(Pixels& p, const Vector<UNKNOWNS>& x, float limit, float scale) {
+    const Light light(x);
+    const float floor = 4.685f * scale, bound = std::max(limit * light.a0, floor);
+    // no rim lies beside the disc, so a deviation there is a foreign object
+    const float beside = std::min(std::max(BESIDE * light.a0, floor), bound);
+    const Lanes near = Lanes{} + 1.0f / (bound * bound), far = Lanes{} + 1.0f / (beside * beside);
+    for (size_t i = 0; i < p.size; i += LANES) {
+        const Lanes r = light.residual(p, i), u = 1.0f - r * r * (lanes(p.e, i) < CLEAR ? far : near);
+        put(u > 0.0f ? u * u : Lanes{}, p.weight, i);
+    }
+}
+
+void fit_background(Pixels& p, Vector<UNKNOWNS>& x, float noise) {
+    for (size_t i = 0; i < p.count; i++) p.weight[i] = p.e[i] < CLEAR ? 1.0f : 0.0f;
+    fit_plane(p, x);
+    for (int round = 0; round < 2; round++) {
+        keep_near(p, x, noise);
+        fit_plane(p, x);
+    }
+}
+
+WIDE double contrast_of(const Pixels& p, const Vector<UNKNOWNS>& x) {
+    const Light light(x);
+    Lanes depth = {}, squares = {};
+    for (size_t i = 0; i < p.size; i += LANES) {
+        const Lanes e = lanes(p.e, i) > 0.3f ? lanes(p.e, i) : Lanes{};
+        depth -= e * light.off_background(p, i);
+        squares += e * e;
+    }
+    return total(depth) / std::max(double(total(squares)), 1e-3);
+}
+
+void leave_out_foreign(Pixels& p, const Vector<UNKNOWNS>& x, float foreign) {
+    const Light light(x);
+    for (size_t i = 0; i < p.count; i++)
+        p.weight[i] = p.e[i] < CLEAR && std::fabs(p.grey[i] - light.background(p.x[i], p.y[i])) > foreign ? 0.0f : 1.0f;
+}
+
+WIDE Quality quality(const Pixels& p, const Vector<UNKNOWNS>& x) {
+    const Light light(x);
+    Lanes fits = {}, covered = {}, rim = {}, squares = {};
+    for (size_t i = 0; i < p.size; i += LANES) {
+        const Lanes dx = lanes(p.d[0], i), dy = lanes(p.d[1], i), w = lanes(p.weight, i);
+        const Lanes slope = root(dx * dx + dy * dy), r = light.residual(p, i);
+        fits += w * slope;
+        covered += w < 0.3f ? slope : Lanes{};
+        rim += slope;
+        squares += w * r * r;
+    }
+    return {total(fits),    total(covered),
+            total(rim),     sum(p, [&](size_t i) { return lanes(p.e, i); }),
+            total(squares), sum(p, [&](size_t i) { return lanes(p.weight, i); })};
+}
+
+}  // namespace spheremouse::ball

@@ -1,0 +1,62 @@
+// Pixels around a disc, and the image that the fit expects: a sloped background less a blurred ellipse.
+#pragma once
+
+#include "spheremouse/ball/detect/disc_model.h"
+
+namespace spheremouse::ball {
+
+constexpr int UNKNOWNS = 9;     // level and slopes of the background, those of the contrast, centre, size
+constexpr int EDGE = 3;         // px around a patch that the smoothing needs
+constexpr float CLEAR = 0.02f;  // part of a disc's darkness below which a pixel lies beside it
+constexpr float BESIDE = 0.2f;  // of the contrast: what is beside a disc and differs more from the ball is foreign
+constexpr size_t LANES = 8;     // partial sums, one for each lane of a wide register
+
+/// Pixels relative to the place of a disc, and the model's value e there, with its derivatives by centre and size.
+///
+/// Distant pixels of weight 0 fill the last lanes.
+struct Pixels {
+    size_t count = 0, size = 0;  // without and with those that fill the last lanes
+    std::vector<float> x, y, grey, weight, e, d[3];
+
+    /// Keep that many pixels, and fill the last lanes.
+    void resize(size_t pixels);
+};
+
+/// An ellipse, (x - c)' inverse (x - c) = size².
+struct Ellipse {
+    float xx, xy, yy;  // inverse, px^-2
+    float x, y;        // px
+    float size;
+};
+
+/// Cut a window of h x w px from a smoothed projection. The picture's last rows and columns repeat beyond its edge.
+std::vector<float> cut_patch(const Photo& photo, double smoothing, int top, int left, int h, int w);
+
+/// Compute e and its derivatives for a disc that moves along `path` (`Expected`) while the shutter is open.
+void expect(Pixels& p, const Ellipse& rest, const Vector<7>& path, float blur);
+
+/// Return the normal matrix N and the gradient g, as the last column.
+Matrix<UNKNOWNS, UNKNOWNS + 1> normal_equations(const Pixels& p, const Vector<UNKNOWNS>& x);
+
+/// Compute Tukey's weights: 0 beyond `limit` of the contrast. The bound beside the disc is lower.
+void biweight(Pixels& p, const Vector<UNKNOWNS>& x, float limit, float scale);
+
+/// Fit level and slopes x[:3] of the ball beside the disc, three times, the last two without outliers.
+void fit_background(Pixels& p, Vector<UNKNOWNS>& x, float noise);
+
+/// Return the contrast to the background x[:3].
+double contrast_of(const Pixels& p, const Vector<UNKNOWNS>& x);
+
+/// Set weight 0 beside the disc for pixels that differ by more than `foreign` from the background, else 1.
+void leave_out_foreign(Pixels& p, const Vector<UNKNOWNS>& x, float foreign);
+
+/// Sums that tell how well a disc fits.
+struct Quality {
+    double fits, covered, rim;  // slopes of the rim that fit, of those that do not at all, and of all
+    double inside;              // px² of the disc
+    double squares, weight;     // of the residuals
+};
+
+Quality quality(const Pixels& p, const Vector<UNKNOWNS>& x);
+
+}  // namespace spheremouse::ball
