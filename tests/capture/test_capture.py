@@ -199,15 +199,6 @@ def test_real_time_holds_frames_back_by_their_stamps_and_drops_none(monkeypatch)
     assert slept == pytest.approx([0, 0.1, 0, 0])
 
 
-def test_only_the_module_asked_for_is_imported():
-    program = (
-        "import sys, spheremouse.output\nfrom spheremouse.capture import open_source\n"
-        "try:\n    open_source('video:/none')\nexcept Exception:\n    pass\n"
-        "print([m for m in ('evdev', 'spheremouse.capture.dataset', 'spheremouse.simulate') if m in sys.modules])"
-    )
-    assert python(program).stdout == "[]\n"
-
-
 @pytest.mark.parametrize(
     ("begin", "end", "expected"),
     [

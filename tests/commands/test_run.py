@@ -40,12 +40,12 @@ QUICK = ("--set", "pose.frames=2")
 def roll(tmp_path_factory):
     """A dataset: one turn in 2 s, through phi = 90 degrees; made by the command."""
     path = tmp_path_factory.mktemp("cli") / "roll"
-    words = ["simulate", path, "--motion", "roll", "--turns", "1", "--seconds", "2", "--noise", "2"]
+    words = ["simulate", path, "--motion", "roll", "--turns", "1", "--seconds", "2", "--fps", "20", "--noise", "2"]
     made = subprocess.run(
         [sys.executable, "-m", "spheremouse", *map(str, words)], capture_output=True, text=True, check=False
     )
     assert made.returncode == 0, made.stderr
-    assert made.stdout.startswith(f"{path}: 60 frames of 640x480 at 30 Hz, 26 discs, motion roll; ")
+    assert made.stdout.startswith(f"{path}: 40 frames of 640x480 at 20 Hz, 26 discs, motion roll; ")
     assert made.stderr == ""  # no bar where there is no terminal
     return path
 
@@ -111,7 +111,7 @@ def test_a_run_gives_counts_that_sum_to_the_motion_and_says_what_happened(sphere
     assert np.linalg.norm(exact) > 3000  # 3770 counts: a turn of a ball of 0.6 m
     assert np.max(np.abs(table[:, 1:4].sum(axis=0) - exact)) < 0.2 / 57.3 * 600  # 0.2 degrees
     x, y, z = table[:, 1:4].sum(axis=0).astype(int)
-    assert f"60 frames; counts x {x:+d}, y {y:+d}, third {z:+d}; " in err
+    assert f"40 frames; counts x {x:+d}, y {y:+d}, third {z:+d}; " in err
     lines = err.splitlines()
     assert sum("camera pose" in line for line in lines) == 1
     assert sum("one standard deviation" in line for line in lines) == 1
@@ -208,11 +208,11 @@ def test_a_table_has_the_samples_of_the_text_and_the_description_of_its_run(sphe
 def test_a_recording_is_replayed_without_a_map_unless_it_is_asked_for(spheremouse, roll, device, empty_folder):
     source = ("run", "--source", f"dataset:{roll}", "--output", "null", *QUICK)
     before = sorted(p.name for p in roll.iterdir())
-    code, _, err = spheremouse(*source, "--rig", device)
+    code, _, err = spheremouse(*source, "--rig", device, "--frames", "3")
     assert code == 0
     assert "map" not in err
     code, _, err = spheremouse(
-        "run", "--source", f"video:{roll / 'video.mkv'}", *source[3:], "--rig", device, "--no-map"
+        "run", "--source", f"video:{roll / 'video.mkv'}", *source[3:], "--rig", device, "--no-map", "--frames", "3"
     )
     assert code == 0
     assert "map" not in err
@@ -366,7 +366,7 @@ def test_a_signal_ends_a_run_between_two_frames_with_everything_complete(roll, t
     rest, err = process.communicate(timeout=20)
     assert process.returncode == 0
     table = motions("".join(lines) + rest)
-    assert 8 <= len(table) < 60
+    assert 8 <= len(table) < 40
     assert err.splitlines()[-1].startswith(f"{len(table)} frames; counts ")
     assert "Traceback" not in err
     assert [p.name for p in tmp_path.iterdir()] == ["seen.mkv"]

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from experiments.kit.trackball import Trackball, rate_of, simulate_log, trackball_matrix
+from experiments.kit.trackball import Trackball, simulate_log, trackball_matrix
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spheremouse.ball.truth import Truth
 from spheremouse.evaluation.trackball import CountPath, RotationSteps, judge, match, settings_of
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import exp, log
@@ -51,7 +50,7 @@ def test_the_log_counts_what_the_ball_turned():
     profile = playing(1)
     trackball = Trackball(trackball_matrix(300.0, 700.0, 0.4, 0.2), lag=0.7, drift=1e-4)
     seen = recorded(profile, trackball)
-    t = np.linspace(0.0, profile.seconds, 300_001)
+    t = np.linspace(0.0, profile.seconds, 60_001)
     w = profile.rate(t)
     whole = trackball.matrix @ (0.5 * (w[1:] + w[:-1]) * np.diff(t)[:, None]).sum(axis=0)
     np.testing.assert_allclose(seen.counts.sum(axis=0), whole, atol=1.1)
@@ -62,27 +61,12 @@ def test_the_log_counts_what_the_ball_turned():
     assert not np.any(seen.counts[[0, -1]])
 
 
-def test_the_same_seed_gives_the_same_log_and_another_one_another():
-    a, b, c = (recorded(playing(1, 5.0), Trackball(BELOW, dropouts=1.0), seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(a.stamp, b.stamp)
-    assert not np.array_equal(a.stamp, c.stamp)
-
-
 def test_a_slipping_trackball_counts_less():
     profile = Gestures((stroke(1.0, (0.0, 0.0, 1.0), 6.0, up=0.1, hold=0.5, down=0.1),), 3.0)
     sums = [recorded(profile, Trackball(BELOW, grip=g)).counts[:, 0].sum() for g in (np.inf, 1e6, 5.0)]
     assert sums[0] == sums[1] == pytest.approx(480.0 * 6.0 * 0.6, abs=1.0)
     # 5 rad/s² for 0.65 s and back: a triangle of 2.1 rad in place of 3.6
     assert sums[2] == pytest.approx(480.0 * 2.1, rel=0.1)
-
-
-def test_rates_between_the_frames_interpolate_the_truth():
-    profile = playing(3, 6.0)
-    t = np.arange(0.0, 6.0, 1.0 / 120.0)
-    rate = rate_of(Truth(t, profile.attitude(t), profile.rate(t)))
-    between = t[:-1] + 0.4 / 120.0
-    np.testing.assert_allclose(rate(between), profile.rate(between), atol=0.02)
-    np.testing.assert_array_equal(rate(np.array([-1.0, 9.0])), rate(t[[0, -1]]))
 
 
 # ---- the estimate ----
@@ -178,7 +162,7 @@ def test_equal_scales_stay_one_scale():
 
 
 def test_a_log_of_another_play_is_rejected():
-    for seed in range(4):
+    for seed in range(2):
         other = match(filmed(playing(seed)), recorded(playing(seed + 100, 40.0), Trackball(BELOW)))
         assert other is None or "of another time or another mouse" in judge(other).text
 

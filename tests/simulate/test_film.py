@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE
-from spheremouse.commands.simulate import simulate as film
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
@@ -111,16 +110,6 @@ def test_rolling_makes_its_turns_through_the_singularity(turns):
     if turns > 2.0:
         assert phi.min() < -89.9
     assert np.max(np.abs(profile.rate(t)[:, 1])) < 1e-9  # about horizontal axes
-
-
-def test_play_is_the_same_for_the_same_seed_only():
-    t = np.linspace(0.0, 20.0, 50)
-    a, b, c = (play(20.0, rng(seed)).attitude(t) for seed in (5, 5, 6))
-    assert np.array_equal(a, b)
-    assert not np.allclose(a, c)
-    rests = np.linalg.norm(play(60.0, rng(3)).rate(np.linspace(0.0, 60.0, 6000)), axis=1)
-    assert np.mean(rests == 0.0) > 0.05
-    assert np.degrees(rests.max()) > 120.0
 
 
 @pytest.mark.parametrize("view", ["far", "near"])
@@ -328,13 +317,6 @@ def test_two_hands_cover_up_to_a_third_of_the_ball_when_asked(small):
     assert np.allclose(hidden(small, covering.options, (3.0, 3.25, 3.5, 3.75, 4.0)), 1.0 / 3.0, atol=0.03)
 
 
-def test_a_lens_that_folds_back_leaves_the_corners_black():
-    scene = default_scene(view="near", width=320, height=240, distortion=np.array([-0.35, 0.0, 0.0, 0.0, 0.0]))
-    image = Renderer(scene).frame(still(), 0.0, 0, rng()).frame.image
-    assert np.all(image[:4, :4] == 0)
-    assert np.all(image[110:130, 150:170] > 60)
-
-
 def scaled(view):
     """Where a ball `view` has its outline: centroid, (2,) px, and area, px²."""
     v, u = np.mgrid[0 : view.shape[0], 0 : view.shape[1]]
@@ -530,25 +512,19 @@ def test_simulate_gives_the_frames_it_promises_and_the_same_again():
     "wrong",
     [
         {"discs": 0},
-        {"discs": 5000},
         {"fps": float("nan")},
         {"seconds": -1.0},
         {"blur": 0.1},
         {"size": (0, 480)},
         {"seed": -1},
-        {"noise": float("inf")},
-        {"seconds": 1e308},
         {"turns": 1e308, "motion": "roll"},
         {"fps": 1e9},
         {"size": (20_000, 20_000)},
         {"dim_at": 1.0},
         {"flicker": 1.5},
         {"disc_colour": (0.0, float("nan"), 0.0)},
-        {"bump": 11.0},
-        {"bump_by": (0.0, 0.0, 300.0, 0.0, 0.0, 0.0)},
         {"bump_by": (0.0, 0.0, 0.0, 0.0, 40.0, 0.0)},
         {"lift_by": (0.0, 300.0, 0.0)},
-        {"eccentric": 201.0},
         {"cover": 10.0},
     ],
     ids=str,
@@ -560,16 +536,6 @@ def test_options_that_make_no_sense_are_named(wrong):
     assert "\n" not in str(e.value)
     with pytest.raises(ConfigurationError, match=f"^synthetic: {field}: "):
         prepare(SimulationOptions(**wrong), lambda name: f"synthetic: {name}")
-
-
-def test_the_command_hands_its_options_on_and_counts_in_english(tmp_path, capsys):
-    small_one = {"seconds": 0.03, "size": "64x48"}
-    film(tmp_path / "one", discs=1, **small_one)
-    assert ": 1 frame of 64x48 at 30 Hz, 1 disc, motion thesis; " in capsys.readouterr().out
-    film(tmp_path / "more", discs=2, fps=60.0, bump=0.0, bump_by="0,0,5,0,0,0", disc_colour="9,9,200", **small_one)
-    assert ": 2 frames of 64x48 at 60 Hz, 2 discs, motion thesis; " in capsys.readouterr().out
-    scene = json.loads((tmp_path / "more" / "scene.json").read_text())
-    assert scene["truth_bump"]["T_obj_cam"][2][3] == pytest.approx(2.345)
 
 
 def reference(far26):
@@ -615,5 +581,5 @@ def dark_centroid(image, centre, half=9):
 
 
 def test_a_ball_whose_only_disc_fell_off_is_filmed_on():
-    film = prepare(SimulationOptions(discs=1, disc_off=0.1, seconds=0.2))
+    film = prepare(SimulationOptions(discs=1, disc_off=0.1, seconds=0.2, size=(160, 120)))
     assert sum(1 for _ in simulate(film)) == film.frames
