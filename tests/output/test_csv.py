@@ -1,13 +1,12 @@
 """Tables of text, read by pandas."""
 
-import json
 import os
 
 import numpy as np
 import pandas as pd
 import pytest
 from reporting import refused
-from tables import frame, full_disk, write_and_be_killed
+from tables import frame
 
 from spheremouse.errors import OutputError
 from spheremouse.output import open_output
@@ -77,61 +76,10 @@ def test_each_column_has_its_unit_and_frame_in_the_head(tmp_path):
     assert [line[2:].split(" [")[0].split(":")[0] for line in head[1:-2]] == [c.name for c in columns("obj")]
 
 
-def test_a_table_is_continued_and_no_other_file_is_written_to(tmp_path):
-    path = tmp_path / "a.csv"
-    path.touch()
-    for runs in (1, 2, 3):
-        assert written(path, frame(runs))["sequence"].tolist() == [*range(1, runs + 1)]
-    with pytest.raises(OutputError, match="exists and has other columns; choose another name or remove it"):
-        written(path, frame(4, coordinates="cam"))
-    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
-    assert refused(f"csv:{tmp_path / 'other.csv'}").endswith("choose another name or remove it")
-    assert len(read(path)) == 3
-
-
-def test_a_full_disk_is_one_line_and_leaves_whole_rows(tmp_path):
-    path = tmp_path / "a.csv"
-    size = len(written(path, frame(1))) and path.stat().st_size
-    for more in (10, 700, 5000):
-        path.unlink()
-        with full_disk(size + more), pytest.raises(OutputError, match=r"a\.csv: cannot be written: File too large$"):
-            written(path, *(frame(k) for k in range(1, 40)))
-        rows = len(read(path))
-        assert path.read_bytes().endswith(b"\n")
-        assert written(path, frame(99))["sequence"].tolist() == [*range(1, rows + 1), 99]
-
-
-def test_a_head_that_a_full_disk_has_cut_is_written_again(tmp_path):
-    path = tmp_path / "a.csv"
-    for size in (100, 2000):
-        with full_disk(size), pytest.raises(OutputError, match="File too large"):
-            written(path, frame(1))
-        assert written(path, frame(1))["sequence"].tolist() == [1]
-        path.unlink()
-
-
 @FULL
 def test_a_stream_takes_a_table_without_a_description_of_the_run():
     with pytest.raises(OutputError, match=r"^/dev/full: cannot be written: No space left on device$"):
         written("/dev/full", frame(1))
-
-
-def test_a_run_that_is_killed_loses_at_most_a_second_and_its_description_has_no_end(tmp_path):
-    write_and_be_killed(f"csv:{tmp_path / 'a.csv'}", pause=1.1)
-    kept = read(tmp_path / "a.csv")["sequence"].tolist()
-    assert len(kept) >= 91  # all before the pause, and the one after it
-    assert kept == [*range(1, len(kept) + 1)]
-    (run,) = json.loads((tmp_path / "a.csv.json").read_text())["runs"]
-    assert (run["end"], run["source"]) == (None, "a test")
-
-
-def test_a_second_run_does_not_write_into_the_table_of_the_first(tmp_path):
-    path = tmp_path / "a.csv"
-    with open_output(f"csv:{path}") as first:
-        first.send(frame(1))
-        assert refused(f"csv:{path}") == f"{path}: another run writes it; choose another name, or stop that run"
-        first.send(frame(2))
-    assert read(path)["sequence"].tolist() == [1, 2]
 
 
 @pytest.mark.parametrize("spec", ["csv", "csv:", "csv:-"])
