@@ -2,7 +2,6 @@
 
 import itertools
 import os
-import sys
 import time
 from dataclasses import replace
 
@@ -79,11 +78,6 @@ def test_a_recording_has_the_time_of_sending(stream):
     before = pylsl.local_clock()
     _, ((_, stamp),) = stream(report._replace(samples=tuple(replace(s, wall=None) for s in report.samples)))
     assert before <= stamp <= pylsl.local_clock()
-
-
-def test_without_pylsl_the_remedy_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pylsl", None)
-    assert refused("lsl:") == "lsl: needs the package pylsl; pip install 'spheremouse[lsl]'"
 
 
 def test_a_name_has_no_control_characters():

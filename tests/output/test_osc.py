@@ -2,14 +2,12 @@
 
 import contextlib
 import queue
-import sys
 import threading
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from reporting import refused
 from scipy.spatial.transform import Rotation
 
 from spheremouse.output import Report, open_output
@@ -141,13 +139,3 @@ def test_the_text_twin_has_the_messages():
     with open_output("osc:127.0.0.1:9000") as output:
         text = output.describe(frame(Sample(estimate(1, Status.LOST), 2)))
     assert text == "/spheremouse/2/status lost | /spheremouse/2/counts 3 -2 1"
-
-
-@pytest.mark.parametrize("argument", ["", "127.0.0.1", "127.0.0.1:", "127.0.0.1:0", "a:65536", "a:-1"])
-def test_a_bad_address_names_a_right_one(argument):
-    assert refused(f"osc:{argument}") == f"osc:{argument}: is not HOST:PORT; write for example osc:127.0.0.1:9000"
-
-
-def test_a_missing_package_is_named_with_its_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pythonosc", None)
-    assert refused("osc:127.0.0.1:9000") == "osc: needs the package python-osc; pip install 'spheremouse[network]'"

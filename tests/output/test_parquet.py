@@ -1,7 +1,5 @@
 """Parquet tables, read by pyarrow and pandas."""
 
-import sys
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -61,8 +59,3 @@ def test_arguments_that_are_none(tmp_path):
     assert refused("parquet:").endswith("needs a file; write parquet:FILE")
     assert refused("parquet:/dev/stdout") == "/dev/stdout: is no regular file; name one, or use csv"
     assert "No such file or directory" in refused(f"parquet:{tmp_path / 'no' / 'a.parquet'}")
-
-
-def test_without_pyarrow_the_remedy_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    assert refused("parquet:a") == "parquet: needs the package pyarrow; pip install 'spheremouse[parquet]'"

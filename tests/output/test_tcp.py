@@ -133,7 +133,7 @@ def test_closing_ends_the_connections_and_frees_the_port():
         client.close()
 
 
-def test_bad_addresses_are_one_line(capsys):
+def test_a_port_in_use_is_refused():
     port = free_port()
     with open_output(f"tcp:{port}"):
         assert (
@@ -142,9 +142,6 @@ def test_bad_addresses_are_one_line(capsys):
         )
         assert "Address already in use" in probe(f"tcp:{port}")[0].text
     assert probe(f"tcp:{port}")[0].text == f"port {port} of 127.0.0.1 is free"
-    for bad in ("", "localhost", "127.0.0.1:http", "127.0.0.1:0", "127.0.0.1:65536"):
-        assert refused(f"tcp:{bad}") == f"tcp:{bad}: is not HOST:PORT; write for example tcp:127.0.0.1:9000"
-    assert refused("tcp:nowhere.invalid:9").startswith("tcp:nowhere.invalid:9: unknown host: ")
     assert refused("tcp:9,origin=x").startswith("tcp:9,origin=x: unknown key origin")
 
 

@@ -4,14 +4,13 @@ import json
 import shutil
 import socket
 import subprocess
-import sys
 import threading
 import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import unquote
 
 import pytest
-from reporting import PATIENCE, refused, report
+from reporting import PATIENCE, report
 
 from spheremouse.output import open_output
 
@@ -184,8 +183,3 @@ def test_a_client_that_speaks_no_websocket_is_no_trouble(port):
                     continue
         with connect(f"ws://127.0.0.1:{port}") as client:
             assert json.loads(first_message(output, client))["counts"][1:] == [2, 3]
-
-
-def test_without_the_package_the_error_names_it(monkeypatch):
-    monkeypatch.setitem(sys.modules, "websockets", None)
-    assert refused("ws:9") == "ws: needs the package websockets; pip install 'spheremouse[network]'"
