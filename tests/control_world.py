@@ -3,7 +3,6 @@
 import json
 import os
 import socket
-import time
 from pathlib import Path
 
 import pytest
@@ -52,13 +51,6 @@ class Wire:
 
 STATUS = b'{"command": "status"}\n'
 FINE = {"ok": True, "state": "tracking", "command": "status"}
-
-
-def wait_for(condition):
-    end = time.monotonic() + GENEROUS
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.002)
 
 
 def a_group():

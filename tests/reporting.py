@@ -11,14 +11,16 @@ from spheremouse.output.counts import Counter, MotionSettings
 from spheremouse.output.sample import Sample
 from spheremouse.tracker import Status, unknown
 
-PATIENCE = 20.0  # s, for what takes milliseconds
+PATIENCE = 60.0  # s, for what takes milliseconds
 
 
 def until(condition):
+    """Return the first true result of the condition."""
     end = time.monotonic() + PATIENCE
-    while not condition():
+    while not (found := condition()):
         assert time.monotonic() < end, "it never came to be"
         time.sleep(0.002)
+    return found
 
 
 def refused(spec):

@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from reporting import until
 
 from spheremouse.capture import Stream
 from spheremouse.capture import fetch as module
@@ -96,13 +97,6 @@ def start(monkeypatch):
     for capture in started:
         capture.close()
         assert not capture.is_alive()
-
-
-def until(condition):
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, "it never came to be"
-        time.sleep(0.001)
 
 
 def test_frames_arrive_and_what_the_driver_lost_is_counted(start):

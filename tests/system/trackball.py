@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
+from reporting import until
 
 from spheremouse.capture.mouse import Listener, choose, mice
 from spheremouse.errors import SourceError
@@ -27,13 +28,6 @@ def trackball(name=NAME):
     with evdev.UInput(axes, name=name) as device:
         until(lambda: any(m.name == name and os.access(m.node, os.R_OK) for m in mice()))
         yield device
-
-
-def until(what, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not what():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import serial as pyserial
-from reporting import refused, report
+from reporting import refused, report, until
 from serial.tools import list_ports
 
 from spheremouse.errors import OutputError
@@ -26,14 +26,6 @@ import termios  # noqa: E402
 import tty  # noqa: E402
 
 from simulated_board import Simulator, load_protocol  # noqa: E402  needs them
-
-
-def until(condition, seconds=20.0):
-    """Wait for something that threads do."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "did not come"
-        time.sleep(0.002)
 
 
 def opened(argument) -> Any:

@@ -13,7 +13,8 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import pytest
-from control_world import FINE, OTHER, PAGE, STATUS, Daemon, Wire, a_group, answer, conversations, wait_for
+from control_world import FINE, OTHER, PAGE, STATUS, Daemon, Wire, a_group, answer, conversations
+from reporting import until
 from scipy.spatial.transform import Rotation
 
 from spheremouse.errors import ControlError
@@ -102,7 +103,7 @@ def test_several_requests_in_one_go_are_answered_in_their_order(serve, path):
     serve(handle)
     wire = Wire(path)
     wire.send('{"command": "reinit", "id": 1}\n\n{"command": "pause", "id": 2}\r\n{"command": "stop", "id": 3}\n')
-    wait_for(lambda: later)
+    until(lambda: later)
     thread = threading.Thread(target=later[0].answer, args=({"message": "done"},))
     thread.start()
     thread.join()
@@ -179,14 +180,14 @@ def test_a_client_that_disconnects_cancels_its_requests(serve, path):
     serve(pending.append)
     wire = Wire(path)
     wire.send('{"command": "reinit"}\n{"command": "pause"}\n')
-    wait_for(lambda: pending)
+    until(lambda: pending)
     assert not pending[0].cancelled
     wire.close()
-    wait_for(lambda: pending[0].cancelled)
+    until(lambda: pending[0].cancelled)
     pending[0].answer({"message": "to nobody"})
     other = Wire(path)
     other.send('{"command": "resume"}\n')
-    wait_for(lambda: len(pending) > 1)
+    until(lambda: len(pending) > 1)
     assert [p.request.command for p in pending] == ["reinit", "resume"]
 
 
@@ -198,9 +199,9 @@ def test_a_client_that_closes_its_writing_side_still_gets_its_answers(serve, pat
     for w in (wire, other):
         w.send('{"command": "reinit"}\n')
         w.socket.shutdown(socket.SHUT_WR)
-    wait_for(lambda: len(pending) == 2)
+    until(lambda: len(pending) == 2)
     other.close()
-    wait_for(lambda: any(p.cancelled for p in pending))
+    until(lambda: any(p.cancelled for p in pending))
     (mine,) = [p for p in pending if not p.cancelled]
     mine.answer({"message": "done"})
     assert wire.read() == {"ok": True, "message": "done"}
@@ -235,7 +236,7 @@ def test_a_watcher_that_never_reads_is_dropped_and_others_are_served(serve, path
         except BrokenPipeError:
             return True
 
-    wait_for(dropped)
+    until(dropped)
 
 
 def turning(sequence):
@@ -339,7 +340,7 @@ def test_connections_beyond_the_limit_of_a_user_are_refused_and_other_users_are_
         with contextlib.suppress(ConnectionError):
             return Wire(path).ask(STATUS) == FINE
 
-    wait_for(free)
+    until(free)
 
 
 @pytest.mark.parametrize("piece", [b"", b"x"])
@@ -356,7 +357,7 @@ def test_a_client_without_a_request_is_dropped(serve, path, piece):
         except ConnectionError:
             return True
 
-    wait_for(dropped)
+    until(dropped)
 
 
 def as_peer(monkeypatch, uid):
@@ -433,7 +434,7 @@ def test_closing_answers_who_waits_removes_the_socket_and_spares_anothers(path):
     server = ControlServer(path, ControlSettings(), replies.append)
     wire = Wire(path)
     wire.send('{"command": "stop"}\n')
-    wait_for(lambda: replies)
+    until(lambda: replies)
     ending = threading.Thread(target=server.close)
     ending.start()
     replies[0].answer({"message": "the daemon ends"})

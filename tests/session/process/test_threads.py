@@ -5,6 +5,7 @@ import time
 from functools import partial
 
 import pytest
+from reporting import until
 
 from spheremouse.errors import ControlError
 from spheremouse.session.process.threads import WorkerPool, as_future, begin
@@ -20,23 +21,16 @@ def workers():
     made.end("one", "two")
 
 
-def wait_for(condition):
-    end = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.001)
-
-
 def test_a_kind_waits_for_its_own_and_for_no_other(workers):
     gate, done = threading.Event(), []
     workers.do("one", gate.wait)
     workers.do("one", lambda: done.append("one"))
     workers.do("two", lambda: done.append("two"))
-    wait_for(lambda: done)
+    until(lambda: done)
     assert done == ["two"]
     assert workers.busy("one")
     gate.set()
-    wait_for(lambda: not workers.busy("one"))
+    until(lambda: not workers.busy("one"))
     assert done == ["two", "one"]
 
 
@@ -45,7 +39,7 @@ def test_an_error_is_told_and_the_next_work_is_done(workers):
         as_future(lambda: 1 // 0, partial(workers.do, "one")).result(20.0)
     workers.do("one", lambda: 1 // 0)
     assert as_future(lambda: 5, partial(workers.do, "one")).result(20.0) == 5
-    wait_for(lambda: not workers.busy("one"))
+    until(lambda: not workers.busy("one"))
     assert "ZeroDivisionError" in workers.said[0]
 
 

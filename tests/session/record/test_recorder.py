@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from reporting import counts_of
+from reporting import counts_of, until
 from typer.testing import CliRunner
 
 from spheremouse.ball.build import build
@@ -80,7 +80,7 @@ def record(folder, frames, rig, pose, settings=PLENTY):
     tracker, epochs = build(rig, pose, Settings()), []
     for epoch in track(iter(frames), tracker):
         epochs.append(epoch)
-        wait_for(lambda: recorder.status().waiting < 3)
+        until(lambda: recorder.status().waiting < 3)
         image = epoch.frame.image.copy()
         seen_from = current(epoch.state, tracker).pose
         subject = subject if subject.view is seen_from else ball_subject(rig, seen_from, Configuration())
@@ -107,13 +107,6 @@ def moved_subject(rig, pose):
 
 def small_frame(k, stamp=None):
     return Frame(np.zeros((48, 64), np.uint8), 0.1 * k if stamp is None else stamp, k)
-
-
-def wait_for(condition):
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
 
 
 def assert_same_epochs(a, b):
@@ -276,7 +269,7 @@ def test_a_camera_that_was_moved_leaves_nothing_of_the_view_before(tmp_path):
     recorder = begin(tmp_path / "made", PLENTY, device)
     white = np.full_like(frames[0].image, 255)
     for i in range(90):  # more than there are buffers
-        wait_for(lambda: recorder.status().waiting < 3)
+        until(lambda: recorder.status().waiting < 3)
         image = white if i % 7 else white[..., 0].copy()
         assert recorder.add(Frame(image, float(i), i), before if i < 45 else moved)
     a, b = (s.kept() > 0 for s in (before, moved))
@@ -319,7 +312,7 @@ def test_the_worker_never_waits(tmp_path, monkeypatch):
     assert buffers <= len(taken) <= buffers + 1
     assert recorder.status().dropped == 300 - len(taken)
     go_on.set()
-    wait_for(lambda: recorder.status().waiting == 0)
+    until(lambda: recorder.status().waiting == 0)
     assert recorder.add(Frame(frames[0].image, 10.0, 1000))
     folder = recorder.finish(PATIENCE)
     again = list(read_frames(open_dataset(folder)))
@@ -342,11 +335,11 @@ def test_it_ends_after_its_time_and_before_the_disk_is_full(tmp_path, monkeypatc
     settings = RecordSettings(seconds=5.0, free_megabytes=100.0, everything=True)
     recorder = begin(tmp_path / "made", settings, clock=lambda: now["time"])
     assert recorder.add(small_frame(0))
-    wait_for(lambda: recorder.status().frames == 1)
+    until(lambda: recorder.status().frames == 1)
     now |= change
     if frame:
         recorder.add(small_frame(1))
-    wait_for(lambda: recorder.status().ended is not None)
+    until(lambda: recorder.status().ended is not None)
     assert words in recorder.status().ended
     assert open_dataset(recorder.finish(PATIENCE)).frames == 1
     if "free" in change:
@@ -360,9 +353,9 @@ def test_it_ends_at_its_size(tmp_path):
     *device, frames = film()
     recorder = begin(tmp_path / "made", replace(EVERYTHING, megabytes=30.0), device)
     for i in range(60):
-        wait_for(lambda: recorder.status().waiting < 3)
+        until(lambda: recorder.status().waiting < 3)
         recorder.add(frames[i])
-    wait_for(lambda: recorder.status().ended is not None)
+    until(lambda: recorder.status().ended is not None)
     assert recorder.status().waiting == 0
     assert "ended at 30 MB" in recorder.status().ended
     folder = recorder.finish(PATIENCE)
@@ -402,9 +395,9 @@ recorder = begin(Path(sys.argv[2]), EVERYTHING, small(640, 480))
 def feed(n):
     rng = np.random.default_rng(0)
     for i in range(n):
-        wait_for(lambda: recorder.status().waiting < 3)
+        until(lambda: recorder.status().waiting < 3)
         recorder.add(Frame(rng.integers(0, 256, (480, 640), dtype=np.uint8), 0.1 * i, i))
-    wait_for(lambda: recorder.status().waiting == 0)
+    until(lambda: recorder.status().waiting == 0)
 """
 
 
