@@ -21,6 +21,75 @@ def suppress(points: _Float, radius: _Float, norm: float = 2.0) -> _Index:
     Non-maximum suppression (Neubeck, Van Gool 2006) of points in the order of their worth. The norm is 2 or inf.
     """
 
+# spheremouse/ball/constellation/hypotheses.cpp
+
+class Hypotheses:
+    """Rotations that map two known directions to a pair of seen ones (Mortari et al. 2004).
+
+    `seen` (n, 3) and `known` (m, 3) are unit vectors. The pairs are those within each of `groups` groups of distant
+    seen directions. The angles of the two pairs may differ by `tolerance` rad. There are at most `max_count` rotations.
+    """
+
+    rotations: _Float  # (h, 3, 3)
+    origins: _Index  # (h, 4) indices of the seen and of the known pair
+
+    def __init__(self, seen: _Float, known: _Float, groups: int, tolerance: float, max_count: int) -> None: ...
+    def best(self, sigma: float, gain: float, margin: float, max_count: int) -> _Float:
+        """Return the rotations with the best scores, (k, 3, 3), best first, one within 3 sigma.
+
+        A direction near a known one scores `gain` nats minus half its squared distance in standard deviations. These
+        are `sigma` rad, and more by the error of the rotation. The result has at most `max_count` rotations, none worse
+        than the best one by more than `margin` nats.
+        """
+
+    def most_common(self, min_cosine: float) -> tuple[_Float, int]:
+        """Return the rotation, (3, 3), with the most matches at a cosine above `min_cosine`, and their number.
+
+        The number is that of matched `seen` or of matched `known`, whichever is smaller. Among equal numbers the
+        smallest rotation wins. Without hypotheses the result is the identity and 0.
+        """
+
+# spheremouse/ball/constellation/evidence.cpp
+
+class ObservationModel:
+    """Observation model of a ball at a known attitude.
+
+    `view_axis` (3,) is a unit vector from the ball to the camera. A disc at the cosine `half_cosine` with it is seen
+    half as often as one in the middle, and `limb_width` is the cosine over which that changes. A disc in the middle is
+    seen with `detection_probability`, and is not seen with one of the equally likely `miss_probabilities`, (a,). The
+    ratios of the true standard deviation to the given one, `sigma_scales`, (b,), are equally likely too. The number of
+    false directions is geometric with the mean `false_mean`, and they are uniform over `area` sr.
+
+    Directions are those of `Hypotheses`, and `variance` (n,) rad² is that of each seen one per axis.
+    """
+
+    def __init__(
+        self, view_axis: _Float, half_cosine: float, limb_width: float, detection_probability: float,
+        miss_probabilities: _Float, sigma_scales: _Float, false_mean: float, area: float,
+    ) -> None: ...  # fmt: skip
+    def max_log_likelihood_ratio(self, variance: float) -> float:
+        """Return the log likelihood ratio of an exact match with a visible disc, against one more false direction."""
+
+    def false_log_density(self, k: int, mean: float) -> float:
+        """Return the log density of k false directions, whose number is geometric with that mean."""
+
+    def refine_attitudes(
+        self, starts: _Float, seen: _Float, known: _Float, variance: _Float, first: float
+    ) -> tuple[_Float, _Index, _Float, _Float]:
+        """Adjust each start, (h, 3, 3): return rotations, columns (h, n), information (h, 3, 3), log evidence (h,).
+
+        Matches and Gauss-Newton steps of Wahba's problem alternate. The first matches use the variance times `first`. A
+        column is the index of the known direction or -1, and the information is in 1/rad². The evidence is the density
+        of all seen and unseen directions, integrated over attitudes (Laplace 1774). It is -inf if three directions do
+        not determine the attitude, or if an earlier start ended with the same matches.
+        """
+
+    def two_match_log_evidence(self, hypotheses: Hypotheses, variance: _Float, sample_size: int) -> float:
+        """Return the log evidence that only the two directions of a hypothesis match, summed over all hypotheses.
+
+        A sample of `sample_size` of them gives the estimate.
+        """
+
 # spheremouse/ball/points.cpp. The tuple `view` is a rig.BallView.
 
 def intersect(

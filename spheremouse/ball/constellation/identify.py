@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.constellation import evidence
-from spheremouse.ball.constellation import hypotheses as kernel
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.rotation import Array, log
+from spheremouse.native import kernels
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +66,7 @@ def attitude(
     central = np.sort(np.argsort(-(seen @ view_axis), kind="stable")[: model.max_directions])
     points = np.ascontiguousarray(seen[central])
     n = len(points)
-    area = 2.0 * math.pi * (1.0 - horizon)
-    law = kernel.Law(
+    observation = kernels.ObservationModel(
         view_axis,
         horizon + model.limb_cosine,
         model.limb_width,
@@ -76,35 +74,47 @@ def attitude(
         np.array(model.miss_probabilities),
         np.array(model.sigma_scales),
         model.false_mean,
-        area,
+        2.0 * math.pi * (1.0 - horizon),
     )
-    gain = evidence.max_log_likelihood_ratio(sigma * sigma, law)
+    gain = observation.max_log_likelihood_ratio(sigma * sigma)
     if gain <= 0.0:  # a false direction explains as much as a disc
         return None
-    pairs = kernel.select_pairs(points, max(1, n // model.group_size))
-    H, inflation, origin = kernel.attitude_hypotheses(
-        points, known, pairs, model.pair_sigmas * math.sqrt(2.0) * sigma, model.max_hypotheses
-    )
-    starts = kernel.best_hypotheses(H, inflation, points, known, sigma, gain, model.score_margin, model.max_attitudes)
+    groups = max(1, n // model.group_size)
+    tolerance = model.pair_sigmas * math.sqrt(2.0) * sigma
+    hypotheses = kernels.Hypotheses(points, known, groups, tolerance, model.max_hypotheses)
+    starts = hypotheses.best(sigma, gain, model.score_margin, model.max_attitudes)
     if len(starts) == 0:
         return None
     cosine = np.clip(points @ view_axis, 0.3, 1.0)  # nearer the limb a disc is a line, without noise of pixels
     variance = sigma * sigma * (1.0 + 0.5 * model.pixel_noise_fraction * (1.0 / cosine**2 - 1.0))
-    R, columns, information, value = evidence.refine_attitudes(
-        starts, points, known, variance, law, model.first_variance
-    )
+    R, columns, information, value = observation.refine_attitudes(starts, points, known, variance, model.first_variance)
     discs_in_sight = 0.5 * len(known) * (1.0 - horizon)  # another ball has as many discs
-    other = evidence.false_log_density(n, discs_in_sight, area) + math.log(
+    other = observation.false_log_density(n, discs_in_sight) + math.log(
         model.other_probability / (1.0 - model.other_probability)
     )
-    two = evidence.two_match_log_evidence(H, origin, points, known, variance, law, model.sample_size) + math.log(
-        n * (n - 1) / 2 / len(pairs)
-    )
-    best, error = evidence.posterior_error(R, information, value, np.logaddexp(other, two), model.same_gate)
+    size, larger = divmod(n, groups)
+    pairs = groups * size * (size - 1) // 2 + larger * size  # within the groups
+    two = observation.two_match_log_evidence(hypotheses, variance, model.sample_size)
+    two += math.log(n * (n - 1) / 2 / pairs)
+    best, error = posterior_error(R, information, value, float(np.logaddexp(other, two)), model.same_gate)
     rows = np.flatnonzero(columns[best] >= 0)
     if len(rows) < 3 or not math.isfinite(value[best]):
         return None
     return Attitude(R[best].copy(), np.stack([central[rows], columns[best][rows]], axis=1), error)
+
+
+def posterior_error(R: Array, information: Array, value: Array, null: float, gate: float) -> tuple[int, float]:
+    """Return the index of the best attitude and the probability that it is wrong.
+
+    R (h, 3, 3) are attitudes with their information, (h, 3, 3) 1/rad², and log evidence, (h,). `null` is that of no
+    attitude. Attitudes within `gate` squared standard deviations of the best one count as the same.
+    """
+    best = int(np.argmax(value))
+    turn = log(R @ R[best].T)
+    same = np.einsum("hi,ij,hj->h", turn, information[best], turn) < gate
+    same[best] = True
+    weight = np.exp(np.append(value, null) - max(value[best], null))
+    return best, float((weight[-1] + weight[:-1][~same].sum()) / weight.sum())
 
 
 def shared_rotation(before: Array, after: Array, sigma: float) -> tuple[Array, int]:
@@ -113,6 +123,6 @@ def shared_rotation(before: Array, after: Array, sigma: float) -> tuple[Array, i
     Among equal numbers the smallest rotation wins. `sigma` is rad per axis. Directions match within 5.25 sigma, which
     includes the error of the two that gave the rotation.
     """
-    pairs = kernel.select_pairs(after, max(1, len(after) // 6))
-    R, _, _ = kernel.attitude_hypotheses(after, before, pairs, 3.5 * math.sqrt(2.0) * sigma, 20_000)
-    return kernel.most_common_rotation(R, after, before, math.cos(5.25 * sigma))
+    tolerance = 3.5 * math.sqrt(2.0) * sigma
+    hypotheses = kernels.Hypotheses(after, before, max(1, len(after) // 6), tolerance, 20_000)
+    return hypotheses.most_common(math.cos(5.25 * sigma))

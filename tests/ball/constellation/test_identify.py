@@ -7,12 +7,12 @@ import pytest
 from conftest import directions
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
+from scipy.special import gammaln, logsumexp
 from scipy.stats import multivariate_normal
 
-from spheremouse.ball.constellation import evidence
-from spheremouse.ball.constellation import hypotheses as kernel
-from spheremouse.ball.constellation.identify import IdentificationPrior, attitude
+from spheremouse.ball.constellation.identify import IdentificationPrior, attitude, posterior_error
 from spheremouse.geometry.rotation import align, exp, log, tangent_basis
+from spheremouse.native import kernels
 
 CAMERA = np.array([0.0, 0.0, 1.0])
 HORIZON = 0.25
@@ -20,9 +20,15 @@ MODEL = IdentificationPrior()
 AREA = 2.0 * np.pi * (1.0 - HORIZON)
 
 
-def law(hidden=MODEL.miss_probabilities, scales=MODEL.sigma_scales):
-    edge = HORIZON + MODEL.limb_cosine
-    return kernel.Law(CAMERA, edge, MODEL.limb_width, 0.8, np.array(hidden), np.array(scales), MODEL.false_mean, AREA)
+def observation(hidden=MODEL.miss_probabilities, scales=MODEL.sigma_scales):
+    edge, hidden, scales = HORIZON + MODEL.limb_cosine, np.array(hidden), np.array(scales)
+    return kernels.ObservationModel(CAMERA, edge, MODEL.limb_width, 0.8, hidden, scales, MODEL.false_mean, AREA)
+
+
+def refined(R, seen, known, variance, model=None):
+    """Adjust one attitude: rotation, column, information and log evidence."""
+    model = model or observation()
+    return (a[0] for a in model.refine_attitudes(R[None].copy(), seen, known, variance, 2.5))
 
 
 def visibility(cosine):
@@ -38,7 +44,8 @@ def scattered(p, sigma, rng):
 
 @pytest.mark.parametrize(("n", "groups"), [(3, 1), (7, 1), (8, 2), (11, 3), (13, 4)])
 def test_more_directions_than_groups_contain_a_pair(n, groups):
-    pairs = {frozenset(p) for p in kernel.select_pairs(directions(n, 1), groups)}
+    origins = kernels.Hypotheses(directions(n, 1), directions(4, 2), groups, 4.0, 9999).origins
+    pairs = {frozenset(p) for p in origins[:, :2]}
     assert all(any(frozenset(p) in pairs for p in combinations(some, 2)) for some in combinations(range(n), groups + 1))
     sizes = [n // groups + (g < n % groups) for g in range(groups)]
     assert len(pairs) == sum(k * (k - 1) // 2 for k in sizes)  # the least possible (Turan 1941)
@@ -48,15 +55,60 @@ def test_more_directions_than_groups_contain_a_pair(n, groups):
 def test_every_true_pair_gives_the_true_attitude(seed):
     known, R = directions(12, seed), Rotation.random(random_state=seed).as_matrix()
     seen = known[:5] @ R.T
-    pairs = kernel.select_pairs(seen, 1)
-    rotations, inflation, origin = kernel.attitude_hypotheses(seen, known, pairs, 1e-6, 1000)
+    found = kernels.Hypotheses(seen, known, 1, 1e-6, 1000)
+    rotations, origins = found.rotations, found.origins
     truth = [h for h in range(len(rotations)) if np.allclose(rotations[h], R, atol=1e-6)]
-    assert {tuple(origin[h]) for h in truth} >= {(i, j, i, j) for i, j in pairs}
-    assert np.all(inflation > 1.0)
-    for Q, (i, j, a, b) in zip(rotations, origin, strict=True):
+    assert {frozenset(origins[h, :2]) for h in truth} == {frozenset(p) for p in combinations(range(5), 2)}
+    assert np.array_equal(origins[truth, :2], origins[truth, 2:])
+    for Q, (i, j, a, b) in zip(rotations, origins, strict=True):
         assert_allclose(Q @ known[a] + Q @ known[b], seen[i] + seen[j], atol=1e-5)
         assert_allclose(np.linalg.det(Q), 1.0)
-    assert len(kernel.attitude_hypotheses(seen, known, pairs, 1.0, 7)[0]) == 7
+    assert len(kernels.Hypotheses(seen, known, 1, 1.0, 7).rotations) == 7
+
+
+def cosines(R, seen, known):
+    return np.einsum("hij,ni,mj->hnm", R, seen, known)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_best_hypotheses_match_the_most_directions_best(seed):
+    rng = np.random.default_rng(seed)
+    sigma, gain, margin = 0.02, 5.0, 12.0
+    known, R = directions(26, seed), Rotation.random(random_state=seed).as_matrix()
+    p = known @ R.T
+    seen = scattered(p[p[:, 2] > 0.4], sigma, rng)
+    found = kernels.Hypotheses(seen, known, 1, 0.08, 5000)
+    i, j = found.origins[:, :2].T
+    half = (1.0 - np.abs(np.sum(seen[i] * seen[j], axis=1))) / 2.0
+    weight = 1.0 / (sigma**2 * (1.0 + 0.5 / half))
+    nearest = cosines(found.rotations, seen, known).max(axis=2)
+    score = np.maximum(0.0, gain - (1.0 - nearest) * weight[:, None]).sum(axis=1)
+    best = found.best(sigma, gain, margin, 64)
+    assert 1 < len(best) < 64
+    assert_allclose(best[0], found.rotations[np.argmax(score)])
+    place = np.argmax(np.einsum("kij,hij->kh", best, found.rotations), axis=1)
+    assert np.all(np.diff(score[place]) <= 0.0)
+    assert score[place[-1]] > score.max() - margin
+    good = score > score.max() - margin
+    traces = np.einsum("kij,hij->kh", best, found.rotations[good])
+    assert np.all(traces.max(axis=0) > 1.0 + 2.0 * np.cos(6.0 * sigma))  # each good one has one of the best nearby
+    few = found.best(sigma, gain, margin, 3)
+    assert_allclose(few[0], best[0])
+    assert len(few) == min(3, len(best))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_most_common_rotation_matches_the_most_directions(seed):
+    rng = np.random.default_rng(seed)
+    known, R = directions(20, seed), Rotation.random(random_state=seed).as_matrix()
+    seen = scattered((known @ R.T)[:12], 0.02, rng)
+    found = kernels.Hypotheses(seen, known, 2, 0.1, 20_000)
+    met = cosines(found.rotations, seen, known) > np.cos(0.1)
+    number = np.minimum(met.any(axis=2).sum(axis=1), met.any(axis=1).sum(axis=1))
+    trace = np.where(number == number.max(), np.trace(found.rotations, axis1=1, axis2=2), -np.inf)
+    best, agreed = found.most_common(np.cos(0.1))
+    assert agreed == number.max() > 8
+    assert_allclose(best, found.rotations[np.argmax(trace)])
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -67,13 +119,12 @@ def test_adjustment_equals_wahbas_solution(seed):
     seen = scattered(p[p[:, 2] > 0.45], 0.01, rng)
     variance = 1e-4 * rng.uniform(0.5, 2.0, size=len(seen))
     start = exp(0.01 * rng.normal(size=3)) @ R
-    rotation, column, information, det = evidence.refine_attitude(start, seen, known, variance, law(), 2.5)
+    rotation, column, information, _ = refined(start, seen, known, variance)
     assert_allclose(p[column], seen, atol=0.06)
     assert_allclose(rotation, align(known[column], seen, 1.0 / variance), atol=1e-9)
     q = known[column] @ rotation.T
     expected = sum((np.eye(3) - np.outer(a, a)) / v for a, v in zip(q, variance, strict=True))
     assert_allclose(information, expected, rtol=1e-6, atol=1e-3)
-    assert_allclose(det, np.linalg.det(expected), rtol=1e-6)
 
 
 def test_evidence_is_the_integral_over_attitudes():
@@ -83,10 +134,8 @@ def test_evidence_is_the_integral_over_attitudes():
     known, R = directions(26, 5), Rotation.random(random_state=5).as_matrix()
     p = known @ R.T
     seen = np.vstack([scattered(p[p[:, 2] > 0.5][:4], sigma, rng), [[0.6, 0.0, 0.8], [0.0, -0.28, 0.96]]])
-    variance, rules = np.full(6, sigma**2), law((hidden,), (1.0,))
-    best, column, _, det = evidence.refine_attitude(R, seen, known, variance, rules, 2.5)
+    best, column, _, value = refined(R, seen, known, np.full(6, sigma**2), observation((hidden,), (1.0,)))
     assert np.sum(column >= 0) == 4
-    value = evidence.log_evidence(best, column, det, seen, known, variance, rules)
 
     half = 0.05  # ten standard deviations, half the side of the cube of sampled rotation vectors
     turns = rng.uniform(-half, half, size=(40_000, 3))
@@ -113,23 +162,54 @@ def test_evidence_is_the_mean_over_equal_alternatives():
     variance = np.full(len(seen), 0.02**2)
 
     def value(hidden, scales):
-        rules = law(hidden, scales)
-        rotation, column, _, det = evidence.refine_attitude(R, seen, known, variance, rules, 2.5)
-        return evidence.log_evidence(rotation, column, det, seen, known, variance, rules)
+        return list(refined(R, seen, known, variance, observation(hidden, scales)))[3]
 
     single = [value((h,), (s,)) for h in (0.1, 0.5) for s in (0.8, 1.3)]
     assert_allclose(value((0.1, 0.5), (0.8, 1.3)), np.log(np.mean(np.exp(single))), rtol=1e-9)
 
 
+def log_evidence(R, column, seen, known, variance, hidden, scales):
+    """Twin of the evidence of an attitude and its matches."""
+    rows, k = np.flatnonzero(column >= 0), np.sum(column >= 0)
+    p, v = known @ R.T, variance[rows]
+    q = p[column[rows]]
+    information = np.einsum("n,nij->ij", 1.0 / v, np.eye(3) - q[:, :, None] * q[:, None, :])
+    width = 1.5 * np.log(2.0 * np.pi) - 0.5 * np.log(np.linalg.det(information)) - np.log(8.0 * np.pi**2)
+    square = np.sum((seen[rows] - q) ** 2 / v[:, None])
+    log_scale, chance = np.log(scales), (1.0 - np.array(hidden)[:, None]) * visibility(p[:, 2])
+    noise = np.minimum(0.0, width + 3.0 * log_scale) - 2.0 * k * log_scale - 0.5 * square / np.square(scales)
+    matched = np.isin(np.arange(len(known)), column)
+    visible = np.where(matched, np.log(chance), np.log(1.0 - chance))[:, visibility(p[:, 2]) > 1e-4].sum(axis=1)
+    false = np.log(1.0 / 3.0) + (len(seen) - k) * np.log(2.0 / 3.0 / AREA) + gammaln(len(seen) - k + 1.0)
+    alternatives = logsumexp(noise) + logsumexp(visible) - np.log(len(scales) * len(hidden))
+    return alternatives - np.sum(np.log(2.0 * np.pi * v)) + false
+
+
+def test_evidence_of_two_matches_is_the_sum_over_the_hypotheses():
+    known, R = directions(20, 4), Rotation.random(random_state=4).as_matrix()
+    p = known @ R.T
+    seen = scattered(p[p[:, 2] > 0.4], 0.02, np.random.default_rng(4))
+    variance = 0.02**2 * np.linspace(1.0, 2.0, len(seen))
+    found = kernels.Hypotheses(seen, known, 1, 0.05, 500)
+    terms = []
+    for Q, origin in zip(found.rotations, found.origins, strict=True):
+        column = np.full(len(seen), -1)
+        column[origin[:2]] = origin[2:]
+        terms.append(log_evidence(Q, column, seen, known, variance, MODEL.miss_probabilities, MODEL.sigma_scales))
+    assert_allclose(observation().two_match_log_evidence(found, variance, 10_000), logsumexp(terms), rtol=1e-10)
+    rotation, column, _, value = refined(R, seen, known, variance)
+    twin = log_evidence(rotation, column, seen, known, variance, MODEL.miss_probabilities, MODEL.sigma_scales)
+    assert_allclose(value, twin, atol=1e-6)  # the information is that before the last step
+
+
 def test_posterior_error_sums_over_other_attitudes():
     R = np.stack([np.eye(3), exp(np.array([0.0, 0.0, 0.02])), exp(np.array([0.0, np.pi, 0.0]))])
     A = np.broadcast_to(np.eye(3) / 0.01**2, (3, 3, 3)).copy()
-    best, wrong = evidence.posterior_error(
-        R, A, np.log([6.0, 2.0, 1.0]), np.log(1.0), 25.0
-    )  # the second counts as the first
+    # the second counts as the first
+    best, wrong = posterior_error(R, A, np.log([6.0, 2.0, 1.0]), np.log(1.0), 25.0)
     assert best == 0
     assert_allclose(wrong, 0.2)
-    assert_allclose(evidence.posterior_error(R, A, np.log([6.0, 2.0, 1.0]), np.log(1.0), 1.0)[1], 0.4)
+    assert_allclose(posterior_error(R, A, np.log([6.0, 2.0, 1.0]), np.log(1.0), 1.0)[1], 0.4)
 
 
 @pytest.mark.slow
