@@ -147,7 +147,7 @@ class So3Filter:
     def detection_probability(self, state: So3State) -> Array:
         """Return the probability, (m,), that each disc is detected at a predicted state."""
         return so3_sightings.detection_probability(
-            state.attitude, state.discs, state.hidden, self.towards_camera, self.horizon
+            state.attitude, state.joint[:3, :3], state.discs, state.hidden, self.towards_camera, self.horizon
         )
 
     def gate_radius(self, state: So3State, which: NDArray[np.intp], interval: float) -> Array:
@@ -416,6 +416,7 @@ class So3Filter:
         """
         hits, missed, hidden, keep, known_seen, known_missed = so3_sightings.count_sightings(
             state.attitude,
+            state.joint[:3, :3],
             state.discs,
             state.hits,
             state.missed,

@@ -23,15 +23,17 @@ _HANDS_STAY = 1.0  # s, after which a hand has moved
 
 
 @njit(cache=True, error_model="numpy")
-def detection_probability(attitude: Array, discs: Array, hidden: Array, towards: Array, horizon: float) -> Array:
-    """Return the probability, (m,), that each disc is detected, at R_obj_ball (3, 3).
+def detection_probability(
+    attitude: Array, covariance: Array, discs: Array, hidden: Array, towards: Array, horizon: float
+) -> Array:
+    """Return the probability, (m,), that each disc is detected, at R_obj_ball (3, 3) with `covariance` (3, 3) rad², obj.
 
     `discs` (m, 3) are unit vectors in ball. `hidden` (m,) is the probability that something hides a disc. `towards`
     (3,) points to the camera, obj. The camera sees directions with a cosine to `towards` above `horizon`.
     """
     probability = np.empty(len(discs))
     for k in range(len(discs)):
-        probability[k] = _in_sight(attitude, discs[k], towards, horizon) * (1.0 - hidden[k])
+        probability[k] = _in_sight(attitude, covariance, discs[k], towards, horizon) * (1.0 - hidden[k])
     return probability
 
 
@@ -67,7 +69,7 @@ def update_hidden(hidden: Array, probability: Array, seen: NDArray[np.intp]) -> 
 
 
 @njit(cache=True, error_model="numpy")
-def count_sightings(attitude, discs, hits, missed, hidden, towards, horizon, columns, any_point):
+def count_sightings(attitude, covariance, discs, hits, missed, hidden, towards, horizon, columns, any_point):
     """Count a frame that shows the discs `columns` in their places, and whether it shows `any_point` at all.
 
     `hits` are sightings, `missed` misses in a row, and `hidden` probabilities of something before the disc, (m,) each.
@@ -79,7 +81,7 @@ def count_sightings(attitude, discs, hits, missed, hidden, towards, horizon, col
     # a disc near the horizon is often too thin to be detected, and a frame without a point misses no disc in particular
     well = discs @ (towards @ attitude) > horizon + 0.5 * (1.0 - horizon)
     misses = well & ~seen & any_point
-    probability = detection_probability(attitude, discs, hidden, towards, horizon)
+    probability = detection_probability(attitude, covariance, discs, hidden, towards, horizon)
     established = hits >= ESTABLISHED_HITS
     known_seen, known_missed = np.count_nonzero(seen & established), np.sum(probability[misses & established])
     hits, missed = hits + seen, np.where(seen, 0, missed + misses)
@@ -111,9 +113,20 @@ def new_discs(attitude, discs, direction, free, rows, apart):
 
 
 @njit(cache=True, error_model="numpy")
-def _in_sight(attitude, disc, towards, horizon):
-    """Return the probability that a disc is detected if nothing hides it."""
-    cosine = 0.0
+def _in_sight(attitude, covariance, disc, towards, horizon):
+    """Return the probability that a disc is detected if nothing hides it, over all attitudes that are possible.
+
+    The mean of a logistic function over a normal distribution is about that of a wider one (MacKay 1992, "The evidence
+    framework applied to classification networks").
+    """
+    place, across = np.empty(3), np.empty(3)
     for i in range(3):
-        cosine += towards[i] * (attitude[i, 0] * disc[0] + attitude[i, 1] * disc[1] + attitude[i, 2] * disc[2])
-    return _DETECTED / (1.0 + math.exp(min((horizon + _LIMB - cosine) / _LIMB_BLUR, 30.0)))
+        place[i] = attitude[i, 0] * disc[0] + attitude[i, 1] * disc[1] + attitude[i, 2] * disc[2]
+    cosine, variance = place[0] * towards[0] + place[1] * towards[1] + place[2] * towards[2], 0.0
+    for i in range(3):  # a turn e moves the cosine by e . (place x towards)
+        across[i] = place[i - 2] * towards[i - 1] - place[i - 1] * towards[i - 2]
+    for i in range(3):
+        for j in range(3):
+            variance += across[i] * covariance[i, j] * across[j]
+    width = math.sqrt(_LIMB_BLUR**2 + math.pi / 8.0 * max(variance, 0.0))
+    return _DETECTED / (1.0 + math.exp(min((horizon + _LIMB - cosine) / width, 30.0)))
