@@ -14,7 +14,8 @@ SLOW_TESTS := tests/system tests/soak tests/fuzz
 PYTEST = $(BIN)/python -m pytest --numprocesses $(PROCESSES) --dist worksteal --max-worker-restart 0 $(addprefix --ignore=,$(SLOW_TESTS))
 # A short form, for packages other than the locked: something of each that is used, and the whole pipeline.
 SHORT_TESTS := $(patsubst %,tests/%.py,test_imports files/test_config geometry/test_camera \
-    geometry/least_squares/test_adjust capture/v4l2/test_pixels capture/v4l2/test_v4l2 session/control/test_metrics) \
+    geometry/least_squares/test_adjust capture/v4l2/test_pixels capture/v4l2/test_v4l2 session/control/test_metrics \
+    commands/tray/test_tray) \
     tests/commands/doctor/test_doctor.py::test_a_source_that_gives_no_frame_is_an_error_that_says_so \
     tests/commands/test_run.py::test_the_demo_writes_its_files_and_its_counts_are_the_true_ones
 # Optional parts that a cabinet may have.

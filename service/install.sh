@@ -102,6 +102,19 @@ system_packages() {
         "${missing[@]}" >/dev/null || fail "apt-get could not install ${missing[*]}"
 }
 
+# Install the packages of the tray if there is a desktop. pip would have to compile them.
+tray() {
+    local packages=(python3-gi gir1.2-ayatanaappindicator3-0.1)
+    [ -n "$service" ] && compgen -G '/usr/share/*sessions/*.desktop' >/dev/null || return 0
+    ! /usr/bin/python3 -c 'import gi; gi.require_version("AyatanaAppIndicator3", "0.1")' 2>/dev/null || return 0
+    if [ -z "$wheelhouse" ] && command -v apt-get >/dev/null; then
+        say "apt-get installs ${packages[*]}, for the tray"
+        DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y --no-install-recommends \
+            "${packages[@]}" >/dev/null 2>&1 && return 0
+    fi
+    say "the tray needs packages of the system: apt-get install ${packages[*]}"
+}
+
 # private_to_root FOLDER [caller]: fail if this is root and others may change the folder, one above it, or a link on the
 # way: they could decide what root runs. With `caller`, the user who has called sudo counts as root. The folder need not
 # exist. The members of group staff, to whom /usr/local belongs on older systems, count as root too.
@@ -374,6 +387,7 @@ install() {
     fi
     point "$bin/spheremouse" "$(program)"
     point_shared || say "no man page and no completion: $share may not be written"
+    tray
     if [ -n "$before" ]; then point "$prefix/previous" "$before"; fi
     if [ "$here" != "$(realpath "$prefix")" ]; then # --rollback and --uninstall use it
         text_of "$here/install.sh" >"$prefix/.install.sh"

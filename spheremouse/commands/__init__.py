@@ -38,6 +38,7 @@ _COMMANDS = {
     "layout": ("layout", "layout", "Example: spheremouse layout --discs 26 --out calibration/placement-26"),
     "preview": ("preview", "preview", "Example: spheremouse preview v4l2:/dev/video0 --every 1"),
     "doctor": ("doctor", "doctor", "Example: spheremouse doctor --source dataset:demo/roll"),
+    "tray": ("tray", "tray", "Example: spheremouse tray"),
     "view": ("view", "view", "Example: spheremouse view --port 8765"),
     "ctl": ("ctl", "app", "Exit codes: 0 done, 1 the daemon refuses, 2 wrong usage, 3 no daemon."),
     "service": ("service", "app", "Example: sudo spheremouse service install"),

@@ -1,7 +1,6 @@
 """`spheremouse view`: serve the live page of the running daemon."""
 
 import errno
-import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -45,20 +44,14 @@ def view(
         str | None, typer.Option(metavar="KIND:ARG", help="Camera for the guide.  [default: the first camera]")
     ] = None,
     url: Annotated[bool, typer.Option("--url", help="Print the owner's address of the page, and exit.")] = False,
-    browser: Annotated[
-        bool,
-        typer.Option("--open", help="Open the page of the running service in the browser, as its owner, and exit."),
-    ] = False,
 ) -> None:
     """Serve the live page: picture, motion, settings, log and doctor of the running daemon, in a browser.
 
     It is a process of its own. The daemon need not run yet. Without the token in the address, others on this
     computer see a masked picture, motion, settings and log, and can change nothing.
     """
-    if url or browser:
-        owners = owners_address(address, port, read_token(token_file or present_token()))
-        if not (browser and webbrowser.open(owners)):
-            print(owners)
+    if url:
+        print(owners_address(address, port, read_token(token_file or present_token())))
     else:
         from spheremouse.view.guide import GuideOptions
         from spheremouse.view.server import application

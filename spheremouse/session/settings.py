@@ -27,7 +27,7 @@ class ControlSettings:
         "group with access to the socket, and so to the pointer (mode 0660); null allows root and the "
         "daemon's own user (0600)",
     )
-    # Not a setting: connections of each user at a time. A person, a page and a monitor need one each.
+    # Not a setting: connections of each user at a time. A person, a tray and a monitor need one each.
     clients: int = 16
 
 

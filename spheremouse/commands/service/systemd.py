@@ -22,14 +22,14 @@ from spheremouse.files.safe_files import open_to_read, others_may_change, replac
 UNIT = "spheremouse.service"
 VIEW_UNIT = "spheremouse-view.service"  # the live page
 USER = "spheremouse"  # and its group
-_ENTRY = "desktop/spheremouse.desktop"  # opens the live page
-_MARK = "# Placed by `spheremouse service install`, which replaces it.\n"
+_MARK = "# Placed by `spheremouse service install`, which replaces it.
+"
 _NETWORKS = ("multicast", "link-local", "localhost")  # names of IPAddressAllow, systemd.resource-control(5)
 _UNREACHABLE = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # the unit's ProtectHome and PrivateTmp
 
 # folders that the installation may have made
 _MADE = (
-    "spheremouse", "spheremouse-view", f"{UNIT}.d", "xorg.conf.d", "X11", "sysusers.d", "applications",
+    "spheremouse", "spheremouse-view", f"{UNIT}.d", "xorg.conf.d", "X11", "sysusers.d", "autostart",
     "default.target.wants", "user", "systemd",
 )  # fmt: skip
 
@@ -99,7 +99,7 @@ class Place:
             return [
                 ("systemd/spheremouse-user.service", configuration / "systemd" / "user" / UNIT),
                 ("systemd/spheremouse-view-user.service", configuration / "systemd" / "user" / VIEW_UNIT),
-                (_ENTRY, self._users("XDG_DATA_HOME", ".local/share") / "applications" / "spheremouse.desktop"),
+                ("desktop/spheremouse-tray.desktop", configuration / "autostart" / "spheremouse-tray.desktop"),
             ]
         places = {
             "systemd/spheremouse.service": f"/etc/systemd/system/{UNIT}",
@@ -109,7 +109,7 @@ class Place:
             "systemd/modules-load.conf": "/etc/modules-load.d/spheremouse.conf",
             "udev/70-spheremouse.rules": "/etc/udev/rules.d/70-spheremouse.rules",
             "desktop/90-spheremouse-xorg.conf": "/etc/X11/xorg.conf.d/90-spheremouse.conf",
-            _ENTRY: "/usr/local/share/applications/spheremouse.desktop",
+            "desktop/spheremouse-tray.desktop": "/etc/xdg/autostart/spheremouse-tray.desktop",
         }
         return [(name, self.at(path)) for name, path in places.items()]
 

@@ -514,9 +514,9 @@ def test_sysusers_and_tmpfiles_are_what_systemd_makes_of_them(tmp_path):
     assert (cache.st_uid, cache.st_mode & 0o777) == (int(uid[1]), 0o700)
 
 
-def test_the_desktop_entry_is_valid(tmp_path):
-    path = tmp_path / "spheremouse.desktop"
-    path.write_text(service.rendered("desktop/spheremouse.desktop", "/bin/true"))
+def test_the_tray_starts_with_a_desktop(tmp_path):
+    path = tmp_path / "spheremouse-tray.desktop"
+    path.write_text(service.rendered("desktop/spheremouse-tray.desktop", "/bin/true"))
     code, said = judged("desktop-file-validate", str(path))
     assert (code, said) == (0, "")
 

@@ -93,7 +93,7 @@ def test_a_daemon_that_gives_no_memory_is_refused(path):
 
 
 def test_the_modules_of_a_client_load_no_compiled_kernels():
-    """A page then needs a tenth of the tracker's memory."""
+    """A page or tray then needs a tenth of the tracker's memory."""
     code = """import sys
 from spheremouse.session.control import client, pictures, protocol, socket_file, status
 from spheremouse.files import plain_json

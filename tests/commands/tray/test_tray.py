@@ -1,0 +1,310 @@
+"""The tray without a desktop: icons differ without colour, laws of the menu, notices, the link to the daemon."""
+
+import subprocess
+import sys
+import time
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from spheremouse.commands.tray import icon as tray_live
+from spheremouse.commands.tray import view as tray
+from spheremouse.commands.tray.link import Link
+from spheremouse.commands.tray.view import NO_DAEMON, SEPARATOR, STATES, Notices, View
+from spheremouse.session.control.protocol import refused
+from spheremouse.session.control.server import ControlServer
+from spheremouse.session.control.status import StatusReport
+from spheremouse.session.settings import ControlSettings
+
+GROUNDS = {"dark": 40, "light": 240}
+ACTIONS = {"reinit", "pause", "resume", "record", "end-record", "page", "quit", None}
+
+
+# ---- icons ----
+
+
+def grey(state, size, ground):
+    """The icon on a panel, seen without colours, levels."""
+    picture = np.asarray(tray.icon(state, size), dtype=float)
+    alpha = picture[..., 3:] / 255.0
+    flat = alpha * picture[..., :3] + (1.0 - alpha) * ground
+    return flat @ (0.299, 0.587, 0.114)
+
+
+@pytest.mark.parametrize("size", [16, 22, 24, 32])
+@pytest.mark.parametrize("ground", GROUNDS.values(), ids=GROUNDS)
+def test_icons_differ_without_their_colours(size, ground):
+    """Even where all grey values are stretched alike, a tenth of the pixels differs by a third of the range."""
+    seen = {}
+    for state in (*STATES, "of a later version"):
+        g = grey(state, size, ground)
+        seen[state] = (g - g.min()) / np.ptp(g)
+    for a, b in combinations(seen, 2):
+        assert np.mean(np.abs(seen[a] - seen[b]) > 0.33) > 0.10, (a, b)
+
+
+@pytest.mark.parametrize("ground", GROUNDS.values(), ids=GROUNDS)
+def test_icons_are_seen_on_every_panel(ground):
+    for state in STATES:
+        assert np.mean(np.abs(grey(state, 22, ground) - ground) > 60) > 0.25, state
+
+
+def test_each_state_has_its_colour_except_the_two_errors():
+    """A missing camera and a failed output are red, and differ in outline and sign."""
+    colours = [tray.LOOKS[s].colour for s in STATES if s != "failed-output"]
+    assert len(set(colours)) == len(STATES) - 1
+    assert set(tray.LOOKS) == set(STATES)
+    red, red_too = tray.LOOKS["no-camera"], tray.LOOKS["failed-output"]
+    assert (red.outline, red.sign) != (red_too.outline, red_too.sign)
+    assert len({(look.outline, look.sign) for look in tray.LOOKS.values()}) == len(STATES)
+
+
+# ---- words and menu ----
+
+statuses = st.fixed_dictionaries(
+    {},
+    optional={
+        "state": st.none() | st.sampled_from(STATES[:-1]) | st.text(max_size=200),
+        "reason": st.none() | st.text(max_size=200),
+        "fps": st.none() | st.floats(0.0, 1e6),
+        "paused": st.none() | st.booleans(),
+        "recording": st.none() | st.fixed_dictionaries({"folder": st.none() | st.text(max_size=200)}),
+    },
+)
+
+
+@settings(max_examples=40)
+@given(statuses, st.text(max_size=300))
+@example({"state": "\n", "recording": {}}, "\n")
+def test_tooltip_and_menu_are_short_printable_lines_for_any_status(status, note):
+    v = tray.view(StatusReport.read(status))
+    assert v.connected
+    tip, items = tray.tooltip(v), tray.menu(v, note)
+    assert len(tip) <= 127
+    assert all(c.isprintable() or c == "\n" for c in tip)
+    assert tip.startswith("spheremouse: ")
+    assert tip.count("\n") <= 1
+    assert all(i.text.isprintable() and 0 < len(i.text) <= 90 for i in items)
+    assert {i.action for i in items} <= ACTIONS
+    assert [i.action for i in items].count("quit") == 1
+    assert sum(i.default for i in items) == 1
+    assert tray.icon(v.state, 16).size == (16, 16)
+
+
+def actions(v):
+    return [i.action for i in tray.menu(v) if i.action is not None]
+
+
+def test_the_menu_offers_the_possible_actions():
+    assert actions(View("tracking")) == ["reinit", "pause", "record", "page", "quit"]
+    assert actions(View("paused", paused=True)) == ["reinit", "resume", "record", "page", "quit"]
+    assert actions(View("no-camera", paused=True)) == ["reinit", "resume", "record", "page", "quit"]
+    assert actions(View("tracking", recording="/var/r/1")) == ["reinit", "pause", "end-record", "page", "quit"]
+    assert actions(tray.no_daemon("none")) == ["page", "quit"]
+
+
+def test_the_first_line_is_the_state_with_its_reason_and_cannot_be_chosen():
+    items = tray.menu(View("searching-targets", "1 of 4 targets found"), "paused")
+    assert items[0] == tray.Item("searching targets: 1 of 4 targets found")
+    assert items[1] == tray.Item("paused")
+    assert items[2] is SEPARATOR
+    assert [i.text for i in items if i.default] == ["Re-initialise camera pose"]
+
+
+def test_without_a_daemon_the_first_line_names_the_command():
+    v = tray.no_daemon("no daemon runs (no daemon listens at /run/a or /run/b); start one with `spheremouse run`")
+    assert tray.headline(v) == "no daemon runs; start one with `spheremouse run`"
+
+
+# ---- notices ----
+
+
+def notices_of(transcript):
+    """Return times and texts of notices for (time, state) pairs, updated every second."""
+    notices, found = Notices(), []
+    end = transcript[-1][0]
+    for now in range(end + 1):
+        state = [s for t, s in transcript if t <= now][-1]
+        text = notices.update(View(state), float(now))
+        if text is not None:
+            found.append((now, text))
+    return found
+
+
+def test_a_lasting_problem_and_its_end_are_shown_once():
+    assert notices_of([(0, "tracking"), (10, "no-camera"), (200, "tracking"), (300, "tracking")]) == [
+        (15, "no camera"),
+        (202, "tracking again"),
+    ]
+
+
+def test_a_short_problem_is_not_shown():
+    assert (
+        notices_of([(0, "tracking"), (10, "lost"), (20, "tracking"), (30, "lost"), (40, "tracking"), (60, "tracking")])
+        == []
+    )
+
+
+def test_a_problem_that_returns_is_shown_every_five_minutes():
+    flapping = [(t, "no-camera" if (t // 20) % 2 else "tracking") for t in range(0, 1000, 20)]
+    times = [t for t, text in notices_of(flapping) if text == "no camera"]
+    assert len(times) >= 3
+    assert min(np.diff(times)) >= 300
+
+
+def test_a_daemon_that_restarts_is_not_shown():
+    assert notices_of([(0, "tracking"), (5, NO_DAEMON), (12, "starting"), (15, "tracking"), (40, "tracking")]) == []
+
+
+# ---- the link ----
+
+
+class Daemon:
+    """A control server that keeps its requests and reports `state`."""
+
+    def __init__(self, path):
+        self.path, self.state, self.asked, self.held = path, "tracking", [], []
+
+    def __enter__(self):
+        self.server = ControlServer(self.path, ControlSettings(), self.handle, lambda _: None)
+        self.server.__enter__()
+        return self
+
+    def __exit__(self, *error):
+        self.server.__exit__(*error)
+
+    def handle(self, pending):
+        request, reply = pending.request, pending.answer
+        if request.command == "status":
+            reply({"state": self.state, "reason": "as set"})
+            return
+        self.asked.append(request.model_dump(exclude_defaults=True))
+        if request.command == "reinit":
+            self.held.append(reply)
+        elif request.command == "record":
+            reply(refused("disk full"))
+        else:
+            self.state = {"pause": "paused", "resume": "tracking"}[request.command]
+            reply({"state": self.state})
+
+
+def until(what):
+    end = time.monotonic() + 20.0
+    while not what():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def world(tmp_path):
+    """A link without a daemon, and the views that it showed."""
+    shown = []
+    link = Link(tmp_path / "s", lambda v, note: shown.append((v, note)), every=0.05)
+    link.start()
+    until(lambda: shown)
+    yield tmp_path / "s", link, shown
+    link.close()
+
+
+def test_the_link_outlives_daemons(world):
+    path, _, shown = world
+    assert shown[-1][0].state == NO_DAEMON
+    assert "spheremouse run" in shown[-1][0].reason
+    for _ in range(2):
+        with Daemon(path) as daemon:
+            until(lambda: shown[-1][0] == View("tracking", "as set"))
+            daemon.state = "lost"
+            until(lambda: shown[-1][0].state == "lost")
+        until(lambda: shown[-1][0].state == NO_DAEMON)
+
+
+def test_an_action_is_sent_and_its_result_shown(world):
+    path, link, shown = world
+    with Daemon(path) as daemon:
+        link.do("pause")
+        until(lambda: shown[-1][0].state == "paused")
+        until(lambda: shown[-1][1] == "paused")
+        link.do("resume")
+        until(lambda: shown[-1][0].state == "tracking")
+        link.do("record")
+        until(lambda: shown[-1][1] == "disk full")
+        link.do("end-record")
+        until(lambda: len(daemon.asked) == 4)
+        assert daemon.asked == [
+            {"command": "pause"},
+            {"command": "resume"},
+            {"command": "record", "seconds": 60.0},
+            {"command": "record", "stop": True},
+        ]
+
+
+def test_a_pending_reply_delays_no_other_action(world):
+    path, link, shown = world
+    with Daemon(path) as daemon:
+        for _ in range(5):  # five clicks while one is under way are one
+            link.do("reinit")
+        until(lambda: daemon.held)
+        until(lambda: any("estimating" in note for _, note in shown))
+        link.do("pause")
+        until(lambda: shown[-1][0].state == "paused")
+        assert daemon.asked == [{"command": "reinit"}, {"command": "pause"}]
+        daemon.held[0]({"text": "there"})
+        until(lambda: shown[-1][1] == "camera pose estimated again")
+
+
+def test_without_a_daemon_an_action_shows_the_reason(world):
+    _, link, shown = world
+    link.do("pause")
+    until(lambda: shown and shown[-1][1].startswith("no daemon runs"))
+
+
+# ---- backends ----
+
+
+@pytest.mark.parametrize(("options", "code"), [((), 2), (("--at-login",), 0)])
+def test_without_a_display_there_is_one_line_and_at_login_no_error(options, code):
+    env = {"PATH": "/usr/bin", "SPHEREMOUSE_SOCKET": "/nowhere"}
+    done = subprocess.run(
+        [sys.executable, "-m", "spheremouse", "tray", *options], env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == code
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert "no display" in done.stderr
+
+
+def test_a_pygobject_of_another_python_is_ignored(monkeypatch, tmp_path):
+    package = tmp_path / "gi"
+    package.mkdir()
+    (package / "__init__.py").write_text("from . import own\n")
+    (package / "own.py").write_text("from . import _gi\n")  # there is none for this Python
+    monkeypatch.setattr(tray_live.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(tray_live, "_SYSTEM_GI", package / "__init__.py")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "gi"]:
+        monkeypatch.delitem(sys.modules, name)
+    tray_live.import_system_gi()
+    assert not [name for name in sys.modules if name.partition(".")[0] == "gi"]
+    (package / "_gi.py").touch()
+    tray_live.import_system_gi()
+    assert sys.modules["gi"].__path__ == [str(package)]
+    for name in ("gi", "gi.own", "gi._gi"):
+        monkeypatch.delitem(sys.modules, name)
+
+
+def test_without_a_tray_the_advice_says_what_to_install():
+    assert "gnome-shell-extension-appindicator" in tray_live.advice("ubuntu:GNOME")
+    assert "trayer" in tray_live.advice("sway")
+
+
+def test_the_autostart_entry_starts_this_command():
+    entry = Path(__file__).parents[3] / "service" / "desktop" / "spheremouse-tray.desktop"
+    lines = entry.read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "[Desktop Entry]"
+    assert "Exec=@EXECUTABLE@ tray --at-login" in lines
+    assert "TryExec=@EXECUTABLE@" in lines  # a program that has gone is no error
+    assert "Type=Application" in lines
+    assert "Terminal=false" in lines
