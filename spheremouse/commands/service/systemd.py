@@ -22,8 +22,7 @@ from spheremouse.files.safe_files import open_to_read, others_may_change, replac
 UNIT = "spheremouse.service"
 VIEW_UNIT = "spheremouse-view.service"  # the live page
 USER = "spheremouse"  # and its group
-_MARK = "# Placed by `spheremouse service install`, which replaces it.
-"
+_MARK = "# Placed by `spheremouse service install`, which replaces it.\n"
 _NETWORKS = ("multicast", "link-local", "localhost")  # names of IPAddressAllow, systemd.resource-control(5)
 _UNREACHABLE = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # the unit's ProtectHome and PrivateTmp
 

@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.filters.so3_sightings import HIDDEN_SHARE, carry_hidden, detection_probability, update_hidden
+from spheremouse.geometry.rotation import exp
 
 TOWARDS, HORIZON, DISC_ANGLE = np.array([0.0, 0.0, 1.0]), 0.25, 0.035
+CERTAIN = np.zeros((3, 3))
 FACING, STILL, NONE = np.array([[0.0, 0.0, 1.0]]), np.zeros(3), np.zeros(0, dtype=np.intp)
 DT = 1.0 / 30.0
 
 
 def probabilities(hidden):
-    return detection_probability(np.eye(3), FACING, hidden, TOWARDS, HORIZON)
+    return detection_probability(np.eye(3), CERTAIN, FACING, hidden, TOWARDS, HORIZON)
 
 
 def detected(hidden):
@@ -26,10 +28,21 @@ def missed(hidden, rate=STILL):
 def test_the_camera_sees_no_disc_beyond_the_limb():
     cosine = np.linspace(-1.0, 1.0, 201)
     discs = np.stack([np.sqrt(1.0 - cosine**2), np.zeros(201), cosine], axis=1)
-    probability = detection_probability(np.eye(3), discs, np.zeros(201), TOWARDS, HORIZON)
+    probability = detection_probability(np.eye(3), CERTAIN, discs, np.zeros(201), TOWARDS, HORIZON)
     assert np.all(np.diff(probability) >= 0.0)
     assert np.all(probability[cosine < HORIZON] < 0.05)
     assert np.all(probability[cosine > HORIZON + 0.25] > 0.9)
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.1, 0.3])
+def test_detection_at_a_doubtful_attitude_is_the_mean_over_attitudes(sigma):
+    cosine = np.linspace(0.0, 0.8, 9)
+    discs = np.stack([np.sqrt(1.0 - cosine**2), np.zeros(9), cosine], axis=1)
+    P = sigma**2 * np.diag([1.0, 0.5, 0.2])
+    turns = exp(np.random.default_rng(0).normal(size=(2000, 3)) * np.sqrt(np.diag(P)))
+    mean = np.mean([detection_probability(R, CERTAIN, discs, np.zeros(9), TOWARDS, HORIZON) for R in turns], axis=0)
+    probability = detection_probability(np.eye(3), P, discs, np.zeros(9), TOWARDS, HORIZON)
+    np.testing.assert_allclose(probability, mean, atol=0.03)
 
 
 def test_a_disc_hidden_from_a_resting_ball_counts_once():
