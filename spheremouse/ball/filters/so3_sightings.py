@@ -26,7 +26,7 @@ _HANDS_STAY = 1.0  # s, after which a hand has moved
 def detection_probability(
     attitude: Array, covariance: Array, discs: Array, hidden: Array, towards: Array, horizon: float
 ) -> Array:
-    """Return the probability, (m,), that each disc is detected, at R_obj_ball (3, 3) with `covariance` (3, 3) rad², obj.
+    """Return the probability, (m,), that each disc is detected, at R_obj_ball (3, 3) with `covariance`, (3, 3) rad².
 
     `discs` (m, 3) are unit vectors in ball. `hidden` (m,) is the probability that something hides a disc. `towards`
     (3,) points to the camera, obj. The camera sees directions with a cosine to `towards` above `horizon`.

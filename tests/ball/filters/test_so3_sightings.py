@@ -42,7 +42,7 @@ def test_detection_at_a_doubtful_attitude_is_the_mean_over_attitudes(sigma):
     turns = exp(np.random.default_rng(0).normal(size=(2000, 3)) * np.sqrt(np.diag(P)))
     mean = np.mean([detection_probability(R, CERTAIN, discs, np.zeros(9), TOWARDS, HORIZON) for R in turns], axis=0)
     probability = detection_probability(np.eye(3), P, discs, np.zeros(9), TOWARDS, HORIZON)
-    np.testing.assert_allclose(probability, mean, atol=0.03)
+    np.testing.assert_allclose(probability, mean, atol=0.05)  # a twentieth: to first order
 
 
 def test_a_disc_hidden_from_a_resting_ball_counts_once():
