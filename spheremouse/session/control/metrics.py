@@ -1,105 +1,37 @@
-"""The status as metrics for Prometheus, over HTTP; docs/metrics.md lists them. Needs the extra `metrics`.
+"""The status as metrics for Prometheus, over HTTP; docs/metrics.md lists them. Needs the extra `metrics`."""
 
-One thread answers one request at a time, slowly enough that no client slows the tracker.
-"""
-
-import http.server
-import ipaddress
-import socket
-import socketserver
-import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Self
+from contextlib import contextmanager
+from typing import Any
 
-from spheremouse.errors import ControlError, one_line
+from spheremouse.errors import ControlError
 from spheremouse.session.control.status import STATES, OutputStatus, PoseStatus, Quantiles, SourceStatus, StatusReport
-from spheremouse.session.process.threads import begin
-
-_REST = 0.05  # s after each request
-_STALLED = 2.0  # s in which a client must send or take its next bytes
-_POLL = 0.2  # s between two checks whether to end
 
 Samples = Sequence[tuple[dict[str, str], float | None]]  # labels, value
 
 
-class MetricsServer:
-    """Answers `GET /metrics` in a thread of its own until `close`."""
-
-    def __init__(
-        self,
-        port: int,
-        address: str,
-        status: Callable[[], StatusReport],
-        log: Callable[[str], None] = lambda line: None,
-    ) -> None:
-        """`status` is called in the server's thread."""
-        try:
-            from prometheus_client import CollectorRegistry, MetricsHandler
-        except ImportError:
-            raise ControlError(
-                "metrics: prometheus-client is not installed; pip install 'spheremouse[metrics]', or metrics.port: null"
-            ) from None
-        try:
-            ip = ipaddress.ip_address(address)
-        except ValueError:
-            raise ControlError(f"metrics.address: {address!r} is no IP address; 127.0.0.1 is this machine") from None
-        registry = CollectorRegistry()
-        registry.register(_Collector(status))
-        handler = type("Handler", (MetricsHandler,), {"registry": registry, "timeout": _STALLED})
-        try:
-            self._server = _Server((str(ip), port), handler, ip.version == 6, log)
-        except OSError as e:
-            where = f"{address} port {port}"
-            raise ControlError(f"metrics: cannot listen at {where} ({e.strerror}); change metrics.port") from None
-        self.url = f"http://{f'[{ip}]' if ip.version == 6 else ip}:{self._server.server_address[1]}/metrics"
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="metrics", daemon=True)
-        try:
-            begin(self._thread)
-        except ControlError:
-            self._server.server_close()
-            raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Stop listening, without waiting for a slow client."""
-        self._ending.set()
-        self._thread.join(2.0 * _POLL)
-        self._server.server_close()
-
-    def _run(self) -> None:
-        while not self._ending.is_set():
-            self._server.handle_request()
-
-
-class _Server(http.server.HTTPServer):
-    timeout = _POLL
-
-    def __init__(self, address: tuple[str, int], handler: type, six: bool, log: Callable[[str], None]) -> None:
-        self.address_family = socket.AF_INET6 if six else socket.AF_INET
-        self._log = log
-        super().__init__(address, handler)
-
-    def server_bind(self) -> None:
-        """Bind without asking a name server for this host's name, as HTTPServer does."""
-        socketserver.TCPServer.server_bind(self)
-
-    def process_request(self, request: Any, client_address: Any) -> None:
-        super().process_request(request, client_address)
-        time.sleep(_REST)
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Log an error in one line, unless the client has disconnected or stalls."""
-        e = sys.exception()
-        if not isinstance(e, OSError):
-            self._log(f"metrics: internal error ({type(e).__name__}: {one_line(str(e))}); please report it")
+@contextmanager
+def serve_metrics(port: int, address: str, status: Callable[[], StatusReport]) -> Iterator[str]:
+    """Answer `GET /metrics` in this block, and yield the URL. `status` is called in threads of the server."""
+    try:
+        from prometheus_client import CollectorRegistry, start_http_server
+    except ImportError:
+        raise ControlError(
+            "metrics: prometheus-client is not installed; pip install 'spheremouse[metrics]', or metrics.port: null"
+        ) from None
+    registry = CollectorRegistry()
+    registry.register(_Collector(status))
+    try:
+        server, _ = start_http_server(port, address, registry)
+    except (OSError, RuntimeError) as e:  # RuntimeError: no thread
+        where, reason = f"{address} port {port}", e.strerror if isinstance(e, OSError) else e
+        raise ControlError(f"metrics: cannot listen at {where} ({reason}); change metrics.port") from None
+    try:
+        yield f"http://{f'[{address}]' if ':' in address else address}:{server.server_port}/metrics"
+    finally:
+        server.shutdown()
+        server.server_close()
 
 
 class _Collector:

@@ -23,7 +23,7 @@ from spheremouse.files.config import key_of
 from spheremouse.output import Report
 from spheremouse.output.lines import json_lines
 from spheremouse.session.control import socket_file
-from spheremouse.session.control.metrics import MetricsServer
+from spheremouse.session.control.metrics import serve_metrics
 from spheremouse.session.control.pictures import PictureRing
 from spheremouse.session.control.protocol import (
     MAX_LINE,
@@ -439,8 +439,8 @@ class Endpoints:
             self._retry_at = time.monotonic() + _RETRY_INTERVAL
         if metrics.port is not None:
             try:
-                server = self._stack.enter_context(MetricsServer(metrics.port, metrics.address, status, self._log))
-                self._log(f"metrics: {server.url}")
+                url = self._stack.enter_context(serve_metrics(metrics.port, metrics.address, status))
+                self._log(f"metrics: {url}")
             except SpheremouseError as e:
                 self._log(f"{e}; going on without")
 
