@@ -1,22 +1,22 @@
 """Folder, names and permissions of recordings and snapshots, and the limit of the disk.
 
-They may show people, so only owner and group can read them. An unfinished recording has a hidden name and a mark. The
-mark's lock separates the remains of a crash from a recording in progress.
+They may show people, so only owner and group can read them. An unfinished recording has a hidden name and a lock, which
+separates it from the remains of a crash.
 """
 
 import contextlib
 import fcntl
 import os
+import re
 import shutil
 import time
 from pathlib import Path
-from typing import IO, Any
 
 from spheremouse.errors import DatasetError, SpheremouseError
 from spheremouse.session.settings import RecordSettings
 
 FOLDER, FILE = 0o750, 0o640  # modes
-_MARK = ".recording"  # a file in the folder of a recording that is not finished; locked while a process writes it
+_UNFINISHED = re.compile(r"\..+\.[0-9a-f]{8}$")  # the hidden names of files/safe_files
 
 
 def recordings_folder(settings: RecordSettings) -> Path:
@@ -43,46 +43,28 @@ def next_name(folder: Path, now: time.struct_time | None = None, suffix: str = "
 def tidy(folder: Path) -> int:
     """Remove the unfinished recordings of a crash from the folder of recordings, and return their number.
 
-    Files in use stay.
+    Those in progress stay.
     """
     removed = 0
     with contextlib.suppress(OSError):
-        for left in sorted(folder.iterdir()):
-            if left.name.startswith(".") and not left.is_symlink() and (left / _MARK).is_file():
-                removed += _removed(left)
+        for left in filter(_UNFINISHED.match, sorted(os.listdir(folder))):
+            with contextlib.suppress(OSError):
+                held = lock(folder / left)
+                shutil.rmtree(folder / left, ignore_errors=True)
+                os.close(held)
+                removed += not (folder / left).exists()
     return removed
 
 
-def _removed(left: Path) -> bool:
-    """Remove an unfinished recording unless another process writes it."""
+def lock(folder: Path) -> int:
+    """Lock the folder of an unfinished recording, and return the descriptor to close. OSError if that fails."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
-        with (left / _MARK).open("rb") as mark:
-            fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
-        return False
-    shutil.rmtree(left, ignore_errors=True)
-    return not left.exists()
-
-
-def marked(folder: Path) -> IO[Any]:
-    """Lock the mark of an unfinished recording, and move it into the folder; return its open file.
-
-    Raises DatasetError if that fails.
-    """
-    new = folder / f"{_MARK}.new"
-    try:
-        mark = new.open("wb")
-        fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        new.rename(folder / _MARK)
-    except OSError as e:
-        raise DatasetError(f"{folder}: cannot be written ({e.strerror})") from None
-    return mark
-
-
-def release(mark: IO[Any], folder: Path) -> None:
-    mark.close()
-    with contextlib.suppress(OSError):
-        (folder / _MARK).unlink()
+        os.close(descriptor)
+        raise
+    return descriptor
 
 
 def made_folder(folder: Path, error: type[SpheremouseError]) -> None:

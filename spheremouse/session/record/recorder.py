@@ -4,6 +4,7 @@ The worker submits each tracked frame, which costs it a copy of the kept part. A
 ends at its limits, and its folder appears complete or not at all.
 """
 
+import os
 import queue
 import threading
 import time
@@ -20,7 +21,7 @@ from spheremouse.errors import DatasetError, SpheremouseError
 from spheremouse.files.dataset.write import FilmWriter
 from spheremouse.session.overlay.pen import Image
 from spheremouse.session.process.threads import begin
-from spheremouse.session.record.places import disk_is_full, made_folder, marked, refuse_full_disk, release
+from spheremouse.session.record.places import disk_is_full, lock, made_folder, refuse_full_disk
 from spheremouse.session.settings import RecordSettings
 from spheremouse.session.tracker_adapter import Subject
 from spheremouse.tracker import Frame
@@ -71,7 +72,7 @@ class Recorder:
         self._size_px = camera.width, camera.height
         self._film = FilmWriter(self._folder, self._size_px)
         try:
-            self._mark = marked(self._film.folder)
+            self._lock = lock(self._film.folder)  # after a kill, `tidy` removes a folder without a lock
         except BaseException:
             self._film.discard()
             raise
@@ -93,7 +94,7 @@ class Recorder:
         try:
             begin(self._thread)
         except BaseException:
-            self._mark.close()
+            os.close(self._lock)
             self._film.discard()
             raise
 
@@ -182,9 +183,7 @@ class Recorder:
             why = self._record()
             self._open = False
             self._bytes = self._film.size()
-            # the mark moves with the folder: after a kill before that, `tidy` removes the folder
             self._film.finish(self._scene(), self._subject.files())
-            release(self._mark, self._folder)
             lost = f", {self._dropped} dropped" if self._dropped else ""
             length = f"{self._film.frames} frames in {self._last - self._begun:.1f} s, {self._bytes / 1e6:.1f} MB{lost}"
             self._ended = f"{self._folder}: {length}; {why}"
@@ -194,7 +193,7 @@ class Recorder:
             self._ended = text if str(self._folder) in text else f"{self._folder}: not recorded: {text}"
         finally:
             self._open = False
-            self._mark.close()
+            os.close(self._lock)
             self._film.discard()
             self._ready.set()
             self._done.set()
