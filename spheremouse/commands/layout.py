@@ -25,9 +25,6 @@ def layout(
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Folder of the guide.  [default: calibration/placement-N]")
     ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the directions; - prints them instead.")
-    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace another guide.")] = False,
 ) -> None:
     """Choose irregular, well spread places for the discs, and make a guide to print.
@@ -59,8 +56,6 @@ def layout(
         "in_view": in_view,
         "nearest_mm": round(1e3 * radius * distance, 1),
     }
-    if json_file is not None and write_json(json_file, content):
-        return
     folder = out or Path("calibration") / f"placement-{discs}"
     try:
         folder.mkdir(parents=True, exist_ok=True)

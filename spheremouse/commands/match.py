@@ -3,11 +3,11 @@
 import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from spheremouse.commands.options import Assignments, CameraFile, ConfigFile, JsonFile, RigFile
+from spheremouse.commands.options import Assignments, CameraFile, ConfigFile, RigFile
 from spheremouse.errors import ConfigurationError, DatasetError, PoseError, SourceError
 
 if TYPE_CHECKING:
@@ -32,12 +32,10 @@ def match(
         Path | None, typer.Option(metavar="FILE", help="Write scale and axes as a configuration file.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
-    tracker: Annotated[Literal["so3", "ekf1", "ekf2"] | None, typer.Option(help="Filter.")] = None,
     config: ConfigFile = None,
     rig: RigFile = None,
     camera: CameraFile = None,
     assignments: Assignments = None,
-    json_file: JsonFile = None,
 ) -> None:
     """Estimate scale, axes and lag of a trackball from its log and a recording of the ball on it.
 
@@ -47,26 +45,18 @@ def match(
     """
     from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.evaluation.trackball import judge, settings_of
-    from spheremouse.files.safe_files import write_atomically, write_json
+    from spheremouse.files.safe_files import write_atomically
 
     check_outputs([out], [log, config, rig, camera], force)
-    check_outputs([json_file], [out, log, config, rig, camera], True)
-    plan = _plan(recording, [*(assignments or ()), *([f"tracker={tracker}"] if tracker else ())], config, rig, camera)
+    plan = _plan(recording, assignments or [], config, rig, camera)
     found, device = _matched(recording, plan, log)
     verdict, before = judge(found), plan.configuration.motion
     settings = settings_of(found, device.radius_m, before) if verdict.usable else None
-    if json_file is not None:
-        write_json(json_file, figures(found, verdict, settings))
-    quiet = json_file == Path("-")
-    if not quiet:
-        _print(found, verdict)
+    _print(found, verdict)
     if settings is None:
         raise typer.Exit(_NO_MATCH)
     if out is not None:
         write_atomically(out, _file(settings, f"{recording} and {log}", verdict.text))
-    if quiet:
-        return
-    if out is not None:
         print(f"{out}: written; next: spheremouse run --config {out} ..., or copy its section into your own file")
     elif settings == before:
         print("the settings are right already")
@@ -89,7 +79,7 @@ def _plan(
         CommandLineOverrides(config, tuple(assignments), recording, ("null",), rig, camera, no_map=True)
     )
     if plan.configuration.tracker == "wand":
-        raise ConfigurationError("tracker: wand is for balls in a hand; --tracker so3 is for one on a trackball")
+        raise ConfigurationError("tracker: wand is for balls in a hand; so3 is for one on a trackball")
     return plan
 
 
@@ -190,22 +180,3 @@ def _print(found: "Match", verdict: "Verdict") -> None:
         "of 0.1 s do not fit"
     )
     print("\n  note: ".join((f"verdict: {verdict.text}", *verdict.notes)))
-
-
-def figures(found: "Match", verdict: "Verdict", settings: "MotionSettings | None") -> dict[str, Any]:
-    """Return the figures that --json writes."""
-    return {
-        **verdict._asdict(),
-        "lag_s": found.lag,
-        "lag_sigma_s": found.lag_sigma,
-        "matrix_counts_per_rad": found.matrix.tolist(),
-        "sigma_counts_per_rad": found.sigma.tolist(),
-        "known": [bool(k) for k in found.known],
-        "r": {"x": float(found.r[0]), "y": float(found.r[1])},
-        "rmse_counts_s": {"x": float(found.rmse[0]), "y": float(found.rmse[1])},
-        "rate_rad_s": found.rate.tolist(),
-        "seconds": found.seconds,
-        "intervals": found.intervals,
-        "outliers": found.outliers,
-        "motion": None if settings is None else {k: getattr(settings, k) for k in _KEYS},
-    }

@@ -230,7 +230,7 @@ def test_an_address_that_cannot_be_used_is_an_error_with_its_remedy():
         port = other.getsockname()[1]
         with pytest.raises(ControlError, match=rf"cannot listen at 127.0.0.1 port {port} \(Address already in use\)"):
             metrics.serve_metrics(port, "127.0.0.1", a_report).__enter__()
-    with pytest.raises(ControlError, match="cannot listen at 999.0.0.1 port 0"):
+    with pytest.raises(ControlError, match=r"cannot listen at 999\.0\.0\.1 port 0"):
         serve(a_report, "999.0.0.1").__enter__()
 
 
