@@ -22,10 +22,8 @@ from spheremouse.commands.service import app
 from spheremouse.commands.service import systemd as service
 from spheremouse.errors import ConfigurationError, ControlError, ServiceError, SpheremouseError
 from spheremouse.files import safe_files
-from spheremouse.files.access import service_files
 from spheremouse.files.safe_files import write_atomically
 from spheremouse.output import text
-from spheremouse.output.serial import firmware
 from spheremouse.session.control import socket_file
 from spheremouse.session.overlay.file import OverlayFile
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
@@ -218,19 +216,13 @@ def film(path):
         video.show(lambda: np.zeros((48, 64, 3), np.uint8))
 
 
-def copy_firmware(path):
-    firmware.copy(service_files(firmware.PICO), path.parent, ["code.py"])
-
-
 def write_dataset(path):
     simulation = prepare(SimulationOptions(motion="roll", seconds=0.05))
     assert len(list(write_simulation(path, simulation))) == 2
 
 
 @pytest.mark.parametrize("way", ["folder", "link"])
-@pytest.mark.parametrize(
-    "write", [lambda path: write_atomically(path, "ours"), append, film, write_dataset, copy_firmware]
-)
+@pytest.mark.parametrize("write", [lambda path: write_atomically(path, "ours"), append, film, write_dataset])
 def test_a_writer_refuses_a_folder_that_others_may_change(root, state, linked, monkeypatch, nobody, way, write):
     """Itself, or by a link that another user may exchange. The user who has called sudo is no other user."""
     kept = root / "kept"
@@ -312,10 +304,3 @@ def test_a_folder_may_be_changed_by_its_group_and_by_the_owner_of_a_link_to_it(r
     own(theirs)
     assert safe_files.others_may_change(theirs / "link")
     assert safe_files.others_may_change(root / "first")  # by a link of root's to a link of another's
-
-
-def test_a_board_that_is_none_does_not_steer_roots_terminal(tmp_path):
-    (tmp_path / "boot_out.txt").write_text(
-        "Adafruit CircuitPython 9.1.0 on 2024-07-10; \x1b[31mx\nBoard ID:\x1b]52;c;A\x07b\n"
-    )
-    assert firmware.read_drive(tmp_path).board.isprintable()

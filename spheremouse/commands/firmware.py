@@ -30,15 +30,13 @@ def install(
     """Copy the firmware to a board with CircuitPython (Raspberry Pi Pico and other RP2040 boards)."""
     from spheremouse.output.serial import firmware
 
-    board = firmware.select_drive(drive)
-    new, old = firmware.format_version(firmware.own_version()), firmware.format_version(firmware.version_of(board.path))
+    board = drive or firmware.find_drive()
+    new, old = firmware.format_version(firmware.own_version()), firmware.format_version(firmware.version_of(board))
     names = firmware.install(board, force)
     if not names:
-        typer.echo(f"{board.path}: {board.board} has firmware {new} already")
+        typer.echo(f"{board}: has firmware {new} already")
         return
-    typer.echo(f"{board.path}: firmware {new} in place of {old} on {board.board}: {', '.join(names)}")
-    if not board.board.startswith("raspberry_pi_pico"):
-        typer.echo("this board is no Raspberry Pi Pico: for two computers it must have pins named GP0 and GP1")
+    typer.echo(f"{board}: firmware {new} in place of {old}: {', '.join(names)}")
     typer.echo("eject the drive, pull the board and plug it in again; then: spheremouse firmware check")
 
 
