@@ -25,7 +25,7 @@ LAST = slice(-CLONE_DIM - 2, -CLONE_DIM)  # of the newest disc in the joint cova
 
 def points_at(direction, sigma=SIGMA, rng=None):
     """SpherePoints at directions (n, 3) in obj, with isotropic noise in the tangent plane if `rng` is given."""
-    d = np.asarray(direction, dtype=float).reshape(-1, 3)
+    d = np.ascontiguousarray(direction, dtype=float).reshape(-1, 3)
     if rng is not None:
         noise = sigma * rng.normal(size=d.shape)
         d = d + noise - d * np.sum(noise * d, axis=1, keepdims=True)

@@ -46,6 +46,11 @@ class SpherePoints:
         """Return the entries of a mask (n,), of indices (k,) or of a slice."""
         return SpherePoints(*(getattr(self, name)[keep] for name in self.__slots__))
 
+    def measurement(self, radius: float) -> tuple[Array, Array, Array, Array, Array, Array, float]:
+        """Return the points on a ball of `radius` m as `kernels` takes them."""
+        J_pose, J_ball = self.dposition_dpose, self.dposition_dball
+        return self.direction, self.image_covariance, self.delay, self.row, J_pose, J_ball, radius
+
 
 def intersect(detections: Centres, rig: Rig, pose: Pose) -> SpherePoints:
     """Intersect the rays of all detections with the ball, without rays that miss it (`index` lists the others).

@@ -10,11 +10,11 @@ its posterior given all frames (Rabiner 1989, section III) gives the mean densit
 """
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from spheremouse.ball.filters import so3_match
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM
 from spheremouse.ball.filters.so3_settings import (
@@ -25,7 +25,7 @@ from spheremouse.ball.filters.so3_settings import (
     usual_acceleration,
     variances,
 )
-from spheremouse.ball.filters.so3_state import PLACED, So3State, delays
+from spheremouse.ball.filters.so3_state import PLACED, So3State
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, left_jacobian, rotation_between
 from spheremouse.native import kernels
@@ -61,10 +61,8 @@ def observe(estimate: Estimate, state: So3State, points: SpherePoints, filter_: 
         cosine = points.direction[rows] @ state.attitude @ state.discs.T
         near = cosine.max(axis=1) > np.cos(filter_.disc_angle)
         rows, columns = rows[near], cosine.argmax(axis=1)[near]
-        noise, by_ball = points.image_covariance / filter_.radius**2, points.dposition_dball
-        seen = points.direction, noise, delays(points, state), points.row, points.dposition_dpose, by_ball
-        exact = np.zeros_like(state.joint)
-        H, _, z, S = so3_match.innovation(*state.body, exact, rows, columns, 0.0, *seen, filter_.radius)
+        exact = replace(state, joint=np.zeros_like(state.joint))
+        H, _, z, S = kernels.innovation(exact.body, points.measurement(filter_.radius), rows, columns)
         S[np.diag_indices(len(S))] += np.repeat(state.map_sigma()[columns] ** 2, 2)
         weighted = np.linalg.solve(S, H).T
         J, score = weighted @ H, weighted @ z

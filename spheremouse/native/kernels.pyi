@@ -133,6 +133,38 @@ def measure_discs(
 ) -> tuple[_Float, _Float, _Float, float]:  # fmt: skip
     """Return centres, covariances and areas of discs, and their size (`windows.measure_discs`)."""
 
+# spheremouse/ball/filters/so3_match.cpp. `body` is So3State.body, and `points` SpherePoints.measurement. The matrix
+# `added`, (9, 9), is process noise that the covariance does not include yet.
+
+_Body = tuple[_Float, _Float, _Float, _Float, _Float, _Float, float]
+_Points = tuple[_Float, _Float, _Float, _Float, _Float, _Float, float]
+_Innovation = tuple[_Float, _Float, _Float, _Float]
+
+def place_sigma(body: _Body, which: _Index, added: _Float) -> _Float:
+    """Return the standard deviation, (k,) rad, of the predicted place of each disc of `which`, on the worse axis."""
+
+def distances(body: _Body, points: _Points, which: _Index, added: _Float, allowance: float, gate: float) -> _Float:
+    """Return squared Mahalanobis distances, (n, k), of points to the discs `which`, exact below `gate`.
+
+    Errors of the considered parameters alone reject no disc. `allowance`, rad², is the variance of nonlinear terms.
+    """
+
+def innovation(body: _Body, points: _Points, rows: _Index, columns: _Index) -> _Innovation:
+    """Return for k pairs H, (2k, 9), H P, (2k, n), the innovation z, (2k,) rad, and its covariance S, (2k, 2k).
+
+    Points `rows` are paired with discs `columns`. H P includes the considered parameters and the readout.
+    """
+
+def pair(
+    body: _Body, points: _Points, towards: _Float, horizon: float, added: _Float, gate: float
+) -> tuple[_Index, _Index, int, bool, bool, bool, _Innovation]:
+    """Return the one-to-one pairs of least total distance of points and visible discs, as rows and columns.
+
+    Pairs that contradict the others are left out. Also return the greatest possible number of pairs, whether no other
+    pair was possible, whether all pairs lie in their places, whether they agree with one another, and the innovation of
+    all. `towards`, (3,) obj, points to the camera. The camera sees points with a cosine to `towards` above `horizon`.
+    """
+
 # spheremouse/ball/filters/so3_motion.cpp, so3_update.cpp. Errors have the order of so3_motion.py.
 
 _Modes = tuple[_Float, _Float, _Float]  # as so3_state.Modes
@@ -158,7 +190,7 @@ def predict_modes(
 
 def correct(
     prior: _Float,
-    innovation: tuple[_Float, _Float, _Float, _Float],
+    innovation: _Innovation,
     rate: _Float,
     acceleration: _Float,
     steps: tuple[float, float, _Float],
@@ -166,7 +198,7 @@ def correct(
 ) -> tuple[_Float, _Modes, _Float, _Float, float, float, float]:
     """Return covariance, modes, level weights, correction, log likelihood, normalised square and rms level.
 
-    `prior` (n, n) is the covariance before, and `innovation` that of `so3_match.innovation`. `rate` (3,) rad/s and
+    `prior` (n, n) is the covariance before, and `innovation` that of the pairs. `rate` (3,) rad/s and
     `acceleration` (3,) rad/s² are predicted. `steps` holds the interval since the last frame, s (0: no step), the mean
     time between two steps, s, and the variance of each level, (l,) (rad/s²)² per axis. Raises ValueError if the
     innovation's covariance is not positive definite.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import pdtrc
 
-from spheremouse.ball.filters import so3_match, so3_sightings
+from spheremouse.ball.filters import so3_sightings
 from spheremouse.ball.filters.so3_motion import (
     CLONE_DIM,
     CONSIDERED_DIM,
@@ -34,7 +34,7 @@ from spheremouse.ball.filters.so3_settings import (
     usual_acceleration,
     variances,
 )
-from spheremouse.ball.filters.so3_state import Modes, So3State, augment, delays, drop, inject
+from spheremouse.ball.filters.so3_state import Modes, So3State, augment, drop, inject
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array
 from spheremouse.native import kernels
@@ -170,7 +170,7 @@ class So3Filter:
 
     def place_sigma(self, state: So3State, which: NDArray[np.intp]) -> Array:
         """Return the standard deviation, (k,) rad, of the predicted places of the discs `which`, on the worse axis."""
-        return so3_match.place_sigma(*state.body, state.joint, which, self._added_noise(state, self._expected(state)))
+        return kernels.place_sigma(state.body, which, self._added_noise(state, self._expected(state)))
 
     def update(
         self, state: So3State, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None
@@ -265,7 +265,7 @@ class So3Filter:
         The first two are no evidence, because any two points may pair with any two discs.
         """
         which = self.visible(corrected)
-        sigma = so3_match.place_sigma(*corrected.body, corrected.joint, which, _NO_NOISE)
+        sigma = kernels.place_sigma(corrected.body, which, _NO_NOISE)
         ways = 0.5 * points * (points - 1) * len(which) * (len(which) - 1)
         return ways * pdtrc(len(corrected.used) - 3, self._expected_by_chance(sigma, points)) < _RARE
 
@@ -282,8 +282,7 @@ class So3Filter:
         added = self._added_noise(state, max(squared_levels(self.settings.levels)) if widest else 1.0)
         spread = float(np.trace(state.joint[:3, :3] + added[:3, :3]))
         allowance = min(spread, 0.25) ** 2
-        seen = self._seen(state, points)
-        return so3_match.distances(*state.body, state.joint, which, added, allowance, gate, *seen)[0], which
+        return kernels.distances(state.body, points.measurement(self.radius), which, added, allowance, gate), which
 
     def _log_likelihood(self, state: So3State, points: SpherePoints, pairing: Pairing, noise_scale: float) -> float:
         """Return the log likelihood ratio of a pairing at a level of process noise, to that of no pair.
@@ -303,9 +302,13 @@ class So3Filter:
         """Return the pairs within the gate at the level with this noise scale."""
         if len(points) == 0:
             return Pairing(_NONE, _NONE)
-        added, seen = self._added_noise(state, noise_scale), self._seen(state, points)
-        rows, columns, possible, plain, in_place, agree, innovation = so3_match.pair(
-            *state.body, state.joint, self.towards_camera, self.horizon, added, self.settings.gate, *seen
+        rows, columns, possible, plain, in_place, agree, innovation = kernels.pair(
+            state.body,
+            points.measurement(self.radius),
+            self.towards_camera,
+            self.horizon,
+            self._added_noise(state, noise_scale),
+            self.settings.gate,
         )
         k = len(rows)
         plain = plain and in_place and k >= 2 and 2 * k >= possible
@@ -317,15 +320,10 @@ class So3Filter:
         If they do, a hand may have pushed the ball. Then the update must not use only the discs that moved least.
         """
         added = self._added_noise(state, squared_levels(self.settings.levels).max())
-        which, gate, seen = self.visible(state), self.settings.gate, self._seen(state, points)
-        rows, columns = pairing.rows, pairing.columns
-        return so3_match.leaves_a_pair(*state.body, state.joint, which, added, gate, rows, columns, *seen)
-
-    def _seen(self, state: So3State, points: SpherePoints) -> tuple[Array, Array, Array, Array, Array, Array, float]:
-        """Return the points as `so3_match` takes them."""
-        noise = points.image_covariance / (self.radius * self.radius)
-        by_pose, by_ball = points.dposition_dpose, points.dposition_dball
-        return points.direction, noise, delays(points, state), points.row, by_pose, by_ball, self.radius
+        discs = np.setdiff1d(self.visible(state), pairing.columns)
+        free = points.take(np.setdiff1d(np.arange(len(points)), pairing.rows)).measurement(self.radius)
+        gate = self.settings.gate
+        return bool(np.any(kernels.distances(state.body, free, discs, added, 0.0, gate) < gate))
 
     @staticmethod
     def _added_noise(state: So3State, noise_scale: float) -> Array:
@@ -383,9 +381,7 @@ class So3Filter:
 
     def innovation(self, state: So3State, points: SpherePoints, pairing: Pairing) -> Innovation:
         """Return for k pairs H, (2k, 9), H @ joint, (2k, 23 + 2m), the innovation, (2k,) rad, and its covariance."""
-        allowance = so3_match.curvature(state.joint, _NO_NOISE)
-        seen = self._seen(state, points)
-        return so3_match.innovation(*state.body, state.joint, pairing.rows, pairing.columns, allowance, *seen)
+        return kernels.innovation(state.body, points.measurement(self.radius), pairing.rows, pairing.columns)
 
     def _coasted(self, state: So3State) -> So3State:
         """Return the state after a frame without pairs.

@@ -5,8 +5,6 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr int CORE = 9;  // rotation, rate, acceleration
-
 struct Motion {
     Vector<3> rate, acceleration;  // rad/s, rad/s²
     double dt, tau;                // s: interval, time constant with which the acceleration fades

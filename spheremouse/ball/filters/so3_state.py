@@ -63,9 +63,9 @@ class So3State:
         return bool(np.linalg.eigvalsh(self.joint[:3, :3])[-1] < 1.0)
 
     @property
-    def body(self) -> tuple[Array, Array, Array, Array, Array]:
-        """The fields attitude, rate, acceleration, discs (m, 3) and basis (m, 3, 2), as `so3_match` takes them."""
-        return self.attitude, self.rate, self.acceleration, self.discs, self.basis
+    def body(self) -> tuple[Array, Array, Array, Array, Array, Array, float]:
+        """The fields that predict where the camera sees each disc, as `kernels` takes them."""
+        return self.attitude, self.rate, self.acceleration, self.discs, self.basis, self.joint, self.readout
 
     @property
     def covariance(self) -> Array:

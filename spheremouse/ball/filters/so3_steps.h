@@ -16,6 +16,12 @@
 
 namespace spheremouse::ball {
 
+// The order of the errors, `so3_motion.py`.
+constexpr int CORE = 9;             // rotation, rate, acceleration
+constexpr int READOUT = CORE + 10;  // after pose and ball
+constexpr int MAP_OFFSET = READOUT + 1;
+constexpr int CLONE = 3;  // at the end
+
 constexpr int INSTANTS = 6;  // of a step in an interval
 
 /// The errors of rate and acceleration, less those that all modes share, for each level of the last step.

@@ -5,10 +5,6 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr int CORE = 9;             // rotation, rate, acceleration
-constexpr int READOUT = CORE + 10;  // after pose and ball
-constexpr int MAP_OFFSET = READOUT + 1;
-constexpr int CLONE = 3;  // at the end
 using Dense = Matrix<Dynamic>;
 
 /// The innovations of k pairs: H, (2k, 9), H P, (2k, n), z, (2k,), and the covariance S of z.

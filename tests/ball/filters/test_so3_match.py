@@ -1,0 +1,204 @@
+"""Pairs of points and discs, against their equations in NumPy."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.optimize import linear_sum_assignment
+
+from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET
+from spheremouse.geometry.rotation import exp, hat, left_jacobian, tangent_basis
+from spheremouse.native import kernels
+
+GATE, HORIZON, TOWARDS = 13.8, 0.2, np.array([0.0, 0.0, 1.0])
+
+
+def drawn(seed, sigma=3e-3, m=12, foreign=3):
+    """Draw a ball of m discs in motion, and points of most of them in a random order, with some that are no disc."""
+    rng = np.random.default_rng(seed)
+    n = MAP_OFFSET + 2 * m + CLONE_DIM
+    A = rng.normal(size=(n, 2 * n)) / np.sqrt(2 * n)
+    scale = sigma * np.repeat([1.0, 10.0, 100.0, 0.3, 0.1, 1.0, 1.0], [3, 3, 3, 10, 1, 2 * m, 3])
+    P = A @ A.T * np.outer(scale, scale)
+    discs = rng.normal(size=(m, 3))
+    discs /= np.linalg.norm(discs, axis=1, keepdims=True)
+    body = exp(rng.normal(size=3)), 3.0 * rng.normal(size=3), rng.normal(size=3), discs, tangent_basis(discs), P, 2e-3
+    row, k = rng.uniform(-0.5, 0.5, m + foreign), m + foreign
+    delay, radius = 0.01 * row, 0.6
+    direction = [place(body, j, delay[j] + body[6] * row[j])[0] for j in range(m)] + [*rng.normal(size=(foreign, 3))]
+    direction = np.array(direction)
+    direction += 1.5 * sigma * rng.normal(size=(k, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    noise = rng.normal(size=(k, 3, 3)) * 1e-3 * radius
+    noise = noise @ noise.transpose(0, 2, 1)
+    order = np.flatnonzero(direction @ TOWARDS > HORIZON)
+    rng.shuffle(order)
+    fields = direction, noise, delay, row, rng.normal(size=(k, 3, 6)), rng.normal(size=(k, 3, 4))
+    return body, (*(f[order].copy() for f in fields), radius)
+
+
+def place(body, j, delay):
+    """Return the place of disc j, its axes, and the turn since the stamp."""
+    attitude, rate, acceleration, discs, basis, *_ = body
+    turn = rate * delay + 0.5 * acceleration * delay**2
+    R = exp(turn) @ attitude
+    return R @ discs[j], R @ basis[j], turn
+
+
+def linear(body, points, i, j):
+    """Return innovation, Jacobian by all errors, and image noise of the point i as the disc j."""
+    direction, noise, delay, row, by_pose, by_ball, radius = points
+    t = delay[i] + body[6] * row[i]
+    p, E, turn = place(body, j, t)
+    turning = -E.T @ hat(p)
+    H = np.zeros((2, len(body[5])))
+    H[:, :3], H[:, 3:6] = turning @ exp(turn), t * turning @ left_jacobian(turn)
+    H[:, 6:9] = 0.5 * t * H[:, 3:6]
+    H[:, 9:19] = -E.T @ np.concatenate([by_pose[i], by_ball[i] - np.eye(3, 4)], axis=1) / radius
+    H[:, 19] = turning @ body[1] * row[i]
+    H[:, MAP_OFFSET + 2 * j : MAP_OFFSET + 2 * j + 2] = np.eye(2)
+    return E.T @ direction[i], H, E.T @ noise[i] @ E / radius**2
+
+
+def innovation(body, points, pairs, allowance):
+    """Twin of `kernels.innovation`."""
+    z, H, noise = (np.array(a) for a in zip(*(linear(body, points, i, j) for i, j in pairs), strict=True))
+    H = H.reshape(-1, H.shape[2])
+    S = H @ body[5] @ H.T + allowance * np.eye(len(H))
+    for k, N in enumerate(noise):
+        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += N
+    return H[:, :KINEMATIC_DIM], H @ body[5], z.ravel(), S
+
+
+def distances(body, points, which, added, allowance):
+    """Return squared distances, (n, k), without errors that frames have in common, or with them if beyond the gate."""
+    P, result = body[5], np.full((len(points[0]), len(which)), np.inf)
+    for i, b in enumerate(points[0]):
+        for k, j in enumerate(which):
+            z, H, noise = linear(body, points, i, j)
+            p, E, _ = place(body, j, points[2][i] + body[6] * points[3][i])
+            p_stamp, E_stamp, _ = place(body, j, 0.0)
+            alone = H.copy()
+            alone[:, :MAP_OFFSET], alone[:, :3] = 0.0, -E_stamp.T @ hat(p_stamp)
+            for J, turning in ((alone, alone[:, :3]), (H, -E.T @ hat(p))):
+                C = J @ P @ J.T + turning @ added[:3, :3] @ turning.T + noise + allowance * np.eye(2)
+                if p @ b > 0.99 and result[i, k] >= GATE:
+                    result[i, k] = z @ np.linalg.solve(C, z)
+    return result
+
+
+def consistent(z, S, limit):
+    """Return a mask of the pairs that remain when the one that contradicts the others most goes, again and again."""
+    at = np.arange(len(z) // 2)
+    while len(at) > 1:
+        index = (2 * at[:, None] + [0, 1]).ravel()
+        Q = np.linalg.inv(S[np.ix_(index, index)])
+        v = (Q @ z[index]).reshape(-1, 2)
+        value = [v[i] @ np.linalg.solve(Q[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], v[i]) for i in range(len(at))]
+        if max(value) < limit:
+            break
+        at = np.delete(at, np.argmax(value))
+    return np.isin(np.arange(len(z) // 2), at)
+
+
+def process(sigma):
+    A = np.random.default_rng(99).normal(size=(KINEMATIC_DIM, KINEMATIC_DIM))
+    return 0.1 * sigma**2 * A @ A.T
+
+
+def assert_innovations_agree(got, expected):
+    scale = np.sqrt(np.diag(expected[3]))
+    assert_allclose(got[0], expected[0], atol=1e-13)
+    assert_allclose(got[1], expected[1], atol=1e-12 * np.abs(expected[1]).max(initial=0.0))
+    assert_allclose(got[2], expected[2], atol=1e-15)
+    assert_allclose(got[3] / np.outer(scale, scale), expected[3] / np.outer(scale, scale), atol=1e-12)
+
+
+@pytest.mark.parametrize("sigma", [1e-4, 3e-3, 0.1])
+def test_the_innovations_of_pairs_are_their_linear_model(sigma):
+    body, points = drawn(1, sigma)
+    rows, columns = np.arange(len(points[0])), np.arange(len(points[0])) % len(body[3])
+    spread = np.trace(body[5][:3, :3]) / 3.0
+    expected = innovation(body, points, list(zip(rows, columns, strict=True)), min(spread, 0.01) ** 2)
+    assert_innovations_agree(kernels.innovation(body, points, rows, columns), expected)
+    assert [len(a) for a in kernels.innovation(body, points, rows[:0], columns[:0])] == [0, 0, 0, 0]
+
+
+@pytest.mark.parametrize("sigma", [3e-3, 1e-2])
+@pytest.mark.parametrize("common", [False, True])
+def test_distances_are_exact_below_the_gate(sigma, common):
+    pairs = 0
+    for seed in range(10):
+        body, points = drawn(seed, sigma)
+        if not common:  # and no delay
+            body[5][KINEMATIC_DIM:MAP_OFFSET] = body[5][:, KINEMATIC_DIM:MAP_OFFSET] = 0.0
+            points = (*points[:2], 0.0 * points[2], 0.0 * points[3], *points[4:])
+        which = np.arange(1, len(body[3]))
+        expected = distances(body, points, which, process(sigma), 1e-6)
+        got = kernels.distances(body, points, which, process(sigma), 1e-6, GATE)
+        below = expected < GATE
+        assert_array_equal(got < GATE, below)
+        assert_allclose(got[below], expected[below], rtol=1e-9, atol=1e-12)
+        pairs += below.sum()
+    assert pairs > 20
+
+
+@pytest.mark.parametrize("sigma", [3e-3, 1e-2])
+def test_the_pairs_have_the_least_total_distance_and_agree(sigma):
+    disagree = 0
+    for seed in range(20):
+        body, points = drawn(seed, sigma)
+        attitude, discs, P = body[0], body[3], body[5]
+        added = process(sigma)
+        which = np.flatnonzero(discs @ attitude.T @ TOWARDS > HORIZON)
+        allowance = min(np.trace(P[:3, :3] + added[:3, :3]) / 3.0, 0.01) ** 2
+        distance = distances(body, points, which, added, allowance)
+        worth = np.maximum(GATE - distance, 0.0)
+        rows, at = linear_sum_assignment(worth, maximize=True)
+        rows, at = rows[worth[rows, at] > 0.0], at[worth[rows, at] > 0.0]
+        expected = innovation(body, points, list(zip(rows, which[at], strict=True)), allowance)
+        H, _, z, S = expected
+        keep = consistent(z, S + H @ added @ H.T, 1.5 * GATE)
+        hits = distance < GATE
+        got = kernels.pair(body, points, TOWARDS, HORIZON, added, GATE)
+        assert_array_equal(got[0], rows[keep])
+        assert_array_equal(got[1], which[at][keep])
+        in_place = keep.all() and distance[rows, at].sum() < 4.0 * len(rows) + 10.0
+        plain = hits.sum(axis=0).max() <= 1 and hits.sum(axis=1).max() <= 1
+        assert got[2:6] == (min(distance.shape), plain, in_place, keep.all())
+        assert_innovations_agree(got[6], expected)
+        disagree += not keep.all()
+    assert disagree > 0
+
+
+def test_without_a_visible_disc_there_is_no_pair():
+    body, points = drawn(1)
+    rows, columns, possible, plain, in_place, agree, _ = kernels.pair(body, points, TOWARDS, 2.0, process(1.0), GATE)
+    assert (len(rows), len(columns), possible, plain, in_place, agree) == (0, 0, 0, True, True, True)
+
+
+def test_the_standard_deviation_of_a_place_is_that_of_its_worse_axis():
+    body, _ = drawn(2)
+    which, added = np.array([3, 0]), process(3e-3)
+    for sigma, j in zip(kernels.place_sigma(body, which, added), which, strict=True):
+        p, E, _ = place(body, j, 0.0)
+        H = np.zeros((2, len(body[5])))
+        H[:, :3], H[:, MAP_OFFSET + 2 * j : MAP_OFFSET + 2 * j + 2] = -E.T @ hat(p), np.eye(2)
+        S = H @ body[5] @ H.T + H[:, :3] @ added[:3, :3] @ H[:, :3].T
+        assert_allclose(sigma, np.sqrt(np.linalg.eigvalsh(S)[1]), rtol=1e-12)
+
+
+def test_a_wrong_argument_is_named():
+    body, points = drawn(1)
+    n = len(points[0])
+    for at, name in enumerate(["attitude", "rate", "acceleration", "discs", "basis", "joint"]):
+        wrong = (*body[:at], body[at][:2, ...].astype(np.float32), *body[at + 1 :])
+        with pytest.raises(TypeError, match=name):
+            kernels.innovation(wrong, points, np.arange(1), np.arange(1))
+    names = ["direction", "image_covariance", "delay", "row", "dposition_dpose", "dposition_dball"]
+    for at, name in enumerate(names):
+        for wrong, message in ((points[at].T[..., None], name), (points[at][:-1], "one length")):
+            with pytest.raises(TypeError, match=message):
+                kernels.innovation(body, (*points[:at], wrong, *points[at + 1 :]), np.arange(1), np.arange(1))
+    for rows, columns, name in ((np.array([n]), np.array([0]), "rows"), (np.array([0]), np.array([-1]), "columns")):
+        with pytest.raises(IndexError, match=name):
+            kernels.innovation(body, points, rows, columns)
