@@ -17,7 +17,7 @@ from spheremouse.simulate.to_dataset import write_simulation
 
 MATRIX = trackball_matrix(-480.0, 480.0)
 LAG = 0.0171
-OPTIONS = SimulationOptions(motion="play", seconds=9.0, fps=20.0, noise=2.0, seed=8)
+OPTIONS = SimulationOptions(motion="play", seconds=9.0, fps=12.0, noise=2.0, seed=8)
 
 
 def save(path, log):

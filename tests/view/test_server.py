@@ -37,14 +37,26 @@ def film():
     return Film.render()
 
 
+@pytest.fixture(scope="module")
+def daemon(film, tmp_path_factory):
+    world = World(film, tmp_path_factory.mktemp("view"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("spheremouse.session.outputs.open_output", world.open_output)
+        world.start()
+        yield world
+        world.stop()
+
+
 @pytest.fixture
-def world(film, tmp_path, monkeypatch):
-    world = World(film, tmp_path)
-    monkeypatch.setattr("spheremouse.session.outputs.open_output", world.open_output)
-    world.start()
-    world.reach("tracking")
-    yield world
-    world.stop()
+def world(daemon):
+    """The daemon of all tests; each finds it as it began."""
+    daemon.reach("tracking")
+    before = daemon.config.read_text()
+    yield daemon
+    daemon.config.write_text(before)
+    for command in ("reload", "resume"):
+        daemon.client.ask(command)
+    shutil.rmtree(daemon.folder / "recordings", ignore_errors=True)
 
 
 @pytest.fixture
@@ -358,6 +370,7 @@ def test_a_replay_takes_the_cameras_place_with_the_changed_settings_and_gives_th
         wait_for_end(status["pid"])
 
 
+@pytest.mark.slow
 def test_a_replay_ends_with_the_last_browser(world, page, clip, monkeypatch):
     monkeypatch.setattr(server_module, "_LINGER", 0.1)
     with Browser(page) as browser:
@@ -419,10 +432,11 @@ def test_garbage_is_answered_in_one_line_and_the_connection_stays(page):
             assert browser.frame()
 
 
-def test_the_page_outlives_the_daemon_and_a_browser_the_page(world, film, tmp_path):
+def test_the_page_outlives_the_daemon_and_a_browser_the_page(world):
     with serving(world.socket) as port, Browser(port) as browser:
         browser.until("status", lambda m: m["connected"])
         world.stop()
+        world.client.close()
         assert browser.until("status", lambda m: not m["connected"])["reason"]
         assert "no daemon" in browser.ask("do", action="pause")["text"]
         world.start()
