@@ -7,7 +7,7 @@ import select
 import struct
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -20,7 +20,7 @@ _SYS = Path("/sys/class/input")
 # Linux, input-event-codes.h and input.h
 EV_SYN, EV_REL = 0x00, 0x02
 SYN_REPORT, SYN_DROPPED = 0x00, 0x03
-REL_X, REL_Y, REL_WHEEL = 0x00, 0x01, 0x08
+REL_X, REL_Y = 0x00, 0x01
 _POLL_S = 0.1  # between two checks whether to stop
 _EVIOCSCLOCKID = 0x400445A0  # _IOW('E', 0xa0, int)
 
@@ -28,35 +28,23 @@ _EVIOCSCLOCKID = 0x400445A0  # _IOW('E', 0xa0, int)
 # ---- reports ----
 
 
-@dataclass(slots=True)
 class Assembler:
     """Joins the kernel's events to reports: all events between two SYN_REPORT are one."""
 
-    _counts: dict[int, int] = field(default_factory=dict)
-    _lost: bool = False
-    _skipping: bool = False  # events from SYN_DROPPED to the next SYN_REPORT are incomplete
+    def __init__(self) -> None:
+        self._counts = {REL_X: 0, REL_Y: 0}
+        self._skipping = False  # events from SYN_DROPPED to the next SYN_REPORT are incomplete
 
     def feed(self, stamp: float, kind: int, code: int, value: int) -> MouseReport | None:
         """Return the report that this event ends; None before its end, and for a report without motion."""
-        if kind == EV_SYN and code == SYN_DROPPED:
-            self._lost = self._skipping = True
-            self._counts.clear()
+        if kind == EV_REL and code in self._counts:
+            self._counts[code] += value
+        if kind != EV_SYN or code not in (SYN_REPORT, SYN_DROPPED):
             return None
-        if kind == EV_REL and not self._skipping and code in (REL_X, REL_Y, REL_WHEEL):
-            self._counts[code] = self._counts.get(code, 0) + value
-        if kind != EV_SYN or code != SYN_REPORT:
-            return None
-        if self._skipping:
-            self._skipping = False
-            return None
-        if not any(self._counts.values()):
-            self._counts.clear()
-            return None
-        dx, dy, wheel = (self._counts.get(code, 0) for code in (REL_X, REL_Y, REL_WHEEL))
-        report = MouseReport(stamp, dx, dy, wheel, self._lost)
-        self._counts.clear()
-        self._lost = False
-        return report
+        report = MouseReport(stamp, self._counts[REL_X], self._counts[REL_Y])
+        whole, self._skipping = not self._skipping and code == SYN_REPORT, code == SYN_DROPPED
+        self._counts = {REL_X: 0, REL_Y: 0}
+        return report if whole and (report.dx or report.dy) else None
 
 
 # ---- devices ----
@@ -86,26 +74,15 @@ def mice(sys_input: Path = _SYS, nodes: Path = _INPUT) -> list[Mouse]:
 
 def choose(wanted: str | None, found: list[Mouse]) -> Mouse:
     """Return the mouse of that path or part of a name; SourceError lists the connected mice."""
-    if wanted is not None and wanted.startswith("/"):
-        path = Path(os.path.realpath(wanted))  # /dev/input/by-id/... are links
-        mouse = next((m for m in found if m.node in (path, Path(wanted))), None)
-        if mouse is None and not Path(wanted).exists():
-            connected = f" Connected are:\n{_listed(found)}" if found else ""
-            raise SourceError(f"{wanted}: no such device; is it plugged in?{connected}")
-        return mouse or Mouse(Path(wanted), "not known")
-    if not found:
-        raise SourceError("no mouse or trackball is connected; plug it in, or name it with --device /dev/input/eventN")
-    fitting = found if wanted is None else [m for m in found if wanted.casefold() in m.name.casefold()]
+    named = wanted or ""
+    fitting = [m for m in found if named.casefold() in m.name.casefold() or m.node == Path(os.path.realpath(named))]
     if len(fitting) == 1:
-        return fitting[0]
-    if not fitting:
-        raise SourceError(f"--device {wanted}: no mouse has that in its name; connected are:\n{_listed(found)}")
-    what = f"{len(found)} mice are connected" if wanted is None else f"--device {wanted}: fits {len(fitting)} mice"
-    raise SourceError(f"{what}; choose one with --device PATH or part of its name:\n{_listed(fitting)}")
-
-
-def _listed(found: list[Mouse]) -> str:
-    return "\n".join(f"  {mouse}" for mouse in found)
+        return fitting[0]  # of /dev/input/by-id/... too, which are links
+    if named.startswith("/") and Path(named).exists():
+        return Mouse(Path(named), "not known")
+    fit = f"{len(fitting) or 'no'} mice are connected" + (f" that fit --device {named}" if named else "")
+    connected = "\n".join(f"  {mouse}" for mouse in fitting or found)
+    raise SourceError(fit, f"plug one in, or choose by --device PATH or part of a name:\n{connected}".rstrip(":\n"))
 
 
 class Listener:

@@ -9,7 +9,7 @@ from experiments.kit.trackball import Trackball, rate_of, simulate_log, trackbal
 from spheremouse.commands import match as cli_match
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset
-from spheremouse.files.mouse_log import LogFile, MouseReport, read_log
+from spheremouse.files.mouse_log import MouseReport, read_log, write_log
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
 from spheremouse.simulate.ball.profile import play
@@ -21,9 +21,8 @@ OPTIONS = SimulationOptions(motion="play", seconds=9.0, fps=12.0, noise=2.0, see
 
 
 def save(path, log):
-    with LogFile(path, "simulated", force=True) as file:
-        for t, (dx, dy) in zip(log.stamp.tolist(), log.counts.tolist(), strict=True):
-            file.add(MouseReport(t, round(dx), round(dy)))
+    rows = zip(log.stamp.tolist(), log.counts.tolist(), strict=True)
+    write_log(path, "simulated", (MouseReport(t, round(dx), round(dy)) for t, (dx, dy) in rows))
 
 
 @pytest.fixture(scope="module")
