@@ -7,10 +7,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import Rig
 from spheremouse.capture import Camera, RawFrame, Source, open_source
 from spheremouse.capture.fetch import Fetched
@@ -21,7 +19,6 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.session.run_config import RunConfig
 from spheremouse.tracker import Frame
 
-GRID = (24, 16)  # rows and columns: fine enough for the bands of a rolling shutter, which are three or four
 _SETTLING_S = 0.4  # after a camera's first frame that are left out, while it finds its exposure
 _VIEWS = 10  # whole frames
 _FIRST_TIMEOUT_S = 4.0  # for a camera to begin
@@ -129,12 +126,11 @@ def _automatic(name: str, automatic: bool | None, effect: str, advice: str) -> F
 
 @dataclass(frozen=True, slots=True)
 class Footage:
-    """Two seconds of frames: their times, a coarse grid of brightness of each, and a few whole ones."""
+    """Two seconds of frames: their times, and a few whole ones."""
 
     stamps: Array  # (n,) s
     arrivals: Array  # (n,) s on the clock of live stamps
     sequence: Array  # (n,)
-    grid: Array  # (n, rows, columns) mean grey
     views: tuple[Frame, ...]
     fps: float | None  # Hz, as promised
     live: bool
@@ -187,7 +183,6 @@ def _footage(raws: Iterable[RawFrame], seconds: float, live: bool, fps: float | 
     """Collect frames: of a live source by the clock, after it has settled, of a recording by the stamps."""
     step = max(1, round((fps or 30.0) * seconds / _VIEWS))
     times: list[tuple[float, float, int]] = []
-    grid: list[Image] = []
     views: list[Frame] = []
     damaged, notes = 0, ()
     begin: float | None = None
@@ -203,7 +198,6 @@ def _footage(raws: Iterable[RawFrame], seconds: float, live: bool, fps: float | 
                 if now >= begin:
                     whole = len(times) % step == 0 and len(views) <= _VIEWS
                     frame = raw.frame(whole)
-                    grid.append(_coarse(frame.image))
                     times.append((frame.stamp, arrival, frame.sequence))
                     views += [replace(frame, image=frame.image.copy())] if whole else []
             except DamagedFrameError:
@@ -215,13 +209,9 @@ def _footage(raws: Iterable[RawFrame], seconds: float, live: bool, fps: float | 
             raise
         notes = (str(e),)
     stamps, arrivals, sequence = np.array(times, dtype=float).reshape(-1, 3).T
-    cells, number = np.array(grid, dtype=float), sequence.astype(int)
-    return Footage(stamps, arrivals, number, cells, tuple(views), fps, live, False, damaged, notes, "", None, None)
-
-
-def _coarse(image: Image) -> Image:
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    return cv2.resize(grey.astype(np.float32), GRID[::-1], interpolation=cv2.INTER_AREA)
+    return Footage(
+        stamps, arrivals, sequence.astype(int), tuple(views), fps, live, False, damaged, notes, "", None, None
+    )
 
 
 # ---- times ----

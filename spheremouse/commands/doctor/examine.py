@@ -17,7 +17,7 @@ from spheremouse.ball.detect.projection import GREY, sample_weights_of
 from spheremouse.ball.rig import Rig
 from spheremouse.capture.nodes import Node, nodes
 from spheremouse.commands.doctor import camera as cameras
-from spheremouse.commands.doctor import computer, files, light, running, sight, wand
+from spheremouse.commands.doctor import computer, files, running, sight, wand
 from spheremouse.commands.findings import Section
 from spheremouse.commands.service import check as service
 from spheremouse.commands.service.systemd import Place
@@ -32,7 +32,7 @@ from spheremouse.session.settings import RecordSettings
 from spheremouse.session.setup import Setup, open_setup
 
 _NO_CAMERA = "v4l2:"  # the source if none is named and no camera is there
-SECONDS = 2.0  # of film: sixty frames give a rate to 2 % and flicker to a percent
+SECONDS = 2.0  # of film: sixty frames give a rate to 2 %
 
 Progress = Callable[[str], None]
 
@@ -176,8 +176,7 @@ class _Run:
         mask = None if seen is None else ball_mask(seen.rig, seen.pose)
         greys = [sight.grey(v.image) for v in footage.views]
         noise = _noise(footage, seen)
-        yield from _guarded("brightness", light.brightness, greys, mask, settings.discs, noise, projection)
-        yield from _guarded("flicker", light.flicker, footage, mask, settings.discs)
+        yield from _guarded("brightness", sight.brightness, greys, mask, settings.discs, noise, projection)
         if seen is not None:
             exposure = None if footage.controls is None else footage.controls.exposure_s
             exposure = exposure or settings.camera.exposure_s or seen.rig.exposure_s

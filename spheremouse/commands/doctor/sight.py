@@ -1,4 +1,4 @@
-"""The picture, with the rig: targets and camera pose, the ball, its discs, and motion blur."""
+"""The picture, with the rig: targets and camera pose, the ball, its brightness and discs, and motion blur."""
 
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ from spheremouse.ball.detect.appearance import ball_outline, largest_disc
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.diagnosis import why_no_disc
 from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, best_projection, disc_detector
-from spheremouse.ball.detect.projection import Projection, weights_of
+from spheremouse.ball.detect.projection import GREY, Projection, weights_of
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.pose import TARGET_SIGMA_PX, find_pose, gather
 from spheremouse.ball.rig import Rig
@@ -29,6 +29,11 @@ _USUAL_RADIUS = 0.6  # m, of a ball without a measured size
 _BRISK = 1.0  # m/s of the ball's surface: an arm's length in less than a second
 _CORE = 0.5  # of a disc's diameter
 _MIN_DISCS = 3  # directions that determine an attitude and check it
+_CLIPPED = 254  # grey value: the last two values have all overexposed pixels at any noise
+_LIGHT_DISCS = 99.8  # per cent of the ball that are darker than light discs: eight of 2 cm on 1.2 m cover 0.2 %
+_BRIGHTEST = 95.0  # per cent of the picture that are darker
+_MAX_CLIPPED = 0.1  # of the ball overexposed: one disc in ten has a rim with a clipped bright side
+_PRINT_CONTRAST = 0.8  # contrast of black print on white
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +137,40 @@ def in_colours(seen: Sight, views: tuple[Frame, ...]) -> Sight:
         return seen
     found = Counter(best_projection(v.image, seen.detector, seen.projection)[0] for v in views)
     return replace(seen, detector=seen.detector.with_projection(found.most_common(1)[0][0])) if found else seen
+
+
+def brightness(
+    views: list[Image], mask: Image | None, settings: DiscSettings, noise: float, projection: Projection = GREY
+) -> Finding:
+    """Check the grey values of the ball's surface in `views` (h, w), where `mask` (h, w) is not 0.
+
+    Without a mask, check the brightest part of the picture.
+
+    A disc of the lowest contrast must exceed the noise at its edge, where half of it is left, by four standard
+    deviations and a grey value, as in the detector. The contrast is relative to the lighter of disc and ball, which is
+    the disc in any `projection` but grey.
+    """
+    values = np.concatenate([v[mask > 0] if mask is not None else v.ravel() for v in views])
+    middle = float(np.median(values) if mask is not None else np.percentile(values, _BRIGHTEST))
+    level = middle if projection == GREY else float(np.percentile(values, _LIGHT_DISCS))
+    clipped = float(np.mean(values >= _CLIPPED))
+    least, hopeless = ((4.0 * noise + 1.0) / (0.5 * c) for c in (settings.contrast, _PRINT_CONTRAST))
+    ball, where = (True, "the ball") if mask is not None else (False, "the brightest of the picture")
+    darken = "a shorter exposure (camera.exposure_s), less gain, or a lamp less"
+    lighten = "more light on the ball; then gain, then exposure"
+    hidden = f": even black print stands out of the noise from {hopeless:.0f} on"
+    return classify(
+        "brightness",
+        f"{where} is at {middle:.0f} of 255, noise {noise:.1f}, {100 * clipped:.1f} % overexposed",
+        (ball and clipped > 0.5, Verdict.WRONG, ": most discs have no true rim", darken),
+        (ball and level < hopeless, Verdict.WRONG, hidden, lighten),
+        (ball and clipped > _MAX_CLIPPED, Verdict.WARNING, ": discs there are measured badly", darken),
+        (level < least, Verdict.WARNING, f": discs in haze or shade need {least:.0f}", lighten),
+        grey=round(middle, 1),
+        noise=round(noise, 2),
+        blown_out=round(clipped, 4),
+        least=round(least, 1),
+    )
 
 
 def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Finding:

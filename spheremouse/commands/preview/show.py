@@ -16,7 +16,7 @@ from spheremouse.ball.detect.diagnosis import blur_of
 from spheremouse.ball.detect.projection import GREY, projected
 from spheremouse.calibrate.rolling.start import Spots, dark_spots
 from spheremouse.capture.signals import SignalHandler
-from spheremouse.commands.doctor.light import brightness
+from spheremouse.commands.doctor.sight import brightness
 from spheremouse.errors import ConfigurationError, SourceError
 from spheremouse.files import config
 from spheremouse.files.rig import load_rig

@@ -18,11 +18,11 @@ from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.ball.detect.projection import NEGATIVE
 from spheremouse.commands import findings as report
-from spheremouse.commands.doctor import camera, computer, files, light, running
+from spheremouse.commands.doctor import camera, computer, files, running
 from spheremouse.commands.doctor import doctor as command
 from spheremouse.commands.doctor import examine as doctor
 from spheremouse.commands.doctor import sight as sights
-from spheremouse.commands.doctor.camera import GRID, Controls, Footage, film
+from spheremouse.commands.doctor.camera import Controls, Footage, film
 from spheremouse.commands.doctor.private import redactor
 from spheremouse.commands.findings import Section
 from spheremouse.commands.service import check
@@ -75,11 +75,10 @@ def seen(good):
     return sights.sight(rig, pose, settings)[0]
 
 
-def a_film(stamps, grid=None, sequence=None, **changes):
+def a_film(stamps, sequence=None, **changes):
     n = len(stamps)
-    grid = np.full((n, *GRID), 120.0) if grid is None else grid
     sequence = np.arange(n) if sequence is None else sequence
-    made = Footage(stamps, stamps + 0.01, sequence, grid, (), 30.0, True, True, 0, (), "a camera", None, None)
+    made = Footage(stamps, stamps + 0.01, sequence, (), 30.0, True, True, 0, (), "a camera", None, None)
     return replace(made, **changes)
 
 
@@ -146,10 +145,10 @@ def test_a_check_that_fails_itself_is_a_line(monkeypatch, far26):
     def broken(*_):
         raise ZeroDivisionError("of its own")
 
-    monkeypatch.setattr(light, "flicker", broken)
+    monkeypatch.setattr(sights, "brightness", broken)
     found = examined(source=f"dataset:{far26}")
-    assert one(found, "picture", "flicker").verdict is WRONG
-    assert "ZeroDivisionError: of its own" in one(found, "picture", "flicker").text
+    assert one(found, "picture", "brightness").verdict is WRONG
+    assert "ZeroDivisionError: of its own" in one(found, "picture", "brightness").text
     assert one(found, "picture", "discs").verdict is OK
 
 
@@ -221,43 +220,7 @@ class _Ascii(StringIO):
 # ---- light ----
 
 
-@pytest.mark.parametrize(("fps", "lamp", "seen_at"), [(30.0, 100.0, 10.0), (25.0, 120.0, 5.0), (60.0, 100.0, 20.0)])
-def test_flicker_is_measured_with_its_mains_and_depth(fps, lamp, seen_at):
-    """On made-up strips that each have a phase of their own, among noise."""
-    rng = np.random.default_rng(1)
-    t = np.arange(round(2.0 * fps)) / fps
-    phase = np.linspace(0.0, 3.0, GRID[0])[:, None]
-    wave = 0.05 * np.cos(2.0 * np.pi * lamp * t[:, None, None] + phase)
-    grid = 120.0 * (1.0 + wave + 0.02 * rng.normal(size=(len(t), *GRID)))
-    stamps = t + rng.normal(0.0, 1e-3, len(t))  # of arrival
-    found, hidden = light.search(grid, stamps, np.arange(len(t)), None)
-    (there,) = [f for f in found if f.chance < 1e-4]
-    assert there.lamp == lamp
-    assert there.seen_at == pytest.approx(seen_at, abs=0.2)
-    assert there.depth == pytest.approx(0.05, rel=0.1)
-    assert hidden == tuple(x for x in (100.0, 120.0) if abs(x / fps - round(x / fps)) < 1e-9)
-
-
-@pytest.mark.slow
-def test_noise_is_hardly_ever_taken_for_flicker():
-    """Common to all strips, the worst case: of 300 films none is below one in ten thousand, few below a hundredth."""
-    rng = np.random.default_rng(2)
-    t = np.arange(60) / 30.0
-    chances = []
-    for _ in range(300):
-        grid = 100.0 * (1.0 + 0.02 * rng.normal(size=(60, 1, 1))) * np.ones((1, *GRID))
-        chances += [f.chance for f in light.search(grid, t, np.arange(60), None)[0]]
-    assert len(chances) == 300
-    assert min(chances) > 1e-4
-    assert np.mean(np.array(chances) < 0.01) < 0.05
-
-
-def test_a_film_in_which_lamps_stand_still_says_that_it_cannot_tell():
-    t = np.arange(40) / 20.0  # 100 and 120 Hz are both whole multiples
-    assert light.flicker(a_film(t), None, DiscSettings()).verdict is UNCHECKED
-
-
-def test_films_dark_blown_out_flickering_and_in_order(good, seen):
+def test_films_dark_blown_out_and_in_order(good, seen):
     """Each fault at its own check, from the simulated camera."""
     settings = DiscSettings()
     mask = ball_mask(seen.rig, seen.pose)
@@ -265,7 +228,7 @@ def test_films_dark_blown_out_flickering_and_in_order(good, seen):
     def brightness(footage):
         greys = [sights.grey(v.image) for v in footage.views]
         noise = float(np.median([seen.detector.noise(v.image) for v in footage.views]))
-        return light.brightness(greys, mask, settings, noise)
+        return sights.brightness(greys, mask, settings, noise)
 
     fine = brightness(good)
     assert fine.verdict is OK
@@ -276,12 +239,6 @@ def test_films_dark_blown_out_flickering_and_in_order(good, seen):
     bright = brightness(film_of("brightness=130", seconds=0.3))
     assert bright.verdict is WRONG
     assert "shorter exposure" in bright.advice
-    flickering = film_of("noise=2,flicker=0.15,readout=0.02", seconds=1.0, size="[128,96]")
-    told = light.flicker(flickering, None, settings)
-    assert told.verdict is WARNING
-    assert told.values["mains_hz"] == 50.0
-    assert told.values["depth"] == pytest.approx(0.15, rel=0.15)
-    assert "a whole number of 0.01 s" in told.advice
 
 
 def test_a_disc_of_the_least_contrast_stands_out_of_the_noise_from_the_limit_on():
@@ -291,14 +248,14 @@ def test_a_disc_of_the_least_contrast_stands_out_of_the_noise_from_the_limit_on(
     for noise in (1.0, 4.0):
         least = (4.0 * noise + 1.0) / (0.5 * settings.contrast)
         below, above = (np.full((50, 50), round(least + d), np.uint8) for d in (-2, 2))
-        assert light.brightness([below], mask, settings, noise).verdict is WARNING
-        assert light.brightness([above], mask, settings, noise).verdict is OK
+        assert sights.brightness([below], mask, settings, noise).verdict is WARNING
+        assert sights.brightness([above], mask, settings, noise).verdict is OK
     dark = np.full((50, 50), 8, np.uint8)
-    assert light.brightness([dark], mask, settings, 1.0).verdict is WRONG
-    assert light.brightness([dark], mask, settings, 1.0, NEGATIVE).verdict is WRONG
+    assert sights.brightness([dark], mask, settings, 1.0).verdict is WRONG
+    assert sights.brightness([dark], mask, settings, 1.0, NEGATIVE).verdict is WRONG
     dark[20:30, 20:30] = 200  # light discs: of theirs the contrast is a part
-    assert light.brightness([dark], mask, settings, 1.0).verdict is WRONG
-    assert light.brightness([dark], mask, settings, 1.0, NEGATIVE).verdict is OK
+    assert sights.brightness([dark], mask, settings, 1.0).verdict is WRONG
+    assert sights.brightness([dark], mask, settings, 1.0, NEGATIVE).verdict is OK
 
 
 # ---- blur ----
