@@ -133,6 +133,19 @@ def measure_discs(
 ) -> tuple[_Float, _Float, _Float, float]:  # fmt: skip
     """Return centres, covariances and areas of discs, and their size (`windows.measure_discs`)."""
 
+# spheremouse/ball/detect/search.cpp
+
+def candidate_pixels(
+    plane: tuple[_Byte, int, int, int], mask: _Byte, samples: tuple[NDArray[np.int32], _Byte, NDArray[np.int32]],
+    offsets: NDArray[np.int32], limits: tuple[float, float, float, int], turn: int, known: _Float, rejected: _Float,
+) -> _Float:  # fmt: skip
+    """Return dark spots of an image, (k, 2) px (`search.candidate_pixels`).
+
+    `plane` has the image (h, w, c), the channel to take, its sign, and the value of no light. `samples` is a
+    `search.Samples`, and `offsets` those of its lattice. `limits` are contrast, difference, px of the largest disc's
+    radius, and reduction. Raises ValueError if a sample's neighbour is outside of the image.
+    """
+
 # spheremouse/ball/filters/so3_match.cpp. `body` is So3State.body, and `points` SpherePoints.measurement. The matrix
 # `added`, (9, 9), is process noise that the covariance does not include yet.
 

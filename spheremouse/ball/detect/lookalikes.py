@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.appearance import seen_at
@@ -159,19 +158,6 @@ def _expected(candidates: Candidates, attitude: Array, rig: Rig, pose: Pose) -> 
 
 def _found(candidates: Candidates, expected: Array, centre: Array) -> NDArray[np.intp]:
     """Return for each of `centre`, (n, 2) px, the index of a candidate that stayed or turned there, (n,); -1: none."""
-    return mutual_nearest(_distances(centre, expected, candidates.place))
-
-
-@njit(cache=True, error_model="numpy")
-def _distances(centre, expected, place):
-    """Return the distances, (n, t) px, from each centre to each candidate; those beyond `_MATCH_PX` are inf."""
-    n, t = len(centre), len(place)
-    distance = np.empty((n, t))
-    for i in range(n):
-        for j in range(t):
-            turned = np.hypot(centre[i, 0] - expected[j, 0], centre[i, 1] - expected[j, 1])
-            stayed = np.hypot(centre[i, 0] - place[j, 0], centre[i, 1] - place[j, 1])
-            distance[i, j] = min(turned, stayed)
-            if not distance[i, j] < _MATCH_PX:
-                distance[i, j] = np.inf
-    return distance
+    distance = [np.linalg.norm(centre[:, None] - place[None], axis=2) for place in (expected, candidates.place)]
+    nearer = np.minimum(*distance)
+    return mutual_nearest(np.where(nearer < _MATCH_PX, nearer, np.inf))

@@ -11,18 +11,17 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.projection import Projection, offset_of, projected, sampled_channel
 from spheremouse.ball.detect.windows import DiscModel
 from spheremouse.geometry.rotation import Array
+from spheremouse.native import kernels
 
 _STRIDE = (2, 8)  # columns and rows of the coarse picture between samples of one frame: few rows are few cache misses
 _SHIFTS = ((0, 0), (1, 4), (0, 2), (1, 6))  # of the lattice, frame after frame: together every other row
 _MARGIN = 2.5  # px beyond a disc's radius at which the ball is looked at: blur, and a sample off the centre
-_MOST = 4  # candidates in one frame: more come in the next
 _REJECTED = 2.5  # px of the coarse picture, around a place that turned out to be no disc
 _WAIT = (32, 512)  # frames for which such a place is left out, at first and at most: doubled each time
 _REMEMBERED = 256  # places remembered
@@ -122,8 +121,7 @@ class _Limb:
 class _Plane(NamedTuple):
     """Values of a projection in an image. They are `sign` times the pixels' channel `channel`, less `dark`."""
 
-    flat: Image  # (h w c,)
-    channels: int
+    image: Image  # (h, w, c)
     channel: int
     sign: int
     dark: int  # value of no light
@@ -136,19 +134,12 @@ def candidate_pixels(
 
     Each is the centroid, (k, 2) px, of the dark pixels around a sample. `noise` is that of a pixel.
     """
-    return _candidates_on(
-        _plane(image, model.fit.projection),
-        model.mask,
-        lattice.samples[state.turn % len(_SHIFTS)],
-        lattice.offsets,
-        lattice.reduction,
-        state.turn,
-        known,
-        state.rejected[state.until > state.turn],
-        0.5 * model.fit.contrast,
-        2.5 * noise,
-        0.5 * model.diameter,
-    )
+    limits = 0.5 * model.fit.contrast, 2.5 * noise, 0.5 * model.diameter, lattice.reduction
+    rejected = state.rejected[state.until > state.turn]
+    samples = lattice.samples[state.turn % len(_SHIFTS)]
+    plane = _plane(image, model.fit.projection)
+    known = np.ascontiguousarray(known)
+    return kernels.candidate_pixels(plane, model.mask, samples, lattice.offsets, limits, state.turn, known, rejected)
 
 
 def _plane(image: Image, projection: Projection) -> _Plane:
@@ -156,8 +147,8 @@ def _plane(image: Image, projection: Projection) -> _Plane:
     channels = image.shape[2]
     one = sampled_channel(projection, channels)
     if one is not None:
-        return _Plane(image.reshape(-1), channels, *one, 0)
-    return _Plane(projected(image, projection).reshape(-1), 1, 0, 1, round(offset_of(projection, channels)))
+        return _Plane(image, *one, 0)
+    return _Plane(projected(image, projection)[:, :, None], 0, 1, round(offset_of(projection, channels)))
 
 
 def update_rejections(state: SearchState, rejected: Array, reduction: int) -> SearchState:
@@ -178,103 +169,3 @@ def update_rejections(state: SearchState, rejected: Array, reduction: int) -> Se
         np.concatenate([np.full(new.sum(), turn + _WAIT[0]), until[keep]])[:_REMEMBERED],
         np.concatenate([np.full(new.sum(), _WAIT[0]), wait[keep]])[:_REMEMBERED],
     )
-
-
-@njit(cache=True, error_model="numpy")
-def _near(x, y, places, radius):
-    for i in range(len(places)):
-        dx, dy = x - places[i, 0], y - places[i, 1]
-        if dx * dx + dy * dy < radius * radius:
-            return True
-    return False
-
-
-@njit(cache=True, error_model="numpy")
-def _settle(plane, mask, level, reach, reduction, place):
-    """Take two mean-shift steps towards the pixels darker than `level`, on the ball, within `reach` px."""
-    flat, channels, channel, sign, dark = plane
-    h, w = mask.shape
-    for _ in range(2):
-        left, right = max(int(place[0] - reach), 0), min(int(place[0] + reach) + 1, w - 1)
-        top, bottom = max(int(place[1] - reach), 0), min(int(place[1] + reach) + 1, h - 1)
-        total, sx, sy = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-        for y in range(top, bottom + 1, reduction):
-            dy = y - place[1]
-            for x in range(left, right + 1, reduction):
-                at = y * w + x
-                g = np.float32(sign * np.int32(flat[np.uint64(at * channels + channel)]) - dark)
-                dx = x - place[0]
-                if g < level and mask[np.uint64(y), np.uint64(x)] > 0 and dx * dx + dy * dy < reach * reach:
-                    total += level - g
-                    sx += (level - g) * np.float32(x)
-                    sy += (level - g) * np.float32(y)
-        if total <= 0.0:
-            return
-        place[0], place[1] = sx / total, sy / total
-
-
-@njit(cache=True, error_model="numpy")
-def _candidates_on(plane, mask, samples, offsets, reduction, turn, known, rejected, contrast, least, radius):
-    flat, channels, channel, sign, dark = plane
-    places, sides, along = samples
-    known_radius, rejected_radius = radius + 2.0 * reduction, _REJECTED * reduction
-    found = np.empty((_MOST, 2))
-    n = len(places)
-    count = 0
-    start = (turn * 997) % n if n else 0  # another one is the first each time: the limit falls on none for long
-    keep, below = np.int32(256.0 * (1.0 - contrast)), np.int32(least)
-    width = mask.shape[1]
-    steps = np.empty(8, dtype=np.int64)
-    for side in range(8):
-        steps[side] = (offsets[side, 1] * width + offsets[side, 0]) * channels
-    s0, s1 = np.uint64(steps[0]), np.uint64(steps[1])
-    for part in range(2):
-        for i in range(start if part == 0 else 0, n if part == 0 else start):
-            at = np.uint64(places[i, 1] * width + places[i, 0]) * np.uint64(channels) + np.uint64(channel)
-            bits = sides[i]
-            g = sign * np.int32(flat[at]) - dark
-            # two neighbours part most of the ball from the rest
-            if bits & 3 == 3:
-                beside = max(sign * np.int32(flat[at + s0]), sign * np.int32(flat[at + s1])) - dark
-                # by a part of the lighter of the two, whatever their signs
-                if not (256 * g < keep * beside and keep * g < 256 * beside):
-                    continue
-            brighter, darker = 0, 0
-            ball = 0.0
-            for side in range(8):
-                if (bits >> side) & 1:
-                    beside = sign * np.int32(flat[at + np.uint64(steps[side])]) - dark
-                    if 256 * g < keep * beside and keep * g < 256 * beside and g < beside - below:
-                        brighter += 1
-                        ball += beside
-                    else:
-                        darker += 1
-                        if darker > 1:
-                            break
-            if darker > 1 or brighter < 4:
-                continue
-            # a disc ends along the limb, the limb's own blur does not
-            ends = True
-            for side in range(2):
-                ox, oy = along[i, side, 0], along[i, side, 1]
-                if ox != 0 or oy != 0:
-                    step = (np.int64(oy) * width + np.int64(ox)) * channels
-                    beside = sign * np.int32(flat[at + np.uint64(step)]) - dark
-                    ends = ends and 256 * g < keep * beside and keep * g < 256 * beside and g < beside - below
-            if not ends:
-                continue
-            x, y = float(places[i, 0]), float(places[i, 1])
-            if _near(x, y, known, known_radius) or _near(x, y, found[:count], known_radius):
-                continue
-            if _near(x, y, rejected, 0.7 * radius):  # within such a place
-                continue
-            found[count, 0], found[count, 1] = x, y
-            level = np.float32(0.5 * (g + ball / brighter))
-            _settle(plane, mask, level, radius + reduction, reduction, found[count])
-            x, y = found[count, 0], found[count, 1]
-            if _near(x, y, known, known_radius) or _near(x, y, rejected, rejected_radius):
-                continue
-            count += 1
-            if count == len(found):
-                return found
-    return found[:count]

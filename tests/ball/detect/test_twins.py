@@ -1,0 +1,150 @@
+"""The detector's native functions equal their twins in NumPy, and name a wrong argument."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from ray_cast import CLEAN, DISCS, POSE, RIG, looking_at, photo
+
+from spheremouse.ball.detect.appearance import appearance, seen_at
+from spheremouse.ball.detect.discs import DiscSettings, disc_detector
+from spheremouse.ball.detect.projection import GREY
+from spheremouse.ball.detect.windows import FitSettings, Motion
+from spheremouse.ball.rig import view_of
+from spheremouse.geometry.camera import InteriorOrientation, Pose, ellipse_to_pixel, project, project_circle
+from spheremouse.native import kernels
+from tests.ball.detect import twins
+
+LENS = InteriorOrientation(640, 480, 610.0, 600.0, 322.0, 237.0, np.array([-0.3, 0.1, 2e-3, -1e-3, -0.02]))
+SETTINGS = FitSettings(GREY, 0.8, 0.93, 0.25, size_tolerance=0.25, rim=0.7, sigma=0.02)
+DETECTOR = disc_detector(DiscSettings(), RIG, POSE)
+
+
+@pytest.mark.parametrize("camera", [RIG.camera, LENS])
+def test_a_disc_is_the_projection_of_a_circle(camera):
+    rig = replace(RIG, camera=camera)
+    station = np.array([0.5, -0.4, 2.0])
+    pose = Pose(looking_at(np.array([0.2, 0.1, 0.0]), station), station)
+    d = np.random.default_rng(0).normal(size=(60, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    seen = appearance(d, rig, pose)
+    w = seen.whole
+    assert 10 < w.sum() < 50
+    angle, R = rig.disc_radius / rig.ball.radius, rig.ball.radius
+    circle = pose.to_cam(R * np.cos(angle) * d[w]), d[w] @ pose.rotation, R * np.sin(angle)
+    centroid, shape = ellipse_to_pixel(*project_circle(*circle), camera)
+    assert_allclose(seen.centroid[w], centroid, rtol=1e-12)
+    assert_allclose(seen.shape[w], shape, rtol=1e-9, atol=1e-9)  # a difference of products a thousand times larger
+    assert_allclose(seen.area[w], np.pi * np.sqrt(np.linalg.det(shape)), rtol=1e-9)
+    assert_allclose(seen_at(d, rig, pose), project(pose.to_cam(R * d), camera)[0], rtol=1e-12)
+    assert_allclose(seen.centre[w], seen_at(d, rig, pose)[w], rtol=1e-12)
+
+
+def picture(rng, channels, c, shape):
+    y, x = np.mgrid[:44, :48]
+    offset = np.stack([x, y], axis=-1) - c
+    rho = np.sqrt(np.einsum("hwi,ij,hwj->hw", offset, np.linalg.inv(shape), offset))
+    ball = rng.uniform(80.0, 200.0) * (1.0 + rng.normal(size=2) @ np.stack([x - 24, y - 22]).reshape(2, -1) * 2e-3)
+    share = np.clip(0.5 - (rho - 1.0) * np.sqrt(np.linalg.eigvalsh(shape)[0]), 0.0, 1.0)
+    grey = ball.reshape(44, 48) * (1.0 - rng.uniform(0.4, 0.9) * share) + rng.normal(size=(44, 48))
+    return np.repeat(np.clip(np.rint(grey), 0, 255).astype(np.uint8)[:, :, None], channels, axis=2)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("size", [0.0, 1.05])
+@pytest.mark.parametrize("way", [0.0, 6.0])
+def test_the_fit_is_its_twin_up_to_single_precision(channels, size, way):
+    """Grey values of 200 are rounded by 1e-5, and the slope of a rim is many of them for each pixel."""
+    rng = np.random.default_rng(1)
+    count = 0
+    for _ in range(20):
+        U = np.linalg.qr(rng.normal(size=(2, 2)))[0]
+        shape = U @ np.diag(rng.uniform(1.5, 9.0, 2) ** 2) @ U.T
+        c, path = np.array([24.0, 22.0]) + rng.uniform(-1.0, 1.0, 2), rng.normal(size=7) * [way, way, 0.3, 0.3, 0, 0, 0]
+        path *= way > 0.0
+        image, mask = picture(rng, channels, c, shape), np.full((44, 48), 255, np.uint8)
+        mask[:, 33:] = 0
+        place = c + rng.uniform(-0.5, 0.5, 2)
+        expected = place[None], shape[None], path[None]
+        ok, centroid, covariance, rim, _ = kernels.fit_discs(image, mask, expected, 1.0, SETTINGS, 0.25, size)
+        deep, at, C, fits = twins.fit_disc(image, mask, place, shape, path, 1.0, SETTINGS, size)
+        if ok[0]:
+            assert deep
+            assert_allclose(centroid[0], at, atol=1e-4)
+            assert_allclose(covariance[0], C, rtol=1e-3)
+            assert_allclose(rim[0], fits, atol=1e-4)
+            count += 1
+    assert count >= (12 if way == 0.0 else 3)
+
+
+@pytest.mark.parametrize("exposure", [0.0, 0.01])
+def test_discs_are_measured_where_and_how_they_are_seen(exposure):
+    rig = replace(RIG, exposure_s=exposure)
+    model = disc_detector(DiscSettings(), rig, POSE).model
+    image, motion = photo(CLEAN, 1.0)[:, :, None], Motion(np.array([1.0, -0.5, 0.7]), 0.02)
+    seen, path, which = twins.windows(DISCS, rig, POSE, model, motion)
+    expected = seen.centroid[which], seen.shape[which], path[which]
+    contrast = 0.3 * model.fit.contrast
+    ok, centroid, covariance, rim, size = kernels.fit_discs(image, model.mask, expected, 1.0, model.fit, contrast, 0.0)
+    centre = centroid - (seen.centroid - seen.centre)[which]
+    kept = twins.best_fits(centre, rim, ok, 0.3 * model.diameter)
+    found = kernels.measure_discs(image, DISCS, model, 1.0, np.zeros((0, 2)), motion, 0.0)
+    assert len(kept) > 10
+    for native, twin in zip(found, (centre[kept], covariance[kept], seen.area[which][kept], size), strict=True):
+        assert_allclose(native, twin, rtol=1e-6)  # a path differs by rounding
+
+
+def test_candidates_are_those_of_the_twin():
+    rng = np.random.default_rng(2)
+    count = 0
+    for turn in range(12):
+        image = photo(CLEAN, rng.uniform(0.5, 4.0), turn)
+        known, rejected = rng.uniform(150.0, 480.0, (6, 2)), rng.uniform(150.0, 480.0, (3, 2))
+        samples, limits = DETECTOR.lattice.samples[turn % 4], (0.125, 2.5, 7.5, 1)
+        more = DETECTOR.model.mask, samples, DETECTOR.lattice.offsets, limits, turn, known, rejected
+        found = kernels.candidate_pixels((image[:, :, None], 0, 1, 0), *more)
+        assert_allclose(found, twins.candidate_pixels(image, *more), rtol=1e-5)  # sums in single precision
+        count += len(found)
+    assert count > 20
+
+
+def test_noise_is_the_median_of_second_differences():
+    rng = np.random.default_rng(3)
+    image, w = rng.integers(0, 200, (64, 90, 3), dtype=np.uint8), np.array([0.2, -0.5, 0.3], dtype=np.float32)
+    rows = image[10 + 1 : 50 : 2, 5:80].astype(float) @ w
+    second = np.rint(np.abs(2.0 * rows[:, 1:-1] - rows[:, :-2] - rows[:, 2:]))
+    assert_allclose(kernels.noise_of(image, w, 10, 50, 5, 80), np.median(second) * 1.4826 / np.sqrt(6.0), rtol=0.02)
+
+
+def test_a_wrong_argument_is_named():
+    model, image, rest = DETECTOR.model, np.zeros((480, 640, 3), np.uint8), Motion(np.zeros(3), 0.0)
+    places = np.zeros((0, 2))
+    for arguments, name in [
+        ((image.astype(float), DISCS, model, 1.0, places, rest, 0.0), "image"),
+        ((image[:, ::2], DISCS, model, 1.0, places, rest, 0.0), "image"),
+        ((image[:400], DISCS, model, 1.0, places, rest, 0.0), "mask"),
+        ((image, DISCS[:, :2].copy(), model, 1.0, places, rest, 0.0), "directions"),
+        ((image, DISCS, model, 1.0, np.zeros((1, 2)), rest, 0.0), "places"),
+    ]:
+        with pytest.raises(TypeError, match=name):
+            kernels.measure_discs(*arguments)
+    with pytest.raises(TypeError, match="directions"):
+        kernels.appearance(DISCS.T, view_of(RIG, POSE))
+    outside = DETECTOR.lattice.samples[0]._replace(place=DETECTOR.lattice.samples[0].place + 1000)
+    with pytest.raises(ValueError, match="samples"):
+        kernels.candidate_pixels(
+            (image, 0, 1, 0), model.mask, outside, DETECTOR.lattice.offsets, (0.1, 1.0, 7.0, 1), 0, places, places
+        )
+
+
+def test_numbers_out_of_range_are_no_discs():
+    image = cv2.cvtColor(photo(CLEAN, 1.0), cv2.COLOR_GRAY2BGR)
+    wild = np.array([np.nan, np.inf, -np.inf, 1e300, -1e300, 0.0])
+    directions = np.stack([wild, np.roll(wild, 1), np.roll(wild, 2)], axis=1)
+    found = kernels.measure_discs(image, directions, DETECTOR.model, 1.0, np.zeros((0, 2)), Motion(wild[:3], 1.0), 0.0)
+    assert len(found[0]) == 0
+    expected = np.stack([wild, wild], axis=1), np.repeat(wild, 4).reshape(-1, 2, 2), np.repeat(wild, 7).reshape(-1, 7)
+    ok = kernels.fit_discs(image, DETECTOR.model.mask, expected, 1.0, SETTINGS, 0.25, 0.0)[0]
+    assert_array_equal(ok, False)
