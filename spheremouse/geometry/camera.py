@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
-from numba import njit
 
 from spheremouse.geometry.rotation import Array
+from spheremouse.native import kernels
 
 # 8K has 7680x4320 pixels, webcams have fewer, and a telephone's photo has 50 million. An image of the largest size
 # takes 200 MB in colour, and its processing a few times as much.
@@ -99,63 +99,9 @@ def pose_from_matrix(T: Array, covariance: Array | None = None) -> Pose:
     return Pose(u @ vt, np.array(T, dtype=float)[:3, 3].copy(), np.zeros((6, 6)) if covariance is None else covariance)
 
 
-@njit(cache=True, error_model="numpy")
-def distorted(x, y, k):
-    """Distort ideal reduced coordinates x, y; also return the symmetric Jacobian xx, xy, yy.
-
-    `k` (5,) is k1, k2, p1, p2, k3.
-    """
-    k1, k2, p1, p2, k3 = k[0], k[1], k[2], k[3], k[4]
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))  # d radial / d x = slope x
-    return (
-        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-        radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x,
-        slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y,
-        radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x,
-    )
-
-
-@njit(cache=True, error_model="numpy")
-def undistorted(u, v, k, fold):
-    """Undistort reduced coordinates u, v; also return the Jacobian xx, xy, yy of `distorted` there.
-
-    Newton's method in place of the fixed-point iteration of Wittich 2017, eq. 81-83. If no ray maps to u, v, the result
-    is nan: Newton's method does not converge, or the squared radius exceeds `fold`.
-    """
-    x, y = u, v
-    step = np.inf
-    for _ in range(30):
-        a, b, xx, xy, yy = distorted(x, y, k)
-        det = xx * yy - xy * xy
-        if not abs(det) > 1e-9:
-            break
-        dx, dy = (yy * (u - a) - xy * (v - b)) / det, (xx * (v - b) - xy * (u - a)) / det
-        step = np.hypot(dx, dy)
-        damping = min(1.0, 0.3 / max(step, 1e-300))  # a limited step stays on the near branch
-        x, y = x + damping * dx, y + damping * dy
-        if not step > 1e-13:
-            break
-    _, _, xx, xy, yy = distorted(x, y, k)
-    if not step < 1e-9 or xx * yy - xy * xy <= 0.0 or x * x + y * y >= fold:
-        return np.nan, np.nan, 1.0, 0.0, 1.0
-    return x, y, xx, xy, yy
-
-
-@njit(cache=True, error_model="numpy")
-def _distort(xy, k, out, J):
-    for i in range(len(xy)):
-        out[i, 0], out[i, 1], J[i, 0, 0], J[i, 0, 1], J[i, 1, 1] = distorted(xy[i, 0], xy[i, 1], k)
-        J[i, 1, 0] = J[i, 0, 1]
-
-
 def distort(xy: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
     """Distort ideal reduced coordinates x/z, y/z, (n, 2); also return the Jacobian, (n, 2, 2)."""
-    out, J = np.empty((len(xy), 2)), np.empty((len(xy), 2, 2))
-    _distort(np.asarray(xy, dtype=np.float64), camera.distortion, out, J)
-    return out, J
+    return kernels.distort(np.ascontiguousarray(xy, dtype=float), camera.distortion)
 
 
 def reduced_to_pixel(xy: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
@@ -206,29 +152,16 @@ def project(points: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
     return uv, duv_dxy @ dxy
 
 
-@njit(cache=True, error_model="numpy")
-def unprojected(uv, intrinsic, k, fold, xy, J):
-    """Write the result of `unproject` to xy, (n, 2), and J, (n, 2, 2); `intrinsic` is fx, fy, cx, cy."""
-    fx, fy, cx, cy = intrinsic
-    for i in range(len(uv)):
-        x, y, xx, yx, yy = undistorted((uv[i, 0] - cx) / fx, (uv[i, 1] - cy) / fy, k, fold)
-        det = xx * yy - yx * yx
-        xy[i, 0], xy[i, 1] = x, y
-        J[i, 0, 0], J[i, 0, 1], J[i, 1, 0], J[i, 1, 1] = yy / det / fx, -yx / det / fy, -yx / det / fx, xx / det / fy
-
-
 def unproject(uv: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
     """Convert pixels (n, 2) to ideal reduced coordinates x/z, y/z, (n, 2); also return dxy_duv, (n, 2, 2).
 
-    A pixel to which the lens model maps no ray gives nan.
+    Newton's method in place of the fixed-point iteration of Wittich 2017, eq. 81-83. A pixel to which the lens model
+    maps no ray gives nan.
     """
-    uv = np.asarray(uv, dtype=float).reshape(-1, 2)
-    xy, J = np.empty((len(uv), 2)), np.empty((len(uv), 2, 2))
-    unprojected(uv, camera.intrinsic, camera.distortion, camera.fold_r2, xy, J)
-    return xy, J
+    uv = np.ascontiguousarray(uv, dtype=float).reshape(-1, 2)
+    return kernels.unproject(uv, camera.intrinsic, camera.distortion, camera.fold_r2)
 
 
-@njit(cache=True, error_model="numpy")
 def row_of(v, height):
     """Return the readout time of row v as a fraction of all rows, from -1/2 at the top to 1/2 at the bottom."""
     return (v + 0.5) / height - 0.5

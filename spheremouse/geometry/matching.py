@@ -32,28 +32,12 @@ def mutual_nearest(distance: Array) -> NDArray[np.intp]:
     return column
 
 
-@njit(cache=True)
 def suppress(points: Array, radius: Array, norm: float = 2.0) -> NDArray[np.intp]:
     """Return the indices of points, (n, d), that no earlier kept point has within its radius, of (n,).
 
     Non-maximum suppression (Neubeck, Van Gool 2006) of points in the order of their worth. The norm is 2 or inf.
     """
-    kept = np.empty(len(points), dtype=np.intp)
-    count = 0
-    for i in range(len(points)):
-        alone = True
-        for k in kept[:count]:
-            distance = 0.0
-            for axis in range(points.shape[1]):
-                offset = abs(points[i, axis] - points[k, axis])
-                distance = max(distance, offset) if norm == np.inf else np.hypot(distance, offset)
-            if distance <= radius[k]:
-                alone = False
-                break
-        if alone:
-            kept[count] = i
-            count += 1
-    return kept[:count]
+    return kernels.suppress(np.ascontiguousarray(points, dtype=float), radius, norm)
 
 
 @njit(cache=True)

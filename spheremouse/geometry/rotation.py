@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from spheremouse.geometry import Array
+from spheremouse.native import kernels
 
 _SMALL_ANGLE = 1e-6  # rad; below it series of two terms are exact to double precision
 
@@ -63,58 +64,10 @@ def _into(v, one, a, b, M):
     M[2, 1] += a * v[0]
 
 
-@njit(cache=True, error_model="numpy")
-def log_into(R, v):
-    """Write `log` of one matrix, (3, 3), to v, (3,)."""
-    trace = R[0, 0] + R[1, 1] + R[2, 2]
-    largest, case = trace, 3
-    for i in range(3):
-        if R[i, i] > largest:
-            largest, case = R[i, i], i
-    if case == 3:
-        w = 1.0 + trace  # of the quaternion, before normalisation
-        v[0], v[1], v[2] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
-    else:
-        i, j, k = case, (case + 1) % 3, (case + 2) % 3
-        w = R[k, j] - R[j, k]
-        v[i] = 1.0 + R[i, i] - R[j, j] - R[k, k]
-        v[j] = R[i, j] + R[j, i]
-        v[k] = R[i, k] + R[k, i]
-    length = np.sqrt(w * w + v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    sign = -1.0 if w < 0.0 else 1.0
-    w *= sign / length
-    for i in range(3):
-        v[i] *= sign / length
-    s = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    scale = 2.0 if s < _SMALL_ANGLE else 2.0 * np.arctan2(s, w) / s
-    for i in range(3):
-        v[i] *= scale
-
-
-@njit(cache=True, error_model="numpy")
-def _exp_all(v, R):
-    for i in range(len(v)):
-        exp_into(v[i], R[i])
-
-
-@njit(cache=True, error_model="numpy")
-def _log_all(R, v):
-    for i in range(len(R)):
-        log_into(R[i], v[i])
-
-
-@njit(cache=True, error_model="numpy")
-def _left_jacobian_all(v, J):
-    for i in range(len(v)):
-        left_jacobian_into(v[i], J[i])
-
-
 def exp(v: Array) -> Array:
     """Return the rotation matrix of a rotation vector, (..., 3) rad -> (..., 3, 3) (Rodrigues)."""
-    v = np.asarray(v, dtype=np.float64)
-    R = np.empty((*v.shape, 3))
-    _exp_all(v.reshape(-1, 3), R.reshape(-1, 3, 3))
-    return R
+    v = np.ascontiguousarray(v, dtype=float)
+    return kernels.exp(v.reshape(-1, 3)).reshape(*v.shape, 3)
 
 
 def log(R: Array) -> Array:
@@ -122,18 +75,14 @@ def log(R: Array) -> Array:
 
     The way by the unit quaternion (Shepperd 1978) has full precision near pi.
     """
-    R = np.asarray(R, dtype=np.float64)
-    v = np.empty(R.shape[:-1])
-    _log_all(R.reshape(-1, 3, 3), v.reshape(-1, 3))
-    return v
+    R = np.ascontiguousarray(R, dtype=float)
+    return kernels.log(R.reshape(-1, 3, 3)).reshape(R.shape[:-1])
 
 
 def left_jacobian(v: Array) -> Array:
     """Return Jl with exp(v + dv) = exp(Jl(v) dv) exp(v) to first order, (..., 3) -> (..., 3, 3)."""
-    v = np.asarray(v, dtype=np.float64)
-    J = np.empty((*v.shape, 3))
-    _left_jacobian_all(v.reshape(-1, 3), J.reshape(-1, 3, 3))
-    return J
+    v = np.ascontiguousarray(v, dtype=float)
+    return kernels.left_jacobian(v.reshape(-1, 3)).reshape(*v.shape, 3)
 
 
 def from_euler(angles: Array) -> Array:
@@ -225,11 +174,4 @@ def align(a: Array, b: Array, weights: Array | None = None) -> Array:
 
 def rotation_between(before: Array, after: Array) -> Array:
     """Return the rotation vector in `obj`, (3,) rad, from attitude `before` to `after`, both R_obj_ball, (3, 3)."""
-    v = np.empty(3)
-    _between(before, after, v)
-    return v
-
-
-@njit(cache=True, error_model="numpy")
-def _between(before, after, v):
-    log_into(after @ before.T, v)
+    return log(after @ before.T)

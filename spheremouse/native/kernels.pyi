@@ -7,6 +7,27 @@ _Float = NDArray[np.float64]
 _Index = NDArray[np.int64]
 _Byte = NDArray[np.uint8]
 
+# spheremouse/geometry/rotation.cpp, the functions of rotation.py for one axis of n
+
+def exp(v: _Float) -> _Float:
+    """Return the rotation matrices, (n, 3, 3), of rotation vectors, (n, 3) rad."""
+
+def log(R: _Float) -> _Float:
+    """Return the rotation vectors, (n, 3) rad, of rotation matrices, (n, 3, 3)."""
+
+def left_jacobian(v: _Float) -> _Float:
+    """Return Jl with exp(v + dv) = exp(Jl dv) exp(v) to first order, (n, 3, 3), of rotation vectors, (n, 3) rad."""
+
+# spheremouse/geometry/camera.cpp, the functions of camera.py
+
+def distort(xy: _Float, distortion: _Float) -> tuple[_Float, _Float]:
+    """Distort ideal reduced coordinates, (n, 2); also return the Jacobian, (n, 2, 2)."""
+
+def unproject(
+    uv: _Float, intrinsic: tuple[float, float, float, float], distortion: _Float, fold_r2: float
+) -> tuple[_Float, _Float]:
+    """Convert pixels, (n, 2), to ideal reduced coordinates, (n, 2); also return dxy_duv, (n, 2, 2)."""
+
 # spheremouse/geometry/matching.cpp
 
 def match(worth: _Float) -> _Index:

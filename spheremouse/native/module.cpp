@@ -1,7 +1,9 @@
 #include "spheremouse/native/arrays.h"
 
 namespace spheremouse {
+void bind_camera(nb::module_& m);
 void bind_matching(nb::module_& m);
+void bind_rotation(nb::module_& m);
 }  // namespace spheremouse
 namespace spheremouse::ball {
 void bind_appearance(nb::module_& m);
@@ -26,7 +28,7 @@ void bind_refine(nb::module_& m);
 
 NB_MODULE(kernels, m) {
     using namespace spheremouse;
-    bind_matching(m);
+    for (auto bind : {bind_camera, bind_matching, bind_rotation}) bind(m);
     for (auto bind :
          {ball::bind_appearance, ball::bind_evidence, ball::bind_fit, ball::bind_hypotheses, ball::bind_points,
           ball::bind_search, ball::bind_so3_match, ball::bind_so3_motion, ball::bind_so3_update, ball::bind_windows})

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.geometry.camera import InteriorOrientation, ellipse_to_pixel, project_sphere, undistorted
+from spheremouse.geometry.camera import InteriorOrientation, ellipse_to_pixel, project_sphere, unproject
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.light import reflectance
 from spheremouse.wand.ball import WandBall
@@ -92,90 +91,74 @@ def paint_ball(
     out = np.zeros((max(windows[:, 3].max() - top, 0), max(windows[:, 1].max() - left, 0), 4), dtype=np.float32)
     if out.size == 0:
         return None
-    directions = np.array([d.direction for d in ball.discs]).reshape(-1, 3)
-    cosines = np.cos([d.angle for d in ball.discs]).reshape(-1)
-    lit = np.array([0.0, *(_LIT * (d.colour in LIT) for d in ball.discs)])
     fine = max(2, int(np.ceil(FINE / np.sqrt(len(moments)))))
-    lamps = light.towards, light.power, light.above, light.below, light.up, light.gloss, light.polish
     for centre, rotation in moments:
-        if centre[2] <= 2.0 * ball.radius:
-            continue
-        pose = (np.asarray(centre, dtype=float), np.ascontiguousarray(rotation, dtype=float), float(ball.radius))
-        lens = (*camera.intrinsic, camera.distortion, camera.fold_r2)
-        _paint(pose, directions, cosines, paints, lit, lamps, lens, left, top, fine, 1.0 / len(moments), out)
+        if centre[2] > 2.0 * ball.radius:
+            caster = _RayCaster(ball, paints, np.asarray(centre, dtype=float), rotation, camera, light)
+            out += _picture(caster, int(left), int(top), out.shape, fine) / len(moments)
     return Layer((int(left), int(top)), out)
 
 
-@njit(cache=True, error_model="numpy")
-def _meet(u, v, pose, directions, cosines, lens, normal):
-    """Label of the surface at a pixel: -1 nothing, 0 the body, k + 1 the k-th disc; its unit normal in `normal`."""
-    c, R, r = pose
-    fx, fy, cx, cy, k, fold = lens
-    x, y, _, _, _ = undistorted((u - cx) / fx, (v - cy) / fy, k, fold)
-    if np.isnan(x):
-        return -1
-    a = x * x + y * y + 1.0
-    b = x * c[0] + y * c[1] + c[2]
-    root = b * b - a * (c[0] * c[0] + c[1] * c[1] + c[2] * c[2] - r * r)
-    if root < 0.0 or b <= 0.0:
-        return -1
-    s = (b - np.sqrt(root)) / a
-    normal[0], normal[1], normal[2] = (s * x - c[0]) / r, (s * y - c[1]) / r, (s - c[2]) / r
-    n0 = R[0, 0] * normal[0] + R[1, 0] * normal[1] + R[2, 0] * normal[2]
-    n1 = R[0, 1] * normal[0] + R[1, 1] * normal[1] + R[2, 1] * normal[2]
-    n2 = R[0, 2] * normal[0] + R[1, 2] * normal[1] + R[2, 2] * normal[2]
-    for i in range(len(cosines)):
-        if directions[i, 0] * n0 + directions[i, 1] * n1 + directions[i, 2] * n2 > cosines[i]:
-            return i + 1
-    return 0
+@dataclass(frozen=True, slots=True)
+class _RayCaster:
+    """A ball at one pose before a camera, in a light."""
+
+    ball: WandBall
+    paints: Array  # (d + 1, 3) of `disc_paints`
+    centre: Array  # (3,) m, cam
+    rotation: Array  # (3, 3) R_cam_ball
+    camera: InteriorOrientation
+    light: WandLight
+
+    def surface(self, uv: Array) -> tuple[NDArray[np.intp], Array]:
+        """Return the surfaces at pixels (n, 2), and their unit normals, (n, 3) cam.
+
+        A surface is -1 for nothing, 0 for the body and k + 1 for the k-th disc.
+        """
+        xy, _ = unproject(uv, self.camera)
+        ray, r2 = np.column_stack([xy, np.ones(len(xy))]), self.ball.radius**2
+        a, b = np.sum(ray * ray, axis=1), ray @ self.centre
+        root = b * b - a * (self.centre @ self.centre - r2)
+        hit = (root >= 0.0) & (b > 0.0)  # False for a pixel without a ray
+        normal = (((b - np.sqrt(np.where(hit, root, 0.0))) / a)[:, None] * ray - self.centre) / self.ball.radius
+        label = np.where(hit, 0, -1)
+        for k, disc in reversed(list(enumerate(self.ball.discs))):  # the first of two discs covers the other
+            label[hit & (normal @ (self.rotation @ disc.direction) > np.cos(disc.angle))] = k + 1
+        return label, normal
+
+    def shade(self, label: NDArray[np.intp], normal: Array) -> Array:
+        """Return the light, (n, 4) blue, green, red and cover, of the surfaces of `surface`."""
+        light = self.light
+        out = np.zeros((len(label), 4))
+        hit = np.flatnonzero(label >= 0)
+        label, n = label[hit], normal[hit]
+        upward = 0.5 + 0.5 * (n @ light.up)[:, None]
+        facing = np.maximum(n @ light.towards.T, 0.0)
+        half = light.towards - self.centre / np.linalg.norm(self.centre)  # between lamp and eye (Blinn 1977)
+        along = n @ (half / np.linalg.norm(half, axis=1, keepdims=True)).T
+        shine = np.where((facing > 0.0) & (along > 0.8), np.abs(along), 0.0) ** light.polish  # beside it hardly any
+        lit = np.array([0.0, *(_LIT * (d.colour in LIT) for d in self.ball.discs)])[label, None]
+        lamps = facing @ light.power + upward * light.above + (1.0 - upward) * light.below
+        out[hit, :3] = self.paints[label] * (lamps + lit) + light.gloss * shine @ light.power
+        out[hit, 3] = 1.0
+        return out
 
 
-@njit(cache=True, error_model="numpy")
-def _shade(n, centre, albedo, lit, lamps, weight, pixel):
-    """Light of a point with normal n, times weight, added to a pixel (4,)."""
-    towards, power, above, below, up, gloss, polish = lamps
-    upward = 0.5 + 0.5 * (n[0] * up[0] + n[1] * up[1] + n[2] * up[2])
-    far = np.sqrt(centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
-    for channel in range(3):
-        light = upward * above[channel] + (1.0 - upward) * below[channel]
-        shine = 0.0
-        for j in range(len(towards)):
-            facing = n[0] * towards[j, 0] + n[1] * towards[j, 1] + n[2] * towards[j, 2]
-            if facing <= 0.0:
-                continue
-            light += facing * power[j, channel]
-            h0 = towards[j, 0] - centre[0] / far  # halfway between lamp and eye (Blinn 1977)
-            h1 = towards[j, 1] - centre[1] / far
-            h2 = towards[j, 2] - centre[2] / far
-            half = (n[0] * h0 + n[1] * h1 + n[2] * h2) / np.sqrt(h0 * h0 + h1 * h1 + h2 * h2)
-            if half > 0.8:  # beside that it is none: a power of 45 or more
-                shine += gloss * power[j, channel] * half**polish
-        pixel[channel] += weight * (albedo[channel] * (light + lit) + shine)
-    pixel[3] += weight
-
-
-@njit(cache=True, error_model="numpy")
-def _paint(pose, directions, cosines, paints, lit, lamps, lens, left, top, fine, weight, out):
-    """Add the picture of one pose times `weight` to `out` (h, w, 4), with the first pixel at (left, top).
+def _picture(caster: _RayCaster, left: int, top: int, shape: tuple[int, ...], fine: int) -> Array:
+    """Return a picture (h, w, 4) of `shape`, with the first pixel at (left, top).
 
     A pixel gets one ray, or fine² rays if an edge runs through it.
     """
-    h, w = out.shape[:2]
-    corner = np.empty((h + 1, w + 1), dtype=np.int64)
-    normal = np.empty(3)
-    for i in range(h + 1):
-        for j in range(w + 1):
-            corner[i, j] = _meet(left + j - 0.5, top + i - 0.5, pose, directions, cosines, lens, normal)
-    for i in range(h):
-        for j in range(w):
-            middle = _meet(left + j + 0.0, top + i + 0.0, pose, directions, cosines, lens, normal)
-            if middle == corner[i, j] == corner[i, j + 1] == corner[i + 1, j] == corner[i + 1, j + 1]:
-                if middle >= 0:
-                    _shade(normal, pose[0], paints[middle], lit[middle], lamps, weight, out[i, j])
-                continue
-            for y in range(fine):
-                for x in range(fine):
-                    u, v = left + j + (x + 0.5) / fine - 0.5, top + i + (y + 0.5) / fine - 0.5
-                    here = _meet(u, v, pose, directions, cosines, lens, normal)
-                    if here >= 0:
-                        _shade(normal, pose[0], paints[here], lit[here], lamps, weight / (fine * fine), out[i, j])
+    h, w = shape[:2]
+    v, u = np.mgrid[top : top + h + 1, left : left + w + 1]
+    corner = caster.surface(np.column_stack([u.ravel(), v.ravel()]) - 0.5)[0].reshape(h + 1, w + 1)
+    uv = np.column_stack([u[:h, :w].ravel(), v[:h, :w].ravel()]).astype(float)
+    label, normal = caster.surface(uv)
+    around = np.stack([corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]], axis=-1).reshape(-1, 4)
+    edge = np.any(around != label[:, None], axis=1)
+    out = caster.shade(np.where(edge, -1, label), normal)
+    step = (np.arange(fine) + 0.5) / fine - 0.5
+    offset = np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2)
+    rays = caster.shade(*caster.surface((uv[edge, None] + offset).reshape(-1, 2)))
+    out[edge] = rays.reshape(-1, fine * fine, 4).mean(axis=1)
+    return out.reshape(h, w, 4)

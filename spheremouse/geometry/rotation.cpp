@@ -1,0 +1,30 @@
+#include "spheremouse/geometry/rotation.h"
+
+namespace spheremouse {
+namespace {
+
+/// Apply a function of one vector to rows of (n, 3): return (n, 3, 3).
+template <Matrix<3> (*F)(const Vector<3>&)>
+nb::ndarray<nb::numpy, double> of_vectors(nb::handle v_) {
+    const auto v = matrix<Dynamic, 3>(v_, "v");
+    auto M = zeros<double>({size_t(v.rows()), 3, 3});
+    for (nb::ssize_t i = 0; i < v.rows(); i++) Eigen::Map<Matrix<3>>(M.data() + 9 * i) = F(v.row(i).transpose());
+    return M;
+}
+
+nb::ndarray<nb::numpy, double> of_matrices(nb::handle R_) {
+    const auto R = array<const double, -1, 3, 3>(R_, "R");
+    auto v = zeros<double>({R.shape(0), 3});
+    for (size_t i = 0; i < R.shape(0); i++) Eigen::Map<Vector<3>>(v.data() + 3 * i) = log(View<3, 3>(R.data() + 9 * i));
+    return v;
+}
+
+}  // namespace
+
+void bind_rotation(nb::module_& m) {
+    m.def("exp", &of_vectors<&exp>, arg("v"));
+    m.def("log", &of_matrices, arg("R"));
+    m.def("left_jacobian", &of_vectors<&left_jacobian>, arg("v"));
+}
+
+}  // namespace spheremouse
