@@ -5,14 +5,9 @@ Deray, Atchuthan 2018, "A micro Lie theory", section VII. Euler angles: Wittich 
 """
 
 import numpy as np
-from numba import njit
 
 from spheremouse.geometry import Array
 from spheremouse.native import kernels
-
-_SMALL_ANGLE = 1e-6  # rad; below it series of two terms are exact to double precision
-
-# Functions with names in _into are compiled, for other compiled code. They write to an array of the caller.
 
 
 def hat(v: Array) -> Array:
@@ -26,42 +21,6 @@ def hat(v: Array) -> Array:
     m[..., 2, 0] = -v[..., 1]
     m[..., 2, 1] = v[..., 0]
     return m
-
-
-@njit(cache=True, error_model="numpy")
-def exp_into(v, R):
-    """Write `exp` of one vector, (3,), to R, (3, 3)."""
-    square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-    angle = np.sqrt(square)
-    a = np.sin(angle) / angle if angle > _SMALL_ANGLE else 1.0 - square / 6.0
-    b = 2.0 * (np.sin(0.5 * angle) / angle) ** 2 if angle > _SMALL_ANGLE else 0.5 - square / 24.0
-    _into(v, 1.0 - b * square, a, b, R)
-
-
-@njit(cache=True, error_model="numpy")
-def left_jacobian_into(v, J):
-    """Write `left_jacobian` of one vector, (3,), to J, (3, 3)."""
-    square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-    angle = np.sqrt(square)
-    small = angle < 1e-4  # below it the cubic coefficient loses precision, and its series is exact
-    a = 0.5 - square / 24.0 if small else 2.0 * (np.sin(0.5 * angle) / angle) ** 2
-    b = 1.0 / 6.0 - square / 120.0 if small else (angle - np.sin(angle)) / (angle * square)
-    _into(v, 1.0 - b * square, a, b, J)
-
-
-@njit(cache=True, error_model="numpy")
-def _into(v, one, a, b, M):
-    """Write one I + a hat(v) + b v v' to M."""
-    for i in range(3):
-        for j in range(3):
-            M[i, j] = b * v[i] * v[j]
-        M[i, i] += one
-    M[0, 1] -= a * v[2]
-    M[1, 0] += a * v[2]
-    M[0, 2] += a * v[1]
-    M[2, 0] -= a * v[1]
-    M[1, 2] -= a * v[0]
-    M[2, 1] += a * v[0]
 
 
 def exp(v: Array) -> Array:
