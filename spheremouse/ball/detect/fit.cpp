@@ -289,7 +289,7 @@ double noise_of(nb::handle image_, nb::handle weights_, int top, int bottom, int
                 const uint8_t* p = &image(size_t(i), size_t(j), c);
                 d += weights(c) * float(2 * p[0] - p[-int(weights.shape(0))] - p[weights.shape(0)]);
             }
-            count[int(std::min(std::fabs(d) + 0.5f, 1023.0f))]++;
+            count[int(std::min(1023.0f, std::fabs(d) + 0.5f))]++;
             total++;
         }
     int below = 0;

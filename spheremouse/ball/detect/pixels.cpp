@@ -196,7 +196,7 @@ std::vector<float> cut_patch(const Photo& photo, double smoothing, int top, int 
 void expect(Pixels& p, const Ellipse& rest, const Vector<7>& path, float blur) {
     constexpr double MAX_PARTS = 1000.0;
     const double way = std::hypot(path(0), path(1));
-    const int parts = int(std::clamp(std::ceil(way / (RIPPLE_STEP * double(blur))), 1.0, MAX_PARTS));
+    const int parts = int(std::min(MAX_PARTS, std::max(1.0, std::ceil(way / (RIPPLE_STEP * double(blur))))));
     std::fill(p.e.begin(), p.e.end(), 0.0f);
     for (auto& column : p.d) std::fill(column.begin(), column.end(), 0.0f);
     for (int k = 0; k < parts; k++) {

@@ -148,3 +148,6 @@ def test_numbers_out_of_range_are_no_discs():
     expected = np.stack([wild, wild], axis=1), np.repeat(wild, 4).reshape(-1, 2, 2), np.repeat(wild, 7).reshape(-1, 7)
     ok = kernels.fit_discs(image, DETECTOR.model.mask, expected, 1.0, SETTINGS, 0.25, 0.0)[0]
     assert_array_equal(ok, False)
+    blurred = SETTINGS._replace(blur=np.nan)
+    assert not kernels.fit_discs(image, DETECTOR.model.mask, expected, np.nan, blurred, 0.25, 0.0)[0].any()
+    assert kernels.noise_of(image, np.full(3, np.nan, dtype=np.float32), 0, 480, 0, 640) > 100.0  # nothing is known
