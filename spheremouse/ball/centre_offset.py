@@ -5,14 +5,13 @@ centre may explain them. Least squares estimate rotation and shift together.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.matching import mutual_nearest
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.rotation import Array, hat
 
 _FARTHEST = 0.1  # radii, standard deviation of a shift before anything is seen: it keeps the equations solvable
 _PRINT = 5e-4  # rad, standard deviation of a disc's place on the map and in the picture that no view removes
@@ -56,13 +55,32 @@ def shift_of(points: SpherePoints, delay: Array, discs: KnownDiscs, radius: floa
     `delay` (n,) s is that of the points. A point and a disc belong together if each is the other's nearest, within
     `reach` rad. Returns None if fewer than four discs are seen, since any shift fits three, or all in one place.
     """
-    if len(points) < 4 or len(discs.directions) < 4:
+    expected = discs.directions @ discs.attitude.T
+    cosine = points.direction @ expected.T
+    pair = mutual_nearest(np.where(cosine > np.cos(reach), 1.0 - cosine, np.inf))
+    rows = np.flatnonzero(pair >= 0)
+    k, columns = len(rows), pair[rows]
+    if k < 4:
         return None
+    p = expected[columns]
+    later = p + delay[rows, None] * (hat(discs.rate) @ p[:, :, None])[:, :, 0]  # when its row was exposed
+    z = (points.direction[rows] - later)[:, :, None]
+    A = np.concatenate([-hat(p), np.eye(3) - points.dposition_dball[rows, :, :3]], axis=2)
+    C = points.image_covariance[rows] / radius**2 + (discs.variance[columns] + _PRINT**2)[:, None, None] * np.eye(3)
+    W = np.linalg.inv(C)
+    weighted = A.transpose(0, 2, 1) @ W
+    N = (weighted @ A).sum(axis=0) + np.diag([1e-9] * 3 + [_FARTHEST**-2] * 3)
+    right, total = (weighted @ z).sum(axis=0)[:, 0], float((z.transpose(0, 2, 1) @ W @ z).sum())
     try:
-        fields = _shift(points.direction, points.image_covariance, points.dposition_dball, delay, discs, radius, reach)
+        turn = np.linalg.solve(N[:3, :3], right[:3])
+        Q = np.linalg.inv(N)
+        x = Q @ right
+        square = x[3:] @ np.linalg.solve(Q[3:, 3:], x[3:])
     except np.linalg.LinAlgError:  # discs found in one place alone: no direction of a shift can be told from a turn
         return None
-    offset = CentreOffset(*fields)
+    sigma = radius * np.sqrt(np.linalg.eigvalsh(Q[3:, 3:])[2])
+    chi2 = max(total - right[:3] @ turn, 0.0) / (2 * k - 3), max(total - right @ x, 0.0) / (2 * k - 6)
+    offset = CentreOffset(k, radius * x[3:], float(sigma), float(np.sqrt(max(square, 0.0))), *map(float, chi2))
     return offset if np.isfinite(offset.mahalanobis) else None
 
 
@@ -87,54 +105,3 @@ def averaged(mean: float, found: CentreOffset, dt: float) -> float:
     """Return the running mean of the chi-square per degree of freedom after a frame that is `dt` s later."""
     keep = np.exp(-max(dt, 0.0) / _MEAN_TIME_S)
     return float(keep * mean + (1.0 - keep) * min(found.chi2_rotation, _MOST))
-
-
-@njit(cache=True, error_model="numpy")
-def _shift(seen, noise, by_ball, delay, discs, radius, reach) -> tuple[Any, ...]:
-    """Return the fields of CentreOffset; nan with fewer than four pairs.
-
-    `seen` (n, 3) are the points' directions, `noise` (n, 3, 3) m² their covariances. `by_ball` (n, 3, 4) are the
-    Jacobians of the points by the ball's centre and radius. For the others see `shift_of`. Raises LinAlgError if
-    the equations are singular, as with discs in one place.
-    """
-    expected = discs.directions @ discs.attitude.T
-    cosine = seen @ expected.T
-    pair = mutual_nearest(np.where(cosine > np.cos(reach), 1.0 - cosine, np.inf))
-    if np.count_nonzero(pair >= 0) < 4:
-        return 0, np.zeros(3), np.nan, np.nan, np.nan, np.nan
-    rate = discs.rate
-    N, right, total, pairs = np.zeros((6, 6)), np.zeros(6), 0.0, 0
-    A, C, z = np.zeros((3, 6)), np.empty((3, 3)), np.empty(3)
-    for i in range(len(seen)):
-        if pair[i] < 0:
-            continue
-        pairs += 1
-        p = expected[pair[i]]
-        for a in range(3):  # carried on to when its row was exposed
-            b, c = (a + 1) % 3, (a + 2) % 3
-            z[a] = seen[i, a] - p[a] - delay[i] * (rate[b] * p[c] - rate[c] * p[b])
-            A[a, b], A[a, c] = p[c], -p[b]
-            for k in range(3):
-                A[a, 3 + k] = (1.0 if a == k else 0.0) - by_ball[i, a, k]
-                C[a, k] = noise[i, a, k] / radius**2
-            C[a, a] += discs.variance[pair[i]] + _PRINT**2
-        W = np.linalg.inv(C)
-        for a in range(3):
-            for b in range(3):
-                total += z[a] * W[a, b] * z[b]
-                for k in range(6):
-                    right[k] += A[a, k] * W[a, b] * z[b]
-                    for j in range(6):
-                        N[k, j] += A[a, k] * W[a, b] * A[b, j]
-    for a in range(3):
-        N[a, a] += 1e-9
-        N[3 + a, 3 + a] += 1.0 / _FARTHEST**2
-    turn = np.linalg.solve(N[:3, :3].copy(), right[:3].copy())
-    Q = np.linalg.inv(N)
-    x = Q @ right
-    shift = x[3:].copy()
-    mahalanobis = np.sqrt(max(shift @ np.linalg.solve(Q[3:, 3:].copy(), shift), 0.0))
-    sigma = radius * np.sqrt(np.linalg.eigvalsh(Q[3:, 3:].copy())[2])
-    chi2_rotation = max(total - right[:3] @ turn, 0.0) / (2 * pairs - 3)
-    chi2_with_offset = max(total - right @ x, 0.0) / (2 * pairs - 6)
-    return pairs, radius * shift, sigma, mahalanobis, chi2_rotation, chi2_with_offset
