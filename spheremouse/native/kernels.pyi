@@ -238,6 +238,34 @@ def correct(
     innovation's covariance is not positive definite.
     """
 
+# spheremouse/ball/filters/so3_sightings.cpp. The camera `viewer` sees directions with a cosine to viewer[0], (3,)
+# obj, above viewer[1]; viewer[2] is the covariance, (3, 3) rad², of the attitude. `discs` (m, 3) are unit vectors in
+# ball. `hidden` (m,) has the probabilities that something hides each.
+
+_Viewer = tuple[_Float, float, _Float]
+
+def carry_hidden(attitude: _Float, rate: _Float, discs: _Float, hidden: _Float, dt: float, disc_angle: float) -> _Float:
+    """Return the probabilities, (m,), that something hides each disc, `dt` s later.
+
+    The information decays as the disc travels by its own diameter, 2 `disc_angle` rad, or as hands move. `rate` (3,)
+    rad/s is w_obj.
+    """
+
+def detection_probability(attitude: _Float, discs: _Float, hidden: _Float, viewer: _Viewer) -> _Float:
+    """Return the probability, (m,), that each disc is detected, at R_obj_ball (3, 3)."""
+
+def count_sightings(
+    attitude: _Float, discs: _Float, counts: tuple[_Index, _Index, _Float], viewer: _Viewer,
+    columns: _Index, may_miss: bool,
+) -> tuple[_Index, _Index, _Float, NDArray[np.bool_], int, float]:  # fmt: skip
+    """Count a frame that shows the discs `columns` in their places, and misses others if `may_miss`.
+
+    `counts` has sightings, misses in a row, and `hidden`, (m,) each. Return these after the frame, a mask, (m,), of the
+    discs to keep, the number of established discs seen, and the expected number of those missed.
+    """
+
+# spheremouse/ball/filters/so3_update.cpp
+
 def since_reference(P: _Float, turn: _Float) -> _Float:
     """Return the covariance, (6, 6), of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.
 

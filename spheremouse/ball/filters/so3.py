@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import pdtrc
 
-from spheremouse.ball.filters import so3_sightings
 from spheremouse.ball.filters.so3_motion import (
     CLONE_DIM,
     CONSIDERED_DIM,
@@ -36,6 +35,7 @@ from spheremouse.ball.filters.so3_settings import (
 )
 from spheremouse.ball.filters.so3_state import Modes, So3State, augment, drop, inject
 from spheremouse.ball.points import SpherePoints
+from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import Array
 from spheremouse.native import kernels
 
@@ -125,7 +125,7 @@ class So3Filter:
             joint,
             state.hits,
             state.missed,
-            so3_sightings.carry_hidden(attitude, rate, state.discs, state.hidden, dt, self.disc_angle),
+            kernels.carry_hidden(attitude, rate, state.discs, state.hidden, dt, self.disc_angle),
             _NONE,
             stay * weights + (1.0 - stay) * usual,
             process,
@@ -146,9 +146,11 @@ class So3Filter:
 
     def detection_probability(self, state: So3State) -> Array:
         """Return the probability, (m,), that each disc is detected at a predicted state."""
-        return so3_sightings.detection_probability(
-            state.attitude, state.joint[:3, :3], state.discs, state.hidden, self.towards_camera, self.horizon
-        )
+        return kernels.detection_probability(state.attitude, state.discs, state.hidden, self._viewer(state))
+
+    def _viewer(self, state: So3State) -> tuple[Array, float, Array]:
+        """Return the camera as `kernels` takes it, with the covariance of the attitude that it sees."""
+        return self.towards_camera, self.horizon, state.joint[:3, :3].copy()
 
     def gate_radius(self, state: So3State, which: NDArray[np.intp], interval: float) -> Array:
         """Return the radius, (k,) rad, of the gates of the discs `which`, along the worse axis of each."""
@@ -320,10 +322,10 @@ class So3Filter:
         If they do, a hand may have pushed the ball. Then the update must not use only the discs that moved least.
         """
         added = self._added_noise(state, squared_levels(self.settings.levels).max())
-        discs = np.setdiff1d(self.visible(state), pairing.columns)
-        free = points.take(np.setdiff1d(np.arange(len(points)), pairing.rows)).measurement(self.radius)
-        gate = self.settings.gate
-        return bool(np.any(kernels.distances(state.body, free, discs, added, 0.0, gate) < gate))
+        which, gate = self.visible(state), self.settings.gate
+        distance = kernels.distances(state.body, points.measurement(self.radius), which, added, 0.0, gate)
+        distance[pairing.rows] = distance[:, np.isin(which, pairing.columns)] = np.inf
+        return bool(np.any(distance < gate))
 
     @staticmethod
     def _added_noise(state: So3State, noise_scale: float) -> Array:
@@ -410,15 +412,11 @@ class So3Filter:
         A disc is missed only where it should be. So frames in which the attitude is known too badly count no miss.
         `may_start_landmark` is a mask (n,) of the points that may become discs; None: all.
         """
-        hits, missed, hidden, keep, known_seen, known_missed = so3_sightings.count_sightings(
+        hits, missed, hidden, keep, known_seen, known_missed = kernels.count_sightings(
             state.attitude,
-            state.joint[:3, :3],
             state.discs,
-            state.hits,
-            state.missed,
-            state.hidden,
-            self.towards_camera,
-            self.horizon,
+            (state.hits, state.missed, state.hidden),
+            self._viewer(state),
             pairing.columns,
             len(points) > 0 and state.is_placed,
         )
@@ -439,8 +437,19 @@ class So3Filter:
     def _new_discs(
         self, state: So3State, points: SpherePoints, free: NDArray[np.bool_], rows: NDArray[np.intp]
     ) -> NDArray[np.intp]:
-        apart = math.cos(2.0 * self.disc_angle)
-        return so3_sightings.new_discs(state.attitude, state.discs, points.direction, free, rows, apart)
+        """Return the points, (k,), of a mask `free` (n,) that are no disc of the map; `rows` are paired with discs.
+
+        Two discs do not overlap. A point that close to a known disc is a poor measurement of that disc. Of two points
+        that close to each other, the first counts.
+        """
+        unpaired = free.copy()
+        unpaired[rows] = False
+        new = np.flatnonzero(unpaired)
+        if len(new) == 0:
+            return new
+        cosine = points.direction[new] @ state.attitude @ state.discs.T
+        new = new[cosine.max(axis=1, initial=-1.0) < math.cos(2.0 * self.disc_angle)]
+        return new[suppress(points.direction[new], np.full(len(new), 2.0 * math.sin(self.disc_angle)))]
 
     def _room(self, state: So3State) -> int:
         return max(self.settings.most_discs - len(state.discs), 0)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
-from spheremouse.ball.filters.so3_sightings import HIDDEN_SHARE
+from spheremouse.ball.filters.so3_settings import HIDDEN_SHARE
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
 from spheremouse.native import kernels

@@ -1,0 +1,138 @@
+// Sightings of the discs on the map: how likely a disc is detected, and which discs leave the map.
+//
+// A disc is detected if it faces the camera, nothing hides it, and the detector finds it. A disc is hidden or not, as a
+// Markov chain of two states with an observation in each frame (Thrun, Burgard and Fox 2005, section 4.2, the binary
+// Bayes filter). A strut or a hand hides a disc until one of them moves. So a disc that is missed again and again while
+// the ball rests counts once: repeated views of a still scene are not independent.
+#include "spheremouse/native/matrices.h"
+
+namespace spheremouse::ball {
+namespace {
+
+constexpr double HIDDEN_SHARE = 0.2;  // `so3_settings.HIDDEN_SHARE`
+constexpr double DETECTED = 0.95;     // probability that a disc is detected that nothing hides
+constexpr double LIMB =
+    0.1;  // cosine above the horizon at which half of all discs are detected: foreshortened to a tenth
+constexpr double LIMB_BLUR = 0.03;       // cosine over which that changes
+constexpr double HANDS_STAY = 1.0;       // s, after which a hand has moved
+constexpr int64_t ESTABLISHED_HITS = 3;  // as in `so3_settings`, with the two below
+constexpr double MAX_TRIAL_MISSES = 3.0;
+constexpr double MAX_MISSES_PER_HIT = 5.0;
+
+using Discs = View<Dynamic, 3>;
+using Each = Vector<Dynamic>;  // a value for each disc
+
+/// A camera that sees directions with a cosine to `towards`, obj, above the horizon.
+struct Viewer {
+    Vector<3> towards;
+    double horizon;
+    Matrix<3> covariance;  // rad², of the attitude
+};
+
+/// Return the probabilities that discs are detected, over all attitudes that are possible.
+///
+/// The mean of a logistic function over a normal distribution is about that of a wider one (MacKay 1992, "The evidence
+/// framework applied to classification networks").
+Each detection_probability(const Matrix<3>& attitude, const Discs& discs, const Each& hidden, const Viewer& viewer) {
+    Each probability(discs.rows());
+    for (int k = 0; k < discs.rows(); k++) {
+        const Vector<3> place = attitude * discs.row(k).transpose();
+        const Vector<3> across = place.cross(viewer.towards);  // a turn e moves the cosine by e . across
+        const double variance = across.dot(viewer.covariance * across);
+        const double width = std::sqrt(LIMB_BLUR * LIMB_BLUR + M_PI / 8.0 * std::max(variance, 0.0));
+        const double below = (viewer.horizon + LIMB - place.dot(viewer.towards)) / width;
+        probability(k) = DETECTED / (1.0 + std::exp(std::min(below, 30.0))) * (1.0 - hidden(k));
+    }
+    return probability;
+}
+
+Viewer read_viewer(nb::tuple viewer) {
+    return {vector<3>(viewer[0], "towards"), nb::cast<double>(viewer[1]), matrix<3, 3>(viewer[2], "covariance")};
+}
+
+/// Return one value for each disc, (m,).
+template <class T>
+Array<const T, -1> of_discs(nb::handle given, const char* name, const Discs& discs) {
+    const auto values = array<const T, -1>(given, name);
+    if (nb::ssize_t(values.shape(0)) != discs.rows())
+        throw nb::type_error((std::string(name) + ": must have the length of discs").c_str());
+    return values;
+}
+
+Each read_hidden(nb::handle hidden, const Discs& discs) {
+    return Eigen::Map<const Each>(of_discs<double>(hidden, "hidden", discs).data(), discs.rows());
+}
+
+nb::ndarray<nb::numpy, double> carry_hidden(nb::handle attitude_, nb::handle rate_, nb::handle discs_,
+                                            nb::handle hidden_, double dt, double disc_angle) {
+    const auto attitude = matrix<3, 3>(attitude_, "attitude");
+    const auto discs = matrix<Dynamic, 3>(discs_, "discs");
+    const Vector<3> rate = attitude.transpose() * vector<3>(rate_, "rate");  // ball
+    Each hidden = read_hidden(hidden_, discs);
+    for (int k = 0; k < discs.rows(); k++) {
+        const double speed = rate.cross(Vector<3>(discs.row(k))).norm();
+        const double kept = std::exp(-dt * (speed / (2.0 * disc_angle) + 1.0 / HANDS_STAY));
+        hidden(k) = HIDDEN_SHARE + (hidden(k) - HIDDEN_SHARE) * kept;
+    }
+    return to_numpy(hidden);
+}
+
+nb::ndarray<nb::numpy, double> detection_probability_(nb::handle attitude_, nb::handle discs_, nb::handle hidden_,
+                                                      nb::tuple viewer_) {
+    const auto discs = matrix<Dynamic, 3>(discs_, "discs");
+    const Matrix<3> attitude = matrix<3, 3>(attitude_, "attitude");
+    return to_numpy(detection_probability(attitude, discs, read_hidden(hidden_, discs), read_viewer(viewer_)));
+}
+
+nb::tuple count_sightings(nb::handle attitude_, nb::handle discs_, nb::tuple counts, nb::tuple viewer_,
+                          nb::handle columns_, bool may_miss) {
+    const auto discs = matrix<Dynamic, 3>(discs_, "discs");
+    const size_t m = size_t(discs.rows());
+    const auto hits = of_discs<int64_t>(counts[0], "hits", discs),
+               missed = of_discs<int64_t>(counts[1], "missed", discs);
+    Each hidden = read_hidden(counts[2], discs);
+    const Viewer viewer = read_viewer(viewer_);
+    const Matrix<3> attitude = matrix<3, 3>(attitude_, "attitude");
+    const Each cosine = discs * (attitude.transpose() * viewer.towards);
+    const Each probability = detection_probability(attitude, discs, hidden, viewer);
+    const auto columns = array<const int64_t, -1>(columns_, "columns");
+    std::vector<char> seen(m);
+    for (size_t i = 0; i < columns.shape(0); i++) {
+        if (columns(i) < 0 || size_t(columns(i)) >= m) throw std::out_of_range("columns");
+        seen[size_t(columns(i))] = true;
+    }
+    auto new_hits = zeros<int64_t>({m}), new_missed = zeros<int64_t>({m});
+    auto keep = zeros<bool>({m});
+    int known_seen = 0;
+    double known_missed = 0.0;
+    // A disc near the horizon is often too thin to be detected.
+    const double well = viewer.horizon + 0.5 * (1.0 - viewer.horizon);
+    for (size_t k = 0; k < m; k++) {
+        const double p = probability(nb::ssize_t(k));
+        const bool misses = may_miss && !seen[k] && cosine(nb::ssize_t(k)) > well;
+        if (hits(k) >= ESTABLISHED_HITS) {
+            known_seen += seen[k];
+            known_missed += misses ? p : 0.0;
+        }
+        const int64_t now = hits(k) + seen[k], in_a_row = seen[k] ? 0 : missed(k) + misses;
+        new_hits.data()[k] = now;
+        new_missed.data()[k] = in_a_row;
+        keep.data()[k] =
+            double(in_a_row) < (now < ESTABLISHED_HITS ? MAX_TRIAL_MISSES : MAX_MISSES_PER_HIT * double(now));
+        hidden(nb::ssize_t(k)) = seen[k] ? 0.0 : hidden(nb::ssize_t(k)) / (1.0 - p);
+    }
+    return nb::make_tuple(new_hits, new_missed, to_numpy(hidden), keep, known_seen, known_missed);
+}
+
+}  // namespace
+
+void bind_so3_sightings(nb::module_& m) {
+    m.def("carry_hidden", &carry_hidden, arg("attitude"), arg("rate"), arg("discs"), arg("hidden"), arg("dt"),
+          arg("disc_angle"));
+    m.def("detection_probability", &detection_probability_, arg("attitude"), arg("discs"), arg("hidden"),
+          arg("viewer"));
+    m.def("count_sightings", &count_sightings, arg("attitude"), arg("discs"), arg("counts"), arg("viewer"),
+          arg("columns"), arg("may_miss"));
+}
+
+}  // namespace spheremouse::ball
