@@ -101,12 +101,10 @@ def test_pause_stops_the_frames_and_a_step_tracks_one(run):
     run.wait(lambda: len(run.results) > tracked + 5)
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"speed": 0.0}, {"begin": -1.0}, {"end": "late"}, {"step": 1}, {"end": 1.0, "begin": 1.0}]
-)
-def test_nonsense_is_refused_in_words_and_changes_nothing(run, wrong):
-    with pytest.raises(ControlError, match=f"replay: {next(iter(wrong))}: "):
-        run.ask("replay", **wrong)
+def test_nonsense_is_refused_in_words_and_changes_nothing(run):
+    for wrong in ({"speed": 0.0}, {"begin": -1.0}, {"end": "late"}, {"step": 1}, {"end": 1.0, "begin": 1.0}):
+        with pytest.raises(ControlError, match=f"replay: {next(iter(wrong))}: "):
+            run.ask("replay", **wrong)
     controls = run.status()["source"]["replay"]
     assert (controls["begin"], controls["end"], controls["speed"]) == (0.0, None, 1.0)
 
