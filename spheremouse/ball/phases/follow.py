@@ -76,9 +76,8 @@ def follow(
 ) -> TrackState[So3State]:
     """Filter the points; candidates that have moved with the ball become discs at once."""
     before, state = state, updated_hypotheses(state, stamp, tracker, predicted)
-    rests = np.linalg.norm(predicted.rate) < _AT_REST
-    if rests and state.filter.known_seen < _SECURE and is_covered(state, predicted, tracker):
-        return without_effect(before, tracker, predicted)  # the discs of a ball that begins to turn do not vanish
+    if state.filter.known_seen < _SECURE and is_covered(state, predicted, tracker):
+        return without_effect(before, tracker, predicted)
     if all_are_discs(state):
         return state
     if not state.confirmed:
@@ -151,18 +150,21 @@ def _supports(
 
 
 def is_covered(state: TrackState[So3State], predicted: So3State, tracker: Tracker[So3Filter]) -> bool:
-    """Return whether something covers most of the established discs at a well-known attitude.
+    """Return whether something covers most of the established discs of a ball at rest, at a well-known attitude.
 
-    A jump that half of the discs contradict counts as a cover, too. If discs in their places are significant, the ball
-    is not covered.
+    The discs of a ball that begins to turn do not vanish, but those of a ball that turns leave the view. A jump that
+    half of the discs contradict counts as a cover, too. If discs in their places are significant, the ball is not
+    covered.
     """
+    if not (predicted.is_placed and float(predicted.rate @ predicted.rate) < _AT_REST**2):
+        return False
     filtered = state.filter
     jumped = filtered.manoeuvre_level >= _JUMP
     missing = filtered.known_missed
     most_missing = missing > 0.5 and missing + jumped > filtered.known_seen
     used = len(filtered.used)
     in_place = used > 0 and not jumped and tracker.filter.is_significant(predicted, used, len(state.points))
-    return most_missing and predicted.is_placed and not in_place
+    return most_missing and not in_place
 
 
 def without_effect(state: TrackState[F], tracker: Tracker, predicted: Any) -> TrackState[F]:
