@@ -85,7 +85,7 @@ test-oldest test-newest: $(STAMP)
 	$(BIN)/uv pip install --quiet --python $(VENV)/$@ --resolution $(RESOLUTION) --editable '.[metrics]'
 	$(BIN)/uv pip install --quiet --python $(VENV)/$@ pytest pytest-xdist hypothesis packaging
 	@$(call native,$(VENV)/$@/bin/python,build/$@)
-	NUMBA_CACHE_DIR=$(VENV)/$@/numba $(VENV)/$@/bin/python -m pytest --numprocesses $(PROCESSES) --dist loadfile --max-worker-restart 0 $(SHORT_TESTS)
+	$(VENV)/$@/bin/python -m pytest --numprocesses $(PROCESSES) --dist loadfile --max-worker-restart 0 $(SHORT_TESTS)
 
 # Three lists from one resolution: all that make installs; what a machine gets as wheels; and what there are no wheels
 # of, which service/install.sh builds. No address of an index is in them.
@@ -231,5 +231,4 @@ $(NATIVE): CMakeLists.txt $(shell find spheremouse -name '*.cpp' -o -name '*.h')
 	@touch $@
 
 $(STAMP): $(PACKAGES) | $(NATIVE)
-	@$(BIN)/python -m spheremouse.ball.warm
 	@touch $@

@@ -292,7 +292,7 @@ def main() -> None:
         discs = unit(np.array(json.loads((options.far26 / "scene.json").read_text())["truth_disc_directions"]))
         maps["far26"] = lambda _: discs
     n = options.trials
-    identify(maps["26 random"](0), maps["26 random"](1), sigma=0.01, view_axis=CAMERA)  # compiled before the clock runs
+    identify(maps["26 random"](0), maps["26 random"](1), sigma=0.01, view_axis=CAMERA)
     parts = [
         ("Fine directions", f"{n} attitudes each.", lambda: fine(n, maps)),
         (

@@ -97,9 +97,6 @@ also ends with 1 if the daemon refuses, and 3 without a daemon.
 .TP
 .B SPHEREMOUSE_SOCKET
 The daemon's socket.
-.TP
-.B NUMBA_CACHE_DIR
-Where compiled code is kept.
 .SH FILES
 .TP
 .I /etc/spheremouse/config.yaml, /etc/spheremouse/rig.yaml

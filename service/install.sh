@@ -20,7 +20,7 @@ extras=
 action=install
 purge=
 service=yes
-patience=${SPHEREMOUSE_PATIENCE:-300} # s until a version must have started; the first start compiles
+patience=${SPHEREMOUSE_PATIENCE:-300} # s until a version must have started
 python=${PYTHON:-python3}
 
 usage() {
@@ -209,17 +209,6 @@ switch() { # switch NAME
     [ -z "$service" ] || "$(program)" service install --no-start
 }
 
-# Compile as the service's user, into its cache, while the old version still runs.
-warm() {
-    [ -n "$service" ] && id spheremouse >/dev/null 2>&1 && [ -d /var/cache/spheremouse ] || return 0
-    command -v runuser >/dev/null || return 0
-    # That user must not reach root's terminal (setsid), nor delay this installation or the next one (timeout, lock 9).
-    timeout -k 10 "$patience" setsid -w runuser -u spheremouse -- env NUMBA_CACHE_DIR=/var/cache/spheremouse \
-        "$prefix/$1/bin/python" -m spheremouse.ball.warm </dev/null >"$work/said" 2>&1 9>&- &
-    tail -f -s 1 -n +1 --pid=$! "$work/said" | printable
-    wait $! || say "compiling failed; the first start will compile"
-}
-
 back_to() { # back_to NAME
     say "switching back to $1"
     switch "$1" || say "the service's files of $1 could not be placed: $(program) service install"
@@ -369,13 +358,12 @@ install() {
     "$prefix/$name/bin/python" -m compileall -q "$prefix/$name/lib" >/dev/null || true # the service cannot write there
     chmod -R go+rX "$prefix/$name"
     "$prefix/$name/bin/spheremouse" --version >/dev/null || fail "$version does not start; nothing was changed"
-    "$prefix/$name/bin/python" -c 'import cv2, numba, scipy' || fail "$version lacks a library; nothing was changed"
-    warm "$name"
+    "$prefix/$name/bin/python" -c 'import cv2, scipy' || fail "$version lacks a library; nothing was changed"
 
     local before
     before=$(in_use current)
     new= # keep it from here on
-    if ! switch "$name" || { [ -z "$before" ] && ! warm "$name"; } || ! healthy; then # `switch` has made the service's user, whom `warm` needs
+    if ! switch "$name" || ! healthy; then
         say "$version does not come up"
         if [ -n "$before" ] && [ -d "$prefix/$before" ]; then
             ! systemd_runs || journalctl -u spheremouse -n 15 --no-pager -o cat | printable | sed 's/^/    /' || true

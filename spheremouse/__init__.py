@@ -5,8 +5,6 @@
 
 from typing import TYPE_CHECKING, Any
 
-from spheremouse import numba_cache as _compiled
-
 if TYPE_CHECKING:
     from spheremouse.api import connect, evaluate, load_configuration, load_rig, open_dataset, smooth, track
     from spheremouse.ball.rig import Rig
@@ -47,8 +45,6 @@ _HOMES = {
     "Status": "tracker",
     "open_source": "capture",
 }
-
-_compiled.keep_somewhere()
 
 
 def __getattr__(name: str) -> Any:

@@ -91,7 +91,6 @@ def _samples(setup: Setup, plan: RunConfig) -> Iterator[Sample]:
     source = setup.source
     assert source is not None
     adapter = setup.adapter(plan, _log, here)
-    setup.make_ready(plan, _log)
     frames = iter(source) if source.live else adapter.begin(iter(source))
     for tracked in offline.results(frames, adapter):
         for sample in tracked.samples:

@@ -18,7 +18,7 @@ import numpy as np
 from spheremouse.errors import ControlError
 from spheremouse.session.control.client import Client
 
-PATIENCE = 300.0  # s; the first start compiles
+PATIENCE = 300.0  # s
 MAX_PAUSE = 0.05  # s between two requests, at random, so that they meet every phase of a frame
 
 

@@ -74,8 +74,8 @@ class Camera:
 
 
 class AnothersCamera(Camera):
-    """From the first picture on process and folder are another user's, who may begin no thread more: all is compiled
-    by then, and what the daemon needs has begun. Root's daemon would not listen in another's folder."""
+    """From the first picture on process and folder are another user's, who may begin no thread more: what the daemon
+    needs has begun by then. Root's daemon would not listen in another's folder."""
 
     def __init__(self, pictures, uid, folder):
         super().__init__(pictures)

@@ -257,7 +257,7 @@ def p99_interval(mode, seconds):
 def receivers(rounds):
     """Print the intervals relative to those with good receivers."""
     realtime.claim(0)  # as the daemon's worker has it; the threads do not inherit it
-    p99_interval(GOOD, 1.0)  # compiles
+    p99_interval(GOOD, 1.0)  # loads SciPy
     rng, p99 = np.random.default_rng(), {mode: [] for mode in (GOOD, *MODES)}
     for _ in range(rounds):
         for mode in rng.permutation(list(p99)).tolist():

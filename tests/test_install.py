@@ -31,7 +31,7 @@ BUILD_PACKAGES = (
 pytestmark = pytest.mark.skipif(sys.platform != "linux" or shutil.which("flock") is None, reason="needs Linux, flock")
 
 
-def make_wheel(folder, version, code="print('stand-in {}'); ", name="spheremouse", modules=("cv2", "numba", "scipy")):
+def make_wheel(folder, version, code="print('stand-in {}'); ", name="spheremouse", modules=("cv2", "scipy")):
     """A wheel of that version, with what the installer asks for."""
     info = f"{name}-{version}.dist-info"
     files = {
@@ -198,7 +198,7 @@ BACKEND = """
             info + "/WHEEL": "Wheel-Version: 1.0\\nGenerator: t\\nRoot-Is-Purelib: true\\nTag: py3-none-any\\n",
         }}
         if NAME == "spheremouse":
-            files |= {{"cv2.py": "", "numba.py": "", "scipy.py": ""}}
+            files |= {{"cv2.py": "", "scipy.py": ""}}
             files[info + "/entry_points.txt"] = "[console_scripts]\\nspheremouse = built_spheremouse:main\\n"
             files["built_spheremouse.py"] += (
                 "\\ndef main():\\n    import built_evdev, json\\n    print(json.dumps([BY, built_evdev.BY]))\\n"

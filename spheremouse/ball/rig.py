@@ -96,7 +96,7 @@ def considered_covariance(pose: Pose, ball: Ball) -> Array:
 
 
 class BallView(NamedTuple):
-    """A ball as one camera sees it, for compiled code."""
+    """A ball as one camera sees it, for the kernels."""
 
     centre: Array  # (3,) m, of the ball, obj
     radius: float  # m

@@ -66,7 +66,7 @@ class LatestFrame:
 
 
 class ContiguousBuffer:
-    """Makes images contiguous and writeable, as compiled code needs them. One buffer serves all frames."""
+    """Makes images contiguous and writeable, as the kernels need them. One buffer serves all frames."""
 
     def __init__(self) -> None:
         self._image: NDArray[np.uint8] = np.zeros(0, np.uint8)

@@ -44,8 +44,6 @@ def bench(
     The film is played forwards and backwards. The command finds the camera's pose before. Pose and the first 10 steps
     do not count. For another picture size, give a dataset that `simulate --size` made.
     """
-    from spheremouse.ball.settings import Settings
-    from spheremouse.ball.warm import warm_up
     from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.files.safe_files import write_json
 
@@ -53,12 +51,9 @@ def bench(
     film = _simulated() if dataset is None else _recorded(dataset)
     with _one_thread(), progress_bar(auto_refresh=False) as bar:
         task = bar.add_task("stepping", total=steps)
-        began = time.perf_counter()
-        warm_up(Settings())
-        start = time.perf_counter() - began
         every = max(1, steps // 100)
         found = measure(film, steps, lambda k: k % every or bar.update(task, completed=k, refresh=True))
-    figures = report(film, found, start)
+    figures = report(film, found)
     if json_file is None or not write_json(json_file, figures):
         print("\n".join(lines(figures)))
 
@@ -175,7 +170,7 @@ def back_and_forth(k: int, n: int) -> int:
     return min(k, 2 * (n - 1) - k)
 
 
-def report(film: Film, steps: Steps, start: float = 0.0) -> dict[str, Any]:
+def report(film: Film, steps: Steps) -> dict[str, Any]:
     """Return the figures that --json writes: µs, MB, and the 99th percentile and the slowest over the median."""
     import numpy as np
 
@@ -187,7 +182,6 @@ def report(film: Film, steps: Steps, start: float = 0.0) -> dict[str, Any]:
         "dataset": film.name,
         "size": [film.rig.camera.width, film.rig.camera.height],
         "interval_us": film.interval * 1e6,
-        "start_us": start * 1e6,
         "steps": len(steps.seconds),
         "tracked": steps.tracked,
         "lost_episodes": steps.lost,
@@ -212,7 +206,6 @@ def lines(figures: dict[str, Any]) -> Iterator[str]:
         yield f"the slowest step: {figures['slowest_event']}"
     if figures["memory_grown_mb"] is not None:
         yield f"memory after {_MEMORY_FROM:,} steps: {figures['memory_grown_mb']:+.1f} MB"
-    yield f"start: {figures['start_us'] / 1e6:.2f} s for the compiled functions, before the first frame"
     faster = (figures["interval_us"] / us for us in figures["us"].values())
     yield "faster than real time: {:.1f} times by the median, {:.1f} by the p99, {:.1f} by the slowest".format(*faster)
     if tracked < _MIN_TRACKED * n:

@@ -64,7 +64,6 @@ def _write(file: "BufferedWriter", plan: "RunConfig") -> int:
     with source, progress_bar() as progress:
         writer = McapWriter(file, describe_run(plan))
         adapter = setup.adapter(plan, writer.log, here)
-        setup.make_ready(plan)
         task = progress.add_task("exporting", total=source.count)
         frames = adapter.begin(iter(progress.track(source, source.count, task_id=task)))
         offline.follow(offline.results(frames, adapter), adapter, {}, writer)

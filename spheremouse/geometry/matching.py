@@ -1,7 +1,6 @@
 """Matching of points: one-to-one assignment, mutual nearest neighbours, non-maximum suppression."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array
@@ -18,18 +17,16 @@ def assign(cost: Array, gate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]
     return rows, column[rows]
 
 
-@njit(cache=True)
 def mutual_nearest(distance: Array) -> NDArray[np.intp]:
     """Return for each row of a distance matrix, (n, m), the column if each is the other's nearest, else -1.
 
     The distance `inf` is no pair.
     """
-    column = np.full(len(distance), -1)
-    for i in range(len(distance) if distance.shape[1] else 0):
-        j = int(np.argmin(distance[i]))
-        if distance[i, j] < np.inf and np.argmin(distance[:, j]) == i:
-            column[i] = j
-    return column
+    if distance.size == 0:
+        return np.full(len(distance), -1)
+    rows, column = np.arange(len(distance)), distance.argmin(axis=1)
+    mutual = (distance.argmin(axis=0)[column] == rows) & (distance[rows, column] < np.inf)
+    return np.where(mutual, column, -1)
 
 
 def suppress(points: Array, radius: Array, norm: float = 2.0) -> NDArray[np.intp]:

@@ -104,7 +104,7 @@ class FicTrac:
 
 
 def _rotation_vector(R: Array) -> list[float]:
-    """Return the rotation vector, (3,) rad, without compiled code, which would take a while to load."""
+    """Return the rotation vector, (3,) rad."""
     w, x, y, z = to_quaternion(R)
     size = hypot(x, y, z)
     scale = 2.0 * atan2(size, w) / size if size > 0.0 else 2.0

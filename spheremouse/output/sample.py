@@ -234,16 +234,13 @@ def _matrix(covariance: Array, start: int, known: bool) -> list[list[float]] | N
 
 
 def _yaw_pitch_roll(estimate: Estimate) -> list[float] | None:
-    from spheremouse.wand.axes import estimated_axes  # loads Numba, which a tracker of a hand-held ball has loaded
+    from spheremouse.wand.axes import estimated_axes
 
     return _vector(estimated_axes(estimate).angles.tolist(), True)
 
 
 def to_quaternion(R: Array) -> list[float]:
-    """Return the unit quaternion w, x, y, z, w >= 0, of a rotation matrix, (3, 3) (Shepperd 1978).
-
-    It is not compiled, because the first call in a thread of an output would load the compiled code.
-    """
+    """Return the unit quaternion w, x, y, z, w >= 0, of a rotation matrix, (3, 3) (Shepperd 1978)."""
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()
     if a + e + i > max(a, e, i):
         w, x, y, z = 1.0 + a + e + i, h - f, c - g, d - b

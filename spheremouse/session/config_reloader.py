@@ -1,6 +1,6 @@
 """Apply a new configuration between two frames, or refuse it as a whole.
 
-`set` changes the values in memory. If a value needs files, another device or other compiled code, and for `reload`, a
+`set` changes the values in memory. If a value needs files, another device, tracker or detector, and for `reload`, a
 thread of the pool reads all files. It does so too when one of them has changed. Only the worker calls the methods.
 Other threads may read the attributes.
 """
@@ -27,7 +27,7 @@ from spheremouse.session.settings import Configuration
 from spheremouse.session.setup import Setup
 from spheremouse.wand.settings import WandSettings
 
-# Sections and keys whose values name files or devices, or select compiled code.
+# Sections and keys whose values name files or devices, or select tracker and detector.
 _READ_FILES = ("source", "output", "rig", "camera_file", "map", "wand.balls", "record.folder", "tracker", "detector")
 AT_START = ("control", "metrics", "realtime")  # settings that are read at the start only
 _OF_BALL = {"motion", *Settings.__dataclass_fields__} - {"tracker"}
@@ -51,11 +51,6 @@ def stamps_of(overrides: CommandLineOverrides, plan: RunConfig) -> dict[Path, in
             except OSError:
                 found[path] = 0
     return found
-
-
-def stages_of(plan: RunConfig) -> tuple[str, str]:
-    """Return the settings that select the compiled code of a plan."""
-    return plan.configuration.tracker, plan.configuration.detector
 
 
 def latest(assignments: tuple[str, ...]) -> tuple[str, ...]:
@@ -312,8 +307,6 @@ class ConfigReloader:
                 check_read(plan, assigned)
                 if plan.notice != before.notice:
                     self._log(plan.notice)
-                if stages_of(plan) != stages_of(before):
-                    self._setup.make_ready(plan)  # no frame may wait for the compiler
             except SpheremouseError as e:
                 error = str(e)
             except Exception as e:

@@ -19,11 +19,9 @@ from spheremouse.ball.settings import Settings
 from spheremouse.ball.smooth import smooth
 from spheremouse.ball.state import Epoch, Tracker, TrackState
 from spheremouse.ball.track import step as step_ball
-from spheremouse.ball.warm import warm_up as warm_up_ball
-from spheremouse.compiling import report_compilation
 from spheremouse.errors import ConfigurationError, OutputError, PoseError, SourceError
-from spheremouse.geometry.camera import InteriorOrientation, Pose, project, unproject
-from spheremouse.geometry.rotation import Array, exp, left_jacobian, log
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array
 from spheremouse.output import Output, OutputClosed, Report, report_of, response_of
 from spheremouse.output.counts import OutputCounter
 from spheremouse.output.sample import Sample
@@ -85,12 +83,6 @@ def _colour(frame: Frame) -> NDArray[np.uint8]:
     if frame.image.ndim != 3:
         raise SourceError("the frames are grey: the ring targets need colour; give a rig with a camera pose")
     return frame.image
-
-
-def make_ready(settings: Settings, report: Callable[[str], None] | None = None) -> None:
-    """Compile the functions of tracking, or read them from disk. `report` takes lines of `report_compilation`."""
-    with report_compilation(report):
-        warm_up_ball(settings)
 
 
 class View(Protocol):
@@ -168,7 +160,6 @@ def _send(report: Report, working: dict[str, tuple[Output, OutputCounter]], view
 
 def track(frames: Iterator[Frame], tracker: Tracker, known: DiscMap | None = None) -> Iterator[Epoch]:
     """Track every frame. With a `known` map of the discs, attitudes are in its frame once the ball is recognised."""
-    make_ready(tracker.settings)
     state: TrackState | None = None
     times = [0.0, 0.0, 0.0]
 
@@ -189,22 +180,10 @@ _NO_HUE = ("dark", "light")  # colours that grey frames show as well
 Known = dict[int, tuple[Array, Array]]  # position and rotation of balls, by their index
 
 
-def make_wand_ready(report: Callable[[str], None] | None = None) -> None:
-    """Compile the functions of `geometry` that the wand uses, or read them from disk; `report` as in `make_ready`."""
-    with report_compilation(report):
-        camera, part = InteriorOrientation(1, 1, 1.0, 1.0, 0.0, 0.0), np.ones((2, 4))  # of rows, or with gaps
-        left_jacobian(log(exp(part[0, :3])))
-        exp(part[:, :3])
-        project(part[:, :3], camera)
-        unproject(part[:, :2], camera)
-        unproject(part[:, :2].copy(), camera)
-
-
 def track_wand(
     frames: Iterable[Frame], tracker: WandTracker, seed: int = 0, known: Known | None = None
 ) -> Iterator[WandEpoch]:
-    """Track every frame; `known` has the poses of balls at the first one. The times exclude compilation."""
-    make_wand_ready()
+    """Track every frame; `known` has the poses of balls at the first one."""
     state: WandState | None = None
     for frame in frames:
         check_wand_frame(frame, tracker)

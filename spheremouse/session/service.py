@@ -9,7 +9,6 @@ import math
 import os
 import time
 from collections.abc import Callable
-from concurrent.futures import wait
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -47,7 +46,7 @@ from spheremouse.session.outputs import OUTPUT, Outputs
 from spheremouse.session.picture_feed import PictureFeed
 from spheremouse.session.process import realtime
 from spheremouse.session.process.notify import Notifier
-from spheremouse.session.process.threads import WorkerPool, as_future, begin
+from spheremouse.session.process.threads import WorkerPool, begin
 from spheremouse.session.record.archive import RECORDING, SNAPSHOT, Archive
 from spheremouse.session.record.places import recordings_folder, tidy
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig
@@ -61,7 +60,6 @@ from spheremouse.session.worker import Worker
 _TICK = 0.25  # s; the longest wait for a frame
 _REQUEST_TIME = 0.01  # s; `set` takes 3 to 7 ms
 _EVERY = 1.0  # s between two checks of the files, and of the memory and processor in use
-_COMPILING = 900.0  # s that a small computer may take to compile
 _PAUSED = "by `spheremouse ctl pause`; `resume` ends it"
 _USELESS = 5.0  # s of frames that cannot be used, after which the daemon opens the camera again
 
@@ -135,9 +133,10 @@ class Daemon:
                 self._log_left_out(self._reloader.plan)
                 if self._reloader.plan.notice:
                     self._log(self._reloader.plan.notice)
-                if self._compile(stopping):
-                    self._start()
-                    self._loop(stopping)
+                with held(self._reloader.plan):  # a second daemon fails here
+                    self._update_state(time.monotonic())
+                self._start()
+                self._loop(stopping)
         finally:
             self._notifier.stopping()
             self._close()
@@ -279,27 +278,9 @@ class Daemon:
             self._log(f"record: {removed} half-written by a run that was cut off, removed")
         self._notifier.ready()
 
-    def _compile(self, stopping: SignalHandler) -> bool:
-        """Compile the functions of tracking while requests are handled. Return False if a stop came before."""
-        plan = self._reloader.plan
-        self._monitor.starting = "the program is made ready"
-        self._notifier.set_timeout(_COMPILING)
-        self._update_state(time.monotonic())
-        with held(plan):  # a second daemon fails here
-            compile_all = partial(self._setup.make_ready, plan, self._log_progress)
-            compiled = as_future(compile_all, partial(self._workers.do, READING))
-            while not wait([compiled], _TICK).done:
-                self._requests.run(self._handle)
-                self._update_state(time.monotonic())
-                if stopping.asked or self._ending:
-                    return False
-            compiled.result()
-        self._notifier.restore_timeout()
-        self._monitor.starting = ""
-        return True
-
     def _start(self) -> None:
         """Request real-time scheduling, and start the camera."""
+        self._monitor.starting = ""
         self._scheduling = realtime.prepare(self._realtime)
         self._quiet = self._stack.enter_context(contextlib.closing(realtime.GcPause()))
         begin(self._capture)
@@ -309,9 +290,6 @@ class Daemon:
     def _log_left_out(self, plan: RunConfig) -> None:
         for notice in filter(None, map(left_out, plan.outputs)):
             self._log(str(notice))
-
-    def _log_progress(self, progress: str) -> None:
-        self._monitor.starting = f"the program is made ready: {progress}"
 
     def _claim(self, thread: int | None) -> None:
         if self._realtime:

@@ -15,7 +15,6 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.cameras import is_camera
-from spheremouse.session.offline import make_ready, make_wand_ready
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig, with_distinct_names, without_map
 from spheremouse.session.tracker_adapter import MAP, Do, TrackerAdapter
 from spheremouse.session.wand.adapter import WandAdapter
@@ -54,13 +53,6 @@ class Setup:
         """The function that opens the replay as a camera; None if there is none."""
         replay = self.replay
         return None if replay is None else lambda: replay
-
-    def make_ready(self, plan: RunConfig, log: Callable[[str], None] | None = None) -> None:
-        """Compile the functions of tracking, or read them from disk. `log` takes lines of `report_compilation`."""
-        if _is_wand(plan):
-            make_wand_ready(log)
-        else:
-            make_ready(plan.configuration, log)
 
     def adapter(self, plan: RunConfig, log: Callable[[str], None], do: Do) -> TrackerAdapter:
         """Return the tracker's adapter. Raise ConfigurationError or PoseError if the plan is incomplete."""

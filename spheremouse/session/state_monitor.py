@@ -81,7 +81,7 @@ class StateMonitor:
         """`log` takes lines for the log, `notify` the state as one line for systemd."""
         self._worker, self._capture, self._arrivals, self._outputs = worker, capture, arrivals, outputs
         self._log, self._notify, self._notify_at = log, notify, 0.0
-        self.starting = "the program is being made ready"  # why nothing is tracked yet; empty once it can be
+        self.starting = "the program starts"  # why nothing is tracked yet; empty once it can be
         self.paused = ""  # by what; empty while it is not
         self._updated = time.monotonic()
         self.state, self.reason, self.since = State.STARTING, self.starting, self._updated

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-HEAVY = {"numpy", "scipy", "cv2", "numba", "matplotlib", "pandas", "PIL", "ruamel"}
+HEAVY = {"numpy", "scipy", "cv2", "matplotlib", "pandas", "PIL", "ruamel"}
 WALK = f"""
 import json, sys
 import typer

@@ -1,23 +1,9 @@
-"""What all fuzz tests share: a folder, compiled kernels, and errors for NumPy's warnings."""
+"""What all fuzz tests share: a folder, and errors for NumPy's warnings."""
 
 import warnings
-from dataclasses import replace
-from itertools import product
 
 import cv2
 import pytest
-
-from spheremouse.ball import warm as ball
-from spheremouse.ball.settings import Settings
-from spheremouse.session.offline import make_wand_ready
-
-
-@pytest.fixture(autouse=True, scope="session")
-def compiled():
-    """Compile first, since that takes longer than an example may."""
-    for tracker, detector in product(("so3", "ekf1", "ekf2"), ("default", "blobs")):
-        ball.warm_up(replace(Settings(), tracker=tracker, detector=detector))
-    make_wand_ready()
 
 
 @pytest.fixture(autouse=True)

@@ -21,7 +21,6 @@ from spheremouse.ball.pose import gather, resect
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.track import step, with_settings
-from spheremouse.ball.warm import warm_up
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset
@@ -107,7 +106,7 @@ def track(assignments: list[str]) -> None:
 def in_time(what: str, action: Callable[[], T], usual: Callable[[], Any], share: float = 1.0) -> T:
     """What the action returns; an AssertionError where it takes `TIMES` as long as the usual one (times `share`)."""
     if what not in _USUAL:
-        usual()  # what is compiled or cached is so by then
+        usual()  # what is loaded or cached is so by then
         begun = time.process_time()
         usual()
         _USUAL[what] = time.process_time() - begun
@@ -176,9 +175,6 @@ def as_usual(settings: Any) -> None:
 @cache
 def clip() -> tuple[Rig, list[Frame]]:
     """A device with its camera's pose, and frames in which its ball begins to roll."""
-    for tracker in ("so3", "ekf1", "ekf2"):
-        for detector in ("default", "blobs"):
-            warm_up(replace(Configuration(), tracker=tracker, detector=detector))
     data = open_dataset(CLIP)
     frames = list(read_frames(data))
     seen = [detect_targets(f.image, data.rig.targets.radii, Configuration().rings) for f in frames[:3]]

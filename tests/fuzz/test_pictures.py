@@ -33,9 +33,7 @@ def test_any_picture(drawn: tuple[NDArray[np.uint8], int]) -> None:
 
 @fuzz(lambda: st.lists(pictures(160, 120), min_size=1, max_size=4))
 def test_pictures(drawn: list[NDArray[np.uint8]]) -> None:
-    images = [
-        np.require(image, requirements=("C", "W")) for image in drawn
-    ]  # as frames come: no other are compiled for
+    images = [np.require(image, requirements=("C", "W")) for image in drawn]  # as frames come
     rig = small_rig()
     assert rig.pose is not None
     for polarity in ("auto", "dark", "light"):

@@ -24,7 +24,6 @@ def quick_daemon(monkeypatch):
         monkeypatch.setattr(reporter, "RETRY_DELAYS", (0.01, 0.02))
         monkeypatch.setattr(reporter, "MAX_QUEUE_TIME", PATIENCE)
         monkeypatch.setattr(realtime, "_give_back", lambda: None)
-        monkeypatch.setattr(realtime, "_fold_up_code", lambda: 0)
         threads = threading.active_count()
         yield world
         if world.daemon is not None:

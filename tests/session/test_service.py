@@ -29,7 +29,7 @@ from control_world import conversations, page_reply
 from daemon_world import DT, Film, World, check_samples
 
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
-from spheremouse.errors import ConfigurationError, ControlError
+from spheremouse.errors import ControlError
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.camera import project
 from spheremouse.session import config_reloader as loader_module
@@ -165,40 +165,6 @@ def test_counts_are_the_integral_of_the_motion(playing):
     assert status["discs"] >= 4
     assert status["pose"]["position_m"][2] == pytest.approx(2.35, abs=0.01)
     assert "off" in status["scheduling"]
-
-
-def test_a_compiler_is_not_waited_for(world, monkeypatch):
-    """It may take minutes; who asks is told so, and a stop is one."""
-    compiling, told = threading.Event(), threading.Event()
-
-    def compile_for_long(*_):
-        told.set()
-        compiling.wait(PATIENCE)
-
-    monkeypatch.setattr("spheremouse.session.setup.make_ready", compile_for_long)
-    try:
-        world.start()
-        world.until(told.is_set)
-        for command in ("set", "reload", "reinit", "record", "snapshot"):
-            more = {"assignments": ["motion.scale_x=2"]} if command == "set" else {}
-            assert "the program is made ready" in refused(world, command, **more)
-        assert ask(world, "pause")["state"] == "starting"
-        ask(world, "stop")
-        world.join()
-    finally:
-        compiling.set()
-    assert world.counts.tolist() == [0, 0, 0]
-
-
-def test_an_error_while_it_is_made_ready_ends_it(world, monkeypatch):
-    def fail(*_):
-        raise ConfigurationError("as if")
-
-    monkeypatch.setattr("spheremouse.session.setup.make_ready", fail)
-    world.start()
-    world.join()
-    assert isinstance(world.error, ConfigurationError)
-    world.error = None
 
 
 def test_it_ends_when_it_is_asked_to_and_the_map_is_there(playing):

@@ -108,7 +108,7 @@ def test_a_camera_that_was_never_open_is_not_missing_yet(run):
 
 TRANSCRIPTS = {
     "an ordinary start": """
-        starting=compiling                             | starting: compiling
+        starting=loading                               | starting: loading
         camera=opened targets=looked for               | no-camera: opened
         targets=looked for                             | searching-targets: looked for
         targets=looked for                             |

@@ -1,11 +1,10 @@
-"""What the guest needs and is too slow to make: films for a camera, and the tracker compiled. Run by tests/system/run.
+"""What the guest needs and is too slow to make: films for a camera. Run by tests/system/run.
 
-    NUMBA_CPU_NAME=generic NUMBA_CACHE_DIR=CODE python tests/system/film.py OUT [--short]
+    python tests/system/film.py OUT [--short]
 
 Each film is a folder in OUT: `YUYV` and `MJPG` (pictures one behind the other, with `ends.npy`, the places in bytes
 where those of MJPG end), `attitude.npy` (n, 3, 3) R_obj_ball, `rig.yaml`, and `posed.yaml` with the camera's pose.
 That of the hand-held ball has YUYV alone, `attitude.npy` R_cam_ball, `position.npy` (n, 3) m, and `camera.yaml`.
-QEMU's processor is not the host's: what is compiled for `generic` runs on both.
 """
 
 import subprocess
@@ -17,19 +16,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from spheremouse.ball.build import begin, build
 from spheremouse.ball.settings import LossSettings, Settings
-from spheremouse.ball.track import step
-from spheremouse.ball.warm import warm_up
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import open_wand
-from spheremouse.files.rig import load_rig, rig_text, save_camera
-from spheremouse.session.offline import make_wand_ready
-from spheremouse.tracker import Frame
-from spheremouse.wand.build import build as build_wand
-from spheremouse.wand.track import begin as begin_wand
-from spheremouse.wand.track import step as step_wand
+from spheremouse.files.rig import rig_text, save_camera
 
 # The pictures come six times as slowly as those of a usual camera: so the tracker waits six times as long.
 SLOW = Settings(loss=LossSettings(lost_after=1.8, reset_after=6.0))
@@ -55,32 +46,14 @@ def convert(dataset: Path, folder: Path) -> None:
     (folder / "posed.yaml").write_text(rig_text(replace(recording.rig, pose=recording.pose)), encoding="utf-8")
 
 
-def compile_for(film: Path) -> None:
-    """Call what the tracker will call: on two pictures out of three, as slowly as they will come."""
-    warm_up(Settings())
-    warm_up(SLOW)
-    rig = load_rig(film / "posed.yaml")
-    assert rig.pose is not None
-    tracker = build(rig, rig.pose, SLOW)
-    state = begin(tracker, 0.0)
-    for k, picture in enumerate(np.fromfile(film / "YUYV", np.uint8).reshape(-1, 480, 640, 2)):
-        if k % 3:
-            state = step(state, Frame(picture[:, :, 0].copy(), 0.2 * k, k), tracker).state
-
-
 def convert_wand(dataset: Path, folder: Path) -> None:
-    """A recording of a hand-held ball as a film; the tracker compiled on it, colours as the camera gives them."""
+    """A recording of a hand-held ball as a film."""
     recording = open_wand(dataset)
     assert recording.truth is not None
     folder.mkdir()
-    make_wand_ready()
-    tracker = build_wand(recording.camera, recording.balls)
-    state = begin_wand(tracker, 1, 0.0)
     with (folder / "YUYV").open("wb") as plain:
-        for k, frame in enumerate(read_frames(recording)):
-            yuyv = cv2.cvtColor(frame.image, cv2.COLOR_BGR2YUV_YUY2)
-            plain.write(yuyv.tobytes())
-            state = step_wand(state, Frame(cv2.cvtColor(yuyv, cv2.COLOR_YUV2BGR_YUY2), 0.2 * k, k), tracker).state
+        for frame in read_frames(recording):
+            plain.write(cv2.cvtColor(frame.image, cv2.COLOR_BGR2YUV_YUY2).tobytes())
     np.save(folder / "attitude.npy", recording.truth.rotation)
     np.save(folder / "position.npy", recording.truth.position)
     save_camera(folder / "camera.yaml", recording.camera)
@@ -96,7 +69,6 @@ def main() -> None:
     subprocess.run([sys.executable, "-m", "spheremouse", *words.split()], check=True, stdout=subprocess.DEVNULL)
     convert_wand(out / "hand", out / "wand")
     convert(out / "dataset", out / "play")
-    compile_for(out / "play")
 
 
 if __name__ == "__main__":

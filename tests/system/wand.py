@@ -19,7 +19,6 @@ from modules import insert
 from spheremouse.geometry.rotation import log
 from spheremouse.output.wand_mapping import PointingSettings
 from spheremouse.session import service, setup
-from spheremouse.session.offline import make_wand_ready
 
 IMPORTED = (service, setup)  # once, before the forks
 
@@ -96,7 +95,6 @@ def desk(tmp_path_factory):
     """With the film at rest on its first picture, and the ball found."""
     with suppress(subprocess.CalledProcessError):
         insert("v4l2loopback", video_nr=9, max_buffers=8)
-    make_wand_ready()
     made = CameraRun(tmp_path_factory.mktemp("desk"))
     yield made
     for end in (made.program.kill, made.mouse.close, made.writer.end):

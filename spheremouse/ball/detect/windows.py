@@ -28,7 +28,7 @@ class FitSettings(NamedTuple):
 
 
 class DiscModel(NamedTuple):
-    """Discs, camera and ball of a detector for one camera pose, for compiled code."""
+    """Discs, camera and ball of a detector for one camera pose, for the kernels."""
 
     ball: BallView
     mask: Image  # (h, w) 255 on the ball, a little within its outline

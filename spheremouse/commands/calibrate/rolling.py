@@ -64,7 +64,6 @@ def rolling(
     give --forward and --right. Without a length the scale is free: all works, and counts are per radian.
     """
     from spheremouse.ball.rig import UNKNOWN_READOUT
-    from spheremouse.ball.settings import Settings
     from spheremouse.calibrate.board import parse_length
     from spheremouse.calibrate.report.rolling import rolling_json
     from spheremouse.calibrate.rolling.calibrate import solve
@@ -75,7 +74,6 @@ def rolling(
     from spheremouse.files.device import load_device
     from spheremouse.files.disc_map import map_path
     from spheremouse.files.rig import load_camera, load_rig, with_camera
-    from spheremouse.session.offline import make_ready
 
     ball, around, disc = (None if text is None else parse_length(text) for text in (radius, circumference, disc_radius))
     if ball is not None and around is not None:
@@ -105,7 +103,6 @@ def rolling(
     axes = AxesFrom(aligning, targets, gestures, interior)
     if not live:
         axes.check()
-    make_ready(Settings())
     footage = recorded(source, seconds)
     if live:
         buffer, shown = _film(source, seconds or 60.0, ask=not axes.known)

@@ -31,7 +31,7 @@ from spheremouse.output import open_output, report_of
 from spheremouse.output.counts import Counter
 from spheremouse.output.sample import Sample
 from spheremouse.session import messages
-from spheremouse.session.offline import Start, initialise, make_ready, track
+from spheremouse.session.offline import Start, initialise, track
 from spheremouse.session.overlay.ball import Overlay
 from spheremouse.session.overlay.file import OverlayFile, write_picture
 from spheremouse.session.overlay.marks import target_marks
@@ -77,7 +77,6 @@ def play(out: Path, seconds: float, seed: int) -> None:
         f"{len(simulation.scene.disc_directions)} discs,\nand bolts that look like discs. "
         "The tracker gets the pictures and the rig, nothing else."
     )
-    make_ready(_SETTINGS)
     with SignalHandler() as signals:
         film = _Film(simulation)
         frames = signals.frames(iter(film))

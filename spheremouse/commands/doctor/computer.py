@@ -7,13 +7,12 @@ import sys
 from pathlib import Path
 
 from spheremouse import __version__
-from spheremouse.compiling import kernels_on_disk
 from spheremouse.finding import Finding, Verdict, classify, ok, unchecked, warning
 from spheremouse.session.process.realtime import PRIORITY
 from spheremouse.session.record.places import recordings_folder
 from spheremouse.session.settings import RecordSettings
 
-_MIN_MEMORY_MB = 400.0  # the daemon's 200, and as much for the compiler at its first start
+_MIN_MEMORY_MB = 200.0  # of the daemon, with a recording in memory
 _CAP_SYS_NICE = 23
 
 # ---- program ----
@@ -25,25 +24,6 @@ def version() -> Finding:
     system = f"{platform.system()} {platform.release()}, {platform.machine()}"
     text = f"spheremouse {__version__}, Python {python}, {system}"
     return ok("version", text, spheremouse=__version__, python=python, system=system)
-
-
-def compiled_code() -> Finding:
-    """Report the number of functions that Numba has compiled and kept."""
-    import spheremouse.ball.track  # noqa: F401  with all that tracking calls
-
-    kept, total, folder = kernels_on_disk()
-    if not folder:
-        advice = "set NUMBA_CACHE_DIR to a folder that this account may write"
-        return warning("compiled code", "cannot be kept: every start compiles for a minute", advice)
-    first = "nothing to mend: the first run compiles the rest, which takes about a minute, once"
-    return classify(
-        "compiled code",
-        f"{kept} of {total} functions are compiled, in {folder}",
-        (2 * kept < total, Verdict.WARNING, "", first),
-        kept=kept,
-        functions=total,
-        folder=folder,
-    )
 
 
 # ---- computer ----

@@ -46,11 +46,7 @@ def examine(
 ) -> Iterator[Section]:
     """Yield each section when it is done. `progress` takes a line about the step in progress."""
     progress("checking the program")
-    code = _guarded("compiled code", computer.compiled_code)
-    if any(f.verdict is not Verdict.OK for f in code):
-        show = progress
-        progress = lambda text: show(f"{text} (compiling for this computer, once: about a minute)")  # noqa: E731
-    yield Section("program", (*_guarded("version", computer.version), *code))
+    yield Section("program", tuple(_guarded("version", computer.version)))
     status, told = running.ask(socket)
     yield Section("daemon", (told, *(_guarded("state", running.check, status) if status else ())))
     there = nodes()

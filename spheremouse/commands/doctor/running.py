@@ -12,7 +12,7 @@ _MAX_LOST = 0.01  # of the frames; the filter bridges fewer
 _MAX_INTERVALS = 2.0  # from mid-exposure to the event: one to read the frame out and carry it here, one to work on it
 _MIN_DISCS = 3  # discs that hold the attitude and check it
 _ADVICE = {
-    "starting": "wait; the first start compiles for a minute",
+    "starting": "wait",
     "no-camera": "see its cable and hub, and `ls -l /dev/v4l/by-id`",
     "searching-targets": "uncover and light the targets on the frame",
     "lost": "uncover the ball, or turn it; light on it",

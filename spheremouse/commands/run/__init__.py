@@ -260,7 +260,6 @@ def follow(
         to = {spec: stack.enter_context(open_output(spec)) for spec in plan.outputs}
         for output in to.values():
             output.begin(lambda: describe_run(plan) | {"smoothed": smooth})
-        setup.make_ready(plan)
         for notice in filter(None, map(left_out, plan.outputs)):
             view.log(str(notice))
         try:

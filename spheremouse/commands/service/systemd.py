@@ -85,12 +85,6 @@ class Place:
         users = self._users("XDG_STATE_HOME", ".local/state") / "spheremouse"
         return users if self.user else self.at("/var/lib/spheremouse")
 
-    @property
-    def cache(self) -> Path:
-        """Folder of compiled code."""
-        users = self._users("XDG_CACHE_HOME", ".cache") / "spheremouse"
-        return users if self.user else self.at("/var/cache/spheremouse")
-
     def files(self) -> list[tuple[str, Path]]:
         """Return name in the folder `service/` and path of each file to place, the unit first."""
         if self.user:
@@ -194,7 +188,7 @@ def _unseen(path: Path) -> str:
 def refuse_unsafe(place: Place) -> None:
     """Raise ServiceError if a link leads out of the root, or if this is root and others may change a folder."""
     folders = [place.root, place.link.parent, place.changes, place.configuration, place.state.parent]
-    folders += [place.cache.parent, *(path.parent for _, path in place.files())]
+    folders += [path.parent for _, path in place.files()]
     for folder in dict.fromkeys(map(_existing, folders)):
         try:
             if not folder.resolve().is_relative_to(place.root):
@@ -243,8 +237,6 @@ def uninstall(place: Place, purge: bool) -> Iterator[FileAction]:
             yield FileAction("remove", path, path.unlink)
         for backup in sorted(path.parent.glob(f"{path.name}.bak*")) if purge else ():
             yield FileAction("remove", backup, backup.unlink)
-    if place.cache.exists():
-        yield FileAction("remove", place.cache, partial(_remove, place.cache), "compiled code", must=False)
     config = place.configuration / "config.yaml"
     if not purge and config.exists() and config.read_text(encoding="utf-8") == configuration(place):
         yield FileAction("remove", config, config.unlink, "as it was placed")
@@ -265,7 +257,7 @@ def tidy(place: Place) -> None:
 
     With root /, it removes only folders that the installation may have made. The root itself stays.
     """
-    folders = (place.changes, place.configuration, place.state, place.view_state, place.cache, place.link.parent)
+    folders = (place.changes, place.configuration, place.state, place.view_state, place.link.parent)
     folders += tuple(path.parent for _, path in place.files())
     for folder in folders:
         for path in (p for p in (folder, *folder.parents) if p.is_relative_to(place.root) and p != place.root):

@@ -51,16 +51,6 @@ class Notifier:
             self._status = text
             self._send(f"STATUS={text}".encode().decode("latin-1"))  # which sdnotify encodes as
 
-    def set_timeout(self, seconds: float) -> None:
-        """Set the watchdog's timeout before long work. It holds until a call of `restore_timeout`."""
-        if self.interval < math.inf:
-            self._send(f"WATCHDOG_USEC={int(1e6 * seconds)}")
-            self._send("WATCHDOG=1")
-
-    def restore_timeout(self) -> None:
-        """Restore the watchdog's timeout of the unit file."""
-        self.set_timeout(self.interval)
-
     def progress(self, token: Any) -> None:
         """Feed the watchdog if the token has changed since the last feed, at most four times an interval."""
         now = self._clock()

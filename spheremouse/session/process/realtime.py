@@ -9,7 +9,6 @@ import gc
 import os
 import resource
 import sys
-from functools import partial
 from pathlib import Path
 
 PRIORITY = 5  # of SCHED_RR: above all threads without real time, below audio servers
@@ -22,7 +21,6 @@ def prepare(wanted: bool = True) -> str:
     """Apply the available protection to this process and this thread. Return the result in words."""
     if not sys.platform.startswith("linux"):
         return "usual scheduling: this system has no other that we know"
-    _fold_up_code()
     _give_back()
     if not wanted:
         return "usual scheduling, as configured (realtime: off)"
@@ -52,29 +50,8 @@ def claim(thread: int | None) -> bool:
     return True
 
 
-def _fold_up_code() -> int:
-    """Compress the modules that Numba keeps for later compilations; return their number.
-
-    Its modules take 26 MB. They are kept as the bytes that they were read from, and unfolded if ever they are wanted.
-    """
-    from llvmlite import binding
-    from numba.core.dispatcher import Dispatcher
-
-    folded = 0
-    # The collector lists them all, unless they were frozen (GcPause).
-    # By type(): a weak proxy to a deleted object raises an error for its class.
-    for function in [o for o in gc.get_objects() if issubclass(type(o), Dispatcher)]:
-        for made in function.overloads.values():
-            library, module = made.library, getattr(made.library, "_shared_module", None)
-            if module is not None and hasattr(library, "_get_module_for_linking"):
-                library._get_module_for_linking = partial(binding.parse_bitcode, module.as_bitcode())
-                library._shared_module = None
-                folded += 1
-    return folded
-
-
 def _give_back() -> None:
-    """Release memory that only the start needed, above all the compiler's: a third of the total.
+    """Release memory that only the start needed, 40 of 180 MB, before the rest is locked.
 
     The kernel reads a page again from the page cache when the program touches it. This covers only unchanged views of
     files, because changed pages would be lost. (MADV_PAGEOUT needs the right to write to the file.)

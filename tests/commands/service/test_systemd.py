@@ -136,14 +136,6 @@ def test_configuration_calibration_and_map_stay_unless_purged(root, purge):
     assert all(str(root / name) in said for name in kept) or purge
 
 
-def test_compiled_code_goes_with_the_service(root):
-    call("install", root=root)
-    (root / "var/cache/spheremouse/x").mkdir(parents=True)
-    (root / "var/cache/spheremouse/x/y.nbc").write_text("code")
-    call("uninstall", root=root)
-    assert tree(root) == {}
-
-
 def test_a_file_that_differs_is_kept_as_a_copy_by_installing(root):
     path = root / UNIT
     call("install", root=root)
@@ -202,16 +194,14 @@ def test_a_users_own_service_goes_to_the_home_alone(root, home):
     assert tree(root) == {}
 
 
-def test_a_users_recordings_are_named_and_purged_and_what_was_compiled_goes(root, home):
+def test_a_users_recordings_are_named_and_purged(root, home):
     below = root / home.relative_to("/")
     call("install", "--user", root=root)
-    film, code = below / ".local/state/spheremouse/recordings/1/video.mkv", below / ".cache/spheremouse/x/y.nbc"
-    for path in (film, code):
-        path.parent.mkdir(parents=True)
-        path.write_text("")
+    film = below / ".local/state/spheremouse/recordings/1/video.mkv"
+    film.parent.mkdir(parents=True)
+    film.write_text("")
     assert str(film) in call("uninstall", "--user", root=root)
     assert film.exists()
-    assert not code.exists()
     call("uninstall", "--user", "--purge", root=root)
     assert tree(root) == {}
 
@@ -510,8 +500,8 @@ def test_sysusers_and_tmpfiles_are_what_systemd_makes_of_them(tmp_path):
         assert re.search(rf"^{group}:[^:]*:\d+:spheremouse$", groups, re.M), groups
     code, said = judged("systemd-tmpfiles", "--create", f"--root={tmp_path}", str(folder / "tmpfiles.conf"))
     assert code == 0, said
-    cache = (tmp_path / "var/cache/spheremouse").stat()
-    assert (cache.st_uid, cache.st_mode & 0o777) == (int(uid[1]), 0o700)
+    state = (tmp_path / "var/lib/spheremouse").stat()
+    assert (state.st_uid, state.st_mode & 0o777) == (int(uid[1]), 0o750)
 
 
 def test_the_tray_starts_with_a_desktop(tmp_path):

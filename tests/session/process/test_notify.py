@@ -68,13 +68,6 @@ def test_the_watchdog_is_fed_by_progress_only_and_not_at_every_frame(manager):
     assert manager.heard() == ["WATCHDOG=1"]
 
 
-def test_something_long_is_announced(manager):
-    notifier = Notifier()
-    notifier.set_timeout(900.0)
-    notifier.restore_timeout()
-    assert manager.heard() == ["WATCHDOG_USEC=900000000", "WATCHDOG=1", "WATCHDOG_USEC=20000000", "WATCHDOG=1"]
-
-
 @pytest.mark.parametrize(
     "change",
     [{"WATCHDOG_USEC": None}, {"WATCHDOG_USEC": "soon"}, {"WATCHDOG_PID": str(os.getpid() + 1)}, {"WATCHDOG_PID": "x"}],
@@ -86,8 +79,6 @@ def test_without_a_watchdog_none_is_fed(manager, monkeypatch, change):
     for k in range(5):
         manager.now += 100.0
         notifier.progress(k)
-    notifier.set_timeout(9.0)
-    notifier.restore_timeout()
     assert manager.heard() == []
 
 

@@ -30,7 +30,7 @@ from spheremouse.files.dataset.write import FilmWriter
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.ball.recorded import ball_subject, kept, masked, picture
-from spheremouse.session.offline import make_ready, track
+from spheremouse.session.offline import track
 from spheremouse.session.record import recorder as module
 from spheremouse.session.record.archive import snapshot
 from spheremouse.session.record.places import next_name, recordings_folder, tidy
@@ -73,7 +73,6 @@ def as_live(frames, colour):
 
 def record(folder, frames, rig, pose, settings=PLENTY):
     """Track the frames while they are recorded, as the worker does; what tracking said, and the folder."""
-    make_ready(Settings())  # a recording of 60 s may end while a machine compiles
     subject = ball_subject(rig, pose, Configuration())
     recorder = Recorder(folder, subject, settings, "a camera")
     assert recorder.ready(PATIENCE)

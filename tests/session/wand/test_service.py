@@ -22,7 +22,6 @@ from spheremouse.files.wand import wand_text
 from spheremouse.geometry.camera import project
 from spheremouse.session.control.client import Client
 from spheremouse.session.control.status import StatusReport
-from spheremouse.session.offline import make_wand_ready
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.setup import Setup
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
@@ -98,7 +97,6 @@ class WandWorld(World):
 
 @pytest.fixture(scope="module")
 def film():
-    make_wand_ready()
     made = prepare_wand(WandOptions("hand", seed=3, fps=30.0, seconds=1.0, size=(640, 480)))
     return made, list(simulate_wand(made))
 
