@@ -82,11 +82,10 @@ struct PairTable {
     }
 };
 
-/// Write the cosines of the i-th seen direction with the known ones, (3, m), at the attitude R. Return the greatest.
-double nearest(const Matrix<3>& R, const Directions& seen, int i, const Columns& known, Vector<Dynamic>& cosine) {
+/// Return the cosines of the i-th seen direction with the known ones, (3, m), at the attitude R, as an expression.
+auto cosines(const Matrix<3>& R, const Matrix<Dynamic, 3>& seen, int i, const Columns& known) {
     const Vector<3> u = R.transpose() * seen.row(i).transpose();
-    cosine = known.row(0) * u(0) + known.row(1) * u(1) + known.row(2) * u(2);
-    return cosine.maxCoeff();
+    return known.row(0) * u(0) + known.row(1) * u(1) + known.row(2) * u(2);
 }
 
 /// The best rotations so far, and the traces of products above which two of them are alike.
@@ -117,11 +116,11 @@ struct Best {
 ///
 /// A direction near a known one scores `gain` less `weight` times 1 minus their cosine.
 double score(const Matrix<3>& R, const Directions& seen, const Columns& known, double gain, double weight,
-             double needed, Vector<Dynamic>& cosine) {
+             double needed) {
     const int n = int(seen.rows());
     double total = 0.0;
     for (int i = 0; i < n; i++) {
-        total += std::max(0.0, gain - (1.0 - nearest(R, seen, i, known, cosine)) * weight);
+        total += std::max(0.0, gain - (1.0 - cosines(R, seen, i, known).maxCoeff()) * weight);
         if (!(total + (n - 1 - i) * gain > needed)) return -1.0;
     }
     return total;
@@ -155,14 +154,13 @@ Hypotheses::Hypotheses(nb::handle seen_, nb::handle known_, int groups, double t
 
 std::vector<Matrix<3>> Hypotheses::best(double sigma, double gain, double margin, size_t max_count) const {
     const Columns columns = known.transpose();
-    Vector<Dynamic> cosine(known.rows());
     Best found{max_count, 1.0 + 2.0 * std::cos(std::min(3.0 * sigma, M_PI)), {}, {}};
     double best = 2.0 * gain + margin;  // two directions define the hypothesis: others must match
     for (size_t h = 0; h < rotations.size(); h++) {
         // the error of the rotation increases the variance of another direction along the worst axis
         const double inflation = 1.0 + 0.5 / squared_sine(cosine_of(seen, int(origins[h][0]), int(origins[h][1])));
         const double total = score(rotations[h], seen, columns, gain, 1.0 / (sigma * sigma * inflation),
-                                   std::max(best - margin, found.needed), cosine);
+                                   std::max(best - margin, found.needed));
         if (total < 0.0) continue;
         found.insert(rotations[h], total);
         best = std::max(best, total);
@@ -179,7 +177,6 @@ std::vector<Matrix<3>> Hypotheses::best(double sigma, double gain, double margin
 std::pair<Matrix<3>, int> Hypotheses::most_common(double min_cosine) const {
     const Columns columns = known.transpose();
     const int n = int(seen.rows());
-    Vector<Dynamic> cosine(known.rows());
     Eigen::Array<bool, Dynamic, 1> matched(known.rows());
     std::pair<Matrix<3>, int> best{Matrix<3>::Identity(), 0};
     double trace = -INF;
@@ -187,8 +184,9 @@ std::pair<Matrix<3>, int> Hypotheses::most_common(double min_cosine) const {
         matched.setConstant(false);
         int rows = 0;
         for (int i = 0; i < n && rows + n - i >= best.second; i++) {
-            if (!(nearest(R, seen, i, columns, cosine) > min_cosine)) continue;
-            matched = matched || cosine.array() > min_cosine;
+            const auto cosine = cosines(R, seen, i, columns);
+            if (!(cosine.maxCoeff() > min_cosine)) continue;
+            matched = matched || cosine.transpose().array() > min_cosine;
             rows++;
         }
         const int agreed = std::min(rows, int(matched.count()));

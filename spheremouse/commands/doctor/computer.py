@@ -12,7 +12,7 @@ from spheremouse.session.process.realtime import PRIORITY
 from spheremouse.session.record.places import recordings_folder
 from spheremouse.session.settings import RecordSettings
 
-_MIN_MEMORY_MB = 200.0  # of the daemon, with a recording in memory
+_MIN_MEMORY_MB = 200.0  # tracking takes 180
 _CAP_SYS_NICE = 23
 
 # ---- program ----
