@@ -55,7 +55,7 @@ class TrueAssociation:
         which, rows = assign(near, MATCH)
         names = self.discs.disc[shown][which].tolist()
         pairs = [(row, self.names.index(name)) for row, name in zip(rows, names, strict=True) if name in self.names]
-        used, columns = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+        used, columns = np.array(pairs, dtype=np.intp).reshape(-1, 2).T.copy()
         corrected, _ = tracker.filter.correct(predicted, points, Pairing(used, columns))
         new = [(row, name) for row, name in zip(rows, names, strict=True) if name not in self.names]
         if self.names or len(points) >= 2:
