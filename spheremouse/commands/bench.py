@@ -19,6 +19,7 @@ from spheremouse.errors import DatasetError
 
 if TYPE_CHECKING:
     from spheremouse.ball.rig import Rig
+    from spheremouse.ball.state import Tracker
     from spheremouse.geometry.rotation import Array
     from spheremouse.tracker import Frame
 
@@ -28,6 +29,8 @@ _FRAMES = 300  # of the simulated film, in which the ball is at rest at both end
 _MEMORY_FROM = 1000  # steps, until the allocator has enough memory
 _MAX_FRAME_BYTES = 1 << 29  # of the frames that are played repeatedly
 _MIN_TRACKED = 0.95  # of the steps; with fewer the times are not those of tracking
+_BLOCK = 30  # frames that one of the compared processes before the next
+_DETECTORS = "the multi-mask detector alone", "cv2.SimpleBlobDetector alone"
 _QUANTILES = {"median": 0.5, "p99": 0.99, "max": 1.0}
 
 
@@ -41,8 +44,9 @@ def bench(
 ) -> None:
     """Measure the time of the tracker's step, from the picture to the estimate, on one thread.
 
-    The film is played forwards and backwards. The command finds the camera's pose before. Pose and the first 10 steps
-    do not count. For another picture size, give a dataset that `simulate --size` made.
+    The film is played forwards and backwards, and then beside two blob detectors. The command finds the camera's pose
+    before. Pose and the first 10 steps do not count. For another picture size, give a dataset that `simulate --size`
+    made.
     """
     from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.files.safe_files import write_json
@@ -78,6 +82,7 @@ class Steps:
     lost: int  # how often the ball was lost
     slowest: str  # events of the slowest step
     grown_mb: float | None = None  # of the resident memory since _MEMORY_FROM steps
+    compared: tuple[float, ...] = ()  # s, medians on the same frames in turn: a step, and each of _DETECTORS
 
 
 def _simulated() -> Film:
@@ -150,7 +155,41 @@ def measure(film: Film, steps: int, progress: Callable[[int], object] = lambda _
     lost[1:] &= status[WARM_UP:-1] != Status.LOST
     tracked = int(np.count_nonzero(status[WARM_UP:] == Status.TRACKING))
     grown = None if early_mb is None else memory_mb() - early_mb
-    return Steps(times[0, WARM_UP:], times[1, WARM_UP:], tracked, int(np.count_nonzero(lost)), slowest[1], grown)
+    lost_times = int(np.count_nonzero(lost))
+    compared = compare(tracker, frames)
+    return Steps(times[0, WARM_UP:], times[1, WARM_UP:], tracked, lost_times, slowest[1], grown, compared)
+
+
+def compare(tracker: "Tracker", frames: "list[Frame]") -> tuple[float, ...]:
+    """Return the median times, s, of a step and of two blob detectors on the same frames, a second of them in turn.
+
+    The detectors only find blobs: that of Wittich (2017, section 3.6.1) with ten grey-value masks, and that of OpenCV
+    with its default parameters.
+    """
+    import cv2
+    import numpy as np
+
+    from spheremouse.ball.build import begin
+    from spheremouse.ball.published.blobs import BlobDetector
+    from spheremouse.ball.settings import BlobSettings
+    from spheremouse.ball.track import step
+
+    state, spent = begin(tracker, frames[0].stamp), np.full((3, len(frames)), np.nan)
+
+    def track(frame: "Frame") -> None:
+        nonlocal state
+        state = step(state, frame, tracker).state
+
+    blobs, simple = BlobDetector(BlobSettings()), cv2.SimpleBlobDetector.create()
+    turns = list(enumerate((track, lambda f: blobs.detect(f.image), lambda f: simple.detect(f.image))))
+    for first in range(0, len(frames), _BLOCK):
+        for row, run in turns:
+            for k, frame in enumerate(frames[first : first + _BLOCK], first):
+                began = time.perf_counter()
+                run(frame)
+                spent[row, k] = time.perf_counter() - began
+        turns.append(turns.pop(0))  # the first one finds the pictures in another cache than the last
+    return tuple(np.median(spent[:, WARM_UP:], axis=1).tolist())
 
 
 def _fitting(film: Film, frames: "Iterator[Frame]") -> "list[Frame]":
@@ -190,6 +229,7 @@ def report(film: Film, steps: Steps) -> dict[str, Any]:
         "ratios": {name: us[name] / us["median"] for name in ("p99", "max")},
         "slowest_event": steps.slowest,
         "memory_grown_mb": steps.grown_mb,
+        "compared_us": dict(zip(("step", *_DETECTORS), (1e6 * t for t in steps.compared), strict=False)),
     }
 
 
@@ -201,6 +241,9 @@ def lines(figures: dict[str, Any]) -> Iterator[str]:
     for name, us in (("step", figures["us"]), ("processor time", figures["processor_us"])):
         yield f"{name:16}" + "".join(f"{us[quantile] / 1e3:8.2f}" for quantile in _QUANTILES)
     yield f"{'over median':16}{'':8}" + "".join(f"{ratio:7.3g}×" for ratio in figures["ratios"].values())
+    own = figures["compared_us"].get("step")
+    for name in _DETECTORS if own else ():
+        yield f"{name}: {figures['compared_us'][name] / 1e3:.2f}, {figures['compared_us'][name] / own:.1f}× a step"
     yield f"tracked: {tracked:,} of {n:,}; {f'lost {lost} times' if lost else 'never lost'}"
     if figures["slowest_event"]:
         yield f"the slowest step: {figures['slowest_event']}"

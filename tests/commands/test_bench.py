@@ -40,6 +40,8 @@ def test_steps_go_on_beyond_the_film_and_keep_the_ball():
     assert len(steps.seconds) == len(steps.processor) == steps.tracked == 60 - WARM_UP
     assert steps.lost == 0
     assert steps.grown_mb is None  # too early to say
+    assert len(steps.compared) == 3
+    assert min(steps.compared) > 0.0
     assert np.all(steps.seconds > 0.0)
 
 
