@@ -105,8 +105,9 @@ def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints, 
                 continue
             near, among = distance[row], which
             if len(node.rows) > 0:
-                one, among = filter_.candidate_distances(node.state, points.take(np.array([row])), gate)
-                near = one[0]
+                one, closer = filter_.candidate_distances(node.state, points.take(np.array([row])), gate)
+                if np.any(one < gate):  # else a push may explain what the node's own motion does not
+                    near, among = one[0], closer
             nearest = np.argsort(near)[:most]
             for column in among[nearest[near[nearest] < gate]]:
                 if column not in node.columns:
