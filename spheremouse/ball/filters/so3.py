@@ -158,12 +158,20 @@ class So3Filter:
         return np.sqrt(self.settings.gate * (sigma**2 + _POINT_SIGMA**2))
 
     def is_significant(self, predicted: So3State, used: int, points: int) -> bool:
-        """Return whether chance explains so many pairs in less than one frame of a thousand.
+        """Return whether chance explains so many pairs in under a thousandth of the frames.
 
         A point lies in a disc's gate by chance with a probability: the gate's share of the visible part of the ball.
         """
         sigma = self.place_sigma(predicted, self.visible(predicted))
         return bool(pdtrc(used - 1, self._expected_by_chance(sigma, points)) < _RARE)
+
+    def _each_is_significant(self, predicted: So3State, columns: NDArray[np.intp], points: int) -> bool:
+        """Return whether a point falls into the widest gate of the discs `columns` in under a thousandth of the frames.
+
+        Several discs are no evidence for one whose place is uncertain: a false point beside it turns the ball.
+        """
+        widest = self.place_sigma(predicted, columns).max(keepdims=True)
+        return self._expected_by_chance(widest, points) < _RARE
 
     def _expected_by_chance(self, sigma: Array, points: int) -> float:
         """Return how many of the points fall by chance into the gates of discs known to `sigma`, (k,) rad."""
@@ -196,8 +204,8 @@ class So3Filter:
         `may_start_landmark` is a mask (n,) of the points that may become discs.
 
         The pairs are certain if at least two discs pair and one of three conditions holds:
-        - the attitude is known well and most points pair,
-        - chance does not explain so many pairs,
+        - the places of these discs are known well and most points pair,
+        - chance does not explain so many pairs, three or more,
         - two pairs fix the attitude, and chance does not explain the other pairs.
         """
         pairing, corrected = self._match(state, points)
@@ -206,10 +214,11 @@ class So3Filter:
             if pairs < 2:
                 return None
             corrected, pairing = self._correct_and_pair_again(state, points, pairing)
-            most = state.is_placed and 2 * pairs >= len(points)
-            if not (
-                most or self.is_significant(state, pairs, len(points)) or self._others_agree(corrected, len(points))
-            ):
+            most = 2 * pairs >= len(points) and self._each_is_significant(state, pairing.columns, len(points))
+            more = pairs > 2 and (
+                self.is_significant(state, pairs, len(points)) or self._others_agree(corrected, len(points))
+            )
+            if not (most or more):
                 return None
         return self.keep_map(corrected, points, pairing, may_start_landmark)
 
@@ -498,11 +507,14 @@ def _twist_as_swing(state: So3State, column: int) -> So3State:
     One disc determines the swing, the two components of the rate across its direction, but not the twist. All
     directions of the rotation axis are equally likely. So the twist is the swing times the cotangent of an angle with a
     uniform cosine, up to a large turn by hand. Thus a ball is at rest if its one visible disc is at rest. If the
-    twist's variance is already smaller, the state does not change.
+    twist's variance is already smaller, or below the twist's square, the state does not change: two discs showed that
+    twist before.
     """
     axis = state.attitude @ state.discs[column]
     along = state.joint[:, 3:6] @ axis
     twist, variance = float(axis @ state.rate), float(axis @ along[3:6])
+    if twist**2 > variance:
+        return state
     swing = float(state.rate @ state.rate) - twist**2 + float(np.trace(state.joint[3:6, 3:6])) - variance
     most = _LARGE_TWIST / math.sqrt(max(swing, 1e-12))
     expected = swing * (math.asinh(most) - most / math.hypot(1.0, most))

@@ -159,15 +159,53 @@ def test_a_ball_whose_one_disc_stands_still_is_at_rest(seed):
     assert state.status is Status.TRACKING
 
 
-def test_one_disc_leaves_a_known_twist_alone():
+@pytest.mark.parametrize("sigma", [0.0, 1.0])
+def test_one_disc_leaves_a_known_twist_alone(sigma):
+    """Also one that a push made uncertain, as long as its direction is known."""
     rng = np.random.default_rng(2)
     discs = directions(12, 2)
     tracker, state = known_ball(discs, rng)
     axis = state.filter.attitude @ discs[np.argmax(discs @ state.filter.attitude[2])]
-    turning = replace(state.filter, rate=2.0 * axis)
+    joint = state.filter.joint.copy()
+    joint[3:6, 3:6] += sigma**2 * np.outer(axis, axis)
+    turning = replace(state.filter, rate=2.0 * axis, joint=joint, modes=None)
     column = int(np.argmax(turning.discs @ (turning.attitude.T @ axis)))
     predicted = tracker.filter.predict(turning, turning.stamp + DT)
     points = intersect(photo(predicted.attitude, rng, discs), RIG, POSE)
     which = int(np.argmax(points.direction @ axis))
     corrected, _ = tracker.filter.correct(predicted, points, Pairing(np.array([which]), np.array([column])))
     assert abs(corrected.rate @ axis - 2.0) < 0.1
+
+
+def _two_in_view(seed):
+    """The filter, a state at rest whose map has two discs in view, their directions, and a random generator."""
+    rng = np.random.default_rng(seed)
+    towards = (POSE.position - RIG.ball.centre) / np.linalg.norm(POSE.position - RIG.ball.centre)
+    discs = np.stack([towards, exp(np.array([0.5, 0.0, 0.0])) @ towards])  # the camera is above
+    tracker = build(RIG, POSE, Settings())
+    state = begin(tracker, 0.0)
+    for k in range(60):
+        state = advance(state, k * DT, photo(np.eye(3), rng, discs), tracker).state
+    return tracker.filter, state.filter, discs, rng
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_push_from_rest_about_one_of_two_discs_remains_possible(seed):
+    """The other disc is then far from where the ball at rest would show it, and no second disc beside it."""
+    filter_, state, discs, rng = _two_in_view(seed)
+    points = intersect(photo(exp(0.015 * discs[0]), rng, discs), RIG, POSE)  # 27 rad/s² for a thirtieth of a second
+    predicted = filter_.predict(state, state.stamp + DT)
+    made = update_hypotheses(filter_, (Hypothesis(predicted, 0.0),), points, np.zeros(2, dtype=bool))
+    assert any(len(h.state.used) == 2 for h in made)
+
+
+def test_a_pair_in_a_wide_gate_is_not_certain():
+    """A false point near the uncertain place of a disc would turn the ball."""
+    filter_, state, discs, rng = _two_in_view(0)
+    none = np.zeros(2, dtype=bool)
+    for sigma, certain in ((1e-3, True), (0.05, False)):
+        doubt = state.joint.copy()
+        doubt[:3, :3] += sigma**2 * np.outer(discs[0], discs[0])
+        predicted = filter_.predict(replace(state, joint=doubt, modes=None), state.stamp + DT)
+        points = intersect(photo(exp(sigma * discs[0]), rng, discs), RIG, POSE)
+        assert (filter_.update_if_certain(predicted, points, none) is not None) == certain
