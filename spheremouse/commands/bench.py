@@ -161,7 +161,7 @@ def measure(film: Film, steps: int, progress: Callable[[int], object] = lambda _
 
 
 def compare(tracker: "Tracker", frames: "list[Frame]") -> tuple[float, ...]:
-    """Return the median times, s, of a step and of two blob detectors on the same frames, a second of them in turn.
+    """Return the median times, s, of a step and of two blob detectors on the same frames, 30 of them in turn.
 
     The detectors only find blobs: that of Wittich (2017, section 3.6.1) with ten grey-value masks, and that of OpenCV
     with its default parameters.

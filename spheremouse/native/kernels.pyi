@@ -261,7 +261,8 @@ def count_sightings(
     """Count a frame that shows the discs `columns` in their places, and misses others if `may_miss`.
 
     `counts` has sightings, misses in a row, and `hidden`, (m,) each. Return these after the frame, a mask, (m,), of the
-    discs to keep, the number of established discs seen, and the expected number of those missed.
+    discs to keep, the number of established discs seen, and the expected number of those missed. `hidden` changes in
+    either case.
     """
 
 # spheremouse/ball/filters/so3_update.cpp

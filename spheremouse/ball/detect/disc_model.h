@@ -26,7 +26,7 @@ Vector<2> seen_at(const BallView& view, const Vector<3>& direction);
 struct Photo {
     Image image;
     Mask mask;
-    float weights[3];  // of each channel; one that is missing has 0
+    float weights[3];  // of each channel; of a picture with one channel the first counts
     double noise;      // standard deviation of a projected pixel
 };
 
@@ -57,9 +57,9 @@ struct Fit {
 /// Fit discs to a picture. `contrast` is the least one over the light of the lighter of disc and ball.
 ///
 /// The first fit leaves the size free. It separates discs from other objects and gives the common size of all discs,
-/// fitted over expected. The second fit fixes the size at that value. Otherwise a disc cut by a strut would look
-/// smaller instead of cut. If fewer than three discs determine the size, it is fixed at 1 and `size` stays 0. If `size`
-/// is not 0, both fits use that size.
+/// fitted over expected. The second fit holds the size near that value. Otherwise a disc cut by a strut would look
+/// smaller instead of cut. If fewer than three discs determine the size, it is held near 1 and `size` stays 0. If
+/// `size` is not 0, the first fit is left out.
 std::vector<Fit> fit_discs(const Photo& photo, const std::vector<Expected>& discs, const FitSettings& settings,
                            double contrast, double& size);
 

@@ -203,17 +203,18 @@ class So3Filter:
 
         `may_start_landmark` is a mask (n,) of the points that may become discs.
 
-        The pairs are certain if at least two discs pair and one of three conditions holds:
-        - the places of these discs are known well and most points pair,
+        The pairs of an ordinary frame are certain (`_match`). In another frame at least two discs must pair, and one of
+        three conditions must hold:
+        - the places of these discs are known well and at least half of the points pair,
         - chance does not explain so many pairs, three or more,
         - two pairs fix the attitude, and chance does not explain the other pairs.
         """
         pairing, corrected = self._match(state, points)
         if corrected is None:
-            pairs = len(pairing.rows)
-            if pairs < 2:
+            if len(pairing.rows) < 2:
                 return None
             corrected, pairing = self._correct_and_pair_again(state, points, pairing)
+            pairs = len(pairing.rows)
             most = 2 * pairs >= len(points) and self._each_is_significant(state, pairing.columns, len(points))
             more = pairs > 2 and (
                 self.is_significant(state, pairs, len(points)) or self._others_agree(corrected, len(points))
@@ -225,7 +226,8 @@ class So3Filter:
     def _match(self, state: So3State, points: SpherePoints) -> tuple[Pairing, So3State | None]:
         """Return the nearest pairs, and the corrected state of an ordinary frame.
 
-        An ordinary frame shows each disc near its predicted place, has unambiguous pairs, and needs a small correction.
+        An ordinary frame shows at least half of the discs near their predicted places, has unambiguous pairs, and needs
+        a small correction.
         """
         first = self._pair(state, points, self._expected(state))
         if first.plain and first.innovation and (first.complete or not self._pairs_if_livelier(state, points, first)):
@@ -416,7 +418,7 @@ class So3Filter:
         pairing: Pairing,
         may_start_landmark: NDArray[np.bool_] | None = None,
     ) -> So3State:
-        """Count sightings, drop discs that did not last their trial, and add points as new discs.
+        """Count sightings, drop discs that were missed too often in a row, and add points as new discs.
 
         A disc is missed only where it should be. So frames in which the attitude is known too badly count no miss.
         `may_start_landmark` is a mask (n,) of the points that may become discs; None: all.

@@ -15,7 +15,7 @@ constexpr double LIMB =
     0.1;  // cosine above the horizon at which half of all discs are detected: foreshortened to a tenth
 constexpr double LIMB_BLUR = 0.03;       // cosine over which that changes
 constexpr double HANDS_STAY = 1.0;       // s, after which a hand has moved
-constexpr int64_t ESTABLISHED_HITS = 3;  // as in `so3_settings`, with the two below
+constexpr int64_t ESTABLISHED_HITS = 3;  // as so3_settings.ESTABLISHED_HITS
 constexpr double MAX_TRIAL_MISSES = 3.0;
 constexpr double MAX_MISSES_PER_HIT = 5.0;
 
