@@ -243,6 +243,8 @@ def correct(
 # ball. `hidden` (m,) has the probabilities that something hides each.
 
 _Viewer = tuple[_Float, float, _Float]
+HIDDEN_SHARE: float
+ESTABLISHED_HITS: int
 
 def carry_hidden(attitude: _Float, rate: _Float, discs: _Float, hidden: _Float, dt: float, disc_angle: float) -> _Float:
     """Return the probabilities, (m,), that something hides each disc, `dt` s later.

@@ -6,13 +6,14 @@ from functools import cache
 import numpy as np
 
 from spheremouse.geometry.rotation import Array
+from spheremouse.native import kernels
 from spheremouse.settings import param
 
 PERSISTENCE_S = 0.2  # mean time between two steps of the acceleration: a hand takes hold, lets go or stops the ball
 DRIFT = 0.1  # share of a level by which the acceleration drifts between two steps: no hand pushes evenly
 DWELL_S = 1.0  # mean time at a level of acceleration: a gesture takes about a second
-HIDDEN_SHARE = 0.2  # of the discs that face the camera: struts and hands before them
-ESTABLISHED_HITS = 3  # frames in which a disc is seen until it is established
+HIDDEN_SHARE = kernels.HIDDEN_SHARE  # of the discs that face the camera: struts and hands before them
+ESTABLISHED_HITS = kernels.ESTABLISHED_HITS  # frames in which a disc is seen until it is established
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,13 +9,13 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr double HIDDEN_SHARE = 0.2;  // `so3_settings.HIDDEN_SHARE`
+constexpr double HIDDEN_SHARE = 0.2;  // of the discs that face the camera: struts and hands before them
 constexpr double DETECTED = 0.95;     // probability that a disc is detected that nothing hides
 constexpr double LIMB =
     0.1;  // cosine above the horizon at which half of all discs are detected: foreshortened to a tenth
 constexpr double LIMB_BLUR = 0.03;       // cosine over which that changes
 constexpr double HANDS_STAY = 1.0;       // s, after which a hand has moved
-constexpr int64_t ESTABLISHED_HITS = 3;  // as so3_settings.ESTABLISHED_HITS
+constexpr int64_t ESTABLISHED_HITS = 3;  // frames in which a disc is seen until it is established
 constexpr double MAX_TRIAL_MISSES = 3.0;
 constexpr double MAX_MISSES_PER_HIT = 5.0;
 
@@ -127,6 +127,8 @@ nb::tuple count_sightings(nb::handle attitude_, nb::handle discs_, nb::tuple cou
 }  // namespace
 
 void bind_so3_sightings(nb::module_& m) {
+    m.attr("HIDDEN_SHARE") = HIDDEN_SHARE;
+    m.attr("ESTABLISHED_HITS") = ESTABLISHED_HITS;
     m.def("carry_hidden", &carry_hidden, arg("attitude"), arg("rate"), arg("discs"), arg("hidden"), arg("dt"),
           arg("disc_angle"));
     m.def("detection_probability", &detection_probability_, arg("attitude"), arg("discs"), arg("hidden"),
