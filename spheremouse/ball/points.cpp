@@ -24,18 +24,6 @@ std::vector<Seen> meet(const Pixels& uv, const BallView& view) {
     return met;
 }
 
-/// A new array of NumPy, (n, M, N) or (n, M), and its matrices one by one.
-template <int M, int N = 1>
-struct Rows {
-    nb::ndarray<nb::numpy, double> array;
-
-    explicit Rows(size_t n)
-        : array(N == 1 ? zeros<double>({n, size_t(M)}) : zeros<double>({n, size_t(M), size_t(N)})) {}
-    Eigen::Map<Matrix<M, N>> operator[](size_t i) const {
-        return Eigen::Map<Matrix<M, N>>(static_cast<double*>(array.data()) + i * M * N);
-    }
-};
-
 /// Return J C J', exactly symmetric.
 template <int N>
 Matrix<3> propagate(const Matrix<3, N>& J, const Matrix<N>& C) {

@@ -14,16 +14,18 @@ nb::tuple mapped(nb::handle points, const char* name, const Intrinsic& intrinsic
     const auto k = vector<5>(distortion, "distortion");
     const auto [fx, fy, cx, cy] = intrinsic;
     const Camera camera{fx, fy, cx, cy, k(0), k(1), k(2), k(3), k(4), fold, 0};
-    auto to = zeros<double>({size_t(from.rows()), 2}), J = zeros<double>({size_t(from.rows()), 2, 2});
+    const size_t n = size_t(from.rows());
+    const Rows<2> to(n);
+    const Rows<2, 2> J(n);
     {
         nb::gil_scoped_release release;
-        for (nb::ssize_t i = 0; i < from.rows(); i++) {
-            const Mapped<> m = F(camera, from.row(i).transpose());
-            Eigen::Map<Vector<2>>(to.data() + 2 * i) = m.place;
-            Eigen::Map<Matrix<2>>(J.data() + 4 * i) = m.J;
+        for (size_t i = 0; i < n; i++) {
+            const Mapped<> m = F(camera, from.row(nb::ssize_t(i)).transpose());
+            to[i] = m.place;
+            J[i] = m.J;
         }
     }
-    return nb::make_tuple(to, J);
+    return nb::make_tuple(to.array, J.array);
 }
 
 }  // namespace

@@ -52,12 +52,6 @@ std::vector<int> augment(const Worth& worth) {
     return column;
 }
 
-nb::ndarray<nb::numpy, int64_t> to_numpy(const std::vector<int>& indices) {
-    auto result = zeros<int64_t>({indices.size()});
-    std::copy(indices.begin(), indices.end(), result.data());
-    return result;
-}
-
 }  // namespace
 
 std::vector<int> match(const Worth& worth) {

@@ -7,16 +7,16 @@ namespace {
 template <Matrix<3> (*F)(const Vector<3>&)>
 nb::ndarray<nb::numpy, double> of_vectors(nb::handle v_) {
     const auto v = matrix<Dynamic, 3>(v_, "v");
-    auto M = zeros<double>({size_t(v.rows()), 3, 3});
-    for (nb::ssize_t i = 0; i < v.rows(); i++) Eigen::Map<Matrix<3>>(M.data() + 9 * i) = F(v.row(i).transpose());
-    return M;
+    const Rows<3, 3> M(size_t(v.rows()));
+    for (nb::ssize_t i = 0; i < v.rows(); i++) M[size_t(i)] = F(v.row(i).transpose());
+    return M.array;
 }
 
 nb::ndarray<nb::numpy, double> of_matrices(nb::handle R_) {
     const auto R = array<const double, -1, 3, 3>(R_, "R");
-    auto v = zeros<double>({R.shape(0), 3});
-    for (size_t i = 0; i < R.shape(0); i++) Eigen::Map<Vector<3>>(v.data() + 3 * i) = log(View<3, 3>(R.data() + 9 * i));
-    return v;
+    const Rows<3> v(R.shape(0));
+    for (size_t i = 0; i < R.shape(0); i++) v[i] = log(View<3, 3>(R.data() + 9 * i));
+    return v.array;
 }
 
 }  // namespace

@@ -42,6 +42,25 @@ nb::ndarray<nb::numpy, double> to_numpy(const Matrix<M, N>& m) {
     return a;
 }
 
+/// A new array of NumPy, (n, M, N) or (n, M), and its matrices one by one.
+template <int M, int N = 1>
+struct Rows {
+    nb::ndarray<nb::numpy, double> array;
+
+    explicit Rows(size_t n)
+        : array(N == 1 ? zeros<double>({n, size_t(M)}) : zeros<double>({n, size_t(M), size_t(N)})) {}
+    Eigen::Map<Matrix<M, N>> operator[](size_t i) const {
+        return Eigen::Map<Matrix<M, N>>(static_cast<double*>(array.data()) + i * M * N);
+    }
+};
+
+/// Return a new array of NumPy, (n,), of indices.
+inline nb::ndarray<nb::numpy, int64_t> to_numpy(const std::vector<int>& indices) {
+    auto a = zeros<int64_t>({indices.size()});
+    std::copy(indices.begin(), indices.end(), a.data());
+    return a;
+}
+
 /// Return the lower triangle L with L L' = C; a direction without variance gets a zero column.
 template <int N>
 Matrix<N> lower(const Matrix<N>& C) {

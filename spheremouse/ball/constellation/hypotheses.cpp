@@ -200,10 +200,10 @@ std::pair<Matrix<3>, int> Hypotheses::most_common(double min_cosine) const {
 
 namespace {
 
-nb::ndarray<nb::numpy, double> to_numpy(const std::vector<Matrix<3>>& rotations) {
-    auto R = zeros<double>({rotations.size(), 3, 3});
-    for (size_t h = 0; h < rotations.size(); h++) std::copy_n(rotations[h].data(), 9, R.data() + 9 * h);
-    return R;
+nb::ndarray<nb::numpy, double> matrices_to_numpy(const std::vector<Matrix<3>>& rotations) {
+    const Rows<3, 3> R(rotations.size());
+    for (size_t h = 0; h < rotations.size(); h++) R[h] = rotations[h];
+    return R.array;
 }
 
 nb::ndarray<nb::numpy, double> best(const Hypotheses& given, double sigma, double gain, double margin,
@@ -214,7 +214,7 @@ nb::ndarray<nb::numpy, double> best(const Hypotheses& given, double sigma, doubl
         nb::gil_scoped_release release;
         found = given.best(sigma, gain, margin, max_count);
     }
-    return to_numpy(found);
+    return matrices_to_numpy(found);
 }
 
 nb::tuple most_common(const Hypotheses& given, double min_cosine) {
@@ -223,7 +223,7 @@ nb::tuple most_common(const Hypotheses& given, double min_cosine) {
         nb::gil_scoped_release release;
         found = given.most_common(min_cosine);
     }
-    return nb::make_tuple(spheremouse::to_numpy(found.first), found.second);
+    return nb::make_tuple(to_numpy(found.first), found.second);
 }
 
 nb::ndarray<nb::numpy, int64_t> origins(const Hypotheses& given) {
@@ -239,7 +239,7 @@ void bind_hypotheses(nb::module_& m) {
         .def(nb::init<nb::handle, nb::handle, int, double, size_t>(), arg("seen"), arg("known"), arg("groups"),
              arg("tolerance"), arg("max_count"))
         .def_prop_ro(
-            "rotations", [](const Hypotheses& h) { return to_numpy(h.rotations); }, nb::rv_policy::move)
+            "rotations", [](const Hypotheses& h) { return matrices_to_numpy(h.rotations); }, nb::rv_policy::move)
         .def_prop_ro("origins", &origins, nb::rv_policy::move)
         .def("best", &best, arg("sigma"), arg("gain"), arg("margin"), arg("max_count"))
         .def("most_common", &most_common, arg("min_cosine"));

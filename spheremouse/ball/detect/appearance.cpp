@@ -4,7 +4,6 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr double PI = 3.14159265358979323846;
 constexpr int CORNERS = 24;  // of the polygon that approximates a distorted outline
 
 /// Return the centroid of an ellipse's distorted outline relative to `middle`, where its centre is.
@@ -12,7 +11,7 @@ Vector<2> distorted_centroid(const Camera& camera, const Vector<2>& centre, cons
     static const auto circle = [] {
         std::vector<Vector<2>> points;
         for (int i = 0; i <= CORNERS; i++) {
-            const double angle = 2.0 * PI * (i % CORNERS) / CORNERS;
+            const double angle = 2.0 * M_PI * (i % CORNERS) / CORNERS;
             points.emplace_back(std::cos(angle), std::sin(angle));
         }
         return points;
@@ -37,27 +36,27 @@ nb::tuple appearance_(nb::handle directions_, nb::tuple view_) {
     const auto directions = array<const double, -1, 3>(directions_, "directions");
     const BallView view = read_ball_view(view_);
     const size_t n = directions.shape(0);
-    auto centre = zeros<double>({n, 2}), centroid = zeros<double>({n, 2}), shape = zeros<double>({n, 2, 2}),
-         area = zeros<double>({n});
+    const Rows<2> centre(n), centroid(n);
+    const Rows<2, 2> shape(n);
+    auto area = zeros<double>({n});
     auto whole = zeros<bool>({n});
     for (size_t i = 0; i < n; i++) {
         const Appearance a = appearance(view, View<3, 1>(&directions(i, 0)));
-        Eigen::Map<Vector<2>>(centre.data() + 2 * i) = a.centre;
-        Eigen::Map<Vector<2>>(centroid.data() + 2 * i) = a.centroid;
-        Eigen::Map<Matrix<2>>(shape.data() + 4 * i) = a.shape;
+        centre[i] = a.centre;
+        centroid[i] = a.centroid;
+        shape[i] = a.shape;
         area.data()[i] = a.area;
         static_cast<bool*>(whole.data())[i] = a.whole;
     }
-    return nb::make_tuple(centre, centroid, shape, area, whole);
+    return nb::make_tuple(centre.array, centroid.array, shape.array, area, whole);
 }
 
 nb::object seen_at_(nb::handle directions_, nb::tuple view_) {
     const auto directions = array<const double, -1, 3>(directions_, "directions");
     const BallView view = read_ball_view(view_);
-    auto uv = zeros<double>({directions.shape(0), 2});
-    for (size_t i = 0; i < directions.shape(0); i++)
-        Eigen::Map<Vector<2>>(uv.data() + 2 * i) = seen_at(view, View<3, 1>(&directions(i, 0)));
-    return nb::cast(uv);
+    const Rows<2> uv(directions.shape(0));
+    for (size_t i = 0; i < directions.shape(0); i++) uv[i] = seen_at(view, View<3, 1>(&directions(i, 0)));
+    return nb::cast(uv.array);
 }
 
 }  // namespace
@@ -82,11 +81,11 @@ Appearance appearance(const BallView& view, const Vector<3>& direction) {
     const Mapped<> m = distort(camera, middle);
     Appearance a;
     a.whole = true;
-    a.centre = distort(camera, top.head<2>() / top(2)).place.cwiseProduct(f) + offset;
+    a.centre = project(camera, top).place;
     const Matrix<2> J = f.asDiagonal() * m.J;
     a.shape = J * reduced * J.transpose();
     a.shape(1, 0) = a.shape(0, 1);
-    a.area = PI * std::sqrt(a.shape.determinant());
+    a.area = M_PI * std::sqrt(a.shape.determinant());
     Vector<2> centroid = m.place;
     if (Vector<5>(camera.k1, camera.k2, camera.p1, camera.p2, camera.k3).any())
         centroid += distorted_centroid(camera, middle, reduced, m.place);
@@ -95,11 +94,8 @@ Appearance appearance(const BallView& view, const Vector<3>& direction) {
 }
 
 Vector<2> seen_at(const BallView& view, const Vector<3>& direction) {
-    const Vector<3> c = view.rotation.transpose() * (view.centre - view.position + view.radius * direction);
-    if (!(c(2) > 0.0)) return Vector<2>::Constant(std::numeric_limits<double>::quiet_NaN());
-    const Camera& camera = view.camera;
-    return distort(camera, c.head<2>() / c(2)).place.cwiseProduct(Vector<2>(camera.fx, camera.fy)) +
-           Vector<2>(camera.cx, camera.cy);
+    return project(view.camera, view.rotation.transpose() * (view.centre - view.position + view.radius * direction))
+        .place;
 }
 
 void bind_appearance(nb::module_& m) {

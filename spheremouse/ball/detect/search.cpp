@@ -164,9 +164,9 @@ nb::object candidate_pixels(nb::tuple plane_, nb::handle mask, nb::tuple samples
         nb::gil_scoped_release release;
         found = find(plane, samples, limits, turn, known, rejected);
     }
-    auto places = zeros<double>({found.size(), 2});
-    for (size_t i = 0; i < found.size(); i++) Eigen::Map<Vector<2>>(places.data() + 2 * i) = found[i];
-    return nb::cast(places);
+    const Rows<2> places(found.size());
+    for (size_t i = 0; i < found.size(); i++) places[i] = found[i];
+    return nb::cast(places.array);
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 // Measurement of discs, each in its own window, as `windows.py` describes it.
 #include "spheremouse/ball/detect/disc_model.h"
+#include "spheremouse/geometry/matching.h"
 #include "spheremouse/geometry/rotation.h"
 
 namespace spheremouse::ball {
@@ -58,10 +59,11 @@ std::vector<const Disc*> best_of(const std::vector<Disc>& discs, double apart) {
     for (const Disc& disc : discs)
         if (disc.fit.ok) order.push_back(&disc);
     std::stable_sort(order.begin(), order.end(), [](auto a, auto b) { return a->fit.rim > b->fit.rim; });
-    for (const Disc* disc : order)
-        if (std::all_of(kept.begin(), kept.end(),
-                        [&](const Disc* other) { return (disc->fit.centroid - other->fit.centroid).norm() > apart; }))
-            kept.push_back(disc);
+    const nb::ssize_t n = nb::ssize_t(order.size());
+    Matrix<Dynamic> place(n, 2);
+    for (nb::ssize_t i = 0; i < n; i++) place.row(i) = order[size_t(i)]->fit.centroid;
+    for (int i : suppress(View<>(place.data(), n, 2), Vector<Dynamic>::Constant(n, apart)))
+        kept.push_back(order[size_t(i)]);
     return kept;
 }
 
@@ -107,14 +109,15 @@ nb::tuple measure_discs(nb::handle image, nb::handle directions_, nb::tuple mode
                         size);
     }
     const std::vector<const Disc*> kept = best_of(discs, apart);
-    auto centre = zeros<double>({kept.size(), 2}), covariance = zeros<double>({kept.size(), 2, 2}),
-         area = zeros<double>({kept.size()});
+    const Rows<2> centre(kept.size());
+    const Rows<2, 2> covariance(kept.size());
+    auto area = zeros<double>({kept.size()});
     for (size_t i = 0; i < kept.size(); i++) {
-        Eigen::Map<Vector<2>>(centre.data() + 2 * i) = kept[i]->fit.centroid;
-        Eigen::Map<Matrix<2>>(covariance.data() + 4 * i) = kept[i]->fit.covariance;
+        centre[i] = kept[i]->fit.centroid;
+        covariance[i] = kept[i]->fit.covariance;
         area.data()[i] = kept[i]->seen.area;
     }
-    return nb::make_tuple(centre, covariance, area, size);
+    return nb::make_tuple(centre.array, covariance.array, area, size);
 }
 
 }  // namespace

@@ -302,14 +302,7 @@ Indices read_indices(nb::handle given, const char* name, int size) {
     return Indices(indices.data(), indices.data() + indices.shape(0));
 }
 
-nb::ndarray<nb::numpy, int64_t> to_numpy(const Indices& indices) {
-    auto result = zeros<int64_t>({indices.size()});
-    std::copy(indices.begin(), indices.end(), result.data());
-    return result;
-}
-
-nb::tuple to_numpy(const Innovation& r) {
-    using spheremouse::to_numpy;
+nb::tuple innovation_to_numpy(const Innovation& r) {
     return nb::make_tuple(to_numpy(r.H), to_numpy(r.HP), to_numpy(r.z), to_numpy(r.S));
 }
 
@@ -331,8 +324,7 @@ nb::ndarray<nb::numpy, double> distances_(nb::tuple body_, nb::tuple points_, nb
     const Body body = read_body(body_);
     const Points points = read_points(points_, body.readout);
     const Noise added = matrix<CORE, CORE>(added_, "added");
-    return spheremouse::to_numpy(
-        distances(body, points, read_indices(which_, "which", body.size()), added, allowance, gate));
+    return to_numpy(distances(body, points, read_indices(which_, "which", body.size()), added, allowance, gate));
 }
 
 nb::tuple innovation_(nb::tuple body_, nb::tuple points_, nb::handle rows_, nb::handle columns_) {
@@ -341,7 +333,7 @@ nb::tuple innovation_(nb::tuple body_, nb::tuple points_, nb::handle rows_, nb::
     const Indices rows = read_indices(rows_, "rows", points.size());
     const Indices columns = read_indices(columns_, "columns", body.size());
     if (rows.size() != columns.size()) throw nb::type_error("columns: must have the length of rows");
-    return to_numpy(innovation(body, points, rows, columns, curvature(body.P, Noise::Zero())));
+    return innovation_to_numpy(innovation(body, points, rows, columns, curvature(body.P, Noise::Zero())));
 }
 
 nb::tuple pair_(nb::tuple body_, nb::tuple points_, nb::handle towards_, double horizon, nb::handle added_,
@@ -356,7 +348,7 @@ nb::tuple pair_(nb::tuple body_, nb::tuple points_, nb::handle towards_, double 
         r = pair(body, points, towards, horizon, added, gate);
     }
     return nb::make_tuple(to_numpy(r.rows), to_numpy(r.columns), r.possible, r.plain, r.in_place, r.agree,
-                          to_numpy(r.innovation));
+                          innovation_to_numpy(r.innovation));
 }
 
 }  // namespace
