@@ -21,9 +21,9 @@ from spheremouse.ball.filters.so3_settings import (
     DWELL_S,
     PERSISTENCE_S,
     So3Settings,
+    activity_of,
     prior_of_levels,
     usual_acceleration,
-    variances,
 )
 from spheremouse.ball.filters.so3_state import PLACED, So3State
 from spheremouse.ball.points import SpherePoints
@@ -62,7 +62,7 @@ def observe(estimate: Estimate, state: So3State, points: SpherePoints, filter_: 
         near = cosine.max(axis=1) > np.cos(filter_.disc_angle)
         rows, columns = rows[near], cosine.argmax(axis=1)[near]
         exact = replace(state, joint=np.zeros_like(state.joint))
-        H, _, z, S = kernels.innovation(exact.body, points.measurement(filter_.radius), rows, columns)
+        H, _, z, S = kernels.innovation(exact.body, points.measurement(filter_.radius), rows, columns, np.zeros_like(J))
         S[np.diag_indices(len(S))] += np.repeat(state.map_sigma()[columns] ** 2, 2)
         weighted = np.linalg.solve(S, H).T
         J, score = weighted @ H, weighted @ z
@@ -147,7 +147,7 @@ def _with_reference(interval: list[Observation]) -> list[Observation]:
 def jerk_densities(observations: Sequence[Observation], settings: So3Settings) -> Array:
     """Return the mean density of the white jerk, (n - 1,) (rad/s³)² s per axis, between n frames of one interval."""
     dt = np.diff([o.estimate.stamp for o in observations])
-    densities = 2.0 * variances(settings.acceleration_sigma, settings.levels) / PERSISTENCE_S
+    densities = 2.0 * activity_of(settings).variances / PERSISTENCE_S
     L = np.stack([_filtered(observations, np.full(len(dt), d), settings)[2] for d in densities], axis=1)
     E = np.exp(L - L.max(axis=1, keepdims=True))
     prior, stay = prior_of_levels(settings.levels), np.exp(-dt / DWELL_S)
@@ -210,7 +210,7 @@ def _predicted(motion: Motion, dt: float, density: float, informed: bool) -> tup
     """
     fading = np.inf if informed and dt <= 0.5 * PERSISTENCE_S else PERSISTENCE_S
     twice = np.tile(motion.covariance, (2, 2))
-    attitude, rate, acceleration, P, *_ = kernels.predict(*motion[:3], twice, dt, fading, density)
+    attitude, rate, acceleration, P = kernels.predict_motion(*motion[:3], twice, dt, fading, density)
     return Motion(attitude, rate, acceleration, P[:KINEMATIC_DIM, :KINEMATIC_DIM]), P[:KINEMATIC_DIM, KINEMATIC_DIM:]
 
 

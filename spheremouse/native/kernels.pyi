@@ -167,12 +167,22 @@ def candidate_pixels(
     radius, and reduction. Raises ValueError if a sample's neighbour is outside of the image.
     """
 
-# spheremouse/ball/filters/so3_match.cpp. `body` is So3State.body, and `points` SpherePoints.measurement. The matrix
-# `added`, (9, 9), is process noise that the covariance does not include yet.
+# spheremouse/ball/filters/so3_match.cpp, so3_motion.cpp, so3_ordinary.cpp, so3_update.cpp. Errors have the order of
+# so3_motion.py. `body`, `pending` and `sightings` are those of So3State, `points` is SpherePoints.measurement, and
+# `activity` a so3_settings.Activity. The matrix `added`, (9, 9), is process noise that the covariance does not include
+# yet.
 
 _Body = tuple[_Float, _Float, _Float, _Float, _Float, _Float, float]
 _Points = tuple[_Float, _Float, _Float, _Float, _Float, _Float, float]
 _Innovation = tuple[_Float, _Float, _Float, _Float]
+_Modes = tuple[_Float, _Float, _Float]
+_Pending = tuple[_Float, float, _Float, _Modes | None]
+_Sightings = tuple[_Index, _Index, _Float]
+_Activity = tuple[float, float, float, _Float, _Float, _Float]
+_Motion = tuple[_Float, _Float, _Float, _Float, _Float]  # attitude, rate, acceleration, discs, their axes
+_Figures = tuple[float, float, float]  # rms level of the steps, normalised innovation squared, readout
+_Corrected = tuple[_Motion, _Float, _Float, _Figures, _Modes | None]  # with joint and weights
+_Counted = tuple[_Sightings, NDArray[np.bool_], int, float]
 
 def place_sigma(body: _Body, which: _Index, added: _Float) -> _Float:
     """Return the standard deviation, (k,) rad, of the predicted place of each disc of `which`, on the worse axis."""
@@ -183,59 +193,67 @@ def distances(body: _Body, points: _Points, which: _Index, added: _Float, allowa
     Errors of the considered parameters alone reject no disc. `allowance`, rad², is the variance of nonlinear terms.
     """
 
-def innovation(body: _Body, points: _Points, rows: _Index, columns: _Index) -> _Innovation:
+def innovation(body: _Body, points: _Points, rows: _Index, columns: _Index, added: _Float) -> _Innovation:
     """Return for k pairs H, (2k, 9), H P, (2k, n), the innovation z, (2k,) rad, and its covariance S, (2k, 2k).
 
-    Points `rows` are paired with discs `columns`. H P includes the considered parameters and the readout.
+    Points `rows` are paired with discs `columns`. H P includes the considered parameters and the readout. S includes
+    `added` only in the terms that the linear model omits.
     """
 
 def pair(
     body: _Body, points: _Points, towards: _Float, horizon: float, added: _Float, gate: float
-) -> tuple[_Index, _Index, int, bool, bool, bool, _Innovation]:
+) -> tuple[_Index, _Index, int, bool, bool, bool]:
     """Return the one-to-one pairs of least total distance of points and visible discs, as rows and columns.
 
     Pairs that contradict the others are left out. Also return the greatest possible number of pairs, whether no other
-    pair was possible, whether all pairs lie in their places, whether they agree with one another, and the innovation of
-    all. `towards`, (3,) obj, points to the camera. The camera sees points with a cosine to `towards` above `horizon`.
+    pair was possible, whether all pairs lie in their places, and whether they agree with one another. `towards`, (3,)
+    obj, points to the camera. The camera sees points with a cosine to `towards` above `horizon`.
     """
 
-# spheremouse/ball/filters/so3_motion.cpp, so3_update.cpp. Errors have the order of so3_motion.py.
-
-_Modes = tuple[_Float, _Float, _Float]  # as so3_state.Modes
-
-def predict(
+def predict_motion(
     attitude: _Float, rate: _Float, acceleration: _Float, joint: _Float, dt: float, tau: float, q: float
-) -> tuple[_Float, _Float, _Float, _Float, _Float, _Float]:
+) -> tuple[_Float, _Float, _Float, _Float]:
     """Predict the motion by dt, s, under an acceleration that fades with the time constant tau, s (inf: it lasts).
 
     `attitude` is (3, 3), `rate` (3,) rad/s and `acceleration` (3,) rad/s². `joint` (n, n) is the covariance, and q the
-    density of the white jerk, (rad/s³)²/Hz. Return attitude, rate, acceleration, covariance, the process noise in that,
-    (9, 9), and the transition, (9, 9).
+    density of the white jerk, (rad/s³)²/Hz. Return attitude, rate, acceleration and covariance.
     """
 
-def predict_modes(
-    modes: _Modes, F: _Float, Q: _Float, drift: _Float, stay: float, usual: _Float
-) -> tuple[_Float, _Float, _Float]:
-    """Return the modes after a prediction with transition F and process noise Q at the first level, (9, 9).
+def predict(
+    body: _Body, pending: _Pending, dt: float, activity: _Activity
+) -> tuple[_Float, _Float, _Float, _Float, _Float, _Float, float, _Modes | None]:
+    """Predict the motion by dt, s: attitude, rate, acceleration, joint, weights, process, interval, modes of So3State.
 
-    At level k the noise is 1 + `drift`[k] times as large. A level stays with the probability `stay`. Else the levels
-    have the probabilities `usual`, (l,).
+    If dt exceeds half the mean time between two steps, the modes become one, and `interval` is the last part of dt.
+    Before that part the acceleration fades (Singer 1970), which is the mean effect of the steps.
     """
 
 def correct(
-    prior: _Float,
-    innovation: _Innovation,
-    rate: _Float,
-    acceleration: _Float,
-    steps: tuple[float, float, _Float],
-    modes: _Modes,
-) -> tuple[_Float, _Modes, _Float, _Float, float, float, float]:
-    """Return covariance, modes, level weights, correction, log likelihood, normalised square and rms level.
+    body: _Body, points: _Points, pairs: tuple[_Index, _Index, _Float], pending: _Pending, activity: _Activity
+) -> tuple[_Corrected, float]:
+    """Return the state corrected by k pairs, and their log likelihood over all levels, 1/rad² each.
 
-    `prior` (n, n) is the covariance before, and `innovation` that of the pairs. `rate` (3,) rad/s and
-    `acceleration` (3,) rad/s² are predicted. `steps` holds the interval since the last frame, s (0: no step), the mean
-    time between two steps, s, and the variance of each level, (l,) (rad/s²)² per axis. Raises ValueError if the
-    innovation's covariance is not positive definite.
+    `pairs` has `rows`, `columns` and `added` of `innovation`. Raises ValueError if the innovation's covariance is not
+    positive definite.
+    """
+
+def update_ordinary(
+    body: _Body, points: _Points, camera: tuple[_Float, float], sightings: _Sightings, pending: _Pending,
+    activity: _Activity,
+) -> tuple[_Corrected, _Index, _Counted] | None:  # fmt: skip
+    """Return the state corrected by a frame with certain pairs, the paired points, and the sightings; else None.
+
+    `camera` has `towards` and `horizon` of `pair`.
+    """
+
+def move(body: _Body, dx: _Float) -> tuple[_Motion, float]:
+    """Return the motion and the readout, s, moved by an error vector, (23 + 2m,)."""
+
+def since_reference(P: _Float, turn: _Float) -> _Float:
+    """Return the covariance, (6, 6), of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.
+
+    The turn is exp(e) R exp(-e_reference). Its error in obj is e - R e_reference, which is Jl times the error of its
+    vector. `P` (n, n) is the covariance.
     """
 
 # spheremouse/ball/filters/so3_sightings.cpp. The camera `viewer` sees directions with a cosine to viewer[0], (3,)
@@ -243,6 +261,7 @@ def correct(
 # ball. `hidden` (m,) has the probabilities that something hides each.
 
 _Viewer = tuple[_Float, float, _Float]
+PLACED: float
 HIDDEN_SHARE: float
 ESTABLISHED_HITS: int
 
@@ -257,27 +276,14 @@ def detection_probability(attitude: _Float, discs: _Float, hidden: _Float, viewe
     """Return the probability, (m,), that each disc is detected, at R_obj_ball (3, 3)."""
 
 def count_sightings(
-    attitude: _Float, discs: _Float, counts: tuple[_Index, _Index, _Float], viewer: _Viewer,
-    columns: _Index, may_miss: bool,
-) -> tuple[_Index, _Index, _Float, NDArray[np.bool_], int, float]:  # fmt: skip
+    attitude: _Float, discs: _Float, sightings: _Sightings, viewer: _Viewer, columns: _Index, may_miss: bool
+) -> _Counted:
     """Count a frame that shows the discs `columns` in their places, and misses others if `may_miss`.
 
-    `counts` has sightings, misses in a row, and `hidden`, (m,) each. Return these after the frame, a mask, (m,), of the
-    discs to keep, the number of established discs seen, and the expected number of those missed. `hidden` changes in
-    either case.
+    A disc is missed only where it should be. So frames in which the attitude is known too badly count no miss.
+    Return the sightings after the frame, a mask, (m,), of the discs to keep, the number of established discs seen, and
+    the expected number of those missed. `hidden` changes in either case.
     """
-
-# spheremouse/ball/filters/so3_update.cpp
-
-def since_reference(P: _Float, turn: _Float) -> _Float:
-    """Return the covariance, (6, 6), of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.
-
-    The turn is exp(e) R exp(-e_reference). Its error in obj is e - R e_reference, which is Jl times the error of its
-    vector. `P` (n, n) is the covariance.
-    """
-
-def move(attitude: _Float, discs: _Float, basis: _Float, dx: _Float) -> tuple[_Float, _Float, _Float]:
-    """Return attitude, (3, 3), discs, (m, 3), and their axes, (m, 3, 2), moved by an error vector, (23 + 2m,)."""
 
 # spheremouse/wand/colour.cpp
 

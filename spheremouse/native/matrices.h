@@ -29,6 +29,13 @@ Eigen::Map<const Vector<N>> vector(nb::handle given, const char* name) {
     return Eigen::Map<const Vector<N>>(a.data(), N == Dynamic ? nb::ssize_t(a.shape(0)) : N);
 }
 
+/// View an argument, (n, M, N), as one row of M * N for each of its matrices.
+template <int M, int N>
+View<Dynamic, M * N> matrices(nb::handle given, const char* name) {
+    const auto a = array<const double, -1, M, N>(given, name);
+    return View<Dynamic, M * N>(a.data(), nb::ssize_t(a.shape(0)), M * N);
+}
+
 /// Return a new array of NumPy, (m, n) or (n,), with the elements of a matrix.
 template <int M, int N>
 nb::ndarray<nb::numpy, double> to_numpy(const Matrix<M, N>& m) {
@@ -54,10 +61,11 @@ struct Rows {
     }
 };
 
-/// Return a new array of NumPy, (n,), of indices.
-inline nb::ndarray<nb::numpy, int64_t> to_numpy(const std::vector<int>& indices) {
-    auto a = zeros<int64_t>({indices.size()});
-    std::copy(indices.begin(), indices.end(), a.data());
+/// Return a new array of NumPy, (n,), of whole numbers.
+template <class T>
+nb::ndarray<nb::numpy, int64_t> to_numpy(const std::vector<T>& numbers) {
+    auto a = zeros<int64_t>({numbers.size()});
+    std::copy(numbers.begin(), numbers.end(), a.data());
     return a;
 }
 

@@ -24,30 +24,25 @@ from spheremouse.ball.filters.so3_motion import (
     integrals,
 )
 from spheremouse.ball.filters.so3_settings import (
-    DWELL_S,
     PERSISTENCE_S,
     So3Settings,
+    activity_of,
     prior_of_levels,
-    squared_drift,
     squared_levels,
     usual_acceleration,
-    variances,
 )
-from spheremouse.ball.filters.so3_state import Modes, So3State, augment, drop, inject
+from spheremouse.ball.filters.so3_state import So3State, augment, drop, inject
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import Array
 from spheremouse.native import kernels
 
 _LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow, and the covariance must stay finite
-_LINEAR = 0.02  # rad: a correction larger than that is made again about where it led
 _NONE = np.zeros(0, dtype=np.intp)
 _RARE = 1e-3  # probability per frame below which chance does not explain the pairs
 _LARGE_TWIST = 6.0  # rad/s: a third of `loss.fastest`, it counts by its logarithm
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _NO_NOISE = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
-# Two pairs are four equations for a rotation. A step and a half-hidden disc look alike then, and one mode remains.
-_PAIRS_WITHOUT_MODES = 2
 _DETECTED = 0.8  # probability that a disc in view is seen: hands and struts hide some
 
 
@@ -60,8 +55,7 @@ class Pairing(NamedTuple):
     rows: NDArray[np.intp]  # (k,) indices into the points
     columns: NDArray[np.intp]  # (k,) indices into the discs
     complete: bool = True  # all that could pair does, each in its place
-    plain: bool = False  # no other pair was possible, and half of all or more are in their places
-    innovation: Innovation | None = None  # of the pairs, if known
+    noise_scale: float = 1.0  # of the level at which they pair
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,33 +82,12 @@ class So3Filter:
     def predict(self, state: So3State, stamp: float) -> So3State:
         """Predict the state for `stamp`, by up to 10 s, with an acceleration that drifts but makes no step.
 
-        `process` and `weights` describe the additional variance by steps. If the interval exceeds half the mean time
-        between two steps, the prediction applies this only to the last part. Before that part the acceleration fades
-        (Singer 1970), which is the mean effect of the steps.
+        `process` and `weights` describe the additional variance by steps.
         """
-        s = self.settings
         dt = float(min(max(stamp - state.stamp, 0.0), _LONGEST))
-        last = min(dt, 0.5 * PERSISTENCE_S)
-        usual = prior_of_levels(s.levels)
-        weights = state.weights if len(state.weights) else usual
-        density = 2.0 * variances(s.acceleration_sigma, s.levels)[0] / PERSISTENCE_S
-        attitude, rate, acceleration, joint = state.attitude, state.rate, state.acceleration, state.joint
-        modes = state.modes
-        if dt > last:
-            modes = None
-            density_of_all = density * float(weights @ squared_levels(s.levels))
-            attitude, rate, acceleration, joint, *_ = kernels.predict(
-                attitude, rate, acceleration, joint, dt - last, PERSISTENCE_S, density_of_all
-            )
-        drift = squared_drift(s.levels)
-        noise_scale = 1.0 + float(weights @ drift)
-        attitude, rate, acceleration, joint, process, transition = kernels.predict(
-            attitude, rate, acceleration, joint, last, np.inf, noise_scale * density
+        attitude, rate, acceleration, joint, weights, process, interval, modes = kernels.predict(
+            state.body, state.pending, dt, activity_of(self.settings)
         )
-        process /= noise_scale
-        stay = math.exp(-dt / DWELL_S)
-        if modes is not None:
-            modes = kernels.predict_modes(modes, transition, process, drift, stay, usual)
         return So3State(
             stamp,
             attitude,
@@ -127,10 +100,10 @@ class So3Filter:
             state.missed,
             kernels.carry_hidden(attitude, rate, state.discs, state.hidden, dt, self.disc_angle),
             _NONE,
-            stay * weights + (1.0 - stay) * usual,
+            weights,
             process,
             readout=state.readout,
-            interval=last,
+            interval=interval,
             modes=modes,
         )
 
@@ -191,9 +164,10 @@ class So3Filter:
         acceleration makes steps of a different size (`so3_motion`). The joint likelihood of all pairs weights the steps
         and levels.
         """
-        pairing, corrected = self._match(state, points)
-        if corrected is None:
-            corrected, pairing = self._correct_and_pair_again(state, points, pairing)
+        ordinary = self._update_ordinary(state, points, may_start_landmark)
+        if ordinary is not None:
+            return ordinary
+        corrected, pairing = self._correct_and_pair_again(state, points, self.nearest_pairs(state, points))
         return self.keep_map(corrected, points, pairing, may_start_landmark)
 
     def update_if_certain(
@@ -203,46 +177,48 @@ class So3Filter:
 
         `may_start_landmark` is a mask (n,) of the points that may become discs.
 
-        The pairs of an ordinary frame are certain (`_match`). In another frame at least two discs must pair, and one of
-        three conditions must hold:
+        The pairs of an ordinary frame are certain (`_update_ordinary`). In another frame at least two discs must pair,
+        and one of three conditions must hold:
         - the places of these discs are known well and at least half of the points pair,
         - chance does not explain so many pairs, three or more,
         - two pairs fix the attitude, and chance does not explain the other pairs.
         """
-        pairing, corrected = self._match(state, points)
-        if corrected is None:
-            if len(pairing.rows) < 2:
-                return None
-            corrected, pairing = self._correct_and_pair_again(state, points, pairing)
-            pairs = len(pairing.rows)
-            most = 2 * pairs >= len(points) and self._each_is_significant(state, pairing.columns, len(points))
-            more = pairs > 2 and (
-                self.is_significant(state, pairs, len(points)) or self._others_agree(corrected, len(points))
-            )
-            if not (most or more):
-                return None
-        return self.keep_map(corrected, points, pairing, may_start_landmark)
+        ordinary = self._update_ordinary(state, points, may_start_landmark)
+        if ordinary is not None:
+            return ordinary
+        pairing = self.nearest_pairs(state, points)
+        if len(pairing.rows) < 2:
+            return None
+        corrected, pairing = self._correct_and_pair_again(state, points, pairing)
+        pairs = len(pairing.rows)
+        most = 2 * pairs >= len(points) and self._each_is_significant(state, pairing.columns, len(points))
+        more = pairs > 2 and (
+            self.is_significant(state, pairs, len(points)) or self._others_agree(corrected, len(points))
+        )
+        return self.keep_map(corrected, points, pairing, may_start_landmark) if most or more else None
 
-    def _match(self, state: So3State, points: SpherePoints) -> tuple[Pairing, So3State | None]:
-        """Return the nearest pairs, and the corrected state of an ordinary frame.
+    def _update_ordinary(
+        self, state: So3State, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None
+    ) -> So3State | None:
+        """Return the result of `update` for an ordinary frame; None for any other frame.
 
         An ordinary frame shows at least half of the discs near their predicted places, has unambiguous pairs, and needs
         a small correction.
         """
-        first = self._pair(state, points, self._expected(state))
-        if first.plain and first.innovation and (first.complete or not self._pairs_if_livelier(state, points, first)):
-            corrected, dx, _ = self._corrected(state, first.innovation, first.rows)
-            if max(abs(dx[0]), abs(dx[1]), abs(dx[2])) <= _LINEAR:
-                return first, corrected
-        return self.nearest_pairs(state, points, first), None
+        camera, activity = (self.towards_camera, self.horizon), activity_of(self.settings)
+        measurement = points.measurement(self.radius)
+        updated = kernels.update_ordinary(state.body, measurement, camera, state.sightings, state.pending, activity)
+        if updated is None:
+            return None
+        (motion, joint, weights, figures, modes), rows, (sightings, keep, seen, missed) = updated
+        at_frame = *motion, joint, *sightings, rows, weights, _NO_NOISE, *figures, seen, missed
+        state = So3State(state.stamp, *at_frame, modes=modes)
+        return self._with_new_discs(state, keep, points, rows, may_start_landmark)
 
-    def nearest_pairs(self, state: So3State, points: SpherePoints, first: Pairing | None = None) -> Pairing:
-        """Return the pairs of least total distance, at the most likely level at which most points pair.
-
-        `first` are those at the expected level, if known.
-        """
+    def nearest_pairs(self, state: So3State, points: SpherePoints) -> Pairing:
+        """Return the pairs of least total distance, at the most likely level at which most points pair."""
         expected = self._expected(state)
-        best = first or self._pair(state, points, expected)
+        best = self._pair(state, points, expected)
         if best.complete or state.process[3, 3] == 0.0:
             return best
         best_score = self._log_likelihood(state, points, best, expected)
@@ -269,7 +245,7 @@ class So3Filter:
         again = self._pair(corrected, points, 1.0)
         if len(again.rows) <= len(pairing.rows):
             return corrected, pairing
-        again = again._replace(innovation=None)  # that is one from the corrected state
+        again = again._replace(noise_scale=1.0)  # the other is for the corrected state
         return self.correct(state, points, again)[0], again
 
     def _others_agree(self, corrected: So3State, points: int) -> bool:
@@ -306,7 +282,7 @@ class So3Filter:
         k = len(pairing.rows)
         if k == 0:
             return 0.0
-        H, _, z, S = pairing.innovation or self.innovation(state, points, pairing)
+        H, _, z, S = self.innovation(state, points, pairing)
         density = _log_density(z, S + H @ self._added_noise(state, noise_scale) @ H.T)
         foreign = len(points) / (2.0 * math.pi * (1.0 - self.horizon))  # 1/rad², density of points that are no disc
         return density + k * math.log(_DETECTED / ((1.0 - _DETECTED) * foreign))
@@ -315,7 +291,7 @@ class So3Filter:
         """Return the pairs within the gate at the level with this noise scale."""
         if len(points) == 0:
             return Pairing(_NONE, _NONE)
-        rows, columns, possible, plain, in_place, agree, innovation = kernels.pair(
+        rows, columns, possible, _, in_place, agree = kernels.pair(
             state.body,
             points.measurement(self.radius),
             self.towards_camera,
@@ -323,20 +299,7 @@ class So3Filter:
             self._added_noise(state, noise_scale),
             self.settings.gate,
         )
-        k = len(rows)
-        plain = plain and in_place and k >= 2 and 2 * k >= possible
-        return Pairing(rows, columns, in_place and k == possible, plain, innovation if agree and k else None)
-
-    def _pairs_if_livelier(self, state: So3State, points: SpherePoints, pairing: Pairing) -> bool:
-        """Return whether an unpaired point and an unpaired disc form a pair at the highest level.
-
-        If they do, a hand may have pushed the ball. Then the update must not use only the discs that moved least.
-        """
-        added = self._added_noise(state, squared_levels(self.settings.levels).max())
-        which, gate = self.visible(state), self.settings.gate
-        distance = kernels.distances(state.body, points.measurement(self.radius), which, added, 0.0, gate)
-        distance[pairing.rows] = distance[:, np.isin(which, pairing.columns)] = np.inf
-        return bool(np.any(distance < gate))
+        return Pairing(rows, columns, in_place and len(rows) == possible, noise_scale if agree else 1.0)
 
     @staticmethod
     def _added_noise(state: So3State, noise_scale: float) -> Array:
@@ -354,47 +317,23 @@ class So3Filter:
     def correct(self, state: So3State, points: SpherePoints, pairing: Pairing) -> tuple[So3State, float]:
         """Return the state corrected by pairs, and their log likelihood, 1/rad² each, over all levels.
 
-        A large correction is made again about the state it leads to (iterated Kalman filter, Bell and Cathey 1993).
-        The log likelihood is then Laplace's approximation.
+        A large correction is made again about the state it leads to.
         """
         rows, columns = pairing.rows, pairing.columns
         if len(rows) == 0:
             return self._coasted(state), 0.0
-        innovation = pairing.innovation or self.innovation(state, points, pairing)
-        corrected, dx, log_likelihood = self._corrected(state, innovation, rows)
-        at = (MAP_OFFSET + 2 * columns[:, None] + np.arange(2)).ravel()
-        moved, least = float(np.abs(dx[:3]).max()), _LINEAR
-        for _ in range(3):
-            if moved < least:
-                break
-            about = dx.copy()
-            about[READOUT] = 0.0  # the innovation is linear in it, and what is added back below leaves it out
-            H, HP, z, S = self.innovation(inject(state, about, state.joint), points, pairing)
-            innovation = H, HP, z + H @ dx[:KINEMATIC_DIM] + dx[at], S
-            corrected, step, log_likelihood = self._corrected(state, innovation, rows)
-            moved, least = float(np.abs(step[:3] - dx[:3]).max()), 0.1 * _LINEAR
-            dx = step
-        return (_twist_as_swing(corrected, columns[0]) if len(columns) == 1 else corrected), log_likelihood
-
-    def _corrected(
-        self, state: So3State, innovation: Innovation, rows: NDArray[np.intp]
-    ) -> tuple[So3State, Array, float]:
-        """Return the state after one correction by the points `rows`, the correction, and the log likelihood."""
-        steps = state.interval, PERSISTENCE_S, variances(self.settings.acceleration_sigma, self.settings.levels)
-        joint, modes, weights, dx, log_likelihood, nis, level = kernels.correct(
-            state.joint, innovation, state.rate, state.acceleration, steps, state.modes or self._one_mode(state)
+        pairs = rows, columns, self._added_noise(state, pairing.noise_scale)
+        (motion, joint, weights, figures, modes), log_likelihood = kernels.correct(
+            state.body, points.measurement(self.radius), pairs, state.pending, activity_of(self.settings)
         )
-        kept = modes if len(rows) > _PAIRS_WITHOUT_MODES else None
-        return inject(state, dx, joint, weights, level, rows, float(nis), kept), dx, log_likelihood
-
-    def _one_mode(self, state: So3State) -> Modes:
-        """Return the moments of a state without modes, as one mode."""
-        covariance = state.joint[None, 3:KINEMATIC_DIM, 3:KINEMATIC_DIM].copy()
-        return np.zeros((1, KINEMATIC_DIM - 3)), covariance, self._level_probabilities(state)[None]
+        Q, sightings = _NO_NOISE, state.sightings
+        corrected = So3State(state.stamp, *motion, joint, *sightings, rows, weights, Q, *figures, modes=modes)
+        return (_twist_as_swing(corrected, columns[0]) if len(columns) == 1 else corrected), log_likelihood
 
     def innovation(self, state: So3State, points: SpherePoints, pairing: Pairing) -> Innovation:
         """Return for k pairs H, (2k, 9), H @ joint, (2k, 23 + 2m), the innovation, (2k,) rad, and its covariance."""
-        return kernels.innovation(state.body, points.measurement(self.radius), pairing.rows, pairing.columns)
+        added = self._added_noise(state, pairing.noise_scale)
+        return kernels.innovation(state.body, points.measurement(self.radius), pairing.rows, pairing.columns, added)
 
     def _coasted(self, state: So3State) -> So3State:
         """Return the state after a frame without pairs.
@@ -420,23 +359,28 @@ class So3Filter:
     ) -> So3State:
         """Count sightings, drop discs that were missed too often in a row, and add points as new discs.
 
-        A disc is missed only where it should be. So frames in which the attitude is known too badly count no miss.
         `may_start_landmark` is a mask (n,) of the points that may become discs; None: all.
         """
-        hits, missed, hidden, keep, known_seen, known_missed = kernels.count_sightings(
-            state.attitude,
-            state.discs,
-            (state.hits, state.missed, state.hidden),
-            self._viewer(state),
-            pairing.columns,
-            len(points) > 0 and state.is_placed,
+        (hits, missed, hidden), keep, known_seen, known_missed = kernels.count_sightings(
+            state.attitude, state.discs, state.sightings, self._viewer(state), pairing.columns, len(points) > 0
         )
-        free = np.ones(len(points), dtype=np.bool_) if may_start_landmark is None else may_start_landmark
-        new = self._new_discs(state, points, free, pairing.rows)
         counted = replace(
             state, hits=hits, missed=missed, hidden=hidden, known_seen=known_seen, known_missed=known_missed
         )
-        state = drop(counted, keep)
+        return self._with_new_discs(counted, keep, points, pairing.rows, may_start_landmark)
+
+    def _with_new_discs(
+        self,
+        state: So3State,
+        keep: NDArray[np.bool_],
+        points: SpherePoints,
+        rows: NDArray[np.intp],
+        may_start_landmark: NDArray[np.bool_] | None,
+    ) -> So3State:
+        """Return the state without the discs outside of a mask, (m,), and with those points as discs that may be."""
+        free = np.ones(len(points), dtype=np.bool_) if may_start_landmark is None else may_start_landmark
+        new = self._new_discs(state, points, free, rows)
+        state = drop(state, keep)
         return augment(state, points, new[: self._room(state)], self.radius)
 
     def with_discs(self, state: So3State, points: SpherePoints, which: NDArray[np.intp]) -> So3State:

@@ -1,6 +1,5 @@
 // The motion of the default filter between two frames, under an acceleration that lasts or fades.
-#include "spheremouse/ball/filters/so3_steps.h"
-#include "spheremouse/geometry/rotation.h"
+#include "spheremouse/ball/filters/so3.h"
 
 namespace spheremouse::ball {
 namespace {
@@ -54,51 +53,100 @@ Matrix<CORE> process_noise(const Motion& motion, const Vector<3>& turn, double q
     return Q;
 }
 
-nb::tuple predict(nb::handle attitude_, nb::handle rate_, nb::handle acceleration_, nb::handle joint_, double dt,
-                  double tau, double q) {
-    const auto attitude = matrix<3, 3>(attitude_, "attitude");
-    const Motion motion{vector<3>(rate_, "rate"), vector<3>(acceleration_, "acceleration"), dt, tau};
-    const auto joint = matrix(joint_, "joint");
-    const nb::ssize_t n = joint.rows();
-    if (joint.cols() != n || n < CORE) throw nb::type_error("joint: must be square, with 9 rows or more");
-    const Vector<3> turn = dt * motion.rate + Integrals(dt, tau).second * motion.acceleration;
+struct Predicted {
+    Matrix<3> attitude;
+    Vector<3> rate, acceleration;
+    Dense P;
+    Noise Q, F;  // process noise in P, transition
+};
+
+Predicted predict(const Matrix<3>& attitude, const Motion& motion, const View<>& joint, double q) {
+    const Vector<3> turn = motion.dt * motion.rate + Integrals(motion.dt, motion.tau).second * motion.acceleration;
     const Matrix<CORE> F = transition(motion, turn), Q = process_noise(motion, turn, q);
-    Matrix<Dynamic> P = joint;
+    Dense P = joint;
     const Matrix<CORE, Dynamic> top = F * joint.topRows<CORE>();
     P.topRows<CORE>() = top;
     P.leftCols<CORE>() = top.transpose();
     const Matrix<CORE> core = top.leftCols<CORE>() * F.transpose() + Q;
     P.topLeftCorner<CORE, CORE>() = 0.5 * (core + core.transpose());
-    const Vector<3> rate = motion.rate + F(3, 6) * motion.acceleration, acceleration = F(6, 6) * motion.acceleration;
-    return nb::make_tuple(to_numpy(Matrix<3>(F.block<3, 3>(0, 0) * attitude)), to_numpy(rate), to_numpy(acceleration),
-                          to_numpy(P), to_numpy(Q), to_numpy(F));
+    return {F.block<3, 3>(0, 0) * attitude,
+            motion.rate + F(3, 6) * motion.acceleration,
+            F(6, 6) * motion.acceleration,
+            std::move(P),
+            Q,
+            F};
 }
 
-nb::tuple predict_modes(nb::tuple modes_, nb::handle F_, nb::handle Q_, nb::handle drift_, double stay,
-                        nb::handle usual_) {
-    Modes modes = read_modes(modes_);
-    const auto F = matrix<CORE, CORE>(F_, "F"), Q = matrix<CORE, CORE>(Q_, "Q");
-    const auto drift = vector(drift_, "drift"), usual = vector(usual_, "usual");
-    if (modes.weights.cols() != drift.size() || usual.size() != drift.size())
-        throw nb::type_error("usual, drift: must have one element for each level");
-    const Matrix<6> A = F.block<6, 6>(3, 3), noise = Q.block<6, 6>(3, 3);
+/// Predict the modes. At level k the process noise is 1 + drift(k) times as large. A level stays with a probability.
+void predict_modes(Modes& modes, const Predicted& by, double stay, const Activity& activity) {
+    const Matrix<6> A = by.F.block<6, 6>(3, 3), noise = by.Q.block<6, 6>(3, 3);
     for (size_t j = 0; j < modes.means.size(); j++) {
         const auto w = modes.weights.row(nb::ssize_t(j));
-        const double scale = 1.0 + w.dot(drift) / (1e-300 + w.sum());
+        const double scale = 1.0 + w.dot(activity.drift) / (1e-300 + w.sum());
         modes.means[j] = (A * modes.means[j]).eval();
         modes.covariances[j] = A * modes.covariances[j] * A.transpose() + scale * noise;
     }
-    const Vector<Dynamic> of_mode = modes.weights.rowwise().sum();
-    modes.weights = stay * modes.weights + (1.0 - stay) * of_mode * usual.transpose();
-    return modes_to_numpy(modes);
+    const Each of_mode = modes.weights.rowwise().sum();
+    modes.weights = stay * modes.weights + (1.0 - stay) * of_mode * activity.usual.transpose();
+}
+
+/// Predict the state by dt, s, with an acceleration that drifts but makes no step. Q becomes that of the first level.
+///
+/// If dt exceeds half the mean time between two steps, this applies only to the last part. Before that part the
+/// acceleration fades (Singer 1970), which is the mean effect of the steps.
+Predicted predict(const Body& body, Pending& pending, double dt, const Activity& activity) {
+    const Each squares = activity.variances / activity.variances(0);
+    const double density = 2.0 * activity.variances(0) / activity.persistence;
+    const double noise_scale = 1.0 + pending.weights.dot(activity.drift), stay = std::exp(-dt / activity.dwell);
+    const double infinite = std::numeric_limits<double>::infinity();
+    pending.interval = std::min(dt, 0.5 * activity.persistence);
+    Motion motion{body.rate, body.acceleration, pending.interval, infinite};
+    Predicted first{body.attitude, {}, {}, {}, {}, {}};
+    if (dt > pending.interval) {
+        const Motion fading{body.rate, body.acceleration, dt - pending.interval, activity.persistence};
+        first = predict(body.attitude, fading, body.P, density * pending.weights.dot(squares));
+        motion.rate = first.rate;
+        motion.acceleration = first.acceleration;
+    }
+    const View<> P(first.P.size() ? first.P.data() : body.P.data(), body.P.rows(), body.P.cols());
+    Predicted r = predict(first.attitude, motion, P, noise_scale * density);
+    r.Q /= noise_scale;
+    predict_modes(pending.modes, r, stay, activity);
+    pending.weights = stay * pending.weights + (1.0 - stay) * activity.usual;
+    return r;
+}
+
+nb::tuple predict_motion(nb::handle attitude, nb::handle rate, nb::handle acceleration, nb::handle joint_, double dt,
+                         double tau, double q) {
+    const Motion motion{vector<3>(rate, "rate"), vector<3>(acceleration, "acceleration"), dt, tau};
+    const auto joint = matrix(joint_, "joint");
+    if (joint.cols() != joint.rows() || joint.rows() < CORE)
+        throw nb::type_error("joint: must be square, with 9 rows or more");
+    const Predicted r = predict(matrix<3, 3>(attitude, "attitude"), motion, joint, q);
+    return nb::make_tuple(to_numpy(r.attitude), to_numpy(r.rate), to_numpy(r.acceleration), to_numpy(r.P));
+}
+
+nb::tuple predict_(nb::tuple body_, nb::tuple pending_, double dt, nb::tuple activity_) {
+    const Body body = read_body(body_);
+    const Activity activity = read_activity(activity_);
+    Pending pending = read_pending(pending_, body, activity);
+    Predicted r;
+    {
+        nb::gil_scoped_release release;
+        r = predict(body, pending, dt, activity);
+    }
+    const bool has_modes = dt == pending.interval && !pending_[3].is_none();
+    return nb::make_tuple(to_numpy(r.attitude), to_numpy(r.rate), to_numpy(r.acceleration), to_numpy(r.P),
+                          to_numpy(pending.weights), to_numpy(r.Q), pending.interval,
+                          has_modes ? nb::object(modes_to_numpy(pending.modes)) : nb::none());
 }
 
 }  // namespace
 
 void bind_so3_motion(nb::module_& m) {
-    m.def("predict", &predict, arg("attitude"), arg("rate"), arg("acceleration"), arg("joint"), arg("dt"), arg("tau"),
-          arg("q"));
-    m.def("predict_modes", &predict_modes, arg("modes"), arg("F"), arg("Q"), arg("drift"), arg("stay"), arg("usual"));
+    m.def("predict_motion", &predict_motion, arg("attitude"), arg("rate"), arg("acceleration"), arg("joint"), arg("dt"),
+          arg("tau"), arg("q"));
+    m.def("predict", &predict_, arg("body"), arg("pending"), arg("dt"), arg("activity"));
 }
 
 }  // namespace spheremouse::ball

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,24 +47,32 @@ def squared_levels(levels: tuple[float, ...]) -> Array:
 
 
 @cache
-def squared_drift(levels: tuple[float, ...]) -> Array:
-    """Return the process noise by the drift of the acceleration at each level, (l,), over that of the first level."""
-    return DRIFT**2 * squared_levels(levels)
-
-
-@cache
-def variances(acceleration_sigma: float, levels: tuple[float, ...]) -> Array:
-    """Return the variance of the angular acceleration at each level, (l,) (rad/s²)² per axis."""
-    return np.square(acceleration_sigma * np.array(levels))
-
-
-@cache
 def prior_of_levels(levels: tuple[float, ...]) -> Array:
     """Probabilities of the levels, (l,), before the first observation; they fall with the acceleration."""
     usual = 1.0 / np.array(levels)
     return usual / usual.sum()
 
 
+class Activity(NamedTuple):
+    """Levels of the player's acceleration, and their changes."""
+
+    gate: float
+    persistence: float  # s, mean time between two steps
+    dwell: float  # s, mean time at a level
+    variances: Array  # (l,) (rad/s²)² per axis, of the acceleration
+    drift: Array  # (l,) process noise by the drift of the acceleration, over that of the first level
+    usual: Array  # (l,) probabilities before the first observation
+
+
+@cache
+def activity_of(settings: So3Settings) -> Activity:
+    """Return the activity of a player that the settings describe, for the kernels."""
+    levels = settings.levels
+    steps, drift = np.square(settings.acceleration_sigma * np.array(levels)), DRIFT**2 * squared_levels(levels)
+    return Activity(settings.gate, PERSISTENCE_S, DWELL_S, steps, drift, prior_of_levels(levels))
+
+
 def usual_acceleration(settings: So3Settings) -> float:
     """Standard deviation per axis, rad/s², before anything is seen: the levels' mean square."""
-    return float(np.sqrt(variances(settings.acceleration_sigma, settings.levels) @ prior_of_levels(settings.levels)))
+    activity = activity_of(settings)
+    return float(np.sqrt(activity.variances @ activity.usual))

@@ -4,11 +4,12 @@
 // Markov chain of two states with an observation in each frame (Thrun, Burgard and Fox 2005, section 4.2, the binary
 // Bayes filter). A strut or a hand hides a disc until one of them moves. So a disc that is missed again and again while
 // the ball rests counts once: repeated views of a still scene are not independent.
-#include "spheremouse/native/matrices.h"
+#include "spheremouse/ball/filters/so3.h"
 
 namespace spheremouse::ball {
 namespace {
 
+constexpr double PLACED = 0.1;        // rad, standard deviation: a third of the way between neighbours of fifty discs
 constexpr double HIDDEN_SHARE = 0.2;  // of the discs that face the camera: struts and hands before them
 constexpr double DETECTED = 0.95;     // probability that a disc is detected that nothing hides
 constexpr double LIMB =
@@ -18,16 +19,6 @@ constexpr double HANDS_STAY = 1.0;       // s, after which a hand has moved
 constexpr int64_t ESTABLISHED_HITS = 3;  // frames in which a disc is seen until it is established
 constexpr double MAX_TRIAL_MISSES = 3.0;
 constexpr double MAX_MISSES_PER_HIT = 5.0;
-
-using Discs = View<Dynamic, 3>;
-using Each = Vector<Dynamic>;  // a value for each disc
-
-/// A camera that sees directions with a cosine to `towards`, obj, above the horizon.
-struct Viewer {
-    Vector<3> towards;
-    double horizon;
-    Matrix<3> covariance;  // rad², of the attitude
-};
 
 /// Return the probabilities that discs are detected, over all attitudes that are possible.
 ///
@@ -46,21 +37,27 @@ Each detection_probability(const Matrix<3>& attitude, const Discs& discs, const 
     return probability;
 }
 
+/// Return whether an attitude predicts each disc unambiguously: no other disc is as near.
+bool is_placed(const Matrix<3>& covariance) {
+    const Eigen::SelfAdjointEigenSolver<Matrix<3>> solver(covariance, Eigen::EigenvaluesOnly);
+    return solver.eigenvalues()(2) < PLACED * PLACED;
+}
+
 Viewer read_viewer(nb::tuple viewer) {
     return {vector<3>(viewer[0], "towards"), nb::cast<double>(viewer[1]), matrix<3, 3>(viewer[2], "covariance")};
 }
 
 /// Return one value for each disc, (m,).
 template <class T>
-Array<const T, -1> of_discs(nb::handle given, const char* name, const Discs& discs) {
+Array<const T, -1> of_discs(nb::handle given, const char* name, nb::ssize_t m) {
     const auto values = array<const T, -1>(given, name);
-    if (nb::ssize_t(values.shape(0)) != discs.rows())
+    if (nb::ssize_t(values.shape(0)) != m)
         throw nb::type_error((std::string(name) + ": must have the length of discs").c_str());
     return values;
 }
 
-Each read_hidden(nb::handle hidden, const Discs& discs) {
-    return Eigen::Map<const Each>(of_discs<double>(hidden, "hidden", discs).data(), discs.rows());
+Each read_hidden(nb::handle hidden, nb::ssize_t m) {
+    return Eigen::Map<const Each>(of_discs<double>(hidden, "hidden", m).data(), m);
 }
 
 nb::ndarray<nb::numpy, double> carry_hidden(nb::handle attitude_, nb::handle rate_, nb::handle discs_,
@@ -68,7 +65,7 @@ nb::ndarray<nb::numpy, double> carry_hidden(nb::handle attitude_, nb::handle rat
     const auto attitude = matrix<3, 3>(attitude_, "attitude");
     const auto discs = matrix<Dynamic, 3>(discs_, "discs");
     const Vector<3> rate = attitude.transpose() * vector<3>(rate_, "rate");  // ball
-    Each hidden = read_hidden(hidden_, discs);
+    Each hidden = read_hidden(hidden_, discs.rows());
     for (int k = 0; k < discs.rows(); k++) {
         const double speed = rate.cross(Vector<3>(discs.row(k))).norm();
         const double kept = std::exp(-dt * (speed / (2.0 * disc_angle) + 1.0 / HANDS_STAY));
@@ -81,59 +78,67 @@ nb::ndarray<nb::numpy, double> detection_probability_(nb::handle attitude_, nb::
                                                       nb::tuple viewer_) {
     const auto discs = matrix<Dynamic, 3>(discs_, "discs");
     const Matrix<3> attitude = matrix<3, 3>(attitude_, "attitude");
-    return to_numpy(detection_probability(attitude, discs, read_hidden(hidden_, discs), read_viewer(viewer_)));
+    return to_numpy(detection_probability(attitude, discs, read_hidden(hidden_, discs.rows()), read_viewer(viewer_)));
 }
 
-nb::tuple count_sightings(nb::handle attitude_, nb::handle discs_, nb::tuple counts, nb::tuple viewer_,
+nb::tuple count_sightings(nb::handle attitude, nb::handle discs_, nb::tuple sightings_, nb::tuple viewer,
                           nb::handle columns_, bool may_miss) {
     const auto discs = matrix<Dynamic, 3>(discs_, "discs");
-    const size_t m = size_t(discs.rows());
-    const auto hits = of_discs<int64_t>(counts[0], "hits", discs),
-               missed = of_discs<int64_t>(counts[1], "missed", discs);
-    Each hidden = read_hidden(counts[2], discs);
-    const Viewer viewer = read_viewer(viewer_);
-    const Matrix<3> attitude = matrix<3, 3>(attitude_, "attitude");
-    const Each cosine = discs * (attitude.transpose() * viewer.towards);
-    const Each probability = detection_probability(attitude, discs, hidden, viewer);
-    const auto columns = array<const int64_t, -1>(columns_, "columns");
-    std::vector<char> seen(m);
-    for (size_t i = 0; i < columns.shape(0); i++) {
-        if (columns(i) < 0 || size_t(columns(i)) >= m) throw std::out_of_range("columns");
-        seen[size_t(columns(i))] = true;
-    }
-    auto new_hits = zeros<int64_t>({m}), new_missed = zeros<int64_t>({m});
-    auto keep = zeros<bool>({m});
-    int known_seen = 0;
-    double known_missed = 0.0;
-    // A disc near the horizon is often too thin to be detected.
-    const double well = viewer.horizon + 0.5 * (1.0 - viewer.horizon);
-    for (size_t k = 0; k < m; k++) {
-        const double p = probability(nb::ssize_t(k));
-        const bool misses = may_miss && !seen[k] && cosine(nb::ssize_t(k)) > well;
-        if (hits(k) >= ESTABLISHED_HITS) {
-            known_seen += seen[k];
-            known_missed += misses ? p : 0.0;
-        }
-        const int64_t now = hits(k) + seen[k], in_a_row = seen[k] ? 0 : missed(k) + misses;
-        new_hits.data()[k] = now;
-        new_missed.data()[k] = in_a_row;
-        keep.data()[k] =
-            double(in_a_row) < (now < ESTABLISHED_HITS ? MAX_TRIAL_MISSES : MAX_MISSES_PER_HIT * double(now));
-        hidden(nb::ssize_t(k)) = seen[k] ? 0.0 : hidden(nb::ssize_t(k)) / (1.0 - p);
-    }
-    return nb::make_tuple(new_hits, new_missed, to_numpy(hidden), keep, known_seen, known_missed);
+    Sightings sightings = read_sightings(sightings_, discs.rows());
+    const Indices columns = read_indices(columns_, "columns", int(discs.rows()));
+    count(sightings, matrix<3, 3>(attitude, "attitude"), discs, read_viewer(viewer), columns, may_miss);
+    return sightings_to_numpy(sightings);
 }
 
 }  // namespace
 
+Sightings read_sightings(nb::tuple sightings, nb::ssize_t m) {
+    const auto hits = of_discs<int64_t>(sightings[0], "hits", m), missed = of_discs<int64_t>(sightings[1], "missed", m);
+    return {{hits.data(), hits.data() + m}, {missed.data(), missed.data() + m}, read_hidden(sightings[2], m), {}};
+}
+
+nb::tuple sightings_to_numpy(const Sightings& r) {
+    const auto keep = zeros<bool>({r.keep.size()});
+    std::copy(r.keep.begin(), r.keep.end(), static_cast<bool*>(keep.data()));
+    return nb::make_tuple(nb::make_tuple(to_numpy(r.hits), to_numpy(r.missed), to_numpy(r.hidden)), keep, r.known_seen,
+                          r.known_missed);
+}
+
+void count(Sightings& r, const Matrix<3>& attitude, const Discs& discs, const Viewer& viewer, const Indices& columns,
+           bool may_miss) {
+    const Each cosine = discs * (attitude.transpose() * viewer.towards);
+    const Each probability = detection_probability(attitude, discs, r.hidden, viewer);
+    may_miss = may_miss && is_placed(viewer.covariance);
+    std::vector<bool> seen(r.hits.size());
+    for (int k : columns) seen[size_t(k)] = true;
+    r.keep.resize(seen.size());
+    // A disc near the horizon is often too thin to be detected.
+    const double well = viewer.horizon + 0.5 * (1.0 - viewer.horizon);
+    for (size_t k = 0; k < seen.size(); k++) {
+        const double p = probability(nb::ssize_t(k));
+        const bool misses = may_miss && !seen[k] && cosine(nb::ssize_t(k)) > well;
+        if (r.hits[k] >= ESTABLISHED_HITS) {
+            r.known_seen += seen[k];
+            r.known_missed += misses ? p : 0.0;
+        }
+        r.hits[k] += seen[k];
+        r.missed[k] = seen[k] ? 0 : r.missed[k] + misses;
+        r.keep[k] = double(r.missed[k]) <
+                    (r.hits[k] < ESTABLISHED_HITS ? MAX_TRIAL_MISSES : MAX_MISSES_PER_HIT * double(r.hits[k]));
+        double& hidden = r.hidden(nb::ssize_t(k));
+        hidden = seen[k] ? 0.0 : hidden / (1.0 - p);
+    }
+}
+
 void bind_so3_sightings(nb::module_& m) {
+    m.attr("PLACED") = PLACED;
     m.attr("HIDDEN_SHARE") = HIDDEN_SHARE;
     m.attr("ESTABLISHED_HITS") = ESTABLISHED_HITS;
     m.def("carry_hidden", &carry_hidden, arg("attitude"), arg("rate"), arg("discs"), arg("hidden"), arg("dt"),
           arg("disc_angle"));
     m.def("detection_probability", &detection_probability_, arg("attitude"), arg("discs"), arg("hidden"),
           arg("viewer"));
-    m.def("count_sightings", &count_sightings, arg("attitude"), arg("discs"), arg("counts"), arg("viewer"),
+    m.def("count_sightings", &count_sightings, arg("attitude"), arg("discs"), arg("sightings"), arg("viewer"),
           arg("columns"), arg("may_miss"));
 }
 

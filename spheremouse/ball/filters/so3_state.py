@@ -15,7 +15,7 @@ from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
 from spheremouse.native import kernels
 
-PLACED = 0.1  # rad, standard deviation: a third of the way between neighbours of fifty discs
+PLACED = kernels.PLACED  # rad, standard deviation: a third of the way between neighbours of fifty discs
 _NO_PROCESS = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
 
@@ -66,6 +66,16 @@ class So3State:
     def body(self) -> tuple[Array, Array, Array, Array, Array, Array, float]:
         """The fields that predict where the camera sees each disc, as `kernels` takes them."""
         return self.attitude, self.rate, self.acceleration, self.discs, self.basis, self.joint, self.readout
+
+    @property
+    def pending(self) -> tuple[Array, float, Array, Modes | None]:
+        """The prediction that no update has used, as `kernels` takes it."""
+        return self.process, self.interval, self.weights, self.modes
+
+    @property
+    def sightings(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+        """What frames have shown of each disc, as `kernels` takes it."""
+        return self.hits, self.missed, self.hidden
 
     @property
     def covariance(self) -> Array:
@@ -165,32 +175,24 @@ def inject(
     manoeuvre_level: float = 1.0,
     used: NDArray[np.intp] | None = None,
     nis: float = 0.0,
-    modes: Modes | None = None,
 ) -> So3State:
     """Move the state by an error vector, (23 + 2m,); then no prediction is pending.
 
     The new covariance is `joint` (23 + 2m, 23 + 2m), the probability of the levels `weights` (l,); None keeps the old
     one. `used` (k,) are indices of the points in the update.
     """
-    attitude, discs, basis = kernels.move(state.attitude, state.discs, state.basis, dx)
+    motion, readout = kernels.move(state.body, dx)
     return So3State(
         state.stamp,
-        attitude,
-        state.rate + dx[3:6],
-        state.acceleration + dx[6:KINEMATIC_DIM],
-        discs,
-        basis,
+        *motion,
         state.joint if joint is None else joint,
-        state.hits,
-        state.missed,
-        state.hidden,
+        *state.sightings,
         state.used if used is None else used,
         state.weights if weights is None else weights,
         _NO_PROCESS,
         manoeuvre_level,
         nis,
-        state.readout + float(dx[READOUT]),
-        modes=modes,
+        readout,
     )
 
 

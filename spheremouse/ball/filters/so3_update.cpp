@@ -1,26 +1,11 @@
 // Correction of the default filter. `so3_motion.py` gives the order of the errors.
-#include "spheremouse/ball/filters/so3_steps.h"
-#include "spheremouse/geometry/rotation.h"
+#include "spheremouse/ball/filters/so3.h"
 
 namespace spheremouse::ball {
 namespace {
 
-using Dense = Matrix<Dynamic>;
-
-/// The innovations of k pairs: H, (2k, 9), H P, (2k, n), z, (2k,), and the covariance S of z.
-struct Innovation {
-    View<Dynamic, CORE> H;
-    View<> HP;
-    Eigen::Map<const Vector<Dynamic>> z;
-    View<> S;
-};
-
-struct Corrected {
-    Dense P;
-    Vector<Dynamic> dx;
-    Posterior steps;
-    double log_likelihood, nis;
-};
+constexpr double LINEAR = 0.02;         // rad: a correction larger than that is made again about where it led
+constexpr int PAIRS_WITHOUT_MODES = 2;  // four equations for a rotation: a step and a half-hidden disc look alike
 
 /// Return true if the rate is five standard deviations from zero. Noise must not determine a readout.
 bool is_significant(const Vector<3>& rate, const View<>& P) {
@@ -50,6 +35,8 @@ void subtract_product(const Dense& A, const Dense& B, Dense& C, bool lower = fal
     subtract_product(A.data(), B.data(), int(A.rows()), int(A.cols()), int(B.cols()), lower, C.data());
 }
 
+}  // namespace
+
 /// Correct the errors by the innovations, with a step of the acceleration of unknown instant and level.
 ///
 /// Rate and acceleration are a mixture of modes. The other errors are a regression on them, and its residuals have one
@@ -59,10 +46,10 @@ void subtract_product(const Dense& A, const Dense& B, Dense& C, bool lower = fal
 /// is not significant. They are independent of the modes, so rate and acceleration are taken given these parameters.
 /// Each hypothesis is then an ordinary update of Schmidt's filter, and their sum has a positive covariance. The
 /// reference keeps its estimate, since its increment was sent. Its covariance is the second moment about that estimate.
-Corrected correct(const View<>& prior, const Innovation& seen, const Vector<3>& rate, const Vector<3>& acceleration,
-                  const Steps& steps, Modes& modes) {
+Corrected correct(const Body& body, const Innovation& seen, const Pending& pending, const Activity& activity) {
+    const View<>& prior = body.P;
     const int n = int(prior.rows()), k2 = int(seen.z.size()), m = 6 + k2;
-    const int held = (is_significant(rate, prior) ? READOUT : MAP_OFFSET) - CORE;
+    const int held = (is_significant(body.rate, prior) ? READOUT : MAP_OFFSET) - CORE;
     Dense U = prior.middleRows(CORE, held), HU = seen.HP.middleCols(CORE, held).transpose();
     const Dense Lc = lower<Dynamic>(prior.block(CORE, CORE, held, held));
     solve_lower(Lc, U);
@@ -96,9 +83,11 @@ Corrected correct(const View<>& prior, const Innovation& seen, const Vector<3>& 
     effect.T = W.middleCols<6>(3).transpose() * B;
     effect.T.rightCols<6>() += Matrix<6>::Identity();
     effect.shared = shared - rest.middleCols<6>(3).transpose() * rest.middleCols<6>(3);
+    Modes modes = pending.modes;
     for (Matrix<6>& C : modes.covariances) C -= shared;
+    const Steps steps{pending.interval, activity.persistence, activity.variances};
     Corrected r;
-    r.steps = posterior(G.transpose() * G, effect, acceleration, steps, modes);
+    r.steps = posterior(G.transpose() * G, effect, body.acceleration, steps, modes);
     const Vector<Dynamic> white = G.col(15);
     Vector<Dynamic> by(m);
     by << r.steps.mean.head<6>(), white - G.leftCols<15>() * r.steps.mean;
@@ -130,35 +119,121 @@ Corrected correct(const View<>& prior, const Innovation& seen, const Vector<3>& 
     r.P.triangularView<Eigen::StrictlyUpper>() = r.P.transpose();
     const double square = white.squaredNorm();
     r.nis = r.steps.excess + square;
+    r.pairs = k2 / 2;
     r.log_likelihood =
         r.steps.log_ratio - 0.5 * (square + k2 * std::log(2.0 * M_PI)) - L.matrixLLT().diagonal().array().log().sum();
     return r;
 }
 
-nb::tuple correct_(nb::handle prior_, nb::tuple innovation, nb::handle rate_, nb::handle acceleration_,
-                   nb::tuple steps_, nb::tuple modes_) {
-    const auto prior = matrix(prior_, "prior");
-    const Innovation seen{matrix<Dynamic, CORE>(innovation[0], "H"), matrix(innovation[1], "HP"),
-                          vector(innovation[2], "z"), matrix(innovation[3], "S")};
-    const nb::ssize_t n = prior.rows(), k2 = seen.z.size();
-    if (prior.cols() != n || n < MAP_OFFSET + CLONE)
-        throw nb::type_error("prior: must be square, with 23 rows or more");
-    if (seen.H.rows() != k2 || seen.HP.rows() != k2 || seen.HP.cols() != n)
-        throw nb::type_error("H, HP: must have the rows of z, and HP the columns of prior");
-    if (seen.S.rows() != k2 || seen.S.cols() != k2) throw nb::type_error("S: must have the rows and columns of z");
-    const Steps steps{nb::cast<double>(steps_[0]), nb::cast<double>(steps_[1]), vector(steps_[2], "variances")};
-    Modes modes = read_modes(modes_);
-    if (modes.weights.cols() != steps.variances.size() || modes.weights.cols() == 0)
-        throw nb::type_error("weights: must have a column for each level");
-    const Vector<3> rate = vector<3>(rate_, "rate"), acceleration = vector<3>(acceleration_, "acceleration");
+bool is_large(const Each& dx) { return dx.head<3>().cwiseAbs().maxCoeff() > LINEAR; }
+
+Moved move(const Body& body, const Each& dx) {
+    Moved r{exp(dx.head<3>()) * body.attitude,    body.rate + dx.segment<3>(3),
+            body.acceleration + dx.segment<3>(6), Matrix<Dynamic, 3>(body.size(), 3),
+            Matrix<Dynamic, 6>(body.size(), 6),   body.readout + dx(READOUT)};
+    for (int k = 0; k < body.size(); k++) {
+        const Matrix<3, 2> E = View<3, 2>(body.basis.row(k).data());
+        const Vector<3> to = (body.discs.row(k).transpose() + E * dx.segment<2>(MAP_OFFSET + 2 * k)).normalized();
+        const Vector<3> first = (E.col(0) - to.dot(E.col(0)) * to).normalized(), second = to.cross(first);
+        Eigen::Map<Matrix<3, 2>> axes(r.basis.row(k).data());
+        axes.col(0) = first;
+        axes.col(1) = second.dot(E.col(1)) > 0.0 ? second : Vector<3>(-second);
+        r.discs.row(k) = to;
+    }
+    return r;
+}
+
+Activity read_activity(nb::tuple activity) {
+    const auto number = [&](int i) { return nb::cast<double>(activity[i]); };
+    Activity r{number(0),
+               number(1),
+               number(2),
+               vector(activity[3], "variances"),
+               vector(activity[4], "drift"),
+               vector(activity[5], "usual")};
+    if (r.variances.size() == 0 || r.drift.size() != r.variances.size() || r.usual.size() != r.variances.size())
+        throw nb::type_error("variances, drift, usual: must have one element for each level");
+    return r;
+}
+
+Pending read_pending(nb::tuple pending, const Body& body, const Activity& activity) {
+    Pending r{
+        matrix<CORE, CORE>(pending[0], "process"), nb::cast<double>(pending[1]), vector(pending[2], "weights"), {}};
+    if (r.weights.size() == 0) r.weights = activity.usual;
+    if (!pending[3].is_none())
+        r.modes = read_modes(pending[3]);
+    else
+        r.modes = {{Vector<6>::Zero()}, {body.P.block<6, 6>(3, 3)}, r.weights.transpose()};
+    if (r.weights.size() != activity.usual.size() || r.modes.weights.cols() != activity.usual.size())
+        throw nb::type_error("weights: must have one element for each level");
+    return r;
+}
+
+nb::tuple moved_to_numpy(const Moved& r) {
+    const size_t m = size_t(r.discs.rows());
+    auto basis = zeros<double>({m, 3, 2});
+    std::copy_n(r.basis.data(), 6 * m, basis.data());
+    return nb::make_tuple(to_numpy(r.attitude), to_numpy(r.rate), to_numpy(r.acceleration), to_numpy(r.discs), basis);
+}
+
+nb::tuple corrected_to_numpy(const Moved& moved, const Corrected& r) {
+    const Matrix<Dynamic> at_level = r.steps.modes.weights.colwise().sum();
+    const nb::object modes = r.pairs > PAIRS_WITHOUT_MODES ? nb::object(modes_to_numpy(r.steps.modes)) : nb::none();
+    return nb::make_tuple(moved_to_numpy(moved), to_numpy(r.P), to_numpy(Each(at_level.row(0))),
+                          nb::make_tuple(r.steps.level, r.nis, moved.readout), modes);
+}
+
+namespace {
+
+/// Correct a state by pairs. A large correction is made again about the state that it leads to.
+///
+/// This is the iterated Kalman filter (Bell and Cathey 1993). The log likelihood is then Laplace's approximation.
+Corrected correct_by_pairs(const Body& body, const Points& points, const Pairs& pairs, const Noise& added,
+                           const Pending& pending, const Activity& activity) {
+    Corrected r = correct(body, innovation(body, points, pairs, added), pending, activity);
+    double change = r.dx.head<3>().cwiseAbs().maxCoeff(), limit = LINEAR;
+    for (int round = 0; round < 3 && change >= limit; round++) {
+        Each about = r.dx;
+        about(READOUT) = 0.0;  // the innovation is linear in it, and what is added back below leaves it out
+        const Moved moved = move(body, about);
+        const View<Dynamic, 3> discs(moved.discs.data(), body.size(), 3);
+        const View<Dynamic, 6> basis(moved.basis.data(), body.size(), 6);
+        const Body there{moved.attitude, moved.rate, moved.acceleration, discs, basis, body.P, body.readout};
+        Innovation seen = innovation(there, points, pairs, Noise::Zero());
+        seen.z += seen.H * r.dx.head<CORE>();
+        for (size_t i = 0; i < pairs.columns.size(); i++)
+            seen.z.segment<2>(2 * nb::ssize_t(i)) += r.dx.segment<2>(MAP_OFFSET + 2 * pairs.columns[i]);
+        Corrected again = correct(body, seen, pending, activity);
+        change = (again.dx - r.dx).head<3>().cwiseAbs().maxCoeff();
+        limit = 0.1 * LINEAR;
+        r = std::move(again);
+    }
+    return r;
+}
+
+nb::tuple correct_(nb::tuple body_, nb::tuple points_, nb::tuple pairs_, nb::tuple pending_, nb::tuple activity_) {
+    const Body body = read_body(body_);
+    const Points points = read_points(points_, body.readout);
+    const Pairs pairs = read_pairs(pairs_[0], pairs_[1], body, points);
+    const Noise added = matrix<CORE, CORE>(pairs_[2], "added");
+    const Activity activity = read_activity(activity_);
+    const Pending pending = read_pending(pending_, body, activity);
     Corrected r;
+    Moved moved;
     {
         nb::gil_scoped_release release;
-        r = correct(prior, seen, rate, acceleration, steps, modes);
+        r = correct_by_pairs(body, points, pairs, added, pending, activity);
+        moved = move(body, r.dx);
     }
-    const Vector<Dynamic> at_level = r.steps.modes.weights.colwise().sum().transpose();
-    return nb::make_tuple(to_numpy(r.P), modes_to_numpy(r.steps.modes), to_numpy(at_level), to_numpy(r.dx),
-                          r.log_likelihood, r.nis, r.steps.level);
+    return nb::make_tuple(corrected_to_numpy(moved, r), r.log_likelihood);
+}
+
+nb::tuple move_(nb::tuple body_, nb::handle dx_) {
+    const Body body = read_body(body_);
+    const auto dx = vector(dx_, "dx");
+    if (dx.size() != body.P.rows()) throw nb::type_error("dx: must have the rows of joint");
+    const Moved moved = move(body, dx);
+    return nb::make_tuple(moved_to_numpy(moved), moved.readout);
 }
 
 nb::ndarray<nb::numpy, double> since_reference(nb::handle P_, nb::handle turn_) {
@@ -176,36 +251,12 @@ nb::ndarray<nb::numpy, double> since_reference(nb::handle P_, nb::handle turn_) 
     return to_numpy(Matrix<6>(A * C * A.transpose()));
 }
 
-nb::tuple move(nb::handle attitude_, nb::handle discs_, nb::handle basis_, nb::handle dx_) {
-    const auto attitude = matrix<3, 3>(attitude_, "attitude");
-    const auto discs = matrix<Dynamic, 3>(discs_, "discs");
-    const auto basis = array<const double, -1, 3, 2>(basis_, "basis");
-    const auto dx = vector(dx_, "dx");
-    const size_t m = size_t(discs.rows());
-    if (basis.shape(0) != m) throw nb::type_error("basis: must have the length of discs");
-    if (size_t(dx.size()) != MAP_OFFSET + 2 * m + CLONE)
-        throw nb::type_error("dx: must have 23 elements and two for each disc");
-    auto new_discs = zeros<double>({m, 3}), new_basis = zeros<double>({m, 3, 2});
-    for (size_t i = 0; i < m; i++) {
-        const Matrix<3, 2> E = View<3, 2>(basis.data() + 6 * i);
-        const Vector<3> to =
-            (discs.row(nb::ssize_t(i)).transpose() + E * dx.segment<2>(MAP_OFFSET + 2 * nb::ssize_t(i))).normalized();
-        const Vector<3> first = (E.col(0) - to.dot(E.col(0)) * to).normalized(), second = to.cross(first);
-        Eigen::Map<Vector<3>>(new_discs.data() + 3 * i) = to;
-        Eigen::Map<Matrix<3, 2>> axes(new_basis.data() + 6 * i);
-        axes.col(0) = first;
-        axes.col(1) = second.dot(E.col(1)) > 0.0 ? second : Vector<3>(-second);
-    }
-    return nb::make_tuple(to_numpy(Matrix<3>(exp(dx.head<3>()) * attitude)), new_discs, new_basis);
-}
-
 }  // namespace
 
 void bind_so3_update(nb::module_& m) {
     m.def("since_reference", &since_reference, arg("P"), arg("turn"));
-    m.def("move", &move, arg("attitude"), arg("discs"), arg("basis"), arg("dx"));
-    m.def("correct", &correct_, arg("prior"), arg("innovation"), arg("rate"), arg("acceleration"), arg("steps"),
-          arg("modes"));
+    m.def("move", &move_, arg("body"), arg("dx"));
+    m.def("correct", &correct_, arg("body"), arg("points"), arg("pairs"), arg("pending"), arg("activity"));
 }
 
 }  // namespace spheremouse::ball

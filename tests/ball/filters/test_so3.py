@@ -156,7 +156,8 @@ def test_predicted_covariance_is_the_scatter_of_samples(dt):
     P0 = np.diag([1e-4, 4e-4, 2e-4, 1e-3, 3e-3, 2e-3, 0.5, 0.2, 0.4])
     P0[0, 4] = P0[4, 0] = 3e-4
     w, a0 = np.array([0.8, -1.2, 2.0]), np.array([-0.5, 0.3, 1.0])
-    start = replace(noisy.initial(0.0, exp(np.array([0.2, 0.1, -0.4]))), rate=w, acceleration=a0, joint=P0)
+    start = noisy.initial(0.0, exp(np.array([0.2, 0.1, -0.4])))
+    start = replace(start, rate=w, acceleration=a0, joint=block_diag(P0, np.zeros((14, 14))))
     predicted = noisy.predict(start, dt)
     n, steps, tau = 6000, 8, PERSISTENCE_S
     e = draw(P0, rng, n)

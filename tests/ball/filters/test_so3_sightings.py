@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS, HIDDEN_SHARE
+from spheremouse.ball.filters.so3_state import PLACED
 from spheremouse.geometry.rotation import exp
 from spheremouse.native.kernels import carry_hidden, count_sightings, detection_probability
 
@@ -20,7 +21,7 @@ def probabilities(hidden):
 
 def update_hidden(hidden, seen):
     counts = np.zeros(len(hidden), dtype=np.intp), np.zeros(len(hidden), dtype=np.intp), hidden
-    return count_sightings(np.eye(3), FACING, counts, VIEWER, seen, True)[2]
+    return count_sightings(np.eye(3), FACING, counts, VIEWER, seen, True)[0][2]
 
 
 def detected(hidden):
@@ -128,15 +129,25 @@ def test_sightings_are_counted_disc_by_disc(may_miss):
     p = 0.95 / (1.0 + np.exp(np.minimum((HORIZON + 0.1 - cosine) / 0.03, 30.0))) * (1.0 - hidden)
     np.testing.assert_allclose(detection_probability(attitude, discs, hidden, VIEWER), p, rtol=1e-12)
     counts = hits, missed, hidden
-    got = count_sightings(attitude, discs, counts, VIEWER, np.flatnonzero(seen), may_miss)
+    after, keep, known_seen, known_missed = count_sightings(
+        attitude, discs, counts, VIEWER, np.flatnonzero(seen), may_miss
+    )
     new_hits, new_missed = hits + seen, np.where(seen, 0, missed + misses)
-    np.testing.assert_array_equal(got[:2], [new_hits, new_missed])
-    np.testing.assert_allclose(got[2], np.where(seen, 0.0, hidden / (1.0 - p)), rtol=1e-12)
+    np.testing.assert_array_equal(after[:2], [new_hits, new_missed])
+    np.testing.assert_allclose(after[2], np.where(seen, 0.0, hidden / (1.0 - p)), rtol=1e-12)
     limit = np.where(new_hits < ESTABLISHED_HITS, 3, 5 * new_hits)
-    np.testing.assert_array_equal(got[3], new_missed < limit)
+    np.testing.assert_array_equal(keep, new_missed < limit)
     known = hits >= ESTABLISHED_HITS
-    assert got[4] == np.count_nonzero(seen & known)
-    assert got[5] == pytest.approx(p[misses & known].sum(), rel=1e-12)
+    assert known_seen == np.count_nonzero(seen & known)
+    assert known_missed == pytest.approx(p[misses & known].sum(), rel=1e-12)
+
+
+@pytest.mark.parametrize("sigma", [0.09, 0.11])
+def test_a_doubtful_attitude_counts_no_miss(sigma):
+    attitude, discs, (hits, missed, hidden) = drawn()
+    viewer = TOWARDS, HORIZON, np.diag([0.01, sigma, 0.02]) ** 2
+    (_, after, _), *_ = count_sightings(attitude, discs, (hits, missed, hidden), viewer, NONE, True)
+    assert np.any(after > missed) == (sigma < PLACED)
 
 
 def test_a_wrong_argument_is_named():

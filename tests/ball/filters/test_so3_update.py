@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
-from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET
-from spheremouse.geometry.rotation import exp, left_jacobian
+from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
+from spheremouse.geometry.rotation import exp, left_jacobian, log, tangent_basis
 from spheremouse.native import kernels
+from tests.ball.filters.twins import linear, place
 
 DT = 1.0 / 30.0
 BETWEEN = 0.2
@@ -40,10 +42,47 @@ def drawn(rng, far):
     shared = to_held @ held @ to_held.T + own
     of_modes = np.array([to_motion @ C @ to_motion.T + shared for C in motion]) * np.outer(SIGMA, SIGMA)
     means = means @ to_motion.T * SIGMA
-    H = rng.normal(size=(8, N)) * np.repeat([1.0, 0.01, 1e-4, 0.5, 0.1, 1.0, 0.0], [3, 3, 3, 10, 1, 8, 3])
-    R = 1e-7 * (np.eye(8) + 0.3 * np.ones((8, 8)))
-    z = 3e-3 * rng.normal(size=8)
-    return means, of_modes, weights, H, R, z, 5.0 * rng.normal(size=3)
+    return means, of_modes, weights
+
+
+def frame(rng, P):
+    """A ball with covariance P that hardly turns, and the innovations of its discs: H, R, z and the points for them."""
+    discs = rng.normal(size=(4, 3))
+    discs /= np.linalg.norm(discs, axis=1, keepdims=True)
+    rates = 0.01 * rng.normal(size=3), 5.0 * rng.normal(size=3)  # too slow to determine the readout
+    body = exp(rng.normal(size=3)), *rates, discs, tangent_basis(discs), P, 1e-3
+    noise = rng.normal(size=(4, 3, 3)) * 3e-4
+    row = rng.uniform(-0.5, 0.5, 4)
+    points = discs, noise @ noise.transpose(0, 2, 1), 0.01 * row, row, *rng.normal(size=(2, 4, 3, 6))
+    points = *points[:5], points[5][:, :, :4].copy(), 1.0
+    _, H, noise = map(np.array, zip(*(linear(body, points, k, k) for k in range(4)), strict=True))
+    R = block_diag(*noise) + min(np.trace(P[:3, :3]) / 3.0, 0.01) ** 2 * np.eye(8)
+    return body, points, H.reshape(8, N), R
+
+
+def showing(body, points, z):
+    """Return the points in directions with the innovations z, (8,)."""
+    delay = points[2] + body[6] * points[3]
+    there = [(*place(body, k, delay[k])[:2], z[2 * k : 2 * k + 2]) for k in range(4)]
+    return np.array([np.sqrt(1.0 - at @ at) * p + E @ at for p, E, at in there]), *points[1:]
+
+
+def activity(variances):
+    return 13.8, BETWEEN, 1.0, variances, np.zeros(len(variances)), np.full(len(variances), 1.0 / len(variances))
+
+
+def corrected(body, points, dt, modes):
+    """Return covariance, level weights, level, modes, log likelihood, and the error vector by which the state moved."""
+    pairs, pending = (np.arange(4), np.arange(4), np.zeros((9, 9))), (np.zeros((9, 9)), dt, modes[2].sum(axis=0), modes)
+    (motion, P, at_level, (level, _, readout), modes), log_likelihood = kernels.correct(
+        body, points, pairs, pending, activity(VARIANCES)
+    )
+    attitude, rate, acceleration, discs, _ = motion
+    along = np.einsum("kia,ki->ka", body[4], discs) / np.sum(body[3] * discs, axis=1, keepdims=True)
+    dx = np.zeros(N)
+    dx[:KINEMATIC_DIM] = *log(attitude @ body[0].T), *(rate - body[1]), *(acceleration - body[2])
+    dx[READOUT], dx[MAP_OFFSET:-CLONE_DIM] = readout - body[6], along.ravel()
+    return P, at_level, level, modes, log_likelihood, dx
 
 
 def each_on_its_own(means, covariances, weights, H, R, z, acceleration):
@@ -80,9 +119,12 @@ def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far):
     """Without hypotheses below a thousandth of their mode, which are left out."""
     rng = np.random.default_rng(1)
     for _ in range(10):
-        means, covariances, weights, H, R, z, acceleration = drawn(rng, far)
+        means, covariances, weights = drawn(rng, far)
+        _, prior = moments(weights.sum(axis=1), means, covariances)
+        body, points, H, R = frame(rng, prior)
+        z = 3e-3 * rng.normal(size=8)
         new, levels, p, after, spreads = map(
-            np.array, zip(*each_on_its_own(means, covariances, weights, H, R, z, acceleration), strict=True)
+            np.array, zip(*each_on_its_own(means, covariances, weights, H, R, z, body[2]), strict=True)
         )
         for level in range(1, len(VARIANCES)):
             p[(new == level) & (p < max(1e-3 * p[new == level].sum(), 1e-8 * p.sum()))] = 0.0
@@ -92,12 +134,8 @@ def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far):
         expected = mean.copy()
         expected[-CLONE_DIM:] = 0.0
 
-        _, prior = moments(weights.sum(axis=1), means, covariances)
         modes = means[:, 3:9].copy(), covariances[:, 3:9, 3:9].copy(), weights
-        S = H @ prior @ H.T + R
-        P, modes, at_level, dx, log_likelihood, *_ = kernels.correct(
-            prior, (H[:, :9].copy(), H @ prior, z, S), np.zeros(3), acceleration, (DT, BETWEEN, VARIANCES), modes
-        )
+        P, at_level, _, modes, log_likelihood, dx = corrected(body, showing(body, points, z), DT, modes)
         scale = np.sqrt(np.diag(total))
         assert_allclose(dx / scale, expected / scale, atol=1e-7)
         assert_allclose(P / np.outer(scale, scale), total / np.outer(scale, scale), atol=1e-7)
@@ -116,18 +154,16 @@ def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far):
 def test_a_wrong_pose_leaves_the_covariance_positive_in_a_long_jerky_play():
     """Modes that lie far apart, a pose that is correlated with all, and one step after the other."""
     rng = np.random.default_rng(2)
-    means, covariances, weights, H, R, _, acceleration = drawn(rng, 3.0)
+    means, covariances, weights = drawn(rng, 3.0)
     _, P = moments(weights.sum(axis=1), means, covariances)
+    body, points, H, R = frame(rng, P)
     modes = means[:, 3:9].copy(), covariances[:, 3:9, 3:9].copy(), weights
     F = np.eye(N)
     F[:3, 3:6] = F[3:6, 6:9] = DT * np.eye(3)
     F[:3, 6:9] = 0.5 * DT * DT * np.eye(3)
     for _ in range(200):
-        S = H @ P @ H.T + R
-        z = np.linalg.cholesky(S) @ rng.normal(size=8) * rng.choice([1.0, 10.0])
-        P, modes, *_ = kernels.correct(
-            P, (H[:, :9].copy(), H @ P, z, S), np.zeros(3), acceleration, (DT, BETWEEN, VARIANCES), modes
-        )
+        z = np.linalg.cholesky(H @ P @ H.T + R) @ rng.normal(size=8) * rng.choice([1.0, 10.0])
+        P, _, _, modes, *_ = corrected((*body[:5], P, body[6]), showing(body, points, z), DT, modes)
         P = F @ P @ F.T
         modes = modes[0] @ F[3:9, 3:9].T, F[3:9, 3:9] @ modes[1] @ F[3:9, 3:9].T, modes[2]
         scale = np.sqrt(np.diag(P))
@@ -136,15 +172,29 @@ def test_a_wrong_pose_leaves_the_covariance_positive_in_a_long_jerky_play():
 
 def test_without_an_interval_there_is_no_step():
     rng = np.random.default_rng(3)
-    _, (P, *_), weights, H, R, z, acceleration = drawn(rng, 0.0)
+    _, (P, *_), weights = drawn(rng, 0.0)
+    body, points, H, R = frame(rng, P)
+    z = 3e-3 * rng.normal(size=8)
     modes = np.zeros((1, 6)), P[None, 3:9, 3:9].copy(), weights[:1] / weights[0].sum()
-    innovation = H[:, :9].copy(), H @ P, z, H @ P @ H.T + R
-    steps = 0.0, BETWEEN, VARIANCES
-    _, _, at_level, dx, *_, level = kernels.correct(P, innovation, np.zeros(3), acceleration, steps, modes)
+    _, at_level, level, _, _, dx = corrected(body, showing(body, points, z), 0.0, modes)
     assert_allclose(at_level, modes[2][0])
     assert level == 1.0
     free = np.r_[0:KINEMATIC_DIM, MAP_OFFSET : N - CLONE_DIM]
-    assert_allclose(dx[free], (P @ H.T @ np.linalg.solve(innovation[3], z))[free])
+    assert_allclose(dx[free], (P @ H.T @ np.linalg.solve(H @ P @ H.T + R, z))[free], rtol=1e-7, atol=1e-12)
+
+
+def test_a_large_correction_is_made_again_about_where_it_led():
+    """Then the innovations that remain are those of the linear model there."""
+    rng = np.random.default_rng(7)
+    P = 1e-12 * np.eye(N)
+    P[:3, :3] = 0.04 * np.eye(3)
+    body, points, *_ = frame(rng, P)
+    turn = np.array([0.2, -0.1, 0.15])
+    true = (exp(turn) @ body[0], *body[1:])
+    seen = showing(true, points, np.zeros(8))
+    modes = np.zeros((1, 6)), P[None, 3:9, 3:9].copy(), np.full((1, 3), 1.0 / 3.0)
+    dx = corrected(body, seen, 0.0, modes)[-1]
+    assert_allclose(dx[:3], turn, atol=2e-3)
 
 
 def test_the_covariance_of_a_turn_is_that_of_its_two_attitudes():
@@ -162,7 +212,11 @@ def test_discs_move_along_their_axes_which_stay_orthonormal_and_keep_their_hand(
     discs, basis = frames[:, :, 0].copy(), frames[:, :, 1:].copy()
     basis[::2, :, 1] *= -1.0  # left-handed as well
     dx = 0.1 * rng.normal(size=N)
-    attitude, moved, axes = kernels.move(frames[0], discs, basis, dx)
+    rate, acceleration = rng.normal(size=(2, 3))
+    body = frames[0], rate, acceleration, discs, basis, np.zeros((N, N)), 0.1
+    (attitude, new_rate, new_acceleration, moved, axes), readout = kernels.move(body, dx)
+    assert_allclose((*new_rate, *new_acceleration), (*(rate + dx[3:6]), *(acceleration + dx[6:9])))
+    assert readout == 0.1 + dx[READOUT]
     to = discs + np.einsum("kia,ka->ki", basis, dx[MAP_OFFSET:-CLONE_DIM].reshape(4, 2))
     assert_allclose(attitude, exp(dx[:3]) @ frames[0], atol=1e-15)
     assert_allclose(moved, to / np.linalg.norm(to, axis=1, keepdims=True), atol=1e-15)
@@ -173,21 +227,27 @@ def test_discs_move_along_their_axes_which_stay_orthonormal_and_keep_their_hand(
 
 def test_a_wrong_argument_is_named():
     rng = np.random.default_rng(6)
-    _, (P, *_), weights, H, R, z, acceleration = drawn(rng, 0.0)
-    innovation = H[:, :9].copy(), H @ P, z, H @ P @ H.T + R
+    _, (P, *_), weights = drawn(rng, 0.0)
+    body, points, *_ = frame(rng, P)
     modes = np.zeros((1, 6)), P[None, 3:9, 3:9].copy(), weights[:1]
-    good = [P, innovation, np.zeros(3), acceleration, (DT, BETWEEN, VARIANCES), modes]
+    pairs, pending = (np.arange(4), np.arange(4), np.zeros((9, 9))), (np.zeros((9, 9)), DT, weights[0], modes)
+    good = [body, points, pairs, pending, activity(VARIANCES)]
     for at, wrong, name in [
-        (0, P[:5], "prior"),
-        (0, P.astype(np.float32), "prior"),
-        (1, (H, *innovation[1:]), "H"),
-        (1, (*innovation[:2], z[:-1].copy(), innovation[3]), "z"),
-        (2, np.zeros(4), "rate"),
-        (3, [1.0, 2.0, 3.0], "acceleration"),
-        (4, (DT, BETWEEN, VARIANCES[:2].copy()), "weights"),
-        (5, (np.zeros((2, 6)), *modes[1:]), "modes"),
+        (0, (*body[:5], P[:5], 0.0), "joint"),
+        (0, (*body[:5], P.astype(np.float32), 0.0), "joint"),
+        (0, (body[0], np.zeros(4), *body[2:]), "rate"),
+        (0, (*body[:2], [1.0, 2.0, 3.0], *body[3:]), "acceleration"),
+        (2, (*pairs[:2], np.zeros((8, 9))), "added"),
+        (2, (pairs[0], pairs[1][:3], pairs[2]), "columns"),
+        (3, (np.zeros(9), *pending[1:]), "process"),
+        (3, (*pending[:3], (np.zeros((2, 6)), *modes[1:])), "modes"),
+        (4, activity(VARIANCES[:2].copy()), "weights"),
+        (4, (*good[4][:4], np.zeros(1), good[4][5]), "drift"),
     ]:
         with pytest.raises(TypeError, match=name):
             kernels.correct(*good[:at], wrong, *good[at + 1 :])
+    for which in (np.array([4, 0, 1, 2]), np.array([-1, 0, 1, 2])):
+        with pytest.raises(IndexError, match="columns"):
+            kernels.correct(*good[:2], (pairs[0], which, pairs[2]), *good[3:])
     with pytest.raises(ValueError, match="positive definite"):
-        kernels.correct(P, (*innovation[:3], -innovation[3]), *good[2:])
+        kernels.correct((*body[:5], -P, 0.0), *good[1:])

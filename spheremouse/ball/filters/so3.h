@@ -1,0 +1,160 @@
+// The state and the points of the default filter, and the parts of its update, as its sources share them.
+#pragma once
+
+#include "spheremouse/ball/filters/so3_steps.h"
+#include "spheremouse/geometry/rotation.h"
+
+namespace spheremouse::ball {
+
+using Dense = Matrix<Dynamic>;
+using Indices = std::vector<int>;
+using Noise = Matrix<CORE>;    // process noise that the covariance does not include yet
+using Each = Vector<Dynamic>;  // a value for each disc
+using Discs = Eigen::Ref<const Matrix<Dynamic, 3>>;
+
+/// The ball as the filter predicts it: `So3State.body`.
+struct Body {
+    Matrix<3> attitude;
+    Vector<3> rate, acceleration;
+    View<Dynamic, 3> discs;
+    View<Dynamic, 6> basis;  // rows of (3, 2)
+    View<> P;
+    double readout;  // s, by which the rolling shutter takes longer than the rig says
+
+    int size() const { return int(discs.rows()); }
+
+    /// The turn from the stamp to `delay`, s, after it.
+    Vector<3> turn(double delay) const { return rate * delay + 0.5 * acceleration * delay * delay; }
+};
+
+/// Points of a frame: `SpherePoints.measurement`.
+struct Points {
+    View<Dynamic, 3> direction;
+    View<Dynamic, 9> covariance;  // m², of image noise
+    Each delay;                   // s, with the estimated readout
+    Eigen::Map<const Each> row;
+    View<Dynamic, 18> by_pose;
+    View<Dynamic, 12> by_ball;
+    double radius;  // m
+
+    int size() const { return int(direction.rows()); }
+
+    /// Image noise of the direction, rad².
+    Matrix<3> noise(int i) const { return View<3, 3>(covariance.row(i).data()) / (radius * radius); }
+};
+
+/// The innovations of k pairs.
+struct Innovation {
+    Matrix<Dynamic, CORE> H;  // (2k, 9)
+    Dense HP;                 // (2k, n)
+    Each z;                   // (2k,)
+    Dense S;                  // covariance of z
+};
+
+/// Pairs of points, `rows`, with discs, `columns`.
+struct Pairs {
+    Indices rows, columns;
+    int possible = 0;    // greatest number of pairs
+    bool plain = false;  // no other pair was possible
+    bool in_place = false, agree = false;
+    Innovation innovation = {};  // of all pairs, with those that disagree
+};
+
+/// The state after a correction.
+struct Corrected {
+    Dense P;
+    Each dx;
+    Posterior steps;
+    double log_likelihood, nis;
+    int pairs;
+};
+
+/// A state moved by an error vector, with the fields of `Body`.
+struct Moved {
+    Matrix<3> attitude;
+    Vector<3> rate, acceleration;
+    Matrix<Dynamic, 3> discs;
+    Matrix<Dynamic, 6> basis;
+    double readout;
+};
+
+/// The motion since the last frame that no correction has used: `So3State.pending`.
+struct Pending {
+    Noise process;  // of the prediction at the first level
+    double interval;
+    Each weights;  // probability of each level
+    Modes modes;
+};
+
+/// Settings of the filter: `so3_settings.ActivityModel`.
+struct Activity {
+    double gate, persistence, dwell;
+    Each variances, drift, usual;
+};
+
+/// A camera that sees directions with a cosine to `towards`, obj, above the horizon.
+struct Viewer {
+    Vector<3> towards;
+    double horizon;
+    Matrix<3> covariance;  // rad², of the attitude
+};
+
+Body read_body(nb::tuple body);
+Points read_points(nb::tuple points, double readout);
+
+/// Read indices, (k,), below `size`. Raise an IndexError that names them.
+Indices read_indices(nb::handle given, const char* name, int size);
+Pairs read_pairs(nb::handle rows, nb::handle columns, const Body& body, const Points& points);
+
+/// Return the discs that the camera sees.
+Indices visible(const Body& body, const Viewer& viewer);
+
+/// Return squared distances, (n, k), of points to the discs `which`, exact below `gate`.
+///
+/// Errors of the considered parameters alone reject no disc. Most pairs are one without them.
+Dense distances(const Body& body, const Points& points, const Indices& which, const Noise& added, double allowance,
+                double gate);
+
+/// Return the pairs of least total distance, without those that contradict the others.
+Pairs pair(const Body& body, const Points& points, const Viewer& viewer, const Noise& added, double gate);
+
+/// Return the innovations of pairs. The noise `added` counts for the terms that the linear model omits.
+Innovation innovation(const Body& body, const Points& points, const Pairs& pairs, const Noise& added);
+
+/// Read `So3State.pending`. A state without modes has one, with the moments of `body`.
+Pending read_pending(nb::tuple pending, const Body& body, const Activity& activity);
+Activity read_activity(nb::tuple activity);
+
+/// Correct the errors of a state by the innovations of pairs.
+Corrected correct(const Body& body, const Innovation& seen, const Pending& pending, const Activity& activity);
+
+/// Return true if a correction turns the ball by more than the range in which the innovations are linear.
+bool is_large(const Each& dx);
+
+/// Return the fields of `So3State`: those from `attitude` to `basis`, `joint`, `weights`, those from `manoeuvre_level`
+/// to `readout`, and `modes`.
+nb::tuple corrected_to_numpy(const Moved& moved, const Corrected& corrected);
+
+Moved move(const Body& body, const Each& dx);
+
+/// What frames have shown of each disc.
+struct Sightings {
+    std::vector<int64_t> hits, missed;  // frames; those in a row
+    Each hidden;                        // probability that something hides it
+    std::vector<bool> keep;             // it stays on the map
+    int known_seen = 0;                 // established discs
+    double known_missed = 0.0;          // the same, expected number
+};
+
+/// Read the hits, the misses and `hidden` of m discs.
+Sightings read_sightings(nb::tuple sightings, nb::ssize_t m);
+nb::tuple sightings_to_numpy(const Sightings& sightings);
+
+/// Count a frame that shows the discs `columns` in their places.
+///
+/// If it `may_miss` others, a disc is missed only where it should be. So frames in which the attitude is known too
+/// badly count no miss.
+void count(Sightings& sightings, const Matrix<3>& attitude, const Discs& discs, const Viewer& viewer,
+           const Indices& columns, bool may_miss);
+
+}  // namespace spheremouse::ball

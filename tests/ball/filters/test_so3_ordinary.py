@@ -1,0 +1,65 @@
+"""The update by an ordinary frame in one call, against its parts one after another."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from spheremouse.geometry.rotation import log
+from spheremouse.native import kernels
+from tests.ball.filters.twins import GATE, HORIZON, TOWARDS, drawn, process
+
+VARIANCES = np.array([0.1, 2.0, 30.0]) ** 2
+WEIGHTS = np.array([0.7, 0.2, 0.1])
+ACTIVITY = GATE, 0.2, 1.0, VARIANCES, np.zeros(3), np.full(3, 1.0 / 3.0)
+CAMERA = TOWARDS, HORIZON
+SQUARES = VARIANCES / VARIANCES[0]
+
+
+def one_after_another(body, points, sightings, pending):
+    """Return the result of `update_ordinary` from the parts, and None for frames with doubtful pairs."""
+    added = (pending[2] @ SQUARES - 1.0) * pending[0]
+    rows, columns, possible, plain, in_place, _ = kernels.pair(body, points, *CAMERA, added, GATE)
+    visible = np.flatnonzero(body[3] @ body[0].T @ TOWARDS > HORIZON)
+    livelier = (SQUARES.max() - 1.0) * pending[0]
+    distance = kernels.distances(body, points, visible, livelier, 0.0, GATE)
+    distance[rows] = distance[:, np.isin(visible, columns)] = np.inf
+    if not (plain and in_place and len(rows) >= 2 and 2 * len(rows) >= possible) or np.any(distance < GATE):
+        return None
+    corrected, _ = kernels.correct(body, points, (rows, columns, added), pending, ACTIVITY)
+    (attitude, _, _, discs, _), joint, *_ = corrected
+    if np.abs(log(attitude @ body[0].T)).max() > 0.02:
+        return None
+    viewer = *CAMERA, joint[:3, :3].copy()
+    return corrected, rows, kernels.count_sightings(attitude, discs, sightings, viewer, columns, True)
+
+
+def flat(value):
+    return [leaf for part in value for leaf in flat(part)] if isinstance(value, tuple) else [value]
+
+
+@pytest.mark.parametrize("foreign", [0, 3])
+@pytest.mark.parametrize("sigma", [1e-4, 1e-3, 3e-3])
+def test_the_update_is_that_of_its_parts(sigma, foreign):
+    rng, ordinary = np.random.default_rng(0), 0
+    for seed in range(20):
+        body, points = drawn(seed, sigma, foreign=foreign)
+        sightings = rng.integers(0, 6, 12), rng.integers(0, 3, 12), rng.uniform(size=12)
+        pending = 1e-3 * process(sigma), 1.0 / 30.0, WEIGHTS, None
+        got = kernels.update_ordinary(body, points, CAMERA, sightings, pending, ACTIVITY)
+        expected = one_after_another(body, points, sightings, pending)
+        assert (got is None) == (expected is None)
+        if got is not None:
+            ordinary += 1
+            for a, b in zip(flat(got), flat(expected), strict=True):
+                assert_array_equal(a, b)
+    assert ordinary > 0
+
+
+def test_a_frame_without_points_is_not_ordinary():
+    body, points = drawn(1)
+    none = tuple(a[:0] for a in points[:6])
+    sightings = np.zeros(12, dtype=int), np.zeros(12, dtype=int), np.zeros(12)
+    pending = process(1e-3), 1.0 / 30.0, WEIGHTS, None
+    assert kernels.update_ordinary(body, (*none, 0.6), CAMERA, sightings, pending, ACTIVITY) is None
+    with pytest.raises(TypeError, match="hidden"):
+        kernels.update_ordinary(body, points, CAMERA, (*sightings[:2], np.zeros(11)), pending, ACTIVITY)

@@ -1,0 +1,60 @@
+"""Twins in NumPy of the default filter's linear model. `body` is So3State.body, `points` SpherePoints.measurement."""
+
+import numpy as np
+
+from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET
+from spheremouse.geometry.rotation import exp, hat, left_jacobian, tangent_basis
+
+GATE, HORIZON, TOWARDS = 13.8, 0.2, np.array([0.0, 0.0, 1.0])
+
+
+def drawn(seed, sigma=3e-3, m=12, foreign=3):
+    """Draw a ball of m discs in motion, and points of most of them in a random order, with some that are no disc."""
+    rng = np.random.default_rng(seed)
+    n = MAP_OFFSET + 2 * m + CLONE_DIM
+    A = rng.normal(size=(n, 2 * n)) / np.sqrt(2 * n)
+    scale = sigma * np.repeat([1.0, 10.0, 100.0, 0.3, 0.1, 1.0, 1.0], [3, 3, 3, 10, 1, 2 * m, 3])
+    P = A @ A.T * np.outer(scale, scale)
+    discs = rng.normal(size=(m, 3))
+    discs /= np.linalg.norm(discs, axis=1, keepdims=True)
+    body = exp(rng.normal(size=3)), 3.0 * rng.normal(size=3), rng.normal(size=3), discs, tangent_basis(discs), P, 2e-3
+    row, k = rng.uniform(-0.5, 0.5, m + foreign), m + foreign
+    delay, radius = 0.01 * row, 0.6
+    direction = [place(body, j, delay[j] + body[6] * row[j])[0] for j in range(m)] + [*rng.normal(size=(foreign, 3))]
+    direction = np.array(direction)
+    direction += 1.5 * sigma * rng.normal(size=(k, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    noise = rng.normal(size=(k, 3, 3)) * 1e-3 * radius
+    noise = noise @ noise.transpose(0, 2, 1)
+    order = np.flatnonzero(direction @ TOWARDS > HORIZON)
+    rng.shuffle(order)
+    fields = direction, noise, delay, row, rng.normal(size=(k, 3, 6)), rng.normal(size=(k, 3, 4))
+    return body, (*(f[order].copy() for f in fields), radius)
+
+
+def place(body, j, delay):
+    """Return the place of disc j, its axes, and the turn since the stamp."""
+    attitude, rate, acceleration, discs, basis, *_ = body
+    turn = rate * delay + 0.5 * acceleration * delay**2
+    R = exp(turn) @ attitude
+    return R @ discs[j], R @ basis[j], turn
+
+
+def linear(body, points, i, j):
+    """Return innovation, Jacobian by all errors, and image noise of the point i as the disc j."""
+    direction, noise, delay, row, by_pose, by_ball, radius = points
+    t = delay[i] + body[6] * row[i]
+    p, E, turn = place(body, j, t)
+    turning = -E.T @ hat(p)
+    H = np.zeros((2, len(body[5])))
+    H[:, :3], H[:, 3:6] = turning @ exp(turn), t * turning @ left_jacobian(turn)
+    H[:, 6:9] = 0.5 * t * H[:, 3:6]
+    H[:, 9:19] = -E.T @ np.concatenate([by_pose[i], by_ball[i] - np.eye(3, 4)], axis=1) / radius
+    H[:, 19] = turning @ body[1] * row[i]
+    H[:, MAP_OFFSET + 2 * j : MAP_OFFSET + 2 * j + 2] = np.eye(2)
+    return E.T @ direction[i], H, E.T @ noise[i] @ E / radius**2
+
+
+def process(sigma):
+    A = np.random.default_rng(99).normal(size=(KINEMATIC_DIM, KINEMATIC_DIM))
+    return 0.1 * sigma**2 * A @ A.T
