@@ -24,7 +24,7 @@ from spheremouse.capture import Payload
 from spheremouse.errors import DamagedFrameError, OutputError, SourceError
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.output import Output, OutputClosed, open_output
+from spheremouse.output import Output, open_output
 from spheremouse.output.counts import MotionSettings
 from spheremouse.session.control.client import Client, NoDaemonError
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
@@ -126,7 +126,6 @@ class World:
         self.fault = ""  # of the frames: damaged, internal, size, dark, hidden
         self.broken = ""  # why the output cannot send
         self.gate: threading.Event | None = None  # sending hangs until it is set
-        self.closed = False  # the output's reader has gone
         # what was
         self.place, self._way, self.moves = 0, 1, 0
         self.sequence = 0
@@ -353,8 +352,6 @@ class Sink(Output):
             gate.wait(PATIENCE)
         if self.world.broken:
             raise OutputError(self.world.broken)
-        if self.world.closed:
-            raise OutputClosed("sink")
         self.world.sent.append(report)
 
     def __enter__(self) -> "Sink":

@@ -96,12 +96,6 @@ def test_the_report_is_that_of_the_command(recording, tmp_path):
         assert without_times(sm.evaluate(recording, smooth=smooth)) == without_times(report)
 
 
-def test_smoothing_halves_the_error_of_the_rate(recording, samples):
-    errors = [np.array([s.rate for s in made]) - recording.truth.rate for made in (samples, sm.smooth(samples))]
-    filtered, smoothed = (np.sqrt(np.mean(np.sum(e[1:] ** 2, axis=1))) for e in errors)
-    assert smoothed < 0.5 * filtered
-
-
 def test_samples_without_an_observation_cannot_be_smoothed(samples):
     with pytest.raises(sm.SpheremouseError, match="frame 3 has no observation"):
         sm.smooth([samples[2], replace(samples[3], observation=None)])

@@ -96,13 +96,6 @@ def test_a_film_without_gestures_is_refused_in_a_line():
     assert "Traceback" not in err
 
 
-@pytest.mark.slow
-def test_a_camera_that_is_not_there_is_told_and_not_waited_for(tmp_path):
-    code, out, err = spheremouse("axes", "--config", tmp_path / "config.yaml", "--source", "v4l2:/dev/video99")
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert "/dev/video99: no such device" in err
-
-
 # ---- the dialogue ----
 
 

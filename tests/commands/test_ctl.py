@@ -125,26 +125,6 @@ def test_a_pause_is_seen_behind_a_worse_state():
     assert "and paused" not in shown({"state": "lost", "since_s": 3.0, "paused": False})
 
 
-@pytest.mark.parametrize(
-    ("change", "key"),
-    [
-        ({"outputs": [{"spec": "null", "failed": None, "reports": 1, "unsent": [0.5, 0.0, 1.0], "ahead": [0, 0, 0]}]},
-         "outputs.0.unsent.0"),
-        ({"balls": [{"name": "a", "state": "tracking", "position_m": [1.0], "angles_deg": None, "sigma_mm": None,
-                     "sigma_deg": None}]}, "balls.0.position_m"),
-        ({"recording": {"folder": "r", "frames": 1, "seconds": 1.0, "bytes": "many", "dropped": 0}}, "recording.bytes"),
-    ],
-)  # fmt: skip
-@pytest.mark.parametrize("words", [("status",), ("watch",)])
-def test_a_status_that_is_none_of_ours_is_one_line(ctl, daemon, words, change, key):
-    """Whatever a server at the path says where whole numbers are due, the command says so and ends."""
-    daemon.status = daemon.status | change
-    code, out, err = ctl(*words)
-    assert (code, out) == (cli_ctl.NO_DAEMON, "")
-    assert f"is no status of spheremouse ({key}" in err
-    assert err.count("\n") == 1
-
-
 def test_what_the_daemon_quotes_does_not_steer_the_terminal():
     bad = "\x1b[2J\x1b]0;owned\x07[bold]x[/bold]"
     status = {"state": bad, "reason": bad, "outputs": [{"spec": bad, "failed": bad}], "source": {"description": bad}}

@@ -364,32 +364,6 @@ def test_a_signal_ends_a_run_between_two_frames_with_everything_complete(roll, t
     assert video_frames(video) == len(table)
 
 
-@pytest.mark.slow
-def test_a_reader_that_goes_away_ends_a_run_quietly(roll):
-    words = ("run", "--source", f"dataset:{roll}", "--output", "text:-", *QUICK)
-    process = start(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    for _ in range(3):
-        process.stdout.readline()
-    process.stdout.close()
-    err = process.stderr.read()
-    assert process.wait(timeout=20) == 0
-    assert re.search(r"\n\d+ frames?; counts [^\n]*\n\Z", err)
-    assert "rror" not in err
-
-
-@pytest.mark.slow
-def test_simulate_killed_half_way_leaves_nothing(tmp_path):
-    process = start(("simulate", tmp_path / "new", "--seconds", "60"), stderr=subprocess.PIPE)
-    until = time.monotonic() + 20
-    while not list(tmp_path.iterdir()) and time.monotonic() < until:
-        time.sleep(0.02)
-    assert [p.name.startswith(".new.") for p in tmp_path.iterdir()] == [True]
-    process.send_signal(signal.SIGTERM)
-    _, err = process.communicate(timeout=20)
-    assert (process.returncode, err) == (128 + signal.SIGTERM, "")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_signal_while_a_frame_is_worked_on_is_heard_after_it():
     with SignalHandler() as stopping:
         got = []

@@ -25,22 +25,6 @@ def test_an_error_is_told_in_the_thesis_angles(view):
     assert found["error"] == pytest.approx([1.0, -2.0, 0.5, 0.03, -0.02, 0.04], abs=2e-4)
 
 
-def test_sigma_is_the_scatter_of_the_error():
-    scene, rng = default_scene(1, "far"), np.random.default_rng(0)
-    rig = scene.rig()
-    centre = predict_targets(scene.pose, rig)
-    found = [
-        poses.pose_result(sightings(rig, centre + 0.05 * rng.standard_normal(centre.shape)), rig, scene.pose)
-        for _ in range(150)
-    ]
-    error = np.array([f["error"] for f in found])
-    # residuals may enlarge a covariance, hence the upper side is wide
-    ratio = error.std(axis=0) / np.mean([f["sigma"] for f in found], axis=0)
-    assert np.all((ratio > 0.65) & (ratio < 1.2))
-    correlation = np.corrcoef(error.T)
-    assert np.abs(correlation - np.array(found[0]["correlation"])).max() < 0.25
-
-
 def test_the_far_camera_has_the_correlations_of_table_21():
     scene = default_scene(1, "far")
     rig = scene.rig()

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from experiments.kit.render import Plot, Table, by, markdown, number, rms, tidy, write_page, write_section
+from experiments.kit.render import Plot, Table, by, markdown, number, rms, tidy, write_section
 
 ROWS = pd.DataFrame({"discs": [26, 26, 50], "filter": ["so3", "thesis", "so3"], "error, °": [0.01234, 0.1, np.nan]})
 
@@ -60,14 +60,3 @@ def test_a_section_has_its_parts_their_numbers_and_what_failed(written, tmp_path
     figure = (tmp_path / "lines.svg").read_bytes()
     written(parts, {"a": {"x": 1}})
     assert (tmp_path / "lines.svg").read_bytes() == figure
-
-
-def test_without_results_a_section_says_what_to_give(written):
-    assert "`--datasets`" in written([], {})
-    assert "Caption" not in written([Table("Caption", ROWS)], {"b": {"error": "too dark"}})
-
-
-def test_the_page_explains_its_films_before_the_sections(tmp_path):
-    text = write_page(tmp_path, ["it"]).read_text()
-    for word in ("R1", "S1", "S4", "far26", "values below it occur", "– stands where there is no value"):
-        assert word in text

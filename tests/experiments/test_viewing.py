@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from experiments import viewing
 from experiments.kit import film as kit
 from experiments.kit import tour as tour_module
 from experiments.kit.tour import thinned, tour
@@ -42,17 +41,6 @@ def test_a_thinned_film_is_the_film_at_the_slower_rate(film):
     # the pictures differ by their noise of 3 grey values alone
     difference = fewer.frames[7].image.astype(float) - slow.frames[7].image
     assert np.std(difference) < 5.0
-
-
-def test_a_readout_that_is_not_considered_costs_attitude():
-    found = viewing.with_film(1, 4.0, {"readout": 0.03})
-    assert found["pose"] is None  # nothing was amiss
-    off = {
-        name: found["rows"][name]["attitude"]
-        for name in (tour_module.KNOWN, tour_module.ESTIMATED, tour_module.IGNORED)
-    }
-    assert off[tour_module.IGNORED] > 2.0 * off[tour_module.KNOWN]
-    assert off[tour_module.ESTIMATED] < off[tour_module.IGNORED]
 
 
 def test_the_classic_filters_are_told_the_true_acceleration(film):

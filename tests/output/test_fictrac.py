@@ -77,18 +77,6 @@ def walk(increments, camera=None, **options):
 FORWARD, RIGHT, TURN_RIGHT = np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), np.array([0, 1.0, 0])
 
 
-@pytest.mark.parametrize(
-    ("increment", "axis", "sign"),
-    [(FORWARD, 1, 1), (-RIGHT, 0, 1), (-TURN_RIGHT, 2, 1)],
-)
-def test_the_motions_have_the_signs_of_fictracs_documentation(increment, axis, sign):
-    """Its doc/coordinate_frames.md: clockwise about +X steps left, about +Y walks forwards, about +Z turns left."""
-    (read,) = walk([0.1 * increment])
-    expected = np.zeros(3)
-    expected[axis] = 0.1 * sign
-    assert np.allclose(read["delta_lab"], expected, atol=1e-15)
-
-
 def test_a_walk_round_a_square_ends_where_it_began():
     """North is +x, east is +y."""
     side = [0.1 * FORWARD, 0.1 * FORWARD, np.pi / 2 * TURN_RIGHT]

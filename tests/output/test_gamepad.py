@@ -12,7 +12,6 @@ from seats import LOOKS
 from spheremouse.output import gamepad
 from spheremouse.output.counts import MotionSettings
 from spheremouse.output.response import Response
-from spheremouse.tracker import Status
 
 FULL = np.radians(180.0)
 
@@ -56,12 +55,6 @@ def test_no_rate_leaves_the_range_of_the_axes(x, y, z):
     made = gamepad.to_sticks(rolling([x, y, z]), Response(curve=0.5))
     assert made is not None
     assert max(map(abs, made)) <= gamepad.FULL_DEFLECTION
-
-
-def test_a_lost_ball_centres_the_sticks_and_a_hidden_one_keeps_them():
-    assert gamepad.to_sticks(rolling([0, -9, 0]), Response()) == (0, 0, 32767)
-    assert gamepad.to_sticks(rolling([0, -9, 0], status=Status.LOST), Response()) == (0, 0, 0)
-    assert gamepad.to_sticks(rolling([0, -9, 0], confirmed=False), Response()) is None
 
 
 def test_the_sticks_are_centred_when_reports_stop_and_at_the_end():

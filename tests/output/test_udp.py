@@ -2,12 +2,10 @@
 
 import json
 import socket
-from dataclasses import replace
 
 from reporting import PATIENCE, report
 
 from spheremouse.output import open_output, probe
-from spheremouse.tracker import Status
 
 
 def receiver(port=0, family=socket.AF_INET, host="127.0.0.1"):
@@ -24,24 +22,6 @@ def test_each_line_is_a_datagram():
         lines = [bound.recv(65536) for _ in range(5)]
     assert [json.loads(line)["counts"] for line in lines] == [[k, -k, 2] for k in range(5)]
     assert all(line.endswith(b"\n") and line.count(b"\n") == 1 for line in lines)
-
-
-def test_fictracs_own_client_reads_its_lines():
-    """The loop of FicTrac's scripts/socket_client.py: receive 1024 bytes, cut at the newline, split at the commas."""
-    bound, port = receiver()
-    data = ""
-    with bound, open_output(f"udp:{port},format=fictrac") as output:
-        for k in range(1, 4):
-            sample = report(rotation=(0.1 * k, 0, 0)).samples[0]
-            tracked = sample.estimate._replace(status=Status.TRACKING, sequence=k, stamp=float(k))
-            output.send(report()._replace(samples=(replace(sample, estimate=tracked),)))
-            data += bound.recv(1024).decode("UTF-8")
-            end = data.find("\n")
-            tokens, data = data[:end].split(", "), data[end + 1 :]
-            assert (len(tokens), tokens[0]) == (26, "FT")
-            assert (int(tokens[1]), int(tokens[23])) == (k + 1, k)
-            assert abs(float(tokens[7]) - 0.1 * k) < 1e-12
-    assert data == ""
 
 
 def test_a_receiver_may_start_late_and_again():

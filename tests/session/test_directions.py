@@ -40,7 +40,6 @@ def test_small_parts_are_not_worth_a_word_and_nothing_is_rest():
 def test_a_hand_goes_where_it_is_said_to_go(facing):
     """Who holds it looks along -z of the camera, or along z; up is -y."""
     look = np.array([0.0, 0.0, -1.0 if facing else 1.0])
-    right = np.cross(look, -UP) if facing else np.array([1.0, 0.0, 0.0])
     down = np.array([0.0, 1.0, 0.0])  # cam
     right = np.cross(down, look)
     shifted = of_hand(PointingSettings(by="shift", facing=facing)).motion

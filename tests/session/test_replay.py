@@ -86,21 +86,6 @@ def test_each_pass_is_exactly_that_of_the_recording_tracked_frame_by_frame(run):
             assert all(np.array_equal(a, b) for a, b in zip(found, true, strict=True))
 
 
-def test_pause_stops_the_frames_and_a_step_tracks_one(run):
-    assert run.ask("pause")["state"] == "paused"
-    run.wait(lambda: run.status()["state"] == "paused")
-    time.sleep(0.2)
-    shown = run.status()["source"]["replay"]["frame"]
-    tracked = len(run.results)
-    run.ask("replay", step=True)
-    run.wait(lambda: len(run.results) > tracked)
-    time.sleep(0.2)
-    assert run.status()["source"]["replay"]["frame"] == (shown + 1) % 50
-    assert len(run.results) == tracked + 1
-    run.ask("resume")
-    run.wait(lambda: len(run.results) > tracked + 5)
-
-
 def test_nonsense_is_refused_in_words_and_changes_nothing(run):
     for wrong in ({"speed": 0.0}, {"begin": -1.0}, {"end": "late"}, {"step": 1}, {"end": 1.0, "begin": 1.0}):
         with pytest.raises(ControlError, match=f"replay: {next(iter(wrong))}: "):

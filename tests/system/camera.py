@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from modules import insert, remove
 
-from spheremouse.capture import open_source
 from spheremouse.capture.settings import CameraSettings
 from spheremouse.capture.v4l2 import open_camera
 from spheremouse.errors import DamagedFrameError, SourceError
@@ -134,7 +133,7 @@ def test_frames_of_every_format_arrive_as_they_were_written(loopback, name):
     with writing(name), open_camera(loopback, CameraSettings()) as camera:
         assert f"{W}x{H} {name}" in camera.describe()
         numbers, sequences, stamps = [], [], []
-        for _ in range(20):
+        for _ in range(12):
             raw = camera.next(WAIT)
             frame = raw.frame(colour=False)
             number = number_in(frame.image)
@@ -154,19 +153,6 @@ def test_frames_of_every_format_arrive_as_they_were_written(loopback, name):
     assert np.all(np.diff(stamps) > 0)
     # the first buffer is handed out twice by v4l2loopback 0.12; from then on what it counts is what was written
     np.testing.assert_array_equal(np.diff(numbers)[2:] % 25, np.diff(sequences)[2:] % 25)
-
-
-@pytest.mark.parametrize("name", ["YUYV", "NV12"])
-def test_colours_where_they_are_asked_for(loopback, name):
-    with writing(name), open_source(f"v4l2:{loopback}") as source:
-        assert source.live
-        frame = next(iter(source))
-    blue, green, red = (frame.image[40:, :, c].astype(float).mean() for c in range(3))
-    luma = picture(0)[40:].astype(float).mean()
-    assert frame.image.shape == (H, W, 3)
-    assert blue == pytest.approx(1.164 * (luma - 16), abs=2)
-    assert red - blue == pytest.approx(1.596 * (RED - 128), abs=2)
-    assert blue - green == pytest.approx(0.813 * (RED - 128), abs=2)
 
 
 def test_a_writer_that_ends_is_a_camera_that_gives_nothing_until_it_comes_back(loopback):
@@ -195,7 +181,7 @@ def test_damaged_pictures_are_said_and_the_next_is_whole(loopback):
 
     with writing("MJPG", damage), open_camera(loopback, CameraSettings()) as camera:
         whole, damaged = 0, 0
-        for _ in range(40):
+        for _ in range(20):
             raw = camera.next(WAIT)
             try:
                 image = raw.frame(False).image
@@ -205,17 +191,19 @@ def test_damaged_pictures_are_said_and_the_next_is_whole(loopback):
                 damaged += 1
             raw.release()
     print(f"{whole} whole, {damaged} damaged")
-    assert 10 <= whole <= 22
+    assert 5 <= whole <= 11
 
 
 # ---- vivid: modes, controls, stamps, plug and unplug ----
 
 
-PATTERNS = {"100% White": (255, 255, 255), "100% Black": (0, 0, 0), "100% Red": (0, 0, 255), "100% Blue": (255, 0, 0)}
+PATTERNS = {"100% White": (255, 255, 255), "100% Red": (0, 0, 255), "100% Blue": (255, 0, 0)}
 
 
-@pytest.mark.parametrize("name", ["YUYV", "NV12", "GREY"])
-@pytest.mark.parametrize("pattern", PATTERNS)
+@pytest.mark.parametrize(
+    ("name", "pattern"),
+    [("YUYV", "100% White"), ("YUYV", "100% Red"), ("NV12", "100% Blue"), ("GREY", "100% Red")],
+)
 def test_size_rate_format_and_what_is_seen_are_as_asked(vivid, name, pattern):
     settings = CameraSettings(controls=(f"test_pattern={pattern}", "osd_text_mode=none"))
     with open_camera(f"{vivid()},width=320,height=180,fps=15,format={name}", settings) as camera:
@@ -284,30 +272,27 @@ def test_stamps_ahead_of_the_clock_come_out_behind_it_and_regular(vivid, source)
     assert settled == pytest.approx(1 / 25, rel=0.08)
 
 
-@pytest.mark.parametrize(
-    ("control", "words"),
-    [("wrap_timestamp=64 Bit", "clock that is not known"), ("wrap_timestamp=32 Bit", "clock that is not known")],
-)
-def test_stamps_of_no_known_clock_are_replaced(vivid, control, words):
-    with open_camera(vivid(), CameraSettings(size=(320, 180), fps=30.0, controls=(control,))) as camera:
+def test_stamps_of_no_known_clock_are_replaced(vivid):
+    asked = CameraSettings(size=(320, 180), fps=30.0, controls=("wrap_timestamp=64 Bit",))
+    with open_camera(vivid(), asked) as camera:
         for _ in range(10):
             raw = camera.next(WAIT)
             assert 0 < time.monotonic() - raw.stamp < WAIT
             raw.release()
-        assert [words in note for note in camera.notes] == [True], camera.notes
+        assert ["clock that is not known" in note for note in camera.notes] == [True], camera.notes
 
 
 def test_numbers_of_frames_go_on_where_the_driver_s_wrap_and_show_what_it_dropped(vivid):
     asked = ("wrap_sequence_number=on", "percentage_of_dropped_buffers=50")
     with open_camera(vivid(), CameraSettings(size=(320, 180), fps=50.0, controls=asked)) as camera:
         numbers = []
-        for _ in range(150):  # vivid wraps 128 frames after the start
+        for _ in range(90):  # vivid wraps 128 frames after the start
             raw = camera.next(WAIT)
             numbers.append(raw.sequence)
             raw.release()
     steps = np.diff(numbers)
     assert numbers[0] == 0
-    assert numbers[-1] > 200  # half of the frames are missing
+    assert numbers[-1] > 130  # half of the frames are missing
     assert steps.min() == 1
     assert 2 <= steps.max() < 60
 

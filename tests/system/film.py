@@ -4,7 +4,6 @@
 
 Each film is a folder in OUT: `YUYV` and `MJPG` (pictures one behind the other, with `ends.npy`, the places in bytes
 where those of MJPG end), `attitude.npy` (n, 3, 3) R_obj_ball, `rig.yaml`, and `posed.yaml` with the camera's pose.
-That of the hand-held ball has YUYV alone, `attitude.npy` R_cam_ball, `position.npy` (n, 3) m, and `camera.yaml`.
 """
 
 import subprocess
@@ -19,8 +18,7 @@ import numpy as np
 from spheremouse.ball.settings import LossSettings, Settings
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
-from spheremouse.files.dataset.wand import open_wand
-from spheremouse.files.rig import rig_text, save_camera
+from spheremouse.files.rig import rig_text
 
 # The pictures come six times as slowly as those of a usual camera: so the tracker waits six times as long.
 SLOW = Settings(loss=LossSettings(lost_after=1.8, reset_after=6.0))
@@ -46,28 +44,12 @@ def convert(dataset: Path, folder: Path) -> None:
     (folder / "posed.yaml").write_text(rig_text(replace(recording.rig, pose=recording.pose)), encoding="utf-8")
 
 
-def convert_wand(dataset: Path, folder: Path) -> None:
-    """A recording of a hand-held ball as a film."""
-    recording = open_wand(dataset)
-    assert recording.truth is not None
-    folder.mkdir()
-    with (folder / "YUYV").open("wb") as plain:
-        for frame in read_frames(recording):
-            plain.write(cv2.cvtColor(frame.image, cv2.COLOR_BGR2YUV_YUY2).tobytes())
-    np.save(folder / "attitude.npy", recording.truth.rotation)
-    np.save(folder / "position.npy", recording.truth.position)
-    save_camera(folder / "camera.yaml", recording.camera)
-
-
 def main() -> None:
-    """The films, of the ball and of a hand; without --short a longer one."""
+    """The film of the ball; without --short a longer one."""
     out, short = Path(sys.argv[1]), "--short" in sys.argv
     seconds, fps = (3, 16) if short else (4, 30)
     words = f"simulate {out / 'dataset'} --motion play --seed 7 --seconds {seconds} --fps {fps} --noise 2"
     subprocess.run([sys.executable, "-m", "spheremouse", *words.split()], check=True, stdout=subprocess.DEVNULL)
-    words = f"wand simulate {out / 'hand'} --path hand --seed 1 --seconds {seconds} --fps 10 --size 640x480"
-    subprocess.run([sys.executable, "-m", "spheremouse", *words.split()], check=True, stdout=subprocess.DEVNULL)
-    convert_wand(out / "hand", out / "wand")
     convert(out / "dataset", out / "play")
 
 

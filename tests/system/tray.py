@@ -23,9 +23,6 @@ from spheremouse.capture import open_source
 from spheremouse.errors import ControlError
 from spheremouse.files.rig import save_rig
 from spheremouse.session.control.client import Client
-from spheremouse.session.control.server import ControlServer
-from spheremouse.session.control.status import STATES
-from spheremouse.session.settings import ControlSettings
 
 NEEDS = missing() or ("" if gtk() else "needs PyGObject: python3-gi gir1.2-ayatanaappindicator3-0.1")
 pytestmark = pytest.mark.skipif(bool(NEEDS), reason=NEEDS)
@@ -143,22 +140,6 @@ def test_the_menu_pauses_reinitialises_records_and_quits(world, films, tmp_path)
         shutil.copy(tmp_path / "menu.png", os.environ["TRAY_PICTURES"])
 
 
-def test_every_trouble_has_its_icon(world, films):
-    with world.tray() as tray:
-        with world.daemon(f"dataset:{films / 'dark'}"):
-            assert world.shows("searching-targets")
-        with world.daemon(f"dataset:{films / 'lost'}"):
-            assert world.shows("tracking")
-            assert world.shows("lost")
-        with world.daemon(f"dataset:{films / 'long'}", "serial:/dev/does-not-exist"):
-            assert world.shows("failed-output")
-            assert until(lambda: "failed output" in world.desk.notices())
-        with world.daemon("v4l2:/dev/does-not-exist", "null", "--rig", str(films / "rig.yaml")):
-            assert world.shows("no-camera")
-            assert until(lambda: "no camera" in world.said())
-        assert end(tray) == 0
-
-
 def test_the_icon_comes_back_with_the_panel(world):
     """Also at login, where the panel is not there yet."""
     world.desk.end_panel()
@@ -169,22 +150,6 @@ def test_the_icon_comes_back_with_the_panel(world):
         assert until(lambda: world.desk.state() == "")
         world.desk.start_panel()
         assert until(lambda: world.desk.state() == "no-daemon"), world.said()
-        assert end(tray) == 0
-
-
-def test_the_icon_follows_every_change(world):
-    """Also where a reason is long and not English; a window that is left behind would show an old state."""
-    state = "tracking"
-
-    def handle(pending):
-        pending.answer({"state": state, "reason": f"{state} → Жук " * 20})
-
-    with world.tray() as tray:
-        for _ in range(3):
-            with ControlServer(world.socket, ControlSettings(), handle, lambda _: None):
-                for state in STATES:  # `handle` reads it
-                    assert until(lambda: world.desk.state() == state), (state, world.said())  # noqa: B023  called at once
-            assert until(lambda: world.desk.state() == "no-daemon"), world.said()
         assert end(tray) == 0
 
 

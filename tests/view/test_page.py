@@ -211,13 +211,6 @@ def test_save_keeps_the_comments_of_the_file(page, service):
 
 
 @pytest.mark.slow
-def test_a_profile_is_applied(page, service):
-    page.locator("#profile").select_option("evening")
-    page.locator("#apply-profile").click()
-    wait_for("the profile", lambda: value(service, "discs.contrast") == "0.2")
-
-
-@pytest.mark.slow
 def test_expert_settings_are_searched_changed_and_reset(page, service):
     choose(page, "Expert")
     rows = page.locator("#panel-Expert .setting:visible")
@@ -233,21 +226,6 @@ def test_expert_settings_are_searched_changed_and_reset(page, service):
     wait_for("the changed ones", lambda: 1 <= rows.count() < everything)
     page.locator("#reset-all").click()
     wait_for("the default", lambda: field(page, "expert", "blobs.area").input_value() != "[50, 300]")
-
-
-@pytest.mark.slow
-def test_exported_settings_can_be_imported(page, service):
-    service.ask("set", assignments=["discs.contrast=0.31"])
-    wait_for("the value on the page", lambda: field(page, "tune", "discs.contrast").input_value() == "0.31")
-    choose(page, "Expert")
-    with page.expect_download() as download:
-        page.locator("#export").click()
-    file = download.value.path()
-    assert "contrast: 0.31" in file.read_text()
-    service.reset()
-    wait_for("the default on the page", lambda: field(page, "tune", "discs.contrast").input_value() == "0.25")
-    page.locator("#import-file").set_input_files(file)
-    wait_for("the value", lambda: value(service, "discs.contrast") == "0.31")
 
 
 @pytest.mark.parametrize("by", ["mouse", "keys", "numbers"])

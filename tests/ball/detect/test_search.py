@@ -90,15 +90,6 @@ def test_a_disc_of_ordinary_size_is_met_in_the_first_turn_wherever_it_is():
     assert n > 30
 
 
-@pytest.mark.slow
-def test_all_of_many_discs_come_in_the_end():
-    """Four in a frame, but not the same four for ever."""
-    discs = random_discs(np.random.default_rng(3), 14, 60.0)
-    met = [look(picture(discs), SearchState(turn)) for turn in range(32)]
-    assert all(len(places) == 4 for places in met)
-    assert distances(np.concatenate(met), centroids(discs)).max() < 1.0
-
-
 def test_known_places_are_left_out():
     discs = random_discs(np.random.default_rng(4), 4, 60.0)
     image, centres = picture(discs), centroids(discs)

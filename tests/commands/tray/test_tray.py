@@ -4,7 +4,6 @@ import subprocess
 import sys
 import time
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -293,18 +292,3 @@ def test_a_pygobject_of_another_python_is_ignored(monkeypatch, tmp_path):
     assert sys.modules["gi"].__path__ == [str(package)]
     for name in ("gi", "gi.own", "gi._gi"):
         monkeypatch.delitem(sys.modules, name)
-
-
-def test_without_a_tray_the_advice_says_what_to_install():
-    assert "gnome-shell-extension-appindicator" in tray_live.advice("ubuntu:GNOME")
-    assert "trayer" in tray_live.advice("sway")
-
-
-def test_the_autostart_entry_starts_this_command():
-    entry = Path(__file__).parents[3] / "service" / "desktop" / "spheremouse-tray.desktop"
-    lines = entry.read_text(encoding="utf-8").splitlines()
-    assert lines[0] == "[Desktop Entry]"
-    assert "Exec=@EXECUTABLE@ tray --at-login" in lines
-    assert "TryExec=@EXECUTABLE@" in lines  # a program that has gone is no error
-    assert "Type=Application" in lines
-    assert "Terminal=false" in lines

@@ -77,52 +77,6 @@ def test_closing_passes_on_the_last_motion_and_releases_buttons(board):
     assert board.reports >= 50_000 / 600
 
 
-def test_a_bad_line_and_resets_lose_no_more_than_is_reported():
-    with Simulator(damage=0.01, seed=1) as board, opened(f"{board.port}") as output:
-        for _ in range(1000):
-            output.send(report(3))
-            time.sleep(0.001)
-        until(lambda: output.settled)
-        assert board.moved[0] == 3000
-        assert board.device.lost > 0
-        for k in range(400):
-            output.send(report(2))
-            if k % 100 == 50:
-                board.reset()
-            time.sleep(0.001)
-        until(lambda: output.settled)
-        found = output.statistics()
-        assert output.status(10.0) is not None
-    assert board.resets == 4
-    assert 1 < found.sessions <= 5  # two resets during one stall of the computer are one
-    assert 3800 - found.uncertain - found.dropped <= board.moved[0] <= 3800
-
-
-def test_the_board_comes_back_at_another_port(tmp_path, capsys):
-    link = tmp_path / "board"
-    with Simulator() as first, Simulator() as second:
-        os.symlink(first.port, link)
-        with opened(f"{link}") as output:
-            output.hold(1)
-            output.send(report(5))
-            until(lambda: first.moved[0] == 5 and first.buttons == 1)
-            link.unlink()
-            first.unplug()
-            until(lambda: first.buttons == 0)
-            until(lambda: output.describe(report(1)) == "X +1 (waits for the board)")
-            os.symlink(second.port, link)
-            output.hold(0)
-            until(lambda: output.describe(report(1)) == "X +1")
-            output.send(report(7))
-            until(lambda: second.moved[0] == 7)
-            assert output.statistics().breaks == 1
-    said = capsys.readouterr().err
-    assert f"serial: {link}: " in said
-    assert "trying again until it is back" in said
-    assert said.count("(simulator) on simulator") == 2
-    assert f"on simulator at {link} is back" in said
-
-
 def test_sending_never_waits_for_a_line_that_takes_nothing(board, monkeypatch):
     """The counts wait as one number, not as a queue of frames."""
     output = opened(f"{board.port}")

@@ -4,7 +4,6 @@ Laws that hold in every test, checked at its end: nothing is sent but while the 
 was sent or was counted as unsent; every raw frame was given back.
 """
 
-import json
 import os
 import time
 from dataclasses import replace
@@ -25,7 +24,6 @@ from spheremouse.session.control.status import StatusReport
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.setup import Setup
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
-from spheremouse.wand.events import SecondBall
 
 CONFIG = """\
 schema: 2
@@ -140,19 +138,6 @@ def test_a_lost_ball_moves_nothing_and_nothing_jumps_when_it_is_back(playing):
     near(*playing.turn(9))
 
 
-def test_it_ends_when_the_reader_has_gone_and_after_as_many_frames_as_were_wanted(world, film, tmp_path_factory):
-    world.start()
-    world.settle()
-    world.closed = True
-    world.join()
-    world.closed = False
-    other = WandWorld(*film, tmp_path_factory.mktemp("other"))
-    other.start(frames=4)
-    other.join()
-    assert len(other.frames) == 4
-    assert other.error is None
-
-
 # ---- what is asked of it ----
 
 
@@ -213,18 +198,6 @@ def test_other_parameters_are_used_and_the_ball_is_followed_on(playing):
     assert playing.client.ask("reload")["changed"] == ["tracker", "motion"]
 
 
-def test_what_cannot_be_is_refused_and_nothing_changes(playing):
-    for assignment, why in (
-        ("wand.points=2", "wand.points: is 2, but there is one ball; balls are counted from 1"),
-        ("wand.balls=[none.yaml]", "none.yaml: no such file; check the path"),
-        ("tracker=so3", "stop this run and start again"),
-    ):
-        with pytest.raises(ControlError, match=why):
-            playing.client.ask("set", assignments=[assignment])
-    near(*playing.turn(20))
-    assert playing.client.ask("status")["state"] == "tracking"
-
-
 def test_other_balls_are_looked_for_and_a_changed_file_is_heard_of(playing, monkeypatch):
     monkeypatch.setattr("spheremouse.session.service._EVERY", 0.05)
     ball = playing.scene.balls[0].ball
@@ -235,39 +208,6 @@ def test_other_balls_are_looked_for_and_a_changed_file_is_heard_of(playing, monk
     (playing.folder / "mine.yaml").write_text(wand_text(replace(ball, name="hers")))
     playing.heard("tracking: hers is followed")
     near(*playing.turn(20))
-
-
-def rows(path):
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-
-
-def test_a_second_output_begins_when_it_is_asked_for_and_goes_on_with_other_balls(playing):
-    path, ball, opened = playing.folder / "axes.txt", playing.scene.balls[0].ball, len(playing.outputs)
-    main = playing.outputs[0]
-    assert playing.client.ask("set", assignments=[f"output=['{main}', 'text:{path}']"])["changed"] == ["output"]
-    playing.until(lambda: len(rows(path)) > 10, "samples")
-    assert len(playing.outputs) == opened + 1  # the pointer's stays open
-    near(*playing.turn(20))
-    (playing.folder / "mine.yaml").write_text(wand_text(replace(ball, name="mine")))
-    playing.client.ask("set", assignments=["wand.balls=[mine.yaml]"])
-    playing.heard("tracking: mine is followed")
-    playing.until(lambda: rows(path)[-1]["name"] == "mine", "samples")
-    assert len(rows(path)[-1]["position"]) == 3
-
-
-def test_a_complaint_is_said_with_the_frame_that_finds_the_ball(world, monkeypatch):
-    from spheremouse.session.wand import adapter
-
-    def complaining(state, frame, tracker):
-        found = step(state, frame, tracker)
-        poses = tuple(replace(p, event=SecondBall("grzonka")) if p.seen else p for p in found.state.poses)
-        return found._replace(state=replace(found.state, poses=poses))
-
-    step = adapter.step
-    monkeypatch.setattr(adapter, "step", complaining)
-    world.start()
-    world.heard("tracking: grzonka is followed")
-    world.heard("a second ball like grzonka")
 
 
 def test_a_recording_shows_who_holds_the_ball_and_so_has_to_be_asked_for_in_whole(playing):
