@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -61,6 +62,7 @@ class Film:
     rig: Rig
 
     @classmethod
+    @cache  # two seconds
     def render(cls, length: int = 48) -> "Film":
         seconds = length * DT
         s = seconds / 5.0

@@ -295,7 +295,8 @@ def rate_roughness(run: Run) -> float | None:
 
     It needs no truth. It is the noise of the rate, if the ball turns smoothly.
     """
-    last = np.array([k for k in run.steps if k - 1 in run.steps], dtype=np.intp)
+    steps = run.steps
+    last = steps[np.isin(steps - 1, steps)]
     return number(np.rad2deg(np.sqrt(np.mean(squared_bend(run)[last])))) if len(last) else None
 
 

@@ -1,5 +1,6 @@
 """A standing ball stands: what passes before it, or shakes the camera, sends next to nothing; play follows at once."""
 
+import itertools
 from dataclasses import replace
 
 import cv2
@@ -81,9 +82,14 @@ def dots(t):
     return np.stack([xy[:, 0], (xy[:, 1] + 150.0 * t) % 480.0], axis=1), (0.0, 0.0)
 
 
-@pytest.mark.parametrize("turned", [False, True])
-@pytest.mark.parametrize("number", [12, pytest.param(26, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("passing", [pytest.param(sheet, marks=pytest.mark.slow), sleeve, dots])
+QUICK = {(sleeve, 12, False), (dots, 12, False), (dots, 12, True)}
+PASSING = itertools.product((sheet, sleeve, dots), (12, 26), (False, True))
+
+
+@pytest.mark.parametrize(
+    ("passing", "number", "turned"),
+    [pytest.param(*case, marks=[] if case in QUICK else pytest.mark.slow) for case in PASSING],
+)
 def test_what_passes_before_a_standing_ball_sends_nothing_and_delays_no_play(passing, number, turned):
     states, counts, events = run(directions(number, 3), passing, turned)
     stands = round(8.0 / DT)

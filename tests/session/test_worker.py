@@ -20,7 +20,7 @@ from spheremouse.tracker import Frame, Status
 
 @pytest.fixture(scope="module")
 def film():
-    return Film.render(24)
+    return Film.render()
 
 
 SETTINGS = replace(Configuration(), pose=replace(Configuration().pose, frames=2))

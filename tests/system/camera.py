@@ -20,11 +20,6 @@ from modules import insert, remove
 from spheremouse.capture.settings import CameraSettings
 from spheremouse.capture.v4l2 import open_camera
 from spheremouse.errors import DamagedFrameError, SourceError
-from spheremouse.files.rig import save_rig
-from spheremouse.files.yaml import dotted
-from spheremouse.session.config_check import validate
-from spheremouse.session.settings import Configuration
-from spheremouse.simulate.ball.scene import default_scene
 
 linuxpy = pytest.importorskip("linuxpy.video.device")
 
@@ -411,6 +406,12 @@ def test_opening_and_closing_leaks_nothing(vivid):
 
 def named(folder, source, size, asked=None):
     """Keys of what `config check` finds wrong where the rig was calibrated at `size` and `asked` is configured."""
+    from spheremouse.files.rig import save_rig  # here, since the guest takes 20 s for these imports
+    from spheremouse.files.yaml import dotted
+    from spheremouse.session.config_check import validate
+    from spheremouse.session.settings import Configuration
+    from spheremouse.simulate.ball.scene import default_scene
+
     rig = default_scene().rig()
     camera = replace(rig.camera, width=size[0], height=size[1], cx=size[0] / 2, cy=size[1] / 2)
     save_rig(folder / "rig.yaml", replace(rig, camera=camera))
@@ -421,6 +422,7 @@ def named(folder, source, size, asked=None):
     return [dotted(problem.key) for problem in found.wrong]
 
 
+@pytest.mark.slow
 def test_config_check_compares_the_rig_with_the_camera_and_who_films_goes_on_filming(vivid, tmp_path):
     with open_camera(vivid(), CameraSettings()) as filming:
         first = filming.next(WAIT)
@@ -434,6 +436,7 @@ def test_config_check_compares_the_rig_with_the_camera_and_who_films_goes_on_fil
         after.release()
 
 
+@pytest.mark.slow
 def test_config_check_leaves_a_loopback_alone_whose_stream_it_would_end(loopback, tmp_path):
     with writing("YUYV"), open_camera(loopback, CameraSettings()) as filming:
         filming.next(WAIT).release()

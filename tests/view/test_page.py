@@ -313,6 +313,7 @@ def test_the_log_is_filtered(page, service):
     assert lines.count() == 0
 
 
+@pytest.mark.slow
 def test_a_recording_is_replayed_step_by_step_and_two_settings_are_compared(page, service):
     choose(page, "Recordings")
     page.locator("#recording").select_option("clip")
