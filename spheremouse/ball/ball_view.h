@@ -19,17 +19,18 @@ struct BallView {
 };
 
 /// Read a `rig.BallView`.
-inline BallView read_ball_view(nb::tuple view) {
-    const auto number = [&](int i) { return nb::cast<double>(view[i]); };
-    const auto [fx, fy, cx, cy] = nb::cast<std::tuple<double, double, double, double>>(view[5]);
+inline BallView read_ball_view(nb::handle view_) {
+    const nb::tuple view = members(view_, 11, "view");
+    const auto scalar = [&](int i) { return number<double>(view[i], "view"); };
+    const auto [fx, fy, cx, cy] = number<std::tuple<double, double, double, double>>(view[5], "view");
     const auto k = vector<5>(view[6], "distortion");
     return {vector<3>(view[0], "centre"),
-            number(1),
-            number(2),
+            scalar(1),
+            scalar(2),
             matrix<3, 3>(view[3], "rotation"),
             vector<3>(view[4], "position"),
-            Camera{fx, fy, cx, cy, k(0), k(1), k(2), k(3), k(4), number(7), nb::cast<int>(view[8])},
-            number(9),
+            Camera{fx, fy, cx, cy, k(0), k(1), k(2), k(3), k(4), scalar(7), number<int>(view[8], "view")},
+            scalar(9),
             matrix<10, 10>(view[10], "covariance")};
 }
 

@@ -32,7 +32,7 @@ Matrix<3> propagate(const Matrix<3, N>& J, const Matrix<N>& C) {
     return P;
 }
 
-nb::tuple intersect(nb::handle centre_, nb::handle noise_, nb::tuple view_) {
+nb::tuple intersect(nb::handle centre_, nb::handle noise_, nb::handle view_) {
     const auto centre = array<const double, -1, 2>(centre_, "centre");
     const auto noise = array<const double, -1, 2, 2>(noise_, "noise");
     if (noise.shape(0) != centre.shape(0)) throw nb::type_error("noise: must have the length of centre");
@@ -67,7 +67,7 @@ nb::tuple intersect(nb::handle centre_, nb::handle noise_, nb::tuple view_) {
                           by_ball.array, delay, row, index);
 }
 
-nb::tuple directions_at(nb::handle uv_, nb::tuple view_) {
+nb::tuple directions_at(nb::handle uv_, nb::handle view_) {
     const BallView view = read_ball_view(view_);
     const std::vector<Seen> met = meet(array<const double, -1, 2>(uv_, "uv"), view);
     const Rows<3> direction(met.size());

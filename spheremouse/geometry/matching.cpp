@@ -5,6 +5,8 @@
 namespace spheremouse {
 namespace {
 
+constexpr double MAX_WORTH = 1e100;  // sums of infinite worths are no numbers
+
 using Worth = Eigen::Ref<const Matrix<Dynamic>>;
 
 /// Return the result of `match` by shortest augmenting paths (Kuhn 1955, Munkres 1957).
@@ -32,7 +34,7 @@ std::vector<int> augment(const Worth& worth) {
             for (size_t j = 1; j < width; j++) {
                 if (used[j]) continue;
                 const double w = j <= k ? worth(int(i) - 1, wanted[j - 1]) : 0.0;
-                const double reduced = -(w > 0.0 ? w : 0.0) - u[i] - v[j];
+                const double reduced = -(w > 0.0 ? std::min(w, MAX_WORTH) : 0.0) - u[i] - v[j];
                 if (reduced < least[j]) least[j] = reduced, before[j] = here;
                 if (least[j] < step) step = least[j], following = j;
             }

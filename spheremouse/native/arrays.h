@@ -18,8 +18,9 @@ using nb::arg;
 template <class T, nb::ssize_t... Shape>
 using Array = nb::ndarray<T, nb::shape<Shape...>, nb::c_contig, nb::device::cpu>;  // a size of -1 is free
 
-/// Compiled twice for x86-64. Without fused operations, wider registers give the same results.
-#if defined(__x86_64__) && defined(__gnu_linux__)
+/// Compiled twice for x86-64, by GCC alone: Clang's copies call no function that returns a wide vector. Without fused
+/// operations, wider registers give the same results.
+#if defined(__x86_64__) && defined(__gnu_linux__) && !defined(__clang__)
 #define WIDE __attribute__((target_clones("avx2", "default")))
 #else
 #define WIDE
@@ -38,6 +39,20 @@ Array<T, Shape...> array(nb::handle given, const char* name) {
                           " and shape (" + shape + ") in C order, is " + nb::str(dtype).c_str() + " " +
                           nb::str(sizes).c_str())
                              .c_str());
+}
+
+/// Return a tuple as it is. Raise a TypeError that names it if it has another number of members.
+inline nb::tuple members(nb::handle given, size_t count, const char* name) {
+    if (nb::isinstance<nb::tuple>(given) && nb::len(given) == count) return nb::borrow<nb::tuple>(given);
+    throw nb::type_error((std::string(name) + ": must be a tuple of " + std::to_string(count) + " members").c_str());
+}
+
+/// Return a member of a tuple as a number. Raise a TypeError that names the tuple if it is none.
+template <class T>
+T number(nb::handle given, const char* name) {
+    T result;
+    if (nb::try_cast(given, result)) return result;
+    throw nb::type_error((std::string(name) + ": must have a number of another type").c_str());
 }
 
 /// Return a new array of NumPy, filled with zeros.

@@ -267,6 +267,7 @@ nb::tuple assign_spots(nb::handle spots_, nb::handle discs_, nb::handle glare_, 
     const auto discs = array<const double, -1, 5>(discs_, "discs");
     const auto glare = array<const double, -1, 3>(glare_, "glare");
     const auto limits = array<const double, 3>(limits_, "limits");
+    if (max_found == 0) throw nb::value_error("max_found: must be positive");
     Search search(limits, min_score, max_found);
     for (size_t i = 0; i < spots.shape(0); i++)
         search.spots.push_back({{spots(i, 0), spots(i, 1)}, spots(i, 2), int(spots(i, 3))});

@@ -63,7 +63,8 @@ int64_t select(const Image& image, const Bounds& bounds, uint8_t* binary, int64_
         darkest = std::min(darkest, bounds(c, 4));
         brightest = std::max(brightest, bounds(c, 5));
     }
-    const int grey = int(least * 256.0f), low = int(darkest), high = int(std::min(brightest, 255.0f));
+    const int grey = int(std::max(least, 0.0f) * 256.0f), low = int(std::max(darkest, 0.0f)),
+              high = int(std::min(brightest, 255.0f));
     int64_t some = 0;
     std::vector<uint8_t> flag(pixels);
     mark(image.data(), pixels, grey, low, high, flag.data());
@@ -160,7 +161,7 @@ void grow_glare(nb::handle image_, nb::handle bounds_, nb::handle distance_, int
     const int h = int(distance.shape(0)), w = int(distance.shape(1));
     if (image.shape(0) != pale.shape(0) || image.shape(1) != pale.shape(1))
         throw nb::type_error("pale: must have the size of image");
-    if (top < 0 || left < 0 || size_t(top + h) > image.shape(0) || size_t(left + w) > image.shape(1))
+    if (top < 0 || left < 0 || size_t(top) + size_t(h) > image.shape(0) || size_t(left) + size_t(w) > image.shape(1))
         throw nb::type_error("distance: must lie in image");
     std::vector<std::pair<int, int>> open;
     for (int i = 0; i < h; i++) {

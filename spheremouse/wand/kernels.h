@@ -81,6 +81,9 @@ class FieldsView {
   public:
     FieldsView(nb::handle weight, nb::handle glare, nb::handle place, nb::handle fraction, nb::handle rim);
 
+    /// Raise a TypeError unless each colour of a ball has a field.
+    void require_colours_of(const BallModel& ball) const;
+
     Planes weight, glare;
     double left, top, factor;
     std::vector<double> fraction, rim;  // of each colour

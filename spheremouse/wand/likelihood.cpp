@@ -117,7 +117,7 @@ struct Densities {
         }
     }
 
-    static size_t index(double d) { return size_t(int(std::min(std::max(d, 0.0), 1.0) * TABLE + 0.5)); }
+    static size_t index(double d) { return size_t(int(std::min(std::max(0.0, d), 1.0) * TABLE + 0.5)); }
 };
 
 /// Sums of one pose over its points.
@@ -175,6 +175,7 @@ nb::tuple log_likelihood(nb::handle position_, nb::handle rotation_, const BallM
     const auto disc_weight = array<const double, -1, -1>(disc_weight_, "disc_weight");
     const auto which = array<const int64_t, -1>(which_, "which");
     const size_t n = position.shape(0), k = disc_weight.shape(0);
+    fields.require_colours_of(ball);
     if (rotation.shape(0) != n) throw nb::type_error("rotation: must have as many poses as position");
     if (k > 0 && (which.shape(0) != n || disc_weight.shape(1) != ball.first.size()))
         throw nb::type_error("disc_weight: must have a column for each disc, and which an index for each pose");
@@ -216,7 +217,7 @@ BallModel::BallModel(nb::handle table_, nb::handle colour_, double radius, nb::h
     const auto lens = array<const double, 9>(lens_, "lens");
     size = table.shape(0);
     if (index.shape(0) != size) throw nb::type_error("colour: must have a value for each row of table");
-    if (size > 0 && table(0, 9) <= 0.0) throw nb::type_error("table: must begin with the centre of a disc");
+    if (size > 0 && !(table(0, 9) > 0.0)) throw nb::type_error("table: must begin with the centre of a disc");
     camera = {lens(0), lens(1), lens(2), lens(3), lens(4), lens(5), lens(6), lens(7), lens(8)};
     for (size_t q = 0; q < size; q++) {
         const double* p = &table(q, 0);
@@ -243,6 +244,12 @@ FieldsView::FieldsView(nb::handle weight_, nb::handle glare_, nb::handle place_,
     left = place(0), top = place(1), factor = place(2);
     fraction.assign(p.data(), p.data() + p.shape(0));
     rim.assign(shift.data(), shift.data() + shift.shape(0));
+}
+
+void FieldsView::require_colours_of(const BallModel& ball) const {
+    for (int k : ball.colour)
+        if (size_t(std::max(k, 0)) >= weight.count)
+            throw nb::type_error("fields: must have one for each colour of ball");
 }
 
 Sight::Sight(size_t points) {

@@ -88,6 +88,7 @@ nb::object measure_edges(nb::handle image_, nb::handle position_, nb::handle rot
     const auto position = array<const double, 3>(position_, "position");
     const auto rotation = array<const double, 3, 3>(rotation_, "rotation");
     const auto discs = array<const double, -1, 4>(discs_, "discs");
+    if (factor < 1) throw nb::value_error("factor: must be positive");
     const Pose pose{Eigen::Map<const Vector3d>(position.data()), Eigen::Map<const Matrix<3>>(rotation.data())};
     const double h = double(image.shape(0)), w = double(image.shape(1)), step = STEP * factor,
                  reach = MIDDLE * step + 1.0;
@@ -104,7 +105,9 @@ nb::object measure_edges(nb::handle image_, nb::handle position_, nb::handle rot
         const Vector2d at = pixel(ball.camera, pose.c + d);
         const Vector2d normal =
             (at - pixel(ball.camera, pose.c + outline_point(pose.c, ball.radius, opposite))).normalized();
-        if (!(reach < at[0] && at[0] < w - 1.0 - reach && reach < at[1] && at[1] < h - 1.0 - reach)) continue;
+        if (!(normal.allFinite() && reach < at[0] && at[0] < w - 1.0 - reach && reach < at[1] &&
+              at[1] < h - 1.0 - reach))
+            continue;
         const double place = Line(image, at - MIDDLE * step * normal, step * normal).edge(first);
         if (place < 0.0) continue;
         const Vector2d edge = at + (place - MIDDLE) * step * normal;

@@ -34,7 +34,7 @@ class Refinement {
             linearise();
             assemble(coarse ? COARSE_SIGMAS[std::min(round, 3)] : SIGMA, coarse);
             const Eigen::VectorXd dx = A_.ldlt().solve(b_);
-            if (round == rounds || (!coarse && dx.dot(b_) < CONVERGED)) return dx.dot(b_);
+            if (round == rounds || (!coarse && !(dx.dot(b_) >= CONVERGED))) return dx.dot(b_);
             step(dx);
         }
     }
@@ -169,6 +169,8 @@ nb::tuple refine(nb::handle position_, nb::handle rotation_, const BallModel& ba
     const auto position = array<const double, 3>(position_, "position");
     const auto R = array<const double, 3, 3>(rotation_, "rotation");
     const auto edges = array<const double, DIRECTIONS, 5>(edges_, "edges");
+    fields.require_colours_of(ball);
+    if (rounds < 0 || rounds > 100) throw nb::value_error("rounds: must be from 0 to 100");
     auto new_position = zeros<double>({3}), new_rotation = zeros<double>({3, 3}), covariance = zeros<double>({6, 6});
     double slope;
     {

@@ -26,6 +26,7 @@ double squared_sine(double cosine) { return 0.5 * std::min(1.0 + cosine, 1.0 - c
 /// pairs has this property (Turan 1941).
 std::vector<Pair> select_pairs(const Directions& seen, int groups) {
     const int n = int(seen.rows());
+    groups = std::min(groups, std::max(n, 1));
     const Matrix<Dynamic> parallel = (seen * seen.transpose()).cwiseAbs();
     std::vector<std::vector<int>> members(static_cast<size_t>(groups));
     std::vector<char> taken(size_t(n), false);

@@ -32,7 +32,7 @@ Vector<2> distorted_centroid(const Camera& camera, const Vector<2>& centre, cons
     return sum / (3.0 * total);
 }
 
-nb::tuple appearance_(nb::handle directions_, nb::tuple view_) {
+nb::tuple appearance_(nb::handle directions_, nb::handle view_) {
     const auto directions = array<const double, -1, 3>(directions_, "directions");
     const BallView view = read_ball_view(view_);
     const size_t n = directions.shape(0);
@@ -51,7 +51,7 @@ nb::tuple appearance_(nb::handle directions_, nb::tuple view_) {
     return nb::make_tuple(centre.array, centroid.array, shape.array, area, whole);
 }
 
-nb::object seen_at_(nb::handle directions_, nb::tuple view_) {
+nb::object seen_at_(nb::handle directions_, nb::handle view_) {
     const auto directions = array<const double, -1, 3>(directions_, "directions");
     const BallView view = read_ball_view(view_);
     const Rows<2> uv(directions.shape(0));

@@ -37,7 +37,7 @@ struct FitSettings {
     double smoothing, blur, contrast, size_tolerance, rim, sigma;
 };
 
-FitSettings read_fit_settings(nb::tuple settings);
+FitSettings read_fit_settings(nb::handle settings);
 
 /// A disc's image to be fitted.
 struct Expected {

@@ -242,14 +242,15 @@ Fit fit_centre(DiscFit& fit, const Photo& photo, const FitSettings& settings, do
     return result;
 }
 
-nb::tuple fit_discs_(nb::handle image, nb::handle mask, nb::tuple expected, double noise, nb::tuple settings_,
+nb::tuple fit_discs_(nb::handle image, nb::handle mask, nb::handle expected_, double noise, nb::handle settings_,
                      double contrast, double size) {
+    const nb::tuple expected = members(expected_, 3, "expected");
     const auto place = array<const double, -1, 2>(expected[0], "place");
     const auto shape = array<const double, -1, 2, 2>(expected[1], "shape");
     const auto path = array<const double, -1, 7>(expected[2], "path");
     const size_t n = place.shape(0);
     if (shape.shape(0) != n || path.shape(0) != n) throw nb::type_error("shape, path: must have the length of place");
-    const Photo photo = read_photo(image, mask, settings_[0], noise);
+    const Photo photo = read_photo(image, mask, members(settings_, 7, "settings")[0], noise);
     const FitSettings settings = read_fit_settings(settings_);
     std::vector<Expected> discs(n);
     for (size_t i = 0; i < n; i++)
@@ -277,7 +278,8 @@ double noise_of(nb::handle image_, nb::handle weights_, int top, int bottom, int
     const auto image = array<const uint8_t, -1, -1, -1>(image_, "image");
     const auto weights = array<const float, -1>(weights_, "weights");
     if (weights.shape(0) != image.shape(2)) throw nb::type_error("weights: must have one for each channel of image");
-    if (top < 0 || left < 0 || bottom > int(image.shape(0)) || right > int(image.shape(1)))
+    if (top < 0 || left < 0 || bottom < top || right < left || bottom > int(image.shape(0)) ||
+        right > int(image.shape(1)))
         throw nb::value_error("window: must lie in image");
     constexpr double ROUNDING = 0.29;  // standard deviation of a whole number
     int count[1024] = {}, total = 0;
@@ -309,16 +311,17 @@ Photo read_photo(nb::handle image_, nb::handle mask_, nb::handle projection, dou
         throw nb::type_error("mask: must have the size of image");
     if (image.shape(2) != 1 && image.shape(2) != 3) throw nb::type_error("image: must have one channel or three");
     Photo photo{image, mask, {}, noise};
-    const auto weights = nb::cast<nb::tuple>(nb::cast<nb::tuple>(projection)[0]);
+    const nb::tuple weights = members(members(projection, 1, "projection")[0], 3, "weights");
     float sum = 0.0f;
-    for (size_t k = 0; k < 3; k++) sum += photo.weights[k] = nb::cast<float>(weights[k]);
+    for (size_t k = 0; k < 3; k++) sum += photo.weights[k] = number<float>(weights[k], "weights");
     if (image.shape(2) == 1) photo.weights[0] = sum >= 0.0f ? 1.0f : -1.0f;
     return photo;
 }
 
-FitSettings read_fit_settings(nb::tuple settings) {
-    const auto number = [&](int i) { return nb::cast<double>(settings[i]); };
-    return {number(1), number(2), number(3), number(4), number(5), number(6)};
+FitSettings read_fit_settings(nb::handle given) {
+    const nb::tuple settings = members(given, 7, "settings");
+    const auto scalar = [&](int i) { return number<double>(settings[i], "settings"); };
+    return {scalar(1), scalar(2), scalar(3), scalar(4), scalar(5), scalar(6)};
 }
 
 std::vector<Fit> fit_discs(const Photo& photo, const std::vector<Expected>& discs, const FitSettings& settings,

@@ -6,11 +6,11 @@ namespace {
 
 using Places = Array<const double, -1, 2>;
 
-constexpr size_t MAX_FOUND = 4;   // candidates in one frame: more come in the next
-constexpr double REJECTED = 2.5;  // px of the coarse picture, around a place that turned out to be no disc
-constexpr int SIDES = 8;          // neighbours, opposite ones follow each other
-constexpr int MIN_BRIGHTER = 4;   // neighbours
-constexpr int OTHER_START = 997;  // each frame begins elsewhere, so the limit falls on no disc for long
+constexpr size_t MAX_FOUND = 4;      // candidates in one frame: more come in the next
+constexpr double REJECTED = 2.5;     // px of the coarse picture, around a place that turned out to be no disc
+constexpr int SIDES = 8;             // neighbours, opposite ones follow each other
+constexpr int MIN_BRIGHTER = 4;      // neighbours
+constexpr size_t OTHER_START = 997;  // each frame begins elsewhere, so the limit falls on no disc for long
 
 /// Values of a projection: those of one channel, with a sign, less the value of no light.
 struct Plane {
@@ -30,10 +30,12 @@ struct Plane {
           width(int(image.shape(1))),
           height(int(image.shape(0))),
           channels(int(image.shape(2))),
-          size(image.size() - channel) {
+          size(image.size() > channel ? image.size() - channel : 0) {
         if (image.shape(0) != mask.shape(0) || image.shape(1) != mask.shape(1))
             throw nb::type_error("mask: must have the size of image");
         if (channel >= image.shape(2)) throw nb::value_error("plane: its channel must be in image");
+        if (std::abs(sign) != 1 || dark < -255 || dark > 255)
+            throw nb::value_error("plane: must have a sign of 1 or -1, and no light from -255 to 255");
     }
 
     ptrdiff_t index(int x, int y) const { return (ptrdiff_t(y) * width + x) * channels; }
@@ -125,7 +127,7 @@ std::vector<Vector<2>> find(const Plane& plane, const Samples& samples, const Li
     const double known_radius = limits.radius + 2.0 * limits.reduction;
     std::vector<Vector<2>> found;
     const auto in_found = [&](size_t i, int axis) -> const double& { return found[i](axis); };
-    const size_t n = samples.size, start = n ? size_t(turn * OTHER_START) % n : 0;
+    const size_t n = samples.size, start = n ? size_t(turn) * OTHER_START % n : 0;
     for (size_t k = 0; k < n && found.size() < MAX_FOUND; k++) {
         const size_t i = start + k < n ? start + k : start + k - n;
         float level;
@@ -142,23 +144,36 @@ std::vector<Vector<2>> find(const Plane& plane, const Samples& samples, const Li
     return found;
 }
 
-nb::object candidate_pixels(nb::tuple plane_, nb::handle mask, nb::tuple samples_, nb::handle offsets,
-                            nb::tuple limits_, int64_t turn, nb::handle known_, nb::handle rejected_) {
-    const Plane plane(array<const uint8_t, -1, -1, -1>(plane_[0], "image"), array<const uint8_t, -1, -1>(mask, "mask"),
-                      nb::cast<size_t>(plane_[1]), nb::cast<int>(plane_[2]), nb::cast<int>(plane_[3]));
-    const auto place = array<const int32_t, -1, 2>(samples_[0], "place");
-    const auto sides = array<const uint8_t, -1>(samples_[1], "sides");
-    const auto along = array<const int32_t, -1, 2, 2>(samples_[2], "along");
+Limits read_limits(nb::handle given) {
+    const nb::tuple limits = members(given, 4, "limits");
+    double value[3];
+    for (int i = 0; i < 3; i++) value[i] = number<double>(limits[i], "limits");
+    const auto [contrast, difference, radius] = value;
+    const int reduction = number<int>(limits[3], "limits");
+    if (!(std::abs(contrast) <= 1.0 && std::abs(difference) < 1e6 && std::abs(radius) < 1e6) || reduction < 1 ||
+        reduction > 1000)
+        throw nb::value_error("limits: must be finite, with a contrast up to 1 and a reduction from 1 to 1000");
+    return {int(256.0 * (1.0 - contrast)), int(difference), radius, reduction};
+}
+
+nb::object candidate_pixels(nb::handle plane_, nb::handle mask, nb::handle samples_, nb::handle offsets,
+                            nb::handle limits_, int64_t turn, nb::handle known_, nb::handle rejected_) {
+    const nb::tuple source = members(plane_, 4, "plane"), lattice = members(samples_, 3, "samples");
+    const Plane plane(array<const uint8_t, -1, -1, -1>(source[0], "image"), array<const uint8_t, -1, -1>(mask, "mask"),
+                      number<size_t>(source[1], "plane"), number<int>(source[2], "plane"),
+                      number<int>(source[3], "plane"));
+    const auto place = array<const int32_t, -1, 2>(lattice[0], "place");
+    const auto sides = array<const uint8_t, -1>(lattice[1], "sides");
+    const auto along = array<const int32_t, -1, 2, 2>(lattice[2], "along");
     const auto steps = array<const int32_t, SIDES, 2>(offsets, "offsets");
     Samples samples{place.shape(0), place.data(), along.data(), sides.data(), {}};
     for (size_t k = 0; k < SIDES; k++) samples.step[k] = plane.index(steps(k, 0), steps(k, 1));
     if (sides.shape(0) != samples.size || along.shape(0) != samples.size)
         throw nb::type_error("sides, along: must have the length of place");
-    const Limits limits{int(256.0 * (1.0 - nb::cast<double>(limits_[0]))), int(nb::cast<double>(limits_[1])),
-                        nb::cast<double>(limits_[2]), nb::cast<int>(limits_[3])};
+    const Limits limits = read_limits(limits_);
     const auto known = array<const double, -1, 2>(known_, "known"),
                rejected = array<const double, -1, 2>(rejected_, "rejected");
-    if (limits.reduction < 1 || turn < 0) throw nb::value_error("limits, turn: reduction must be 1 or more, turn 0");
+    if (turn < 0) throw nb::value_error("turn: must not be negative");
     std::vector<Vector<2>> found;
     {
         nb::gil_scoped_release release;

@@ -90,18 +90,19 @@ std::vector<Disc> fit_all(const Photo& photo, const Array<const double, -1, 3>& 
     return discs;
 }
 
-nb::tuple measure_discs(nb::handle image, nb::handle directions_, nb::tuple model, double noise, nb::handle places_,
-                        nb::tuple motion_, double size) {
+nb::tuple measure_discs(nb::handle image, nb::handle directions_, nb::handle model_, double noise, nb::handle places_,
+                        nb::handle motion_, double size) {
+    const nb::tuple model = members(model_, 6, "model"), moving = members(motion_, 2, "motion");
     const auto directions = array<const double, -1, 3>(directions_, "directions");
     const auto places = array<const double, -1, 2>(places_, "places");
     if (places.shape(0) != 0 && places.shape(0) != directions.shape(0))
         throw nb::type_error("places: must have the length of directions, or 0");
-    const BallView view = read_ball_view(nb::cast<nb::tuple>(model[0]));
-    const auto fit = nb::cast<nb::tuple>(model[3]);
-    const Photo photo = read_photo(image, model[1], fit[0], noise);
-    const Motion motion{vector<3>(motion_[0], "rate"), nb::cast<double>(motion_[1]), nb::cast<double>(model[2])};
-    const FitSettings settings = read_fit_settings(fit);
-    const double min_area = nb::cast<double>(model[4]), apart = APART * nb::cast<double>(model[5]);
+    const BallView view = read_ball_view(model[0]);
+    const FitSettings settings = read_fit_settings(model[3]);
+    const Photo photo = read_photo(image, model[1], nb::borrow<nb::tuple>(model[3])[0], noise);
+    const Motion motion{vector<3>(moving[0], "rate"), number<double>(moving[1], "motion"),
+                        number<double>(model[2], "model")};
+    const double min_area = number<double>(model[4], "model"), apart = APART * number<double>(model[5], "model");
     std::vector<Disc> discs;
     {
         nb::gil_scoped_release release;

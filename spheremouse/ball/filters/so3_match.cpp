@@ -126,10 +126,10 @@ bool unambiguous(const Dense& distance, double gate) {
 }  // namespace
 
 Body read_body(nb::tuple body) {
-    Body r{matrix<3, 3>(body[0], "attitude"),  vector<3>(body[1], "rate"),
-           vector<3>(body[2], "acceleration"), matrix<Dynamic, 3>(body[3], "discs"),
-           matrices<3, 2>(body[4], "basis"),   matrix(body[5], "joint"),
-           nb::cast<double>(body[6])};
+    members(body, 7, "body");
+    Body r{matrix<3, 3>(body[0], "attitude"),    vector<3>(body[1], "rate"),       vector<3>(body[2], "acceleration"),
+           matrix<Dynamic, 3>(body[3], "discs"), matrices<3, 2>(body[4], "basis"), matrix(body[5], "joint"),
+           number<double>(body[6], "body")};
     const nb::ssize_t m = r.discs.rows(), n = MAP_OFFSET + 2 * m + CLONE;
     if (r.basis.rows() != m) throw nb::type_error("basis: must have the length of discs");
     if (r.P.rows() != n || r.P.cols() != n)
@@ -138,6 +138,7 @@ Body read_body(nb::tuple body) {
 }
 
 Points read_points(nb::tuple points, double readout) {
+    members(points, 7, "points");
     const auto row = vector(points[3], "row");
     Points r{matrix<Dynamic, 3>(points[0], "direction"),
              matrices<3, 3>(points[1], "image_covariance"),
@@ -145,7 +146,7 @@ Points read_points(nb::tuple points, double readout) {
              row,
              matrices<3, 6>(points[4], "dposition_dpose"),
              matrices<3, 4>(points[5], "dposition_dball"),
-             nb::cast<double>(points[6])};
+             number<double>(points[6], "points")};
     for (nb::ssize_t n : {r.covariance.rows(), r.delay.size(), row.size(), r.by_pose.rows(), r.by_ball.rows()})
         if (n != r.size()) throw nb::type_error("points: must have one length");
     if (readout != 0.0) r.delay += readout * row;

@@ -47,7 +47,8 @@ nb::object update_ordinary_(nb::tuple body_, nb::tuple points_, nb::tuple camera
                             nb::tuple pending_, nb::tuple activity_) {
     const Body body = read_body(body_);
     const Points points = read_points(points_, body.readout);
-    Viewer viewer{vector<3>(camera[0], "towards"), nb::cast<double>(camera[1]), Matrix<3>::Zero()};
+    members(camera, 2, "camera");
+    Viewer viewer{vector<3>(camera[0], "towards"), number<double>(camera[1], "camera"), Matrix<3>::Zero()};
     Sightings sightings = read_sightings(sightings_, body.size());
     const Activity activity = read_activity(activity_);
     const Pending pending = read_pending(pending_, body, activity);

@@ -44,7 +44,9 @@ bool is_placed(const Matrix<3>& covariance) {
 }
 
 Viewer read_viewer(nb::tuple viewer) {
-    return {vector<3>(viewer[0], "towards"), nb::cast<double>(viewer[1]), matrix<3, 3>(viewer[2], "covariance")};
+    members(viewer, 3, "viewer");
+    return {vector<3>(viewer[0], "towards"), number<double>(viewer[1], "viewer"),
+            matrix<3, 3>(viewer[2], "covariance")};
 }
 
 /// Return one value for each disc, (m,).
@@ -93,6 +95,7 @@ nb::tuple count_sightings(nb::handle attitude, nb::handle discs_, nb::tuple sigh
 }  // namespace
 
 Sightings read_sightings(nb::tuple sightings, nb::ssize_t m) {
+    members(sightings, 3, "sightings");
     const auto hits = of_discs<int64_t>(sightings[0], "hits", m), missed = of_discs<int64_t>(sightings[1], "missed", m);
     return {{hits.data(), hits.data() + m}, {missed.data(), missed.data() + m}, read_hidden(sightings[2], m), {}};
 }

@@ -194,6 +194,7 @@ void merge(const std::vector<Given>& given, const Effect& effect, const Vector<D
 }  // namespace
 
 Modes read_modes(nb::tuple arrays) {
+    members(arrays, 3, "modes");
     const auto means = matrix<Dynamic, 6>(arrays[0], "means");
     const auto covariances = array<const double, -1, 6, 6>(arrays[1], "covariances");
     Modes modes{{}, {}, matrix(arrays[2], "weights")};

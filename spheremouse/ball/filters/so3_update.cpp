@@ -144,10 +144,11 @@ Moved move(const Body& body, const Each& dx) {
 }
 
 Activity read_activity(nb::tuple activity) {
-    const auto number = [&](int i) { return nb::cast<double>(activity[i]); };
-    Activity r{number(0),
-               number(1),
-               number(2),
+    members(activity, 6, "activity");
+    const auto scalar = [&](int i) { return number<double>(activity[i], "activity"); };
+    Activity r{scalar(0),
+               scalar(1),
+               scalar(2),
                vector(activity[3], "variances"),
                vector(activity[4], "drift"),
                vector(activity[5], "usual")};
@@ -157,11 +158,14 @@ Activity read_activity(nb::tuple activity) {
 }
 
 Pending read_pending(nb::tuple pending, const Body& body, const Activity& activity) {
-    Pending r{
-        matrix<CORE, CORE>(pending[0], "process"), nb::cast<double>(pending[1]), vector(pending[2], "weights"), {}};
+    members(pending, 4, "pending");
+    Pending r{matrix<CORE, CORE>(pending[0], "process"),
+              number<double>(pending[1], "pending"),
+              vector(pending[2], "weights"),
+              {}};
     if (r.weights.size() == 0) r.weights = activity.usual;
     if (!pending[3].is_none())
-        r.modes = read_modes(pending[3]);
+        r.modes = read_modes(members(pending[3], 3, "modes"));
     else
         r.modes = {{Vector<6>::Zero()}, {body.P.block<6, 6>(3, 3)}, r.weights.transpose()};
     if (r.weights.size() != activity.usual.size() || r.modes.weights.cols() != activity.usual.size())
@@ -214,6 +218,7 @@ Corrected correct_by_pairs(const Body& body, const Points& points, const Pairs& 
 nb::tuple correct_(nb::tuple body_, nb::tuple points_, nb::tuple pairs_, nb::tuple pending_, nb::tuple activity_) {
     const Body body = read_body(body_);
     const Points points = read_points(points_, body.readout);
+    members(pairs_, 3, "pairs");
     const Pairs pairs = read_pairs(pairs_[0], pairs_[1], body, points);
     const Noise added = matrix<CORE, CORE>(pairs_[2], "added");
     const Activity activity = read_activity(activity_);
