@@ -167,10 +167,10 @@ def candidate_pixels(
     radius, and reduction. Raises ValueError if a sample's neighbour is outside of the image.
     """
 
-# spheremouse/ball/filters/so3_match.cpp, so3_motion.cpp, so3_ordinary.cpp, so3_update.cpp. Errors have the order of
-# so3_motion.py. `body`, `pending` and `sightings` are those of So3State, `points` is SpherePoints.measurement, and
-# `activity` a so3_settings.Activity. The matrix `added`, (9, 9), is process noise that the covariance does not include
-# yet.
+# spheremouse/ball/filters/so3_match.cpp, so3_motion.cpp, so3_move.cpp, so3_ordinary.cpp, so3_update.cpp. Errors have
+# the order of so3_motion.py. `body`, `pending` and `sightings` are those of So3State, `points` is
+# SpherePoints.measurement, and `activity` a so3_settings.Activity. The matrix `added`, (9, 9), is process noise that
+# the covariance does not include yet.
 
 _Body = tuple[_Float, _Float, _Float, _Float, _Float, _Float, float]
 _Points = tuple[_Float, _Float, _Float, _Float, _Float, _Float, float]
@@ -246,8 +246,11 @@ def update_ordinary(
     `camera` has `towards` and `horizon` of `pair`.
     """
 
-def move(body: _Body, dx: _Float) -> tuple[_Motion, float]:
-    """Return the motion and the readout, s, moved by an error vector, (23 + 2m,)."""
+def move(body: _Body, dx: _Float) -> tuple[_Motion, _Float, float]:
+    """Return the motion, the covariance, and the readout, s, of a state moved by an error vector, (23 + 2m,).
+
+    The covariance, (23 + 2m, 23 + 2m), is that of the errors about the moved state.
+    """
 
 def since_reference(P: _Float, turn: _Float) -> _Float:
     """Return the covariance, (6, 6), of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.

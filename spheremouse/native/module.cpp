@@ -14,6 +14,7 @@ void bind_points(nb::module_& m);
 void bind_search(nb::module_& m);
 void bind_so3_match(nb::module_& m);
 void bind_so3_motion(nb::module_& m);
+void bind_so3_move(nb::module_& m);
 void bind_so3_ordinary(nb::module_& m);
 void bind_so3_sightings(nb::module_& m);
 void bind_so3_update(nb::module_& m);
@@ -31,9 +32,10 @@ void bind_refine(nb::module_& m);
 NB_MODULE(kernels, m) {
     using namespace spheremouse;
     for (auto bind : {bind_camera, bind_matching, bind_rotation}) bind(m);
-    for (auto bind : {ball::bind_appearance, ball::bind_evidence, ball::bind_fit, ball::bind_hypotheses,
-                      ball::bind_points, ball::bind_search, ball::bind_so3_match, ball::bind_so3_motion,
-                      ball::bind_so3_ordinary, ball::bind_so3_sightings, ball::bind_so3_update, ball::bind_windows})
+    for (auto bind :
+         {ball::bind_appearance, ball::bind_evidence, ball::bind_fit, ball::bind_hypotheses, ball::bind_points,
+          ball::bind_search, ball::bind_so3_match, ball::bind_so3_motion, ball::bind_so3_move, ball::bind_so3_ordinary,
+          ball::bind_so3_sightings, ball::bind_so3_update, ball::bind_windows})
         bind(m);
     for (auto bind : {wand::bind_assign, wand::bind_colour, wand::bind_likelihood, wand::bind_limb,
                       wand::bind_particles, wand::bind_refine})

@@ -75,7 +75,10 @@ struct Moved {
     Vector<3> rate, acceleration;
     Matrix<Dynamic, 3> discs;
     Matrix<Dynamic, 6> basis;
+    Dense P;  // of the errors about the moved state
     double readout;
+
+    Body body() const;
 };
 
 /// The motion since the last frame that no correction has used: `So3State.pending`.
@@ -135,7 +138,13 @@ bool is_large(const Each& dx);
 /// to `readout`, and `modes`.
 nb::tuple corrected_to_numpy(const Moved& moved, const Corrected& corrected);
 
-Moved move(const Body& body, const Each& dx);
+/// Move a state by errors, whose covariance before the move is P.
+Moved move(const Body& body, const Each& dx, Dense P);
+
+/// Return an error of a state, (n,), as an error of the state moved by `dx`. P is the covariance before the move.
+Each carry(const Body& body, const Dense& P, const Each& dx, const Each& error);
+
+nb::tuple moved_to_numpy(const Moved& moved);
 
 /// What frames have shown of each disc.
 struct Sightings {

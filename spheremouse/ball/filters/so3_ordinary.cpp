@@ -39,7 +39,7 @@ std::optional<Updated> update_ordinary(const Body& body, const Points& points, c
         return {};
     r.corrected = correct(body, r.pairs.innovation, pending, activity);
     if (is_large(r.corrected.dx)) return {};
-    r.moved = move(body, r.corrected.dx);
+    r.moved = move(body, r.corrected.dx, std::move(r.corrected.P));
     return r;
 }
 
@@ -57,7 +57,7 @@ nb::object update_ordinary_(nb::tuple body_, nb::tuple points_, nb::tuple camera
         nb::gil_scoped_release release;
         r = update_ordinary(body, points, viewer, pending, activity);
         if (r) {
-            viewer.covariance = r->corrected.P.topLeftCorner<3, 3>();
+            viewer.covariance = r->moved.P.topLeftCorner<3, 3>();
             count(sightings, r->moved.attitude, r->moved.discs, viewer, r->pairs.columns, true);
         }
     }

@@ -178,14 +178,15 @@ def inject(
 ) -> So3State:
     """Move the state by an error vector, (23 + 2m,); then no prediction is pending.
 
-    The new covariance is `joint` (23 + 2m, 23 + 2m), the probability of the levels `weights` (l,); None keeps the old
-    one. `used` (k,) are indices of the points in the update.
+    `joint` (23 + 2m, 23 + 2m) is the covariance of the errors before the move, and `weights` (l,) the probability of
+    the levels. None keeps the old one. `used` (k,) are indices of the points in the update.
     """
-    motion, readout = kernels.move(state.body, dx)
+    body = state.body if joint is None else (*state.body[:5], joint, state.readout)
+    motion, moved, readout = kernels.move(body, dx)
     return So3State(
         state.stamp,
         *motion,
-        state.joint if joint is None else joint,
+        moved,
         *state.sightings,
         state.used if used is None else used,
         state.weights if weights is None else weights,

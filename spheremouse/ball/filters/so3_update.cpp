@@ -127,22 +127,6 @@ Corrected correct(const Body& body, const Innovation& seen, const Pending& pendi
 
 bool is_large(const Each& dx) { return dx.head<3>().cwiseAbs().maxCoeff() > LINEAR; }
 
-Moved move(const Body& body, const Each& dx) {
-    Moved r{exp(dx.head<3>()) * body.attitude,    body.rate + dx.segment<3>(3),
-            body.acceleration + dx.segment<3>(6), Matrix<Dynamic, 3>(body.size(), 3),
-            Matrix<Dynamic, 6>(body.size(), 6),   body.readout + dx(READOUT)};
-    for (int k = 0; k < body.size(); k++) {
-        const Matrix<3, 2> E = View<3, 2>(body.basis.row(k).data());
-        const Vector<3> to = (body.discs.row(k).transpose() + E * dx.segment<2>(MAP_OFFSET + 2 * k)).normalized();
-        const Vector<3> first = (E.col(0) - to.dot(E.col(0)) * to).normalized(), second = to.cross(first);
-        Eigen::Map<Matrix<3, 2>> axes(r.basis.row(k).data());
-        axes.col(0) = first;
-        axes.col(1) = second.dot(E.col(1)) > 0.0 ? second : Vector<3>(-second);
-        r.discs.row(k) = to;
-    }
-    return r;
-}
-
 Activity read_activity(nb::tuple activity) {
     members(activity, 6, "activity");
     const auto scalar = [&](int i) { return number<double>(activity[i], "activity"); };
@@ -173,46 +157,46 @@ Pending read_pending(nb::tuple pending, const Body& body, const Activity& activi
     return r;
 }
 
-nb::tuple moved_to_numpy(const Moved& r) {
-    const size_t m = size_t(r.discs.rows());
-    auto basis = zeros<double>({m, 3, 2});
-    std::copy_n(r.basis.data(), 6 * m, basis.data());
-    return nb::make_tuple(to_numpy(r.attitude), to_numpy(r.rate), to_numpy(r.acceleration), to_numpy(r.discs), basis);
-}
-
 nb::tuple corrected_to_numpy(const Moved& moved, const Corrected& r) {
     const Matrix<Dynamic> at_level = r.steps.modes.weights.colwise().sum();
     const nb::object modes = r.pairs > PAIRS_WITHOUT_MODES ? nb::object(modes_to_numpy(r.steps.modes)) : nb::none();
-    return nb::make_tuple(moved_to_numpy(moved), to_numpy(r.P), to_numpy(Each(at_level.row(0))),
+    return nb::make_tuple(moved_to_numpy(moved), to_numpy(moved.P), to_numpy(Each(at_level.row(0))),
                           nb::make_tuple(r.steps.level, r.nis, moved.readout), modes);
 }
 
 namespace {
 
-/// Correct a state by pairs. A large correction is made again about the state that it leads to.
+/// What a correction uses besides the prior of the errors.
+struct Evidence {
+    const Body& predicted;
+    const Points& points;
+    const Pairs& pairs;
+    const Pending& pending;
+    const Activity& activity;
+};
+
+/// Correct a state by innovations that are linear about `about`, where the prior of the errors has a mean.
 ///
-/// This is the iterated Kalman filter (Bell and Cathey 1993). The log likelihood is then Laplace's approximation.
-Corrected correct_by_pairs(const Body& body, const Points& points, const Pairs& pairs, const Noise& added,
-                           const Pending& pending, const Activity& activity) {
-    Corrected r = correct(body, innovation(body, points, pairs, added), pending, activity);
-    double change = r.dx.head<3>().cwiseAbs().maxCoeff(), limit = LINEAR;
-    for (int round = 0; round < 3 && change >= limit; round++) {
-        Each about = r.dx;
-        about(READOUT) = 0.0;  // the innovation is linear in it, and what is added back below leaves it out
-        const Moved moved = move(body, about);
-        const View<Dynamic, 3> discs(moved.discs.data(), body.size(), 3);
-        const View<Dynamic, 6> basis(moved.basis.data(), body.size(), 6);
-        const Body there{moved.attitude, moved.rate, moved.acceleration, discs, basis, body.P, body.readout};
-        Innovation seen = innovation(there, points, pairs, Noise::Zero());
-        seen.z += seen.H * r.dx.head<CORE>();
-        for (size_t i = 0; i < pairs.columns.size(); i++)
-            seen.z.segment<2>(2 * nb::ssize_t(i)) += r.dx.segment<2>(MAP_OFFSET + 2 * pairs.columns[i]);
-        Corrected again = correct(body, seen, pending, activity);
-        change = (again.dx - r.dx).head<3>().cwiseAbs().maxCoeff();
-        limit = 0.1 * LINEAR;
-        r = std::move(again);
+/// A large correction is made again about the state that it leads to: the iterated Kalman filter (Bell and Cathey
+/// 1993). The log likelihood is then Laplace's approximation.
+std::pair<Corrected, Moved> correct_about(const Evidence& by, const Body& about, const Each& mean,
+                                          const Innovation& seen, int round = 0) {
+    const Body prior{about.attitude, by.predicted.rate, by.predicted.acceleration, about.discs, about.basis,
+                     about.P,        about.readout};
+    Corrected r = correct(prior, seen, by.pending, by.activity);
+    r.dx += mean;
+    if (round == 3 || r.dx.head<3>().cwiseAbs().maxCoeff() < (round == 0 ? LINEAR : 0.1 * LINEAR)) {
+        Moved moved = move(about, r.dx, std::move(r.P));
+        return {std::move(r), std::move(moved)};
     }
-    return r;
+    r.dx(READOUT) = 0.0;  // the innovation is linear in it
+    const Moved at = move(about, r.dx, about.P);
+    const Each there = carry(about, about.P, r.dx, mean - r.dx);
+    Innovation again = innovation(at.body(), by.points, by.pairs, Noise::Zero());
+    again.z -= again.H * there.head<CORE>();
+    for (size_t i = 0; i < by.pairs.columns.size(); i++)
+        again.z.segment<2>(2 * nb::ssize_t(i)) -= there.segment<2>(MAP_OFFSET + 2 * by.pairs.columns[i]);
+    return correct_about(by, at.body(), there, again, round + 1);
 }
 
 nb::tuple correct_(nb::tuple body_, nb::tuple points_, nb::tuple pairs_, nb::tuple pending_, nb::tuple activity_) {
@@ -227,18 +211,10 @@ nb::tuple correct_(nb::tuple body_, nb::tuple points_, nb::tuple pairs_, nb::tup
     Moved moved;
     {
         nb::gil_scoped_release release;
-        r = correct_by_pairs(body, points, pairs, added, pending, activity);
-        moved = move(body, r.dx);
+        const Evidence by{body, points, pairs, pending, activity};
+        std::tie(r, moved) = correct_about(by, body, Each::Zero(body.P.rows()), innovation(body, points, pairs, added));
     }
     return nb::make_tuple(corrected_to_numpy(moved, r), r.log_likelihood);
-}
-
-nb::tuple move_(nb::tuple body_, nb::handle dx_) {
-    const Body body = read_body(body_);
-    const auto dx = vector(dx_, "dx");
-    if (dx.size() != body.P.rows()) throw nb::type_error("dx: must have the rows of joint");
-    const Moved moved = move(body, dx);
-    return nb::make_tuple(moved_to_numpy(moved), moved.readout);
 }
 
 nb::ndarray<nb::numpy, double> since_reference(nb::handle P_, nb::handle turn_) {
@@ -260,7 +236,6 @@ nb::ndarray<nb::numpy, double> since_reference(nb::handle P_, nb::handle turn_) 
 
 void bind_so3_update(nb::module_& m) {
     m.def("since_reference", &since_reference, arg("P"), arg("turn"));
-    m.def("move", &move_, arg("body"), arg("dx"));
     m.def("correct", &correct_, arg("body"), arg("points"), arg("pairs"), arg("pending"), arg("activity"));
 }
 

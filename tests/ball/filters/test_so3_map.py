@@ -11,10 +11,10 @@ from so3_world import DT, FILTER, OWN, SETTINGS, draw, follow, points_at, square
 from so3_world import seen as directions_seen
 
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.filters.so3 import relocate
+from spheremouse.ball.filters.so3 import Pairing, relocate
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
-from spheremouse.ball.filters.so3_state import consider, drop, inject, with_map
+from spheremouse.ball.filters.so3_state import augment, consider, drop, inject, with_map
 from spheremouse.geometry.rotation import exp, log, tangent_basis
 
 DISCS = directions(24, 7, 0.35)
@@ -97,6 +97,31 @@ def test_with_map_and_to_map_are_inverses():
     capped = with_map(fresh, known, 50)
     assert capped.hits.max() == 50  # a disc that fell off is dropped in the end
     assert_array_equal(capped.joint[:MAP_OFFSET], np.pad(fresh.joint, [(0, 0), (0, 48)])[:MAP_OFFSET])
+
+
+def test_an_error_that_attitude_and_discs_share_is_never_measured():
+    """Pushed again and again while no disc is in view, each time with a large correction: NEES, and the variance."""
+    rng, sigma, squares, sigmas = np.random.default_rng(8), 0.08, [], []
+    for _ in range(20):
+        R, rate, names, state = np.eye(3), rng.normal(size=3), [], FILTER.initial(0.0, exp(sigma * rng.normal(size=3)))
+        joint = state.joint.copy()
+        joint[:3, :3] = sigma**2 * np.eye(3)
+        state = replace(state, joint=joint)
+        for k in range(26):
+            interval = (0.2 if k % 5 == 0 else DT) if k else 0.0
+            rate = rate + rng.normal(size=3) if k % 5 == 0 else rate
+            R = exp(interval * rate) @ R
+            which = np.flatnonzero((DISCS @ R.T)[:, 2] > FILTER.horizon + 0.1)
+            points = points_at(DISCS[which] @ R.T, rng=rng)
+            known = np.isin(which, names)
+            pairs = Pairing(np.flatnonzero(known), np.array([names.index(i) for i in which[known]], dtype=np.intp))
+            state, _ = FILTER.correct(FILTER.predict(state, state.stamp + interval), points, pairs)
+            state = augment(state, points, np.flatnonzero(~known), FILTER.radius)
+            names += which[~known].tolist()
+        sigmas.append(np.sqrt(np.trace(state.joint[:3, :3]) / 3.0))
+        squares.append(squared(log(state.attitude @ R.T), state.joint[:3, :3]))
+    assert_allclose(np.median(sigmas), sigma, rtol=0.02)
+    assert np.sum(squares) < chi2(3 * len(squares)).ppf(0.999)
 
 
 @pytest.mark.parametrize("rate", [None, SPIN])

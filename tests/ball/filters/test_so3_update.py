@@ -9,7 +9,8 @@ from scipy.stats import multivariate_normal
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.geometry.rotation import exp, left_jacobian, log, tangent_basis
 from spheremouse.native import kernels
-from tests.ball.filters.twins import linear, place
+from tests.ball.filters import twins
+from tests.ball.filters.twins import linear, place, transfer
 
 DT = 1.0 / 30.0
 BETWEEN = 0.2
@@ -133,6 +134,8 @@ def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far):
         total[-CLONE_DIM:, -CLONE_DIM:] += np.outer(mean, mean)[-CLONE_DIM:, -CLONE_DIM:]  # about what was sent
         expected = mean.copy()
         expected[-CLONE_DIM:] = 0.0
+        T = transfer(body, total, expected)
+        total = T @ total @ T.T
 
         modes = means[:, 3:9].copy(), covariances[:, 3:9, 3:9].copy(), weights
         P, at_level, _, modes, log_likelihood, dx = corrected(body, showing(body, points, z), DT, modes)
@@ -214,7 +217,7 @@ def test_discs_move_along_their_axes_which_stay_orthonormal_and_keep_their_hand(
     dx = 0.1 * rng.normal(size=N)
     rate, acceleration = rng.normal(size=(2, 3))
     body = frames[0], rate, acceleration, discs, basis, np.zeros((N, N)), 0.1
-    (attitude, new_rate, new_acceleration, moved, axes), readout = kernels.move(body, dx)
+    (attitude, new_rate, new_acceleration, moved, axes), _, readout = kernels.move(body, dx)
     assert_allclose((*new_rate, *new_acceleration), (*(rate + dx[3:6]), *(acceleration + dx[6:9])))
     assert readout == 0.1 + dx[READOUT]
     to = discs + np.einsum("kia,ka->ki", basis, dx[MAP_OFFSET:-CLONE_DIM].reshape(4, 2))
@@ -223,6 +226,15 @@ def test_discs_move_along_their_axes_which_stay_orthonormal_and_keep_their_hand(
     full = np.concatenate([moved[:, :, None], axes], axis=2)
     assert_allclose(full.transpose(0, 2, 1) @ full, np.broadcast_to(np.eye(3), (4, 3, 3)), atol=1e-15)
     assert np.all(np.einsum("kia,kia->ka", axes, basis) > 0.9)
+
+
+def test_the_covariance_follows_a_move():
+    body, _ = twins.drawn(4, sigma=0.03)
+    dx = np.random.default_rng(7).normal(size=len(body[5])) * np.sqrt(np.diag(body[5]))
+    T = transfer(body, body[5], dx)
+    _, P, _ = kernels.move(body, dx)
+    assert not np.allclose(P, body[5], rtol=1e-3, atol=0.0)
+    assert_allclose(P, T @ body[5] @ T.T, rtol=1e-8, atol=1e-9 * np.abs(P).max())
 
 
 def test_a_wrong_argument_is_named():

@@ -3,7 +3,7 @@
 import numpy as np
 
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET
-from spheremouse.geometry.rotation import exp, hat, left_jacobian, tangent_basis
+from spheremouse.geometry.rotation import exp, hat, left_jacobian, log, tangent_basis
 
 GATE, HORIZON, TOWARDS = 13.8, 0.2, np.array([0.0, 0.0, 1.0])
 
@@ -53,6 +53,31 @@ def linear(body, points, i, j):
     H[:, 19] = turning @ body[1] * row[i]
     H[:, MAP_OFFSET + 2 * j : MAP_OFFSET + 2 * j + 2] = np.eye(2)
     return E.T @ direction[i], H, E.T @ noise[i] @ E / radius**2
+
+
+def transfer(body, P, dx):
+    """Return the matrix from the errors of a state with covariance P to those of the state moved by `dx`."""
+    attitude, _, _, discs, basis, *_ = body
+    m, at = len(discs), slice(MAP_OFFSET, len(P) - CLONE_DIM)
+    G = P[:3, at] @ np.linalg.inv(P[at, at])
+    shared = G @ dx[at]
+    J, of_ball = left_jacobian(shared), log(exp(dx[:3]) @ exp(shared).T)
+    turned = exp(shared) @ attitude
+    to = discs + np.einsum("kia,ka->ki", basis, dx[at].reshape(m, 2))
+    to /= np.linalg.norm(to, axis=1, keepdims=True)
+    T = np.eye(len(P))
+    T[:3, :3], T[:3, at] = left_jacobian(of_ball) @ J, (exp(of_ball) - left_jacobian(of_ball)) @ J @ G
+    for k in range(m):
+        two = slice(MAP_OFFSET + 2 * k, MAP_OFFSET + 2 * k + 2)
+        first = basis[k][:, 0] - to[k] @ basis[k][:, 0] * to[k]
+        first /= np.linalg.norm(first)
+        second = np.cross(to[k], first)
+        second *= np.sign(second @ basis[k][:, 1])
+        axes = np.stack([first, second], axis=1)
+        A, B = -(attitude @ basis[k]).T @ hat(attitude @ discs[k]), -(turned @ axes).T @ hat(turned @ to[k])
+        share = -np.trace(P[two, :3] @ A.T) / np.trace(A @ G @ P[at, at] @ G.T @ A.T)
+        T[two, at] += np.clip(share, 0.0, 1.0) * (A - B @ J) @ G
+    return T
 
 
 def process(sigma):
