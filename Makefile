@@ -31,12 +31,13 @@ FUZZ_ARGS ?=
 EXPERIMENTS_ARGS ?=
 LOCK_ARGS ?= --upgrade
 OLDEST_PYTHON ?= python3.11
+STABLE_ABI_PYTHON ?= python3.12
 DIST_PYTHON ?= /usr/bin/python3
 RELEASE = spheremouse-$(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
 WHEELHOUSE = $(RELEASE)-wheels-$(shell $(DIST_PYTHON) -c 'import sys, platform; print("py%d.%d-%s" % (*sys.version_info[:2], platform.machine()))')
 
 .DEFAULT_GOAL := help
-.PHONY: help demo native picture test test-oldest test-newest lock lint format reference docs dist experiments nightly system-test soak fuzz clean
+.PHONY: help demo native picture test test-oldest test-newest test-aarch64 lock lint format reference docs dist wheels experiments nightly system-test soak fuzz clean
 
 help:
 	@echo "make demo         a simulated camera films the turning ball, the real pipeline tracks it"
@@ -52,8 +53,10 @@ help:
 	@echo "make docs         the documentation as a site in docs/_build/html; its examples are run"
 	@echo "make picture      the README's pictures, of the demo and of the live page"
 	@echo "make dist         a release in dist: sdist, wheel, site, man page, and a folder of all wheels for a machine without network"
+	@echo "make wheels       wheels for x86-64 and arm64 in build/wheels: of CPython 3.11, and of all from 3.12 on"
 	@echo "make experiments  the experiments of the theses, into build/experiments (an hour); EXPERIMENTS_ARGS='--datasets DIR'"
 	@echo "make system-test  tests on real kernel devices, in a QEMU guest"
+	@echo "make test-aarch64 the arm64 wheel on an emulated processor: the clip's counts must equal those of this machine"
 	@echo "make soak         hours of tracking; SOAK_ARGS=... chooses how long"
 	@echo "make fuzz         broken input of every kind; FUZZ_EXAMPLES=N of each, FUZZ_ARGS=... goes to pytest"
 	@echo "make clean        removes everything that these targets made"
@@ -72,7 +75,7 @@ test: $(STAMP)
 nightly: $(STAMP)
 	$(PYTEST) -m slow
 	$(MAKE) --jobs 2 --output-sync=target PROCESSES=1 test-newest $(if $(shell command -v $(OLDEST_PYTHON)),test-oldest)
-	$(MAKE) soak fuzz system-test
+	$(MAKE) soak fuzz system-test test-aarch64
 	$(BIN)/python docs/experiments --quick --out build/experiments
 
 # The environments that the locked one is not: what a later lock may hold, and what the ranges promise.
@@ -146,12 +149,39 @@ dist: docs
 	cd dist && sha256sum -- * >SHA256SUMS
 	@cd dist && ls -sh
 
+# scikit-build-core reads the platform from these variables. Each Python in turn has the environment.
+define WHEELS
+set -euo pipefail
+for python in $(OLDEST_PYTHON) $(STABLE_ABI_PYTHON); do
+    if ! "$$python" -c pass 2>/dev/null; then echo "make: no wheels for $$python, which is not installed"; continue; fi
+    venv=$(CURDIR)/$(VENV)/wheels
+    $(BIN)/uv venv --quiet --clear --no-python-downloads --python "$$python" "$$venv"
+    $(BIN)/uv pip install --quiet --python "$$venv" --constraint tests/requirements.lock --group wheels
+    abi=$$("$$venv/bin/python" -c 'import sys; print("cpython-%d%d" % sys.version_info[:2])')
+    for machine in x86_64 aarch64; do
+        MACHINE=$$machine ZIG=$$(echo "$$venv"/lib/python3*/site-packages/ziglang/zig) \
+            CMAKE_TOOLCHAIN_FILE=$(CURDIR)/manylinux.cmake SETUPTOOLS_EXT_SUFFIX=.$$abi-$$machine-linux-gnu.so \
+            "$$venv/bin/python" -c 'import sys; from scikit_build_core.build import build_wheel
+build_wheel("build/wheels", {"env._PYTHON_HOST_PLATFORM": sys.argv[1]})' manylinux_2_28_$$machine
+    done
+done
+endef
+export WHEELS
+
+wheels: $(PACKAGES)
+	rm -rf build/wheels
+	@bash -c "$$WHEELS"
+	@ls -sh build/wheels
+
 experiments: $(STAMP)
 	$(BIN)/python docs/experiments --out build/experiments $(EXPERIMENTS_ARGS)
 
 system-test: $(STAMP)
 	@test -x tests/system/run || { echo "make: tests/system/run does not exist: no system test yet" >&2; exit 2; }
 	tests/system/run $(SYSTEM_TEST_ARGS)
+
+test-aarch64: $(STAMP) wheels
+	tests/system/aarch64
 
 soak: $(STAMP)
 	$(BIN)/python -m tests.soak $(SOAK_ARGS)
