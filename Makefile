@@ -249,7 +249,7 @@ $(PACKAGES): pyproject.toml tests/requirements.lock
 
 # The part in C++, beside its sources: an editable installation and every worktree find their own there.
 # $(call native,PYTHON,FOLDER): for one Python, built in a folder.
-native = mkdir -p build && $(BIN)/cmake -G Ninja -S . -B $(2) -DCMAKE_BUILD_TYPE=Release -DPython_EXECUTABLE=$(abspath $(1)) \
+native = bash -c "$$SYSTEM" && mkdir -p build && $(BIN)/cmake -G Ninja -S . -B $(2) -DCMAKE_BUILD_TYPE=Release -DPython_EXECUTABLE=$(abspath $(1)) \
     -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) -DCMAKE_LIBRARY_OUTPUT_DIRECTORY=$(CURDIR)/spheremouse/native \
     -Dnanobind_ROOT=$$($(BIN)/python -m nanobind --cmake_dir) >$(2).log && $(BIN)/cmake --build $(2) -- --quiet
 
