@@ -24,7 +24,7 @@ pairs = pytest.mark.parametrize("pair", PAIRS)
 COLOURED = ("red-black", "red-blue", "red-white")
 
 
-def film(pair, seed=3, seconds=1.5, **more):
+def film(pair, seed=3, seconds=0.8, **more):
     """Frames of a ball that turns from the first frame on, as a camera gives them that delivers colour on demand."""
     ball, disc = PAIRS[pair]
     options = {"motion": "roll", "turns": 0.2, "noise": 4.0, "seconds": seconds, "seed": seed} | more
@@ -101,7 +101,7 @@ def test_once_the_ball_has_turned_the_colours_are_fisher_s_and_stay():
     assert len([e for e in events if isinstance(e, DiscColours)]) <= 2
 
 
-@pytest.mark.parametrize("pair", ["dark-white", "red-blue"])
+@pytest.mark.parametrize("pair", [pytest.param("dark-white", marks=pytest.mark.slow), "red-blue"])
 def test_the_map_keeps_the_colours_and_another_ball_finds_its_own(pair):
     sim, frames = film(pair, seconds=2.0)
     states, *_ = run(sim, frames)

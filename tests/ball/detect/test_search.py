@@ -70,7 +70,7 @@ def distances(places, to):
 def test_every_disc_is_met_within_four_turns(scale):
     """Discs of 15 px² and more of the reduced picture, anywhere on the ball, at any subpixel place."""
     rng = np.random.default_rng(1)
-    for k in range(40 if scale == 1 else 8):
+    for k in range(20 if scale == 1 else 4):
         discs = random_discs(rng, 4, 15.0 * scale**2, scale)
         places = four_turns(picture(discs, scale, k), 4 * k, detector=FORM[scale])
         assert distances(places, centroids(discs, scale)).max() < 2.0 * scale  # near enough for the fit

@@ -86,7 +86,7 @@ def smeared(directions, rate, exposure, n=10):
     return np.mean([ray_cast(directions @ exp(rate * t).T) for t in times], axis=0)
 
 
-@pytest.mark.parametrize("rate", [(0.0, 1.5, 0.0), (3.0, 0.0, 0.0), (2.0, -1.5, 1.5), (0.0, 4.0, 3.0)])
+@pytest.mark.parametrize("rate", [(2.0, -1.5, 1.5), (0.0, 4.0, 3.0)])
 def test_a_moving_disc_is_where_it_is_at_mid_exposure(rate):
     """15 ms: ways of 4 to 14 px of a disc of 15 px. Told of the exposure the detector finds every one of them.
 

@@ -238,7 +238,7 @@ lines = st.fixed_dictionaries(
 delays = st.integers(0, 9)
 
 
-@settings(max_examples=120)
+@settings(max_examples=60)
 @given(
     st.integers(0, 2**32),
     lines,

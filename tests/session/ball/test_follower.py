@@ -67,7 +67,12 @@ def watched(options, covered=(0.0, 0.0), level=170, disc=1.0):
             marks=pytest.mark.slow,
         ),
         ({}, {"covered": (0.0, 9.0)}, "nothing on it stands out; uncover the ball"),
-        ({"ball_colour": (40.0,) * 3, "disc_colour": (230.0,) * 3}, {}, "set discs.polarity to light"),
+        pytest.param(
+            {"ball_colour": (40.0,) * 3, "disc_colour": (230.0,) * 3},
+            {},
+            "set discs.polarity to light",
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             {"ball_colour": (200.0,) * 3, "disc_colour": (165.0,) * 3, "discs": 40},
             {},
@@ -78,7 +83,7 @@ def watched(options, covered=(0.0, 0.0), level=170, disc=1.0):
     ],
 )
 def test_a_ball_without_discs_states_why_within_two_seconds_and_the_log_has_it_once(options, change, told):
-    seen, _ = watched(SimulationOptions(seed=5, motion="rest", noise=2.0, seconds=3.0, fps=10.0, **options), **change)
+    seen, _ = watched(SimulationOptions(seed=5, motion="rest", noise=2.0, seconds=2.5, fps=10.0, **options), **change)
     after = [k for k, t in enumerate(seen.stamps) if t - seen.stamps[0] >= 2.0]
     for k in after:
         assert seen.reasons[k].startswith("no disc found on the ball for ")

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from overlay_world import epochs
+from scipy.spatial import cKDTree
 
 from spheremouse.ball.build import begin
 from spheremouse.ball.detect.appearance import ball_outline
@@ -30,7 +31,7 @@ def close_to(mask, points, within):
     v, u = np.nonzero(mask)
     if len(u) == 0:
         return np.zeros(len(points), dtype=bool)
-    return np.linalg.norm(points[:, None] - np.stack([u, v], axis=1)[None], axis=2).min(axis=1) <= within
+    return cKDTree(np.stack([u, v], axis=1)).query(points)[0] <= within
 
 
 @pytest.mark.parametrize("size", SIZES)
