@@ -55,14 +55,39 @@ T number(nb::handle given, const char* name) {
     throw nb::type_error((std::string(name) + ": must have a number of another type").c_str());
 }
 
-/// Return a new array of NumPy, filled with zeros.
-template <class T, size_t N>
-nb::ndarray<nb::numpy, T> zeros(const size_t (&shape)[N]) {
-    size_t size = 1;
-    for (size_t n : shape) size *= n;
-    T* data = new T[size]();
-    nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<T*>(p); });
-    return nb::ndarray<nb::numpy, T>(data, N, shape, owner);
+/// Ask for n bytes from memory, while other work goes on.
+inline void prefetch(const uint8_t* from, int n) {
+    constexpr int CACHE_LINE = 64;  // bytes
+    for (int i = 0; i < n; i += CACHE_LINE) __builtin_prefetch(from + i);
+}
+
+/// `numpy.zeros`, and NumPy's types of elements: what the module looks up once.
+inline nb::handle numpy_zeros;
+template <class T>
+inline nb::handle dtype;
+
+/// A new array of NumPy, filled with zeros. NumPy makes one in a third of the time that an export of nanobind takes.
+template <class T>
+class NewArray : public nb::object {
+    T* data_;
+
+  public:
+    explicit NewArray(nb::object array) : nb::object(std::move(array)) {
+        Py_buffer buffer;
+        if (PyObject_GetBuffer(ptr(), &buffer, PyBUF_WRITABLE) != 0) throw nb::python_error();
+        data_ = static_cast<T*>(buffer.buf);
+        PyBuffer_Release(&buffer);
+    }
+
+    T* data() const { return data_; }
+};
+
+template <class T>
+NewArray<T> zeros(std::initializer_list<size_t> shape) {
+    const nb::tuple sizes = nb::steal<nb::tuple>(PyTuple_New(Py_ssize_t(shape.size())));
+    for (size_t i = 0; i < shape.size(); i++)
+        PyTuple_SetItem(sizes.ptr(), Py_ssize_t(i), PyLong_FromSize_t(shape.begin()[i]));
+    return NewArray<T>(numpy_zeros(sizes, dtype<T>));
 }
 
 }  // namespace spheremouse

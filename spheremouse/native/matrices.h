@@ -38,7 +38,7 @@ View<Dynamic, M * N> matrices(nb::handle given, const char* name) {
 
 /// Return a new array of NumPy, (m, n) or (n,), with the elements of a matrix.
 template <int M, int N>
-nb::ndarray<nb::numpy, double> to_numpy(const Matrix<M, N>& m) {
+NewArray<double> to_numpy(const Matrix<M, N>& m) {
     auto a = [&] {
         if constexpr (N == 1)
             return zeros<double>({size_t(m.rows())});
@@ -52,7 +52,7 @@ nb::ndarray<nb::numpy, double> to_numpy(const Matrix<M, N>& m) {
 /// A new array of NumPy, (n, M, N) or (n, M), and its matrices one by one.
 template <int M, int N = 1>
 struct Rows {
-    nb::ndarray<nb::numpy, double> array;
+    NewArray<double> array;
 
     explicit Rows(size_t n)
         : array(N == 1 ? zeros<double>({n, size_t(M)}) : zeros<double>({n, size_t(M), size_t(N)})) {}
@@ -63,7 +63,7 @@ struct Rows {
 
 /// Return a new array of NumPy, (n,), of whole numbers.
 template <class T>
-nb::ndarray<nb::numpy, int64_t> to_numpy(const std::vector<T>& numbers) {
+NewArray<int64_t> to_numpy(const std::vector<T>& numbers) {
     auto a = zeros<int64_t>({numbers.size()});
     std::copy(numbers.begin(), numbers.end(), a.data());
     return a;
@@ -74,11 +74,17 @@ template <int N>
 Matrix<N> lower(const Matrix<N>& C) {
     constexpr double SINGULAR = 1e-14;  // share of a variance below which rounding errors determine it
     Matrix<N> L = Matrix<N>::Zero(C.rows(), C.cols());
-    for (int j = 0; j < C.rows(); j++) {
-        const double pivot = C(j, j) - L.row(j).head(j).squaredNorm();
+    const int n = int(C.rows());
+    const auto rest = [&](int i, int j) {
+        double sum = C(i, j);
+        for (int k = 0; k < j; k++) sum -= L(i, k) * L(j, k);
+        return sum;
+    };
+    for (int j = 0; j < n; j++) {
+        const double pivot = rest(j, j);
         if (!(pivot > SINGULAR * C(j, j))) continue;
         L(j, j) = std::sqrt(pivot);
-        for (int i = j + 1; i < C.rows(); i++) L(i, j) = (C(i, j) - L.row(i).head(j).dot(L.row(j).head(j))) / L(j, j);
+        for (int i = j + 1; i < n; i++) L(i, j) = rest(i, j) / L(j, j);
     }
     return L;
 }

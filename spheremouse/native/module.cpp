@@ -31,6 +31,14 @@ void bind_refine(nb::module_& m);
 
 NB_MODULE(kernels, m) {
     using namespace spheremouse;
+    const nb::module_ numpy = nb::module_::import_("numpy");
+    const auto look_up = [&](nb::handle& to, const char* name) { to = nb::object(numpy.attr(name)).release(); };
+    look_up(numpy_zeros, "zeros");
+    look_up(dtype<double>, "float64");
+    look_up(dtype<float>, "float32");
+    look_up(dtype<int64_t>, "int64");
+    look_up(dtype<uint8_t>, "uint8");
+    look_up(dtype<bool>, "bool_");
     for (auto bind : {bind_camera, bind_matching, bind_rotation}) bind(m);
     for (auto bind :
          {ball::bind_appearance, ball::bind_evidence, ball::bind_fit, ball::bind_hypotheses, ball::bind_points,

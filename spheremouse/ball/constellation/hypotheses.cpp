@@ -201,14 +201,13 @@ std::pair<Matrix<3>, int> Hypotheses::most_common(double min_cosine) const {
 
 namespace {
 
-nb::ndarray<nb::numpy, double> matrices_to_numpy(const std::vector<Matrix<3>>& rotations) {
+NewArray<double> matrices_to_numpy(const std::vector<Matrix<3>>& rotations) {
     const Rows<3, 3> R(rotations.size());
     for (size_t h = 0; h < rotations.size(); h++) R[h] = rotations[h];
     return R.array;
 }
 
-nb::ndarray<nb::numpy, double> best(const Hypotheses& given, double sigma, double gain, double margin,
-                                    size_t max_count) {
+NewArray<double> best(const Hypotheses& given, double sigma, double gain, double margin, size_t max_count) {
     if (max_count == 0) throw nb::value_error("max_count: must be positive");
     std::vector<Matrix<3>> found;
     {
@@ -227,7 +226,7 @@ nb::tuple most_common(const Hypotheses& given, double min_cosine) {
     return nb::make_tuple(to_numpy(found.first), found.second);
 }
 
-nb::ndarray<nb::numpy, int64_t> origins(const Hypotheses& given) {
+NewArray<int64_t> origins(const Hypotheses& given) {
     auto origin = zeros<int64_t>({given.origins.size(), 4});
     for (size_t h = 0; h < given.origins.size(); h++) std::copy_n(given.origins[h].data(), 4, origin.data() + 4 * h);
     return origin;

@@ -172,6 +172,11 @@ std::vector<float> cut_patch(const Photo& photo, double smoothing, int top, int 
     std::vector<float> raw(columns), across(rows * size_t(w)), patch(size_t(h) * size_t(w));
     std::vector<uint8_t> edge(columns * size_t(channels));
     const int x0 = left - EDGE;
+    const int begin = std::clamp(x0, 0, width), end = std::clamp(x0 + int(columns), begin, width);
+    for (size_t i = 0; i < rows; i++) {  // all lines come from memory at once, instead of one by one
+        const int row = std::clamp(top - EDGE + int(i), 0, height - 1);
+        prefetch(&photo.image(size_t(row), 0, 0) + begin * channels, (end - begin) * channels);
+    }
     for (size_t i = 0; i < rows; i++) {
         const int row = std::clamp(top - EDGE + int(i), 0, height - 1);
         const uint8_t* line = &photo.image(size_t(row), 0, 0);

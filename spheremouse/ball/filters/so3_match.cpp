@@ -258,7 +258,7 @@ Pairs pair(const Body& body, const Points& points, const Viewer& viewer, const N
 
 namespace {
 
-nb::ndarray<nb::numpy, double> place_sigma(nb::tuple body_, nb::handle which_, nb::handle added_) {
+NewArray<double> place_sigma(nb::tuple body_, nb::handle which_, nb::handle added_) {
     const Body body = read_body(body_);
     const Noise added = matrix<CORE, CORE>(added_, "added");
     const Indices which = read_indices(which_, "which", body.size());
@@ -271,8 +271,8 @@ nb::ndarray<nb::numpy, double> place_sigma(nb::tuple body_, nb::handle which_, n
     return sigma;
 }
 
-nb::ndarray<nb::numpy, double> distances_(nb::tuple body_, nb::tuple points_, nb::handle which_, nb::handle added_,
-                                          double allowance, double gate) {
+NewArray<double> distances_(nb::tuple body_, nb::tuple points_, nb::handle which_, nb::handle added_, double allowance,
+                            double gate) {
     const Body body = read_body(body_);
     const Points points = read_points(points_, body.readout);
     const Noise added = matrix<CORE, CORE>(added_, "added");

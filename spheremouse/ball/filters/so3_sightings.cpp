@@ -62,8 +62,8 @@ Each read_hidden(nb::handle hidden, nb::ssize_t m) {
     return Eigen::Map<const Each>(of_discs<double>(hidden, "hidden", m).data(), m);
 }
 
-nb::ndarray<nb::numpy, double> carry_hidden(nb::handle attitude_, nb::handle rate_, nb::handle discs_,
-                                            nb::handle hidden_, double dt, double disc_angle) {
+NewArray<double> carry_hidden(nb::handle attitude_, nb::handle rate_, nb::handle discs_, nb::handle hidden_, double dt,
+                              double disc_angle) {
     const auto attitude = matrix<3, 3>(attitude_, "attitude");
     const auto discs = matrix<Dynamic, 3>(discs_, "discs");
     const Vector<3> rate = attitude.transpose() * vector<3>(rate_, "rate");  // ball
@@ -76,8 +76,8 @@ nb::ndarray<nb::numpy, double> carry_hidden(nb::handle attitude_, nb::handle rat
     return to_numpy(hidden);
 }
 
-nb::ndarray<nb::numpy, double> detection_probability_(nb::handle attitude_, nb::handle discs_, nb::handle hidden_,
-                                                      nb::tuple viewer_) {
+NewArray<double> detection_probability_(nb::handle attitude_, nb::handle discs_, nb::handle hidden_,
+                                        nb::tuple viewer_) {
     const auto discs = matrix<Dynamic, 3>(discs_, "discs");
     const Matrix<3> attitude = matrix<3, 3>(attitude_, "attitude");
     return to_numpy(detection_probability(attitude, discs, read_hidden(hidden_, discs.rows()), read_viewer(viewer_)));

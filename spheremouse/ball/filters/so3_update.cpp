@@ -87,7 +87,9 @@ Corrected correct(const Body& body, const Innovation& seen, const Pending& pendi
     for (Matrix<6>& C : modes.covariances) C -= shared;
     const Steps steps{pending.interval, activity.persistence, activity.variances};
     Corrected r;
-    r.steps = posterior(G.transpose() * G, effect, body.acceleration, steps, modes);
+    Dense gram = Dense::Zero(16, 16);
+    subtract_product(G, G, gram);
+    r.steps = posterior(-gram, effect, body.acceleration, steps, modes);
     const Vector<Dynamic> white = G.col(15);
     Vector<Dynamic> by(m);
     by << r.steps.mean.head<6>(), white - G.leftCols<15>() * r.steps.mean;
@@ -217,7 +219,7 @@ nb::tuple correct_(nb::tuple body_, nb::tuple points_, nb::tuple pairs_, nb::tup
     return nb::make_tuple(corrected_to_numpy(moved, r), r.log_likelihood);
 }
 
-nb::ndarray<nb::numpy, double> since_reference(nb::handle P_, nb::handle turn_) {
+NewArray<double> since_reference(nb::handle P_, nb::handle turn_) {
     const auto P = matrix(P_, "P");
     const Vector<3> turn = vector<3>(turn_, "turn");
     if (P.rows() != P.cols() || P.rows() < MAP_OFFSET + CLONE)
