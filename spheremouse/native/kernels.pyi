@@ -180,6 +180,7 @@ _Pending = tuple[_Float, float, _Float, _Modes | None]
 _Sightings = tuple[_Index, _Index, _Float]
 _Activity = tuple[float, float, float, _Float, _Float, _Float]
 _Motion = tuple[_Float, _Float, _Float, _Float, _Float]  # attitude, rate, acceleration, discs, their axes
+_Camera = tuple[_Float, float]  # unit vector to the camera, obj, and the least cosine with it of a disc that it sees
 _Figures = tuple[float, float, float]  # rms level of the steps, normalised innovation squared, readout
 _Corrected = tuple[_Motion, _Float, _Float, _Figures, _Modes | None]  # with joint and weights
 _Counted = tuple[_Sightings, NDArray[np.bool_], int, float]
@@ -200,14 +201,14 @@ def innovation(body: _Body, points: _Points, rows: _Index, columns: _Index, adde
     `added` only in the terms that the linear model omits.
     """
 
-def pair(
-    body: _Body, points: _Points, towards: _Float, horizon: float, added: _Float, gate: float
-) -> tuple[_Index, _Index, int, bool, bool, bool]:
+def nearest_pairs(
+    body: _Body, points: _Points, camera: _Camera, pending: _Pending, activity: _Activity
+) -> tuple[_Index, _Index, bool, float]:
     """Return the one-to-one pairs of least total distance of points and visible discs, as rows and columns.
 
-    Pairs that contradict the others are left out. Also return the greatest possible number of pairs, whether no other
-    pair was possible, whether all pairs lie in their places, and whether they agree with one another. `towards`, (3,)
-    obj, points to the camera. The camera sees points with a cosine to `towards` above `horizon`.
+    Pairs that contradict the others are left out. The pairs are those at the most likely level at which most points
+    pair. Also return whether all that could pair does, each in its place, and the noise scale of that level, or 1 if
+    some are left out.
     """
 
 def predict_motion(
@@ -238,13 +239,10 @@ def correct(
     """
 
 def update_ordinary(
-    body: _Body, points: _Points, camera: tuple[_Float, float], sightings: _Sightings, pending: _Pending,
+    body: _Body, points: _Points, camera: _Camera, sightings: _Sightings, pending: _Pending,
     activity: _Activity,
 ) -> tuple[_Corrected, _Index, _Counted] | None:  # fmt: skip
-    """Return the state corrected by a frame with certain pairs, the paired points, and the sightings; else None.
-
-    `camera` has `towards` and `horizon` of `pair`.
-    """
+    """Return the state corrected by a frame with certain pairs, the paired points, and the sightings; else None."""
 
 def move(body: _Body, dx: _Float) -> tuple[_Motion, _Float, float]:
     """Return the motion, the covariance, and the readout, s, of a state moved by an error vector, (23 + 2m,).

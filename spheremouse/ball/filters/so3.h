@@ -57,7 +57,11 @@ struct Pairs {
     int possible = 0;    // greatest number of pairs
     bool plain = false;  // no other pair was possible
     bool in_place = false, agree = false;
-    Innovation innovation = {};  // of all pairs, with those that disagree
+    double noise_scale = 1.0;  // of the level at which they pair
+    Innovation innovation = {};
+
+    /// All that could pair does, each in its place.
+    bool complete() const { return in_place && int(rows.size()) == possible; }
 };
 
 /// The state after a correction.
@@ -87,12 +91,18 @@ struct Pending {
     double interval;
     Each weights;  // probability of each level
     Modes modes;
+
+    /// The process noise of a level that the prediction has not added.
+    Noise added(double noise_scale) const { return (noise_scale - 1.0) * process; }
 };
 
 /// Settings of the filter: `so3_settings.ActivityModel`.
 struct Activity {
     double gate, persistence, dwell;
     Each variances, drift, usual;
+
+    /// The variances of the levels over that of the first.
+    Each squares() const { return variances / variances(0); }
 };
 
 /// A camera that sees directions with a cosine to `towards`, obj, above the horizon.
@@ -109,6 +119,9 @@ Points read_points(nb::tuple points, double readout);
 Indices read_indices(nb::handle given, const char* name, int size);
 Pairs read_pairs(nb::handle rows, nb::handle columns, const Body& body, const Points& points);
 
+/// Read `towards` and `horizon` of a camera.
+Viewer read_camera(nb::tuple camera);
+
 /// Return the discs that the camera sees.
 Indices visible(const Body& body, const Viewer& viewer);
 
@@ -118,8 +131,13 @@ Indices visible(const Body& body, const Viewer& viewer);
 Dense distances(const Body& body, const Points& points, const Indices& which, const Noise& added, double allowance,
                 double gate);
 
-/// Return the pairs of least total distance, without those that contradict the others.
-Pairs pair(const Body& body, const Points& points, const Viewer& viewer, const Noise& added, double gate);
+/// Return the pairs of least total distance at a level, without those that contradict the others.
+Pairs pair(const Body& body, const Points& points, const Viewer& viewer, const Pending& pending, double noise_scale,
+           double gate);
+
+/// Return the pairs of least total distance at the most likely level at which most points pair.
+Pairs nearest_pairs(const Body& body, const Points& points, const Viewer& viewer, const Pending& pending,
+                    const Activity& activity);
 
 /// Return the innovations of pairs. The noise `added` counts for the terms that the linear model omits.
 Innovation innovation(const Body& body, const Points& points, const Pairs& pairs, const Noise& added);

@@ -27,7 +27,6 @@ from spheremouse.ball.filters.so3_settings import (
     PERSISTENCE_S,
     So3Settings,
     activity_of,
-    prior_of_levels,
     squared_levels,
     usual_acceleration,
 )
@@ -43,7 +42,6 @@ _RARE = 1e-3  # probability per frame below which chance does not explain the pa
 _LARGE_TWIST = 6.0  # rad/s: a third of `loss.fastest`, it counts by its logarithm
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _NO_NOISE = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
-_DETECTED = 0.8  # probability that a disc in view is seen: hands and struts hide some
 
 
 Innovation = tuple[Array, Array, Array, Array]  # H, (2k, 9), H P, (2k, n), z, (2k,) rad, and its covariance, (2k, 2k)
@@ -217,23 +215,10 @@ class So3Filter:
 
     def nearest_pairs(self, state: So3State, points: SpherePoints) -> Pairing:
         """Return the pairs of least total distance, at the most likely level at which most points pair."""
-        expected = self._expected(state)
-        best = self._pair(state, points, expected)
-        if best.complete or state.process[3, 3] == 0.0:
-            return best
-        best_score = self._log_likelihood(state, points, best, expected)
-        levels = squared_levels(self.settings.levels)
-        for noise_scale, probability in zip(levels, self._level_probabilities(state), strict=True):
-            if noise_scale <= expected:
-                continue
-            pairing = self._pair(state, points, float(noise_scale))
-            score = self._log_likelihood(state, points, pairing, float(noise_scale))
-            score += math.log(max(float(probability), 1e-12))
-            if score > best_score:
-                best, best_score = pairing, score
-            if best.complete:
-                break
-        return best
+        camera, activity = (self.towards_camera, self.horizon), activity_of(self.settings)
+        return Pairing(
+            *kernels.nearest_pairs(state.body, points.measurement(self.radius), camera, state.pending, activity)
+        )
 
     def _correct_and_pair_again(
         self, state: So3State, points: SpherePoints, pairing: Pairing
@@ -242,7 +227,7 @@ class So3Filter:
         corrected, _ = self.correct(state, points, pairing)
         if pairing.complete:
             return corrected, pairing
-        again = self._pair(corrected, points, 1.0)
+        again = self.nearest_pairs(corrected, points)
         if len(again.rows) <= len(pairing.rows):
             return corrected, pairing
         again = again._replace(noise_scale=1.0)  # the other is for the corrected state
@@ -273,34 +258,6 @@ class So3Filter:
         allowance = min(spread, 0.25) ** 2
         return kernels.distances(state.body, points.measurement(self.radius), which, added, allowance, gate), which
 
-    def _log_likelihood(self, state: So3State, points: SpherePoints, pairing: Pairing, noise_scale: float) -> float:
-        """Return the log likelihood ratio of a pairing at a level of process noise, to that of no pair.
-
-        A point that is no disc lies anywhere on the visible cap. A wide gate finds pairs by chance, and a low density
-        weighs them accordingly (Reid 1979, eq. 16).
-        """
-        k = len(pairing.rows)
-        if k == 0:
-            return 0.0
-        H, _, z, S = self.innovation(state, points, pairing)
-        density = _log_density(z, S + H @ self._added_noise(state, noise_scale) @ H.T)
-        foreign = len(points) / (2.0 * math.pi * (1.0 - self.horizon))  # 1/rad², density of points that are no disc
-        return density + k * math.log(_DETECTED / ((1.0 - _DETECTED) * foreign))
-
-    def _pair(self, state: So3State, points: SpherePoints, noise_scale: float) -> Pairing:
-        """Return the pairs within the gate at the level with this noise scale."""
-        if len(points) == 0:
-            return Pairing(_NONE, _NONE)
-        rows, columns, possible, _, in_place, agree = kernels.pair(
-            state.body,
-            points.measurement(self.radius),
-            self.towards_camera,
-            self.horizon,
-            self._added_noise(state, noise_scale),
-            self.settings.gate,
-        )
-        return Pairing(rows, columns, in_place and len(rows) == possible, noise_scale if agree else 1.0)
-
     @staticmethod
     def _added_noise(state: So3State, noise_scale: float) -> Array:
         """Return the process noise, (9, 9), of a level, that the prediction has not added."""
@@ -309,10 +266,6 @@ class So3Filter:
     def _expected(self, state: So3State) -> float:
         """Mean square of the level, before the innovations are seen."""
         return float(state.weights @ squared_levels(self.settings.levels)) if len(state.weights) else 1.0
-
-    def _level_probabilities(self, state: So3State) -> Array:
-        """Probability of each level, (l,), before the innovations are seen."""
-        return state.weights if len(state.weights) else prior_of_levels(self.settings.levels)
 
     def correct(self, state: So3State, points: SpherePoints, pairing: Pairing) -> tuple[So3State, float]:
         """Return the state corrected by pairs, and their log likelihood, 1/rad² each, over all levels.
@@ -408,13 +361,6 @@ class So3Filter:
 
     def _room(self, state: So3State) -> int:
         return max(self.settings.most_discs - len(state.discs), 0)
-
-
-def _log_density(z: Array, S: Array) -> float:
-    """Return the log of the normal density of an innovation z, (2k,), with covariance S."""
-    L = np.linalg.cholesky(S)
-    white = np.linalg.solve(L, z)
-    return float(-0.5 * white @ white - np.log(L.diagonal()).sum() - 0.5 * len(z) * math.log(2.0 * math.pi))
 
 
 def relocate(

@@ -12,6 +12,7 @@ constexpr int FIXED = MAP_OFFSET;    // errors before those of the discs
 constexpr double NEAR = 0.99;        // cosine of 8 degrees, the largest distance of a pair with all considered errors
 constexpr double NEARBY = 0.9;       // cosine of 26 degrees, the largest distance of a pair with any readout delay
 constexpr double WIDE_SPREAD = 0.1;  // rad: an attitude known worse than that is not linear in any sense
+constexpr double DETECTED = 0.8;     // probability that a disc in view is seen: hands and struts hide some
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 /// A disc as the camera sees it some time after the stamp.
 struct Place {
@@ -117,6 +118,18 @@ std::vector<bool> consistent(const Each& z, const Dense& S, double limit) {
     return keep;
 }
 
+/// Return the log likelihood ratio of pairs to that of no pair.
+///
+/// A point that is no disc lies anywhere on the visible cap. A wide gate finds pairs by chance, and a low density
+/// weighs them accordingly (Reid 1979, eq. 16).
+double log_likelihood(const Innovation& seen, const Noise& added, double foreign) {
+    const Eigen::LLT<Dense> L(seen.S + seen.H * added * seen.H.transpose());
+    if (L.info() != Eigen::Success) throw std::domain_error("covariance of the innovations is not positive definite");
+    const Each white = L.matrixL().solve(seen.z);
+    return -0.5 * white.squaredNorm() - L.matrixLLT().diagonal().array().log().sum() +
+           0.5 * double(white.size()) * std::log(DETECTED / ((1.0 - DETECTED) * foreign * 2.0 * M_PI));
+}
+
 /// Return whether no row and no column has two distances below the gate.
 bool unambiguous(const Dense& distance, double gate) {
     const auto hits = (distance.array() < gate).cast<int>().eval();
@@ -166,6 +179,11 @@ Pairs read_pairs(nb::handle rows, nb::handle columns, const Body& body, const Po
     r.columns = read_indices(columns, "columns", body.size());
     if (r.rows.size() != r.columns.size()) throw nb::type_error("columns: must have the length of rows");
     return r;
+}
+
+Viewer read_camera(nb::tuple camera) {
+    members(camera, 2, "camera");
+    return {vector<3>(camera[0], "towards"), number<double>(camera[1], "camera"), Matrix<3>::Zero()};
 }
 
 Indices visible(const Body& body, const Viewer& viewer) {
@@ -232,7 +250,9 @@ Innovation innovation(const Body& body, const Points& points, const Pairs& pairs
 }
 
 /// Each pair alone may pass the gate. A pair that contradicts the others is left out.
-Pairs pair(const Body& body, const Points& points, const Viewer& viewer, const Noise& added, double gate) {
+Pairs pair(const Body& body, const Points& points, const Viewer& viewer, const Pending& pending, double noise_scale,
+           double gate) {
+    const Noise added = pending.added(noise_scale);
     const Indices which = visible(body, viewer);
     const Dense distance = distances(body, points, which, added, curvature(body.P, added), gate);
     const Indices column = match(gate - distance.array());
@@ -251,9 +271,32 @@ Pairs pair(const Body& body, const Points& points, const Viewer& viewer, const N
     const std::vector<bool> keep = consistent(z, S + H * added * H.transpose(), 1.5 * gate);
     r.agree = std::all_of(keep.begin(), keep.end(), [](bool kept) { return kept; });
     r.in_place = r.agree && total < 4.0 * double(std::max<size_t>(r.rows.size(), 1)) + 10.0;
+    if (r.agree) {
+        r.noise_scale = noise_scale;
+        return r;
+    }
     for (size_t i = keep.size(); i-- > 0;)
         if (!keep[i]) r.rows.erase(r.rows.begin() + i), r.columns.erase(r.columns.begin() + i);
+    r.innovation = innovation(body, points, r, Noise::Zero());
     return r;
+}
+
+Pairs nearest_pairs(const Body& body, const Points& points, const Viewer& viewer, const Pending& pending,
+                    const Activity& activity) {
+    const Each squares = activity.squares();
+    const double expected = pending.weights.dot(squares);
+    Pairs best = pair(body, points, viewer, pending, expected, activity.gate);
+    if (best.complete() || pending.process(3, 3) == 0.0) return best;
+    const double foreign = points.size() / (2.0 * M_PI * (1.0 - viewer.horizon));  // 1/rad², points that are no disc
+    double most = log_likelihood(best.innovation, pending.added(expected), foreign);
+    for (int k = 0; k < squares.size() && !best.complete(); k++) {
+        if (squares(k) <= expected) continue;
+        Pairs pairs = pair(body, points, viewer, pending, squares(k), activity.gate);
+        const double value = log_likelihood(pairs.innovation, pending.added(squares(k)), foreign) +
+                             std::log(std::max(pending.weights(k), 1e-12));
+        if (value > most) best = std::move(pairs), most = value;
+    }
+    return best;
 }
 
 namespace {
@@ -287,18 +330,19 @@ nb::tuple innovation_(nb::tuple body_, nb::tuple points_, nb::handle rows, nb::h
     return nb::make_tuple(to_numpy(H), to_numpy(HP), to_numpy(z), to_numpy(S));
 }
 
-nb::tuple pair_(nb::tuple body_, nb::tuple points_, nb::handle towards, double horizon, nb::handle added_,
-                double gate) {
+nb::tuple nearest_pairs_(nb::tuple body_, nb::tuple points_, nb::tuple camera, nb::tuple pending_,
+                         nb::tuple activity_) {
     const Body body = read_body(body_);
     const Points points = read_points(points_, body.readout);
-    const Viewer viewer{vector<3>(towards, "towards"), horizon, Matrix<3>::Zero()};
-    const Noise added = matrix<CORE, CORE>(added_, "added");
+    const Activity activity = read_activity(activity_);
+    const Pending pending = read_pending(pending_, body, activity);
+    const Viewer viewer = read_camera(camera);
     Pairs r;
     {
         nb::gil_scoped_release release;
-        r = pair(body, points, viewer, added, gate);
+        r = nearest_pairs(body, points, viewer, pending, activity);
     }
-    return nb::make_tuple(to_numpy(r.rows), to_numpy(r.columns), r.possible, r.plain, r.in_place, r.agree);
+    return nb::make_tuple(to_numpy(r.rows), to_numpy(r.columns), r.complete(), r.noise_scale);
 }
 
 }  // namespace
@@ -308,7 +352,7 @@ void bind_so3_match(nb::module_& m) {
     m.def("distances", &distances_, arg("body"), arg("points"), arg("which"), arg("added"), arg("allowance"),
           arg("gate"));
     m.def("innovation", &innovation_, arg("body"), arg("points"), arg("rows"), arg("columns"), arg("added"));
-    m.def("pair", &pair_, arg("body"), arg("points"), arg("towards"), arg("horizon"), arg("added"), arg("gate"));
+    m.def("nearest_pairs", &nearest_pairs_, arg("body"), arg("points"), arg("camera"), arg("pending"), arg("activity"));
 }
 
 }  // namespace spheremouse::ball

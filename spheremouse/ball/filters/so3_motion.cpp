@@ -95,7 +95,6 @@ void predict_modes(Modes& modes, const Predicted& by, double stay, const Activit
 /// If dt exceeds half the mean time between two steps, this applies only to the last part. Before that part the
 /// acceleration fades (Singer 1970), which is the mean effect of the steps.
 Predicted predict(const Body& body, Pending& pending, double dt, const Activity& activity) {
-    const Each squares = activity.variances / activity.variances(0);
     const double density = 2.0 * activity.variances(0) / activity.persistence;
     const double noise_scale = 1.0 + pending.weights.dot(activity.drift), stay = std::exp(-dt / activity.dwell);
     const double infinite = std::numeric_limits<double>::infinity();
@@ -104,7 +103,7 @@ Predicted predict(const Body& body, Pending& pending, double dt, const Activity&
     Predicted first{body.attitude, {}, {}, {}, {}, {}};
     if (dt > pending.interval) {
         const Motion fading{body.rate, body.acceleration, dt - pending.interval, activity.persistence};
-        first = predict(body.attitude, fading, body.P, density * pending.weights.dot(squares));
+        first = predict(body.attitude, fading, body.P, density * pending.weights.dot(activity.squares()));
         motion.rate = first.rate;
         motion.acceleration = first.acceleration;
     }

@@ -28,14 +28,13 @@ bool pairs_if_livelier(const Body& body, const Points& points, const Viewer& vie
 /// Return nothing unless the frame shows half of the discs or more in their places, without another possible pair.
 std::optional<Updated> update_ordinary(const Body& body, const Points& points, const Viewer& viewer,
                                        const Pending& pending, const Activity& activity) {
-    const Each squares = activity.variances / activity.variances(0);
-    const auto added = [&](double scale) { return Noise((scale - 1.0) * pending.process); };
+    const Each squares = activity.squares();
     Updated r;
-    r.pairs = pair(body, points, viewer, added(pending.weights.dot(squares)), activity.gate);
+    r.pairs = pair(body, points, viewer, pending, pending.weights.dot(squares), activity.gate);
     const int k = int(r.pairs.rows.size());
     if (!(r.pairs.plain && r.pairs.in_place && k >= 2 && 2 * k >= r.pairs.possible)) return {};
     if (k < r.pairs.possible &&
-        pairs_if_livelier(body, points, viewer, r.pairs, added(squares.maxCoeff()), activity.gate))
+        pairs_if_livelier(body, points, viewer, r.pairs, pending.added(squares.maxCoeff()), activity.gate))
         return {};
     r.corrected = correct(body, r.pairs.innovation, pending, activity);
     if (is_large(r.corrected.dx)) return {};
@@ -47,8 +46,7 @@ nb::object update_ordinary_(nb::tuple body_, nb::tuple points_, nb::tuple camera
                             nb::tuple pending_, nb::tuple activity_) {
     const Body body = read_body(body_);
     const Points points = read_points(points_, body.readout);
-    members(camera, 2, "camera");
-    Viewer viewer{vector<3>(camera[0], "towards"), number<double>(camera[1], "camera"), Matrix<3>::Zero()};
+    Viewer viewer = read_camera(camera);
     Sightings sightings = read_sightings(sightings_, body.size());
     const Activity activity = read_activity(activity_);
     const Pending pending = read_pending(pending_, body, activity);

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import linear_sum_assignment
+from scipy.stats import multivariate_normal
 
 from spheremouse.ball.filters.so3_motion import KINEMATIC_DIM, MAP_OFFSET
-from spheremouse.geometry.rotation import hat
+from spheremouse.geometry.rotation import exp, hat
 from spheremouse.native import kernels
 from tests.ball.filters.twins import GATE, HORIZON, TOWARDS, drawn, linear, place, process
 
@@ -50,6 +51,13 @@ def consistent(z, S, limit):
             break
         at = np.delete(at, np.argmax(value))
     return np.isin(np.arange(len(z) // 2), at)
+
+
+def nearest_pairs(body, points, added, horizon=HORIZON):
+    """Return the pairs with the process noise `added`, at the livelier of two levels."""
+    pending = added, 1.0 / 30.0, np.array([0.0, 1.0]), None
+    activity = GATE, 0.2, 1.0, np.array([1.0, 2.0]), np.zeros(2), np.full(2, 0.5)
+    return kernels.nearest_pairs(body, points, (TOWARDS, horizon), pending, activity)
 
 
 def assert_innovations_agree(got, expected):
@@ -105,21 +113,52 @@ def test_the_pairs_have_the_least_total_distance_and_agree(sigma):
         rows, at = rows[worth[rows, at] > 0.0], at[worth[rows, at] > 0.0]
         H, _, z, S = innovation(body, points, list(zip(rows, which[at], strict=True)), allowance)
         keep = consistent(z, S + H @ added @ H.T, 1.5 * GATE)
-        hits = distance < GATE
-        got = kernels.pair(body, points, TOWARDS, HORIZON, added, GATE)
+        got = nearest_pairs(body, points, added)
         assert_array_equal(got[0], rows[keep])
         assert_array_equal(got[1], which[at][keep])
         in_place = keep.all() and distance[rows, at].sum() < 4.0 * len(rows) + 10.0
-        plain = hits.sum(axis=0).max() <= 1 and hits.sum(axis=1).max() <= 1
-        assert got[2:] == (min(distance.shape), plain, in_place, keep.all())
+        assert got[2:] == (in_place and len(rows) == min(distance.shape), 2.0 if keep.all() else 1.0)
         disagree += not keep.all()
     assert disagree > 0
 
 
 def test_without_a_visible_disc_there_is_no_pair():
     body, points = drawn(1)
-    rows, columns, possible, plain, in_place, agree = kernels.pair(body, points, TOWARDS, 2.0, process(1.0), GATE)
-    assert (len(rows), len(columns), possible, plain, in_place, agree) == (0, 0, 0, True, True, True)
+    rows, columns, complete, noise_scale = nearest_pairs(body, points, process(1.0), horizon=2.0)
+    assert (len(rows), len(columns), complete, noise_scale) == (0, 0, True, 2.0)
+
+
+def test_the_pairs_are_those_of_the_most_likely_level():
+    """In a frame that shows a push, more points pair at a lively level, unless a wide gate finds them by chance."""
+    levels, weights, chosen = np.array([1.0, 16.0, 256.0, 4096.0]), np.array([0.9, 0.07, 0.02, 0.01]), set()
+    for seed in range(20):
+        body, points = drawn(seed, 1e-3)
+        push = exp(8e-3 * np.random.default_rng(seed).normal(size=3))
+        points = points[0] @ push.T, *points[1:]
+        noise, expected = 0.02 * process(1e-3), weights @ levels
+        foreign = len(points[0]) / (2.0 * np.pi * (1.0 - HORIZON))
+        best, most = None, -np.inf
+        for square, probability in [(expected, 1.0), *zip(levels, weights, strict=True)]:
+            if (best is not None and best[2]) or (best is not None and square <= expected):
+                continue
+            added = (square - 1.0) * noise
+            rows, columns, complete, scale = nearest_pairs(body, points, added)
+            spread = np.trace(body[5][:3, :3] + (added[:3, :3] if scale != 1.0 else 0.0)) / 3.0
+            pairs = list(zip(rows, columns, strict=True))
+            value = np.log(probability)
+            if pairs:
+                H, _, z, S = innovation(body, points, pairs, min(spread, 0.01) ** 2)
+                value += multivariate_normal.logpdf(z, cov=S + H @ added @ H.T) + len(pairs) * np.log(4.0 / foreign)
+            if value > most:
+                best, most = (rows, columns, complete, square if scale != 1.0 else 1.0), value
+        pending = noise, 1.0 / 30.0, weights, None
+        activity = GATE, 0.2, 1.0, levels, np.zeros(4), np.full(4, 0.25)
+        got = kernels.nearest_pairs(body, points, (TOWARDS, HORIZON), pending, activity)
+        assert_array_equal(got[0], best[0])
+        assert_array_equal(got[1], best[1])
+        assert got[2:] == pytest.approx(best[2:])
+        chosen.add(round(got[3], 6))
+    assert len(chosen) > 1
 
 
 def test_the_standard_deviation_of_a_place_is_that_of_its_worse_axis():

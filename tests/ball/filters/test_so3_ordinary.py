@@ -18,12 +18,19 @@ SQUARES = VARIANCES / VARIANCES[0]
 def one_after_another(body, points, sightings, pending):
     """Return the result of `update_ordinary` from the parts, and None for frames with doubtful pairs."""
     added = (pending[2] @ SQUARES - 1.0) * pending[0]
-    rows, columns, possible, plain, in_place, _ = kernels.pair(body, points, *CAMERA, added, GATE)
+    one_level = pending[0], pending[1], np.array([0.0, 1.0]), None
+    activity = *ACTIVITY[:3], np.array([1.0, pending[2] @ SQUARES]), np.zeros(2), np.full(2, 0.5)
+    rows, columns, _, noise_scale = kernels.nearest_pairs(body, points, CAMERA, one_level, activity)
     visible = np.flatnonzero(body[3] @ body[0].T @ TOWARDS > HORIZON)
+    allowance = min(np.trace(body[5][:3, :3] + added[:3, :3]) / 3.0, 0.01) ** 2
+    distance = kernels.distances(body, points, visible, added, allowance, GATE)
+    hits, total = distance < GATE, distance[rows, np.searchsorted(visible, columns)].sum()
+    plain = hits.sum(axis=0).max() <= 1 and hits.sum(axis=1).max() <= 1
+    in_place = noise_scale > 1.0 and total < 4.0 * len(rows) + 10.0
     livelier = (SQUARES.max() - 1.0) * pending[0]
     distance = kernels.distances(body, points, visible, livelier, 0.0, GATE)
     distance[rows] = distance[:, np.isin(visible, columns)] = np.inf
-    if not (plain and in_place and len(rows) >= 2 and 2 * len(rows) >= possible) or np.any(distance < GATE):
+    if not (plain and in_place and len(rows) >= 2 and 2 * len(rows) >= min(distance.shape)) or np.any(distance < GATE):
         return None
     corrected, _ = kernels.correct(body, points, (rows, columns, added), pending, ACTIVITY)
     (attitude, _, _, discs, _), joint, *_ = corrected
