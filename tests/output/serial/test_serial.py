@@ -209,6 +209,7 @@ def test_a_board_of_another_version_that_comes_back_is_reported_once(board):
             until(lambda: len(said) == 3 or output.send(report()))
             time.sleep(0.3)
             assert len(said) == 3
+            assert output.describe(report(1)) == "X +1 (waits for the board)"
             assert "the board speaks version 2 of the protocol, this program 1; update spheremouse" in said[2]
 
 
