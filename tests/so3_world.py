@@ -7,10 +7,11 @@ from conftest import directions
 from scipy.linalg import expm
 
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_motion import CLONE_DIM
+from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM
 from spheremouse.ball.filters.so3_settings import PERSISTENCE_S, So3Settings
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import exp
+from spheremouse.native import kernels
 
 RADIUS = 0.6
 HORIZON = 0.25
@@ -34,6 +35,12 @@ def points_at(direction, sigma=SIGMA, rng=None):
     C = (RADIUS * sigma) ** 2 * (np.eye(3) - d[:, :, None] * d[:, None, :])
     none = np.zeros(n)
     return SpherePoints(RADIUS * d, C, d, C, np.zeros((n, 3, 6)), np.zeros((n, 3, 4)), none, none, np.arange(n))
+
+
+def innovation(state, points, columns):
+    """H, H P, z and the covariance of z of the points, in their order, as the discs `columns`."""
+    rows, added = np.arange(len(columns)), np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
+    return kernels.innovation(state.body, points.measurement(RADIUS), rows, columns, added)
 
 
 def seen(R, discs=DISCS):

@@ -44,9 +44,6 @@ _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 20
 _NO_NOISE = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
 
-Innovation = tuple[Array, Array, Array, Array]  # H, (2k, 9), H P, (2k, n), z, (2k,) rad, and its covariance, (2k, 2k)
-
-
 class Pairing(NamedTuple):
     """Points taken for discs."""
 
@@ -282,11 +279,6 @@ class So3Filter:
         Q, sightings = _NO_NOISE, state.sightings
         corrected = So3State(state.stamp, *motion, joint, *sightings, rows, weights, Q, *figures, modes=modes)
         return (_twist_as_swing(corrected, columns[0]) if len(columns) == 1 else corrected), log_likelihood
-
-    def innovation(self, state: So3State, points: SpherePoints, pairing: Pairing) -> Innovation:
-        """Return for k pairs H, (2k, 9), H @ joint, (2k, 23 + 2m), the innovation, (2k,) rad, and its covariance."""
-        added = self._added_noise(state, pairing.noise_scale)
-        return kernels.innovation(state.body, points.measurement(self.radius), pairing.rows, pairing.columns, added)
 
     def _coasted(self, state: So3State) -> So3State:
         """Return the state after a frame without pairs.

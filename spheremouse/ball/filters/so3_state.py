@@ -74,7 +74,7 @@ class So3State:
 
     @property
     def sightings(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-        """What frames have shown of each disc, as `kernels` takes it."""
+        """Sightings, misses in a row and hiding of each disc, as `kernels` takes them."""
         return self.hits, self.missed, self.hidden
 
     @property

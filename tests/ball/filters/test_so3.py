@@ -22,6 +22,7 @@ from so3_world import (
     draw,
     film,
     follow,
+    innovation,
     own_motion,
     points_at,
     rolling,
@@ -87,14 +88,13 @@ def test_the_innovation_depends_on_each_error_as_finite_differences_say(rate, de
     late = (2.0 * delay + readout) * row
     turned = np.einsum("kij,kj->ki", exp(late[:, None] * rate * FLICK), p[columns])
     points = replace(points_at(turned), delay=2.0 * delay * row, row=row)
-    pairs = Pairing(np.arange(len(columns)), columns)
-    H, HP, _, _ = FILTER.innovation(state, points, pairs)
+    H, HP, _, _ = innovation(state, points, columns)
     assert_allclose(HP[:, :KINEMATIC_DIM], H)
     step = np.full(k, 1e-6)
     step[6:KINEMATIC_DIM] = 1e-3  # half of (15 ms)²: too small a slope for the same step
     for i in np.delete(np.arange(k), np.arange(KINEMATIC_DIM, READOUT)):
         e = step[i] * np.eye(k)[i]
-        z = [FILTER.innovation(inject(state, s * e), points, pairs)[2] for s in (1, -1)]
+        z = [innovation(inject(state, s * e), points, columns)[2] for s in (1, -1)]
         slope = -(z[0] - z[1]) / (2 * step[i])
         # the delay counts to first order, and z, which is zero but for the noise, turns with the axes
         bound = 0.05 * np.abs(slope).max() if 3 <= i < KINEMATIC_DIM else 0.03 if delay and i < 3 else 2e-3

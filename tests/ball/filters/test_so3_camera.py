@@ -19,6 +19,7 @@ from so3_world import (
     SETTINGS,
     SIGMA,
     draw,
+    innovation,
     own_motion,
     points_at,
     settled,
@@ -26,7 +27,7 @@ from so3_world import (
     white_jerk,
 )
 
-from spheremouse.ball.filters.so3 import Pairing, So3Filter
+from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, CONSIDERED_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_state import augment, inject
 from spheremouse.ball.points import intersect
@@ -159,16 +160,15 @@ def test_innovation_and_new_discs_depend_on_pose_and_ball_as_finite_differences_
     state = consider.update(consider.initial(0.0, np.eye(3)), points)
     state = inject(state, 1e-5 * np.random.default_rng(23).normal(size=len(state.joint)))  # not zero innovations
     rows = np.arange(len(d))
-    pairs = Pairing(rows, rows)
     known = replace(state, joint=np.eye(len(state.joint)))  # then H @ joint is H
-    H = consider.innovation(known, points, pairs)[1][:, KINEMATIC_DIM:READOUT]
+    H = innovation(known, points, rows)[1][:, KINEMATIC_DIM:READOUT]
     bare = replace(known, discs=np.zeros((0, 3)), basis=np.zeros((0, 3, 2)), joint=np.eye(MAP_OFFSET + CLONE_DIM))
     added = augment(bare, points, rows, RADIUS)
     ours = added.joint[MAP_OFFSET:-CLONE_DIM, KINEMATIC_DIM:READOUT]
     h = 1e-5
     for i in range(CONSIDERED_DIM):
         ends = [intersect(seen_at, *other(rig, pose, s * h * np.eye(CONSIDERED_DIM)[i])) for s in (1, -1)]
-        z = [consider.innovation(known, p, pairs)[2] for p in ends]
+        z = [innovation(known, p, rows)[2] for p in ends]
         # the pose assumed is the truth less the error: what is seen moves against it
         assert_allclose(-(z[0] - z[1]) / (2 * h), H[:, i], atol=1e-4 * np.abs(H[:, i]).max())
         new = [augment(bare, p, rows, RADIUS).discs for p in ends]
