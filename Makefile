@@ -37,7 +37,7 @@ RELEASE = spheremouse-$(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml
 WHEELHOUSE = $(RELEASE)-wheels-$(shell $(DIST_PYTHON) -c 'import sys, platform; print("py%d.%d-%s" % (*sys.version_info[:2], platform.machine()))')
 
 .DEFAULT_GOAL := help
-.PHONY: help demo native picture test test-oldest test-newest test-aarch64 lock lint format reference docs dist wheels experiments nightly system-test soak fuzz clean
+.PHONY: help demo native picture test test-oldest test-newest test-aarch64 lock lint format reference docs dist wheels experiments nightly system-test soak fuzz sanitize clean
 
 help:
 	@echo "make demo         a simulated camera films the turning ball, the real pipeline tracks it"
@@ -59,6 +59,7 @@ help:
 	@echo "make test-aarch64 the arm64 wheel on an emulated processor: the clip's counts must equal those of this machine"
 	@echo "make soak         hours of tracking; SOAK_ARGS=... chooses how long"
 	@echo "make fuzz         broken input of every kind; FUZZ_EXAMPLES=N of each, FUZZ_ARGS=... goes to pytest"
+	@echo "make sanitize     the tests of the part in C++ with AddressSanitizer and UndefinedBehaviorSanitizer"
 	@echo "make clean        removes everything that these targets made"
 
 demo: $(STAMP)
@@ -75,7 +76,7 @@ test: $(STAMP)
 nightly: $(STAMP)
 	$(PYTEST) -m slow
 	$(MAKE) --jobs 2 --output-sync=target PROCESSES=1 test-newest $(if $(shell command -v $(OLDEST_PYTHON)),test-oldest)
-	$(MAKE) soak fuzz system-test test-aarch64
+	$(MAKE) sanitize soak fuzz system-test test-aarch64
 	$(BIN)/python docs/experiments --quick --out build/experiments
 
 # The environments that the locked one is not: what a later lock may hold, and what the ranges promise.
@@ -190,6 +191,15 @@ soak: $(STAMP)
 fuzz: $(STAMP)
 	$(BIN)/python -m pytest tests/fuzz $(FUZZ_ARGS)
 
+# Leaks are not reported: Python frees much of its memory only with the process.
+SANITIZED = LD_PRELOAD="$$(c++ -print-file-name=libasan.so) $$(c++ -print-file-name=libstdc++.so.6)" \
+    ASAN_OPTIONS=detect_leaks=0 KERNELS=build/sanitize/Sanitized
+sanitize: export CXXFLAGS := -O1 -g1 -fsanitize=address,undefined -fno-sanitize-recover=all
+sanitize: $(STAMP)
+	@$(call native,$(BIN)/python,build/sanitize,Sanitized)
+	$(SANITIZED) $(PYTEST) -p tests.other_kernels -m "not slow" tests/ball tests/wand tests/geometry
+	FUZZ_SLOWDOWN=30 $(SANITIZED) $(BIN)/python -m pytest -p tests.other_kernels tests/fuzz/test_kernels.py $(FUZZ_ARGS)
+
 clean:
 	rm -f spheremouse/native/*.so
 	rm -rf $(VENV) docs/_build demo build dist .pytest_cache .ruff_cache .hypothesis *.egg-info
@@ -248,9 +258,10 @@ $(PACKAGES): pyproject.toml tests/requirements.lock
 	@touch $@
 
 # The part in C++, beside its sources: an editable installation and every worktree find their own there.
-# $(call native,PYTHON,FOLDER): for one Python, built in a folder.
-native = bash -c "$$SYSTEM" && mkdir -p build && $(BIN)/cmake -G Ninja -S . -B $(2) -DCMAKE_BUILD_TYPE=Release -DPython_EXECUTABLE=$(abspath $(1)) \
-    -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) -DCMAKE_LIBRARY_OUTPUT_DIRECTORY=$(CURDIR)/spheremouse/native \
+# $(call native,PYTHON,FOLDER): for one Python, built in a folder. $(call native,PYTHON,FOLDER,TYPE) leaves it there.
+native = bash -c "$$SYSTEM" && mkdir -p build && $(BIN)/cmake -G Ninja -S . -B $(2) -DCMAKE_BUILD_TYPE=$(or $(3),Release) \
+    -DPython_EXECUTABLE=$(abspath $(1)) -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) \
+    -DCMAKE_LIBRARY_OUTPUT_DIRECTORY=$(CURDIR)/$(if $(3),$(2)/$(3),spheremouse/native) \
     -Dnanobind_ROOT=$$($(BIN)/python -m nanobind --cmake_dir) >$(2).log && $(BIN)/cmake --build $(2) -- --quiet
 
 native:

@@ -91,6 +91,7 @@ void bind_matching(nb::module_& m) {
             const auto points = matrix(points_, "points");
             const auto radius = vector(radius_, "radius");
             if (points.rows() != radius.size()) throw nb::type_error("radius: must have the length of points");
+            if (points.cols() == 0) throw nb::type_error("points: must have a column");
             return to_numpy(suppress(points, radius, norm));
         },
         arg("points"), arg("radius"), arg("norm") = 2.0);

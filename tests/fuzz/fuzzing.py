@@ -21,8 +21,9 @@ from hypothesis import strategies as st
 from spheremouse.errors import SpheremouseError
 
 EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "200"))
-MAX_CORE_SECONDS = 10.0
-MAX_SECONDS = 90.0
+SLOWDOWN = float(os.environ.get("FUZZ_SLOWDOWN", "1"))  # by sanitizers
+MAX_CORE_SECONDS = 10.0 * SLOWDOWN
+MAX_SECONDS = 90.0 * SLOWDOWN
 MAX_MEMORY = 1_000_000_000  # bytes that the process takes during an example
 
 Check = Callable[[Any], None]

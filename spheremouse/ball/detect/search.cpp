@@ -34,7 +34,7 @@ struct Plane {
         if (image.shape(0) != mask.shape(0) || image.shape(1) != mask.shape(1))
             throw nb::type_error("mask: must have the size of image");
         if (channel >= image.shape(2)) throw nb::value_error("plane: its channel must be in image");
-        if (std::abs(sign) != 1 || dark < -255 || dark > 255)
+        if ((sign != 1 && sign != -1) || dark < -255 || dark > 255)
             throw nb::value_error("plane: must have a sign of 1 or -1, and no light from -255 to 255");
     }
 

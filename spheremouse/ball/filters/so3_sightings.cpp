@@ -97,6 +97,9 @@ nb::tuple count_sightings(nb::handle attitude, nb::handle discs_, nb::tuple sigh
 Sightings read_sightings(nb::tuple sightings, nb::ssize_t m) {
     members(sightings, 3, "sightings");
     const auto hits = of_discs<int64_t>(sightings[0], "hits", m), missed = of_discs<int64_t>(sightings[1], "missed", m);
+    constexpr int64_t most = std::numeric_limits<int64_t>::max();
+    for (nb::ssize_t k = 0; k < m; k++)
+        if (hits(k) == most || missed(k) == most) throw nb::value_error("hits, missed: must be smaller");
     return {{hits.data(), hits.data() + m}, {missed.data(), missed.data() + m}, read_hidden(sightings[2], m), {}};
 }
 
