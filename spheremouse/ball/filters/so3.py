@@ -309,6 +309,7 @@ class So3Filter:
         (hits, missed, hidden), keep, known_seen, known_missed = kernels.count_sightings(
             state.attitude, state.discs, state.sightings, self._viewer(state), pairing.columns, len(points) > 0
         )
+        keep &= self._is_apart(state.discs, hits)
         counted = replace(
             state, hits=hits, missed=missed, hidden=hidden, known_seen=known_seen, known_missed=known_missed
         )
@@ -327,6 +328,15 @@ class So3Filter:
         new = self._new_discs(state, points, free, rows)
         state = drop(state, keep)
         return augment(state, points, new[: self._room(state)], self.radius)
+
+    def _is_apart(self, discs: Array, hits: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Return a mask, (m,), without the discs that have their centre on another disc, seen more often.
+
+        That is a disc taken for a new one at a false attitude. Its place changes to the right one with the attitude.
+        """
+        keep, order = np.zeros(len(discs), dtype=np.bool_), np.argsort(-hits, kind="stable")
+        keep[order[suppress(discs[order], np.full(len(discs), 2.0 * math.sin(0.5 * self.disc_angle)))]] = True
+        return keep
 
     def with_discs(self, state: So3State, points: SpherePoints, which: NDArray[np.intp]) -> So3State:
         """Return the state with the points `which`, (k,) indices, as discs, unless the map has them already."""
@@ -390,18 +400,16 @@ def _twist_as_swing(state: So3State, column: int) -> So3State:
 
     One disc determines the swing, the two components of the rate across its direction, but not the twist. All
     directions of the rotation axis are equally likely. So the twist is the swing times the cotangent of an angle with a
-    uniform cosine, up to a large turn by hand. Thus a ball is at rest if its one visible disc is at rest. If the
-    twist's variance is already smaller, or below the twist's square, the state does not change: two discs showed that
-    twist before.
+    uniform cosine, up to a large turn by hand. Thus a ball is at rest if its one visible disc is at rest. The density
+    of such twists falls as slowly as a power of the twist. So it bounds the variance of a twist that two discs showed
+    before by the square of that twist, too.
     """
     axis = state.attitude @ state.discs[column]
     along = state.joint[:, 3:6] @ axis
     twist, variance = float(axis @ state.rate), float(axis @ along[3:6])
-    if twist**2 > variance:
-        return state
     swing = float(state.rate @ state.rate) - twist**2 + float(np.trace(state.joint[3:6, 3:6])) - variance
     most = _LARGE_TWIST / math.sqrt(max(swing, 1e-12))
-    expected = swing * (math.asinh(most) - most / math.hypot(1.0, most))
+    expected = swing * (math.asinh(most) - most / math.hypot(1.0, most)) + twist**2
     if variance <= expected:
         return state
     gain = along * (1.0 - expected / variance) / variance  # leaves the twist with the expected variance

@@ -14,6 +14,7 @@ PERSISTENCE_S = 0.2  # mean time between two steps of the acceleration: a hand t
 DRIFT = 0.1  # share of a level by which the acceleration drifts between two steps: no hand pushes evenly
 DWELL_S = 1.0  # mean time at a level of acceleration: a gesture takes about a second
 HIDDEN_SHARE = kernels.HIDDEN_SHARE  # of the discs that face the camera: struts and hands before them
+FALSE_SHARE = 0.25  # of the points that found a disc: half a false point in view beside the one or two of a few discs
 ESTABLISHED_HITS = kernels.ESTABLISHED_HITS  # frames in which a disc is seen until it is established
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
-from spheremouse.ball.filters.so3_settings import HIDDEN_SHARE
+from spheremouse.ball.filters.so3_settings import FALSE_SHARE, HIDDEN_SHARE
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
 from spheremouse.native import kernels
@@ -37,7 +37,7 @@ class So3State:
     joint: Array  # (23 + 2m, 23 + 2m): rotation rad (obj), rate, acceleration, pose, ball, readout, discs, reference
     hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
-    hidden: Array = field(default_factory=lambda: np.zeros(0))  # (m,) probability that something lies before the disc
+    hidden: Array = field(default_factory=lambda: np.zeros(0))  # (m,) probability that it is not to be seen
     used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (k,) of the last points
     weights: Array = field(default_factory=lambda: np.zeros(0))  # (l,) probability of each level; empty: as usual
     process: Array = field(default_factory=_NO_PROCESS.copy)  # (9, 9) noise of the last prediction, at the first level
@@ -257,7 +257,7 @@ def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radi
         joint=joint,
         hits=np.concatenate([state.hits, none + 1]),
         missed=np.concatenate([state.missed, none]),
-        hidden=np.concatenate([state.hidden, np.zeros(k)]),
+        hidden=np.concatenate([state.hidden, np.full(k, FALSE_SHARE)]),
     )
 
 

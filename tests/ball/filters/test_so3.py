@@ -503,6 +503,33 @@ def test_nothing_seen_is_a_prediction_and_one_disc_is_half_an_attitude():
     assert swing < 0.9 < twist <= 1.0  # it says nothing of a turn about itself
 
 
+def test_the_twist_about_one_disc_depends_on_its_prior_without_a_jump():
+    """From a twist of zero to one of three standard deviations: unknown, as large as the swing; known, kept."""
+    state, _ = settled(rate=(0.0, 0.0, 0.0))
+    p = state.attitude @ state.discs[0]
+    joint, kept = state.joint.copy(), []
+    joint[3:6, 3:6] += 0.5**2 * np.outer(p, p)
+    for twist in np.linspace(0.0, 1.5, 61):
+        after, _ = FILTER.correct(
+            replace(state, rate=twist * p, acceleration=np.zeros(3), joint=joint, modes=None),
+            points_at(p),
+            Pairing(np.array([0]), np.array([0])),
+        )
+        kept.append(p @ after.rate)
+    assert kept[0] == pytest.approx(0.0, abs=0.01)
+    assert kept[-1] == pytest.approx(1.5, abs=0.01)
+    assert np.abs(np.diff(kept)).max() < 0.1
+
+
+def test_a_disc_that_lies_on_another_leaves_the_map():
+    state, _ = settled()
+    beside = points_at(exp(0.3 * FILTER.disc_angle * np.array([1.0, 0.0, 0.0])) @ state.attitude @ state.discs[2])
+    double = augment(state, beside, np.array([0]), RADIUS)
+    none = np.array([], dtype=np.intp)
+    after = FILTER.keep_map(double, beside, Pairing(none, none), np.zeros(1, dtype=np.bool_))
+    assert_allclose(after.discs, state.discs)
+
+
 @pytest.mark.slow
 def test_a_gate_holds_every_point_that_would_be_paired_and_is_no_wider_than_its_worse_axis():
     """Around each disc, in all directions: points just outside are none of it, and some just inside are."""
