@@ -58,7 +58,7 @@ from spheremouse.session.tracker_adapter import MAP, POSE, TARGETS, FrameResult,
 from spheremouse.session.worker import Worker
 
 _TICK = 0.25  # s; the longest wait for a frame
-_REQUEST_TIME = 0.01  # s; `set` takes 3 to 7 ms
+_REQUEST_TIME = 0.01  # s; `set` takes 1 to 2 ms
 _EVERY = 1.0  # s between two checks of the files, and of the memory and processor in use
 _PAUSED = "by `spheremouse ctl pause`; `resume` ends it"
 _USELESS = 5.0  # s of frames that cannot be used, after which the daemon opens the camera again
