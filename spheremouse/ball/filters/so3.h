@@ -157,10 +157,9 @@ bool is_large(const Each& dx);
 nb::tuple corrected_to_numpy(const Moved& moved, const Corrected& corrected);
 
 /// Move a state by errors, whose covariance before the move is P.
-Moved move(const Body& body, const Each& dx, Dense P);
-
-/// Return an error of a state, (n,), as an error of the state moved by `dx`. P is the covariance before the move.
-Each carry(const Body& body, const Dense& P, const Each& dx, const Each& error);
+///
+/// If given, an `error` of the state becomes the same error of the moved state.
+Moved move(const Body& body, const Each& dx, Dense P, Each* error = nullptr);
 
 nb::tuple moved_to_numpy(const Moved& moved);
 

@@ -67,11 +67,7 @@ Dense transfer(const Body& body, const Dense& P, const Each& dx) {
 
 }  // namespace
 
-Each carry(const Body& body, const Dense& P, const Each& dx, const Each& error) {
-    return is_negligible(P, dx) ? error : Each(transfer(body, P, dx) * error);
-}
-
-Moved move(const Body& body, const Each& dx, Dense P) {
+Moved move(const Body& body, const Each& dx, Dense P, Each* error) {
     Moved r{
         exp(dx.head<3>()) * body.attitude,  body.rate + dx.segment<3>(3),       body.acceleration + dx.segment<3>(6),
         Matrix<Dynamic, 3>(body.size(), 3), Matrix<Dynamic, 6>(body.size(), 6), std::move(P),
@@ -84,6 +80,7 @@ Moved move(const Body& body, const Each& dx, Dense P) {
     if (!is_negligible(r.P, dx)) {
         const Dense T = transfer(body, r.P, dx), moved = T * r.P * T.transpose();
         r.P = 0.5 * (moved + moved.transpose());
+        if (error) *error = T * *error;
     }
     return r;
 }

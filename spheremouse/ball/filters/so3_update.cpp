@@ -192,8 +192,8 @@ std::pair<Corrected, Moved> correct_about(const Evidence& by, const Body& about,
         return {std::move(r), std::move(moved)};
     }
     r.dx(READOUT) = 0.0;  // the innovation is linear in it
-    const Moved at = move(about, r.dx, about.P);
-    const Each there = carry(about, about.P, r.dx, mean - r.dx);
+    Each there = mean - r.dx;
+    const Moved at = move(about, r.dx, about.P, &there);
     Innovation again = innovation(at.body(), by.points, by.pairs, Noise::Zero());
     again.z -= again.H * there.head<CORE>();
     for (size_t i = 0; i < by.pairs.columns.size(); i++)
