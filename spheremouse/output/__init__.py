@@ -143,10 +143,6 @@ class Output:
         """Send one report. Raise OutputError if that fails, or OutputClosed if its reader is gone."""
         raise NotImplementedError
 
-    def describe(self, report: Report) -> str:
-        """Return the effect that `send` would have now, in one line of text; empty for none."""
-        return ""
-
     def delivery(self) -> DeliveryStatus:
         """Return the counts that have not arrived, from any thread."""
         return _ALL_ARRIVED
@@ -184,7 +180,7 @@ def _applies_response(spec: str) -> bool:
 
 def open_output(spec: str) -> Output:
     """Open the output `KIND:ARGUMENT`. Raise OutputError if it does not exist or lacks a member of `Output`."""
-    members = ("send", "begin", "describe", "delivery", "drop_waiting", "paced", "hang_hint", "__enter__", "__exit__")
+    members = ("send", "begin", "delivery", "drop_waiting", "paced", "hang_hint", "__enter__", "__exit__")
     return registry.opened(sys.modules[__name__], "output", spec, OutputError, members)
 
 

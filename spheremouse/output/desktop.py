@@ -30,7 +30,9 @@ class Desktop(Output):
 
     def send(self, report: Report) -> None:
         """Move the pointer, and scroll if whole notches are due. Raises OutputError if the desktop has ended."""
-        x, y, notches, left = self._steps(report)
+        x, y, z = report.counts
+        x, y = _clip(x), _clip(y)
+        notches, left = whole_notches(self._notch + (z if self._third == "wheel" else 0))
         try:
             if x or y:
                 self._mouse.move(x, y)
@@ -39,18 +41,6 @@ class Desktop(Output):
         except Exception as e:  # the system's binding may raise anything if the desktop ends
             raise OutputError(f"desktop: the pointer cannot be moved any more: {_line(e)}") from None
         self._notch = left
-
-    def describe(self, report: Report) -> str:
-        """Return the steps of `send`, as in `pointer +3 -2 scroll +1`."""
-        x, y, notches, _ = self._steps(report)
-        parts = [f"pointer {x:+d} {y:+d}"] if x or y else []
-        return " ".join(parts + ([f"scroll {notches:+d}"] if notches else []))
-
-    def _steps(self, report: Report) -> tuple[int, int, int, int]:
-        """Return pixels right and down, whole notches, and counts of the wheel left over."""
-        x, y, z = report.counts
-        notches, left = whole_notches(self._notch + (z if self._third == "wheel" else 0))
-        return _clip(x), _clip(y), notches, left
 
     def close(self) -> None:
         """Disconnect from the display."""

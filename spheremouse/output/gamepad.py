@@ -59,11 +59,6 @@ class Gamepad(Output):
         self._watchdog.feed()
         self._move(sticks)
 
-    def describe(self, report: Report) -> str:
-        """Return the positions of the sticks, as in `ABS_X +16384 ABS_Y +0 ABS_RX -500`; empty if they keep theirs."""
-        sticks = to_sticks(report, self._response)
-        return "" if sticks is None else "ABS_X {:+d} ABS_Y {:+d} ABS_RX {:+d}".format(*sticks)
-
     def _move(self, sticks: Sticks) -> None:
         with self._lock:
             events = tuple(zip((ABS_X, ABS_Y, ABS_RX), sticks, strict=True))

@@ -67,10 +67,6 @@ class LineServer(Output):
                 for connection in [connection for connection, client in self._clients.items() if client.ready]:
                     self._write(connection, data)
 
-    def describe(self, report: Report) -> str:
-        """Return the lines as one."""
-        return self._form.describe(report)
-
     def close(self) -> None:
         """Close the port and all connections."""
         self._stop.close()

@@ -26,10 +26,6 @@ class LineFormat:
     header: str = ""  # line before the others, if there is one
     paced: bool = False  # the counts of each report, as a mouse gets them, in place of each frame's
 
-    def describe(self, report: Report) -> str:
-        """Return the lines of a report as one."""
-        return " | ".join(self.lines(report))
-
 
 def json_lines(report: Report) -> list[str]:
     """Return a JSON object for each ball of a frame."""

@@ -38,10 +38,6 @@ class Lsl(Output):
             stamp = clock if sample.wall is None else clock - (wall - sample.wall)
             self._outlet.push_sample(self._values(row), stamp)
 
-    def describe(self, report: Report) -> str:
-        """Return the values of the channels as text."""
-        return " | ".join(" ".join(map(str, row)) for row in rows(report))
-
     def close(self) -> None:
         """Close the outlet."""
         self._outlet = None

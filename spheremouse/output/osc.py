@@ -48,11 +48,6 @@ class Osc(DatagramOutput):
         """Return a bundle for each ball of a frame."""
         return [encode(sample, counts) for sample, counts in report.counted]
 
-    def describe(self, report: Report) -> str:
-        """Return the messages as text, as in `/spheremouse/1/status tracking | /spheremouse/1/counts 3 -2 0`."""
-        made = [message for sample, counts in report.counted for message in messages(sample, counts)]
-        return " | ".join(" ".join(map(str, [address, *values])) for address, _, values in made)
-
 
 def encode(sample: Sample, counts: Counts) -> bytes:
     """Return the bundle of a sample. Only its numbers are new; the builders of python-osc take ten times as long."""

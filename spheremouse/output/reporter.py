@@ -196,11 +196,6 @@ class OutputThread:
         """True if the reader of the output closed it; it is not opened again."""
         return self._ended
 
-    @property
-    def native_id(self) -> int | None:
-        """Thread id of the operating system; None before the thread starts."""
-        return self._thread.native_id
-
     def close(self) -> None:
         """Close the output and wait for the thread, at most 5 s. A thread that hangs is left running."""
         self._over = True

@@ -47,11 +47,6 @@ class SpaceNav(Output):
             self._watchdog.feed()
             self._turn(rotation)
 
-    def describe(self, report: Report) -> str:
-        """Return the rotation, as in `rx +120 ry +0 rz -7`; empty if `send` would keep the last one."""
-        rotation = to_rotation(report, self._response)
-        return "" if rotation is None else "rx {:+d} ry {:+d} rz {:+d}".format(*map(round, rotation))
-
     def close(self) -> None:
         """End the motion and the connections, and remove the socket."""
         self._watchdog.close()

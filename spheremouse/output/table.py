@@ -65,10 +65,6 @@ class Table(Output):
             except OSError as e:
                 raise cannot_be_written(self._path, e) from None
 
-    def describe(self, report: Report) -> str:
-        """Return the rows as text."""
-        return " | ".join(csv_line(row).decode().rstrip() for row in rows(report))
-
     def close(self) -> None:
         """Write the last rows, close the file, and complete the description of the run."""
         try:

@@ -42,10 +42,6 @@ class Text(Output):
         for line in self._form.lines(report):
             self._write(line)
 
-    def describe(self, report: Report) -> str:
-        """Return the lines as one."""
-        return self._form.describe(report)
-
     def _write(self, text: str) -> None:
         if self._reader_gone:
             raise OutputClosed(self._name)

@@ -22,10 +22,6 @@ class Udp(DatagramOutput):
         """Return the lines."""
         return [line.encode() + b"\n" for line in self._form.lines(report)]
 
-    def describe(self, report: Report) -> str:
-        """Return the lines as one."""
-        return self._form.describe(report)
-
 
 def open(argument: str) -> Udp:
     """Open a socket to the receiver."""

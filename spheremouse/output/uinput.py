@@ -27,7 +27,6 @@ BUS, VENDOR, PRODUCT, VERSION = 0x06, 0x5350, 0x4D31, 1
 EV_KEY, EV_REL = 0x01, 0x02
 REL_X, REL_Y, REL_RZ, REL_WHEEL, REL_WHEEL_HI_RES = 0x00, 0x01, 0x05, 0x08, 0x0B
 BTN_LEFT, BTN_RIGHT, BTN_MIDDLE = 0x110, 0x111, 0x112
-_NAMES = {0x00: "REL_X", 0x01: "REL_Y", 0x05: "REL_RZ", 0x08: "REL_WHEEL", 0x0B: "REL_WHEEL_HI_RES"}
 _AXES = {"none": [], "wheel": [REL_WHEEL, REL_WHEEL_HI_RES], "rz": [REL_RZ]}
 _MAX_VALUE = 2**31 - 1  # an event's value is a signed 32-bit integer
 
@@ -38,9 +37,6 @@ class Events:
 
     events: tuple[tuple[int, int], ...]  # code, value; never 0
     notch: int = 0  # REL_WHEEL_HI_RES units
-
-    def __str__(self) -> str:
-        return " ".join([*(f"{_NAMES[code]} {value:+d}" for code, value in self.events), "SYN"] if self.events else [])
 
 
 def to_events(report: Report, third: str, notch: int = 0) -> Events:
@@ -68,10 +64,6 @@ class UInput(Output):
         report_events = to_events(report, self._third, self._notch)
         write_events("uinput", self._device, EV_REL, report_events.events)
         self._notch = report_events.notch
-
-    def describe(self, report: Report) -> str:
-        """Return the report's events, as in `REL_X +3 REL_Y -2 SYN`."""
-        return str(to_events(report, self._third, self._notch))
 
     def close(self) -> None:
         """Remove the mouse."""

@@ -69,12 +69,6 @@ def test_the_sticks_are_centred_when_reports_stop_and_at_the_end():
     assert device.closed
 
 
-def test_the_text_twin_has_the_positions():
-    with gamepad.Gamepad(Device(), Response(dead=0.0)) as output:
-        assert output.describe(rolling([0, FULL / 2, 0])) == "ABS_X +0 ABS_Y +0 ABS_RX -16384"
-        assert output.describe(rolling([0, FULL / 2, 0], confirmed=False)) == ""
-
-
 def test_the_numbers_are_the_kernels():
     ecodes = pytest.importorskip("evdev").ecodes
     names = "EV_ABS ABS_X ABS_Y ABS_RX ABS_RY BTN_SOUTH BTN_EAST BTN_NORTH BTN_WEST BTN_SELECT BTN_START"

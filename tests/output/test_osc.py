@@ -133,9 +133,3 @@ def test_no_receiver_is_no_error():
     with open_output(f"osc:127.0.0.1:{port}") as output:
         for _ in range(3):
             output.send(frame(Sample(estimate(1))))
-
-
-def test_the_text_twin_has_the_messages():
-    with open_output("osc:127.0.0.1:9000") as output:
-        text = output.describe(frame(Sample(estimate(1, Status.LOST), 2)))
-    assert text == "/spheremouse/2/status lost | /spheremouse/2/counts 3 -2 1"

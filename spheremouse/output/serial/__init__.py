@@ -115,13 +115,6 @@ class Serial(Output):
             self._link.keep_alive(time.perf_counter())
             self._flush()
 
-    def describe(self, report: Report) -> str:
-        """Return the mouse's motion, as in `X +3 Y -2 wheel +1`, with a remark if there is no board now."""
-        x, y, z = report.counts
-        named = (("X", x), ("Y", y), (self._third, z if self._third != NONE else 0))
-        text = " ".join(f"{name} {n:+d}" for name, n in named if n)
-        return f"{text} (waits for the board)" if text and not self._link.running else text
-
     def delivery(self) -> DeliveryStatus:
         """Return the counts that the board has not confirmed, and the reason."""
         axes = (0, 1, *(() if self._third == NONE else (_AXIS_INDEX[self._third],)))

@@ -61,9 +61,6 @@ def test_the_third_axis(board, third, moved):
     with opened(f"{board.port},third={third}") as output:
         output.send(report(1, 2, 3))
         until(lambda: output.settled)
-        text = "X +1 Y +2" + ("" if third == "none" else f" {third} +3")
-        until(lambda: output.describe(report(1, 2, 3)) == text)  # a slow computer may begin a new session first
-        assert output.describe(report()) == ""
     assert board.moved == moved
 
 
@@ -209,7 +206,6 @@ def test_a_board_of_another_version_that_comes_back_is_reported_once(board):
             until(lambda: len(said) == 3 or output.send(report()))
             time.sleep(0.3)
             assert len(said) == 3
-            assert output.describe(report(1)) == "X +1 (waits for the board)"
             assert "the board speaks version 2 of the protocol, this program 1; update spheremouse" in said[2]
 
 
