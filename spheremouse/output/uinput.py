@@ -9,7 +9,6 @@ REL_WHEEL_HI_RES (one unit a count, 120 a notch), and REL_WHEEL for each whole n
 
 import importlib.util
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,16 +30,11 @@ _AXES = {"none": [], "wheel": [REL_WHEEL, REL_WHEEL_HI_RES], "rz": [REL_RZ]}
 _MAX_VALUE = 2**31 - 1  # an event's value is a signed 32-bit integer
 
 
-@dataclass(frozen=True, slots=True)
-class Events:
-    """Relative events of one report, without their SYN_REPORT, and the part of a notch left over."""
+def to_events(report: Report, third: str, notch: int = 0) -> tuple[list[tuple[int, int]], int]:
+    """Return the events (code, value) of a report without its SYN_REPORT, and the units of a notch left over.
 
-    events: tuple[tuple[int, int], ...]  # code, value; never 0
-    notch: int = 0  # REL_WHEEL_HI_RES units
-
-
-def to_events(report: Report, third: str, notch: int = 0) -> Events:
-    """Return the events of a report; `notch` (units) is left over from the last one. Values saturate at 32 bits."""
+    `notch` was left over from the last report. Values are not 0, and saturate at 32 bits.
+    """
     x, y, z = (max(-_MAX_VALUE, min(_MAX_VALUE, n)) for n in report.counts)
     events = [(REL_X, x), (REL_Y, y)]
     if third == "rz":
@@ -48,7 +42,7 @@ def to_events(report: Report, third: str, notch: int = 0) -> Events:
     if third == "wheel":
         whole, notch = whole_notches(notch + z)
         events += [(REL_WHEEL, whole), (REL_WHEEL_HI_RES, z)]
-    return Events(tuple((code, value) for code, value in events if value), notch)
+    return [(code, value) for code, value in events if value], notch
 
 
 class UInput(Output):
@@ -61,9 +55,9 @@ class UInput(Output):
 
     def send(self, report: Report) -> None:
         """Write the report, unless it is empty. Raises OutputError if the kernel refuses it."""
-        report_events = to_events(report, self._third, self._notch)
-        write_events("uinput", self._device, EV_REL, report_events.events)
-        self._notch = report_events.notch
+        events, notch = to_events(report, self._third, self._notch)
+        write_events("uinput", self._device, EV_REL, events)
+        self._notch = notch
 
     def close(self) -> None:
         """Remove the mouse."""

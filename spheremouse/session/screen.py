@@ -11,12 +11,13 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from spheremouse.ball.state import Epoch
 from spheremouse.output import Counts
 from spheremouse.output.pointer import minus, plus
+from spheremouse.output.sample import Sample
 from spheremouse.session.timing import FrameTimes
-from spheremouse.wand.axes import axes_of
-from spheremouse.wand.state import WandPose
+from spheremouse.session.tracker_adapter import FrameResult
+from spheremouse.tracker import Status
+from spheremouse.wand.axes import estimated_axes
 
 _REFRESH = 0.1  # s between two lines in the same place
 _LINE_EVERY = 1.0  # s between two lines without a terminal
@@ -83,53 +84,32 @@ class StatusLine:
         """Print one or more lines, which stay."""
         self.console.print(Text(text), soft_wrap=True)
 
-    def show(self, line: Callable[..., str], *given: object) -> None:
-        """Show the line that a function returns, if the last one is old enough."""
+    def show(self, made: FrameResult, tally: Tally) -> None:
+        """Show the state of the balls after a frame, if the last line is old enough."""
         now = time.perf_counter()
         if not self._wanted or now < self._due:
             return
         if self._live is not None:
             self._due = now + _REFRESH
-            self._live.update(Text(line(*given)), refresh=True)
+            self._live.update(Text(status_lines(made, tally)), refresh=True)
         else:
             self._due = now + _LINE_EVERY
-            self.log(line(*given))
+            self.log(status_lines(made, tally))
 
 
-def ball_line(epoch: Epoch, tally: Tally) -> str:
-    """Return the state in one line."""
-    rate = " ".join(f"{w:+.1f}" for w in np.degrees(epoch.estimate.rate[:3]))
-    counts = " ".join(f"{n:+d}" for n in tally.counts)
-    return (
-        f"{epoch.frame.stamp:9.3f} s  {_status(epoch)}  rate {rate} deg/s  counts {counts}  discs {_discs(epoch)}  "
-        f"{1e3 * tally.times.recent_quantile(0.5):.1f} ms"
-    )
+def status_lines(made: FrameResult, tally: Tally) -> str:
+    """Return the state of each ball in one line."""
+    counts, median = "counts {:+d} {:+d} {:+d}".format(*tally.counts), 1e3 * tally.times.recent_quantile(0.5)
+    return "\n".join(f"{s.stamp:9.3f} s  {_state(s, counts)}  {median:.1f} ms" for s in made.samples)
 
 
-def _status(epoch: Epoch) -> str:
-    withheld = epoch.state.withheld
-    return f"{epoch.state.status}{'' if withheld is None or not withheld.announced else ', motion withheld'}"
-
-
-def _discs(epoch: Epoch) -> str:
-    n = epoch.estimate.statistics
-    masked = len(epoch.state.lookalikes.masks)
-    text = f"{n['discs_used']} used, {n['discs_seen']} seen, {n['discs_known']} known"
-    return f"{text}; {masked} masked" if masked else text
-
-
-def pose_lines(stamp: float, poses: tuple[WandPose, ...], tally: Tally) -> str:
-    """Return the pose of each ball at `stamp` (s), one in a line."""
-    return "\n".join(_pose_line(stamp, pose, tally) for pose in poses)
-
-
-def _pose_line(stamp: float, pose: WandPose, tally: Tally) -> str:
-    where = "                                                   "
-    if pose.position is not None and pose.rotation is not None and pose.covariance is not None:
-        axes = axes_of(pose.position, pose.rotation, pose.covariance)
-        x, y, z = axes.position
-        yaw, pitch, roll = np.degrees(axes.angles)
-        where = f"x {x:+.3f} y {y:+.3f} z {z:.3f} m  yaw {yaw:+6.1f} pitch {pitch:+6.1f} roll {roll:+6.1f} deg"
-    counts = " ".join(f"{n:+d}" for n in tally.counts)
-    median = 1e3 * tally.times.recent_quantile(0.5)
-    return f"{stamp:9.3f} s  {pose.name} {pose.phase}  {where}  counts {counts}  {median:.1f} ms"
+def _state(sample: Sample, counts: str) -> str:
+    if sample.coordinates == "obj":
+        rate, n = "rate {:+.1f} {:+.1f} {:+.1f} deg/s".format(*np.degrees(sample.rate)), sample.statistics
+        discs = f"discs {n['discs_used']:.0f} used, {n['discs_seen']:.0f} seen, {n['discs_known']:.0f} known"
+        return f"{sample.status}  {rate}  {counts}  {discs}"
+    if sample.status is not Status.TRACKING:
+        return f"{sample.name} {sample.status}  {counts}"
+    axes = estimated_axes(sample.estimate)
+    pose = "x {:+.3f} y {:+.3f} z {:.3f} m  yaw {:+6.1f} pitch {:+6.1f} roll {:+6.1f} deg"
+    return f"{sample.name} {sample.status}  {pose.format(*axes.position, *np.degrees(axes.angles))}  {counts}"

@@ -8,13 +8,13 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
+from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.smooth import Observation
 from spheremouse.errors import SpheremouseError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.output import Counts, Mapping
 from spheremouse.output.sample import Sample
 from spheremouse.session.control.status import TrackerStatus
-from spheremouse.session.overlay.pen import Image
 from spheremouse.session.process.threads import Work
 from spheremouse.session.run_config import RunConfig
 from spheremouse.tracker import Frame, Status

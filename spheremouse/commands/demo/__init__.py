@@ -24,8 +24,8 @@ def demo(
     """See it work without a camera: simulate, track, compare.
 
     A simulated camera films a ball in play. The tracker gets the pictures and the rig alone. At the end the command
-    compares its estimates with the truth. It writes an overlay picture, a video, a plot and the motion, and says what
-    each file shows.
+    compares its estimates with the truth. It writes a video, a plot and the motion, and says what each file
+    shows.
     """
     if game:
         _play_game(seconds, seed)

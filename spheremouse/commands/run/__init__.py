@@ -153,7 +153,7 @@ def run_plan(
 ) -> None:
     """Run from the first frame to the summary, then raise the error that ended the run."""
     from spheremouse.capture.signals import SignalHandler
-    from spheremouse.commands.run.view import view
+    from spheremouse.commands.run.view import RunView
     from spheremouse.session.cameras import is_camera
     from spheremouse.session.process.standard_error import nonblocking_stderr
     from spheremouse.session.setup import open_replay, open_setup
@@ -166,7 +166,7 @@ def run_plan(
             stopping = stack.enter_context(SignalHandler())
             setup = open_replay(plan) if pace == "replay" else open_setup(plan, pace == "realtime")
             plan = setup.planned(overrides, plan)
-            shown = view(plan, status, overlay, None if setup.source is None else setup.source.fps, stack, verbose)
+            shown = RunView(stack, status, overlay, None if setup.source is None else setup.source.fps, verbose)
             try:
                 work = serve if live else partial(follow, smooth=smooth)
                 failure, words = work(overrides, plan, setup, stopping, shown, frames)

@@ -27,14 +27,14 @@ from spheremouse.output.counts import Counter
 from spheremouse.output.sample import Sample
 from spheremouse.session import messages
 from spheremouse.session.ball.map_keeper import MapKeeper
-from spheremouse.session.ball.recorded import ball_subject, picture, sought
+from spheremouse.session.ball.recorded import ball_subject, kept, sought
 from spheremouse.session.ball.search import BallMessages, PoseRecovery, PoseSearch
 from spheremouse.session.control.protocol import internal_error
 from spheremouse.session.control.status import PoseStatus, TargetsStatus, TrackerStatus
 from spheremouse.session.directions import of_ball
 from spheremouse.session.offline import initialise
 from spheremouse.session.overlay.annotations import of_discs, of_still, of_targets, plain
-from spheremouse.session.overlay.marks import still_marks
+from spheremouse.session.overlay.drawing import picture_of
 from spheremouse.session.run_config import RunConfig
 from spheremouse.session.settings import Configuration
 from spheremouse.session.tracker_adapter import (
@@ -292,7 +292,7 @@ class BallAdapter:
             found = {} if view is None else of_targets(view, self.rig.targets.codes)
             return plain(None, self.status, **found)
         if self._still is None or self._still[0] is not tracker.pose:
-            self._still = tracker.pose, of_still(still_marks(tracker))
+            self._still = tracker.pose, of_still(tracker.rig, tracker.pose)
         if tracked is None or state is None:
             return plain(None, self.status, **self._still[1])
         return plain(
@@ -304,11 +304,10 @@ class BallAdapter:
 
         It is black except for ball and targets, unless `everything`. The image is copied.
         """
-        epoch, tracker = tracked.epoch, self._tracker
-        assert isinstance(epoch, Epoch)
+        tracker = self.tracker
         assert tracker is not None
-        epoch = replace(epoch, frame=replace(epoch.frame, image=epoch.frame.image.copy()))
-        return lambda: picture(epoch, tracker, counts, everything=everything)
+        keep = None if everything else partial(kept, self.rig, tracker.pose, self.settings)
+        return picture_of(tracked, self.annotations(tracked), counts, keep)
 
     def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
         """Return a function that draws a frame with its targets; unless `everything`, the rest is in coarse blocks."""

@@ -23,13 +23,10 @@ from spheremouse.ball.build import build
 from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import Epoch, Tracker, current
 from spheremouse.files.dataset.write import device_description
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.camera import Pose
 from spheremouse.session.messages import list_targets
-from spheremouse.session.overlay.ball import Overlay
-from spheremouse.session.overlay.marks import target_marks
 from spheremouse.session.overlay.pen import Image, in_blocks
 from spheremouse.session.overlay.sight import draw_sight, sight_of
 from spheremouse.session.settings import Configuration, configuration_text
@@ -52,11 +49,6 @@ def kept(rig: Rig, pose: Pose, settings: Settings) -> Image:
     for left, top, right, bottom in _target_boxes(rig, pose):
         mask[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = 255
     return mask
-
-
-def masked(image: Image, keep: Image | None) -> Image:
-    """Return a copy of an image, (h, w, 3) or (h, w), that is black where `keep`, (h, w), is 0. None keeps all."""
-    return np.asarray(image.copy() if keep is None else cv2.copyTo(image, keep), dtype=np.uint8)
 
 
 def _around_ball(detector: DiscDetector, clipped: bool) -> Image:
@@ -104,24 +96,6 @@ def ball_subject(rig: Rig, pose: Pose, settings: Configuration) -> Subject:
         scene=lambda: {**device_description(rig), "T_obj_cam": pose.matrix().tolist()},
         files=lambda: {"rig.yaml": rig_text(replace(rig, pose=pose)), "config.yaml": configuration_text(settings)},
     )
-
-
-def picture(
-    epoch: Epoch, tracker: Tracker, counts: tuple[int, int, int] = (0, 0, 0), *, everything: bool = False
-) -> Image:
-    """Draw the overlay on an epoch's picture, which is black except for ball and targets unless `everything`.
-
-    `counts` are the sums of x, y and the third axis so far. Drawing takes some hundredths of a second, in which the
-    epoch's image must not change.
-    """
-    tracker = current(epoch.state, tracker)
-    keep = None if everything else kept(tracker.rig, tracker.pose, tracker.settings)
-    shown = replace(epoch, frame=replace(epoch.frame, image=masked(epoch.frame.image, keep)))
-    overlay = Overlay(
-        tracker, target_marks(tracker.rig, tracker.pose, None), max(1, round(1280 / tracker.rig.camera.width))
-    )
-    overlay.remember(shown.state)
-    return overlay.draw(shown, counts)
 
 
 def sought(image: Image, rig: Rig, settings: Configuration, *, everything: bool = False) -> Image:

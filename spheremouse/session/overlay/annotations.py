@@ -1,15 +1,19 @@
-"""The marks of a frame as plain data for live pictures; docs/control.md lists the keys."""
+"""The marks of a frame as plain data, for live pictures, overlays and MCAP files; docs/control.md lists the keys."""
 
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
+from spheremouse.ball.detect.appearance import appearance, ball_outline
+from spheremouse.ball.detect.lookalikes import MASK_RADIUS_PX
 from spheremouse.ball.detect.rings import TargetDetections
+from spheremouse.ball.points import directions_at
+from spheremouse.ball.pose import predict_targets
+from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import Tracker, TrackState
-from spheremouse.geometry.camera import InteriorOrientation, ellipse_to_pixel, project_circle, sphere_outline
+from spheremouse.geometry.camera import InteriorOrientation, Pose, ellipse_to_pixel, project_circle, sphere_outline
 from spheremouse.geometry.rotation import Array
-from spheremouse.session.overlay.marks import Mark, StillMarks, detected, masked, predicted
 from spheremouse.tracker import Status
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.state import WandPose
@@ -23,9 +27,17 @@ def plain(sequence: int | None, status: Status, **marks: Any) -> Plain:
     return {"sequence": sequence, "status": str(status), **none, **marks}
 
 
-def of_still(still: StillMarks) -> Plain:
-    """Return the ball's outline and the targets."""
-    return {"outline": _points(still.outline[::2]), "targets": [_target(mark) for mark in still.targets]}
+def of_still(rig: Rig, pose: Pose) -> Plain:
+    """Return the ball's outline, and the targets at their predicted places."""
+    marks: Plain = {"outline": _points(ball_outline(rig, pose)[::2]), "targets": []}
+    if rig.targets.codes:
+        points = pose.to_cam(rig.targets.position)
+        normal = np.broadcast_to(pose.rotation[2], points.shape)  # obj's Z axis in cam
+        _, shape = ellipse_to_pixel(*project_circle(points, normal, float(rig.targets.radii[-1])), rig.camera)
+        for code, place, s in zip(rig.targets.codes, predict_targets(pose, rig), shape, strict=True):
+            if np.isfinite(place).all():
+                marks["targets"].append(_target(code, place, s))
+    return marks
 
 
 def of_targets(seen: TargetDetections, codes: tuple[str, ...]) -> Plain:
@@ -33,7 +45,7 @@ def of_targets(seen: TargetDetections, codes: tuple[str, ...]) -> Plain:
     targets, strangers = [], []
     for code, centre, radius in zip(seen.codes, seen.centre, seen.radius, strict=True):
         if code in codes:
-            targets.append(_target(Mark(code, centre, radius**2 * np.eye(2))))
+            targets.append(_target(code, centre, radius**2 * np.eye(2)))
         else:
             x, y, r = np.round([*centre, radius], 2).tolist()
             strangers.append({"code": code, "x": x, "y": y, "radius": r})
@@ -41,21 +53,40 @@ def of_targets(seen: TargetDetections, codes: tuple[str, ...]) -> Plain:
 
 
 def of_discs(state: TrackState, tracker: Tracker, interval: float) -> Plain:
-    """Return detected, predicted and masked discs. A gate is that of the next frame, `interval` s later."""
-    found, known = detected(state, tracker), predicted(state, tracker)
-    angle = tracker.rig.disc_radius / tracker.rig.ball.radius
-    wider = (tracker.filter.gate_radius(state.filter, known.discs, interval) / angle) ** 2
-    gates = _shapes(known.shape * wider[:, None, None])
+    """Return detected, predicted and masked discs; none predicted if the ball is lost.
+
+    Only discs whose whole rim faces the camera are returned. A gate is that of the next frame, `interval` s later.
+    """
+    rig, pose = tracker.rig, tracker.pose
+    centre = state.detections.centre[state.points.index]
+    directions, which = directions_at(centre, rig, pose)
+    seen = appearance(directions, rig, pose)
+    which = which[seen.whole]
+    used = np.isin(which, state.filter.used).tolist()
+    discs = np.asarray(state.filter.discs, dtype=float).reshape(-1, 3)
+    discs = discs[:0] if state.status is Status.LOST else discs
+    expected = appearance(discs @ state.filter.attitude.T, rig, pose)
+    shape, known = expected.shape[expected.whole], np.flatnonzero(expected.whole)
+    wider = tracker.filter.gate_radius(state.filter, known, interval) / (rig.disc_radius / rig.ball.radius)
+    gates = _shapes(shape * (wider**2)[:, None, None])
     return {
         "detected": [
-            {**disc, "used": used}
-            for disc, used in zip(_ellipses(found.centre, found.shape), found.used.tolist(), strict=True)
+            {**disc, "used": u} for disc, u in zip(_ellipses(centre[which], seen.shape[seen.whole]), used, strict=True)
         ],
         "predicted": [
-            {**disc, "gate": gate} for disc, gate in zip(_ellipses(known.centre, known.shape), gates, strict=True)
+            {**disc, "gate": gate}
+            for disc, gate in zip(_ellipses(expected.centre[expected.whole], shape), gates, strict=True)
         ],
-        "masked": _points(masked(state)),
+        "masked": _points(_masked(state)),
     }
+
+
+def _masked(state: TrackState) -> Array:
+    """Return the detections set aside as look-alikes, (k, 2) px."""
+    offset = state.detections.centre[:, None] - state.lookalikes.masks[None]
+    near = np.linalg.norm(offset, axis=2) < MASK_RADIUS_PX
+    near[state.points.index] = False
+    return state.detections.centre[near.any(axis=1)]
 
 
 def of_balls(balls: Iterable[tuple[WandBall, WandPose]], points: int, camera: InteriorOrientation) -> Plain:
@@ -89,9 +120,9 @@ def _whole_discs(ball: WandBall, position: Array, rotation: Array, camera: Inter
     return ellipse_to_pixel(*project_circle(centre, normal, ball.radius * np.sin(angle)), camera)
 
 
-def _target(mark: Mark) -> Plain:
-    (ellipse,) = _ellipses(mark.centre[None], mark.shape[None])
-    return {"code": mark.code, **ellipse}
+def _target(code: str, centre: Array, shape: Array) -> Plain:
+    (ellipse,) = _ellipses(centre[None], shape[None])
+    return {"code": code, **ellipse}
 
 
 def _ellipses(centre: Array, shape: Array) -> list[Plain]:

@@ -7,12 +7,9 @@ from typing import Self
 
 import cv2
 
-from spheremouse.ball.state import Epoch, Tracker
 from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import NewFolder, replace
-from spheremouse.output import Counts
-from spheremouse.session.overlay.ball import Overlay
-from spheremouse.session.overlay.pen import Image, Mark
+from spheremouse.session.overlay.pen import Image
 
 _PICTURES = (".png", ".jpg", ".jpeg")
 # MPEG-4 plays in every player though not in every browser, and costs 2 ms a frame; VP8, which browsers play, costs 80.
@@ -28,7 +25,6 @@ class OverlayFile:
         self._picture = path.suffix.lower() in _PICTURES
         self._fps = fps or 30.0
         self._video: cv2.VideoWriter | None = None
-        self._overlay: Overlay | None = None
         self._last: Callable[[], Image] | None = None
         self.written = False  # at the end, if there was a drawing
         if path.is_dir():
@@ -39,17 +35,6 @@ class OverlayFile:
         if not path.parent.is_dir():
             raise OutputError(f"{path}: cannot be written: there is no folder {path.parent}")
         self._new = NewFolder(path.with_name(f"{path.name}.part"), OutputError)
-
-    def begin(self, tracker: Tracker, targets: tuple[Mark, ...]) -> None:
-        """Set the drawing, once the camera's pose is known."""
-        self._overlay = Overlay(tracker, targets, self.scale(tracker.rig.camera.width))
-
-    def add(self, epoch: Epoch, counts: Callable[[], Counts]) -> None:
-        """Add an epoch; `counts` returns the sum of counts when it is drawn."""
-        overlay = self._overlay
-        assert overlay is not None
-        overlay.remember(epoch.state)
-        self.show(lambda: overlay.draw(epoch, counts()))
 
     def scale(self, width: int) -> int:
         """Return the enlargement of frames of a width, px. Pictures are larger than videos."""

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array
-from spheremouse.session.overlay.marks import Mark
 
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]  # blue, green, red
@@ -24,6 +23,11 @@ def canvas_of(image: Image, scale: int) -> Image:
     if scale != 1:
         canvas = cv2.resize(canvas, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     return np.ascontiguousarray(canvas, dtype=np.uint8)
+
+
+def masked(image: Image, keep: Image | None) -> Image:
+    """Return a copy of an image, (h, w, 3) or (h, w), that is black where `keep`, (h, w), is 0. None keeps all."""
+    return np.asarray(image.copy() if keep is None else cv2.copyTo(image, keep), dtype=np.uint8)
 
 
 def in_blocks(image: Image, keep: Image) -> Image:
@@ -48,22 +52,15 @@ class Pen:
         cv2.polylines(layer, [self._fixed(points)], True, OUTLINE, self.width, cv2.LINE_AA, _SHIFT)
         cv2.addWeighted(layer, 0.55, self._canvas, 0.45, 0.0, dst=self._canvas)
 
-    def contour(self, points: NDArray[np.int32], weight: float) -> None:
-        """A contour as OpenCV gives it, (n, 1, 2) px; a `weight` below 1 makes it greyer."""
-        self._closed(points.reshape(-1, 2).astype(float), WHITE, weight)
-
-    def line(self, points: Array, colour: Colour, weight: float = 1.0, width: int = 1) -> None:
-        """A line through (n, 2) px, so many times as wide as a thin one."""
-        if len(points) > 1:
-            self._stroke(points, _dull(colour, weight), width * self.width)
-
     def ellipse(self, centre: Array, shape: Array, colour: Colour, weight: float = 1.0) -> None:
         """An ellipse about a centre, (2,) px, of a shape, (2, 2) px²."""
         angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-        rim = centre + np.stack([np.cos(angle), np.sin(angle)], axis=1) @ np.linalg.cholesky(shape).T
-        self._closed(rim, colour, weight)
+        values, vectors = np.linalg.eigh(shape)  # a rounded shape may have no Cholesky factor
+        rim = centre + np.stack([np.cos(angle), np.sin(angle)], axis=1) @ (vectors * np.sqrt(values.clip(0.0))).T
+        for shade, width in ((SHADOW, 3 * self.width), (_dull(colour, weight), self.width)):  # seen on light ground too
+            cv2.polylines(self._canvas, [self._fixed(rim)], True, shade, width, cv2.LINE_AA, _SHIFT)
 
-    def trace(self, epochs: list[Array], colour: Colour = RED) -> None:
+    def trace(self, epochs: list[Array]) -> None:
         """Dots at (m, 2) px of each epoch, the newest last: older ones smaller and fainter."""
         alpha = np.zeros(self._canvas.shape[:2], np.uint8)
         for age, points in reversed(list(enumerate(reversed(epochs)))):
@@ -75,7 +72,7 @@ class Pen:
                 cv2.circle(alpha, (x, y), round(radius * 2**_SHIFT), level, -1, cv2.LINE_AA, _SHIFT)
         rows, columns = np.nonzero(alpha)
         share = alpha[rows, columns, None].astype(np.float32) / 255.0
-        mixed = self._canvas[rows, columns] * (1.0 - share) + np.array(colour, np.float32) * share
+        mixed = self._canvas[rows, columns] * (1.0 - share) + np.array(RED, np.float32) * share
         self._canvas[rows, columns] = np.rint(mixed).astype(np.uint8)
 
     def cross(self, centre: Array) -> None:
@@ -84,13 +81,13 @@ class Pen:
         for arm in (np.array([r, r]), np.array([r, -r])):
             self._stroke(np.array([centre - arm, centre + arm]), BLUE, 2 * self.width)
 
-    def target(self, mark: Mark) -> None:
-        """A ring around the target, a crosshair through it, its code beside it."""
-        self.ellipse(mark.centre, 1.6 * mark.shape, GREEN)
-        across = np.sqrt(np.diag(mark.shape))
+    def target(self, code: str, centre: Array, shape: Array) -> None:
+        """A ring around a target at (2,) px with an outer ring of a shape, (2, 2) px², a crosshair, and its code."""
+        self.ellipse(centre, 1.6 * shape, GREEN)
+        across = np.sqrt(np.diag(shape))
         for arm in 1.75 * np.diag(across):
-            self._stroke(np.array([mark.centre - arm, mark.centre + arm]), GREEN, self.width)
-        self.label(mark.code, mark.centre + (1.5, -1.1) * across, GREEN)
+            self._stroke(np.array([centre - arm, centre + arm]), GREEN, self.width)
+        self.label(code, centre + (1.5, -1.1) * across, GREEN)
 
     def label(self, text: str, at: Array, colour: Colour) -> None:
         """Words that begin at a place, (2,) px, or as near to it as they are in the picture and below others."""
@@ -112,10 +109,6 @@ class Pen:
         self._canvas[top:] = self._canvas[top:] // 4
         for text, place in cells:
             _text(self._canvas, text, (round(place * w), h - round(0.65 * size)), size, (235, 235, 235))
-
-    def _closed(self, points: Array, colour: Colour, weight: float) -> None:
-        fixed = [self._fixed(points)]
-        cv2.polylines(self._canvas, fixed, True, _dull(colour, weight), self.width, cv2.LINE_AA, _SHIFT)
 
     def _stroke(self, points: Array, colour: Colour, width: int) -> None:
         cv2.polylines(self._canvas, [self._fixed(points)], False, colour, width, cv2.LINE_AA, _SHIFT)

@@ -14,7 +14,6 @@ from spheremouse.ball.detect.refused import Bound, Refused, refused_targets
 from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.messages import refusal
-from spheremouse.session.overlay.marks import Mark
 from spheremouse.session.overlay.pen import WHITE, Colour, Pen, canvas_of
 
 _YELLOW: Colour = (30, 210, 255)
@@ -76,7 +75,7 @@ def draw_sight(
         if code in sight.strangers:
             _ring(pen, centre, radius, f"{code}: not in the rig", _YELLOW)
         else:
-            pen.target(Mark(code, centre, radius**2 * np.eye(2)))
+            pen.target(code, centre, radius**2 * np.eye(2))
     pen.caption(words)
     return canvas
 

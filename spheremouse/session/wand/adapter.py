@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import cv2
@@ -20,8 +21,8 @@ from spheremouse.session.control.status import BallStatus, TrackerStatus
 from spheremouse.session.directions import of_hand
 from spheremouse.session.offline import check_wand_frame
 from spheremouse.session.overlay.annotations import of_balls, plain
+from spheremouse.session.overlay.drawing import picture_of
 from spheremouse.session.overlay.pen import Image, in_blocks
-from spheremouse.session.overlay.wand import WandOverlay
 from spheremouse.session.run_config import RunConfig
 from spheremouse.session.settings import Configuration, configuration_text
 from spheremouse.session.tracker_adapter import FrameResult, LogMessages, Subject, TrackerAdapter, camera_scene
@@ -186,10 +187,8 @@ class WandAdapter:
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
         """Return a function that draws the overlay, black except around the balls unless `everything`."""
-        epoch, tracker = tracked.epoch, self.tracker
-        assert isinstance(epoch, WandEpoch)
-        image = epoch.frame.image.copy()
-        return lambda: picture(epoch, image, tracker, self.points, counts, everything=everything)
+        keep = None if everything else partial(_around_balls, tracked.epoch.poses, self.tracker)
+        return picture_of(tracked, self.annotations(tracked), counts, keep)
 
     def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
         """Return a function that draws a frame that cannot be used; coarse unless `everything`."""
@@ -235,21 +234,14 @@ def wand_subject(tracker: WandTracker, settings: Configuration) -> Subject:
     )
 
 
-def picture(
-    epoch: WandEpoch, image: Image, tracker: WandTracker, points: int, counts: Counts, *, everything: bool = False
-) -> Image:
-    """Draw the overlay on an epoch's `image`, which is black except around the balls seen unless `everything`."""
-    if not everything:
-        keep = np.zeros(image.shape[:2], dtype=np.uint8)
-        for ball, pose in zip(tracker.balls, epoch.poses, strict=True):
-            if pose.seen and pose.position is not None and pose.position[2] > _AROUND * ball.radius:
-                around = sphere_outline(pose.position, _AROUND * ball.radius, tracker.camera)
-                cv2.fillPoly(keep, [np.rint(around[np.isfinite(around).all(axis=1)]).astype(np.int32)], 255)
-        image = np.asarray(cv2.copyTo(image, keep), dtype=np.uint8)
-    shown = replace(epoch, frame=replace(epoch.frame, image=image))
-    overlay = WandOverlay(tracker, points, max(1, round(1280 / tracker.camera.width)))
-    overlay.remember(shown)
-    return overlay.draw(shown, counts)
+def _around_balls(poses: tuple[WandPose, ...], tracker: WandTracker) -> Image:
+    """Return a mask, (h, w), that is 255 on the balls seen and close around them."""
+    keep = np.zeros((tracker.camera.height, tracker.camera.width), dtype=np.uint8)
+    for ball, pose in zip(tracker.balls, poses, strict=True):
+        if pose.seen and pose.position is not None and pose.position[2] > _AROUND * ball.radius:
+            around = sphere_outline(pose.position, _AROUND * ball.radius, tracker.camera)
+            cv2.fillPoly(keep, [np.rint(around[np.isfinite(around).all(axis=1)]).astype(np.int32)], 255)
+    return keep
 
 
 def _ball_status(pose: WandPose) -> BallStatus:

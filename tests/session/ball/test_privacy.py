@@ -19,8 +19,9 @@ from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
-from spheremouse.session.ball.recorded import kept, masked
+from spheremouse.session.ball.recorded import kept
 from spheremouse.session.offline import initialise, track
+from spheremouse.session.overlay.pen import masked
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.simulate.ball.scene import default_scene
 

@@ -14,7 +14,6 @@ from spheremouse.ball.state import lost
 from spheremouse.geometry.camera import InteriorOrientation, project, sphere_outline
 from spheremouse.geometry.rotation import exp, tangent_basis
 from spheremouse.session.overlay.annotations import of_balls, of_discs, of_still, of_targets, plain
-from spheremouse.session.overlay.marks import still_marks
 from spheremouse.tracker import Status
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.state import WandPose
@@ -54,7 +53,7 @@ def test_detected_and_predicted_discs_cover_those_of_the_picture():
 
 def test_the_outline_and_the_targets_are_those_of_the_device():
     tracker, _ = next(epochs(640, 480))
-    marks = of_still(still_marks(tracker))
+    marks = of_still(tracker.rig, tracker.pose)
     outline = ball_outline(tracker.rig, tracker.pose)
     assert np.abs(np.array(marks["outline"]) - outline[::2]).max() < 0.006  # px: rounded
     assert [target["code"] for target in marks["targets"]] == list(tracker.rig.targets.codes)
@@ -117,7 +116,7 @@ def test_each_ball_in_a_hand_has_an_outline_and_a_ball_that_is_not_seen_has_pred
 
 def test_annotations_are_plain_data_with_every_key():
     tracker, epoch = list(epochs(640, 480, frames=2))[-1]
-    marks = plain(3, Status.TRACKING, **of_still(still_marks(tracker)), **of_discs(epoch.state, tracker, DT))
+    marks = plain(3, Status.TRACKING, **of_still(tracker.rig, tracker.pose), **of_discs(epoch.state, tracker, DT))
     assert json.loads(json.dumps(marks, allow_nan=False)) == marks
     assert set(marks) == set(plain(None, Status.LOST))
     assert len(json.dumps(marks)) < 10_000

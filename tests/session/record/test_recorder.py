@@ -29,8 +29,10 @@ from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.write import FilmWriter
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
-from spheremouse.session.ball.recorded import ball_subject, kept, masked, picture
-from spheremouse.session.offline import track
+from spheremouse.session.ball.adapter import BallAdapter
+from spheremouse.session.ball.recorded import ball_subject, kept
+from spheremouse.session.offline import results, track
+from spheremouse.session.overlay.pen import masked
 from spheremouse.session.record import recorder as module
 from spheremouse.session.record.archive import snapshot
 from spheremouse.session.record.places import next_name, recordings_folder, tidy
@@ -526,14 +528,13 @@ def test_a_rig_file_that_was_mended_counts(tmp_path):
 @pytest.mark.parametrize("grey", [False, True], ids=["colour", "grey"])
 def test_a_snapshot_shows_what_the_tracker_sees_and_nobody_else(tmp_path, grey):
     rig, pose, frames = film()
-    tracker = build(rig, pose, Settings())
-    live = as_live(frames[:30], lambda i: not grey)
-    epoch = list(track(iter(live), tracker))[-1]
-    before = epoch.frame.image.copy()
-    path = snapshot(tmp_path / "a.png", lambda: picture(epoch, tracker, (1, 2, 3)))
+    adapter = BallAdapter(replace(rig, pose=pose), Configuration(), None, print)
+    made = list(results(as_live(frames[:30], lambda i: not grey), adapter))[-1]
+    before = made.frame.image.copy()
+    path = snapshot(tmp_path / "a.png", adapter.picture(made, (1, 2, 3), False))
     image = cv2.imread(str(path))
     assert image.shape == (960, 1280, 3)
-    assert np.array_equal(epoch.frame.image, before)
+    assert np.array_equal(made.frame.image, before)
     away = cv2.erode((kept(rig, pose, Settings()) == 0).astype(np.uint8), np.ones((41, 41), np.uint8))
     away = cv2.resize(away, (1280, 960), interpolation=cv2.INTER_NEAREST) > 0
     away[-60:] = False  # the strip with the numbers
@@ -541,7 +542,7 @@ def test_a_snapshot_shows_what_the_tracker_sees_and_nobody_else(tmp_path, grey):
     assert not image[away].any()
     drawn = np.abs(image.astype(int) - (40, 40, 255)).max(axis=2) < 60  # the map's discs
     assert np.count_nonzero(drawn) > 50
-    whole = cv2.imread(str(snapshot(tmp_path / "b.png", lambda: picture(epoch, tracker, everything=True))))
+    whole = cv2.imread(str(snapshot(tmp_path / "b.png", adapter.picture(made, (1, 2, 3), True))))
     assert np.mean(whole[away] > 0) > 0.9
     with pytest.raises(OutputError, match="there already"):
         snapshot(path, lambda: whole)
