@@ -1,11 +1,12 @@
 """Bounds of a ball's colours from one picture of the ball, and a picture of the selected pixels.
 
-The ball is a circle with all its colours and a plain body, found here or given by the user. The pixels of a colour are
-those near its hue inside the circle. The bound on saturation is half way between body and discs; light mixes before the
-camera's gamma, so the selected rims are some tenths of a pixel inside the discs. If a bound selects much beside the
-ball, it becomes as narrow as the discs allow.
+The tracker's search finds the ball, or the user gives its circle. The pixels of a colour are those near its hue inside
+the circle. The bound on saturation is half way between body and discs; light mixes before the camera's gamma, so the
+selected rims are some tenths of a pixel inside the discs. If a bound selects much beside the ball, it becomes as narrow
+as the discs allow.
 """
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -13,10 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.errors import ConfigurationError
+from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
+from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall
+from spheremouse.wand.build import build
 from spheremouse.wand.colour import DEFAULT_COLOURS, MEAN_BRIGHTNESS, colour_fields, picture_colours
-from spheremouse.wand.settings import ColourSettings
+from spheremouse.wand.settings import ColourSettings, WandSettings
+from spheremouse.wand.track import begin, step
 
 HUES = {"red": 0.0, "orange": 30.0, "yellow": 55.0, "green": 125.0, "blue": 230.0, "purple": 285.0, "pink": 330.0}
 _MAX_HUE_DISTANCE = 40.0  # deg of a print's red from red
@@ -24,13 +29,12 @@ _MIN_SATURATION = 60.0  # of 255, of a colour: less is plain
 _MIN_PIXELS = 12  # of a colour
 _HUE_MARGIN = 8.0  # deg around the measured hues: light varies more than in one picture
 _INNER_RADIUS = 0.93  # of the ball's: edge pixels mix with the background
-_RADIUS_RANGES = ((8, 20), (16, 40), (32, 80), (64, 160), (128, 320))  # px, of one search each
-_MAX_CANDIDATES = 12  # the best, fitted to the edges
-_MIN_GRADIENT = 120.0  # Sobel, 8 per level and pixel: a blurred rim of 40 levels
-_FULL_CONTRAST = 18.0  # levels of Lab across a clear edge
-_UNIT_CIRCLE = np.stack([np.cos(np.arange(48) * np.pi / 24), np.sin(np.arange(48) * np.pi / 24)])
-_MAX_SIDE = 1280  # px of the picture in which the search runs
-_MAX_EDGE_PIXELS = 16_000  # of the search, some seconds: the time grows with their square
+_MIN_RADIUS = 8.0  # px, of a ball that the search finds
+_MAX_RADIUS = 0.45  # of the picture's shorter side, the same
+_SATURATIONS = (95.0, 150.0)  # of 255, least of discs in white light, and in light that colours all of the picture
+_WIDE_HUE = 24.0  # deg around the hue of a name
+_MIN_VALUE = 15.0  # normalised brightness of a disc
+_MAX_SEARCHES = 12  # each of as many assignments of spots to discs as the tracker tries in a frame
 _DARK = 40.0  # of 255, mean brightness of a dark picture
 _MAX_FRACTION = 0.5  # of the picture: bounds that select more are useless
 _NEGLIGIBLE = 0.02  # fraction of the pixels beside the ball, or of the discs
@@ -130,130 +134,50 @@ def circle_mask(shape: tuple[int, ...], circle: Circle, scale: float) -> NDArray
 
 
 def find_ball(image: NDArray[np.uint8], ball: WandBall) -> Circle:
-    """Return the circle, px, with the colours and the body of a ball in a picture (h, w, 3) BGR.
+    """Return the outline of a ball in a picture (h, w, 3) BGR: the tracker's search, with wide bounds of its colours.
 
-    Raises ConfigurationError if there is none.
+    The lens is unknown, and its focal length does not change the outline. Raises ConfigurationError if there is no
+    ball.
     """
-    scale = min(1.0, _MAX_SIDE / max(image.shape[:2]))
-    small = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    grey = np.asarray(cv2.GaussianBlur(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), (0, 0), 1.0), dtype=np.uint8)
-    masks, body = _colour_masks(small, ball)
-    threshold = _edge_threshold(grey)
-    candidates: list[tuple[float, Circle]] = []
-    for least, most in _RADIUS_RANGES:
-        found = cv2.HoughCircles(
-            grey, cv2.HOUGH_GRADIENT, 1, max(4, least // 2), param1=threshold, param2=9, minRadius=least, maxRadius=most
-        )
-        for u, v, radius in np.zeros((0, 3)) if found is None else found.reshape(-1, 3)[:200]:
-            circle = Circle(float(u), float(v), float(radius))
-            candidates.append((_score(circle, masks, body), circle))
-    candidates.sort(key=lambda item: -item[0])
-    lab = cv2.GaussianBlur(cv2.cvtColor(small, cv2.COLOR_BGR2LAB), (0, 0), 0.7).astype(np.float32)
-    best, score = None, 0.0
-    for promise, circle in candidates[:_MAX_CANDIDATES]:
-        if promise == 0.0:
-            break
-        fitted, edge = _fit_to_edge(circle, lab)
-        mark = _score(fitted, masks, body) * edge
-        if mark > score:
-            best, score = fitted, mark
-    if best is None or score < 0.15:
-        raise ConfigurationError(
-            f"no ball with {' and '.join(ball.colours)} discs on {ball.body} is in view; "
-            f"{_advice(image, threshold)}turn two discs of each colour to the camera, "
-            "or give its place with --at U,V,RADIUS (px)"
-        )
-    return Circle((best.u + 0.5) / scale - 0.5, (best.v + 0.5) / scale - 0.5, best.radius / scale)
+    h, w = image.shape[:2]
+    focal = float(max(h, w))
+    camera = InteriorOrientation(w, h, focal, focal, 0.5 * (w - 1), 0.5 * (h - 1))
+    distances = WandSettings(
+        nearest=ball.radius * focal / (_MAX_RADIUS * min(h, w)), farthest=ball.radius * focal / _MIN_RADIUS
+    )
+    for saturation in _SATURATIONS:
+        bounds = {name: _wide_bounds(name, saturation) for name in ball.colours}
+        tracker = build(camera, (ball,), distances, bounds)
+        state = begin(tracker)
+        for k in range(_MAX_SEARCHES):
+            state = step(state, Frame(image, 0.0, k), tracker).state
+            if (found := state.poses[0].position) is not None:
+                x, y, z = found.tolist()
+                radius = focal * ball.radius / math.sqrt(z * z - ball.radius**2)
+                return Circle(camera.cx + focal * x / z, camera.cy + focal * y / z, radius)
+            if state.tracks[0].next_spot == 0:
+                break
+    raise ConfigurationError(
+        f"no ball with {' and '.join(ball.colours)} discs on {ball.body} is in view; {_advice(image)}"
+        "turn two discs of each colour to the camera, or give its place with --at U,V,RADIUS (px)"
+    )
 
 
-def _edge_threshold(grey: NDArray[np.uint8]) -> float:
-    """Return the least gradient of an edge, so large that the search is fast."""
-    threshold = _MIN_GRADIENT
-    while np.count_nonzero(cv2.Canny(grey, 0.5 * threshold, threshold)) > _MAX_EDGE_PIXELS:
-        threshold *= 1.25
-    return threshold
+def _wide_bounds(name: str, saturation: float) -> ColourSettings:
+    """Return bounds that a disc of a named colour meets in any light, if its saturation is above the given one."""
+    if name in DEFAULT_COLOURS and name not in HUES:
+        return DEFAULT_COLOURS[name]
+    _check_name(name)
+    low, high = ((HUES[name] + by) % 360.0 for by in (-_WIDE_HUE, _WIDE_HUE))
+    return ColourSettings(hue_min=low, hue_max=high, saturation_min=saturation, value_min=_MIN_VALUE)
 
 
-def _advice(image: NDArray[np.uint8], threshold: float) -> str:
-    """Return the beginning of an advice about a dark or detailed picture, or an empty string."""
+def _advice(image: NDArray[np.uint8]) -> str:
+    """Return the beginning of an advice about a dark picture, or an empty string."""
     brightness = picture_colours(image, DEFAULT_COLOURS, ("light",)).mean
     if brightness < _DARK:
         return f"the picture is dark (mean brightness {brightness:.0f} of 255): give more light or a longer exposure, "
-    if threshold > _MIN_GRADIENT:
-        return "the picture is full of fine detail: take one before a plainer background, "
     return ""
-
-
-def _colour_masks(image: NDArray[np.uint8], ball: WandBall) -> tuple[list[NDArray[np.bool_]], NDArray[np.bool_]]:
-    """Return the pixels, (h, w), that can belong to each colour, and those that can belong to the body."""
-    hue, saturation, value = hsv(image)
-    middle = float(np.median(value))
-    masks = []
-    for name in ball.colours:
-        if name in ("dark", "light"):
-            plain = saturation < 1.5 * _MIN_SATURATION
-            bright = min(1.35 * middle, 0.5 * (middle + 255.0))  # in front of a white wall nothing is a third brighter
-            masks.append(value < 0.55 * middle if name == "dark" else (value > bright) & plain)
-        else:
-            _check_name(name)
-            masks.append((saturation > 1.5 * _MIN_SATURATION) & (hue_distance(hue, name) < 0.6 * _MAX_HUE_DISTANCE))
-    if ball.body == "white":
-        return masks, (saturation < _MIN_SATURATION) & (value > 0.8 * middle)
-    return masks, value < 0.55 * middle
-
-
-def _score(circle: Circle, masks: list[NDArray[np.bool_]], body: NDArray[np.bool_]) -> float:
-    """Return the score of a circle, 0..1: 1 if it has all colours and body, and its surroundings have neither."""
-    h, w = body.shape
-    r = circle.radius
-    x0, x1 = int(max(circle.u - 1.5 * r, 0)), int(min(circle.u + 1.5 * r + 2, w))
-    y0, y1 = int(max(circle.v - 1.5 * r, 0)), int(min(circle.v + 1.5 * r + 2, h))
-    if x1 - x0 < r or y1 - y0 < r:
-        return 0.0
-    v, u = np.ogrid[y0:y1, x0:x1]
-    d2 = (u - circle.u) ** 2 + (v - circle.v) ** 2
-    inside = d2 < (_INNER_RADIUS * r) ** 2
-    n = max(int(np.count_nonzero(inside)), 1)
-    shares = [np.count_nonzero(m[y0:y1, x0:x1] & inside) / n for m in masks]
-    plain = np.count_nonzero(body[y0:y1, x0:x1] & inside) / n
-    if min(shares) < 0.02 or not 0.35 < plain < 0.97:
-        return 0.0
-    outside = (d2 > (1.15 * r) ** 2) & (d2 < (1.5 * r) ** 2)
-    beside = max(int(np.count_nonzero(outside)), 1)
-    stray = sum(np.count_nonzero(m[y0:y1, x0:x1] & outside) for m in masks) / beside
-    colourful = sum(min(s, 0.12) / 0.12 for s in shares) / len(shares)
-    return float(np.clip(sum(shares) + plain, 0.0, 1.0) ** 2 * colourful * max(0.0, 1.0 - 2.0 * stray))
-
-
-def _fit_to_edge(circle: Circle, lab: NDArray[np.float32]) -> tuple[Circle, float]:
-    """Return the nearby circle with the strongest edge, and the strength, 0 to 1 for a clear edge all around."""
-    strength = _edge_strength(circle.u, circle.v, circle.radius, lab)
-    for step in (0.30, 0.15, 0.07, 0.035):
-        for _ in range(3):
-            by = step * circle.radius
-            a, b, c = (x.ravel() for x in np.meshgrid(*(np.array([-1.0, 0.0, 1.0]),) * 3))
-            u, v, radius = circle.u + by * a, circle.v + by * b, np.maximum(circle.radius + by * c, 3.0)
-            found = np.array([_edge_strength(*each, lab) for each in zip(u, v, radius, strict=True)])
-            k = int(np.argmax(found))
-            if found[k] <= strength:
-                break
-            circle, strength = Circle(float(u[k]), float(v[k]), float(radius[k])), float(found[k])
-    return circle, strength
-
-
-def _edge_strength(u: float, v: float, radius: float, lab: NDArray[np.float32]) -> float:
-    """Return the mean change of colour across a circle; a clear edge is 1, a stronger one too."""
-    inside, outside = (
-        cv2.remap(
-            lab,
-            (u + r * _UNIT_CIRCLE[0]).astype(np.float32)[None],
-            (v + r * _UNIT_CIRCLE[1]).astype(np.float32)[None],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )[0]
-        for r in (radius - 1.2, radius + 1.2)
-    )
-    return float(np.mean(np.minimum(np.linalg.norm(inside - outside, axis=1), _FULL_CONTRAST) / _FULL_CONTRAST))
 
 
 def _check_circle(circle: Circle, image: NDArray[np.uint8]) -> Circle:
