@@ -103,7 +103,7 @@ class Daemon:
         self._reloader = ConfigReloader(
             overrides, plan, setup, self._prepare, workers=self._workers, call=call, log=self._log
         )
-        self._archive = Archive(self._workers, call, self._log)
+        self._archive = Archive(self._workers, self._log)
         self._pictures = PictureFeed(self._log)
         patience = PATIENCE if setup.replay is None else math.inf  # its user may pause it
         self._capture = Capture(camera(plan), self._ring, self._log, patience)
@@ -265,7 +265,7 @@ class Daemon:
             capture.again()
         if self._reloader.outdated:
             self._requests.run_now(PendingRequest(Request(command="reload"), quiet=True), self._reloader.reload)
-        self._archive.check_limits()
+        self._archive.give_up()
 
     # ---- beginning and end ----
 
@@ -301,7 +301,6 @@ class Daemon:
             last.callback(self._log.flush, end=True)
             last.callback(self._stack.close)
             last.callback(self.adapter.close)
-            last.callback(self._archive.discard)
             last.callback(self._workers.end, RECORDING, SNAPSHOT, MAP, OUTPUT)  # its results are not used any more
             last.callback(self._archive.close)
             last.callback(self._pictures.close)

@@ -4,7 +4,6 @@ If a client disconnects before the recording's first frame, or before the snapsh
 Later a recording continues without its client.
 """
 
-import contextlib
 import traceback
 from collections.abc import Callable
 from dataclasses import replace
@@ -33,25 +32,24 @@ _CANCELLED = ControlError("given up: the client has disconnected")
 class Archive:
     """One recording at a time, and one snapshot. Called by the worker's thread."""
 
-    def __init__(
-        self, workers: WorkerPool, call: Callable[[Callable[[], None]], None], log: Callable[[str], None]
-    ) -> None:
-        """`call` has the worker run a call; `log` takes lines for the log. Both may be called from any thread."""
-        self._workers, self._call, self._log = workers, call, log
-        self._recorder: Recorder | None = None
-        self._made: Recorder | None = None  # by the pool, and not taken over yet
+    def __init__(self, workers: WorkerPool, log: Callable[[str], None]) -> None:
+        """`log` takes lines for the log, from any thread."""
+        self._workers, self._log = workers, log
+        self._recorder: Recorder | None = None  # the present or the last one
         self._begun: tuple[PendingRequest, dict[str, Any]] | None = None  # answered at the first frame
+        self._ending: PendingRequest | None = None  # answered at the end
         self._bare = False  # the recording has no frame in colour yet
+        self._closed = False
         self._wanted: tuple[Path, PendingRequest, RecordSettings] | None = None  # the snapshot of the next frame
 
     @property
     def wants_colour(self) -> bool:
         """True if the next frame is needed in colour: for a snapshot, and for the targets in a recording."""
-        return self._bare or self._wanted is not None
+        return (self._bare and self._active is not None) or self._wanted is not None
 
     def keep(self, made: FrameResult, adapter: TrackerAdapter, counts: Callable[[], Counts]) -> None:
         """Copy the image of a tracked frame for recording and snapshot; `counts` returns the sum of the sent counts."""
-        self._give_up()
+        self.give_up()
         if self._recorder is not None and self._recorder.add(made.frame, adapter.subject):
             self._bare &= made.frame.image.ndim != 3
             self._answer_begun()
@@ -59,52 +57,45 @@ class Archive:
 
     def look(self, frame: Frame, adapter: TrackerAdapter) -> None:
         """Copy the image of a frame that was not tracked for a snapshot."""
-        self._give_up()
+        self.give_up()
         self._take_snapshot(lambda everything: adapter.sight(frame, everything))
 
     def interrupted(self, reason: str) -> None:
         """Refuse all requests that wait for a frame, since no frames come."""
-        self._give_up()
+        self.give_up()
         self._answer_begun()  # it begins when they come again
         if self._wanted is not None:
             (_, pending, _), self._wanted = self._wanted, None
             pending.answer(refused(f"there is no picture now: {reason}"))
 
-    def check_limits(self) -> None:
-        """End a recording that has reached its bounds."""
-        self._give_up()
-        if self._recorder is not None and self._recorder.status().ended is not None:
-            self._end()
-
     def close(self) -> None:
         """End the recording, if there is one."""
+        self._closed = True
         if self._recorder is not None:
-            self._end()
+            self._recorder.stop()
 
-    def discard(self) -> None:
-        """Discard a recording that was made after the last frame. Call it when the pool has ended."""
-        if self._made is not None:
-            with contextlib.suppress(SpheremouseError):
-                self._made.finish(1.0)
-
-    def _give_up(self) -> None:
+    def give_up(self) -> None:
         """Cancel requests without a client that have no frame yet."""
         if self._wanted is not None and self._wanted[1].cancelled:
             (_, pending, _), self._wanted = self._wanted, None
             pending.answer(refused(str(_CANCELLED)))
         if self._begun is not None and self._begun[0].cancelled and self._recorder is not None:
-            (pending, _), self._begun = self._begun, None
-            recorder, self._recorder, self._bare = self._recorder, None, False
-            self._drop(recorder, pending)
+            self._begun = None
+            self._recorder.stop()
 
     # ---- recordings ----
+
+    @property
+    def _active(self) -> Recorder | None:
+        """The recording that takes frames, or will."""
+        return self._recorder if self._recorder is not None and self._recorder.active else None
 
     def record(
         self, request: Record, c: Configuration, subject: Subject, described: str, pending: PendingRequest
     ) -> None:
         """Begin a recording; `described` is the camera in a line. Raise ControlError if there is one already."""
-        if self._recorder is not None:
-            raise ControlError(f"recording into {self._recorder.status().folder} already; end it with record --stop")
+        if (recorder := self._active) is not None:
+            raise ControlError(f"recording into {recorder.status().folder} already; end it with record --stop")
         if self._workers.busy(RECORDING):
             raise ControlError("the recording before this is still being written; ask again when it is done")
         settings = replace(
@@ -118,79 +109,58 @@ class Archive:
         words = f"{folder}: recording {kept}, {settings.seconds:g} s at most"
         told = {"folder": str(folder), "seconds": settings.seconds, "message": words}
 
-        def begin() -> None:
+        def write() -> dict[str, Any]:
             if pending.cancelled:
                 raise _CANCELLED
-            self._made = Recorder(folder, subject, settings, described)
-            self._call(lambda: self._has_begun(told, pending))
+            recorder = Recorder(folder, subject, settings, described)
+            self._begun, self._bare, self._ending = (pending, told), True, None
+            self._recorder = recorder  # last, since the worker looks at it
+            if self._closed:
+                recorder.stop()
+            try:
+                text = recorder.write()
+            except SpheremouseError as e:
+                if not pending.cancelled:
+                    self._log(f"record: {e}")
+                raise
+            finally:
+                self._begun = None
+            self._log(f"record: {text}")
+            return {"folder": str(folder), "frames": recorder.status().frames, "message": text}
 
-        self._workers.do(RECORDING, lambda: self._answer(pending, begin))
+        def answered(reply: dict[str, Any]) -> None:
+            pending.answer(reply)  # ignored if the first frame has answered it
+            if self._ending is not None:
+                self._ending.answer(reply)
 
-    def _has_begun(self, told: dict[str, Any], pending: PendingRequest) -> None:
-        recorder, self._made = self._made, None
-        assert recorder is not None
-        if pending.cancelled:
-            self._drop(recorder, pending)
-            return
-        self._recorder, self._bare, self._begun = recorder, True, (pending, told)
-
-    def _drop(self, recorder: Recorder, pending: PendingRequest) -> None:
-        """Remove a recording without a frame, since its client has disconnected."""
-        recorder.stop()
-
-        def finish() -> None:
-            with contextlib.suppress(SpheremouseError):  # the error is that it has no frame
-                recorder.finish()
-            raise _CANCELLED
-
-        self._workers.do(RECORDING, lambda: self._answer(pending, finish))
+        self._workers.do(RECORDING, lambda: self._tried(write, answered))
 
     def _answer_begun(self) -> None:
-        if self._begun is not None:
-            (pending, told), self._begun = self._begun, None
+        begun, self._begun = self._begun, None
+        if begun is not None:
+            pending, told = begun
             self._log(f"record: {told['message']}")
             pending.answer(told)
 
     def stop(self, pending: PendingRequest) -> None:
         """End the recording. Raise ControlError if there is none."""
-        if self._recorder is None:
+        self._ending = pending  # first, since the recording may be ending
+        if (recorder := self._active) is None:
+            self._ending = None
             raise ControlError("nothing is being recorded")
-        self._end(pending)
+        recorder.stop()
 
     def configuration_changes(self) -> bool:
         """End the recording, since it is of one configuration. Return True if there was one."""
-        if self._recorder is None:
-            return False
-        self._end()
-        return True
-
-    def _end(self, pending: PendingRequest | None = None) -> None:
-        recorder, self._recorder, self._bare = self._recorder, None, False
-        assert recorder is not None
-        self._answer_begun()
-        recorder.stop()
-
-        def finish() -> dict[str, Any]:
-            try:
-                path = recorder.finish()
-            except SpheremouseError as e:
-                self._log(f"record: {e}")
-                raise
-            status = recorder.status()
-            self._log(f"record: {status.ended}")
-            return {"folder": str(path), "frames": status.frames, "message": status.ended}
-
-        self._workers.do(RECORDING, lambda: self._answer(pending, finish))
+        recorder = self._active
+        if recorder is not None:
+            recorder.stop()
+        return recorder is not None
 
     def status(self) -> RecordingStatus | None:
         """Return the status of the recording, from any thread; None while nothing is recorded."""
-        recorder = self._recorder
-        if recorder is None:
-            return None
-        s = recorder.status()
-        return RecordingStatus(
-            folder=str(s.folder), frames=s.frames, seconds=s.seconds, bytes=s.bytes, dropped=s.dropped
-        )
+        recorder = self._active
+        return None if recorder is None else recorder.status()
 
     # ---- snapshots ----
 
@@ -216,11 +186,11 @@ class Archive:
             self._log(f"snapshot: {path}")
             return {"file": str(path)}
 
-        self._workers.do(SNAPSHOT, lambda: self._answer(pending, write))
+        self._workers.do(SNAPSHOT, lambda: self._tried(write, pending.answer))
 
-    def _answer(
-        self, pending: PendingRequest | None, work: Callable[[], dict[str, Any] | None]
-    ) -> Callable[[], None] | None:
+    def _tried(
+        self, work: Callable[[], dict[str, Any]], answer: Callable[[dict[str, Any]], None]
+    ) -> Callable[[], None]:
         """Do the work, in a thread of the pool, and return the call that answers. An error is answered too."""
         try:
             reply = work()
@@ -229,7 +199,7 @@ class Archive:
         except Exception as e:
             self._log("internal error, please report it:\n" + traceback.format_exc().rstrip())
             reply = refused(internal_error(e))
-        return None if reply is None or pending is None else partial(pending.answer, reply)
+        return partial(answer, reply)
 
 
 def snapshot(path: Path, draw: Callable[[], Image]) -> Path:

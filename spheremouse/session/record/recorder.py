@@ -1,15 +1,13 @@
 """Record tracked frames into a dataset folder. A replay of it gives the same results bit for bit (docs/recording).
 
-The worker submits each tracked frame, which costs it a copy of the kept part. A thread writes the frames. A recording
-ends at its limits, and its folder appears complete or not at all.
+The worker submits each tracked frame, which costs it a copy of the kept part. A thread of the pool writes the frames. A
+recording ends at its limits, and its folder appears complete or not at all.
 """
 
 import os
 import queue
-import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +17,8 @@ from numpy.typing import NDArray
 
 from spheremouse.errors import DatasetError, SpheremouseError
 from spheremouse.files.dataset.write import FilmWriter
+from spheremouse.session.control.status import RecordingStatus
 from spheremouse.session.overlay.pen import Image
-from spheremouse.session.process.threads import begin
 from spheremouse.session.record.places import disk_is_full, lock, made_folder, refuse_full_disk
 from spheremouse.session.settings import RecordSettings
 from spheremouse.session.tracker_adapter import Subject
@@ -32,22 +30,8 @@ _LOOK = 0.5  # s between two looks at the disk and the clock
 _FPS = 30.0  # of the video, for players only
 
 
-@dataclass(frozen=True, slots=True)
-class RecorderStatus:
-    """Progress of a recording."""
-
-    folder: Path  # its final place
-    frames: int  # written
-    seconds: float  # since it began
-    bytes: int
-    dropped: int  # frames not kept because the writer was behind, or that were none
-    waiting: int  # frames not written yet
-    ended: str | None  # result as text; None while it runs
-    failed: bool  # nothing was kept
-
-
 class Recorder:
-    """One recording. Frames that are added before `ready` are not part of it."""
+    """One recording. Frames that are added before it is `open` are not part of it."""
 
     def __init__(
         self,
@@ -58,7 +42,10 @@ class Recorder:
         *,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`folder` must not exist, or be empty. Raises DatasetError if the recording cannot begin."""
+        """`folder` must not exist, or be empty. Raises DatasetError if the recording cannot begin.
+
+        Call `write` then, in a thread of its own.
+        """
         if not settings.everything and not subject.parts:
             raise DatasetError(
                 "a recording of a hand-held ball needs whole pictures, with the person in them: with consent, give "
@@ -84,27 +71,14 @@ class Recorder:
         self._view = subject.view  # of the last frame; `_subject` is that of the first
         self._keep: Image | None = None
         self._masks = 0  # different ones so far
-        self._open = self._taken = False
+        self.active = True  # until it is stopped or has ended
+        self.open = self._taken = False
         self._dropped = self._bytes = 0
         self._begun = self._last = clock()
-        self._ended: str | None = None
-        self._failed = False
-        self._ready, self._done = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
-        try:
-            begin(self._thread)
-        except BaseException:
-            os.close(self._lock)
-            self._film.discard()
-            raise
-
-    def ready(self, timeout: float) -> bool:
-        """Wait until frames are taken, some tenths of a second after the beginning. Return False at the timeout."""
-        return self._ready.wait(timeout)
 
     def add(self, frame: Frame, subject: Subject | None = None) -> bool:
         """Copy a tracked frame and its present subject, without waiting. Return True if the frame is kept."""
-        if not self._open:
+        if not (self.open and self.active):
             return False
         if self._clock() - self._begun >= self._settings.seconds:
             self.stop()
@@ -124,34 +98,37 @@ class Recorder:
         return True
 
     def stop(self) -> None:
-        """Take no more frames, and write those taken, without waiting."""
-        self._open = False
+        """Take no more frames. `write` returns when those taken are written."""
+        self.active = False
         self._full.put(None)
 
-    def finish(self, timeout: float | None = None) -> Path:
-        """Stop, wait at most `timeout` (s; None: for ever) until all frames are written, and return the folder.
-
-        Raises DatasetError if nothing was kept, or at the timeout.
-        """
-        self.stop()
-        if not self._done.wait(timeout):
-            raise DatasetError(f"{self._folder}: still being written")
-        if self._failed:
-            raise DatasetError(self._ended or "")
-        return self._folder
-
-    def status(self) -> RecorderStatus:
+    def status(self) -> RecordingStatus:
         """Return the progress, from any thread."""
-        return RecorderStatus(
-            self._folder,
-            self._film.frames,
-            self._last - self._begun,
-            self._bytes,
-            self._dropped,
-            0 if self._done.is_set() else self._full.qsize(),
-            self._ended,
-            self._failed,
+        return RecordingStatus(
+            folder=str(self._folder),
+            frames=self._film.frames,
+            seconds=self._last - self._begun,
+            bytes=self._bytes,
+            dropped=self._dropped,
         )
+
+    def write(self) -> str:
+        """Write frames until the recording ends, and return the result as text. DatasetError: nothing was kept."""
+        try:
+            why = self._record()
+            self.open = False
+            self._bytes = self._film.size()
+            self._film.finish(self._scene(), self._subject.files())
+        except (SpheremouseError, OSError, cv2.error) as e:
+            text = " ".join(str(e).split())
+            raise DatasetError(text if str(self._folder) in text else f"{self._folder}: not recorded: {text}") from None
+        finally:
+            self.active = self.open = False
+            os.close(self._lock)
+            self._film.discard()
+        lost = f", {self._dropped} dropped" if self._dropped else ""
+        length = f"{self._film.frames} frames in {self._last - self._begun:.1f} s, {self._bytes / 1e6:.1f} MB{lost}"
+        return f"{self._folder}: {length}; {why}"
 
     def _mask(self, subject: Subject | None) -> tuple[Image | None, int]:
         """Return the part of a frame to keep, and the number of its mask.
@@ -176,28 +153,6 @@ class Recorder:
             return self._keep, self._masks
         return np.asarray(cv2.bitwise_or(keep, self._keep), dtype=np.uint8), self._masks - 1
 
-    # ---- the thread that writes ----
-
-    def _run(self) -> None:
-        try:
-            why = self._record()
-            self._open = False
-            self._bytes = self._film.size()
-            self._film.finish(self._scene(), self._subject.files())
-            lost = f", {self._dropped} dropped" if self._dropped else ""
-            length = f"{self._film.frames} frames in {self._last - self._begun:.1f} s, {self._bytes / 1e6:.1f} MB{lost}"
-            self._ended = f"{self._folder}: {length}; {why}"
-        except (SpheremouseError, OSError, cv2.error) as e:
-            text = " ".join(str(e).split())
-            self._failed = True
-            self._ended = text if str(self._folder) in text else f"{self._folder}: not recorded: {text}"
-        finally:
-            self._open = False
-            os.close(self._lock)
-            self._film.discard()
-            self._ready.set()
-            self._done.set()
-
     def _scene(self) -> dict[str, Any]:
         kept = "everything" if self._settings.everything else f"{self._subject.parts}; the rest is black"
         said = {"made_by": "spheremouse record", "camera_says": self._camera_line, "kept": kept}
@@ -209,8 +164,7 @@ class Recorder:
             self._keep = self._subject.kept()
         self._film.open(_FPS)
         self._begun = self._last = looked = self._clock()
-        self._open = True
-        self._ready.set()
+        self.open = True
         limit, seconds = 1e6 * self._settings.megabytes - _BEHIND - self._frame_bytes, self._settings.seconds
         while True:
             try:

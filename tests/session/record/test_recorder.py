@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import Future
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -73,21 +74,50 @@ def as_live(frames, colour):
     return live
 
 
+class Recording(Recorder):
+    """A recorder with a thread that writes."""
+
+    def __init__(self, folder, *given, **options):
+        super().__init__(folder, *given, **options)
+        self.folder, self.result, self._given = folder, Future(), 0
+        threading.Thread(target=self._run, daemon=True).start()
+        until(lambda: self.open or self.result.done())
+
+    def _run(self):
+        try:
+            self.result.set_result(self.write())
+        except DatasetError as e:
+            self.result.set_exception(e)
+
+    def add(self, *given):
+        taken = super().add(*given)
+        self._given += taken
+        return taken
+
+    @property
+    def waiting(self):
+        return self._given - self.status().frames
+
+    def finish(self):
+        """Stop, and return the folder and the last words. Raises the error of `write`."""
+        self.stop()
+        return self.folder, self.result.result(PATIENCE)
+
+
 def record(folder, frames, rig, pose, settings=PLENTY):
     """Track the frames while they are recorded, as the worker does; what tracking said, and the folder."""
     subject = ball_subject(rig, pose, Configuration())
-    recorder = Recorder(folder, subject, settings, "a camera")
-    assert recorder.ready(PATIENCE)
+    recorder = Recording(folder, subject, settings, "a camera")
     tracker, epochs = build(rig, pose, Settings()), []
     for epoch in track(iter(frames), tracker):
         epochs.append(epoch)
-        until(lambda: recorder.status().waiting < 3)
+        until(lambda: recorder.waiting < 3)
         image = epoch.frame.image.copy()
         seen_from = current(epoch.state, tracker).pose
         subject = subject if subject.view is seen_from else ball_subject(rig, seen_from, Configuration())
         assert recorder.add(replace(epoch.frame, image=image), subject)
         image[:] = 77  # the buffer goes back to the driver
-    return epochs, recorder.finish(PATIENCE)
+    return epochs, recorder.finish()[0]
 
 
 def small(width=64, height=48):
@@ -97,9 +127,7 @@ def small(width=64, height=48):
 
 def begin(folder, settings=EVERYTHING, device=None, **options):
     """Return a recorder that takes frames, by default small ones."""
-    recorder = Recorder(folder, ball_subject(*(device or small()), Configuration()), settings, **options)
-    assert recorder.ready(PATIENCE)
-    return recorder
+    return Recording(folder, ball_subject(*(device or small()), Configuration()), settings, **options)
 
 
 def moved_subject(rig, pose):
@@ -188,7 +216,7 @@ def test_whole_pictures_of_noise_come_back_bit_for_bit(tmp_path, size, kind):
     recorder = begin(tmp_path / "made", EVERYTHING, (rig, pose))
     for frame in live:
         assert recorder.add(frame)
-    folder = recorder.finish(PATIENCE)
+    folder, _ = recorder.finish()
     again = list(read_frames(open_dataset(folder)))
     assert [(f.stamp, f.sequence) for f in again] == [(f.stamp, f.sequence) for f in live]
     assert all(np.array_equal(a.image, b.image) for a, b in zip(again, live, strict=True))
@@ -215,7 +243,7 @@ def test_stamps_of_any_clock_come_back(tmp_path):
     assert all(recorder.add(small_frame(k, stamp)) for k, stamp in enumerate(stamps))
     assert not recorder.add(small_frame(6, float("nan")))
     assert not recorder.add(Frame(np.zeros((40, 64), np.uint8), 1.0, 7))
-    folder = recorder.finish(PATIENCE)
+    folder, _ = recorder.finish()
     assert [f.stamp for f in read_frames(open_dataset(folder))] == stamps
     assert recorder.status().dropped == 2
 
@@ -270,12 +298,12 @@ def test_a_camera_that_was_moved_leaves_nothing_of_the_view_before(tmp_path):
     recorder = begin(tmp_path / "made", PLENTY, device)
     white = np.full_like(frames[0].image, 255)
     for i in range(90):  # more than there are buffers
-        until(lambda: recorder.status().waiting < 3)
+        until(lambda: recorder.waiting < 3)
         image = white if i % 7 else white[..., 0].copy()
         assert recorder.add(Frame(image, float(i), i), before if i < 45 else moved)
     a, b = (s.kept() > 0 for s in (before, moved))
     assert np.any(a & ~b)
-    for i, frame in enumerate(read_frames(open_dataset(recorder.finish(PATIENCE)))):
+    for i, frame in enumerate(read_frames(open_dataset(recorder.finish()[0]))):
         shown = frame.image if frame.image.ndim == 2 else frame.image.min(axis=2)
         assert np.array_equal(shown > 0, a if i < 45 else a | b if i == 45 else b), i
 
@@ -287,7 +315,7 @@ def test_the_pose_is_that_of_the_first_frame(tmp_path, settings):
     moved = moved_subject(*device)
     recorder = begin(tmp_path / "made", settings, device)
     assert recorder.add(frames[0], moved)
-    recording = open_dataset(recorder.finish(PATIENCE))
+    recording = open_dataset(recorder.finish()[0])
     assert np.array_equal(recording.rig.pose.position, moved.view.position)
     keep = moved.kept() if settings is PLENTY else None
     assert np.array_equal(next(iter(read_frames(recording))).image, masked(frames[0].image, keep))
@@ -313,14 +341,14 @@ def test_the_worker_never_waits(tmp_path, monkeypatch):
     assert buffers <= len(taken) <= buffers + 1
     assert recorder.status().dropped == 300 - len(taken)
     go_on.set()
-    until(lambda: recorder.status().waiting == 0)
+    until(lambda: recorder.waiting == 0)
     assert recorder.add(Frame(frames[0].image, 10.0, 1000))
-    folder = recorder.finish(PATIENCE)
+    folder, words = recorder.finish()
     again = list(read_frames(open_dataset(folder)))
     assert [f.sequence for f in again] == [*taken, 1000]
     assert [f.stamp for f in again] == [*(0.01 * i for i in taken), 10.0]
     assert all(np.array_equal(f.image, frames[i % 60].image) for f, i in zip(again, taken, strict=False))
-    assert f"{300 - len(taken)} dropped" in recorder.status().ended
+    assert f"{300 - len(taken)} dropped" in words
 
 
 @pytest.mark.parametrize("frame", [False, True], ids=["without another frame", "at the next frame"])
@@ -340,9 +368,8 @@ def test_it_ends_after_its_time_and_before_the_disk_is_full(tmp_path, monkeypatc
     now |= change
     if frame:
         recorder.add(small_frame(1))
-    until(lambda: recorder.status().ended is not None)
-    assert words in recorder.status().ended
-    assert open_dataset(recorder.finish(PATIENCE)).frames == 1
+    assert words in recorder.result.result(PATIENCE)
+    assert open_dataset(recorder.finish()[0]).frames == 1
     if "free" in change:
         with pytest.raises(DatasetError, match="100 MB are free"):
             begin(tmp_path / "next", settings)
@@ -354,12 +381,10 @@ def test_it_ends_at_its_size(tmp_path):
     *device, frames = film()
     recorder = begin(tmp_path / "made", replace(EVERYTHING, megabytes=30.0), device)
     for i in range(60):
-        until(lambda: recorder.status().waiting < 3)
+        until(lambda: recorder.waiting < 3)
         recorder.add(frames[i])
-    until(lambda: recorder.status().ended is not None)
-    assert recorder.status().waiting == 0
-    assert "ended at 30 MB" in recorder.status().ended
-    folder = recorder.finish(PATIENCE)
+    folder, words = recorder.finish()
+    assert "ended at 30 MB" in words
     assert 20e6 < sum(p.stat().st_size for p in folder.iterdir()) < 30e6
     assert 5 < open_dataset(folder).frames < 60
 
@@ -370,8 +395,7 @@ def test_it_ends_at_its_size(tmp_path):
 def test_no_frame_is_no_recording(tmp_path):
     recorder = begin(tmp_path / "made")
     with pytest.raises(DatasetError, match="no frame"):
-        recorder.finish(PATIENCE)
-    assert recorder.status().failed
+        recorder.finish()
     assert list(tmp_path.iterdir()) == []
     assert not recorder.add(small_frame(0))
 
@@ -383,7 +407,7 @@ def test_somebody_who_comes_first_is_not_overwritten(tmp_path):
     (tmp_path / "made").mkdir()
     (tmp_path / "made" / "scene.json").write_text("{}")
     with pytest.raises(DatasetError, match="not empty"):
-        recorder.finish(PATIENCE)
+        recorder.finish()
     assert [p.name for p in tmp_path.rglob("*")] == ["made", "scene.json"]
 
 
@@ -396,9 +420,9 @@ recorder = begin(Path(sys.argv[2]), EVERYTHING, small(640, 480))
 def feed(n):
     rng = np.random.default_rng(0)
     for i in range(n):
-        until(lambda: recorder.status().waiting < 3)
+        until(lambda: recorder.waiting < 3)
         recorder.add(Frame(rng.integers(0, 256, (480, 640), dtype=np.uint8), 0.1 * i, i))
-    until(lambda: recorder.status().waiting == 0)
+    until(lambda: recorder.waiting == 0)
 """
 
 
@@ -420,7 +444,7 @@ signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, 2_000_000))
 feed(20)
 try:
-    recorder.finish(PATIENCE)
+    recorder.finish()
 except DatasetError as e:
     print(e)
 """
@@ -448,12 +472,10 @@ def test_a_kill_leaves_no_recording_and_what_it_leaves_is_removed(tmp_path):
 
 def test_tidying_leaves_alone_what_is_being_written(tmp_path):
     rig, pose, frames = film()
-    recorder = Recorder(tmp_path / "made", ball_subject(rig, pose, Configuration()), PLENTY)
-    assert tidy(tmp_path) == 0
-    assert recorder.ready(PATIENCE)
+    recorder = Recording(tmp_path / "made", ball_subject(rig, pose, Configuration()), PLENTY)
     assert recorder.add(frames[0])
     assert tidy(tmp_path) == 0
-    recorder.finish(PATIENCE)
+    recorder.finish()
     assert tidy(tmp_path) == 0
     assert open_dataset(tmp_path / "made").frames == 1
     assert not list((tmp_path / "made").glob(".*"))
