@@ -10,7 +10,7 @@ STAMP := $(VENV)/.installed
 NATIVE := build/native/.built
 
 # Tests that need kernel devices, hours or luck have targets of their own.
-SLOW_TESTS := tests/system tests/soak tests/fuzz
+SLOW_TESTS := tests/system tests/fuzz
 PYTEST = $(BIN)/python -m pytest --numprocesses $(PROCESSES) --dist worksteal --max-worker-restart 0 $(addprefix --ignore=,$(SLOW_TESTS))
 # A short form, for packages other than the locked: something of each that is used, and the whole pipeline.
 SHORT_TESTS := $(patsubst %,tests/%.py,test_imports files/test_config geometry/test_camera \
@@ -185,7 +185,6 @@ test-aarch64: $(STAMP) wheels
 	tests/system/aarch64
 
 soak: $(STAMP)
-	$(BIN)/python -m tests.soak $(SOAK_ARGS)
 	$(BIN)/python -m tests.daemon_soak $(SOAK_ARGS)
 
 fuzz: $(STAMP)

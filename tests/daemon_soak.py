@@ -1,8 +1,9 @@
 """The daemon for days, in minutes: `python -m tests.daemon_soak [--short] [--frames N] [--seed S]`.
 
 A real daemon, with its control socket, on a film that is played as fast as it takes it. Between spells of ordinary play
-comes a fault: a camera that goes, freezes, loses frames or is not waited for; damaged frames, dark ones, of another
-size, without targets, with stamps that jump; an error as if of our own; an output that fails or hangs. Meanwhile
+comes a fault: a camera that goes, freezes, loses frames or is not waited for; damaged frames, dark, white and noisy
+ones, of another size, with a hand or without targets, with stamps that jump; an error as if of our own; an output that
+fails or hangs. Meanwhile
 somebody asks it things: status, reinit, pause, reload, set, snapshots, recordings.
 
 What must hold, always: nothing is sent while the state is not tracking. Every frame was looked at or counted as
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from spheremouse.capture import fetch as capture
@@ -38,6 +40,9 @@ FAULTS = {  # frames from, to
     "damaged": (1, 30),
     "size": (1, 10),
     "dark": (1, 90),
+    "white": (1, 60),
+    "noise": (1, 60),
+    "hand": (20, 200),
     "hidden": (1, 60),
     "internal": (1, 1),
     "stamps": (1, 5),
@@ -48,6 +53,7 @@ FAULTS = {  # frames from, to
     "broken": (1, 40),
     "hanging": (1, 20),
 }
+OF_FRAMES = ("damaged", "size", "dark", "white", "noise", "hand", "hidden", "internal")
 SETTLED = 60  # frames after a fault until all is as it was: lost_after, reset_after, and the map recognised
 CLOSE, CLOSE_SHARE = 3.0, 0.01  # counts, and of the path: the estimate at either end
 GROWTH, GROWTH_SHORT = 8.0, 40.0  # MB: heaps of threads that come and go fill up within some 40,000 frames
@@ -144,8 +150,20 @@ class Cabinet(World):
             while len(self._spell_of) > 500:
                 self._spell_of.popitem(last=False)
         self._free.clear()
-        fault = self._now if self._now in ("damaged", "size", "dark", "hidden", "internal") else ""
+        fault = self._now if self._now in OF_FRAMES else ""
         return _Counted(self, self.stamp, self.sequence, self.place, fault)
+
+    def image(self, place: int, colour: bool, fault: str) -> NDArray[np.uint8]:
+        image = super().image(place, colour, fault)
+        match fault:
+            case "white":
+                return np.full_like(image, 255)
+            case "noise":
+                return np.random.default_rng([self.sequence, 3]).integers(0, 256, image.shape, dtype=np.uint8)
+            case "hand":  # it moves, and covers a third of the ball
+                image, left = image.copy(), 200 + self.sequence % 120
+                image[100:400, left : left + 130] = 120
+        return image
 
     def _begin_spell(self) -> None:
         self._now, self._spell_left = next(self._spells)
@@ -338,11 +356,9 @@ def soak(frames: int, seed: int) -> list[str]:
     print(
         "  asked: " + ", ".join(f"{n} {k} ({somebody.refused[k]} refused)" for k, n in sorted(somebody.asked.items()))
     )
-    output = daemon.status().output
-    assert output is not None
     print(
         f"  tracked {cabinet.tracked}, damaged {cabinet.damaged}, lost by the driver {cabinet.lost}, "
-        f"skipped {daemon._ring.skipped}; {cabinet.reports} reports, unsent {output.unsent}"
+        f"skipped {daemon._ring.skipped}; {cabinet.reports} reports, unsent {daemon._outputs.status()[0][1].unsent}"
     )
     print(
         f"  {cabinet.spells_judged} ordinary spells; counts wrong by {max(cabinet.worst, 0.0):.2f} at most, beyond 1 %"

@@ -1,4 +1,4 @@
-"""Measure what outputs cost, and whether a bad receiver delays another output.
+"""Measure what outputs cost.
 
 python -m tests.outputs_cost cost [OUTPUT ...] publishes 100 tracked samples a second to one output after another, each
 with its thread as in a run. Each round has a second of each output and one without, in a random order. The table has
@@ -6,11 +6,6 @@ the processor time of this process for each sample, less that without an output 
 interval of 95 %. Receivers are other processes, and not counted. `{port}` in an OUTPUT is a free port, `{folder}` a new
 folder. `watch` is a client of `ctl watch`, and `gamepad` writes its events to the null device. An OUTPUT with spaces is
 several outputs of one run, and the table has the time for each of them.
-
-python -m tests.outputs_cost receivers sends the frames of a camera of 60 Hz to a paced output without a device and to
-`udp`, `tcp` and `ws`, whose receivers misbehave. Each round has a run of each kind of receivers, in a random order,
-since other programs disturb the runs, too. The table has the 99th percentile of the interval between reports of the
-paced output, relative to the run with good receivers in the same round. Its interval of 95 % is that of the median.
 """
 
 import argparse
@@ -21,14 +16,13 @@ import sys
 import tempfile
 import time
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from evdev import _uinput
 from scipy.stats import quantile_test
 
-from spheremouse.output import Output, Report, open_output
+from spheremouse.output import Report, open_output
 from spheremouse.output.counts import OutputCounter
 from spheremouse.output.gamepad import Gamepad
 from spheremouse.output.pointer import PointerSettings
@@ -37,11 +31,10 @@ from spheremouse.output.response import COUNTS, STICK
 from spheremouse.output.sample import Sample
 from spheremouse.session.control.server import ControlServer
 from spheremouse.session.outputs import RunOutput
-from spheremouse.session.process import realtime
 from spheremouse.session.settings import ControlSettings
 from spheremouse.tracker import Status, unknown
 
-FPS, RATE = 60.0, 250.0  # frames/s, paced reports/s
+FPS = 60.0  # frames/s
 SAMPLES_PER_S = 100.0  # to measure the cost
 WARM_UP = 20  # samples of each second that are not measured
 OUTPUTS = (
@@ -65,63 +58,24 @@ GREETINGS = {  # of a receiver
     "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n",
     "watch": '{"command": "watch", "interval": 60, "samples": true}\n',
 }
-GOOD = "read"
-MODES = {
-    "control": "read all, once more",
-    "gone": "were killed after the first frames",
-    "restart": "are killed and started again every second",
-    "slow": "read a byte a second",
-}
-# Reads from a port, as the first words say, until it is killed. `os.fork` starts a receiver in a millisecond.
+# Reads from a port, as the first words say, until it is killed.
 RECEIVER = r"""
-import os, signal, socket, sys, time
-kind, place, mode, greeting = sys.argv[1:]
+import socket, sys, time
+kind, place, greeting = sys.argv[1:]
 families = {"udp": (socket.AF_INET, socket.SOCK_DGRAM), "watch": (socket.AF_UNIX, socket.SOCK_STREAM)}
 families["osc"], families["spacenav"] = families["udp"], families["watch"]
 family, type_ = families.get(kind, (socket.AF_INET, socket.SOCK_STREAM))
 address = place if family == socket.AF_UNIX else ("127.0.0.1", int(place))
-def receive():
-    s = socket.socket(family, type_)
-    if mode == "slow":
-        s.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    if type_ == socket.SOCK_DGRAM:
-        s.bind(address)
-    else:
-        while s.connect_ex(address):
-            s.close(); time.sleep(0.02); s = socket.socket(family)
-        s.sendall(greeting.encode())
-    while s.recv(1 if mode == "slow" else 65536):
-        if mode == "slow":
-            time.sleep(1.0)
-    time.sleep(1e6)
-while True:
-    child = os.fork()
-    if not child:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        receive()
-    signal.signal(signal.SIGTERM, lambda *_: (os.kill(child, signal.SIGKILL), os._exit(0)))
-    time.sleep(0.75 if mode in ("restart", "gone") else 1e6)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    os.kill(child, signal.SIGKILL)
-    os.wait()
-    time.sleep(0.25 if mode == "restart" else 1e6)
+s = socket.socket(family, type_)
+if type_ == socket.SOCK_DGRAM:
+    s.bind(address)
+else:
+    while s.connect_ex(address):
+        s.close(); time.sleep(0.02); s = socket.socket(family)
+    s.sendall(greeting.encode())
+while s.recv(65536):
+    pass
 """
-
-
-@dataclass
-class Sink(Output):
-    """A paced output that records the times of its reports."""
-
-    paced = True
-    times: list[float] = field(default_factory=list)
-
-    def open(self):
-        """Give the thread the priority that the daemon gives it."""
-        realtime.claim(0)
-        return self
-
-    def send(self, report):
-        self.times.append(time.monotonic())
 
 
 def reports(count, fps):
@@ -149,15 +103,15 @@ def free_port():
 
 
 @contextmanager
-def receiver(spec, mode=GOOD, wait=0.5):
+def receiver(spec):
     """Run the receiver of an output in another process, if it needs one."""
     kind, _, rest = spec.partition(":")
     if kind not in ("udp", "osc", "tcp", "ws", "spacenav", "watch"):
         yield
         return
-    arguments = [kind, rest.split(",")[0], mode, GREETINGS.get(kind, "")]
+    arguments = [kind, rest.split(",")[0], GREETINGS.get(kind, "")]
     with subprocess.Popen([sys.executable, "-c", RECEIVER, *arguments]) as process:
-        time.sleep(wait)
+        time.sleep(0.5)
         try:
             yield
         finally:
@@ -232,55 +186,14 @@ def cost(specs, rounds):
         print(f"| `{name}` | {np.median(each):.3f} ms | {low:.3f} to {high:.3f} ms |")
 
 
-def p99_interval(mode, seconds):
-    """Return the 99th percentile of the paced output's intervals, s, while receivers behave as a mode says."""
-    specs = [f"{kind}:{free_port()}" for kind in ("udp", "tcp", "ws")]
-    sink, settings = Sink(), PointerSettings(rate=RATE)
-    threads = [OutputThread(sink.open, settings, print)]
-    threads += [OutputThread(lambda spec=spec: open_output(spec), settings, print) for spec in specs]
-    made = reports(int(seconds * FPS), FPS)
-    with ExitStack() as stack:
-        for spec in specs:
-            stack.enter_context(receiver(spec, mode, wait=0.0))
-        time.sleep(0.5)
-        start = time.monotonic()
-        for k, report in enumerate(made):
-            stamp = start + k / FPS
-            time.sleep(max(0.0, stamp - time.monotonic()))
-            for thread in threads:
-                thread.submit(report, stamp)
-    for thread in threads:
-        thread.close()
-    return float(np.percentile(np.diff(sink.times), 99))
-
-
-def receivers(rounds):
-    """Print the intervals relative to those with good receivers."""
-    realtime.claim(0)  # as the daemon's worker has it; the threads do not inherit it
-    p99_interval(GOOD, 1.0)  # loads SciPy
-    rng, p99 = np.random.default_rng(), {mode: [] for mode in (GOOD, *MODES)}
-    for _ in range(rounds):
-        for mode in rng.permutation(list(p99)).tolist():
-            p99[mode].append(p99_interval(mode, 2.0))
-    print(f"good receivers: 99 % of the intervals within {1e3 * np.median(p99[GOOD]):.2f} ms, median of {rounds} runs")
-    print("| receivers of the others | ratio: median | 95 % interval of the median |\n| --- | --- | --- |")
-    for mode, words in MODES.items():
-        ratios = np.array(p99[mode]) / p99[GOOD]
-        low, high = quantile_test(ratios, p=0.5).confidence_interval(0.95)
-        print(f"| {words} | {np.median(ratios):.3f} | {low:.3f} to {high:.3f} |")
-
-
 def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["cost", "receivers"])
+    parser.add_argument("what", choices=["cost"])
     parser.add_argument("outputs", nargs="*", default=OUTPUTS)
     parser.add_argument("--rounds", type=int, default=25)
     given = parser.parse_args()
-    if given.what == "cost":
-        cost(given.outputs, given.rounds)
-    else:
-        receivers(given.rounds)
+    cost(given.outputs, given.rounds)
 
 
 if __name__ == "__main__":
