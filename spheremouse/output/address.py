@@ -8,6 +8,7 @@ from spheremouse.errors import OutputError
 from spheremouse.finding import Finding, ok, refused
 
 LOOPBACK = "127.0.0.1"
+_BUFFER_BYTES = 1 << 20  # unread data of a client; the system may allow less
 
 
 def parse_host(kind: str, address: str) -> tuple[str, int]:
@@ -40,7 +41,11 @@ def bind(name: str, host: str, port: int) -> socket.socket:
     """Return a socket that listens on a port. Raise OutputError if that fails; `name` begins the message."""
     family, address = resolve(name, host, port, socket.SOCK_STREAM)
     try:
-        return socket.create_server(address[:2], family=family)
+        listener = socket.create_server(address[:2], family=family)
+        # each connection inherits both
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
+        return listener
     except OSError as e:
         raise OutputError(
             f"{name}: {os.strerror(e.errno or 0)}", "stop the other program, or take another port"

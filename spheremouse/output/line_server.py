@@ -1,4 +1,4 @@
-"""A server that sends lines to any number of clients, for the outputs `tcp` and `ws`."""
+"""A server that sends data to any number of clients, for the outputs `tcp`, `ws` and `spacenav`."""
 
 import contextlib
 import selectors
@@ -6,19 +6,20 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Callable
+from typing import Generic, TypeVar
 
 from spheremouse.output import Output, Report
 from spheremouse.output.address import bind
 from spheremouse.output.lines import LineFormat
 
-_BUFFER_BYTES = 1 << 20  # unread lines of a client; the system may allow less
 _MAX_CLIENTS = 256
 
 
 class Client:
-    """The protocol of one connection: lines from the start, and no answers."""
+    """The protocol of one connection: data from the start, and no answers."""
 
-    ready = True  # it gets lines
+    ready = True  # it gets data
 
     def receive(self, data: bytes) -> tuple[bytes, bool]:
         """Take received bytes, empty at their end. Return an answer, and False if the connection is over."""
@@ -29,20 +30,21 @@ class Client:
         return b""
 
 
-class LineServer(Output):
-    """Sends lines to all clients of a port. It drops a client whose buffer is full, and never waits for one.
+ClientType = TypeVar("ClientType", bound=Client)
 
-    Its own thread accepts clients and reads from them. `send` writes.
+
+class Server(Generic[ClientType]):
+    """Sends data to all clients of a socket. It drops a client whose buffer is full, and never waits for one.
+
+    Its own thread accepts clients and reads from them. `broadcast` writes.
     """
 
-    def __init__(self, name: str, host: str, port: int, form: LineFormat) -> None:
-        """Bind the port. Raise OutputError if that fails; `name` begins the message."""
-        self._form, self.paced, self._lock = form, form.paced, threading.Lock()
-        self._clients: dict[socket.socket, Client] = {}
-        self._greeting = self.encode(form.header) if form.header else b""
-        self._listener = bind(name, host, port)
-        if not self._listener.getsockname()[0].startswith(("127.", "::1")):
-            print(f"{name}: other computers can connect, without a password or encryption", file=sys.stderr)
+    greeting = b""  # of each client
+
+    def __init__(self, name: str, listener: socket.socket, connect: Callable[[], ClientType]) -> None:
+        """Serve a listening socket; `connect` returns the protocol of a new client."""
+        self._connect, self._lock, self._listener = connect, threading.Lock(), listener
+        self._clients: dict[socket.socket, ClientType] = {}
         self._listener.setblocking(False)
         self._stopping, self._stop = socket.socketpair()
         self._selector = selectors.DefaultSelector()
@@ -51,21 +53,11 @@ class LineServer(Output):
         self._thread = threading.Thread(target=self._serve, name=name, daemon=True)
         self._thread.start()
 
-    def connect(self) -> Client:
-        """Return the protocol of a new client."""
-        return Client()
-
-    def encode(self, line: str) -> bytes:
-        """Return a line in the form in which every client gets it."""
-        return line.encode() + b"\n"
-
-    def send(self, report: Report) -> None:
-        """Send the lines of a report to every client."""
-        for line in self._form.lines(report):
-            data = self.encode(line)
-            with self._lock:
-                for connection in [connection for connection, client in self._clients.items() if client.ready]:
-                    self._write(connection, data)
+    def broadcast(self, data_of: Callable[[ClientType], bytes]) -> None:
+        """Send each client that is ready its data."""
+        with self._lock:
+            for connection, client in [pair for pair in self._clients.items() if pair[1].ready]:
+                self._write(connection, data_of(client))
 
     def close(self) -> None:
         """Close the port and all connections."""
@@ -104,12 +96,10 @@ class LineServer(Output):
         if len(self._clients) >= _MAX_CLIENTS:
             return connection.close()
         connection.setblocking(False)
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._clients[connection] = client = self.connect()
+        self._clients[connection] = client = self._connect()
         self._selector.register(connection, selectors.EVENT_READ, self._read)
         if client.ready:
-            self._write(connection, self._greeting)
+            self._write(connection, self.greeting)
 
     def _read(self, connection: socket.socket) -> None:
         client = self._clients.get(connection)
@@ -120,7 +110,7 @@ class LineServer(Output):
         except ConnectionError:
             return self._drop(connection)
         answer, goes_on = client.receive(data)
-        self._write(connection, answer if ready or not client.ready else answer + self._greeting)
+        self._write(connection, answer if ready or not client.ready else answer + self.greeting)
         if not goes_on:
             self._drop(connection)
         elif not data and connection in self._clients:
@@ -132,3 +122,28 @@ class LineServer(Output):
             self._drop(connection)
         for end in (self._listener, self._stopping, self._selector):
             end.close()
+
+
+class LineServer(Server[Client], Output):
+    """Sends the lines of reports to all clients of a port."""
+
+    def __init__(
+        self, name: str, host: str, port: int, form: LineFormat, connect: Callable[[], Client] = Client
+    ) -> None:
+        """Bind the port. Raise OutputError if that fails; `name` begins the message."""
+        self._form, self.paced = form, form.paced
+        self.greeting = self.encode(form.header) if form.header else b""
+        listener = bind(name, host, port)
+        if not listener.getsockname()[0].startswith(("127.", "::1")):
+            print(f"{name}: other computers can connect, without a password or encryption", file=sys.stderr)
+        super().__init__(name, listener, connect)
+
+    def encode(self, line: str) -> bytes:
+        """Return a line in the form in which every client gets it."""
+        return line.encode() + b"\n"
+
+    def send(self, report: Report) -> None:
+        """Send the lines of a report to every client."""
+        for line in self._form.lines(report):
+            data = self.encode(line)
+            self.broadcast(lambda _, data=data: data)

@@ -8,6 +8,7 @@ that is no browser names no origin, and may connect. A client that does not read
 
 import re
 import struct
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from spheremouse.finding import Finding
@@ -56,14 +57,11 @@ class WebSocket(LineServer):
 
     def __init__(self, name: str, host: str, port: int, form: LineFormat, origin: str) -> None:
         """`origin` is admitted besides local pages; `*` admits all."""
-        self._origins: list[Any] | None = None if origin == "*" else [None, _LOCAL_PAGE, origin or None]
-        super().__init__(name, host, port, form)
-
-    def connect(self) -> _Client:
-        """Return the protocol of a new client, which gets lines after its handshake."""
         from websockets.server import ServerProtocol
 
-        return _Client(ServerProtocol(origins=self._origins, max_size=4096))
+        origins: list[Any] | None = None if origin == "*" else [None, _LOCAL_PAGE, origin or None]
+        connect = partial(ServerProtocol, origins=origins, max_size=4096)
+        super().__init__(name, host, port, form, lambda: _Client(connect()))
 
     def encode(self, line: str) -> bytes:
         """Return the line as a text frame (RFC 6455, section 5.2); the library's takes 20 times as long."""
