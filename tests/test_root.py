@@ -19,7 +19,6 @@ import pytest
 from typer.testing import CliRunner
 
 from spheremouse.commands.service import app
-from spheremouse.commands.service import systemd as service
 from spheremouse.errors import ConfigurationError, ControlError, ServiceError, SpheremouseError
 from spheremouse.files import safe_files
 from spheremouse.files.safe_files import write_atomically
@@ -142,16 +141,6 @@ def test_the_installation_leaves_the_folders_of_the_services_user_alone(root, st
     before = {path: path.lstat() for path in state.iterdir()}
     install(root)
     assert {path: path.lstat() for path in state.iterdir()} == before
-
-
-def test_an_edited_unit_is_kept_beside_a_link_not_where_it_leads(root, secret):
-    install(root)
-    unit = service.Place(root).unit
-    unit.write_text("# mine\n")
-    unit.with_name(f"{unit.name}.bak").symlink_to(root / "not there")
-    install(root)
-    assert not (root / "not there").exists()
-    assert unit.with_name(f"{unit.name}.bak1").read_text() == "# mine\n"
 
 
 def test_purging_removes_links_and_not_what_they_lead_to(root, state, linked):

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 WARM_UP = 10  # steps that do not count: caches, allocator and processor clock settle
 _STEPS = 10_000  # a hundred of them are above the 99th percentile
 _FRAMES = 300  # of the simulated film, in which the ball is at rest at both ends
-_MEMORY_FROM = 1000  # steps, until the allocator has enough memory
 _MAX_FRAME_BYTES = 1 << 29  # of the frames that are played repeatedly
 _MIN_TRACKED = 0.95  # of the steps; with fewer the times are not those of tracking
 _BLOCK = 30  # frames that one of the compared processes before the next
@@ -80,8 +79,6 @@ class Steps:
     processor: "Array"  # (n,) s, processor time of this thread, without that of other programs
     tracked: int  # of the n steps
     lost: int  # how often the ball was lost
-    slowest: str  # events of the slowest step
-    grown_mb: float | None = None  # of the resident memory since _MEMORY_FROM steps
     compared: tuple[float, ...] = ()  # s, medians on the same frames in turn: a step, and each of _DETECTORS
 
 
@@ -124,18 +121,14 @@ def measure(film: Film, steps: int, progress: Callable[[int], object] = lambda _
     from spheremouse.ball.build import begin, build
     from spheremouse.ball.settings import Settings
     from spheremouse.ball.track import step
-    from spheremouse.session import messages
     from spheremouse.session.offline import initialise
-    from spheremouse.session.timing import memory_mb
     from spheremouse.tracker import Frame, Status
 
     settings = Settings()
     start = initialise(film.frames(), film.rig, settings)
     tracker, frames = build(film.rig, start.pose, settings), _fitting(film, start.frames)
     state, first = begin(tracker, frames[0].stamp), frames[0].stamp
-    # filled now, since memory that is first used later would look like a leak
     times, status = np.full((2, steps), np.nan), np.full(steps, Status.TRACKING, dtype=object)
-    slowest, early_mb = (0.0, ""), None
     gc.collect()
     gc.freeze()
     try:
@@ -145,19 +138,14 @@ def measure(film: Film, steps: int, progress: Callable[[int], object] = lambda _
             made = step(state, frame, tracker)
             took, used = time.perf_counter() - began, time.thread_time() - used
             state, status[k], times[:, k] = made.state, made.state.status, (took, used)
-            if k >= WARM_UP and took > slowest[0]:
-                slowest = took, messages.line(made.events)
-            early_mb = memory_mb() if k + 1 == _MEMORY_FROM else early_mb
             progress(k + 1)
     finally:
         gc.unfreeze()
     lost = status[WARM_UP:] == Status.LOST
     lost[1:] &= status[WARM_UP:-1] != Status.LOST
     tracked = int(np.count_nonzero(status[WARM_UP:] == Status.TRACKING))
-    grown = None if early_mb is None else memory_mb() - early_mb
     lost_times = int(np.count_nonzero(lost))
-    compared = compare(tracker, frames)
-    return Steps(times[0, WARM_UP:], times[1, WARM_UP:], tracked, lost_times, slowest[1], grown, compared)
+    return Steps(times[0, WARM_UP:], times[1, WARM_UP:], tracked, lost_times, compare(tracker, frames))
 
 
 def compare(tracker: "Tracker", frames: "list[Frame]") -> tuple[float, ...]:
@@ -210,7 +198,7 @@ def back_and_forth(k: int, n: int) -> int:
 
 
 def report(film: Film, steps: Steps) -> dict[str, Any]:
-    """Return the figures that --json writes: µs, MB, and the 99th percentile and the slowest over the median."""
+    """Return the figures that --json writes: µs, and the 99th percentile and the slowest over the median."""
     import numpy as np
 
     us, processor = (
@@ -227,8 +215,6 @@ def report(film: Film, steps: Steps) -> dict[str, Any]:
         "us": us,
         "processor_us": processor,
         "ratios": {name: us[name] / us["median"] for name in ("p99", "max")},
-        "slowest_event": steps.slowest,
-        "memory_grown_mb": steps.grown_mb,
         "compared_us": dict(zip(("step", *_DETECTORS), (1e6 * t for t in steps.compared), strict=False)),
     }
 
@@ -245,10 +231,6 @@ def lines(figures: dict[str, Any]) -> Iterator[str]:
     for name in _DETECTORS if own else ():
         yield f"{name}: {figures['compared_us'][name] / 1e3:.2f}, {figures['compared_us'][name] / own:.1f}× a step"
     yield f"tracked: {tracked:,} of {n:,}; {f'lost {lost} times' if lost else 'never lost'}"
-    if figures["slowest_event"]:
-        yield f"the slowest step: {figures['slowest_event']}"
-    if figures["memory_grown_mb"] is not None:
-        yield f"memory after {_MEMORY_FROM:,} steps: {figures['memory_grown_mb']:+.1f} MB"
     faster = (figures["interval_us"] / us for us in figures["us"].values())
     yield "faster than real time: {:.1f} times by the median, {:.1f} by the p99, {:.1f} by the slowest".format(*faster)
     if tracked < _MIN_TRACKED * n:

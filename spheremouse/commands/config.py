@@ -34,8 +34,8 @@ def show(file: ConfigFile = None, assignments: Assignments = None) -> None:
 def check(file: Annotated[Path, typer.Argument(metavar="FILE", show_default=False)]) -> None:
     """Check a configuration file and the files it names: 'FILE: ok', or every problem with its line and exit code 2.
 
-    The command reads files, finds plug-ins, checks sources and outputs, and reads the camera's sizes. It disturbs no
-    run. A device that is not plugged in is a warning.
+    The command reads files, finds plug-ins, and checks sources and outputs. It opens no device. A device that is not
+    plugged in is a warning.
     """
     from spheremouse.files import config
     from spheremouse.files.yaml import Problem, read_document

@@ -1,20 +1,18 @@
 """Check the files, devices and sizes that a configuration names, without disturbing a run.
 
-Only files and the camera's node are opened, and nothing is changed.
+Only files are opened, and nothing is changed.
 """
 
-import os
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
 from spheremouse import capture, output
-from spheremouse.errors import ConfigurationError, SourceError, SpheremouseError
+from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.files.access import STATE_FOLDER
 from spheremouse.files.config import key_of
 from spheremouse.files.disc_map import check_fits, load_map
-from spheremouse.files.registry import check
 from spheremouse.files.rig import load_camera, load_rig
 from spheremouse.files.wand import load_wand
 from spheremouse.files.yaml import Key, Problem
@@ -26,8 +24,6 @@ from spheremouse.session.settings import Configuration
 
 T = TypeVar("T")
 Size = tuple[int, int]  # width and height, px
-
-_NODES = Path("/sys/class/video4linux")
 
 
 @dataclass(slots=True)
@@ -51,9 +47,9 @@ def validate(file: Path, c: Configuration) -> Found:
     """Check all files and devices that the configuration `c` of a file names."""
     found = Found()
     calibrated = _files(file, c, found)
-    if c.source is not None and _probe(("source",), _probe_source, c.source, found):
+    if c.source is not None and _probe(("source",), capture.probe, c.source, found):
         kind, _, argument = c.source.partition(":")  # of other sources, no size is known before there is a picture
-        size, key = _camera_size(argument, c, found) if kind == "v4l2" else (None, ("source",))
+        size, key = _camera_size(argument, c) if kind == "v4l2" else (None, ("source",))
         where = "rig" if c.camera_file is None else "camera_file"
         if size is not None and calibrated is not None:
             problem = size_problem(size, (calibrated.width, calibrated.height), where)
@@ -107,14 +103,6 @@ def _folder_there(key: Key, path: Path, found: Found) -> bool:
 # ---- source and output ----
 
 
-def _probe_source(spec: str) -> list[Finding]:
-    """Probe a source; for a V4L2 camera, read its sizes instead."""
-    if spec.partition(":")[0] == "v4l2":
-        check(capture, "source", spec, SourceError)
-        return []
-    return capture.probe(spec)
-
-
 def _probe(key: Key, probe: Callable[[str], list[Finding]], spec: str, found: Found) -> bool:
     """Report the findings about a source or an output. Return False if its text is invalid."""
     try:
@@ -128,29 +116,12 @@ def _probe(key: Key, probe: Callable[[str], list[Finding]], spec: str, found: Fo
     return True
 
 
-def _camera_size(argument: str, c: Configuration, found: Found) -> tuple[Size | None, Key]:
-    from spheremouse.capture import v4l2
+def _camera_size(argument: str, c: Configuration) -> tuple[Size | None, Key]:
+    """Return the size that is requested of a V4L2 camera, None for its largest one, and the key that names it."""
+    from spheremouse.capture.v4l2 import parse
 
-    _, asked = v4l2.parse(argument, c.camera)
-    key: Key = ("camera", "size") if c.camera.size is not None and asked.size == c.camera.size else ("source",)
-    if _is_software(argument.partition(",")[0]):
-        return asked.size, key
-    try:
-        return v4l2.planned_size(argument, c.camera), key
-    except SourceError as e:
-        try:  # the camera is there, if it can be opened with other settings
-            v4l2.planned_size(argument.partition(",")[0], replace(c.camera, size=None, format="auto"))
-            found.wrong.append(Problem(key, str(e)))
-        except SourceError:
-            found.now.append(Problem(("source",), f"does not exist now, or cannot be opened: {e}"))
-    return asked.size, key
-
-
-def _is_software(name: str) -> bool:
-    """Recognise a camera without hardware. If it is opened and closed, v4l2loopback ends the stream of its writer."""
-    from spheremouse.capture.v4l2.device import find
-
-    return "/devices/virtual/" in os.path.realpath(_NODES / find(name).resolve().name)
+    size = parse(argument, c.camera)[1].size
+    return size, ("camera", "size") if size is not None and size == c.camera.size else ("source",)
 
 
 def size_problem(size: Size, calibrated: Size, where: str) -> tuple[str, str] | None:

@@ -1,7 +1,4 @@
-"""Measurements of a run: times per frame, rate of the frames that arrive, memory and processor use.
-
-Memory does not grow with the run: the times of all frames are a histogram of logarithmic classes, 2 % wide.
-"""
+"""Measurements of a run: times per frame, rate of the frames that arrive, memory and processor use."""
 
 import math
 import resource
@@ -15,50 +12,45 @@ import numpy as np
 from spheremouse.capture.fetch import PATIENCE
 
 NEXT_FRAME = 0.05  # s from one frame to the next, at 20 frames/s
-_SHORTEST, _LONGEST = 1e-6, 100.0  # s
-_CLASSES_PER_E = 50  # classes are exp(1/50) = 2 % wide
-_CLASSES = math.ceil(math.log(_LONGEST / _SHORTEST) * _CLASSES_PER_E) + 1
+_MAX_FRAMES = 10_000  # that are kept: some minutes
 
 
 class FrameTimes:
-    """Times per frame, s."""
+    """Times of the last frames, s."""
 
     def __init__(self, window: float = 1.0) -> None:
         """`window`, s, is the period of `recent_quantile` and `rate`."""
         self._window = window
-        self._recent: deque[tuple[float, float]] = deque(maxlen=2000)  # clock, seconds
-        self._histogram = np.zeros(_CLASSES, dtype=np.int64)
+        self._clocks: deque[float] = deque(maxlen=_MAX_FRAMES)
+        self._seconds: deque[float] = deque(maxlen=_MAX_FRAMES)
+        self._recent = 0  # frames in the window
 
     def add(self, seconds: float, clock: float) -> None:
         """Add the time of a frame that was done at `clock` (s, any clock that does not jump)."""
-        self._recent.append((clock, seconds))
-        while self._recent[0][0] < clock - self._window:
-            self._recent.popleft()
-        place = math.log(min(max(seconds, _SHORTEST), _LONGEST) / _SHORTEST) * _CLASSES_PER_E
-        self._histogram[int(place)] += 1
-
-    @property
-    def count(self) -> int:
-        """Frames so far."""
-        return int(self._histogram.sum())
+        self._clocks.append(clock)
+        self._seconds.append(seconds)
+        self._recent = min(self._recent + 1, _MAX_FRAMES)
+        while self._clocks[-self._recent] < clock - self._window:
+            self._recent -= 1
 
     def quantile(self, share: float) -> float:
-        """Return the quantile `share` (0..1) of all frames, s, to 1 %; nan without a frame."""
-        if self.count == 0:
-            return math.nan
-        place = int(np.searchsorted(np.cumsum(self._histogram), share * self.count))
-        return _SHORTEST * math.exp((place + 0.5) / _CLASSES_PER_E)
+        """Return the quantile `share` (0..1) of the last 10,000 frames, s; nan without a frame."""
+        return _quantile(list(self._seconds), share)
 
     def recent_quantile(self, share: float) -> float:
-        """Return the exact quantile of the frames in the window, s; nan without a frame."""
-        return float(np.quantile([s for _, s in list(self._recent)], share)) if self._recent else math.nan
+        """Return the quantile of the frames in the window, s; nan without a frame."""
+        return _quantile(list(self._seconds)[-self._recent :], share)
 
     @property
     def rate(self) -> float:
         """Frames per second in the window; nan before the second frame."""
-        if len(self._recent) < 2:
+        if self._recent < 2:
             return math.nan
-        return (len(self._recent) - 1) / max(self._recent[-1][0] - self._recent[0][0], 1e-9)
+        return (self._recent - 1) / max(self._clocks[-1] - self._clocks[-self._recent], 1e-9)
+
+
+def _quantile(seconds: list[float], share: float) -> float:
+    return float(np.quantile(seconds, share)) if seconds else math.nan
 
 
 class Arrivals:

@@ -73,16 +73,15 @@ def camera_scene(camera: InteriorOrientation, pose: Pose | None) -> dict[str, An
 
 
 class TrackerAdapter(Protocol):
-    """One tracker on one stream of frames, called by one thread. Other threads may read the attributes."""
+    """One tracker on one stream of frames, called by one thread. Other threads may read the attributes.
+
+    Derive an adapter from it.
+    """
 
     waiting: str  # reason why nothing can be tracked yet; empty if it can
     status: Status  # of the ball that moves the pointer
     untracked: int  # frames that came before anything could be tracked
-
-    @property
-    def mapping(self) -> Mapping:
-        """Conversion of the pointing ball's motion to counts."""
-        ...
+    mapping: Mapping  # conversion of the pointing ball's motion to counts
 
     @property
     def reason(self) -> str:
@@ -105,7 +104,7 @@ class TrackerAdapter(Protocol):
 
     def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
         """Return the frames of a recording from the first that can be tracked, with the pose before it."""
-        ...
+        return frames
 
     def follow(self, frame: Frame) -> FrameResult | None:
         """Track a frame. Return None if it was not tracked. Raise SourceError if it cannot be used."""
@@ -113,7 +112,7 @@ class TrackerAdapter(Protocol):
 
     def observation(self, tracked: FrameResult) -> Observation | None:
         """Return the information of the last frame for the smoother; None if there is no smoother for this tracker."""
-        ...
+        return None
 
     def take_messages(self) -> LogMessages:
         """Return the log lines since the previous call, and clear them. Of several changes it keeps the last."""
@@ -176,8 +175,7 @@ class TrackerAdapter(Protocol):
 
     def final_messages(self, failed: bool) -> tuple[str, ...]:
         """Return further log lines for the end of a run. If it `failed`, the failure is reported already."""
-        ...
+        return ()
 
     def close(self) -> None:
         """Save the map of the discs, if there is one."""
-        ...

@@ -73,9 +73,7 @@ class Worker:
     def look(self) -> None:
         """Update the times of the stages."""
         self.stages = {
-            name: (times.recent_quantile(0.5), times.recent_quantile(0.99))
-            for name, times in self.times.items()
-            if times.count
+            name: (times.recent_quantile(0.5), times.recent_quantile(0.99)) for name, times in self.times.items()
         }
 
     def _count(self, made: FrameResult, before: Status, waited: dict[str, float]) -> None:

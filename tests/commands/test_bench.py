@@ -39,7 +39,6 @@ def test_steps_go_on_beyond_the_film_and_keep_the_ball():
     assert done == list(range(1, 61))
     assert len(steps.seconds) == len(steps.processor) == steps.tracked == 60 - WARM_UP
     assert steps.lost == 0
-    assert steps.grown_mb is None  # too early to say
     assert len(steps.compared) == 3
     assert min(steps.compared) > 0.0
     assert np.all(steps.seconds > 0.0)
@@ -62,7 +61,7 @@ def test_a_ball_that_is_lost_is_counted():
 def figures_of(tracked):
     seconds = np.full(10_000, 1e-3)
     seconds[:200], seconds[0] = 2.4e-3, 7.9e-3
-    return report(clip(0), Steps(seconds, 0.5 * seconds, tracked, 0, ""))
+    return report(clip(0), Steps(seconds, 0.5 * seconds, tracked, 0))
 
 
 def test_ratios_are_over_the_median():

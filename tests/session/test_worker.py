@@ -78,9 +78,7 @@ def test_targets_first_in_colour_then_the_ball_in_grey(film):
     assert made[-1].samples[0].estimate.confirmed
     assert made[-1].epoch.state.status is Status.TRACKING
     assert (play.worker.frames, play.worker.seen) == (24, 26)
-    assert {k: t.count for k, t in play.worker.times.items()} == dict.fromkeys(
-        ("wait", "decode", "detect", "filter"), 24
-    )
+    assert set(play.worker.times) == {"wait", "decode", "detect", "filter"}
     rates = np.array([m.samples[0].rate for m in made])
     assert np.abs(rates[:2]).max() < np.abs(rates[8:16]).max()
 

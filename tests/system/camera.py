@@ -9,7 +9,6 @@ import subprocess
 import threading
 import time
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -399,47 +398,3 @@ def test_opening_and_closing_leaks_nothing(vivid):
         once()
     gc.collect()
     assert all(after <= kept for after, kept in zip(open_files(), before, strict=True))
-
-
-# ---- what a configuration names ----
-
-
-def named(folder, source, size, asked=None):
-    """Keys of what `config check` finds wrong where the rig was calibrated at `size` and `asked` is configured."""
-    from spheremouse.files.rig import save_rig  # here, since the guest takes 20 s for these imports
-    from spheremouse.files.yaml import dotted
-    from spheremouse.session.config_check import validate
-    from spheremouse.session.settings import Configuration
-    from spheremouse.simulate.ball.scene import default_scene
-
-    rig = default_scene().rig()
-    camera = replace(rig.camera, width=size[0], height=size[1], cx=size[0] / 2, cy=size[1] / 2)
-    save_rig(folder / "rig.yaml", replace(rig, camera=camera))
-    configuration = Configuration(source=f"v4l2:{source}", rig="rig.yaml", camera=CameraSettings(size=asked))
-    found = validate(folder / "config.yaml", configuration)
-    assert (found.now, found.elsewhere) == ([], [])
-    print([problem.text for problem in found.wrong])
-    return [dotted(problem.key) for problem in found.wrong]
-
-
-@pytest.mark.slow
-def test_config_check_compares_the_rig_with_the_camera_and_who_films_goes_on_filming(vivid, tmp_path):
-    with open_camera(vivid(), CameraSettings()) as filming:
-        first = filming.next(WAIT)
-        here = (filming.layout.width, filming.layout.height)
-        first.release()
-        assert named(tmp_path, vivid(), here) == []
-        assert named(tmp_path, vivid(), (here[0] + 160, here[1])) == ["source"]
-        assert named(tmp_path, vivid(), (1000, 700), asked=(1000, 700)) == ["camera.size"]  # which it has not
-        after = filming.next(WAIT)
-        assert after.sequence > first.sequence
-        after.release()
-
-
-@pytest.mark.slow
-def test_config_check_leaves_a_loopback_alone_whose_stream_it_would_end(loopback, tmp_path):
-    with writing("YUYV"), open_camera(loopback, CameraSettings()) as filming:
-        filming.next(WAIT).release()
-        assert named(tmp_path, loopback, (640, 480)) == []  # nobody has asked it
-        assert named(tmp_path, loopback, (640, 480), asked=(W, H)) == ["camera.size"]
-        filming.next(WAIT).release()

@@ -235,18 +235,6 @@ def check(argument: str) -> None:
     parse(argument, CameraSettings())
 
 
-def planned_size(argument: str, settings: CameraSettings) -> tuple[int, int]:
-    """Return the width and height (px) that `open_camera` would request, without changing the camera.
-
-    Raises SourceError if the camera does not exist or does not have the size.
-    """
-    from spheremouse.capture.v4l2.device import Device, find
-
-    name, settings = parse(argument, settings)
-    with closing(Device(find(name))) as device:
-        return device.planned_size(settings)
-
-
 def parse(argument: str, settings: CameraSettings) -> tuple[str, CameraSettings]:
     """Return DEVICE, and the settings with the other parts of the argument. Raises SourceError if one is invalid."""
     name, _, rest = argument.partition(",")

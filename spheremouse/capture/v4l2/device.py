@@ -159,13 +159,6 @@ class Device:
             raise self.failure(e) from None
         return max(found, key=lambda s: s[0] * s[1], default=None)
 
-    def planned_size(self, settings: CameraSettings) -> tuple[int, int]:
-        """Return the width and height (px) that `negotiate` would request, without changing the device."""
-        try:
-            return self._choose_mode(settings)[2]
-        except OSError as e:
-            raise self.failure(e) from None
-
     def modes(self) -> str:
         """Return the supported formats and sizes of the device in words."""
         formats = self._formats()

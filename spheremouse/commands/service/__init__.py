@@ -44,7 +44,7 @@ def install(
 ) -> None:
     """Place the unit, its user, udev rules and a first configuration; safe to repeat.
 
-    If a file differs, the command keeps it as FILE.bak. It never changes an existing configuration.
+    If a file differs, the command replaces it. It never changes an existing configuration.
     """
     place = _place(root, user)
     if user and allow:
@@ -79,7 +79,7 @@ def uninstall(
     dry_run: _DryRun = False,
     root: _Root = _ROOT,
     purge: Annotated[
-        bool, typer.Option("--purge", help="Remove configuration, calibration, map, recordings and backups, too.")
+        bool, typer.Option("--purge", help="Remove configuration, calibration, map and recordings, too.")
     ] = False,
 ) -> None:
     """Stop the service and remove its files. Configuration, calibration and recordings stay, unless --purge."""

@@ -1,6 +1,6 @@
 """Plan and carry out the changes of files that make spheremouse a service of systemd.
 
-A file that differs is kept as a copy before it is replaced. All changes are planned as actions first.
+All changes are planned as actions first.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ from pathlib import Path
 
 from spheremouse.errors import ConfigurationError, ServiceError, printable
 from spheremouse.files.access import service_files
-from spheremouse.files.safe_files import open_to_read, others_may_change, replace
+from spheremouse.files.safe_files import others_may_change, replace
 
 UNIT = "spheremouse.service"
 VIEW_UNIT = "spheremouse-view.service"  # the live page
@@ -217,8 +217,6 @@ def install(place: Place, program: str, allow: Sequence[str] = ()) -> Iterator[F
     for path, text in texts.items():
         there = os.path.lexists(path)
         if not there or differs(path, text):
-            if there:
-                yield _backup(path)
             yield FileAction("update" if there else "write", path, partial(_write, path, text))
     for unit in fresh:  # a disabled service stays disabled
         if not place.link_of(unit).is_symlink():
@@ -235,8 +233,6 @@ def uninstall(place: Place, purge: bool) -> Iterator[FileAction]:
     for path in (*(path for _, path in place.files()), place.network):
         if os.path.lexists(path):
             yield FileAction("remove", path, path.unlink)
-        for backup in sorted(path.parent.glob(f"{path.name}.bak*")) if purge else ():
-            yield FileAction("remove", backup, backup.unlink)
     config = place.configuration / "config.yaml"
     if not purge and config.exists() and config.read_text(encoding="utf-8") == configuration(place):
         yield FileAction("remove", config, config.unlink, "as it was placed")
@@ -248,8 +244,7 @@ def uninstall(place: Place, purge: bool) -> Iterator[FileAction]:
 def left(place: Place) -> list[Path]:
     """Return the paths that an uninstallation without `purge` leaves."""
     folders = dict.fromkeys((place.configuration, place.state, place.view_state, place.changes))
-    found = [p for folder in folders for p in _below(folder)]
-    return sorted([*found, *(p for _, path in place.files() for p in path.parent.glob(f"{path.name}.bak*"))])
+    return sorted(p for folder in folders for p in _below(folder))
 
 
 def tidy(place: Place) -> None:
@@ -357,20 +352,6 @@ def _link(place: Place, unit: Path) -> None:
     link = place.link_of(unit)
     link.parent.mkdir(parents=True, exist_ok=True)
     link.symlink_to(place.inside(unit))
-
-
-def _backup(path: Path) -> FileAction:
-    names = (path.with_name(f"{path.name}.bak{n or ''}") for n in range(1000))
-    free = next(p for p in names if not os.path.lexists(p))
-    return FileAction("keep", free, partial(_copy, path, free), f"{path.name} as it was")
-
-
-def _copy(path: Path, free: Path) -> None:
-    if path.is_symlink():  # a masked unit is a link to /dev/null
-        free.symlink_to(os.readlink(path))
-        return
-    with open_to_read(path) as file:
-        replace(free, file.read(), os.fstat(file.fileno()).st_mode & 0o777)
 
 
 def _remove(path: Path) -> None:

@@ -62,7 +62,7 @@ class _Reinitialisation(NamedTuple):
     wanted: Callable[[], bool]
 
 
-class BallAdapter:
+class BallAdapter(TrackerAdapter):
     """Tracker adapter of the ball in its frame, for one device and its settings."""
 
     def __init__(
@@ -92,7 +92,7 @@ class BallAdapter:
         self.untracked = 0  # frames before the first pose
         self._tracker: Tracker | None = None
         self._subject: Subject | None = None
-        self.mapping = Counter(settings.motion.matrix(rig.radius_m))
+        self.mapping = self._counter = Counter(settings.motion.matrix(rig.radius_m))
         self._estimate: Estimate | None = None  # of the last frame
         self._interval = 0.0  # s, between the last two frames
         self._still: tuple[Pose, dict[str, Any]] | None = None  # annotations that hold for this pose
@@ -230,7 +230,7 @@ class BallAdapter:
             if settings.tracker != self.settings.tracker:
                 self._messages.restart("another filter begins")
             self.settings = settings
-            self.mapping.matrix = settings.motion.matrix(self.rig.radius_m)
+            self._counter.matrix = settings.motion.matrix(self.rig.radius_m)
             if tuned:
                 self._forget_views()
             return self
@@ -320,10 +320,6 @@ class BallAdapter:
         """
         why = self.waiting if self.untracked else unused or "the source gave no frame"
         return PoseError(why) if self.waiting else None
-
-    def final_messages(self, failed: bool) -> tuple[str, ...]:
-        """Return no closing lines: the map's own line comes when it is saved."""
-        return ()
 
     def close(self) -> None:
         """Save the map, if one is kept, and wait for it."""

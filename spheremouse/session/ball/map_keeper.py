@@ -91,7 +91,7 @@ class MapKeeper:
         every: float = EVERY,
         elsewhere: Callable[[Callable[[], None]], None] = lambda work: work(),
     ) -> None:
-        """Load the map in `path`, if the file exists. `log` prints a line, always in the caller's thread.
+        """Load the map in `path`, if the file exists. `log` prints a line, from any thread.
 
         `every` is the time between two checks for changes, s. `elsewhere` has another thread save; by default the
         caller waits. Raises ConfigurationError if the folder does not exist, or if the map is unreadable or of another
@@ -113,8 +113,7 @@ class MapKeeper:
         self._elsewhere = elsewhere
         self._saving = threading.Lock()
         self._under_way = self._over = False
-        self._heard: list[str] = []  # from the thread, to be logged
-        self._said = ""  # the last of them
+        self._said = ""  # the last line about saving
         if loaded is not None:
             log(f"map: {path}: {len(loaded.map)} discs, saved {age(loaded)}")
         if not self._writable:
@@ -128,13 +127,11 @@ class MapKeeper:
             with self._saving:  # not before the pending save
                 self._save(*now, last=True)
         elif self._state is not None and self._saved is None and self._writable:
-            self._heard.append(f"map: {self.path}: nothing saved: too few discs are known for good")
-        self._tell()
+            self._log(f"map: {self.path}: nothing saved: too few discs are known for good")
 
     def keep(self, state: TrackState) -> None:
         """Take the newest state, and save its map if `every` seconds have passed and the map has changed."""
         self._state = state
-        self._tell()
         clock = time.monotonic()
         if clock < self._due or self._under_way:
             return
@@ -172,7 +169,7 @@ class MapKeeper:
             text = f"not saved: {e}"
         text = text or (self._in_words() if last else "")
         if text and text != self._said:
-            self._heard.append(f"map: {self.path}: {text}")
+            self._log(f"map: {self.path}: {text}")
             self._said = text
 
     def _replace(self, next_: Succession) -> str:
@@ -201,7 +198,3 @@ class MapKeeper:
             replace(old, file.read())
         self._aside = True
         return old
-
-    def _tell(self) -> None:
-        while self._heard:
-            self._log(self._heard.pop(0))

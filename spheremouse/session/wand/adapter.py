@@ -1,7 +1,7 @@
 """The tracker of hand-held balls, of which one moves the pointer."""
 
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -37,7 +37,7 @@ Make = Callable[[RunConfig], WandTracker]
 _AROUND = 1.25  # radii of the ball that a snapshot shows: as far as a pose may be off
 
 
-class WandAdapter:
+class WandAdapter(TrackerAdapter):
     """Frames in, motion out, for balls and their settings."""
 
     def __init__(self, make: Make, plan: RunConfig, log: Callable[[str], None]) -> None:
@@ -57,7 +57,12 @@ class WandAdapter:
     def _set_tracker(self, plan: RunConfig, tracker: WandTracker) -> None:
         self.points = plan.configuration.wand.points - 1  # index of the ball that moves the pointer
         self._plan, self.tracker = plan, replace(tracker, points=self.points)
-        self.subject = wand_subject(self.tracker, plan.configuration)
+        self._subject = wand_subject(self.tracker, plan.configuration)
+
+    @property
+    def subject(self) -> Subject:
+        """The balls in whole pictures."""
+        return self._subject
 
     @property
     def camera(self) -> InteriorOrientation:
@@ -77,10 +82,6 @@ class WandAdapter:
     def wants_colour(self, stamp: float) -> bool:
         """Return True: the balls are searched by their colours."""
         return True
-
-    def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
-        """Return all frames of a recording."""
-        return frames
 
     def follow(self, frame: Frame) -> FrameResult:
         """Track the balls. Raise SourceError if the frame has another size than the camera's, or no colour."""
@@ -107,9 +108,6 @@ class WandAdapter:
             Sample(estimate, k + 1, name, "cam", tuple(of))
             for k, (estimate, name, of) in enumerate(zip(estimates, names, named, strict=True))
         )
-
-    def observation(self, tracked: FrameResult) -> None:
-        """Return None: a hand-held ball has no smoother."""
 
     def take_messages(self) -> LogMessages:
         """Return the log lines since the previous call, and clear them. Of several changes it keeps the last."""
@@ -206,9 +204,6 @@ class WandAdapter:
     def final_messages(self, failed: bool) -> tuple[str, ...]:
         """Return a log line for each ball never seen; after a failure without the pointing one, which it names."""
         return self._messages.never_found(but=self.points if failed else None)
-
-    def close(self) -> None:
-        """Close nothing: there is no map of the discs."""
 
 
 def wand_subject(tracker: WandTracker, settings: Configuration) -> Subject:

@@ -136,32 +136,6 @@ def test_configuration_calibration_and_map_stay_unless_purged(root, purge):
     assert all(str(root / name) in said for name in kept) or purge
 
 
-def test_a_file_that_differs_is_kept_as_a_copy_by_installing(root):
-    path = root / UNIT
-    call("install", root=root)
-    ours = path.read_text()
-    for edit, backup in (("# one\n", ".bak"), ("# two\n", ".bak1")):
-        path.write_text(ours + edit)
-        call("install", root=root)
-        assert path.read_text() == ours
-        assert path.with_name(path.name + backup).read_text() == ours + edit
-    call("uninstall", root=root)
-    assert {p.name for p in path.parent.iterdir()} == {"spheremouse.service.bak", "spheremouse.service.bak1"}
-    call("uninstall", "--purge", root=root)
-    assert tree(root) == {}
-
-
-def test_a_masked_unit_is_replaced_and_the_link_kept(root):
-    """`systemctl mask` makes a link to /dev/null."""
-    call("install", root=root)
-    (root / UNIT).unlink()
-    (root / UNIT).symlink_to("/dev/null")
-    call("install", root=root)
-    assert (root / UNIT).read_text().startswith("# Placed by")
-    assert not (root / UNIT).is_symlink()
-    assert os.readlink(f"{root / UNIT}.bak") == "/dev/null"
-
-
 def test_a_service_that_was_disabled_stays_disabled(root):
     call("install", root=root)
     Place(root).link.unlink()
