@@ -34,10 +34,10 @@ def read_figures(folders: Sequence[Path]) -> list[dict[str, Any]]:
 def _read(path: Path) -> dict[str, Any]:
     try:
         data = plain_json.loads(read_bytes(path, _MAX_BYTES, "report"))
-        kind, rows = next((kind, rows) for kind, key, rows in _KINDS if key in data)
         written = time.strftime("%Y-%m-%d %H:%M", time.localtime(path.stat().st_mtime))
         return {
-            "file": str(path), "kind": kind, "date": written, "rows": list(rows(data)), "photos": list(_photos(data)),
+            "file": str(path), "kind": _kind_of(data)[0], "date": written, "rows": list(figure_rows(data)),
+            "photos": list(photo_rows(data)),
             "advice": [str(a["text"] if isinstance(a, dict) else a) for a in data.get("advice", [])],
         }  # fmt: skip
     except OSError as e:
@@ -50,7 +50,17 @@ def _read(path: Path) -> dict[str, Any]:
         return {"file": str(path), "problem": f"is no valid report of a calibration ({reason[:100]})"}
 
 
-def _photos(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def figure_rows(data: dict[str, Any]) -> Iterator[Row]:
+    """Yield the figures of a calibration as rows. Raises StopIteration for other data."""
+    return _kind_of(data)[1](data)
+
+
+def _kind_of(data: dict[str, Any]) -> "tuple[str, Callable[[dict[str, Any]], Iterator[Row]]]":
+    return next((kind, rows) for kind, key, rows in _KINDS if key in data)
+
+
+def photo_rows(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield `file`, `rms_px`, `points` and `why` of the photos, also of those that are left out."""
     for photo in [*data.get("board_views", []), *data.get("photos", []), *data.get("skipped", [])]:
         rms, points = photo.get("rms_px"), photo.get("corners", photo.get("points"))
         yield {

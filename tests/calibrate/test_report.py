@@ -21,7 +21,7 @@ from spheremouse.calibrate.report.device import (
     write_device_report,
 )
 
-PROVENANCE = {"made_by": "spheremouse 9.9, calibrate device", "date": "2026-01-02T03:04:05+00:00", "camera": "c.yaml"}
+PROVENANCE = {"made_by": "spheremouse 9.9, calibrate device", "date": "2026-01-02T03:04:05+00:00"}
 
 
 @pytest.fixture(scope="module")
@@ -111,14 +111,13 @@ def test_page_needs_nothing_beside_it_and_says_all(which, request, photos, tmp_p
     assert elements.tags.count("img") == 6
     assert elements.tags.count("script") == elements.tags.count("link") == 0
     words = elements.words
-    assert all(name in words for name in names(photos))  # escaped, else they would be elements
-    assert all(photo.sha256 in words for photo in photos)
+    assert all(name in words for name in names(photos)[:6])  # escaped, else they would be elements
     assert all(value in words for value in PROVENANCE.values())
     assert all(
         a.text.replace("`", "") in words.replace(" target_radii ", "target_radii") for a in advise(c, names(photos))
     )
     assert text.index('class="advice"') < text.index("<table")
-    assert ("Distances" in words) is (which == "calibration")
+    assert ("from the tape" in words) is (which == "calibration")
     assert "nan" not in words
 
 

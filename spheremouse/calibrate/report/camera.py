@@ -12,10 +12,8 @@ from spheremouse.calibrate.camera.calibrate import CameraCalibration, inconsiste
 from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, join_words, missing_leans, missing_regions
 from spheremouse.calibrate.outputs import print_advice
 from spheremouse.calibrate.photos import image
-from spheremouse.files.report.page import page, rendered
-from spheremouse.files.report.style import BLUE, GRID, INK, PAPER, RED, round_number, styled
-from spheremouse.files.safe_files import write_atomically
-from spheremouse.geometry.camera import interior_vector
+from spheremouse.calibrate.report.page import Content, write_report
+from spheremouse.files.report.style import BLUE, GRID, INK, PAPER, RED, round_number
 from spheremouse.geometry.statistics import correlation
 
 if TYPE_CHECKING:
@@ -142,59 +140,29 @@ def print_camera(done: CameraCalibration, console: "Console") -> None:
     print_advice(console, advise(done))
 
 
-def _parameter_rows(done: CameraCalibration) -> list[list[str]]:
-    camera, sigma = done.found.camera, done.found.deviations
-    rows = []
-    for k, (v, s, free) in enumerate(zip(interior_vector(camera), sigma, done.found.free, strict=True)):
-        if not free:
-            rows.append([PARAMETERS[k], f"{v:g}", "held", ""])
-            continue
-        digits, unit = (3, " px") if k < 4 else (6, "")
-        ratio = f"{abs(v) / s:.1f}" if abs(v) < 100.0 * s else ""
-        rows.append([PARAMETERS[k], f"{v:.{digits}f}{unit}", f"{s:.{digits}f}{unit}", ratio])
-    return rows
-
-
-def _view_rows(done: CameraCalibration) -> tuple[list[list[str]], list[bool]]:
-    views = _views(done)
-    rows = []
-    for view in views:
-        if view["rms_px"] is None:
-            rows.append([view["file"], "", "", "", f"left out: {view['why']}"])
-            continue
-        gone = view["false_corners"] or 0
-        remark = view["why"] or (f"{gone} false corner{'s' if gone > 1 else ''}" if gone else "")
-        cells = f"{view['rms_px']:.3f}", f"{view['tilt_deg']:.0f}", f"{view['distance_m']:.2f}"
-        rows.append([view["file"], *cells, remark])
-    return rows, [not view["used"] for view in views]
-
-
-# ---- the page: camera.html with these values ----
+# ---- the page ----
 
 
 def write_camera_report(path: Path, done: CameraCalibration, provenance: Mapping[str, Any]) -> None:
     """Write the page, whole or not at all; ConfigurationError if it cannot be written."""
     C = correlation(done.found.camera.covariance)
     strong = sorted((-abs(C[i, j]), i, j) for i in range(9) for j in range(i) if abs(C[i, j]) > _NAMED_CORRELATION)
-    views, faulty = _view_rows(done)
-    with styled():
-        body = rendered(
-            "spheremouse.calibrate.report",
-            "camera.html",
-            headlines=_headlines(done),
-            advice=advise(done),
-            corners=_corners_figure(done),
-            arrow_scale=_magnification(done),
-            values=_parameter_rows(done),
-            widening=float(np.sqrt(done.found.contradiction)),
-            named_correlation=_NAMED_CORRELATION,
-            correlated=[f"{PARAMETERS[j]} and {PARAMETERS[i]} ({C[i, j]:+.3f})" for _, i, j in strong],
-            views=views,
-            faulty=faulty,
-            thumbnails=[_thumbnail(done, k) for k in range(len(done.views))],
-        )
-    foot = f"{provenance['made_by']}, {provenance['date']}"
-    write_atomically(path, page("Camera calibration", _lead(done), body, foot))
+    names = ", ".join(f"{PARAMETERS[j]} and {PARAMETERS[i]} ({C[i, j]:+.3f})" for _, i, j in strong)
+    content = Content(
+        title="Camera calibration",
+        lead=_lead(done),
+        headlines=_headlines(done),
+        advice=advise(done),
+        draw=lambda: _corners_figure(done),
+        caption=f"Residuals of all corners, {_magnification(done):g} times larger. They should point anywhere. A "
+        "common direction in one place is an error of the lens model. The number in a region counts the views with "
+        "corners there. In a region without any, the lens is not known.",
+        values="From the adjustment, with the variances of the corners estimated in each view. Correlated by more than "
+        f"{_NAMED_CORRELATION}: {names or 'none'}. Of correlated values only the combination is certain.",
+        legend="Blue: corners; red: corners that were not used.",
+        pictures=[_thumbnail(done, k) for k in range(len(done.views))],
+    )
+    write_report(path, content, camera_json(done), provenance)
 
 
 def _lead(done: CameraCalibration) -> str:
@@ -261,5 +229,6 @@ def _thumbnail(done: CameraCalibration, k: int) -> tuple[bytes, str]:
         at = round(16 * ((u + 0.5) * scale - 0.5)), round(16 * ((v + 0.5) * scale - 0.5))
         cv2.circle(small, at, 28, (176, 133, 47) if good else (61, 85, 220), -1, cv2.LINE_AA, 4)
     data = bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1])
-    remark = f"{done.found.view_rms()[k]:.3f} px" + ("" if used else ", left out")
-    return data, f"{photo.path.name}: {remark}"
+    tilt, distance = np.degrees(done.found.tilts()[k]), np.linalg.norm(done.found.camera_positions()[k])
+    remark = f"{done.found.view_rms()[k]:.3f} px, {tilt:.0f}° aslant, from {distance:.2f} m"
+    return data, f"{photo.path.name}: {remark}" + ("" if used else ", left out")

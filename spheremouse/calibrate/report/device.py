@@ -1,7 +1,6 @@
 """Report of `calibrate device`: JSON, a summary on the terminal, and the HTML page.
 
-The tables are those of Wittich 2017 (9-13) for this device. Lengths are in mm, or in thousandths of the ball's radius
-if the scale is free.
+Lengths are in mm, or in thousandths of the ball's radius if the scale is free.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,13 +13,12 @@ from numpy.typing import NDArray
 from rich.padding import Padding
 from rich.table import Table
 
-from spheremouse.calibrate.device.adjust import DeviceCalibration, distance_redundancy
+from spheremouse.calibrate.device.adjust import DeviceCalibration
 from spheremouse.calibrate.device.advice import Advice
 from spheremouse.calibrate.outputs import print_advice
 from spheremouse.calibrate.photos import Photo, image
-from spheremouse.files.report.page import page, rendered
-from spheremouse.files.report.style import BLUE, GOLD, INK, MUTED, round_number, styled
-from spheremouse.files.safe_files import write_atomically
+from spheremouse.calibrate.report.page import Content, write_report
+from spheremouse.files.report.style import BLUE, GOLD, INK, MUTED, round_number
 from spheremouse.geometry.camera import sphere_outline
 from spheremouse.geometry.rotation import Array
 from spheremouse.geometry.statistics import correlation
@@ -122,154 +120,64 @@ def _points_of_photos(c: DeviceCalibration) -> list[tuple[int, int, float | None
 def print_device(c: DeviceCalibration, advice: Sequence[Advice], console: "Console") -> None:
     """Print the figures that matter, and the advice. The page and the JSON have all figures."""
     lines = Table(box=None, show_header=False, pad_edge=False, padding=(0, 3, 0, 0))
-    for line in _headlines(c, _Lengths(c)):
+    for line in _headlines(c):
         lines.add_row(*line)
     console.print(Padding(lines, (0, 0, 1, 0), expand=False))
     print_advice(console, [(a.kind, a.text) for a in advice])
 
 
-class _Lengths:
-    """Lengths in the unit of the tables."""
-
-    def __init__(self, c: DeviceCalibration) -> None:
-        self.unit, self._digits = ("R/1000", 3) if c.scale_free else ("mm", 2)
-
-    def __call__(self, value: float | np.floating) -> str:
-        return f"{1e3 * value:.{self._digits}f}"
-
-    def each(self, values: Array) -> list[str]:
-        """Words for each of some lengths."""
-        return [self(v) for v in values]
-
-
-def _px(rms: float | None) -> str:
-    return "-" if rms is None else f"{rms:.3f}"
-
-
-def _points(c: DeviceCalibration) -> str:
-    left = int(np.count_nonzero(~c.measured.used))
-    return f"{int(np.count_nonzero(c.measured.used))} used" + (f", {left} not" if left else "")
-
-
-def _distance_rows(c: DeviceCalibration) -> list[list[str]]:
-    return [
-        [
-            f"{d['from']} - {d['to']}",
-            f"{1e3 * d['metres']:.1f}",
-            f"{1e3 * d['sigma']:g}",
-            f"{1e3 * d['adjusted']:.2f}",
-            f"{1e3 * d['adjusted_sigma']:.2f}",
-            f"{1e3 * d['residual']:+.2f}",
-            f"{d['residual'] / d['sigma'] / np.sqrt(r):+.1f}" if r > 1e-3 else "-",
-            f"{100.0 * r:.0f} %",
-        ]
-        for d, r in zip(_distances(c), distance_redundancy(c.problem, c.solution), strict=True)
-    ]
-
-
-# ---- the page: device.html with these values ----
+# ---- the page ----
 
 
 def write_device_report(
     path: Path, c: DeviceCalibration, photos: Sequence[Photo], provenance: Mapping[str, Any], advice: Sequence[Advice]
 ) -> None:
     """Write one HTML file that needs no other; `photos` are all that were given, `provenance` is that of rig files."""
-    show = _Lengths(c)
-    with styled():
-        body = rendered(
-            "spheremouse.calibrate.report",
-            "device.html",
-            unit=show.unit,
-            headlines=_headlines(c, show),
-            advice=[(a.kind, a.text) for a in advice],
-            places=_places_figure(c),
-            origin=c.device.axes.origin,
-            scale_free=c.scale_free,
-            out_of_round=f"{show(c.out_of_round)} {show.unit}" if c.out_of_round else "",
-            ball=_ball_rows(c, show),
-            targets=_target_rows(c, show),
-            distances=_distance_rows(c),
-            photo_head=_photo_head(show),
-            photos=(rows := _photo_rows(c, [p.path.name for p in photos], show)),
-            pictures=[
-                (photo_picture(c, i, image(photos[k])), f"{row[0]}; {row[1]} points, {row[3]} px")
-                for i, (k, row) in enumerate(zip(c.photos, rows, strict=True))
-            ],
-            left_out=[
-                [photos[k].path.name, what, why]
-                for what, some in (("nothing", c.skipped), ("targets only", c.doubtful))
-                for k, why in some
-            ],
-            arrow_scale=arrow_scale(c, photos[c.photos[0]].size[0]),
-            discs=_disc_rows(c, show),
-            provenance=[(key.replace("_", " "), value) for key, value in provenance.items() if isinstance(value, str)],
-            files=[
-                (photo.path.name, "used" if k in c.photos else "left out", "{}x{}".format(*photo.size), photo.sha256)
-                for k, photo in enumerate(photos)
-            ],
-        )
-    lead = f"{len(c.photos)} of {len(photos)} photos, {len(c.targets)} targets, {len(c.discs)} discs"
-    foot = " · ".join(str(provenance[key]) for key in ("made_by", "date") if key in provenance)
-    write_atomically(path, page("Calibration of the device", lead, body, foot))
+    data = device_json(c, [p.path.name for p in photos], advice)
+    content = Content(
+        title="Calibration of the device",
+        lead=f"{len(c.photos)} of {len(photos)} photos, {len(c.targets)} targets, {len(c.discs)} discs",
+        headlines=_headlines(c),
+        advice=[(a.kind, a.text) for a in advice],
+        draw=lambda: _places_figure(c),
+        caption="Cameras with the number of the photo and their viewing directions, targets with their ids, discs, and "
+        "the ball, at one scale. The more the cameras surround the device, the better.",
+        values=f"The ball's centre is seen from target {c.device.axes.origin}, along the axes that the targets define; "
+        "targets from the ball's centre. `--json` has the discs, the poses and the correlations.",
+        legend="Green: targets; blue: discs; red crosses: points that contradict the other photos and were not used. "
+        f"Arrows are residuals, {arrow_scale(c, photos[c.photos[0]].size[0]):g} times longer. If arrows point the same "
+        "way in one part of the picture, the lens differs from the camera file. The white outline is that of the "
+        "adjusted ball: it must fit.",
+        pictures=[
+            (photo_picture(c, i, image(photos[k])), f"{k + 1}: {p['file']}; {p['points']} points")
+            for i, (k, p) in enumerate(zip(c.photos, data["photos"], strict=True))
+        ],
+    )
+    write_report(path, content, data, provenance)
 
 
-def _headlines(c: DeviceCalibration, show: _Lengths) -> list[tuple[str, str, str]]:
+def _headlines(c: DeviceCalibration) -> list[tuple[str, str, str]]:
+    unit, digits = ("R/1000", 3) if c.scale_free else ("mm", 2)
+
+    def show(value: float | np.floating) -> str:
+        return f"{1e3 * value:.{digits}f}"
+
     ball = np.sqrt(np.diag(c.ball_covariance))
     often = int(np.count_nonzero(c.sightings >= 3))
-    centre = f"X {show(ball[0])}, Y {show(ball[1])}, Z {show(ball[2])} {show.unit}"
+    used, false = (int(np.count_nonzero(which)) for which in (c.measured.used, ~c.measured.used))
     if c.scale_free:
         first = ("Scale", "free", "no tape distance: counts per radian")
     else:
-        first = ("Ball's radius", f"{show(c.radius)} {show.unit}", f"± {show(ball[3])} {show.unit}")
+        first = ("Ball's radius", f"{show(c.radius)} {unit}", f"± {show(ball[3])} {unit}")
+    centre = f"X {show(ball[0])}, Y {show(ball[1])}, Z {show(ball[2])} {unit}"
+    targets, discs = (f"± {show(_rms(_sigma(c, name)))} {unit}" for name in ("targets", "discs"))
     return [
         first,
-        ("Ball's centre", f"± {show(ball[:3].max())} {show.unit}", centre),
-        ("Targets", str(len(c.targets)), f"± {show(_rms(_sigma(c, 'targets')))} {show.unit}"),
-        ("Discs", str(len(c.discs)), f"± {show(_rms(_sigma(c, 'discs')))} {show.unit}; {often} in 3 photos or more"),
-        ("Image points", f"{c.rms_px:.3f} px", f"RMS; {_points(c)}"),
+        ("Ball's centre", f"± {show(ball[:3].max())} {unit}", centre),
+        ("Targets", str(len(c.targets)), targets),
+        ("Discs", str(len(c.discs)), f"{discs}; {often} in 3 photos or more"),
+        ("Image points", f"{c.rms_px:.3f} px", f"RMS; {used} used" + (f", {false} not" if false else "")),
     ]
-
-
-def _ball_rows(c: DeviceCalibration, show: _Lengths) -> list[list[str]]:
-    sigma, r = np.sqrt(np.diag(c.ball_covariance)), correlation(c.ball_covariance)
-    names = ("centre X", "centre Y", "centre Z", "radius")
-    return [
-        [names[i], show(v), show(sigma[i]), *(f"{r[i, j]:+.3f}" if j < i else "" for j in range(3))]
-        for i, v in enumerate([*c.centre, c.radius])
-    ]
-
-
-def _target_rows(c: DeviceCalibration, show: _Lengths) -> list[list[str]]:
-    photos = np.bincount(c.measured.point[c.measured.used], minlength=len(c.targets))
-    return [
-        [str(id_), code, *show.each(place), *show.each(sigma), str(n)]
-        for id_, code, place, sigma, n in zip(
-            c.device.ids, c.device.codes, c.targets, _sigma(c, "targets"), photos[: len(c.targets)], strict=True
-        )
-    ]
-
-
-def _photo_head(show: _Lengths) -> tuple[str, ...]:
-    return ("photo", "points", "not used", "px RMS", f"place ± {show.unit}", "attitude ± °")
-
-
-def _photo_rows(c: DeviceCalibration, names: Sequence[str], show: _Lengths) -> list[list[str]]:
-    rows = []
-    for k, pose, (used, rejected, rms) in zip(c.photos, c.poses, _points_of_photos(c), strict=True):
-        sigma = np.sqrt(np.diag(pose.covariance))
-        certain = show(np.linalg.norm(sigma[:3])), f"{np.degrees(np.linalg.norm(sigma[3:])):.3f}"
-        rows.append([f"{k + 1}: {names[k]}", str(used), str(rejected or "-"), _px(rms), *certain])
-    return rows
-
-
-def _disc_rows(c: DeviceCalibration, show: _Lengths) -> list[list[str]]:
-    block, rows = c.block("discs"), []
-    for i, (place, sigma, seen) in enumerate(zip(c.discs, _sigma(c, "discs"), c.sightings, strict=True)):
-        here = slice(block.start + 3 * i, block.start + 3 * i + 3)
-        r = correlation(c.covariance[here, here])
-        pairs = [f"{r[a, b]:+.3f}" for a, b in ((0, 1), (0, 2), (1, 2))]
-        rows.append([str(i + 1), *show.each(place), *pairs, *show.each(sigma), str(int(seen))])
-    return rows
 
 
 # ---- figures ----
