@@ -1,6 +1,6 @@
 """Frames of a hand-held ball or a ball on a robot: moving objects painted over a background that is drawn once.
 
-Only windows with moving objects are painted again. Light is mixed linearly, blurred as by a lens, then converted to
+Only the window with moving objects is painted again. Light is mixed linearly, blurred as by a lens, then converted to
 grey values. Sensor noise is added last.
 """
 
@@ -115,16 +115,15 @@ class WandRenderer:
     def picture(self, t: float, rng: np.random.Generator) -> NDArray[np.uint8]:
         """The picture of time `t` (s, mid-exposure), (h, w, 3) blue, green, red."""
         image = self._bytes.copy()
-        layers = self._layers(t)
-        for x0, y0, x1, y1 in _windows(layers, self.scene.camera):
-            part = self._still[y0:y1, x0:x1].copy()
+        if layers := self._layers(t):
+            window = _window(layers, self.scene.camera, _MARGIN)
+            around = _window(layers, self.scene.camera, 2 * _MARGIN)
+            y0, x0 = (side.start for side in around)
+            part = self._still[around].copy()
             for layer in layers:
                 lay(part, layer, (x0, y0))
-            left, top = min(x0, _MARGIN), min(y0, _MARGIN)  # at the picture's edge there is no margin to cut
-            right = _MARGIN if x1 < image.shape[1] else 0
-            below = _MARGIN if y1 < image.shape[0] else 0
-            inner = _exposed(_blurred(part))[top : part.shape[0] - below, left : part.shape[1] - right]
-            image[y0 + top : y1 - below, x0 + left : x1 - right] = inner
+            inner = tuple(slice(w.start - a.start, w.stop - a.start) for w, a in zip(window, around, strict=True))
+            image[window] = _exposed(_blurred(part)[inner])
         return image if self._noise is None else self._noisy(image, rng)
 
     def _layers(self, t: float) -> list[Layer]:
@@ -185,25 +184,12 @@ class WandRenderer:
         return np.asarray(cv2.add(image, field, dtype=cv2.CV_8U), dtype=np.uint8)
 
 
-def _windows(layers: list[Layer], camera: InteriorOrientation) -> list[tuple[int, int, int, int]]:
-    """Return the disjoint parts that layers touch: first column and row, last+1 column and row."""
-    merged: list[tuple[int, int, int, int]] = []
-    for layer in layers:
-        x0, y0 = (max(p - 2 * _MARGIN, 0) for p in layer.place)
-        h, w = layer.paint.shape[:2]
-        x1 = min(layer.place[0] + w + 2 * _MARGIN, camera.width)
-        y1 = min(layer.place[1] + h + 2 * _MARGIN, camera.height)
-        k = 0
-        while k < len(merged):
-            a = merged[k]
-            if a[0] < x1 and x0 < a[2] and a[1] < y1 and y0 < a[3]:
-                x0, y0, x1, y1 = min(x0, a[0]), min(y0, a[1]), max(x1, a[2]), max(y1, a[3])
-                del merged[k]
-                k = 0  # it has grown: those before may overlap now
-            else:
-                k += 1
-        merged.append((x0, y0, x1, y1))
-    return merged
+def _window(layers: list[Layer], camera: InteriorOrientation, margin: int) -> tuple[slice, slice]:
+    """Return rows and columns that layers touch, with a margin, px."""
+    low = np.min([layer.place for layer in layers], axis=0) - margin
+    high = np.max([np.add(layer.place, layer.paint.shape[1::-1]) for layer in layers], axis=0) + margin
+    (x0, y0), (x1, y1) = np.clip([low, high], 0, (camera.width, camera.height)).tolist()
+    return slice(y0, y1), slice(x0, x1)
 
 
 def _varied(paints: Array, share: float, rng: np.random.Generator) -> Array:

@@ -266,18 +266,17 @@ def robot(centre: Array, rotation: Array, camera: InteriorOrientation, light: fl
 
     `light` 1 is that of a bright room.
     """
-    flat = [(corners, colour) for corners, colour in _robot_faces() if colour is not None]
-    placed = [(corners @ rotation.T + centre, colour) for corners, colour in flat]
     facing = []
-    for corners, colour in placed:
+    for flat, colour in _robot_faces():
+        corners = flat @ rotation.T + centre
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[1])
         normal /= np.linalg.norm(normal)
         b, g, r = colour
         share = light * (0.7 + 0.3 * abs(float(normal @ rotation[:, 2])))
         facing.append((corners, (share * b, share * g, share * r)))
     body, panel, wheels = facing[:6], facing[6:7], facing[7:]
-    body.sort(key=lambda f: -float(np.linalg.norm(f[0].mean(axis=0))))
-    wheels.sort(key=lambda f: -float(np.linalg.norm(f[0].mean(axis=0))))
+    for part in (body, wheels):
+        part.sort(key=lambda f: -float(np.linalg.norm(f[0].mean(axis=0))))
     outer = len(wheels) // 2  # those on the far side are behind the body
     return paint_faces([*wheels[:outer], *body, *panel, *wheels[outer:]], camera)
 
