@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from experiments.kit.balls import contrast_ball, led_ball
 from spheremouse.evaluation.wand import WandHistory, WandRun, followed, found_from, is_lost
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import open_wand
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.offline import track_wand
 from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
-from spheremouse.wand.ball import WandBall, WandTruth, contrast_ball, grzonka_ball, led_ball
+from spheremouse.wand.ball import WandBall, WandTruth, grzonka_ball
 from spheremouse.wand.build import build
 from spheremouse.wand.settings import WandSettings
 from spheremouse.wand.track import begin, step

@@ -11,7 +11,6 @@ import numpy as np
 from spheremouse.geometry.rotation import Array
 
 _OUTER_POINTS = 0.65  # of a disc's radius, default of its four outer points: between the thesis' 0.48 and 0.69
-_FLIP = np.diag([1.0, -1.0, 1.0])  # x right, y up, z away (left-handed) to x right, y down, z forward
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,40 +73,3 @@ def grzonka_ball() -> WandBall:
         discs.append(wand_disc(azimuth, np.deg2rad(55), upper, above, 0.005 / radius))
         discs.append(wand_disc(azimuth, np.deg2rad(15), lower, below, 0.012 / radius))
     return WandBall("grzonka", radius, tuple(discs))
-
-
-# Azimuth, latitude, angular radius in degrees. One colour carries no code, so places and sizes do. Sizes vary, gaps
-# in a row differ, and both halves have rows, so that every view shows four discs or more.
-_UNEVEN = (
-    (0, 52, 14), (75, 48, 9), (130, 58, 11), (215, 45, 15), (290, 55, 8),
-    (25, 8, 12), (62, 0, 8), (112, 12, 15), (165, -2, 9), (205, 5, 11), (262, 10, 14), (318, 2, 9),
-    (10, -42, 9), (85, -38, 14), (150, -50, 11), (235, -36, 8), (300, -45, 15),
-)  # fmt: skip
-
-
-def contrast_ball() -> WandBall:
-    """Return a ball with dark discs on white at uneven places, after Grzonka 2005 (section 5.2, figure 25).
-
-    The thesis sketches lines with heights that follow the Gray code, and blocks at uneven distances. Discs of several
-    sizes at uneven distances carry the same information, and their rims measure in every direction.
-    """
-    return _uneven("contrast", "dark", "white")
-
-
-def led_ball() -> WandBall:
-    """Return a black ball with lit discs (LEDs behind diffusers) at the places of `contrast_ball`."""
-    return _uneven("led", "light", "black")
-
-
-def _uneven(name: str, colour: str, body: str) -> WandBall:
-    rows = np.deg2rad(np.array(_UNEVEN, dtype=float))
-    discs = tuple(wand_disc(azimuth, latitude, angle, colour) for azimuth, latitude, angle in rows)
-    return WandBall(name, 0.05, discs, body)
-
-
-def from_left_handed(position: Array, rotation: Array) -> tuple[Array, Array]:
-    """Convert position, (..., 3) m, and rotation, (..., 3, 3), from Grzonka's frame (x right, y up, z away) to `cam`.
-
-    Flipping one axis reverses every rotation: R = F R_left F with F = diag(1, -1, 1). It is its own inverse.
-    """
-    return position @ _FLIP, _FLIP @ rotation @ _FLIP

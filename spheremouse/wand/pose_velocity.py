@@ -42,13 +42,6 @@ def initialise(stamp: float, position: Array, rotation: Array, covariance: Array
     return PoseVelocityState(stamp, position, rotation, np.zeros(6), P)
 
 
-def with_velocity(state: PoseVelocityState, velocity: Array, covariance: Array) -> PoseVelocityState:
-    """Replace the velocity by a known one, (6,) m/s and rad/s, with covariance (6, 6), uncorrelated with the pose."""
-    P = np.zeros((12, 12))
-    P[:6, :6], P[6:, 6:] = state.covariance[:6, :6], covariance
-    return replace(state, velocity=velocity, covariance=P)
-
-
 def predict(state: PoseVelocityState, stamp: float, acceleration: Array) -> PoseVelocityState:
     """Predict the state at `stamp`. `acceleration` (6,) m/s², rad/s² is the greatest one of a hand."""
     number = _step_count(stamp - state.stamp)

@@ -63,7 +63,7 @@ from spheremouse.wand.peaks import (
     refine_modes,
     search_picture,
 )
-from spheremouse.wand.pose_velocity import GATE, initialise, pose_difference, predict, update, with_velocity
+from spheremouse.wand.pose_velocity import GATE, initialise, pose_difference, predict, update
 from spheremouse.wand.refine import Peak
 from spheremouse.wand.state import Track, WandPose, WandState, WandTracker
 
@@ -76,7 +76,6 @@ _BLIND = 0.1  # fraction of the particles drawn without the peaks
 _SAME_SIDE = 0.3  # rad from a peak: the same discs show, each by the same area to a tenth
 _PREDICTED_POSES = 48  # predicted particles from which peaks are refined
 _REPORT_AGE = 1.0 - 1e-6  # of a colour problem: the parts of a second that frames add up to are inexact
-_COMMAND_COVARIANCE = np.diag([1e-4] * 3 + [1e-3] * 3)  # m²/s², rad²/s²
 _KNOWN_POSE_COVARIANCE = np.diag([0.02**2] * 2 + [0.05**2] + [0.1**2] * 3)  # m², rad²
 
 
@@ -99,12 +98,11 @@ def begin(
     return WandState(tuple(tracks), seed=seed)
 
 
-def step(state: WandState, frame: Frame, tracker: WandTracker, command: Array | None = None) -> Step[WandState]:
+def step(state: WandState, frame: Frame, tracker: WandTracker) -> Step[WandState]:
     """Track all balls through one frame.
 
-    The estimate is that of the ball `tracker.points`, and the state has those of all balls. `command` (6,) m/s,
-    rad/s in cam axes is a known velocity since the last frame, for example a robot's. Equal frames and seeds give equal
-    poses.
+    The estimate is that of the ball `tracker.points`, and the state has those of all balls. Equal frames and seeds give
+    equal poses.
     """
     image = np.ascontiguousarray(
         frame.image if frame.image.ndim == 3 else np.repeat(frame.image[:, :, None], 3, axis=2)
@@ -118,8 +116,7 @@ def step(state: WandState, frame: Frame, tracker: WandTracker, command: Array | 
         others = [
             t.pose[0] for j, t in enumerate(tracks) if j != i and t.pose is not None and t.phase == Status.TRACKING
         ]
-        before = track if command is None else _apply_command(track, command)
-        tracks[i], pose = tracker.follow(before, frame.stamp, SearchContext(scene, i, others), due, rng)
+        tracks[i], pose = tracker.follow(track, frame.stamp, SearchContext(scene, i, others), due, rng)
         if isinstance(pose.event, SecondBall) and len(others) < len(tracks) - 1:
             pose = replace(pose, event=None)  # it can be a declared ball that is not tracked yet
         poses.append(pose)
@@ -140,12 +137,6 @@ def step(state: WandState, frame: Frame, tracker: WandTracker, command: Array | 
     events = dict.fromkeys(pose.event for pose in poses if pose.event is not None and pose.event not in known)
     after = replace(after, poses=tuple(poses), estimates=estimates, frames=state.frames + 1)
     return Step(after, estimates[tracker.points], tuple(events))
-
-
-def _apply_command(track: Track, command: Array) -> Track:
-    if track.pose_velocity is None:
-        return track
-    return replace(track, pose_velocity=with_velocity(track.pose_velocity, command, _COMMAND_COVARIANCE))
 
 
 def _update_colour_problem(state: WandState, stamp: float, scene: Scene, tracks: list[Track]) -> WandState:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import typer
+from experiments.kit.balls import contrast_ball, led_ball
 from invoking import invoke
 
 from spheremouse.commands import wand as cli_wand
@@ -15,7 +16,7 @@ from spheremouse.commands.evaluate import evaluate
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.wand import load_wand, save_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
-from spheremouse.wand.ball import contrast_ball, grzonka_ball, led_ball
+from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS
 from spheremouse.wand.pick_colours import Circle, check_bounds, circle_mask, find_ball, pick_bounds
 from spheremouse.wand.settings import ColourSettings

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from experiments.kit.balls import contrast_ball
 from experiments.wand_films import kept_of
 from scipy.stats import chi2
 
 from spheremouse.evaluation.wand import WandRun, alike, errors, followed, found_from, is_lost, off, wand_report
 from spheremouse.geometry.rotation import exp
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
-from spheremouse.wand.ball import WandTruth, contrast_ball, grzonka_ball
+from spheremouse.wand.ball import WandTruth, grzonka_ball
 
 RADIUS = 0.05
 N = 60

@@ -1,12 +1,13 @@
-"""Balls: the measures of the thesis, no symmetry, and the conversion of the left-handed frame."""
+"""Balls: the measures of the thesis, and no symmetry."""
 
 import itertools
 
 import numpy as np
 import pytest
+from experiments.kit.balls import contrast_ball, led_ball
 from scipy.spatial.transform import Rotation
 
-from spheremouse.wand.ball import contrast_ball, from_left_handed, grzonka_ball, led_ball
+from spheremouse.wand.ball import grzonka_ball
 
 
 def test_thesis_ball_has_the_printed_measures():
@@ -41,14 +42,3 @@ def test_no_rotation_maps_the_pattern_to_itself(ball):
 def test_discs_do_not_touch(ball):
     for a, b in itertools.combinations(ball.discs, 2):
         assert np.arccos(a.direction @ b.direction) > a.angle + b.angle + np.deg2rad(5)
-
-
-def test_conversion_of_a_left_handed_rotation_mirrors_it():
-    """Yaw in the thesis is counter-clockwise seen along its y axis, which points up; that of `cam` points down."""
-    yaw = 0.3
-    left = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
-    p, R = from_left_handed(np.array([1.0, 2.0, 3.0]), left)
-    np.testing.assert_allclose(p, [1.0, -2.0, 3.0])
-    assert np.linalg.det(R) == pytest.approx(1.0)
-    x = np.array([0.1, -0.4, 0.7])
-    np.testing.assert_allclose(from_left_handed(left @ x, left)[0], R @ from_left_handed(x, left)[0], atol=1e-12)

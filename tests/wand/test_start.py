@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from experiments.kit.balls import contrast_ball
 
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import exp, log
@@ -11,7 +12,7 @@ from spheremouse.native import kernels
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.simulate.wand.render import WandRenderer
 from spheremouse.tracker import Frame, Status
-from spheremouse.wand.ball import contrast_ball, grzonka_ball
+from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.build import build
 from spheremouse.wand.colour import DEFAULT_COLOURS, colour_fields
 from spheremouse.wand.model import ball_model

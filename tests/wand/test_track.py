@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from experiments.kit.balls import contrast_ball, led_ball
 
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Frame, Status
-from spheremouse.wand.ball import contrast_ball, led_ball
 from spheremouse.wand.build import build
 from spheremouse.wand.events import BallHidden, BallLost, ColourEverywhere, ColourNowhere, NotInView, SecondBall
 from spheremouse.wand.settings import ColourSettings, WandSettings
@@ -240,19 +240,6 @@ def test_event_of_an_undeclared_ball_needs_three_frames():
         gone.append(replace(shot, frame=replace(shot.frame, image=image)))
     _, later = follow(gone, tracker, state)
     assert not any(isinstance(p.event, SecondBall) for (p,) in first + later)
-
-
-def test_a_known_command_replaces_the_last_velocity(hand):
-    """With the true velocity the ball is tracked over a gap of 0.4 s."""
-    camera, balls, shots = hand
-    tracker = build(camera, balls)
-    state, _ = follow(shots[:3], tracker)
-    a, b = shots[2], shots[8]
-    dt = b.frame.stamp - a.frame.stamp
-    command = np.concatenate([(b.position[0] - a.position[0]) / dt, log(b.rotation[0] @ a.rotation[0].T) / dt])
-    (pose,) = step(state, b.frame, tracker, command).state.poses
-    assert pose.seen
-    assert np.linalg.norm(log(pose.rotation @ b.rotation[0].T)) < np.deg2rad(8)
 
 
 def wrong(shots, poses):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from experiments.kit.balls import contrast_ball
 from scipy.spatial.transform import Rotation
 
 from spheremouse.errors import ConfigurationError
@@ -16,7 +17,7 @@ from spheremouse.session.run_config import CommandLineOverrides, check_kinds, re
 from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.axes import UPRIGHT
-from spheremouse.wand.ball import contrast_ball, grzonka_ball
+from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.settings import ColourSettings
 
 WAND = ("run", "--tracker", "wand")

@@ -5,13 +5,14 @@ import json
 import numpy as np
 import pytest
 from conftest import datasets_dir
+from experiments.kit.balls import contrast_ball
 
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import WandRecording, is_wand, open_wand
 from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
-from spheremouse.wand.ball import contrast_ball, grzonka_ball
+from spheremouse.wand.ball import grzonka_ball
 
 OPTIONS = WandOptions(motion="hand", seconds=0.3, fps=10.0, size=(160, 120), seed=1, balls=2)
 
