@@ -156,15 +156,14 @@ def measure_discs(
 
 # spheremouse/ball/detect/search.cpp
 
-def candidate_pixels(
-    plane: tuple[_Byte, int, int, int], mask: _Byte, samples: tuple[NDArray[np.int32], _Byte, NDArray[np.int32]],
-    offsets: NDArray[np.int32], limits: tuple[float, float, float, int], turn: int, known: _Float, rejected: _Float,
-) -> _Float:  # fmt: skip
-    """Return dark spots of an image, (k, 2) px (`search.candidate_pixels`).
+def follow_discs(
+    image: _Byte, directions: _Float, model: tuple[object, ...], lattice: tuple[object, ...],
+    search: tuple[int, float, float, _Float], motion: tuple[_Float, float], known: _Float, least: int,
+) -> tuple[_Float, _Float, _Float, tuple[int, float, float, _Float]]:  # fmt: skip
+    """Return centres, covariances and areas of the discs in an image (h, w, c), and a `search.SearchState`.
 
-    `plane` has the image (h, w, c), the channel to take, its sign, and the value of no light. `samples` is a
-    `search.Samples`, and `offsets` those of its lattice. `limits` are contrast, difference, px of the largest disc's
-    radius, and reduction. Raises ValueError if a sample's neighbour is outside of the image.
+    `DiscDetector.follow` describes it. `model` is a `windows.DiscModel`, and `lattice` a `search.Lattice`. Raises
+    ValueError if a sample's neighbour is outside of the image.
     """
 
 # spheremouse/ball/filters/so3_match.cpp, so3_motion.cpp, so3_move.cpp, so3_ordinary.cpp, so3_update.cpp. Errors have

@@ -8,6 +8,8 @@ namespace spheremouse::ball {
 using Image = Array<const uint8_t, -1, -1, -1>;  // (h, w, c), three channels of BGR or one
 using Mask = Array<const uint8_t, -1, -1>;       // (h, w), not 0 on the ball
 using Shape = Matrix<2>;                         // px², (x - centroid)' shape^-1 (x - centroid) = 1 on the rim
+using Directions = View<Dynamic, 3>;             // (n, 3) unit vectors, obj
+using Places = View<Dynamic, 2>;                 // (n, 2) px
 
 /// Image of a disc (`appearance.Appearance`). All are nan unless the whole rim faces the camera.
 struct Appearance {
@@ -39,6 +41,25 @@ struct FitSettings {
 
 FitSettings read_fit_settings(nb::handle settings);
 
+/// `windows.DiscModel` without mask and projection.
+struct DiscModel {
+    BallView view;
+    double exposure;  // s
+    FitSettings fit;
+    double min_area, diameter;  // px², px
+};
+
+/// Read a `windows.DiscModel`, and a picture of its size.
+std::pair<DiscModel, Photo> read_model(nb::handle model, nb::handle image, double noise);
+
+/// Motion of the ball during a frame, `windows.Motion`.
+struct Motion {
+    Vector<3> rate = Vector<3>::Zero();  // rad/s, obj
+    double readout = 0.0;                // s, of all rows
+};
+
+Motion read_motion(nb::handle motion);
+
 /// A disc's image to be fitted.
 struct Expected {
     Vector<2> place;  // px, where the fit begins
@@ -62,5 +83,30 @@ struct Fit {
 /// `size` is not 0, the first fit is left out.
 std::vector<Fit> fit_discs(const Photo& photo, const std::vector<Expected>& discs, const FitSettings& settings,
                            double contrast, double& size);
+
+/// A disc in a picture.
+struct Measured {
+    Vector<2> centre;      // px
+    Matrix<2> covariance;  // px²
+    double area;           // px²
+};
+
+/// Measure discs, as `windows.measure_discs` describes it, the best ones first.
+std::vector<Measured> measure(const Photo& photo, const Directions& directions, const DiscModel& model,
+                              const Places& places, const Motion& motion, double& size);
+
+/// Return the columns of `detections.Detections`, and `more`.
+template <class T>
+nb::tuple to_numpy(const std::vector<Measured>& found, const T& more) {
+    const Rows<2> centre(found.size());
+    const Rows<2, 2> covariance(found.size());
+    auto area = zeros<double>({found.size()});
+    for (size_t i = 0; i < found.size(); i++) {
+        centre[i] = found[i].centre;
+        covariance[i] = found[i].covariance;
+        area.data()[i] = found[i].area;
+    }
+    return nb::make_tuple(centre.array, covariance.array, area, more);
+}
 
 }  // namespace spheremouse::ball

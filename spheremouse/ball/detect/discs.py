@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.appearance import appearance, ball_mask, largest_disc
-from spheremouse.ball.detect.detections import Detections, Image, no_detections
+from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.projection import (
     CANDIDATES,
     GREY,
@@ -28,8 +28,8 @@ from spheremouse.ball.detect.projection import (
     projected,
     sample_weights_of,
 )
-from spheremouse.ball.detect.search import Lattice, SearchState, candidate_pixels, lattice, update_rejections
-from spheremouse.ball.detect.windows import DiscModel, FitSettings, Motion, measure_discs
+from spheremouse.ball.detect.search import Lattice, SearchState, lattice
+from spheremouse.ball.detect.windows import ANYWHERE, AT_REST, DiscModel, FitSettings, Motion, measure_discs
 from spheremouse.ball.points import directions_at
 from spheremouse.ball.rig import Rig, view_of
 from spheremouse.errors import ConfigurationError
@@ -49,6 +49,7 @@ _MIN_GAIN = 1.5  # least gain in information for a change: standard deviations a
 _FINEST = 0.25  # of the settings' sigma: so the contrast still counts when the picture has little noise
 _MIN_GAIN_OVER_GREY = 1.4  # of signal over noise, squared, for Fisher's weights; they have 1.34 times grey's on white
 _MIN_INFORMATION = 0.02  # discs: stains give less information
+_NO_DISCS = np.zeros((0, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,50 +142,45 @@ class DiscDetector:
         best = plausible[np.argsort(np.abs(np.log(share[plausible])), kind="stable")]
         best = best[suppress(places[index[best]], np.full(len(best), 0.3 * self.model.diameter))]
         found = measure_discs(_with_channels(image), directions[best], self.model, noise, places[index[best]])[0]
-        return self._with_slivers(found, image, noise) if self.lattice.reduction > 1 else found
+        return self._with_slivers(found, image) if self.lattice.reduction > 1 else found
 
-    def _with_slivers(self, found: Detections, image: Image, noise: float) -> Detections:
+    def _with_slivers(self, found: Detections, image: Image) -> Detections:
         """Return `found` and the discs near the limb, which are too thin for the coarse image.
 
         The search tries each place at most once. It ends when a round of all shifts finds no new place.
         """
-        near_limb, state, idle = replace(self, lattice=self.slivers), SearchState(noise=noise), 0
+        near_limb, state, idle = replace(self, lattice=self.slivers), SearchState(), 0
         shifts = len(self.slivers.samples)
         while idle < shifts and state.turn < _MOST_ROUNDS * shifts:
-            more, after = near_limb.find_new_discs(image, state, found.centre)
+            more, after = near_limb.follow(image, state, known=found.centre)
             idle = idle + 1 if len(more) == 0 and len(after.rejected) == len(state.rejected) else 0
             found, state = found.joined(more), after
         return found
 
     def follow(
-        self, image: Image, directions: Array, rate: Array, readout: float, state: SearchState
+        self,
+        image: Image,
+        state: SearchState,
+        directions: Array = _NO_DISCS,
+        motion: Motion = AT_REST,
+        known: Array = ANYWHERE,
+        least: int = 0,
     ) -> tuple[Detections, SearchState]:
-        """Measure the discs that are expected at `directions`, (n, 3) unit vectors in obj.
+        """Measure the discs that are expected at `directions`, (n, 3) unit vectors in obj, and search for others.
 
-        `rate` (3,) rad/s, w_obj, carries them on to when their row is exposed (`readout` s for all rows), and smears
-        them while it is. `state` remembers noise and size of the discs.
+        The ball's `motion` carries the discs on to when their row is exposed, and smears them while it is. The search
+        covers a part of the ball that `state` selects. It leaves out the discs and the places `known`, (m, 2) px. If
+        fewer than `least` discs are seen, there is no search. `state` remembers noise and size of the discs.
         """
-        again = (
-            state.turn % _LEARN_EVERY == 0 or state.noise == 0.0
-        )  # light and discs do not change from frame to frame
-        noise = self.noise(image) if again else state.noise
-        known = 0.0 if again else state.size
-        found, size = measure_discs(
-            _with_channels(image), directions, self.model, noise, motion=Motion(rate, readout), size=known
-        )
-        return found, replace(state, noise=noise, size=size) if again else state
-
-    def find_new_discs(self, image: Image, state: SearchState, known: Array) -> tuple[Detections, SearchState]:
-        """Search a part of the picture for discs that are not at `known`, (m, 2) px. `state` selects the next part."""
-        noise = state.noise or self.noise(image)
         colours = _with_channels(image)
-        places = candidate_pixels(colours, self.model, self.lattice, state, known, noise)
-        if len(places) == 0:
-            return no_detections(), update_rejections(state, places, self.lattice.reduction)
-        directions, index = directions_at(places, self.rig, self.pose)
-        found, _ = measure_discs(colours, directions, self.model, noise, places[index])
-        near = np.linalg.norm(places[:, None] - found.centre[None], axis=2) < 0.5 * self.model.diameter
-        return found, update_rejections(state, places[~near.any(axis=1)], self.lattice.reduction)
+        learn = state.turn % _LEARN_EVERY == 0 or state.noise == 0.0  # light and discs change slowly
+        if learn:
+            state = state._replace(noise=self.noise(colours), size=0.0)
+        centre, covariance, area, after = kernels.follow_discs(
+            colours, directions, self.model, self.lattice, state, motion, known, least
+        )
+        search = SearchState(*after)
+        return Detections(centre, covariance, area), search if learn else search._replace(size=state.size)
 
     def noise(self, image: Image) -> float:
         """Standard deviation of one pixel, grey values."""

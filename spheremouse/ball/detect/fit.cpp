@@ -64,11 +64,15 @@ bool is_deep(const Unknowns& x, double contrast, double noise) {
 }
 
 /// Return the solution of L L' x = b.
-Unknowns solve(const Matrix<UNKNOWNS>& L, Unknowns b) {
-    solve_lower(L, b);
-    for (int i = UNKNOWNS - 1; i >= 0; i--) {
-        for (int k = i + 1; k < UNKNOWNS; k++) b(i) -= L(k, i) * b(k);
+template <int N>
+Vector<N> solve(const Matrix<N>& L, Vector<N> b) {
+    for (int i = 0; i < N; i++) {
         b(i) = L(i, i) == 0.0 ? 0.0 : b(i) / L(i, i);
+        for (int k = i + 1; k < N; k++) b(k) -= L(k, i) * b(i);
+    }
+    for (int i = N - 1; i >= 0; i--) {
+        b(i) = L(i, i) == 0.0 ? 0.0 : b(i) / L(i, i);
+        for (int k = 0; k < i; k++) b(k) -= L(i, k) * b(i);
     }
     return b;
 }
@@ -102,7 +106,7 @@ double gauss_newton_step(DiscFit& fit, const Expectation& expected, double dampi
     g(8) -= hold * (x(8) - expected.size);
     N.diagonal().array() += 1e-6;
     fit.L = lower(N);
-    Unknowns step = solve(fit.L, g);
+    Unknowns step = solve<UNKNOWNS>(fit.L, g);
     step(6) = std::clamp(step(6), -1.0, 1.0);
     step(7) = std::clamp(step(7), -1.0, 1.0);
     step(8) = std::clamp(step(8), -0.2, 0.2);
@@ -133,19 +137,20 @@ bool collect_pixels(DiscFit& fit, const Photo& photo, double smoothing) {
         return false;
     const int left = int(std::rint(u0) - half_w), top = int(std::rint(v0) - half_h), w = 2 * int(half_w) + 1,
               h = 2 * int(half_h) + 1;
-    const std::vector<float> patch = cut_patch(photo, smoothing, top, left, h, w);
+    const float* patch = cut_patch(photo, smoothing, top, left, h, w);
     Pixels& pixels = fit.pixels;
-    for (auto* column : {&pixels.x, &pixels.y, &pixels.grey}) column->resize(patch.size() + 1);
+    pixels.reserve(size_t(h * w));
     size_t count = 0;
     for (int i = std::max(-top, 0); i < std::min(h, height - top); i++) {
-        const double dy = float(top + i - v0);
-        for (int j = std::max(-left, 0); j < std::min(w, width - left); j++) {
-            const double dx = float(left + j - u0);
-            pixels.x[count] = float(dx);
+        const double dy = top + i - v0, chord = bound * (G(1, 1) - dy * dy);
+        if (!(chord > 0.0)) continue;
+        const double middle = u0 - left + G(0, 1) * dy / G(1, 1), half_chord = std::sqrt(chord) / G(1, 1);
+        const int end = std::min(int(middle + half_chord) + 1, std::min(w, width - left));
+        for (int j = std::max(int(middle - half_chord + 1.0), std::max(-left, 0)); j < end; j++) {
+            pixels.x[count] = float(left + j - u0);
             pixels.y[count] = float(dy);
-            pixels.grey[count] = patch[size_t(i * w + j)];
-            count += (photo.mask(size_t(top + i), size_t(left + j)) != 0) &
-                     (G(1, 1) * dx * dx - 2.0 * G(0, 1) * dx * dy + G(0, 0) * dy * dy < bound);
+            pixels.grey[count] = patch[i * w + j];
+            count += photo.mask(size_t(top + i), size_t(left + j)) != 0;
         }
     }
     if (count < 2 * UNKNOWNS) return false;
@@ -159,9 +164,7 @@ bool begin(DiscFit& fit, const Photo& photo, const FitSettings& settings, double
     Pixels& pixels = fit.pixels;
     fit.x(8) = 1.0;
     fit.expect(float(settings.blur));
-    if (std::count_if(pixels.e.begin(), pixels.e.begin() + long(pixels.count), [](float e) { return e < CLEAR; }) <
-        UNKNOWNS)
-        return false;
+    if (std::count_if(pixels.e, pixels.e + pixels.count, [](float e) { return e < CLEAR; }) < UNKNOWNS) return false;
     fit_background(pixels, fit.x, float(photo.noise));
     const double a = contrast_of(pixels, fit.x);
     fit.x(3) = a;
@@ -237,7 +240,8 @@ Fit fit_centre(DiscFit& fit, const Photo& photo, const FitSettings& settings, do
     // where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
     const double systematic =
         settings.sigma * settings.sigma + std::pow(SLIVER_BIAS / (fit.minor * fit.minor), 2) + CUT * cut;
-    for (int j = 0; j < 2; j++) result.covariance.row(j) = variance * solve(fit.L, Unknowns::Unit(6 + j)).segment<2>(6);
+    const Matrix<3> L = fit.L.bottomRightCorner<3, 3>();  // of the last unknowns, so the others do not matter
+    for (int j = 0; j < 2; j++) result.covariance.row(j) = variance * solve<3>(L, Vector<3>::Unit(j)).head<2>();
     result.covariance.diagonal().array() += systematic;
     return result;
 }
@@ -313,7 +317,10 @@ Photo read_photo(nb::handle image_, nb::handle mask_, nb::handle projection, dou
     Photo photo{image, mask, {}, noise};
     const nb::tuple weights = members(members(projection, 1, "projection")[0], 3, "weights");
     float sum = 0.0f;
-    for (size_t k = 0; k < 3; k++) sum += photo.weights[k] = number<float>(weights[k], "weights");
+    for (size_t k = 0; k < 3; k++) {
+        sum += photo.weights[k] = number<float>(weights[k], "weights");
+        if (!(std::abs(photo.weights[k]) <= 1.0f)) throw nb::value_error("weights: must be from -1 to 1");
+    }
     if (image.shape(2) == 1) photo.weights[0] = sum >= 0.0f ? 1.0f : -1.0f;
     return photo;
 }

@@ -1,6 +1,7 @@
 #include "spheremouse/ball/detect/pixels.h"
 
 #include <cstring>
+#include <utility>
 
 namespace spheremouse::ball {
 namespace {
@@ -13,13 +14,13 @@ constexpr double RIPPLE_STEP = 1.8;  // of the blur, px between the images of a 
 /// Consecutive pixels of a column. Each has its own partial sum, so wide registers give the same results.
 typedef float Lanes __attribute__((vector_size(LANES * sizeof(float))));
 
-INLINE Lanes lanes(const std::vector<float>& column, size_t i) {
+INLINE Lanes lanes(const float* column, size_t i) {
     Lanes v;
-    std::memcpy(&v, &column[i], sizeof(v));
+    std::memcpy(&v, column + i, sizeof(v));
     return v;
 }
 
-INLINE void put(const Lanes& v, std::vector<float>& column, size_t i) { std::memcpy(&column[i], &v, sizeof(v)); }
+INLINE void put(const Lanes& v, float* column, size_t i) { std::memcpy(column + i, &v, sizeof(v)); }
 
 INLINE Lanes root(const Lanes& v) {
     Lanes r = v;
@@ -30,14 +31,6 @@ INLINE Lanes root(const Lanes& v) {
 INLINE Lanes absolute(const Lanes& v) { return v < 0.0f ? -v : v; }
 
 INLINE float total(const Lanes& s) { return ((s[0] + s[1]) + (s[2] + s[3])) + ((s[4] + s[5]) + (s[6] + s[7])); }
-
-/// Return the sum over all pixels of f at the first of each lanes.
-template <class F>
-INLINE float sum(const Pixels& p, F f) {
-    Lanes s = {};
-    for (size_t i = 0; i < p.size; i += LANES) s += f(i);
-    return total(s);
-}
 
 /// Background and contrast, sloped: I = b0 + b1 x + b2 y - (a0 + a1 x + a2 y) e.
 struct Light {
@@ -62,38 +55,66 @@ struct Light {
     }
 };
 
-/// Return the Gaussian distribution function of sqrt(2) x, x >= 0, less a half, and its derivative by x.
+/// The Gaussian distribution function of sqrt(2) x, x >= 0, less a half, and its derivative by x.
 ///
 /// Abramowitz and Stegun 1964, 7.1.27: within 3e-4, the derivative that of the approximation.
-INLINE Lanes phi(const Lanes& x, Lanes& bell) {
-    const Lanes p = 1.0f + x * (0.278393f + x * (0.230389f + x * (0.000972f + x * 0.078108f)));
-    const Lanes dp = 0.278393f + x * (0.460778f + x * (0.002916f + x * 0.312432f));
-    const Lanes inverse = 1.0f / p, square = inverse * inverse, tail = 0.5f * square * square;
-    bell = 4.0f * tail * inverse * dp;
-    return 0.5f - tail;
-}
+struct Phi {
+    Lanes p, dp;
 
-/// Add a share of the image of an ellipse to e and its derivatives.
+    INLINE explicit Phi(const Lanes& x)
+        : p(1.0f + x * (0.278393f + x * (0.230389f + x * (0.000972f + x * 0.078108f)))),
+          dp(0.278393f + x * (0.460778f + x * (0.002916f + x * 0.312432f))) {}
+
+    /// Return the function, and the derivative in `bell`; `inverse` is 1 / p.
+    INLINE Lanes value(const Lanes& inverse, Lanes& bell) const {
+        const Lanes square = inverse * inverse, tail = 0.5f * square * square;
+        bell = 4.0f * tail * inverse * dp;
+        return 0.5f - tail;
+    }
+};
+
+/// Add a share of the image of an ellipse to e and its derivatives; the `first` one replaces them.
 ///
 /// With rho² = (x - c)' S^-1 (x - c) the rim lies (s - rho) / |grad rho| ahead and (s + rho) / |grad rho| behind. A
 /// strip of that width, blurred, is e = Phi(ahead) + Phi(behind) - 1. A disc that travels by u, v px while the shutter
 /// is open is blurred by that too, across its rim: the variance of a box is a twelfth of its square.
-WIDE void add_ellipse(Pixels& p, const Ellipse& s, float u, float v, float blur, float share) {
+WIDE void add_ellipse(const Pixels& p, const Ellipse& s, float u, float v, float blur, float share, bool first) {
     const float square = blur * blur, lx = 0.28867513f * u, ly = 0.28867513f * v;
     for (size_t i = 0; i < p.size; i += LANES) {
         const Lanes dx = lanes(p.x, i) - s.x, dy = lanes(p.y, i) - s.y;
         const Lanes gx = s.xx * dx + s.xy * dy, gy = s.xy * dx + s.yy * dy, along = gx * lx + gy * ly;
         const Lanes rho = root(gx * dx + gy * dy + 1e-6f);
-        const Lanes steep = 0.70710678f * rho / root((gx * gx + gy * gy) * square + along * along + 1e-12f);
-        const Lanes z = (s.size - rho) * steep;
+        const Lanes by_size = 0.70710678f / root((gx * gx + gy * gy) * square + along * along + 1e-12f);
+        const Lanes steep = rho * by_size, z = (s.size - rho) * steep;
+        const Phi to_rim(absolute(z)), to_far_rim((s.size + rho) * steep);
+        const Lanes inverse = 1.0f / (to_rim.p * to_far_rim.p);  // one division for both
         Lanes bell_ahead, bell_behind;
-        const Lanes ahead = phi(absolute(z), bell_ahead), behind = phi((s.size + rho) * steep, bell_behind);
-        const Lanes by_rho = share * (bell_ahead - bell_behind) * steep / rho;  // minus de/drho
-        put(lanes(p.e, i) + share * ((z < 0.0f ? -ahead : ahead) + behind), p.e, i);
-        put(lanes(p.d[0], i) + by_rho * gx, p.d[0], i);  // rho falls by g / rho along dc
-        put(lanes(p.d[1], i) + by_rho * gy, p.d[1], i);
-        put(lanes(p.d[2], i) + share * (bell_ahead + bell_behind) * steep, p.d[2], i);
+        const Lanes ahead = to_rim.value(to_far_rim.p * inverse, bell_ahead),
+                    behind = to_far_rim.value(to_rim.p * inverse, bell_behind);
+        const Lanes by_rho = share * (bell_ahead - bell_behind) * by_size;  // minus de/drho, over rho
+        const Lanes e = share * ((z < 0.0f ? -ahead : ahead) + behind);
+        const Lanes d[] = {by_rho * gx, by_rho * gy,
+                           share * (bell_ahead + bell_behind) * steep};  // rho falls by g / rho
+        put(first ? e : lanes(p.e, i) + e, p.e, i);
+        for (int k = 0; k < 3; k++) put(first ? d[k] : lanes(p.d[k], i) + d[k], p.d[k], i);
     }
+}
+
+constexpr size_t BLOCK = 16;  // lanes of all columns that the nearest cache holds
+using Columns = Lanes[UNKNOWNS + 1][BLOCK];
+using Sums = Lanes[UNKNOWNS][UNKNOWNS + 1];
+
+/// Add the weighted products of the columns from J on with those after them: registers hold the sums of one J.
+template <int J>
+INLINE void add_products(const Columns& A, const float* weight, size_t n, Sums& sums) {
+    Lanes row[UNKNOWNS + 1 - J];
+    for (int k = J; k <= UNKNOWNS; k++) row[k - J] = sums[J][k];
+    for (size_t b = 0; b < n; b++) {
+        const Lanes weighted = lanes(weight, b * LANES) * A[J][b];
+        for (int k = J; k <= UNKNOWNS; k++) row[k - J] += weighted * A[k][b];
+    }
+    for (int k = J; k <= UNKNOWNS; k++) sums[J][k] = row[k - J];
+    if constexpr (J + 1 < UNKNOWNS) add_products<J + 1>(A, weight, n, sums);
 }
 
 /// Project the colours of n pixels.
@@ -139,10 +160,12 @@ WIDE void fit_plane(const Pixels& p, Vector<UNKNOWNS>& x) {
 /// Set weight 1 for pixels beside the disc within 1.5 mean deviations of the plane x[:3], else 0.
 WIDE void keep_near(Pixels& p, const Vector<UNKNOWNS>& x, float noise) {
     const Light light(x);
-    const float deviations =
-        sum(p, [&](size_t i) { return lanes(p.weight, i) * absolute(light.off_background(p, i)); });
-    const float count = sum(p, [&](size_t i) { return lanes(p.weight, i); });
-    const float off = std::max(1.5f * deviations / (count + 1e-3f), 2.0f * noise);
+    Lanes deviations = {}, count = {};
+    for (size_t i = 0; i < p.size; i += LANES) {
+        deviations += lanes(p.weight, i) * absolute(light.off_background(p, i));
+        count += lanes(p.weight, i);
+    }
+    const float off = std::max(1.5f * total(deviations) / (total(count) + 1e-3f), 2.0f * noise);
     for (size_t i = 0; i < p.size; i += LANES) {
         const auto near = (absolute(light.off_background(p, i)) < off) & (lanes(p.e, i) < CLEAR);
         put(near ? Lanes{} + 1.0f : Lanes{}, p.weight, i);
@@ -151,15 +174,23 @@ WIDE void keep_near(Pixels& p, const Vector<UNKNOWNS>& x, float noise) {
 
 }  // namespace
 
+void Pixels::reserve(size_t pixels) {
+    constexpr size_t COLUMNS = 8, BYTES = LANES * sizeof(float);
+    const size_t room = (pixels + LANES - 1) / LANES * LANES;
+    memory_.reset(new float[COLUMNS * room + LANES]);
+    float* column = memory_.get();
+    while (reinterpret_cast<uintptr_t>(column) % BYTES != 0) column++;
+    for (float** c : {&x, &y, &grey, &weight, &e, &d[0], &d[1], &d[2]}) *c = std::exchange(column, column + room);
+}
+
 void Pixels::resize(size_t pixels) {
     count = pixels;
     size = (count + LANES - 1) / LANES * LANES;
-    for (auto* column : {&x, &y, &grey, &weight, &e, &d[0], &d[1], &d[2]}) column->resize(size);
     const float far = 50.0f + 0.25f * float(count);  // px beyond the disc and its blur
-    for (size_t i = count; i < size; i++) x[i] = x[0] + far, y[i] = y[0] + far, grey[i] = 1e6f;
+    for (size_t i = count; i < size; i++) x[i] = x[0] + far, y[i] = y[0] + far, grey[i] = 1e6f, weight[i] = 0.0f;
 }
 
-std::vector<float> cut_patch(const Photo& photo, double smoothing, int top, int left, int h, int w) {
+const float* cut_patch(const Photo& photo, double smoothing, int top, int left, int h, int w) {
     const int height = int(photo.image.shape(0)), width = int(photo.image.shape(1)),
               channels = int(photo.image.shape(2));
     const size_t rows = size_t(h + 2 * EDGE), columns = size_t(w + 2 * EDGE);
@@ -169,8 +200,12 @@ std::vector<float> cut_patch(const Photo& photo, double smoothing, int top, int 
         total += k == 0 ? kernel[k] : 2.0f * kernel[k];
     }
     for (float& k : kernel) k /= total;
-    std::vector<float> raw(columns), across(rows * size_t(w)), patch(size_t(h) * size_t(w));
-    std::vector<uint8_t> edge(columns * size_t(channels));
+    thread_local std::vector<float> raw, across, patch;
+    thread_local std::vector<uint8_t> edge;
+    raw.resize(columns);
+    across.resize(rows * size_t(w));
+    patch.resize(size_t(h) * size_t(w));
+    edge.resize(columns * size_t(channels));
     const int x0 = left - EDGE;
     const int begin = std::clamp(x0, 0, width), end = std::clamp(x0 + int(columns), begin, width);
     for (size_t i = 0; i < rows; i++) {  // all lines come from memory at once, instead of one by one
@@ -192,7 +227,7 @@ std::vector<float> cut_patch(const Photo& photo, double smoothing, int top, int 
         smooth(raw.data(), 1, kernel, size_t(w), &across[i * size_t(w)]);
     }
     smooth(across.data(), size_t(w), kernel, patch.size(), patch.data());
-    return patch;
+    return patch.data();
 }
 
 /// At time t, from -1/2 to 1/2 of the exposure, the centre is c + t s + t² q. The curvature q matters: seen in
@@ -202,8 +237,6 @@ void expect(Pixels& p, const Ellipse& rest, const Vector<7>& path, float blur) {
     constexpr double MAX_PARTS = 1000.0;
     const double way = std::hypot(path(0), path(1));
     const int parts = int(std::min(MAX_PARTS, std::max(1.0, std::ceil(way / (RIPPLE_STEP * double(blur))))));
-    std::fill(p.e.begin(), p.e.end(), 0.0f);
-    for (auto& column : p.d) std::fill(column.begin(), column.end(), 0.0f);
     for (int k = 0; k < parts; k++) {
         const double t = (k + 0.5) / parts - 0.5, square = t * t + 1.0 / (12.0 * parts * parts);  // mean of t²
         const Ellipse at{rest.xx + float(t * path(4)),
@@ -212,29 +245,32 @@ void expect(Pixels& p, const Ellipse& rest, const Vector<7>& path, float blur) {
                          rest.x + float(t * path(0) + square * path(2)),
                          rest.y + float(t * path(1) + square * path(3)),
                          rest.size};
-        add_ellipse(p, at, float(path(0) / parts), float(path(1) / parts), blur, 1.0f / float(parts));
+        add_ellipse(p, at, float(path(0) / parts), float(path(1) / parts), blur, 1.0f / float(parts), k == 0);
     }
 }
 
 WIDE Matrix<UNKNOWNS, UNKNOWNS + 1> normal_equations(const Pixels& p, const Vector<UNKNOWNS>& x) {
     const Light light(x);
-    Lanes sums[UNKNOWNS][UNKNOWNS + 1] = {};
-    for (size_t i = 0; i < p.size; i += LANES) {
-        const Lanes px = lanes(p.x, i), py = lanes(p.y, i), e = lanes(p.e, i), contrast = light.contrast(px, py);
-        const Lanes A[UNKNOWNS + 1] = {Lanes{} + 1.0f,
-                                       px,
-                                       py,
-                                       -e,
-                                       -e * px,
-                                       -e * py,
-                                       -contrast * lanes(p.d[0], i),
-                                       -contrast * lanes(p.d[1], i),
-                                       -contrast * lanes(p.d[2], i),
-                                       light.residual(p, i)};
-        for (int j = 0; j < UNKNOWNS; j++) {
-            const Lanes weighted = lanes(p.weight, i) * A[j];
-            for (int k = j; k <= UNKNOWNS; k++) sums[j][k] += weighted * A[k];
+    Columns A;
+    Sums sums = {};
+    for (size_t first = 0; first < p.size; first += BLOCK * LANES) {
+        const size_t n = std::min(BLOCK, (p.size - first) / LANES);
+        for (size_t b = 0; b < n; b++) {
+            const size_t i = first + b * LANES;
+            const Lanes px = lanes(p.x, i), py = lanes(p.y, i), e = lanes(p.e, i), contrast = light.contrast(px, py);
+            const Lanes row[UNKNOWNS + 1] = {Lanes{} + 1.0f,
+                                             px,
+                                             py,
+                                             -e,
+                                             -e * px,
+                                             -e * py,
+                                             -contrast * lanes(p.d[0], i),
+                                             -contrast * lanes(p.d[1], i),
+                                             -contrast * lanes(p.d[2], i),
+                                             light.residual(p, i)};
+            for (int k = 0; k <= UNKNOWNS; k++) A[k][b] = row[k];
         }
+        add_products<0>(A, p.weight + first, n, sums);
     }
     Matrix<UNKNOWNS, UNKNOWNS + 1> N;
     for (int j = 0; j < UNKNOWNS; j++)
@@ -277,26 +313,28 @@ WIDE double contrast_of(const Pixels& p, const Vector<UNKNOWNS>& x) {
     return total(depth) / std::max(double(total(squares)), 1e-3);
 }
 
-void leave_out_foreign(Pixels& p, const Vector<UNKNOWNS>& x, float foreign) {
+WIDE void leave_out_foreign(Pixels& p, const Vector<UNKNOWNS>& x, float foreign) {
     const Light light(x);
-    for (size_t i = 0; i < p.count; i++)
-        p.weight[i] = p.e[i] < CLEAR && std::fabs(p.grey[i] - light.background(p.x[i], p.y[i])) > foreign ? 0.0f : 1.0f;
+    for (size_t i = 0; i < p.size; i += LANES) {
+        const auto out = (lanes(p.e, i) < CLEAR) & (absolute(light.off_background(p, i)) > foreign);
+        put(out ? Lanes{} : Lanes{} + 1.0f, p.weight, i);
+    }
 }
 
 WIDE Quality quality(const Pixels& p, const Vector<UNKNOWNS>& x) {
     const Light light(x);
-    Lanes fits = {}, covered = {}, rim = {}, squares = {};
+    Lanes fits = {}, covered = {}, rim = {}, inside = {}, squares = {}, weight = {};
     for (size_t i = 0; i < p.size; i += LANES) {
         const Lanes dx = lanes(p.d[0], i), dy = lanes(p.d[1], i), w = lanes(p.weight, i);
         const Lanes slope = root(dx * dx + dy * dy), r = light.residual(p, i);
         fits += w * slope;
         covered += w < 0.3f ? slope : Lanes{};
         rim += slope;
+        inside += lanes(p.e, i);
         squares += w * r * r;
+        weight += w;
     }
-    return {total(fits),    total(covered),
-            total(rim),     sum(p, [&](size_t i) { return lanes(p.e, i); }),
-            total(squares), sum(p, [&](size_t i) { return lanes(p.weight, i); })};
+    return {total(fits), total(covered), total(rim), total(inside), total(squares), total(weight)};
 }
 
 }  // namespace spheremouse::ball

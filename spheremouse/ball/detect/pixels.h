@@ -1,6 +1,8 @@
 // Pixels around a disc, and the image that the fit expects: a sloped background less a blurred ellipse.
 #pragma once
 
+#include <memory>
+
 #include "spheremouse/ball/detect/disc_model.h"
 
 namespace spheremouse::ball {
@@ -16,10 +18,16 @@ constexpr size_t LANES = 8;     // partial sums, one for each lane of a wide reg
 /// Distant pixels of weight 0 fill the last lanes.
 struct Pixels {
     size_t count = 0, size = 0;  // without and with those that fill the last lanes
-    std::vector<float> x, y, grey, weight, e, d[3];
+    float *x, *y, *grey, *weight, *e, *d[3];
+
+    /// Make room for that many pixels. All columns share one block of memory, without zeros.
+    void reserve(size_t pixels);
 
     /// Keep that many pixels, and fill the last lanes.
     void resize(size_t pixels);
+
+  private:
+    std::unique_ptr<float[]> memory_;
 };
 
 /// An ellipse, (x - c)' inverse (x - c) = size².
@@ -29,8 +37,10 @@ struct Ellipse {
     float size;
 };
 
-/// Cut a window of h x w px from a smoothed projection. The picture's last rows and columns repeat beyond its edge.
-std::vector<float> cut_patch(const Photo& photo, double smoothing, int top, int left, int h, int w);
+/// Return a window of h x w px of a smoothed projection, which the next call of the thread overwrites.
+///
+/// The picture's last rows and columns repeat beyond its edge.
+const float* cut_patch(const Photo& photo, double smoothing, int top, int left, int h, int w);
 
 /// Compute e and its derivatives for a disc that moves along `path` (`Expected`) while the shutter is open.
 void expect(Pixels& p, const Ellipse& rest, const Vector<7>& path, float blur);

@@ -73,14 +73,6 @@ def sample_weights_of(projection: Projection, channels: int) -> NDArray[np.float
     return weights_of(projection, channels)
 
 
-@lru_cache(maxsize=64)
-def sampled_channel(projection: Projection, channels: int) -> tuple[int, int] | None:
-    """Return the only channel with a weight in `sample_weights_of`, and its sign; None if several have one."""
-    weights = sample_weights_of(projection, channels)
-    used = np.flatnonzero(weights)
-    return (int(used[0]), int(np.sign(weights[used[0]]))) if len(used) == 1 else None
-
-
 def offset_of(projection: Projection, channels: int) -> float:
     """Return the offset of `projected`, which makes its least value 0. It is the value of no light."""
     return -255.0 * float(np.minimum(weights_of(projection, channels), 0.0).sum())

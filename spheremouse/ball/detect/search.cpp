@@ -1,57 +1,45 @@
 // Search for unknown discs in a part of a picture, as `search.py` describes it.
+#include <array>
+#include <optional>
+
 #include "spheremouse/ball/detect/disc_model.h"
 
 namespace spheremouse::ball {
 namespace {
 
-using Places = Array<const double, -1, 2>;
+constexpr size_t MAX_FOUND = 4;           // candidates in one frame: more come in the next
+constexpr double REJECTED = 2.5;          // px of the coarse picture, around a place that was no disc
+constexpr double WAIT[] = {32.0, 512.0};  // turns for which it is left out, at first and at most
+constexpr size_t REMEMBERED = 256;        // such places
+constexpr int SIDES = 8;                  // neighbours, opposite ones follow each other
+constexpr int MIN_BRIGHTER = 4;           // neighbours
+constexpr size_t SHIFTS = 4;              // of the lattice
+constexpr size_t OTHER_START = 997;       // each frame begins elsewhere, so the limit falls on no disc for long
+constexpr size_t AHEAD = 128;             // samples that come from memory before their turn
+constexpr float GREY[] = {0.114f, 0.587f, 0.299f};  // `projection.GREY`
 
-constexpr size_t MAX_FOUND = 4;      // candidates in one frame: more come in the next
-constexpr double REJECTED = 2.5;     // px of the coarse picture, around a place that turned out to be no disc
-constexpr int SIDES = 8;             // neighbours, opposite ones follow each other
-constexpr int MIN_BRIGHTER = 4;      // neighbours
-constexpr size_t OTHER_START = 997;  // each frame begins elsewhere, so the limit falls on no disc for long
+using Points = std::vector<Vector<2>>;
 
-/// Values of a projection: those of one channel, with a sign, less the value of no light.
-struct Plane {
-    Image image;
-    Mask mask;
-    int sign, dark;
-    const uint8_t* first;  // of the channel
-    int width, height, channels;
-    size_t size;  // from that one to the last
-
-    Plane(Image image_, Mask mask_, size_t channel, int sign_, int dark_)
-        : image(image_),
-          mask(mask_),
-          sign(sign_),
-          dark(dark_),
-          first(image.data() + channel),
-          width(int(image.shape(1))),
-          height(int(image.shape(0))),
-          channels(int(image.shape(2))),
-          size(image.size() > channel ? image.size() - channel : 0) {
-        if (image.shape(0) != mask.shape(0) || image.shape(1) != mask.shape(1))
-            throw nb::type_error("mask: must have the size of image");
-        if (channel >= image.shape(2)) throw nb::value_error("plane: its channel must be in image");
-        if ((sign != 1 && sign != -1) || dark < -255 || dark > 255)
-            throw nb::value_error("plane: must have a sign of 1 or -1, and no light from -255 to 255");
-    }
-
-    ptrdiff_t index(int x, int y) const { return (ptrdiff_t(y) * width + x) * channels; }
-
-    int at(ptrdiff_t index) const {
-        if (size_t(index) >= size) throw nb::value_error("samples: must lie in image, with their neighbours");
-        return sign * first[index] - dark;
-    }
-};
-
-/// Pixels of a lattice, `search.Samples`.
-struct Samples {
+/// Pixels of a lattice, `search.Samples`, and its other data.
+struct Lattice {
     size_t size;
     const int32_t *place, *along;
     const uint8_t* sides;
-    ptrdiff_t step[SIDES];  // to the neighbours, in a Plane
+    ptrdiff_t step[SIDES];  // to the neighbours, in a picture
+    int reduction;
+};
+
+/// A place that turned out to be no disc.
+struct Rejection {
+    Vector<2> place;  // px
+    double until;     // turn, left out before
+    double wait;      // turns for which it was left out last
+};
+
+struct Search {
+    int64_t turn;
+    double size;  // of the discs, fitted over expected, or 0
+    std::vector<Rejection> rejected;
 };
 
 struct Limits {
@@ -65,37 +53,75 @@ struct Limits {
     bool clearly_darker(int value, int beside) const { return darker(value, beside) && value < beside - least; }
 };
 
+/// Values of the projection whose noise is known (`projection.sample_weights_of`): of grey, green alone.
+class Plane {
+    const uint8_t* first_;
+    size_t size_;  // from a pixel to the last one
+    ptrdiff_t channels_;
+    std::array<float, 3> w_;
+    int single_ = -1, sign_ = 1;  // the only channel with a weight, and its sign
+
+  public:
+    Mask mask;
+    int width, height;
+
+    explicit Plane(const Photo& photo)
+        : first_(photo.image.data()),
+          size_(photo.image.size() - photo.image.shape(2) + 1),
+          channels_(ptrdiff_t(photo.image.shape(2))),
+          w_{photo.weights[0], photo.weights[1], photo.weights[2]},
+          mask(photo.mask),
+          width(int(mask.shape(1))),
+          height(int(mask.shape(0))) {
+        if (channels_ == 1) w_[1] = w_[2] = 0.0f;
+        const auto has_size = [](float w, float grey) { return std::abs(w) == grey; };
+        if (std::equal(w_.begin(), w_.end(), GREY, has_size)) w_ = {0.0f, std::copysign(1.0f, w_[1]), 0.0f};
+        for (int c = 0; c < 3; c++)
+            if (std::abs(w_[size_t(c)]) == 1.0f) single_ = c, sign_ = int(w_[size_t(c)]);
+    }
+
+    ptrdiff_t index(int64_t x, int64_t y) const { return (y * width + x) * channels_; }
+    void prefetch(ptrdiff_t index) const { __builtin_prefetch(first_ + index); }
+
+    int at(ptrdiff_t index) const {
+        if (size_t(index) >= size_) throw nb::value_error("samples: must lie in image, with their neighbours");
+        const uint8_t* p = first_ + index;
+        return single_ >= 0 ? sign_ * p[single_] : int(w_[0] * float(p[0]) + w_[1] * float(p[1]) + w_[2] * float(p[2]));
+    }
+};
+
 template <class P>
-bool is_near(const Vector<2>& at, const P& places, size_t count, double radius) {
-    for (size_t i = 0; i < count; i++)
-        if ((at - View<2, 1>(&places(i, 0))).squaredNorm() < radius * radius) return true;
-    return false;
+bool is_near(const Vector<2>& at, const P& places, double radius) {
+    return std::any_of(places.begin(), places.end(),
+                       [&](const auto& place) { return (at - place).squaredNorm() < radius * radius; });
 }
 
 /// Return the level between a sample and the ball around it, or nothing unless it is darker on nearly all sides.
-bool is_dark_spot(const Plane& plane, const Samples& samples, size_t i, const Limits& limits, float& level) {
-    const ptrdiff_t at = plane.index(samples.place[2 * i], samples.place[2 * i + 1]);
-    const int bits = samples.sides[i], value = plane.at(at);
-    // two neighbours part most of the ball from the rest
-    if ((bits & 3) == 3 &&
-        !limits.darker(value, std::max(plane.at(at + samples.step[0]), plane.at(at + samples.step[1]))))
-        return false;
+std::optional<float> dark_level(const Plane& plane, const Lattice& lattice, size_t i, const Limits& limits) {
+    const ptrdiff_t at = plane.index(lattice.place[2 * i], lattice.place[2 * i + 1]);
+    const int value = plane.at(at);
     int brighter = 0, others = 0, ball = 0;
-    for (int k = 0; k < SIDES && others < 2; k++) {
-        if (!((bits >> k) & 1)) continue;
-        const int beside = plane.at(at + samples.step[k]);
+    for (size_t k = 0; k < SIDES && others < 2; k++) {
+        if (!((lattice.sides[i] >> k) & 1)) continue;
+        const int beside = plane.at(at + lattice.step[k]);
         if (limits.clearly_darker(value, beside))
             brighter++, ball += beside;
         else
             others++;
     }
-    if (others > 1 || brighter < MIN_BRIGHTER) return false;
+    if (others > 1 || brighter < MIN_BRIGHTER) return {};
     for (size_t k = 0; k < 2; k++) {  // a disc ends along the limb, the limb's own blur does not
-        const int u = samples.along[4 * i + 2 * k], v = samples.along[4 * i + 2 * k + 1];
-        if ((u != 0 || v != 0) && !limits.clearly_darker(value, plane.at(at + plane.index(u, v)))) return false;
+        const int u = lattice.along[4 * i + 2 * k], v = lattice.along[4 * i + 2 * k + 1];
+        if ((u != 0 || v != 0) && !limits.clearly_darker(value, plane.at(at + plane.index(u, v)))) return {};
     }
-    level = float(0.5 * (value + double(ball) / brighter));
-    return true;
+    return float(0.5 * (value + double(ball) / brighter));
+}
+
+/// Return false if no neighbour in the row is brighter: they part most of the ball from the rest.
+inline bool is_possible(const Plane& plane, const Lattice& lattice, size_t i, const Limits& limits) {
+    if ((lattice.sides[i] & 3) != 3) return true;
+    const ptrdiff_t at = plane.index(lattice.place[2 * i], lattice.place[2 * i + 1]);
+    return limits.darker(plane.at(at), std::max(plane.at(at + lattice.step[0]), plane.at(at + lattice.step[1])));
 }
 
 /// Take two mean-shift steps towards the pixels darker than `level`, on the ball, within `reach` px.
@@ -122,73 +148,145 @@ Vector<2> settle(const Plane& plane, float level, double reach, int step, Vector
     return at;
 }
 
-std::vector<Vector<2>> find(const Plane& plane, const Samples& samples, const Limits& limits, int64_t turn,
-                            const Places& known, const Places& rejected) {
+/// Return dark spots on the ball, away from the places `known`: centroids of the dark pixels around a sample.
+Points find(const Plane& plane, const Lattice& lattice, const Limits& limits, const Search& search,
+            const Points& known) {
     const double known_radius = limits.radius + 2.0 * limits.reduction;
-    std::vector<Vector<2>> found;
-    const auto in_found = [&](size_t i, int axis) -> const double& { return found[i](axis); };
-    const size_t n = samples.size, start = n ? size_t(turn) * OTHER_START % n : 0;
+    Points found, rejected;
+    for (const Rejection& r : search.rejected)
+        if (r.until > double(search.turn)) rejected.push_back(r.place);
+    const size_t n = lattice.size, start = n ? size_t(search.turn) * OTHER_START % n : 0;
     for (size_t k = 0; k < n && found.size() < MAX_FOUND; k++) {
-        const size_t i = start + k < n ? start + k : start + k - n;
-        float level;
-        if (!is_dark_spot(plane, samples, i, limits, level)) continue;
-        Vector<2> at(samples.place[2 * i], samples.place[2 * i + 1]);
-        if (is_near(at, known, known.shape(0), known_radius) || is_near(at, in_found, found.size(), known_radius) ||
-            is_near(at, rejected, rejected.shape(0), 0.7 * limits.radius))  // within such a place
+        const size_t i = start + k < n ? start + k : start + k - n, ahead = std::min(i + AHEAD, n - 1);
+        if (k % 8 == 0) plane.prefetch(plane.index(lattice.place[2 * ahead], lattice.place[2 * ahead + 1]));
+        if (!is_possible(plane, lattice, i, limits)) continue;
+        const std::optional<float> level = dark_level(plane, lattice, i, limits);
+        if (!level) continue;
+        Vector<2> at(lattice.place[2 * i], lattice.place[2 * i + 1]);
+        if (is_near(at, known, known_radius) || is_near(at, found, known_radius) ||
+            is_near(at, rejected, 0.7 * limits.radius))  // within such a place
             continue;
-        at = settle(plane, level, limits.radius + limits.reduction, limits.reduction, at);
-        if (!is_near(at, known, known.shape(0), known_radius) &&
-            !is_near(at, rejected, rejected.shape(0), REJECTED * limits.reduction))
+        at = settle(plane, *level, limits.radius + limits.reduction, limits.reduction, at);
+        if (!is_near(at, known, known_radius) && !is_near(at, rejected, REJECTED * limits.reduction))
             found.push_back(at);
     }
     return found;
 }
 
-Limits read_limits(nb::handle given) {
-    const nb::tuple limits = members(given, 4, "limits");
-    double value[3];
-    for (int i = 0; i < 3; i++) value[i] = number<double>(limits[i], "limits");
-    const auto [contrast, difference, radius] = value;
-    const int reduction = number<int>(limits[3], "limits");
-    if (!(std::abs(contrast) <= 1.0 && std::abs(difference) < 1e6 && std::abs(radius) < 1e6) || reduction < 1 ||
-        reduction > 1000)
-        throw nb::value_error("limits: must be finite, with a contrast up to 1 and a reduction from 1 to 1000");
-    return {int(256.0 * (1.0 - contrast)), int(difference), radius, reduction};
+/// Begin the next turn after a frame that rejected some places as discs. A place without a new sighting expires.
+void next_turn(Search& search, const Points& rejected, int reduction) {
+    const double turn = double(++search.turn), radius = REJECTED * reduction;
+    if (rejected.empty()) return;
+    std::vector<Rejection> next;
+    for (const Vector<2>& place : rejected)
+        if (std::none_of(search.rejected.begin(), search.rejected.end(),
+                         [&](const Rejection& r) { return (r.place - place).norm() < radius; }))
+            next.push_back({place, turn + WAIT[0], WAIT[0]});
+    for (Rejection r : search.rejected) {
+        if (is_near(r.place, rejected, radius)) {
+            r.wait = std::min(2.0 * r.wait, WAIT[1]);
+            r.until = turn + r.wait;
+        }
+        if (turn - r.until < r.wait) next.push_back(r);
+    }
+    next.resize(std::min(next.size(), REMEMBERED));
+    search.rejected = std::move(next);
 }
 
-nb::object candidate_pixels(nb::handle plane_, nb::handle mask, nb::handle samples_, nb::handle offsets,
-                            nb::handle limits_, int64_t turn, nb::handle known_, nb::handle rejected_) {
-    const nb::tuple source = members(plane_, 4, "plane"), lattice = members(samples_, 3, "samples");
-    const Plane plane(array<const uint8_t, -1, -1, -1>(source[0], "image"), array<const uint8_t, -1, -1>(mask, "mask"),
-                      number<size_t>(source[1], "plane"), number<int>(source[2], "plane"),
-                      number<int>(source[3], "plane"));
-    const auto place = array<const int32_t, -1, 2>(lattice[0], "place");
-    const auto sides = array<const uint8_t, -1>(lattice[1], "sides");
-    const auto along = array<const int32_t, -1, 2, 2>(lattice[2], "along");
-    const auto steps = array<const int32_t, SIDES, 2>(offsets, "offsets");
-    Samples samples{place.shape(0), place.data(), along.data(), sides.data(), {}};
-    for (size_t k = 0; k < SIDES; k++) samples.step[k] = plane.index(steps(k, 0), steps(k, 1));
-    if (sides.shape(0) != samples.size || along.shape(0) != samples.size)
+/// Search for discs away from the places `known`, and measure them.
+std::vector<Measured> find_new_discs(const Photo& photo, const DiscModel& model, const Lattice& lattice, Search& search,
+                                     const Points& known) {
+    const double difference = 2.5 * photo.noise;
+    if (!(std::abs(model.fit.contrast) <= 2.0 && difference < 1e6 && model.diameter < 1e6))
+        throw nb::value_error("model: must have a finite diameter and noise, and a contrast up to 2");
+    const Limits limits{int(256.0 * (1.0 - 0.5 * model.fit.contrast)), int(difference), 0.5 * model.diameter,
+                        lattice.reduction};
+    const Points places = find(Plane(photo), lattice, limits, search, known);
+    Matrix<Dynamic, 3> directions(MAX_FOUND, 3);
+    Matrix<Dynamic, 2> seen(MAX_FOUND, 2);
+    nb::ssize_t n = 0;
+    for (const Vector<2>& place : places) {
+        const Hit hit = first_hit(model.view, unproject(model.view.camera, place).place);
+        if (!hit.met) continue;
+        directions.row(n) = (hit.point - model.view.centre) / model.view.radius;
+        seen.row(n++) = place;
+    }
+    double size = 0.0;
+    const std::vector<Measured> found =
+        n == 0 ? std::vector<Measured>()
+               : measure(photo, Directions(directions.data(), n, 3), model, Places(seen.data(), n, 2), Motion(), size);
+    Points rejected;
+    for (const Vector<2>& place : places)
+        if (std::none_of(found.begin(), found.end(),
+                         [&](const Measured& m) { return (m.centre - place).norm() < limits.radius; }))
+            rejected.push_back(place);
+    next_turn(search, rejected, lattice.reduction);
+    return found;
+}
+
+/// Read the part of a `search.Lattice` for one turn.
+Lattice read_lattice(nb::handle given, int64_t turn, const Image& image) {
+    const nb::tuple lattice = members(given, 3, "lattice");
+    const nb::tuple shifts = members(lattice[0], SHIFTS, "samples");
+    const nb::tuple samples = members(shifts[size_t(turn) % SHIFTS], 3, "samples");
+    const auto place = array<const int32_t, -1, 2>(samples[0], "place");
+    const auto sides = array<const uint8_t, -1>(samples[1], "sides");
+    const auto along = array<const int32_t, -1, 2, 2>(samples[2], "along");
+    const auto offsets = array<const int32_t, SIDES, 2>(lattice[1], "offsets");
+    if (sides.shape(0) != place.shape(0) || along.shape(0) != place.shape(0))
         throw nb::type_error("sides, along: must have the length of place");
-    const Limits limits = read_limits(limits_);
-    const auto known = array<const double, -1, 2>(known_, "known"),
-               rejected = array<const double, -1, 2>(rejected_, "rejected");
-    if (turn < 0) throw nb::value_error("turn: must not be negative");
-    std::vector<Vector<2>> found;
+    Lattice read{place.shape(0), place.data(), along.data(), sides.data(), {}, number<int>(lattice[2], "lattice")};
+    if (read.reduction < 1 || read.reduction > 1000) throw nb::value_error("reduction: must be from 1 to 1000");
+    for (size_t k = 0; k < SIDES; k++)
+        read.step[k] = (ptrdiff_t(offsets(k, 1)) * image.shape(1) + offsets(k, 0)) * image.shape(2);
+    return read;
+}
+
+/// Read a `search.SearchState`.
+Search read_search(const nb::tuple& given) {
+    Search search{number<int64_t>(given[0], "search"), number<double>(given[2], "search"), {}};
+    const auto rejected = matrix<Dynamic, 4>(given[3], "rejected");
+    if (search.turn < 0 || search.turn >= int64_t(1) << 53) throw nb::value_error("turn: must be from 0 to 2^53");
+    for (nb::ssize_t i = 0; i < rejected.rows(); i++)
+        search.rejected.push_back({rejected.block<1, 2>(i, 0), rejected(i, 2), rejected(i, 3)});
+    return search;
+}
+
+nb::tuple follow_discs(nb::handle image, nb::handle directions_, nb::handle model_, nb::handle lattice_,
+                       nb::handle search_, nb::handle motion_, nb::handle known_, size_t least) {
+    const nb::tuple given = members(search_, 4, "search");
+    Search search = read_search(given);
+    const double noise = number<double>(given[1], "search");
+    const auto [model, photo] = read_model(model_, image, noise);
+    const Lattice lattice = read_lattice(lattice_, search.turn, photo.image);
+    const Directions directions = matrix<Dynamic, 3>(directions_, "directions");
+    const Motion motion = read_motion(motion_);
+    const auto places = matrix<Dynamic, 2>(known_, "known");
+    std::vector<Measured> found;
     {
         nb::gil_scoped_release release;
-        found = find(plane, samples, limits, turn, known, rejected);
+        found = measure(photo, directions, model, Places(nullptr, 0, 2), motion, search.size);
+        if (found.size() >= least) {
+            Points known;
+            for (const Measured& m : found) known.push_back(m.centre);
+            for (nb::ssize_t i = 0; i < places.rows(); i++) known.push_back(places.row(i));
+            const std::vector<Measured> more = find_new_discs(photo, model, lattice, search, known);
+            found.insert(found.end(), more.begin(), more.end());
+        }
     }
-    const Rows<2> places(found.size());
-    for (size_t i = 0; i < found.size(); i++) places[i] = found[i];
-    return nb::cast(places.array);
+    const Rows<4> rejected(search.rejected.size());
+    for (size_t i = 0; i < search.rejected.size(); i++) {
+        const Rejection& r = search.rejected[i];
+        rejected[i] << r.place, r.until, r.wait;
+    }
+    return to_numpy(found, nb::make_tuple(search.turn, noise, search.size, rejected.array));
 }
 
 }  // namespace
 
 void bind_search(nb::module_& m) {
-    m.def("candidate_pixels", &candidate_pixels, arg("plane"), arg("mask"), arg("samples"), arg("offsets"),
-          arg("limits"), arg("turn"), arg("known"), arg("rejected"));
+    m.def("follow_discs", &follow_discs, arg("image"), arg("directions"), arg("model"), arg("lattice"), arg("search"),
+          arg("motion"), arg("known"), arg("least"));
 }
 
 }  // namespace spheremouse::ball

@@ -6,7 +6,6 @@ each with a shifted lattice, detect every disc that is large enough. The first f
 For a while the search leaves out places that proved not to be discs, so that struts cost no time.
 """
 
-from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import cv2
@@ -14,17 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
-from spheremouse.ball.detect.projection import Projection, offset_of, projected, sampled_channel
-from spheremouse.ball.detect.windows import DiscModel
 from spheremouse.geometry.rotation import Array
-from spheremouse.native import kernels
 
 _STRIDE = (2, 8)  # columns and rows of the coarse picture between samples of one frame: few rows are few cache misses
 _SHIFTS = ((0, 0), (1, 4), (0, 2), (1, 6))  # of the lattice, frame after frame: together every other row
 _MARGIN = 2.5  # px beyond a disc's radius at which the ball is looked at: blur, and a sample off the centre
-_REJECTED = 2.5  # px of the coarse picture, around a place that turned out to be no disc
-_WAIT = (32, 512)  # frames for which such a place is left out, at first and at most: doubled each time
-_REMEMBERED = 256  # places remembered
 
 
 class Samples(NamedTuple):
@@ -35,8 +28,7 @@ class Samples(NamedTuple):
     along: NDArray[np.int32]  # (n, 2, 2) px to both sides along the limb; 0 away from it
 
 
-@dataclass(frozen=True, slots=True)
-class Lattice:
+class Lattice(NamedTuple):
     """Search grid for unknown discs, built once."""
 
     samples: tuple[Samples, ...]  # of each shift
@@ -47,21 +39,17 @@ class Lattice:
         """Return the lattice with the samples at pixels `where`, (h, w)."""
         inside = [where[s.place[:, 1], s.place[:, 0]] for s in self.samples]
         part = tuple(Samples(s.place[k], s.sides[k], s.along[k]) for s, k in zip(self.samples, inside, strict=True))
-        return replace(self, samples=part)
+        return self._replace(samples=part)
 
 
-@dataclass(frozen=True, slots=True)
-class SearchState:
+class SearchState(NamedTuple):
     """State of the search between frames."""
 
     turn: int = 0
     noise: float = 0.0  # grey values, of a pixel; 0: not measured yet
     size: float = 0.0  # fitted over expected, of all discs; 0: not known
-    rejected: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2) px, places that were no discs
-    until: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (k,) turn: left out before
-    wait: NDArray[np.intp] = field(
-        default_factory=lambda: np.zeros(0, dtype=np.intp)
-    )  # (k,) for how long the last time
+    # (k, 4) places that were no discs, px, the turn before which each is left out, and for how many turns it was
+    rejected: Array = np.zeros((0, 4))
 
 
 def lattice(mask: Image, thin: NDArray[np.bool_], diameter: float, reduction: int) -> Lattice:
@@ -116,56 +104,3 @@ class _Limb:
         inside = (at[:, None] + offsets >= 0) & (at[:, None] + offsets < (self._depth.shape[1], self._depth.shape[0]))
         offsets[(depth > distance) | ~inside.all(axis=(1, 2))] = 0
         return offsets
-
-
-class _Plane(NamedTuple):
-    """Values of a projection in an image. They are `sign` times the pixels' channel `channel`, less `dark`."""
-
-    image: Image  # (h, w, c)
-    channel: int
-    sign: int
-    dark: int  # value of no light
-
-
-def candidate_pixels(
-    image: Image, model: DiscModel, lattice: Lattice, state: SearchState, known: Array, noise: float
-) -> Array:
-    """Return dark spots of an image (h, w, c) on the ball, away from the pixels `known`, (m, 2).
-
-    Each is the centroid, (k, 2) px, of the dark pixels around a sample. `noise` is that of a pixel.
-    """
-    limits = 0.5 * model.fit.contrast, 2.5 * noise, 0.5 * model.diameter, lattice.reduction
-    rejected = state.rejected[state.until > state.turn]
-    samples = lattice.samples[state.turn % len(_SHIFTS)]
-    plane = _plane(image, model.fit.projection)
-    known = np.ascontiguousarray(known)
-    return kernels.candidate_pixels(plane, model.mask, samples, lattice.offsets, limits, state.turn, known, rejected)
-
-
-def _plane(image: Image, projection: Projection) -> _Plane:
-    """Return the values of a projection in an image, (h, w, c). Only several channels need a separate image."""
-    channels = image.shape[2]
-    one = sampled_channel(projection, channels)
-    if one is not None:
-        return _Plane(image, *one, 0)
-    return _Plane(projected(image, projection)[:, :, None], 0, 1, round(offset_of(projection, channels)))
-
-
-def update_rejections(state: SearchState, rejected: Array, reduction: int) -> SearchState:
-    """Return the search's state after a frame that rejected the places `rejected`, (k, 2) px, as discs."""
-    turn = state.turn + 1
-    if len(rejected) == 0:
-        return replace(state, turn=turn)
-    again = np.linalg.norm(state.rejected[:, None] - rejected[None], axis=2) < _REJECTED * reduction
-    old, new = again.any(axis=1), ~again.any(axis=0)
-    wait = np.where(old, np.minimum(2 * state.wait, _WAIT[1]), state.wait)
-    until = np.where(old, turn + wait, state.until)
-    keep = turn - until < wait  # a place without a new sighting expires
-    return SearchState(
-        turn,
-        state.noise,
-        state.size,
-        np.concatenate([rejected[new], state.rejected[keep]])[:_REMEMBERED],
-        np.concatenate([np.full(new.sum(), turn + _WAIT[0]), until[keep]])[:_REMEMBERED],
-        np.concatenate([np.full(new.sum(), _WAIT[0]), wait[keep]])[:_REMEMBERED],
-    )

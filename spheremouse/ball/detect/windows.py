@@ -45,8 +45,8 @@ class Motion(NamedTuple):
     readout: float  # s, of all rows
 
 
-_ANYWHERE = np.zeros((0, 2))
-_AT_REST = Motion(np.zeros(3), 0.0)
+ANYWHERE = np.zeros((0, 2))
+AT_REST = Motion(np.zeros(3), 0.0)
 
 
 def measure_discs(
@@ -54,8 +54,8 @@ def measure_discs(
     directions: Array,
     model: DiscModel,
     noise: float,
-    places: Array = _ANYWHERE,
-    motion: Motion = _AT_REST,
+    places: Array = ANYWHERE,
+    motion: Motion = AT_REST,
     size: float = 0.0,
 ) -> tuple[Detections, float]:
     """Measure the discs at `directions`, (n, 3) unit vectors in obj, in an image (h, w, c) of uint8.

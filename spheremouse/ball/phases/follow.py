@@ -16,6 +16,7 @@ from spheremouse.ball.associate import identify
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.search import SearchState
+from spheremouse.ball.detect.windows import Motion
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_mixture import Hypothesis, update_hypotheses
@@ -61,14 +62,13 @@ def detect_discs(
     known = np.concatenate(
         [predicted.discs[which], state.lookalikes.candidates.anchor_ball]
     )  # discs, and what may be one
-    readout = tracker.rig.readout_s + predicted.readout
-    found, search = detector.follow(frame.image, known @ predicted.attitude.T, predicted.rate, readout, state.search)
     seen_before = np.count_nonzero(predicted.missed[which] == 0)
-    if len(found) < _SECURE or 2 * len(found) < min(seen_before, len(state.filter.used)):
-        return detector.detect(frame.image), search
-    near = np.concatenate([found.centre, state.lookalikes.masks])
-    other, search = detector.find_new_discs(frame.image, search, near)
-    return found.joined(other), search
+    least = max(_SECURE, (min(seen_before, len(state.filter.used)) + 1) // 2)
+    motion = Motion(predicted.rate, tracker.rig.readout_s + predicted.readout)
+    found, search = detector.follow(
+        frame.image, state.search, known @ predicted.attitude.T, motion, state.lookalikes.masks, least
+    )
+    return (detector.detect(frame.image) if len(found) < least else found), search
 
 
 def follow(

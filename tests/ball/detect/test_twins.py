@@ -11,7 +11,9 @@ from ray_cast import CLEAN, DISCS, POSE, RIG, looking_at, photo
 from spheremouse.ball.detect.appearance import appearance, seen_at
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
 from spheremouse.ball.detect.projection import GREY
-from spheremouse.ball.detect.windows import FitSettings, Motion
+from spheremouse.ball.detect.search import SearchState
+from spheremouse.ball.detect.windows import AT_REST, FitSettings, Motion, measure_discs
+from spheremouse.ball.points import directions_at
 from spheremouse.ball.rig import view_of
 from spheremouse.geometry.camera import InteriorOrientation, Pose, ellipse_to_pixel, project, project_circle
 from spheremouse.native import kernels
@@ -96,18 +98,48 @@ def test_discs_are_measured_where_and_how_they_are_seen(exposure):
         assert_allclose(native, twin, rtol=1e-6)  # a path differs by rounding
 
 
-def test_candidates_are_those_of_the_twin():
+def test_a_search_is_that_of_the_twin():
     rng = np.random.default_rng(2)
-    count = 0
+    model, count = DETECTOR.model, 0
     for turn in range(12):
-        image = photo(CLEAN, rng.uniform(0.5, 4.0), turn)
-        known, rejected = rng.uniform(150.0, 480.0, (6, 2)), rng.uniform(150.0, 480.0, (3, 2))
-        samples, limits = DETECTOR.lattice.samples[turn % 4], (0.125, 2.5, 7.5, 1)
-        more = DETECTOR.model.mask, samples, DETECTOR.lattice.offsets, limits, turn, known, rejected
-        found = kernels.candidate_pixels((image[:, :, None], 0, 1, 0), *more)
-        assert_allclose(found, twins.candidate_pixels(image, *more), rtol=1e-5)  # sums in single precision
-        count += len(found)
+        grey = photo(CLEAN, rng.uniform(0.5, 4.0), turn)
+        grey[rng.integers(150, 330, 6)] //= 2  # struts, which are no discs
+        rejected = np.concatenate([rng.uniform(150.0, 480.0, (30, 2)), rng.integers(0, 40, (30, 2))], axis=1)
+        search, known = SearchState(turn, 1.0, 1.0, rejected), rng.uniform(150.0, 480.0, (6, 2))
+        samples, limits = DETECTOR.lattice.samples[turn % 4], (0.125, 2.5, 0.5 * model.diameter, 1)
+        active = rejected[rejected[:, 2] > turn, :2]
+        places = twins.candidate_pixels(
+            grey, model.mask, samples, DETECTOR.lattice.offsets, limits, turn, known, active
+        )
+        colours = grey[:, :, None]
+        found, _ = measure_discs(colours, directions_at(places, RIG, POSE)[0], model, 1.0, places)
+        missed = np.linalg.norm(places[:, None] - found.centre[None], axis=2).min(axis=1, initial=np.inf) > limits[2]
+        after = twins.next_turn(search, places[missed], 1)
+        arguments = np.zeros((0, 3)), model, DETECTOR.lattice, search, AT_REST, known, 0
+        centre, covariance, area, state = kernels.follow_discs(colours, *arguments)
+        assert_allclose(centre, found.centre, rtol=1e-5)  # the places are sums in single precision
+        assert_allclose(covariance, found.covariance, rtol=1e-3)
+        assert_allclose(area, found.area, rtol=1e-5)
+        assert state[:3] == after[:3]
+        assert_allclose(state[3], after.rejected, rtol=1e-5)
+        count += len(places)
     assert count > 20
+
+
+def test_a_followed_disc_is_no_new_one():
+    """The discs come first, and the search leaves them out; if there are too few, it waits."""
+    image, search = photo(CLEAN, 1.0)[:, :, None], SearchState(0, 1.0, 1.0)
+    followed = measure_discs(image, DISCS[:9], DETECTOR.model, 1.0, size=1.0)[0]
+    model = DETECTOR.model, DETECTOR.lattice, search, AT_REST, np.zeros((0, 2))
+    centre, *_, state = kernels.follow_discs(image, DISCS[:9], *model, 9)
+    assert_array_equal(centre[:9], followed.centre)
+    more, _ = DETECTOR.follow(image, search, known=followed.centre)
+    assert_allclose(centre[9:], more.centre, atol=0.02)
+    assert len(more) > 0
+    assert state[0] == 1
+    centre, *_, state = kernels.follow_discs(image, DISCS[:9], *model, 10)
+    assert_array_equal(centre, followed.centre)
+    assert state[0] == 0
 
 
 def test_noise_is_the_median_of_second_differences():
@@ -132,11 +164,17 @@ def test_a_wrong_argument_is_named():
             kernels.measure_discs(*arguments)
     with pytest.raises(TypeError, match="directions"):
         kernels.appearance(DISCS.T, view_of(RIG, POSE))
-    outside = DETECTOR.lattice.samples[0]._replace(place=DETECTOR.lattice.samples[0].place + 1000)
-    with pytest.raises(ValueError, match="samples"):
-        kernels.candidate_pixels(
-            (image, 0, 1, 0), model.mask, outside, DETECTOR.lattice.offsets, (0.1, 1.0, 7.0, 1), 0, places, places
-        )
+    whole = DETECTOR.lattice
+    outside = whole._replace(samples=tuple(x._replace(place=x.place + 1000) for x in whole.samples))
+    for lattice, search, error, name in [
+        (outside, SearchState(), ValueError, "samples"),
+        (whole._replace(samples=whole.samples[:3]), SearchState(), TypeError, "samples"),
+        (whole, SearchState(-1), ValueError, "turn"),
+        (whole, SearchState(noise=np.nan), ValueError, "noise"),
+        (whole, SearchState(rejected=places), TypeError, "rejected"),
+    ]:
+        with pytest.raises(error, match=name):
+            kernels.follow_discs(image, DISCS, model, lattice, search, rest, places, 0)
 
 
 def test_numbers_out_of_range_are_no_discs():

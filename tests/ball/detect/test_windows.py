@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
 from spheremouse.ball.detect.search import SearchState
+from spheremouse.ball.detect.windows import Motion
 from spheremouse.geometry.rotation import exp
 
 DETECTOR = disc_detector(DiscSettings(), RIG, POSE)
@@ -16,7 +17,8 @@ AT_REST = np.zeros(3)
 
 
 def follow(image, directions, rate=AT_REST, readout=0.0, detector=DETECTOR):
-    return detector.follow(image, directions, rate, readout, SearchState())[0]
+    """The discs at `directions` alone, without a search for others."""
+    return detector.follow(image, SearchState(), directions, Motion(rate, readout), least=len(directions) + 1)[0]
 
 
 def displaced(directions, rng, pixels):
@@ -30,11 +32,11 @@ def displaced(directions, rng, pixels):
 
 @pytest.mark.parametrize("noise", [2.0, 10.0])
 def test_noise_and_size_are_learnt_and_remembered(noise):
-    image, still = photo(CLEAN, noise), np.zeros(3)
-    _, learnt = DETECTOR.follow(image, DISCS, still, 0.0, SearchState())
+    image = photo(CLEAN, noise)
+    _, learnt = DETECTOR.follow(image, SearchState(), DISCS)
     assert abs(learnt.noise / noise - 1.0) < 0.1
     assert abs(learnt.size - 1.0) < 0.05
-    seen, same = DETECTOR.follow(image, DISCS, still, 0.0, replace(learnt, turn=1))
+    seen, same = DETECTOR.follow(image, learnt, DISCS)
     assert (same.noise, same.size) == (learnt.noise, learnt.size)
     i, j = match(seen, TRUTH).T
     assert len(i) == len(TRUTH)

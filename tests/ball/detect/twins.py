@@ -167,7 +167,7 @@ def best_fits(found, rim, ok, apart):
 
 
 def candidate_pixels(grey, mask, samples, offsets, limits, turn, known, rejected):
-    """Twin of `kernels.candidate_pixels` on the values of a projection, (h, w)."""
+    """Return the dark spots that `kernels.follow_discs` measures, from the values of a projection, (h, w)."""
     contrast, least, radius, reduction = limits
     keep, found = int(256.0 * (1.0 - contrast)), np.zeros((0, 2))
     darker = lambda a, b: (256 * a < keep * b) & (keep * a < 256 * b)  # noqa: E731
@@ -203,3 +203,15 @@ def candidate_pixels(grey, mask, samples, offsets, limits, turn, known, rejected
         if len(found) == 4:
             break
     return found
+
+
+def next_turn(search, rejected, reduction):
+    """Return the search's state after a frame that rejected the places `rejected`, (k, 2) px, as discs."""
+    turn, before = search.turn + 1, search.rejected.copy()
+    again = np.linalg.norm(before[:, None, :2] - rejected[None], axis=2) < 2.5 * reduction
+    old = again.any(axis=1)
+    before[old, 3] = np.minimum(2.0 * before[old, 3], 512.0)
+    before[old, 2] = turn + before[old, 3]
+    new = np.concatenate([rejected, np.broadcast_to([turn + 32.0, 32.0], rejected.shape)], axis=1)[~again.any(axis=0)]
+    expired = turn - before[:, 2] >= before[:, 3] if len(rejected) else np.zeros(len(before), dtype=bool)
+    return search._replace(turn=turn, rejected=np.concatenate([new, before[~expired]])[:256])
