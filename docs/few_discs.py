@@ -63,7 +63,7 @@ class TrueAssociation:
                 corrected, points, np.array([row for row, _ in new], dtype=np.intp), tracker.filter.radius
             )
             self.names += [name for _, name in new]
-        return replace(state, filter=corrected, confirmed=True, confirmed_at=stamp, phase=Tracking()), ()
+        return state._replace(filter=corrected, confirmed=True, confirmed_at=stamp, phase=Tracking()), ()
 
 
 class Track:
@@ -93,7 +93,7 @@ def measure(options: SimulationOptions) -> dict[str, Any]:
     with_truth = replace(tracker, method=tracker.method._replace(next_phase=truth.next_phase))
     published = build(rig, start.pose, replace(settings, tracker="ekf2"))
     tracks = [Track(each, 0.0) for each in (tracker, with_truth, published)]
-    tracks[1].state = replace(tracks[1].state, phase=Tracking())
+    tracks[1].state = tracks[1].state._replace(phase=Tracking())
     for frame in start.frames:
         truth.discs = made[frame.sequence].discs
         for track in tracks:

@@ -121,7 +121,7 @@ def check_targets(
     if frame.image.ndim != 3 and not watch.asked:  # what is too little for correlation, colours may tell
         return CameraCheck(replace(watch, asked=True))
     watch = replace(watch, asked=False)
-    if moved is None and after is not None and out_of_sight(replace(after, watch=watch), frame.stamp):
+    if moved is None and after is not None and out_of_sight(after._replace(watch=watch), frame.stamp):
         watch = replace(watch, tried=frame.stamp)
         found = seek(frame, tracker)
         if found is not None:

@@ -1,7 +1,7 @@
 """State of the tracker between frames: its phase, and the parts common to all phases."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -155,8 +155,7 @@ class Withheld(NamedTuple):
     announced: bool = False  # it has lasted long enough to matter, and an event has said so
 
 
-@dataclass(frozen=True, slots=True)
-class TrackState(Generic[F]):
+class TrackState(NamedTuple, Generic[F]):
     """State of the tracker after a frame."""
 
     phase: Phase
@@ -170,9 +169,9 @@ class TrackState(Generic[F]):
     confirmed: bool = False  # the last frame's discs confirm the attitude
     supported_at: float = -np.inf  # s, of the last frame that showed a disc of the map, or should have shown none
     withheld: Withheld | None = None  # None: the last frame confirms the attitude, or the ball is not tracked
-    lookalikes: StaticDistractors = field(default_factory=StaticDistractors)
-    search: SearchState = field(default_factory=SearchState)  # for discs that are not on the map yet
-    colours: Colours = field(default_factory=Colours)
+    lookalikes: StaticDistractors = StaticDistractors()
+    search: SearchState = SearchState()  # for discs that are not on the map yet
+    colours: Colours = Colours()
     absolute: bool = False  # the attitude is that of a map made earlier
     watch: CameraMonitor | None = None  # on the targets: does the camera stand?
     rebuilt: Tracker[Any] | None = None  # for the pose found after the camera was moved; None: it never was
@@ -224,7 +223,7 @@ def lost(state: TrackState[F], lifted_at: float | None = None) -> TrackState[F]:
     assert isinstance(last, Learning | Tracking)
     if isinstance(last, Tracking):
         last = Tracking(last.roundness._replace(frames_off_centre=0))
-    return replace(state, phase=Lost(last, lifted_at=lifted_at), filter=clear_matches(state.filter), confirmed=False)
+    return state._replace(phase=Lost(last, lifted_at=lifted_at), filter=clear_matches(state.filter), confirmed=False)
 
 
 def clear_matches(filter_state: Any) -> Any:
@@ -238,8 +237,7 @@ def start_tracking(
 
     Motion counts from the attitude `reported`, R_obj_ball (3, 3).
     """
-    return replace(
-        state,
+    return state._replace(
         phase=phase,
         filter=filtered,
         alternatives=(),

@@ -81,9 +81,9 @@ def step(
     watch = camera_moved.with_references(state.watch, frame, tracker)
     watch, odd = watching.check_next_target(watch, frame.image, frame.stamp, camera_moved.bump_suspected(done.state))
     if watch is not done.state.watch:
-        done = done._replace(state=replace(done.state, watch=watch))
+        done = done._replace(state=done.state._replace(watch=watch))
     if odd or watch.asked or camera_moved.out_of_sight(done.state, frame.stamp):
-        done = _with_check(replace(state, watch=watch), done, frame, tracker, seek)
+        done = _with_check(state._replace(watch=watch), done, frame, tracker, seek)
     if state.status is Status.TRACKING and done.state.status is Status.LOST and camera_moved.hidden(done.state.watch):
         return done._replace(events=(*done.events, TargetsHidden()))
     return done
@@ -116,9 +116,9 @@ def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tu
     if settings.tracker != tracker.settings.tracker:
         return begin(anew, state.filter.stamp, state.filter.attitude), anew
     others = tuple(h._replace(state=anew.filter.adopt(h.state, tracker.filter)) for h in state.alternatives)
-    state = replace(state, filter=anew.filter.adopt(state.filter, tracker.filter), alternatives=others)
+    state = state._replace(filter=anew.filter.adopt(state.filter, tracker.filter), alternatives=others)
     seen = colours_of(settings, state.colours)
-    return replace(state, rebuilt=None, search=SearchState(), colours=seen), anew
+    return state._replace(rebuilt=None, search=SearchState(), colours=seen), anew
 
 
 def _stages(
@@ -144,9 +144,9 @@ def _with_check(
     if check.moved is not None:
         return _with_new_pose(state, *check.moved, frame, tracker)
     if check.moving:
-        return _camera_moving(replace(state, watch=check.watch), frame.stamp, tracker)
+        return _camera_moving(state._replace(watch=check.watch), frame.stamp, tracker)
     done = done or _stages(state, frame, tracker)
-    return done._replace(state=replace(done.state, watch=check.watch))
+    return done._replace(state=done.state._replace(watch=check.watch))
 
 
 def _with_new_pose(
@@ -163,8 +163,7 @@ def _with_new_pose(
     if watch is not None:
         watch = replace(camera_moved.with_references(watch, frame, anew), due=frame.stamp)
     phase = _from_elsewhere(state.phase)
-    state = replace(
-        state,
+    state = state._replace(
         phase=phase,
         filter=filtered,
         lookalikes=StaticDistractors(),
@@ -194,8 +193,7 @@ def _camera_moving(state: TrackState, stamp: float, tracker: Tracker) -> Step[Tr
     """Process a frame of a moving camera: wait, and lose the ball after a while."""
     assert state.watch is not None
     away = stamp if state.watch.away is None else min(state.watch.away, stamp)
-    state = replace(
-        state,
+    state = state._replace(
         filter=tracker.filter.update(tracker.filter.predict(state.filter, stamp), no_points(tracker)),
         detections=no_detections(),
         points=no_points(tracker),
@@ -223,8 +221,7 @@ def advance(
     else:
         points = intersect(detections.take(free), tracker.rig, tracker.pose)
         points = replace(points, index=np.flatnonzero(free)[points.index])
-    state = replace(
-        state,
+    state = state._replace(
         lookalikes=lookalikes,
         detections=detections,
         points=points,
@@ -248,7 +245,7 @@ def _learn_readout(state: TrackState, tracker: Tracker) -> tuple[TrackState, Eve
     if state.filter.readout_sigma > _READOUT_SURE:
         return state, ()
     readout = tracker.rig.readout_s + state.filter.readout
-    state = replace(state, readout_known=True)
+    state = state._replace(readout_known=True)
     return state, () if abs(readout) < _READOUT_LEAST else (ReadoutKnown(readout),)
 
 
@@ -258,11 +255,11 @@ def _reported(state: TrackState, stamp: float, events: Events) -> Step[TrackStat
     increment, increment_covariance = np.zeros(6), np.zeros((6, 6))
     if state.status is not Status.TRACKING:
         estimate = _estimate(state, stamp, increment, increment_covariance, confirmed=False)
-        return Step(replace(state, withheld=None, frames=frames), estimate, events)
+        return Step(state._replace(withheld=None, frames=frames), estimate, events)
     if not state.confirmed:
         withheld, more = _withheld(state, stamp)
         estimate = _estimate(state, stamp, increment, increment_covariance, confirmed=False)
-        return Step(replace(state, withheld=withheld, frames=frames), estimate, (*events, *more))
+        return Step(state._replace(withheld=withheld, frames=frames), estimate, (*events, *more))
     rotation = rotation_between(state.reported_attitude, f.attitude)
     since = f.increment_covariance(rotation)
     if since[0, 0] + since[1, 1] + since[2, 2] <= PLACED**2:  # a motion unseen is a guess, and none is sent
@@ -271,8 +268,7 @@ def _reported(state: TrackState, stamp: float, events: Events) -> Step[TrackStat
     before = state.withheld
     if before is not None and before.announced:
         events = (*events, MotionReleased(stamp - before.since, float(np.linalg.norm(increment))))
-    state = replace(
-        state,
+    state = state._replace(
         filter=f.clone_attitude(),
         reported_attitude=f.attitude,
         confirmed_at=stamp,

@@ -5,7 +5,6 @@ discs are known, Fisher's discriminant of their pixels replaces the candidate if
 the projection stays the same, unless the ball is lost for 10 s.
 """
 
-from dataclasses import replace
 from typing import Any
 
 from spheremouse.ball.detect.discs import DiscDetector, best_projection, information_of
@@ -46,13 +45,13 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
     projection, information = best_projection(frame.image, detector, before.projection)
     if projection == before.projection:
         wait = min(2.0 * before.wait, _WAIT[1]) if information > _ENOUGH else _WAIT[0]
-        return replace(state, colours=before._replace(tried=frame.stamp, wait=wait))
+        return state._replace(colours=before._replace(tried=frame.stamp, wait=wait))
     colours = Colours(projection, tried=frame.stamp, wait=_WAIT[0])
-    state = replace(state, colours=colours, phase=_in_other_colours(state.phase), search=SearchState())
+    state = state._replace(colours=colours, phase=_in_other_colours(state.phase), search=SearchState())
     if not isinstance(state.phase, Learning):
         return state
     start = tracker.filter.initial(frame.stamp, state.filter.attitude).with_reference_of(state.filter)
-    return replace(state, filter=start, alternatives=())
+    return state._replace(filter=start, alternatives=())
 
 
 def _in_other_colours(phase: Phase) -> Phase:
@@ -90,8 +89,8 @@ def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[Trac
         for p in (colours.projection, fisher)
     )
     if after <= before:
-        return done._replace(state=replace(state, colours=colours._replace(refined=True)))
-    state = replace(state, colours=colours._replace(projection=fisher, refined=True), search=SearchState())
+        return done._replace(state=state._replace(colours=colours._replace(refined=True)))
+    state = state._replace(colours=colours._replace(projection=fisher, refined=True), search=SearchState())
     return done._replace(state=state)
 
 

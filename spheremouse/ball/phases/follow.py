@@ -81,9 +81,9 @@ def follow(
     if all_are_discs(state):
         return state
     if not state.confirmed:
-        found = recognised_attitude(replace(state, filter=predicted), stamp, tracker)  # without its new landmarks
+        found = recognised_attitude(state._replace(filter=predicted), stamp, tracker)  # without its new landmarks
         if found is not None:
-            return replace(state, filter=found[0], alternatives=(), confirmed=True, supported_at=stamp)
+            return state._replace(filter=found[0], alternatives=(), confirmed=True, supported_at=stamp)
     if state.alternatives:  # the attitude by which candidates would be judged is in doubt
         return state
     # a point that has just shown to turn with the ball is a disc at once: the next frame may show no other
@@ -122,8 +122,7 @@ def updated_hypotheses(
     confirmed = not alternatives and confirms(filtered, len(points), predicted, tracker)
     supported = confirmed or _supports(state, filtered, predicted, tracker)
     before = state.supported_at if state.supported_at < stamp else -np.inf  # a clock that starts again
-    return replace(
-        state,
+    return state._replace(
         filter=filtered,
         alternatives=alternatives,
         supported_at=stamp if supported else before,
@@ -170,7 +169,7 @@ def is_covered(state: TrackState[So3State], predicted: So3State, tracker: Tracke
 def without_effect(state: TrackState[F], tracker: Tracker, predicted: Any) -> TrackState[F]:
     """Return the state without the points of a frame that `is_covered`, since they may lie on the cover."""
     filtered = replace(tracker.filter.update(predicted, no_points(tracker)), hidden=predicted.hidden)
-    return replace(state, filter=filtered, alternatives=(), confirmed=False)
+    return state._replace(filter=filtered, alternatives=(), confirmed=False)
 
 
 def recognised_attitude(
@@ -223,7 +222,7 @@ def update_filter(state: TrackState[F], tracker: Tracker, predicted: F) -> Track
     points, centre = state.points, state.detections.centre[state.points.index]
     proven = static.known_before_to_turn(state.lookalikes, centre, predicted.attitude, tracker.rig, tracker.pose)
     posterior = tracker.filter.update(predicted, points, proven)
-    return replace(state, filter=posterior, confirmed=confirms(posterior, len(points), predicted, tracker))
+    return state._replace(filter=posterior, confirmed=confirms(posterior, len(points), predicted, tracker))
 
 
 def all_are_discs(state: TrackState) -> bool:
@@ -257,7 +256,7 @@ def classify_unmatched(
     posterior = with_discs(posterior, points, np.flatnonzero(other)[turning])
     if len(posterior.discs) > len(predicted.discs):
         lookalikes = static.without_landmarks(lookalikes, posterior.discs, rig.disc_radius / rig.ball.radius)
-    return replace(state, filter=posterior, lookalikes=lookalikes)
+    return state._replace(filter=posterior, lookalikes=lookalikes)
 
 
 def _known_well(filter_state: FilterState, tracker: Tracker) -> bool:

@@ -3,8 +3,6 @@
 Most of the points turn together like a ball, or two do while the others stay. An image that only shifts is no turn.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,7 +44,7 @@ def learn(
     if not phase.views and len(state.filter.discs) == 0:  # no uncertainty accumulates before the first two discs
         predicted = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
         if len(state.points) < 2:
-            return found(replace(state, filter=predicted), phase, stamp)
+            return found(state._replace(filter=predicted), phase, stamp)
     naive = tracker.method.update_all(state, stamp, tracker, predicted, phase.views)
     if tracker.method.is_covered(naive, predicted, tracker):
         return found(without_effect(state, tracker, predicted), phase, stamp)
@@ -64,22 +62,22 @@ def learn(
         return found(naive, phase._replace(views=views, next_track=next_track), stamp)
     state = _without(state, still, views, tracker) if len(still) else naive
     state, events = found(state, phase, stamp)
-    return replace(state, phase=Tracking()), (Turned(len(still)), *events)
+    return state._replace(phase=Tracking()), (Turned(len(still)), *events)
 
 
 def _without(state: TrackState[F], still: Array, views: tuple[BufferedFrame, ...], tracker: Tracker) -> TrackState[F]:
     """Return the state after filtering all views again, without the look-alikes at `still`, (k, 2) px."""
     stamp = views[-1].stamp
-    state = replace(state, lookalikes=static.mask(state.lookalikes, still, stamp), alternatives=())
+    state = state._replace(lookalikes=static.mask(state.lookalikes, still, stamp), alternatives=())
     filtered = tracker.filter.initial(views[0].stamp, views[0].attitude).with_reference_of(state.filter)
     for k, view in enumerate(views):
         free, _ = static.unmasked(state.lookalikes, view.centre, view.stamp)
-        state = replace(state, filter=filtered, points=view.points.take(free), detections=view.detections)
+        state = state._replace(filter=filtered, points=view.points.take(free), detections=view.detections)
         predicted = tracker.filter.predict(filtered, view.stamp)
         state = tracker.method.update_all(state, view.stamp, tracker, predicted, views[:k])
         filtered = state.filter
-        state = replace(state, confirmed_at=view.stamp if state.confirmed else state.confirmed_at)
-    return replace(state, confirmed=not state.alternatives and len(state.filter.used) > 1)
+        state = state._replace(confirmed_at=view.stamp if state.confirmed else state.confirmed_at)
+    return state._replace(confirmed=not state.alternatives and len(state.filter.used) > 1)
 
 
 def update_all(
@@ -106,11 +104,11 @@ def update_all(
 def found(state: TrackState[F], phase: Learning, stamp: float) -> tuple[TrackState[F], Events]:
     """Return the state in `phase`, with a `Found` event when the map first has two discs."""
     if phase.found:
-        return replace(state, phase=phase), ()
-    state = replace(state, confirmed_at=stamp)
+        return state._replace(phase=phase), ()
+    state = state._replace(confirmed_at=stamp)
     if len(state.filter.discs) < 2:
-        return replace(state, phase=phase), ()
-    return replace(state, phase=phase._replace(found=True)), (Found(len(state.points)),)
+        return state._replace(phase=phase), ()
+    return state._replace(phase=phase._replace(found=True)), (Found(len(state.points)),)
 
 
 def _still_since(anchor: BufferedFrame, now: BufferedFrame, tracker: Tracker) -> Array | None:

@@ -1,7 +1,5 @@
 """Loss of the ball, lifted off its bearings or after a gap, and its recovery from the map of discs."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from spheremouse.ball import centre_offset
@@ -79,12 +77,12 @@ def recover(
     that the discs do not show. `stamp` is in s, and `predicted` is the filter's state predicted for this frame.
     """
     phase = seen_since(phase, len(state.points), stamp)
-    state = replace(state, phase=phase, filter=clear_matches(state.filter))
+    state = state._replace(phase=phase, filter=clear_matches(state.filter))
     resting = None if phase.in_view_since is None else _where_it_was(state, stamp, tracker)
     recognised = resting or recognised_attitude(state, stamp, tracker)
     if recognised is None and state.older is not None:
-        recognised = recognised_attitude(replace(state, filter=state.older), stamp, tracker)
-        state = state if recognised is None else replace(state, older=None)
+        recognised = recognised_attitude(state._replace(filter=state.older), stamp, tracker)
+        state = state if recognised is None else state._replace(older=None)
     if recognised is not None and back_on_bearings(state, phase, recognised[0], tracker):
         filtered, pairs = recognised
         last, reported = phase.last, state.reported_attitude
@@ -92,7 +90,7 @@ def recover(
             filtered, reported = filtered.clone_attitude(), filtered.attitude
             if isinstance(last, Learning):
                 last = Learning(found=True, views=(BufferedFrame(stamp, state.detections, state.points, filtered),))
-        state = replace(state, lookalikes=forget(state.lookalikes))
+        state = state._replace(lookalikes=forget(state.lookalikes))
         return start_tracking(state, last, filtered, reported, stamp), (Recognised(pairs),)
     if recognised is None and phase.lifted_at is None:
         state, events = _followed(state, phase, stamp, tracker, predicted)
@@ -141,16 +139,16 @@ def try_new_map(
     if phase.trial is None:
         filtered, view = _new_map(state, stamp, tracker)
         trial = Trial(filtered, Learning(found=True, views=(view,), beside_map=True))
-        return replace(state, phase=phase._replace(trial=trial)), ()
+        return state._replace(phase=phase._replace(trial=trial)), ()
     trial = phase.trial
     predicted = tracker.filter.predict(trial.filter, stamp)
-    tried, events = learn(replace(state, filter=trial.filter), trial.phase, stamp, tracker, predicted)
+    tried, events = learn(state._replace(filter=trial.filter), trial.phase, stamp, tracker, predicted)
     if isinstance(tried.phase, Learning):
-        return replace(state, phase=phase._replace(trial=Trial(tried.filter, tried.phase))), ()
+        return state._replace(phase=phase._replace(trial=Trial(tried.filter, tried.phase))), ()
     filtered = tried.filter.clone_attitude()
     maps = [state.filter] if state.older is None else [state.filter, state.older]
     older = max(maps, key=lambda filter_state: int(np.sum(filter_state.hits)))
-    tried = replace(start_tracking(tried, Tracking(), filtered, filtered.attitude, stamp), older=older)
+    tried = start_tracking(tried, Tracking(), filtered, filtered.attitude, stamp)._replace(older=older)
     return tried, (NewMap(), *events)
 
 
@@ -166,7 +164,7 @@ def _followed(
     pairs = len(updated.filter.used)
     if pairs < 2 or 2 * pairs <= len(state.points) or not updated.confirmed:
         return state, ()
-    updated = replace(updated, lookalikes=forget(state.lookalikes))
+    updated = updated._replace(lookalikes=forget(state.lookalikes))
     filtered = updated.filter.clone_attitude()
     return start_tracking(updated, phase.last, filtered, filtered.attitude, stamp), (Recognised(pairs),)
 
@@ -175,7 +173,7 @@ def start_new_map(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple
     """Return a lost ball as tracked from its last attitude, with a new map."""
     attitude = state.filter.attitude
     filtered, view = _new_map(state, stamp, tracker)
-    state = replace(state, lookalikes=forget(state.lookalikes))
+    state = state._replace(lookalikes=forget(state.lookalikes))
     return start_tracking(state, Learning(found=True, views=(view,)), filtered, attitude, stamp), (NewMap(),)
 
 
@@ -191,14 +189,14 @@ def recognise(
     if recognised is not None:
         filtered, pairs = recognised
         state = start_tracking(state, Tracking(), filtered.clone_attitude(), filtered.attitude, stamp)
-        return replace(state, absolute=True), (Recognised(pairs, saved=True),)
+        return state._replace(absolute=True), (Recognised(pairs, saved=True),)
     before = phase.in_view_since
     since = stamp if before is None or len(state.points) < _SPEAKS else min(before, stamp)
-    state = replace(state, confirmed_at=stamp)
+    state = state._replace(confirmed_at=stamp)
     if stamp - since < tracker.settings.loss.reset_after:
-        return replace(state, phase=Recognising(since)), ()
+        return state._replace(phase=Recognising(since)), ()
     filtered, view = _new_map(state, stamp, tracker)
-    state, events = found(replace(state, filter=filtered), Learning(views=(view,)), stamp)
+    state, events = found(state._replace(filter=filtered), Learning(views=(view,)), stamp)
     return state, (NewMap(saved=True), *events)
 
 
@@ -227,14 +225,14 @@ def check_bearings(
     shift = _shift(state, state.filter, tracker)
     lifted, radius = tracker.settings.loss.lifted, tracker.rig.ball.radius
     if shift is None:
-        return replace(state, phase=Tracking(before._replace(frames_off_centre=0))), ()
+        return state._replace(phase=Tracking(before._replace(frames_off_centre=0))), ()
     off = centre_offset.is_off(shift, radius, lifted, before.out_of_round)
     if off and before.rotation_since_failure >= _PROVEN:
         blind = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=bool))
         if before.frames_off_centre == 0:
             phase = Tracking(before._replace(frames_off_centre=1))
-            return replace(state, phase=phase, filter=blind, confirmed=False), ()
-        state = lost(replace(state, filter=blind), lifted_at=stamp)
+            return state._replace(phase=phase, filter=blind, confirmed=False), ()
+        state = lost(state._replace(filter=blind), lifted_at=stamp)
         return state, (BallLost(Why.OFF_CENTRE, shift.distance, radii=radius == 1.0),)
     dt = min(stamp - state.confirmed_at, _FRAME)
     misfit = centre_offset.averaged(before.misfit, shift, dt)
@@ -242,9 +240,9 @@ def check_bearings(
     if turned < _PROVEN and state.confirmed and shift.pairs >= _PAIRS and centre_offset.fits(shift, radius, lifted):
         turned += speed * dt * min(1.0, (0.5 * lifted * radius / max(shift.sigma, 1e-9)) ** 2)
     if not before.out_of_round and misfit > centre_offset.OUT_OF_ROUND:
-        return replace(state, phase=Tracking(CentreCheck(0, misfit, True, 0.0))), (OutOfRound(),)
+        return state._replace(phase=Tracking(CentreCheck(0, misfit, True, 0.0))), (OutOfRound(),)
     still = before.out_of_round and misfit > 0.3 * centre_offset.OUT_OF_ROUND
-    return replace(state, phase=Tracking(CentreCheck(0, misfit, still, turned))), ()
+    return state._replace(phase=Tracking(CentreCheck(0, misfit, still, turned))), ()
 
 
 def _all_fit(state: TrackState[So3State]) -> bool:

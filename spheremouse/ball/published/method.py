@@ -5,8 +5,6 @@ that one frame does not show. A lost ball starts at its last attitude. The metho
 camera or a rolling shutter.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from spheremouse.ball.phases.follow import all_are_discs, classify_unmatched, confirms, detect_everywhere, update_filter
@@ -28,7 +26,7 @@ def _next_phase(state: State, stamp: float, tracker: Tracker, predicted: EulerSt
             return _followed(state, stamp, tracker, predicted), ()
         case Lost():
             phase = seen_since(state.phase, len(state.points), stamp)
-            state = replace(state, phase=phase)
+            state = state._replace(phase=phase)
             return (state, ()) if phase.in_view_since is None else start_new_map(state, stamp, tracker)
         case Recognising():
             raise AssertionError("no map, nothing to recognise")
@@ -41,7 +39,7 @@ def _followed(state: State, stamp: float, tracker: Tracker, predicted: EulerStat
         return state
     if not state.confirmed:  # then no point starts a landmark
         none = np.zeros(len(state.points), dtype=bool)
-        state = replace(state, filter=tracker.filter.update(predicted, state.points, none))
+        state = state._replace(filter=tracker.filter.update(predicted, state.points, none))
     return classify_unmatched(state, stamp, tracker, predicted, lambda posterior, *_: posterior)
 
 
@@ -55,7 +53,7 @@ def _at_new_pose(state: State, tracker: Tracker, added: Array | None) -> EulerSt
 def _update_all(state: State, stamp: float, tracker: Tracker, predicted: EulerState, views: object) -> State:
     """Return the state after filtering a frame with every point as a possible disc."""
     filtered = tracker.filter.update(predicted, state.points)
-    return replace(state, filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
+    return state._replace(filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
 
 
 PUBLISHED = Method(

@@ -117,7 +117,7 @@ def test_other_levels_start_at_their_prior_also_if_they_are_as_many(levels, kept
     """Between two frames, while several attitudes are possible."""
     rng, discs = np.random.default_rng(3), directions(12, 2)
     tracker, state = known_ball(discs, rng)
-    state = replace(state, alternatives=(Hypothesis(state.filter, np.log(0.3)),))
+    state = state._replace(alternatives=(Hypothesis(state.filter, np.log(0.3)),))
     settings = Settings(so3=replace(Settings().so3, levels=levels, gate=12.0))
     changed, tracker = with_settings(state, tracker, settings)
     for filtered in (changed.filter, changed.alternatives[0].state):
