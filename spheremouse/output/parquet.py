@@ -1,23 +1,25 @@
 """`parquet:FILE`: write samples as an Apache Parquet table. Unit, frame and meaning are metadata of each column.
 
 A Parquet file is unreadable without its end, so rows go to an Arrow stream first, `FILE.part`. Closing
-the output moves them to FILE. After a run that was killed, the next opening of FILE does.
+the output moves them to FILE. After a run that was killed, the next opening of FILE does, up to the last whole batch.
 """
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from spheremouse.errors import OutputError
-from spheremouse.files.safe_files import is_stream, open_to_append
+from spheremouse.files.safe_files import NewFile, is_stream, open_to_append
 from spheremouse.finding import Finding
 from spheremouse.output.columns import Column
-from spheremouse.output.log_file import check_file, lock, probe_file
-from spheremouse.output.parquet_part import arrow, move_part
+from spheremouse.output.extras import import_extra
+from spheremouse.output.log_file import check_file, lock, probe_file, refuse_other_files
 from spheremouse.output.table import Table, open_table, table_file
 
 _START = b"PAR1"
+_PART_START = b"\xff\xff\xff\xff"  # of a message of Arrow
+_GROUP_ROWS = 65_536  # 18 minutes of a ball at 60 Hz
 
 
 class PartWriter:
@@ -60,6 +62,52 @@ class PartWriter:
             with contextlib.suppress(OSError):
                 self._file.close()
         move_part(self._part, self._path)
+
+
+def move_part(part: Path, path: Path) -> None:
+    """Append the rows of a part, if there is one, to the table, and remove the part.
+
+    Raise OSError or ValueError if that fails, OutputError if the part is another file. The part stays then.
+    """
+    pa, pq = arrow("pyarrow"), arrow("pyarrow.parquet")
+    if not part.exists():
+        return
+    refuse_other_files(part, _PART_START)
+    with part.open("rb") as file:
+        lock(part, file.fileno())
+        try:
+            stream = pa.ipc.open_stream(file)
+        except pa.ArrowInvalid:  # its head is cut, and no row was written
+            stream = None
+        if stream is not None:
+            with NewFile(path) as new, pq.ParquetWriter(new.file, stream.schema) as table:
+                if path.exists():
+                    for batch in pq.ParquetFile(path).iter_batches(_GROUP_ROWS):
+                        table.write_batch(batch)
+                for batches in _groups(stream):
+                    table.write_table(pa.Table.from_batches(batches))
+    part.unlink()
+
+
+def _groups(stream: Any) -> Iterator[list[Any]]:
+    """Yield the whole batches of a stream, in lists of a row group each."""
+    batches: list[Any] = []
+    try:
+        for batch in stream:
+            batches.append(batch)
+            if sum(b.num_rows for b in batches) >= _GROUP_ROWS:
+                yield batches
+                batches = []
+    except (OSError, ValueError) as e:
+        if getattr(e, "errno", None):  # the disk fails; otherwise a killed run or a full disk cut the last batch
+            raise
+    if batches:
+        yield batches
+
+
+def arrow(name: str) -> Any:
+    """Return a module of pyarrow. Raise OutputError if it is not installed."""
+    return import_extra("parquet", "pyarrow", "parquet", name)
 
 
 def open(argument: str) -> Table:

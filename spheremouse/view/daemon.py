@@ -6,6 +6,7 @@ The connection is open only while a browser looks, so the page costs the daemon 
 import asyncio
 import contextlib
 import json
+import math
 import threading
 import time
 from collections import deque
@@ -17,12 +18,12 @@ from typing import Any, NamedTuple
 from spheremouse.errors import ControlError
 from spheremouse.files.config import key_of
 from spheremouse.session.control.client import Client, NoDaemonError, RefusedError
-from spheremouse.session.control.sample_row import row_of
 
 Message = dict[str, Any]
 Values = dict[str, Any]
 
 STATUS_INTERVAL = 0.5  # s
+_UNKNOWN = [None] * 3  # of a vector
 _RETRY = 0.5  # s between two attempts to connect
 _LOG_LINES = 200
 _ROWS = 1500  # samples kept for slow browsers: 10 s of two balls at 60 Hz
@@ -219,7 +220,7 @@ class Daemon:
                     time.sleep(_RETRY)
 
     def _store(self, sample: Message) -> None:
-        row = row_of(sample)
+        row = _row_of(sample)
         with self._storing:
             self._rows.append(row)
             self.count += 1
@@ -255,3 +256,23 @@ def _described_by(status: Message) -> list[Any]:
 
 def _without_value(about: Message) -> Message:
     return {**about, "value": None}
+
+
+def _row_of(sample: dict[str, Any]) -> list[Any]:
+    """Return a sample in the form of `frame`: stamp, ball, confirmed, quaternion, rate and its standard deviations,
+    counts, latency, discs, position. Unknown values are None. Units as in docs/samples.md.
+    """
+    covariance = sample.get("rate_covariance")
+    sigma = [math.sqrt(max(0.0, covariance[k][k])) for k in range(3)] if covariance else _UNKNOWN
+    return [
+        sample["stamp"],
+        sample["ball"],
+        sample["confirmed"],
+        *(sample.get("quaternion") or [None] * 4),
+        *(sample.get("rate") or _UNKNOWN),
+        *sigma,
+        *sample["counts"],
+        sample.get("latency"),
+        sample.get("statistics", {}).get("discs_used"),
+        *(sample.get("position") or _UNKNOWN),
+    ]

@@ -8,7 +8,7 @@ from reporting import refused
 from tables import frame, full_disk, write_and_be_killed
 
 from spheremouse.errors import OutputError
-from spheremouse.output import open_output, parquet_part, table
+from spheremouse.output import open_output, parquet, table
 
 
 @pytest.fixture(params=["csv", "parquet"])
@@ -17,7 +17,7 @@ def kind(request, monkeypatch):
     monkeypatch.setattr(table, "_PERIOD", 0.0)
     if request.param == "parquet":
         pytest.importorskip("pyarrow")
-        monkeypatch.setattr(parquet_part, "_GROUP_ROWS", 2)
+        monkeypatch.setattr(parquet, "_GROUP_ROWS", 2)
     return request.param
 
 

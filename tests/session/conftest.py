@@ -7,7 +7,6 @@ import pytest
 from spheremouse.capture import fetch
 from spheremouse.output import reporter
 from spheremouse.session import service
-from spheremouse.session.process import realtime
 
 PATIENCE = 60.0  # s
 
@@ -23,7 +22,6 @@ def quick_daemon(monkeypatch):
         monkeypatch.setattr(fetch, "BACK_OFF", (0.01, 0.02))
         monkeypatch.setattr(reporter, "RETRY_DELAYS", (0.01, 0.02))
         monkeypatch.setattr(reporter, "MAX_QUEUE_TIME", PATIENCE)
-        monkeypatch.setattr(realtime, "_give_back", lambda: None)
         threads = threading.active_count()
         yield world
         if world.daemon is not None:

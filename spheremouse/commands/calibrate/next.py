@@ -1,7 +1,6 @@
 """`spheremouse calibrate next`: the checklist of a calibration, and the next step."""
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -36,7 +35,7 @@ def next_(
     """
     from spheremouse.calibrate.guide.checklist import checklist
     from spheremouse.files.calibration_folder import default_folder
-    from spheremouse.files.safe_files import write_atomically
+    from spheremouse.files.safe_files import write_json
 
     if json_file is not None and json_file != Path("-") and not json_file.parent.is_dir():
         raise ConfigurationError(f"--json: {json_file.parent}: no such folder")
@@ -46,11 +45,8 @@ def next_(
     steps = checklist(folder)
     if json_file is not None:
         described = {"folder": str(folder), "steps": [dataclasses.asdict(s) for s in steps]}
-        text = json.dumps(described, indent=1, ensure_ascii=False) + "\n"
-        if json_file == Path("-"):
-            typer.echo(text, nl=False)
+        if write_json(json_file, described):
             return
-        write_atomically(json_file, text)
     _show(steps)
 
 

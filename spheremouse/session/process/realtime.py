@@ -3,16 +3,13 @@
 All are optional. If the system refuses one, the daemon logs it and runs without.
 """
 
-import contextlib
 import ctypes
 import gc
 import os
 import resource
 import sys
-from pathlib import Path
 
 PRIORITY = 5  # of SCHED_RR: above all threads without real time, below audio servers
-_MADV_DONTNEED = 4
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _SWITCH = 5e-4  # s; how long a thread of Python may keep the others waiting (5 ms by default, more than a report)
 
@@ -21,7 +18,6 @@ def prepare(wanted: bool = True) -> str:
     """Apply the available protection to this process and this thread. Return the result in words."""
     if not sys.platform.startswith("linux"):
         return "usual scheduling: this system has no other that we know"
-    _give_back()
     if not wanted:
         return "usual scheduling, as configured (realtime: off)"
     if claim(0):
@@ -48,38 +44,6 @@ def claim(thread: int | None) -> bool:
     except OSError:
         return False
     return True
-
-
-def _give_back() -> None:
-    """Release memory that only the start needed, 40 of 180 MB, before the rest is locked.
-
-    The kernel reads a page again from the page cache when the program touches it. This covers only unchanged views of
-    files, because changed pages would be lost. (MADV_PAGEOUT needs the right to write to the file.)
-    """
-    gc.collect()
-    libc = ctypes.CDLL(None, use_errno=True)
-    with contextlib.suppress(AttributeError):  # another libc than glibc
-        libc.malloc_trim(0)
-    libc.madvise.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
-    with contextlib.suppress(OSError, ValueError):
-        for first, last in _untouched(Path("/proc/self/smaps").read_text(encoding="utf-8", errors="replace")):
-            libc.madvise(first, last - first, _MADV_DONTNEED)
-
-
-def _untouched(smaps: str) -> list[tuple[int, int]]:
-    """Return the unchanged read-only mappings of libraries, from the kernel's list."""
-    found: list[tuple[int, int]] = []
-    candidate = None
-    for line in smaps.splitlines():
-        words = line.split(maxsplit=5)
-        if not words[0].endswith(":"):  # a new mapping: FIRST-LAST MODES ...
-            first, last = (int(x, 16) for x in words[0].split("-"))
-            candidate = (first, last) if len(words) == 6 and ".so" in words[5] and "w" not in words[1] else None
-        elif words[0] in ("Anonymous:", "Swap:") and words[1] != "0":
-            candidate = None
-        elif words[0] == "VmFlags:" and candidate is not None:  # the last line of each
-            found.append(candidate)
-    return found
 
 
 def _lock_memory() -> str:

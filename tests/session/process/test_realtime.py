@@ -65,50 +65,10 @@ def test_what_is_not_granted_is_said(monkeypatch):
     monkeypatch.setattr(os, "nice", refuse)
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     monkeypatch.setattr(realtime.resource, "getrlimit", lambda _: (65536, 65536))
-    monkeypatch.setattr(realtime, "_give_back", lambda: None)
     assert realtime.prepare() == (
         "usual scheduling: the system grants no other (LimitRTPRIO=, or CAP_SYS_NICE); "
         "memory not locked: the system does not grant it (LimitMEMLOCK=infinity)"
     )
-
-
-@pytest.mark.slow
-@linux
-def test_what_only_the_start_has_needed_is_given_back_and_comes_again():
-    """A file of another user's, as a service's program is, cannot be paged out: only its view is dropped."""
-    before, after, again = alone("""
-import cv2
-import numpy as np
-import scipy.optimize
-from spheremouse.session.timing import memory_mb
-from spheremouse.session.process import realtime
-def work():
-    return round(scipy.optimize.brentq(lambda x: x - 3.0, 0.0, 10.0), 6)
-work()
-print(memory_mb())
-realtime._give_back()
-print(memory_mb())
-print(work())
-""")
-    assert float(after) < 0.7 * float(before)
-    assert float(again) == 3.0
-
-
-def test_only_libraries_of_which_nothing_was_changed_are_given_back():
-    mapping = "{} {} 00000000 fe:00 42  {}\nRss: 4 kB\nAnonymous: {} kB\nSwap: {} kB\nVmFlags: rd mr\n"
-    smaps = "".join(
-        mapping.format(*m)
-        for m in (
-            ("1000-2000", "r-xp", "/lib/a.so.1", 0, 0),
-            ("2000-3000", "r--p", "/lib/a.so.1", 4, 0),
-            ("3000-4000", "rw-p", "/lib/a.so.1", 0, 0),
-            ("4000-5000", "r--p", "/lib/a b.so", 0, 0),
-            ("5000-6000", "r--p", "/lib/c.so", 0, 4),
-            ("6000-7000", "r--p", "/usr/share/data", 0, 0),
-        )
-    )
-    smaps += "7000-8000 rw-p 00000000 00:00 0\nRss: 4 kB\nAnonymous: 0 kB\nSwap: 0 kB\nVmFlags: rd\n"
-    assert realtime._untouched(smaps) == [(0x1000, 0x2000), (0x4000, 0x5000)]
 
 
 def test_a_thread_that_is_not_there_is_not_claimed():
