@@ -6,6 +6,7 @@ all methods. Any thread may call `status` and `troubles`. Only `close` waits.
 
 import threading
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -19,7 +20,6 @@ from spheremouse.session.process.threads import WorkerPool, begin
 
 OUTPUT = "output"  # kind of the pool's work
 
-Open = Callable[[], Output]
 _NONE: Counts = (0, 0, 0)
 
 
@@ -64,8 +64,7 @@ class Outputs:
         self.counts = _NONE  # of all frames, as the main output gets them
         self._submitted = _NONE  # those of them that the main output of now was given
         self._past: tuple[int, Counts] = (0, _NONE)  # reports and unsent counts of the main outputs before this one
-        openers = [(spec, partial(self._open, spec)) for spec in specs]
-        self._all = self._threads(openers, settings, len(specs) > 1)
+        self._all = [self._output(spec, settings, len(specs) > 1) for spec in specs]
 
     def begin(self) -> None:
         """Start the threads, which open the outputs. Raises ControlError if the system refuses a thread."""
@@ -100,16 +99,18 @@ class Outputs:
     def exchange(self, specs: Sequence[str], settings: PointerSettings) -> None:
         """Use other outputs; those that stay go on. ControlError if the system refuses a thread: then all stay."""
         kept = {output.spec: output for output in self._all if output.spec in specs}
-        gone = [output for output in self._all if output.spec not in specs]
-        before, submitted = self.main, self._submitted
-        exchange = _Exchange([output.thread for output in gone])
-        openers = [(spec, exchange.after(partial(self._open, spec))) for spec in specs if spec not in kept]
+        gone = [output.thread for output in self._all if output.spec not in specs]
+        before, submitted, closed = self.main, self._submitted, Future[bool]()
+        made: dict[str, RunOutput] = {}
         try:
-            made = {o.spec: o for o in self._threads(openers, settings, len(specs) > 1, exchange.give_up)}
-        finally:
-            exchange.decided.set()
-        for output in made.values():
-            output.thread.pause(self._paused)
+            for spec in (s for s in specs if s not in kept):
+                made[spec] = self._output(spec, settings, len(specs) > 1, closed)
+                made[spec].thread.pause(self._paused)
+        except ControlError:
+            closed.set_result(False)
+            for output in made.values():
+                output.thread.close()
+            raise
         self._all = [(kept | made)[spec] for spec in specs]
         self.change(settings)
         another_main = self.main is not before
@@ -117,7 +118,9 @@ class Outputs:
             self._submitted = _NONE
 
         def retire() -> None:
-            exchange.close()
+            for thread in gone:
+                thread.close()
+            closed.set_result(True)
             if another_main:
                 self._call(lambda: self._count_past(before.thread, submitted))
 
@@ -159,28 +162,18 @@ class Outputs:
         whole = replace(main, reports=reports + main.reports, unsent=plus(unsent, main.unsent))
         return [(spec, whole), *others]
 
-    def _threads(
-        self,
-        openers: Sequence[tuple[str, Open]],
-        settings: PointerSettings,
-        several: bool,
-        give_up: Callable[[], None] = lambda: None,
-    ) -> list[RunOutput]:
-        """Return a thread for each output. Raises ControlError, after `give_up`, if the system refuses one."""
-        begun: list[RunOutput] = []
-        try:
-            for spec, open_it in openers:
-                name = f"output {spec}" if several else "output"
-                thread = OutputThread(open_it, settings, self._log, start=self._begin, name=name)
-                begun.append(RunOutput(spec, thread, OutputCounter(response_of(spec))))
-        except ControlError:
-            give_up()
-            for output in begun:
-                output.thread.close()
-            raise
-        return begun
+    def _output(
+        self, spec: str, settings: PointerSettings, several: bool, closed: Future[bool] | None = None
+    ) -> RunOutput:
+        """Return an output with its thread. Raises ControlError if the system refuses the thread."""
+        name, open_it = f"output {spec}" if several else "output", partial(self._open, spec, closed)
+        thread = OutputThread(open_it, settings, self._log, start=self._begin, name=name)
+        return RunOutput(spec, thread, OutputCounter(response_of(spec)))
 
-    def _open(self, spec: str) -> Output:
+    def _open(self, spec: str, closed: Future[bool] | None = None) -> Output:
+        """Open an output, once those before are `closed`: they may be the same devices. False: open none."""
+        if closed is not None and not closed.result():
+            return Null()
         output = open_output(spec)
         if output.paced:
             self._claim()
@@ -194,34 +187,3 @@ class Outputs:
         """Add the counts that a closed output did not send, those in its queue included."""
         status, (reports, unsent) = old.status(), self._past
         self._past = (reports + status.reports, plus(unsent, minus(submitted, status.sent)))
-
-
-class _Exchange:
-    """The next outputs are opened when those before are closed, since they may be the same devices; or never."""
-
-    def __init__(self, old: Sequence[OutputThread]) -> None:
-        self._old, self._closing = list(reversed(old)), threading.Lock()
-        self._wanted, self.decided = True, threading.Event()
-
-    def after(self, open_next: Open) -> Open:
-        """Return a function that opens an output after the old ones are closed, in its thread."""
-
-        def open_it() -> Output:
-            self.decided.wait()
-            if not self._wanted:
-                return Null()
-            self.close()
-            return open_next()
-
-        return open_it
-
-    def close(self) -> None:
-        """Close the old outputs, in the first thread that calls this."""
-        with self._closing:
-            while self._old:
-                self._old.pop().close()
-
-    def give_up(self) -> None:
-        """Keep the old outputs, and open no other."""
-        self._wanted = False
-        self.decided.set()
