@@ -1,21 +1,21 @@
-"""The examples of docs/examples, and the game of `demo --play`, run."""
+"""The examples of docs/examples run."""
 
 import contextlib
 import itertools
 import json
 import re
+import runpy
 import socket
 import subprocess
 import sys
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from invoking import invoke
 from pythonosc.osc_bundle import OscBundle
 
-from spheremouse.commands import app
 from spheremouse.output import Report, open_output
 from spheremouse.output.sample import Sample
 from spheremouse.tracker import Status, unknown
@@ -34,9 +34,7 @@ def game(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setenv("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     pytest.importorskip("pygame")
-    from spheremouse.commands.demo import boulder
-
-    return boulder
+    return SimpleNamespace(**runpy.run_path(str(EXAMPLES / "boulder.py")))
 
 
 @pytest.mark.parametrize(("direction", "hits"), [(1.0, 1), (-1.0, 0)])
@@ -60,19 +58,10 @@ def test_closing_the_window_ends_the_game(game):
     assert game.play(samples()) == 0
 
 
-@pytest.mark.slow
-def test_the_game_starts_with_a_simulated_ball(game, monkeypatch, tmp_path):
+def test_without_a_service_a_simulated_ball_plays(game, monkeypatch, tmp_path):
     monkeypatch.setenv("SPHEREMOUSE_SOCKET", str(tmp_path / "none"))
-    code, text = invoke(app, "demo", "--play", "--seconds", "2")
-    assert code == 0
-    assert re.fullmatch(r"\d+ huts? hit\n", text.splitlines(keepends=True)[-1])
-
-
-def test_without_pygame_or_a_screen_the_game_is_one_line(game, monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "none such")
-    assert invoke(app, "demo", "--play")[1].startswith("--play: no window can be opened")
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    assert invoke(app, "demo", "--play") == (2, "--play: needs the package pygame; pip install pygame")
+    first = next(game.samples("synthetic:seconds=0.2"))
+    assert first.sequence == 0
 
 
 def free_port():

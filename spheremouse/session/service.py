@@ -26,7 +26,6 @@ from spheremouse.output.pointer import minus
 from spheremouse.output.rate_limited_logger import RateLimitedLogger
 from spheremouse.output.reporter import ReporterStatus
 from spheremouse.output.third_axis import left_out
-from spheremouse.session.cameras import held
 from spheremouse.session.config_reloader import READING, ConfigReloader, given, settings_in_use
 from spheremouse.session.control.protocol import (
     Pictures,
@@ -133,8 +132,7 @@ class Daemon:
                 self._log_left_out(self._reloader.plan)
                 if self._reloader.plan.notice:
                     self._log(self._reloader.plan.notice)
-                with held(self._reloader.plan):  # a second daemon fails here
-                    self._update_state(time.monotonic())
+                self._update_state(time.monotonic())
                 self._start()
                 self._loop(stopping)
         finally:

@@ -1,12 +1,15 @@
 """Setup of a run with either tracker: the source, and the device or the balls that it may bring."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 from spheremouse.ball.rig import Rig
-from spheremouse.capture import OpenCamera, Source, Stream, open_source, paced
+from spheremouse.capture import Camera, OpenCamera, Source, Stream, open_source, paced
+from spheremouse.capture.fetch import Streamed
+from spheremouse.capture.lock import locked_camera
 from spheremouse.capture.replay import Replay
 from spheremouse.errors import ConfigurationError, SourceError
 from spheremouse.files.dataset.frames import read_frames
@@ -14,7 +17,7 @@ from spheremouse.files.dataset.wand import open_wand
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.ball.map_keeper import MapKeeper
-from spheremouse.session.cameras import is_camera
+from spheremouse.session.cameras import is_camera, node_of
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig, with_distinct_names, without_map
 from spheremouse.session.tracker_adapter import MAP, Do, TrackerAdapter
 from spheremouse.session.wand.adapter import WandAdapter
@@ -41,12 +44,6 @@ class Setup:
         """Return the plan without a map if the source brings its own device, unless a map was requested."""
         own = self.rig is not None and not is_camera(plan.source)
         return without_map(plan) if own and overrides.map is None and plan.configuration.map is None else plan
-
-    def open(self, plan: RunConfig) -> Source:
-        """Open the recording of a plan, which plays at the pace of its stamps."""
-        source = open_setup(plan, realtime=True).source
-        assert source is not None
-        return source
 
     @property
     def open_replay(self) -> OpenCamera | None:
@@ -93,11 +90,12 @@ def open_replay(plan: RunConfig) -> Setup:
     setup = open_setup(plan)
     if setup.source is None:
         raise SourceError(f"{plan.source}: is no recording, which --replay needs")
-    return replace(setup, replay=Replay(setup.source, lambda: _recording(plan), plan.source))
+    return replace(setup, replay=Replay(setup.source, lambda: open_recording(plan), plan.source))
 
 
-def _recording(plan: RunConfig) -> Source:
-    source = open_setup(plan).source
+def open_recording(plan: RunConfig, realtime: bool = False) -> Source:
+    """Open the recording of a plan; `realtime` plays it at the pace of its stamps."""
+    source = open_setup(plan, realtime).source
     assert source is not None
     return source
 
@@ -122,6 +120,30 @@ def open_setup(plan: RunConfig, realtime: bool = False) -> Setup:
     frames = read_frames(recording)
     stream = Stream(paced(frames) if realtime else frames, fps=recording.fps, count=recording.frames)
     return Setup(stream, recording.camera, recording.balls)
+
+
+def opener(plan: RunConfig, opened: list[Source] | None = None) -> OpenCamera:
+    """Return a function that opens a plan's camera and locks its node. It takes a source that is `opened` already."""
+
+    def open_it() -> Camera:
+        kind, _, argument = plan.source.partition(":")
+        if kind == "v4l2":
+            from spheremouse.capture import v4l2
+
+            return v4l2.open_camera(argument, plan.configuration.camera)
+        if opened:
+            source = opened.pop()
+        elif is_camera(plan.source):
+            source = open_source(plan.source, realtime=True)
+        else:
+            source = open_recording(plan, realtime=True)
+        return Streamed(source, plan.source)
+
+    def open_held() -> AbstractContextManager[Camera]:
+        node = node_of(plan)  # each time: a camera that comes back may have another node
+        return open_it() if node is None else locked_camera(node, open_it)
+
+    return open_held
 
 
 def _is_wand(plan: RunConfig) -> bool:

@@ -116,18 +116,18 @@ def test_a_camera_holds_its_node_while_it_is_open(tmp_path):
 
 def test_another_way_to_open_a_camera_that_is_open_is_no_second_daemon(tmp_path, monkeypatch):
     """A reload that changes its exposure must not meet our own lock."""
-    from spheremouse.session.cameras import opener, refuse_if_taken
+    from spheremouse.session.cameras import refuse_if_taken
     from spheremouse.session.run_config import CommandLineOverrides, read_run_config
-    from spheremouse.session.setup import Setup
+    from spheremouse.session.setup import opener
 
     node, log = tmp_path / "video0", []
     node.touch()
     monkeypatch.setattr("spheremouse.capture.v4l2.open_camera", lambda argument, settings: Camera(log))
     plan = read_run_config(CommandLineOverrides(source=f"v4l2:{node},fps=30", outputs=("null",)))
     refuse_if_taken(plan)
-    with opener(plan, Setup().open)():
+    with opener(plan)():
         with pytest.raises(SourceError, match=f"process {os.getpid()}|in use by another"):
             refuse_if_taken(plan)
-        changed = opener(plan, Setup().open)  # nothing is opened, and nothing refused, yet
+        changed = opener(plan)  # nothing is opened, and nothing refused, yet
     with changed():
         assert log == ["open", "closed", "open"]

@@ -48,10 +48,10 @@ def axes(
     from spheremouse.commands.run import follow, serve
     from spheremouse.files.config import PROFILE_NAME
     from spheremouse.files.edit import check_place
-    from spheremouse.session.cameras import is_camera, opener
+    from spheremouse.session.cameras import is_camera
     from spheremouse.session.process.standard_error import nonblocking_stderr
     from spheremouse.session.run_config import CommandLineOverrides, read_run_config
-    from spheremouse.session.setup import open_setup
+    from spheremouse.session.setup import open_setup, opener
 
     if profile is not None and (config is None or not PROFILE_NAME.fullmatch(profile)):
         raise ConfigurationError(
@@ -73,7 +73,7 @@ def axes(
         setup = open_setup(plan)
         plan = setup.planned(overrides, plan)
         if plan.source.startswith("v4l2:"):  # a service waits for its camera; a person gets an error
-            with opener(plan, setup.open)():
+            with opener(plan)():
                 pass
         dialogue = Dialogue(plan.configuration, stopping, live)
         failure, _ = (serve if live else follow)(overrides, plan, setup, stopping, dialogue, None)

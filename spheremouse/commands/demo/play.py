@@ -46,7 +46,6 @@ FILES = {
 _TABLE = ("motion.csv", "motion.csv.json")
 _NEXT = (
     ("demo --seed 2", "another ball, another play"),
-    ("demo --play", "a game that a simulated ball plays, or the ball of the running service"),
     ("run --source synthetic --output text:-", "a simulated camera as the source, motion as text"),
     ("preview", "the picture of your own camera"),
     ("calibrate next", "the steps to your own ball, one after the other"),

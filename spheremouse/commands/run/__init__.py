@@ -206,8 +206,9 @@ def serve(
     frames: int | None,
 ) -> tuple[SpheremouseError | None, tuple[str, ...]]:
     """Run as a daemon: take frames when they come, and wait for a device that fails. Return error and last words."""
-    from spheremouse.session.cameras import opener, refuse_if_taken
+    from spheremouse.session.cameras import refuse_if_taken
     from spheremouse.session.service import Daemon
+    from spheremouse.session.setup import opener
 
     refuse_if_taken(plan)
     opened = [] if setup.source is None else [setup.source]
@@ -215,7 +216,7 @@ def serve(
         overrides,
         plan,
         setup,
-        lambda other: setup.open_replay or opener(other, setup.open, opened),
+        lambda other: setup.open_replay or opener(other, opened),
         log=view.log,
         show=view.show,
         frames=frames,

@@ -1,9 +1,15 @@
-"""A game for `spheremouse demo --play`, which shows how to read samples: roll the boulder over the huts."""
+"""A game that shows how to read samples: roll the boulder over the huts. It needs the package pygame.
+
+It takes the ball of the running service. If there is none, a simulated ball plays for 30 s.
+"""
 
 import random
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+
+import pygame
 
 import spheremouse as sm
+from spheremouse.errors import ControlError
 
 RADIUS, ROLL = 40, 120.0  # px, px per radian of the ball
 SAND, STONE, DARK, HUT = "bisque", "gray55", "gray25", "firebrick"
@@ -11,8 +17,6 @@ SAND, STONE, DARK, HUT = "bisque", "gray55", "gray25", "firebrick"
 
 def play(samples: Iterable[sm.Sample], seed: int = 0) -> int:
     """Play until the samples end or the window is closed. Return the number of huts that the boulder hit."""
-    import pygame
-
     rng, hits = random.Random(seed), 0
     pygame.display.init()
     pygame.font.init()
@@ -38,3 +42,19 @@ def play(samples: Iterable[sm.Sample], seed: int = 0) -> int:
         pygame.display.flip()
     pygame.quit()
     return hits
+
+
+def samples(film: str = "synthetic:motion=play,seconds=30,noise=4") -> Iterator[sm.Sample]:
+    """Yield the samples of the running service, else those of a simulated camera."""
+    live = sm.connect()
+    try:
+        yield next(live)
+    except ControlError:
+        with sm.open_source(film, realtime=True) as source:
+            yield from sm.track(source)
+    else:
+        yield from live
+
+
+if __name__ == "__main__":
+    print(f"huts hit: {play(samples())}")
