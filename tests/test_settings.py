@@ -94,7 +94,7 @@ def test_what_would_not_work_is_refused_in_one_line(assignment, says):
         ("so3.gate", "the program fixes it; remove the line"),
         ("blobs.masks", "the program fixes it; remove the line"),
         ("blobs.min_area", "write area: [F_min, F_max]"),
-        ("wand.likelihood", "choose it by `method`: product, edges or rims"),
+        ("wand.likelihood", "choose it by `method`: product or rims"),
         ("motion.swap_xy", "a seat turned by 90 degrees is `player: left` or `right`"),
     ],
 )

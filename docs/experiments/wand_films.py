@@ -89,7 +89,6 @@ def films(quick: bool) -> tuple[Film, ...]:
         Variant("350, the thesis' motion", thesis_motion(350), known=True),
         Variant("350, drawn by the thesis' motion alone", thesis_motion(350, method="rims"), known=True),
         *(Variant(f"{n}, all as in the thesis", thesis_settings(n), known=True) for n in (50, 350)),
-        Variant("350, edges alone", thesis_motion(350, method="edges"), known=True)
     )  # fmt: skip
     many = (5000,) if quick else (5000, 50_000)
     crowd = (

@@ -354,9 +354,6 @@ def measure_edges(
 def outline_log_likelihood(position: _Float, which: _Index, edges: _Float, ball: BallModel, factor: int) -> _Float:
     """Return the log-likelihood ratios, (n,), of the edges `edges[which]` of (k, 24, 5), for balls at (n, 3) m."""
 
-def outline_points(position: _Float, radius: float) -> _Float:
-    """Return 24 points of the outline of a ball at (3,) m, (24, 3) m from its centre, in cam axes."""
-
 # spheremouse/wand/refine.cpp
 
 def refine(

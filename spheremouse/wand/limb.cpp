@@ -152,15 +152,6 @@ nb::object outline_log_likelihood(nb::handle position_, nb::handle which_, nb::h
     return nb::cast(value);
 }
 
-nb::object outline_points(nb::handle position_, double radius) {
-    const auto position = array<const double, 3>(position_, "position");
-    auto points = zeros<double>({DIRECTIONS, 3});
-    for (size_t k = 0; k < DIRECTIONS; k++)
-        Eigen::Map<Vector3d>(points.data() + 3 * k) =
-            outline_point(Eigen::Map<const Vector3d>(position.data()), radius, k);
-    return nb::cast(points);
-}
-
 }  // namespace
 
 Vector3d outline_point(const Vector3d& c, double radius, size_t k) {
@@ -183,7 +174,6 @@ void bind_limb(nb::module_& m) {
           arg("factor"));
     m.def("outline_log_likelihood", &outline_log_likelihood, arg("position"), arg("which"), arg("edges"), arg("ball"),
           arg("factor"));
-    m.def("outline_points", &outline_points, arg("position"), arg("radius"));
 }
 
 }  // namespace spheremouse::wand

@@ -25,18 +25,18 @@ class WandSettings:
     """Parameters of the wand's tracker."""
 
     GONE: ClassVar[dict[str, str]] = {
-        "proposal": "`method: peaks` is the default; `method: product` and `edges` draw from the motion",
-        "likelihood": "choose it by `method`: product, edges or rims",
+        "proposal": "`method: peaks` is the default; `method: product` draws from the motion",
+        "likelihood": "choose it by `method`: product or rims",
     }
 
     particles: int = param(
         350, "-", "number of particles; the time for a frame grows with it; the thesis uses 350", ge=10, le=5000
     )
-    method: Literal["peaks", "product", "edges", "rims"] = param(
+    method: Literal["peaks", "product", "rims"] = param(
         "peaks",
         "-",
         "peaks: draw particles near the likelihood's peaks. The others draw from the motion alone, as in the thesis: "
-        "product has its likelihood, edges ignores colours, rims has the default likelihood",
+        "product has its likelihood, rims has the default likelihood",
     )
     acceleration: float = param(
         2.5, "m/s²", "greatest acceleration of a hand: 0.4 m/s to and fro once a second", **HAND

@@ -86,7 +86,7 @@ def test_outline_equals_that_of_the_projected_sphere():
     camera = InteriorOrientation(1280, 960, 900.0, 900.0, 640.0, 480.0)
     c = np.array([0.3, -0.2, 0.8])
     centre, shape = project_sphere(c, 0.05)
-    points = kernels.outline_points(c, 0.05)
+    points = twins.outline(c, 0.05)
     np.testing.assert_allclose(np.linalg.norm(points, axis=1), 0.05)
     for uv in project(c + points, camera)[0]:
         xy = (uv - [640, 480]) / 900.0 - centre
@@ -101,7 +101,7 @@ def test_measured_edges_lie_on_the_true_outline(view):
     good = found[:, 4] > 0
     assert good.sum() >= 8
     camera = InteriorOrientation(640, 480, *m.lens[:4], m.lens[4:])
-    outline = project(p + kernels.outline_points(p, BALL.radius), camera)[0]
+    outline = project(p + twins.outline(p, BALL.radius), camera)[0]
     r = np.sum((found[:, :2] - outline) * found[:, 2:4], axis=1)[good]
     edge = np.abs(r) < 1.0  # the others belong to the room
     assert edge.mean() > 0.5
@@ -236,7 +236,6 @@ def test_likelihood_of_the_outline_equals_its_twin(view):
     value = limb.log_likelihood(position, which, edges, m, 2)
     expected = [twins.outline_log_likelihood(c, edges[k], m, 2) for c, k in zip(position, which, strict=True)]
     np.testing.assert_allclose(value, expected, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(kernels.outline_points(p, 0.05), twins.outline(p, 0.05), rtol=1e-12, atol=1e-16)
 
 
 def test_refinement_equals_its_twin(view):

@@ -1,37 +1,28 @@
 """One step of the thesis' particle filter for one ball (Grzonka 2005, table 3): move at random, weigh, resample.
 
-The setting `wand.method` chooses it with a likelihood: `product` of the thesis, `edges` that its outlook names (section
-5.2), or `rims`, the core's own. Edges are those of Canny (1986). The rims of the discs that face the camera and the
-ball's outline should lie on edges, so the distance of their points from the nearest edge gives the likelihood of a
-pose.
+The setting `wand.method` chooses it with a likelihood: `product` of the thesis, or `rims`, the core's own.
 """
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import Array
-from spheremouse.native import kernels
 from spheremouse.tracker import Status
-from spheremouse.wand.colour import Fields, Region
-from spheremouse.wand.likelihood import FULL_FACING, log_likelihood
+from spheremouse.wand.colour import Fields
+from spheremouse.wand.likelihood import log_likelihood
 from spheremouse.wand.model import Model
 from spheremouse.wand.motions import random_walk
 from spheremouse.wand.particles import Particles, effective_number, mean_pose, move, normalise, resample_degenerate
-from spheremouse.wand.peaks import SearchContext, covered_region, fields_near
-from spheremouse.wand.rims import Image
+from spheremouse.wand.peaks import SearchContext, fields_near
 from spheremouse.wand.state import Track, WandPose
 from spheremouse.wand.track import acquire
 
 _EFFECTIVE_POINTS = (
     20.0  # points of four visible discs; less than all edges, because pixels along one repeat each other
 )
-_SIGMA = 0.7  # px, of an edge: half a pixel of Canny's grid, half of lens, gloss and motion
-_OUTLIER = 0.1  # fraction of the points without an edge: hidden, or without contrast
-_CANNY = (32.0, 64.0)  # thresholds, Sobel: steps of 8 and 16 grey values, above the noise of a webcam
 _MIN_FACTOR = 0.02  # a 5 x 5 kernel is zero 3 px from the colour: without this one hidden point makes the product zero
 
 
@@ -55,11 +46,6 @@ def follow(
     return after, WandPose(context.ball.name, *pose, Status.TRACKING, None, float(weight @ match), count, True)
 
 
-def _edges(position: Array, rotation: Array, context: SearchContext, fields: Fields) -> tuple[Array, Array]:
-    distance, place = edge_distances(context.scene.image, covered_region(fields), fields.factor)
-    return log_edges(position, rotation, context.model, distance, place)
-
-
 def _product(position: Array, rotation: Array, context: SearchContext, fields: Fields) -> tuple[Array, Array]:
     return log_product(position, rotation, context.model, fields)
 
@@ -68,7 +54,7 @@ def _rims(position: Array, rotation: Array, context: SearchContext, fields: Fiel
     return log_likelihood(position, rotation, context.model, fields)
 
 
-_LIKELIHOODS = {"product": _product, "edges": _edges, "rims": _rims}
+_LIKELIHOODS = {"product": _product, "rims": _rims}
 
 
 def log_product(position: Array, rotation: Array, model: Model, fields: Fields) -> tuple[Array, Array]:
@@ -98,15 +84,10 @@ def _seen(position: Array, rotation: Array, model: Model, chosen: NDArray[np.boo
     normal = np.einsum("nij,pj->npi", rotation, model.points.table[chosen, :3])
     x = position[:, None] + model.radius * normal
     facing = np.where(x[..., 2] > 0.0, -np.sum(normal * x, axis=2) / np.linalg.norm(x, axis=2), -1.0)
-    return facing, *_pixels(x, model)
-
-
-def _pixels(x: Array, model: Model) -> tuple[Array, Array]:
-    """Return u and v, px, of points (..., 3) m in cam."""
     fx, fy, cx, cy = model.lens[:4]
     camera = InteriorOrientation(0, 0, fx, fy, cx, cy, model.lens[4:])
     uv = project(x.reshape(-1, 3), camera)[0].reshape(*x.shape[:-1], 2)
-    return uv[..., 0], uv[..., 1]
+    return facing, uv[..., 0], uv[..., 1]
 
 
 def _mean_of_visible(log_value: Array, visible: NDArray[np.bool_], empty: float, fit: Array) -> tuple[Array, Array]:
@@ -115,40 +96,3 @@ def _mean_of_visible(log_value: Array, visible: NDArray[np.bool_], empty: float,
     some = np.maximum(number, 1)
     mean = np.where(number > 0, np.sum(np.where(visible, log_value, 0.0), axis=1) / some, empty)
     return _EFFECTIVE_POINTS * mean, np.sum(np.where(visible, fit, 0.0), axis=1) / some
-
-
-def edge_distances(image: Image, region: Region | None, factor: int) -> tuple[NDArray[np.float32], Array]:
-    """Return distances from the nearest edge, (h, w) px of the picture reduced `factor` times, and left, top, factor.
-
-    None for `region` is the whole picture.
-    """
-    h, w = image.shape[:2]
-    left, top, right, bottom = region or (0, 0, w, h)
-    part = image[top:bottom, left:right]
-    if factor > 1:
-        part = cv2.resize(part, (part.shape[1] // factor, part.shape[0] // factor), interpolation=cv2.INTER_AREA)
-    found = cv2.Canny(cv2.cvtColor(part, cv2.COLOR_BGR2GRAY), *_CANNY)
-    distance = cv2.distanceTransform(255 - found, cv2.DIST_L2, 5) if found.any() else np.full(found.shape, 1e3)
-    return np.asarray(distance, dtype=np.float32), np.array([left, top, factor], dtype=float)
-
-
-def log_edges(
-    position: Array, rotation: Array, model: Model, distance: NDArray[np.float32], place: Array
-) -> tuple[Array, Array]:
-    """Return the log-likelihood of n poses, (n, 3) m and (n, 3, 3), and the fraction of their points on edges, (n,).
-
-    It is the mean over the points times 20, so that a pose gains nothing by hiding points. `distance` and `place` are
-    those of `edge_distances`.
-    """
-    rims = (model.points.colour >= 0) & (model.points.table[:, 6] == 0.0)
-    facing, u, v = _seen(position, rotation, model, rims)
-    outline = position[:, None] + np.array([kernels.outline_points(c, model.radius) for c in position])
-    both = (np.concatenate(one, axis=1) for one in zip((u, v), _pixels(outline, model), strict=True))
-    visible = np.concatenate([facing >= FULL_FACING, np.repeat(position[:, 2:] > model.radius, outline.shape[1], 1)], 1)
-    left, top, factor = place
-    j, i = (np.floor((one - start + 0.5) / factor) for one, start in zip(both, (left, top), strict=True))
-    h, w = distance.shape
-    inside = visible & (i >= 0) & (i < h) & (j >= 0) & (j < w)
-    at = np.where(inside, i, 0).astype(int), np.where(inside, j, 0).astype(int)
-    fit = np.where(inside, np.exp(-0.5 * (distance[at] / _SIGMA) ** 2), 0.0)
-    return _mean_of_visible(np.log((1.0 - _OUTLIER) * fit + _OUTLIER), visible, np.log(_OUTLIER), fit)
