@@ -14,7 +14,6 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import MOST, TargetDetections
@@ -257,7 +256,7 @@ def adjust_pose(
             dc_dobj = dc_dcam @ pose.rotation.T
             # a point in cam is R^T (X - P): dP moves it by -R^T, theta turns X - P by -theta
             A = np.concatenate([-dc_dobj, dc_dobj @ hat(points - pose.position)], axis=2).reshape(-1, 6)
-            J = np.asarray(block_diag(*dc_dobj), dtype=float)
+            J = _block_diagonal(dc_dobj)
             W = np.asarray(np.linalg.inv(noise + J @ targets @ J.T), dtype=float)
             N = A.T @ W @ A
             step = np.asarray(np.linalg.solve(N, A.T @ W @ residual), dtype=float)
@@ -270,10 +269,16 @@ def adjust_pose(
     return fit
 
 
+def _block_diagonal(blocks: Array) -> Array:
+    """Return the matrix, (n a, n b), with blocks (n, a, b) on its diagonal."""
+    n, a, b = blocks.shape
+    return np.einsum("nij,nm->nimj", blocks, np.eye(n)).reshape(n * a, n * b)
+
+
 def _adjust(start: Pose, used: list[Sighting], which: NDArray[np.intp], rig: Rig) -> Resection | None:
     """Return the pose from these sightings; the weights include the targets' joint covariance."""
     observed = np.array([s.centre for s in used])
-    image = np.asarray(block_diag(*(s.covariance for s in used)), dtype=float)
+    image = _block_diagonal(np.array([s.covariance for s in used]))
     rows = (3 * which[:, None] + np.arange(3)).ravel()
     targets = rig.targets.covariance[np.ix_(rows, rows)]
     fit = adjust_pose(start, observed, which, rig, image, targets)

@@ -11,7 +11,6 @@ from itertools import chain, permutations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import COLOURS
@@ -23,6 +22,7 @@ MOST = 10  # copies of a target that are measured in a picture, the best: a devi
 _PICTURES = 2.0  # areas of the picture that are measured in all: targets side by side do not fill one
 _MEDIAN_PX = 3  # width of the median filter of a picture; it removes salt and keeps thin rings
 _OPENING_PX = 3  # width of the opening of a colour's mask; not more than a ring is wide
+_FEW_PAIRS = 1 << 16  # of spots, all compared: in 2 ms
 _BAND = 2.0  # px, half width of the band in which an edge is measured: blur of lens and demosaicing
 
 
@@ -96,7 +96,6 @@ class Candidate:
 
 
 _Pairs = tuple[NDArray[np.intp], NDArray[np.intp]]  # indices of spots, and of those they lie in
-_NONE = np.zeros(0, dtype=np.intp)
 
 
 def detect_targets(image: Image, radii: Array, settings: RingSettings) -> TargetDetections:
@@ -197,25 +196,37 @@ def within(inside: Spots, outer: Spots, which: NDArray[np.intp], share: float, s
     """Return pairs of a spot of `inside` and one of `outer` round it, (p,) indices each, concentric.
 
     The inner radius is about `share` of the outer one. `which` (k,) are indices of the outer spots to consider.
+    """
+    if len(which) * len(inside) > _FEW_PAIRS:
+        one, other = _near(inside, outer, which, share, settings)
+    else:
+        one, other = np.tile(np.arange(len(inside)), len(which)), np.repeat(which, len(inside))
+    offset = np.linalg.norm(inside.centre[one] - outer.centre[other], axis=1)
+    ratio = inside.radius[one] / (outer.radius[other] * share)
+    good = (offset < _reach(outer.radius[other], settings)) & (1.0 / settings.ratio < ratio) & (ratio < settings.ratio)
+    return one[good], other[good]
+
+
+def _reach(radius: Array, settings: RingSettings) -> Array:
+    return np.maximum(settings.concentric * radius, 1.0)
+
+
+def _near(inside: Spots, outer: Spots, which: NDArray[np.intp], share: float, settings: RingSettings) -> _Pairs:
+    """Return the pairs of many spots that may fit.
 
     The search takes place and size as one box, with sizes stretched to its shape. A place has room for few outlines of
     one size, but a large outline may contain many small ones.
     """
-    if not len(which) or not len(inside):
-        return _NONE, _NONE
+    from scipy.spatial import KDTree  # it takes 0.3 s, and most pictures have few spots
+
     least, most = share / settings.ratio, share * settings.ratio
     stretch = 2.0 * settings.concentric / (most - least)
-    reach = np.maximum(settings.concentric * outer.radius[which], 1.0)
+    reach = _reach(outer.radius[which], settings)
     at = np.column_stack((outer.centre[which], 0.5 * stretch * (least + most) * outer.radius[which]))
     tree = KDTree(np.column_stack((inside.centre, stretch * inside.radius)))
     near = tree.query_ball_point(at, reach * (1.0 + 1e-9), p=np.inf)
     counts = np.fromiter(map(len, near), np.intp, len(near))
-    one = np.fromiter(chain.from_iterable(near), np.intp, int(counts.sum()))
-    other = np.repeat(which, counts)
-    offset = np.linalg.norm(inside.centre[one] - outer.centre[other], axis=1)
-    ratio = inside.radius[one] / (outer.radius[other] * share)
-    good = (offset < np.repeat(reach, counts)) & (1.0 / settings.ratio < ratio) & (ratio < settings.ratio)
-    return one[good], other[good]
+    return np.fromiter(chain.from_iterable(near), np.intp, int(counts.sum())), np.repeat(which, counts)
 
 
 def _misfits(inner: Array, inmost: _Pairs, middle: Array, around: _Pairs, outer: Array, proportion: Array) -> Array:

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import pdtrc
 
 from spheremouse.ball.filters.so3_motion import (
     CLONE_DIM,
@@ -34,6 +33,7 @@ from spheremouse.ball.filters.so3_state import So3State, augment, drop, inject
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.statistics import poisson_tail
 from spheremouse.native import kernels
 
 _LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow, and the covariance must stay finite
@@ -131,7 +131,7 @@ class So3Filter:
         A point lies in a disc's gate by chance with a probability: the gate's share of the visible part of the ball.
         """
         sigma = self.place_sigma(predicted, self.visible(predicted))
-        return bool(pdtrc(used - 1, self._expected_by_chance(sigma, points)) < _RARE)
+        return bool(poisson_tail(used - 1, self._expected_by_chance(sigma, points)) < _RARE)
 
     def _each_is_significant(self, predicted: So3State, columns: NDArray[np.intp], points: int) -> bool:
         """Return whether a point falls into the widest gate of the discs `columns` in under a thousandth of the frames.
@@ -238,7 +238,7 @@ class So3Filter:
         which = self.visible(corrected)
         sigma = kernels.place_sigma(corrected.body, which, _NO_NOISE)
         ways = 0.5 * points * (points - 1) * len(which) * (len(which) - 1)
-        return ways * pdtrc(len(corrected.used) - 3, self._expected_by_chance(sigma, points)) < _RARE
+        return ways * poisson_tail(len(corrected.used) - 3, self._expected_by_chance(sigma, points)) < _RARE
 
     def candidate_distances(
         self, state: So3State, points: SpherePoints, gate: float, widest: bool = False

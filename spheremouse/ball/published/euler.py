@@ -15,7 +15,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.settings import EulerSettings
@@ -279,7 +278,8 @@ def _correct(x: Array, P: Array, innovation: Array, H: Array, noise: Array) -> t
 def _solve(S: Array, b: Array) -> Array:
     """Return S^-1 b for a covariance S. If S is singular, the pseudo-inverse ignores the singular directions."""
     try:
-        return cho_solve(cho_factor(S, lower=True, check_finite=False), b, check_finite=False)
+        np.linalg.cholesky(S)  # refuses a singular matrix, which rounding may hide from `solve`
+        return np.asarray(np.linalg.solve(S, b), dtype=float)
     except np.linalg.LinAlgError:
         return np.linalg.pinv(S, hermitian=True) @ b
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from scipy import spatial
 
 from spheremouse.ball.detect import rings
 from spheremouse.ball.detect.rings import MOST, TargetDetections, detect_targets
@@ -92,7 +93,7 @@ def dotted(rng, height, width, n):
     return image
 
 
-class Counted(rings.KDTree):
+class Counted(spatial.KDTree):
     """A tree that counts what it gives for a look."""
 
     given = 0
@@ -113,7 +114,7 @@ def bullseye(height, width, step=4):
 @pytest.mark.parametrize("kind", ["dots", "cells", "within one another", "dots within rings"])
 def test_the_pairs_that_are_looked_at_are_in_proportion_to_the_picture(kind, monkeypatch):
     """Not to the square of the spots: as many of one size as a place has room for, whatever else lies there."""
-    monkeypatch.setattr(rings, "KDTree", Counted)
+    monkeypatch.setattr(spatial, "KDTree", Counted)
     shares = []
     for height, width in ((240, 320), (480, 640), (960, 1280)):
         rng = np.random.default_rng(0)
