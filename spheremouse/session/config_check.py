@@ -1,4 +1,4 @@
-"""Check the files, devices and sizes that a configuration names, without disturbing a run.
+"""Check the files and devices that a configuration names, without disturbing a run.
 
 Only files are opened, and nothing is changed.
 """
@@ -17,13 +17,11 @@ from spheremouse.files.rig import load_camera, load_rig
 from spheremouse.files.wand import load_wand
 from spheremouse.files.yaml import Key, Problem
 from spheremouse.finding import Finding, Verdict
-from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.config_reloader import AT_START
 from spheremouse.session.run_config import beside
 from spheremouse.session.settings import Configuration
 
 T = TypeVar("T")
-Size = tuple[int, int]  # width and height, px
 
 
 @dataclass(slots=True)
@@ -46,14 +44,9 @@ class Found:
 def validate(file: Path, c: Configuration) -> Found:
     """Check all files and devices that the configuration `c` of a file names."""
     found = Found()
-    calibrated = _files(file, c, found)
-    if c.source is not None and _probe(("source",), capture.probe, c.source, found):
-        kind, _, argument = c.source.partition(":")  # of other sources, no size is known before there is a picture
-        size, key = _camera_size(argument, c) if kind == "v4l2" else (None, ("source",))
-        where = "rig" if c.camera_file is None else "camera_file"
-        if size is not None and calibrated is not None:
-            problem = size_problem(size, (calibrated.width, calibrated.height), where)
-            found.wrong += [] if problem is None else [Problem(key, "; ".join(problem))]
+    _files(file, c, found)
+    if c.source is not None:
+        _probe(("source",), capture.probe, c.source, found)
     for name, assignments in c.profiles.items():
         late = (key for key in map(key_of, assignments) if key.partition(".")[0] in AT_START)
         found.wrong += [
@@ -67,10 +60,10 @@ def validate(file: Path, c: Configuration) -> Found:
 # ---- files ----
 
 
-def _files(file: Path, c: Configuration, found: Found) -> InteriorOrientation | None:
-    """Check rig, camera, map, balls and recordings. Return the calibrated camera, if one is named."""
+def _files(file: Path, c: Configuration, found: Found) -> None:
+    """Check rig, camera, map, balls and recordings."""
     rig = _read(("rig",), beside(file, c.rig), load_rig, found)
-    camera = _read(("camera_file",), beside(file, c.camera_file), load_camera, found)
+    _read(("camera_file",), beside(file, c.camera_file), load_camera, found)
     if (path := beside(file, c.map)) is not None and _folder_there(("map",), path, found) and path.exists():
         saved = _read(("map",), path, load_map, found)
         if saved is not None and rig is not None:
@@ -80,7 +73,6 @@ def _files(file: Path, c: Configuration, found: Found) -> InteriorOrientation | 
     folder = beside(file, c.record.folder)
     if folder is not None and folder.exists() and not folder.is_dir():
         found.wrong.append(Problem(("record", "folder"), f"{folder}: is no folder; name another"))
-    return camera or (None if rig is None else rig.camera)
 
 
 def _read(key: Key, path: Path | None, read: Callable[[Path], T], found: Found) -> T | None:
@@ -103,32 +95,13 @@ def _folder_there(key: Key, path: Path, found: Found) -> bool:
 # ---- source and output ----
 
 
-def _probe(key: Key, probe: Callable[[str], list[Finding]], spec: str, found: Found) -> bool:
-    """Report the findings about a source or an output. Return False if its text is invalid."""
+def _probe(key: Key, probe: Callable[[str], list[Finding]], spec: str, found: Found) -> None:
+    """Report the findings about a source or an output."""
     try:
         findings = probe(spec)
     except SpheremouseError as e:
         found.refused(key, e)
-        return False
+        return
     for f in findings:
         if f.verdict is Verdict.WRONG:
             (found.now if f.passing else found.wrong).append(Problem(key, "; ".join(filter(None, (f.text, f.advice)))))
-    return True
-
-
-def _camera_size(argument: str, c: Configuration) -> tuple[Size | None, Key]:
-    """Return the size that is requested of a V4L2 camera, None for its largest one, and the key that names it."""
-    from spheremouse.capture.v4l2 import parse
-
-    size = parse(argument, c.camera)[1].size
-    return size, ("camera", "size") if size is not None and size == c.camera.size else ("source",)
-
-
-def size_problem(size: Size, calibrated: Size, where: str) -> tuple[str, str] | None:
-    """Return problem and remedy if pictures have another size than the calibration of `where`; None if they agree."""
-    if size == calibrated:
-        return None
-    return (
-        f"pictures of {size[0]}x{size[1]}, but {where} was calibrated at {calibrated[0]}x{calibrated[1]}",
-        f"set camera.size: [{calibrated[0]}, {calibrated[1]}], or calibrate at this size",
-    )

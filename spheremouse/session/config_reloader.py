@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from spheremouse.files import config, exchange
 from spheremouse.files.config import key_of
 from spheremouse.files.validate import nearest
 from spheremouse.files.yaml import dotted
-from spheremouse.session.control.protocol import Save, Set, internal_error, refused
+from spheremouse.session.control.protocol import Save, internal_error, refused
 from spheremouse.session.control.request_queue import PendingRequest
 from spheremouse.session.process.threads import WorkerPool
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig, check_kinds, read_run_config
@@ -170,17 +170,7 @@ def _same(a: Any, b: Any) -> bool:
 READING = "reading"  # kind of the pool's work
 _MIN_READING_INTERVAL = 0.1  # s from one reading to the next, since reading holds the interpreter as tracking does
 
-_GESTURE_PAUSE_S = 1.0  # after a change, until its gesture has ended
-
 Prepare = Callable[[RunConfig, list[str]], Callable[[], bool]]
-
-
-class _Gesture(NamedTuple):
-    """Changes that are one line of the log: the values before the first and after the last of them."""
-
-    name: str
-    values: Values
-    at: float  # s, monotonic, of the last one
 
 
 class ConfigReloader:
@@ -204,18 +194,11 @@ class ConfigReloader:
         self._workers, self._call, self._log = workers, call, log
         self._files = stamps_of(overrides, plan)
         self._read_at = 0.0  # s, end of the last reading
-        self._gesture: _Gesture | None = None
 
     @property
     def outdated(self) -> bool:
         """Return True if a file has been written since it was read."""
         return self._files != stamps_of(self.overrides, self.plan)
-
-    def log_gesture(self, now: float) -> None:
-        """Log the changes of a gesture that has ended; `now` is monotonic, s."""
-        if self._gesture is not None and now - self._gesture.at > _GESTURE_PAUSE_S:
-            self._log(f"configuration applied: {describe_changes(self._gesture.values)}")
-            self._gesture = None
 
     def set(self, assignments: tuple[str, ...], pending: PendingRequest) -> None:
         """Change parameters, KEY=VALUE, all or none. `pending` gets the result, perhaps later.
@@ -356,13 +339,6 @@ class ConfigReloader:
         if later:
             text += f" ({', '.join(later)}: from the next start on)"
         text += "; the recording has ended, since it holds one tracker configuration" if ended else ""
-        name = pending.request.gesture if isinstance(pending.request, Set) else None
-        if self._gesture is not None and self._gesture.name != name:
-            self.log_gesture(np.inf)
-        if name is not None and not (later or ended or read):
-            before = {} if self._gesture is None else self._gesture.values
-            merged = {key: (before.get(key, value)[0], value[1]) for key, value in exact.items()}
-            self._gesture = _Gesture(name, before | merged, time.monotonic())
-        elif changed or not pending.quiet:
+        if changed or not pending.quiet:
             self._log(text)
         pending.answer({"changed": changed, "values": exact, "message": text})

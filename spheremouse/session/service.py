@@ -254,7 +254,6 @@ class Daemon:
             return
         self._checked_at = now
         self._pictures.expire(now)
-        self._reloader.log_gesture(now)
         self._cpu.look(now)
         worker.look()
         self._endpoints.retry(self._reloader.plan.configuration.control, now)

@@ -126,7 +126,7 @@ class Daemon:
         Raises ControlError if the daemon refuses or does not answer.
         """
         async with self._setting:
-            reply = await self._change(values, gesture=gesture)
+            reply = await self._change(values)
             before = {key: old for key, (old, _) in reply.get("values", {}).items()}
             if self._undo and self._undo[-1][0] == gesture:
                 before |= self._undo.pop()[1]
@@ -145,12 +145,12 @@ class Daemon:
             self._update(before)
         return reply
 
-    async def _change(self, values: Values, **gesture: str) -> Message:
+    async def _change(self, values: Values) -> Message:
         """Have the daemon set values, at most so often that it keeps up. Return its reply."""
         rebuilds = any(key.partition(".")[0] not in _AT_ONCE for key in values)
         await asyncio.sleep(max(0.0, self._next_change - time.monotonic()))
         self._next_change = time.monotonic() + (_REBUILD_INTERVAL if rebuilds else _SET_INTERVAL)
-        return await self.ask("set", assignments=[f"{key}={json.dumps(v)}" for key, v in values.items()], **gesture)
+        return await self.ask("set", assignments=[f"{key}={json.dumps(v)}" for key, v in values.items()])
 
     def _ask(self, command: str, arguments: Message) -> Message:
         with Client(self.socket) as client:

@@ -17,7 +17,7 @@ import pytest
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.capture import open_source
 from spheremouse.commands.options import parse_size
-from spheremouse.commands.wand.picture import read_picture
+from spheremouse.commands.wand import read_picture
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.files import pictures, tables, validate
 from spheremouse.files import yaml as yaml_file
@@ -92,7 +92,7 @@ IN_A_CHILD = """
 import resource, sys
 from pathlib import Path
 from spheremouse.calibrate.photos import read_photos
-from spheremouse.commands.wand.picture import read_picture
+from spheremouse.commands.wand import read_picture
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.ball import open_dataset

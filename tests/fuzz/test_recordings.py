@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from spheremouse.ball.settings import Settings
 from spheremouse.calibrate.photos import image, read_photos
 from spheremouse.capture import open_source
-from spheremouse.commands.wand.picture import read_picture
+from spheremouse.commands.wand import read_picture
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
 from tests.fuzz.fuzzing import file, fuzz, refused

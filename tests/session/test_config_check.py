@@ -95,24 +95,6 @@ def test_what_may_be_missing_only_now_is_a_warning(checked, tmp_path):
     ]
 
 
-@linux
-@pytest.mark.parametrize(
-    ("lines", "at"),
-    [
-        (("source: v4l2:/dev/video97", "camera: {size: [1280, 720]}"), "c.yaml:4: camera.size"),
-        (("source: 'v4l2:/dev/video97,width=1280,height=720'",), "c.yaml:3: source"),
-    ],
-)
-def test_a_rig_of_another_size_than_is_asked_of_the_camera_is_wrong_with_or_without_camera(checked, lines, at):
-    code, said = checked("rig: rig.yaml", *lines)
-    assert code == 2
-    wrong = [line for line in said if "warning" not in line]
-    assert wrong == [
-        f"{at}: pictures of 1280x720, but rig was calibrated at 640x480; "
-        "set camera.size: [640, 480], or calibrate at this size"
-    ]
-
-
 def test_a_map_of_another_ball_is_told(checked, tmp_path, monkeypatch):
     def other(*_):
         raise config_check.ConfigurationError("rig.map.yaml: was made with a ball of radius 1 m")

@@ -310,21 +310,6 @@ def test_a_change_on_disk_is_picked_up_and_a_broken_file_is_refused_with_its_lin
     follows(world, (2, 1, 1))
 
 
-def test_the_changes_of_a_gesture_are_one_line_of_the_log(playing):
-    def change(gesture, *assignments):
-        return ask(playing, "set", assignments=assignments, gesture=gesture)["values"]
-
-    assert change("first", "motion.scale_x=2") == {"motion.scale_x": [1, 2]}
-    assert change("first", "motion.scale_x=3") == {"motion.scale_x": [2, 3]}
-    assert said(playing, "scale_x") == []
-    change("second", "motion.scale_y=2")
-    ask(playing, "set", assignments=["motion.scale_z=2"])
-    lines = ["motion.scale_x 1.0 → 3.0", "motion.scale_y 1.0 → 2.0", "motion.scale_z 1.0 → 2.0"]
-    assert [line.rpartition(": ")[2] for line in said(playing, "scale_")] == lines
-    change("third", "pointer.smooth=0.25")
-    playing.until(lambda: said(playing, "pointer.smooth"))
-
-
 def test_a_service_saves_in_a_file_of_its_own_and_forgets_it(world):
     world.saved = world.folder / "saved.yaml"
     before = world.config.read_text()

@@ -37,7 +37,7 @@ def status_table(s: StatusReport) -> Panel:
     rows.add_column(style="dim", min_width=8)
     rows.add_column(overflow="fold")
     also = ", and paused" if s.paused and s.state != "paused" else ""
-    rows.add_row("state", Text.assemble(_state(s), f" for {_span(s.since_s)}{also}"))
+    rows.add_row("state", Text.assemble(_state(s), f" for {span(s.since_s)}{also}"))
     if s.reason:
         rows.add_row("reason", _text(s.reason))
     rows.add_row("frames", _frames(s))
@@ -56,7 +56,7 @@ def status_table(s: StatusReport) -> Panel:
         rows.add_row("output", _output(output, s.reason))
     source = s.source or SourceStatus()
     rows.add_row("source", _text(source.description or source.spec or "-"))
-    rows.add_row("unseen", f"{_span(s.unseen_s)} of {_span(s.uptime_s)}, lost {_n(s.lost_count)} times")
+    rows.add_row("unseen", f"{span(s.unseen_s)} of {span(s.uptime_s)}, lost {_n(s.lost_count)} times")
     if s.recording:
         rows.add_row("recording", _recording(s.recording))
     head = Text.assemble((" spheremouse ", "bold"), f"{printable(s.version or '')} │ process {_n(s.pid)} ")
@@ -146,7 +146,7 @@ def _ball(ball: BallStatus) -> Text:
 def _pose(pose: PoseStatus | None) -> str:
     if pose is None:
         return "not known"
-    return f"{_span(pose.age_s)} old" + (f", within {max(pose.sigma_mm):.1f} mm (1 sigma)" if pose.sigma_mm else "")
+    return f"{span(pose.age_s)} old" + (f", within {max(pose.sigma_mm):.1f} mm (1 sigma)" if pose.sigma_mm else "")
 
 
 def _output(output: OutputStatus, reason: str | None) -> Text:
@@ -167,10 +167,11 @@ def _output(output: OutputStatus, reason: str | None) -> Text:
 def _recording(r: RecordingStatus) -> Text:
     dropped = f", {r.dropped} dropped" if r.dropped else ""
     megabytes = 1e-6 * (r.bytes or 0)
-    return _text(f"{r.folder}: {_n(r.frames)} frames, {_span(r.seconds)}, {megabytes:.0f} MB{dropped}")
+    return _text(f"{r.folder}: {_n(r.frames)} frames, {span(r.seconds)}, {megabytes:.0f} MB{dropped}")
 
 
-def _span(seconds: float | None) -> str:
+def span(seconds: float | None) -> str:
+    """Return a time, s, in a unit that suits it."""
     if seconds is None:
         return "-"
     for size, limit, unit in ((1.0, 120.0, "s"), (60.0, 120.0, "min"), (3600.0, 48.0, "h")):

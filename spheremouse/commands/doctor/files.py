@@ -14,7 +14,6 @@ from spheremouse.files.disc_map import age, check_fits, load_map, map_path
 from spheremouse.files.yaml import read_document
 from spheremouse.finding import Finding, Verdict, classify, ok, refusals, unchecked, warning, wrong
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.session.config_check import size_problem
 from spheremouse.session.control.status import StatusReport
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig, read_run_config
 from spheremouse.session.settings import Configuration
@@ -125,8 +124,10 @@ def size(camera: InteriorOrientation, width: int, height: int) -> Finding:
     """Compare the size of the pictures with that of the calibration."""
     calibrated = camera.width, camera.height
     values: dict[str, Any] = {"calibrated_px": list(calibrated), "pictures_px": [width, height]}
-    if problem := size_problem((width, height), calibrated, "the camera"):
-        return wrong("size", *problem, **values)
+    if (width, height) != calibrated:
+        calibration = f"{calibrated[0]}x{calibrated[1]}"
+        text = f"pictures of {width}x{height}, but the camera was calibrated at {calibration}"
+        return wrong("size", text, f"set camera.size: {list(calibrated)}, or calibrate at this size", **values)
     return ok("size", f"{width}x{height}, as calibrated", **values)
 
 

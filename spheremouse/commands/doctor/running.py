@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from spheremouse import __version__
+from spheremouse.commands.ctl.words import span
 from spheremouse.errors import ControlError
 from spheremouse.finding import Finding, Verdict, classify, ok, unchecked, wrong
 from spheremouse.session.control.client import Client, NoDaemonError
@@ -30,7 +31,7 @@ def ask(socket: Path | None = None) -> tuple[StatusReport | None, Finding]:
         return None, ok("daemon", "none runs: the camera is free")
     except ControlError as e:
         return None, unchecked("daemon", str(e).partition("; ")[0], str(e).partition("; ")[2])
-    text = f"process {status.pid}, version {status.version}, for {_span(status.uptime_s or 0.0)}"
+    text = f"process {status.pid}, version {status.version}, for {span(status.uptime_s or 0.0)}"
     other, advice = status.version != __version__, "restart it to run the installed version"
     return status, classify("daemon", text, (other, Verdict.WARNING, f"; this program is {__version__}", advice))
 
@@ -87,7 +88,7 @@ def _discs(s: StatusReport) -> Finding | None:
     if s.discs is None or s.state not in ("tracking", "lost", "failed-output"):
         return None
     text = f"{s.discs} used, {s.discs_seen} seen, {s.discs_known} known"
-    text += f"; camera pose {_span(s.pose.age_s or 0.0)} old" if s.pose else ""
+    text += f"; camera pose {span(s.pose.age_s or 0.0)} old" if s.pose else ""
     few = s.state == "tracking" and s.discs < _MIN_DISCS
     return classify("discs", text, (few, Verdict.WARNING, "", "uncover and light the ball"), used=s.discs)
 
@@ -106,9 +107,3 @@ def _output(output: OutputStatus) -> Finding:
         text, _, advice = output.failed.removeprefix(f"{output.spec}: ").partition("; ")
         return wrong("sending", f"{output.spec}: {text}", advice)
     return ok("sending", f"{output.spec}: {output.reports} reports sent")
-
-
-def _span(seconds: float) -> str:
-    if seconds < 120.0:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.0f} h"

@@ -23,6 +23,7 @@ from spheremouse.commands.tray import view as tray
 from spheremouse.commands.tray.link import Link
 from spheremouse.commands.tray.view import View
 from spheremouse.errors import SpheremouseError
+from spheremouse.output.rate_limited_logger import strip_digits
 
 _MENU_REFRESH_S = 10.0  # if only numbers have changed: each update closes an open menu
 _HOST_TIMEOUT_S = 60.0  # for a desktop that is still starting
@@ -135,7 +136,7 @@ class Tray:
 
 def _without_digits(items: tuple[tray.Item, ...]) -> list[Any]:
     """Return texts without digits and actions, to compare menus."""
-    return [("".join(c for c in i.text if not c.isdigit()), i.action) for i in items]
+    return [(strip_digits(i.text), i.action) for i in items]
 
 
 # ---- backends ----

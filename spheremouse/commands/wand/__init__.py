@@ -12,6 +12,9 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.simulate.wand.options import WandOptions
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from spheremouse.wand.pick_colours import PickedBounds
 
 app = typer.Typer(no_args_is_help=True, help="A hand-held ball: film it, or pick the bounds of its colours.")
@@ -81,7 +84,6 @@ def colours(
     Hold the ball so that discs of every colour face the camera, in the light it will be used in.
     """
     from spheremouse.calibrate.outputs import check_outputs
-    from spheremouse.commands.wand.picture import read_picture
     from spheremouse.files.wand import WandFile, load_wand, save_wand
     from spheremouse.session.overlay.file import write_picture
     from spheremouse.wand.ball import grzonka_ball
@@ -109,6 +111,31 @@ def colours(
         print(f"{out}: the ball with these bounds")
     elif not check:
         print("next: look at the picture, then write the bounds with --out wand.yaml")
+
+
+def read_picture(path: Path) -> "NDArray[np.uint8]":
+    """Return a picture, (h, w, 3) BGR, or the first frame of a wand's dataset.
+
+    Raises ConfigurationError if the file cannot be read, or if its picture is below 32 px.
+    """
+    from spheremouse.files.dataset.frames import read_frames
+    from spheremouse.files.dataset.wand import open_wand
+    from spheremouse.files.pictures import FRAME_PIXELS, MOST_BYTES, decoded, read_header
+    from spheremouse.files.safe_files import read_bytes
+
+    if path.is_dir():
+        return next(read_frames(open_wand(path))).image
+    if not path.exists():
+        raise ConfigurationError(f"{path}: no such file; name a picture with the ball in it")
+    try:
+        data = read_bytes(path, MOST_BYTES, "picture")
+        read_header(data, FRAME_PIXELS)
+        image = decoded(data, upright=True)
+    except OSError as e:
+        raise ConfigurationError(f"{path}: {e.strerror or e}") from None
+    if min(image.shape[:2]) < 32:
+        raise ConfigurationError(f"{path}: is {image.shape[1]}x{image.shape[0]} px; too small to show a ball")
+    return image
 
 
 def _shown_at(picture: Path, given: Path | None) -> Path:

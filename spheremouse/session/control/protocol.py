@@ -64,7 +64,6 @@ class Set(Request):
     assignments: tuple[Annotated[str, Field(max_length=1000)], ...] = Field(
         min_length=1, max_length=50, description='write for example ["motion.scale_x=2"]'
     )
-    gesture: str | None = Field(default=None, max_length=200, description="changes of one gesture are one line of log")
 
 
 class Profile(Request):
