@@ -51,8 +51,7 @@ def param(
     """Return a dataclass field with unit ("-" for none), meaning with the reason for the default, and bounds.
 
     `refused` is the remedy for a rejected value. `null` is the value that a written `null` means, if that differs from
-    leaving the key out. `pair` is a sign between two numbers: with "x", 640x480 is [640, 480]. A class names its former
-    settings in `GONE`, each with its replacement.
+    leaving the key out. `pair` is a sign between two numbers: with "x", 640x480 is [640, 480].
     """
     most = bounds.pop("most", None)
     metadata = {"unit": unit, "meaning": meaning, "bounds": bounds, "most": most, "refused": refused}

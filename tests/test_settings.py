@@ -8,7 +8,6 @@ from spheremouse.files.device import DeviceFile
 from spheremouse.files.disc_map import MapFile
 from spheremouse.files.rig.models import CameraFile, RigFile
 from spheremouse.files.wand import WandModel
-from spheremouse.files.yaml import parse_document
 from spheremouse.geometry.camera import MAX_PIXELS, MAX_SIDE, too_large
 from spheremouse.session.settings import Configuration
 from spheremouse.wand.settings import ColourSettings
@@ -86,26 +85,6 @@ def test_what_would_not_work_is_refused_in_one_line(assignment, says):
         config.override(Configuration(), assignment)
     assert "\n" not in str(e.value)
     assert says in str(e.value)
-
-
-@pytest.mark.parametrize(
-    ("key", "remedy"),
-    [
-        ("so3.gate", "the program fixes it; remove the line"),
-        ("blobs.masks", "the program fixes it; remove the line"),
-        ("blobs.min_area", "write area: [F_min, F_max]"),
-        ("wand.likelihood", "choose it by `method`: product or rims"),
-        ("motion.swap_xy", "a seat turned by 90 degrees is `player: left` or `right`"),
-    ],
-)
-def test_a_former_setting_is_refused_with_its_remedy(key, remedy):
-    with pytest.raises(ConfigurationError) as e:
-        config.override(Configuration(), f"{key}=1")
-    assert str(e.value) == f"--set {key}: is no setting: {remedy}"
-    section, _, name = key.partition(".")
-    with pytest.raises(ConfigurationError) as e:
-        config.loads(parse_document(f"schema: 2\n{section}:\n  {name}: 1\n", "c.yaml"), Configuration)
-    assert str(e.value) == f"c.yaml:3: {key}: is no setting: {remedy}"
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """Settings of tracking, as one nested dataclass."""
 
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Literal
 
 from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.ball.detect.rings import RingSettings
@@ -36,8 +36,6 @@ class LossSettings:
 @dataclass(frozen=True, slots=True)
 class BlobSettings:
     """The published detector's bounds on a blob, which depend on camera and ball."""
-
-    GONE: ClassVar[dict[str, str]] = dict.fromkeys(("min_area", "max_area"), "write area: [F_min, F_max]")
 
     area: tuple[float, float] = param((40.0, 300.0), "px²", "bounds of a contour's area, F_min and F_max", **AREA)
     # As published (table 4); no settings.
@@ -74,8 +72,6 @@ class EulerSettings:
 @dataclass(frozen=True, slots=True)
 class Settings:
     """All parameters of initialisation and use."""
-
-    GONE: ClassVar[dict[str, str]] = {"bearing": "the program fixes when a ball counts as lifted; remove the section"}
 
     detector: Literal["default", "blobs"] = param("default", "-", "disc detector; `blobs` is the published one")
     tracker: Literal["so3", "ekf1", "ekf2"] = param("so3", "-", "filter; `ekf1` and `ekf2` are the published ones")

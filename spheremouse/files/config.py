@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 from pydantic import BaseModel, BeforeValidator, Field, create_model
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.validate import GONE, Part, gone, nearest, validated
+from spheremouse.files.validate import Part, nearest, validated
 from spheremouse.files.yaml import (
     SCHEMAS,
     Document,
@@ -132,8 +132,7 @@ def override(settings: S, assignment: str, *, label: str = "--set ") -> S:
         inside = [n for n in names if n.startswith(key + ".")]
         if inside:
             raise ConfigurationError(f"{label}{key}: a section; set one of {', '.join(inside)}")
-        advice = gone(parts, model_of(type(settings))) or f"unknown key; {nearest(key, names)}"
-        raise ConfigurationError(f"{label}{key}: {advice}")
+        raise ConfigurationError(f"{label}{key}: unknown key; {nearest(key, names)}")
     data: Any = value
     for part in reversed(parts):
         data = {part: data}
@@ -216,12 +215,7 @@ def model_of(cls: type) -> type[BaseModel]:
         annotation = _annotation(_hints(cls)[field.name], about.get("bounds", {}), about.get("most"))
         read = BeforeValidator(functools.partial(_without_short_form, about, section))
         fields[field.name] = (Annotated[annotation, read], Field(None, description=None if section else _advice(field)))
-    made = create_model(cls.__name__, __base__=Part, **fields)
-    constants = {
-        f.name: "the program fixes it; remove the line" for f in dataclasses.fields(cls) if f.name not in fields
-    }
-    setattr(made, GONE, constants | getattr(cls, GONE, {}))
-    return made
+    return create_model(cls.__name__, __base__=Part, **fields)
 
 
 @functools.cache

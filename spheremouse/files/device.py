@@ -1,10 +1,9 @@
 """Read device.yaml, a person's description and tape measurements of a device, in metres.
 
-The reader rejects lengths that only make sense in mm or cm, repeated ids and codes, and contradictory distances, each
-with its line and remedy.
+The reader rejects lengths that only make sense in mm or cm, and repeated ids and codes, each with its line and remedy.
+The calibration reports distances that contradict each other or the photos.
 """
 
-import itertools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,16 +18,14 @@ from spheremouse.files.rig.checks import repeated_targets
 from spheremouse.files.rig.models import Code
 from spheremouse.files.safe_files import read_bytes
 from spheremouse.files.validate import Part, validated
-from spheremouse.files.yaml import MAX_BYTES, Document, Problem, read_document, without_schema
+from spheremouse.files.yaml import MAX_BYTES, Problem, read_document, without_schema
 
 UNTOUCHED = "# NOT FILLED IN YET: delete this line when all below is true of your device."
 
 _FEWEST = 3  # targets; fewer define no axes
 _LARGEST_PART = 0.5  # m; a target or disc with a larger radius would be as large as a ball: mm or cm were meant
 _LONGEST = 10.0  # m between targets of one frame that a camera sees at once: mm or cm were meant
-_SMALLEST_SEEN = 400  # distance over radius: in a photo 4000 px wide the target is 20 px, too few for its rings
 _COARSEST = 0.1  # sigma over distance: a tape is never as bad
-_SIGMAS = 5.0  # by chance once in two million
 
 Id = Annotated[int, Field(ge=0, le=10**6, description="the id of a target, one of those under `targets`")]
 Positive = Annotated[float, Field(gt=0, le=1e4)]  # m: no tape is longer
@@ -78,7 +75,7 @@ def load_device(path: Path) -> Device:
         document = without_schema(document, "device")
     file = validated(document, DeviceFile)
     distances = tuple(_distance(d) for d in file.distances)
-    if problems := [*_problems(file, distances), *_contradictions(document, distances)]:
+    if problems := list(_problems(file, distances)):
         raise document.error(problems)
     return Device(
         ids=tuple(t.id for t in file.targets),
@@ -110,22 +107,19 @@ def _distance(part: Any) -> Distance:
 def _problems(file: DeviceFile, distances: Sequence[Distance]) -> Iterator[Problem]:
     ids = [t.id for t in file.targets]
     yield from repeated_targets([(t.id, t.code) for t in file.targets])
-    yield from _size_problems(file, max((d.metres for d in distances), default=0.0))
+    yield from _size_problems(file)
     if len(set(ids)) == len(ids):  # repeated ids are ambiguous
         yield from _axes_problems(file.axes, ids)
     for i, d in enumerate(distances):
         yield from _distance_problems(i, d, ids if len(set(ids)) == len(ids) else None, file.target_radii[2])
 
 
-def _size_problems(file: DeviceFile, longest: float) -> Iterator[Problem]:
+def _size_problems(file: DeviceFile) -> Iterator[Problem]:
     radii = file.target_radii
     if max(radii) > _LARGEST_PART:
         yield Problem(("target_radii",), f"are {_listed(radii)} m; give {_in_metres(radii, _LARGEST_PART)}")
     elif not radii[0] < radii[1] < radii[2]:
         text = f"are {_listed(radii)}; they must grow: inner disc, middle ring, outer ring, each from the centre"
-        yield Problem(("target_radii",), text)
-    elif _SMALLEST_SEEN * radii[2] < longest <= _LONGEST:
-        text = f"are {_listed(radii)} m, too small to be seen in one picture with {longest:g} m; give metres"
         yield Problem(("target_radii",), text)
     if file.disc_radius > _LARGEST_PART:
         text = f"is {file.disc_radius:g} m; give {_in_metres([file.disc_radius], _LARGEST_PART)}"
@@ -158,29 +152,6 @@ def _distance_problems(i: int, d: Distance, ids: Sequence[int] | None, outer: fl
     if d.metres <= _LONGEST and d.sigma > _COARSEST * d.metres:
         text = f"is {d.sigma:g} m for a length of {d.metres:g} m; give it in metres: a tape held taut is 0.001"
         yield Problem(("distances", i, "sigma"), text)
-
-
-def _contradictions(document: Document, distances: Sequence[Distance]) -> Iterator[Problem]:
-    """Yield distances that exceed a detour by other targets, and pairs with two different measurements."""
-    pairs = [frozenset((d.start, d.end)) for d in distances]
-    for i, d in enumerate(distances):
-        key = ("distances", i, "metres")
-        for j, other in enumerate(distances[:i]):
-            if pairs[i] == pairs[j] and abs(d.metres - other.metres) > _SIGMAS * np.hypot(d.sigma, other.sigma):
-                where = document.line(("distances", j))
-                text = (
-                    f"is {d.metres:g} m, but {other.metres:g} m in line {where}; measure again, or enlarge the sigmas"
-                )
-                yield Problem(key, text)
-        for a, b in itertools.combinations(range(len(distances)), 2):
-            if pairs[a] == pairs[b] or pairs[a] ^ pairs[b] != pairs[i]:
-                continue
-            way = distances[a].metres + distances[b].metres
-            if d.metres - way > _SIGMAS * np.linalg.norm([d.sigma, distances[a].sigma, distances[b].sigma]):
-                (third,) = pairs[a] & pairs[b]
-                text = f"is {d.metres:g} m, but only {way:g} m by way of target {third}; measure these three again"
-                yield Problem(key, text)
-                break
 
 
 def _in_metres(values: Sequence[float], limit: float) -> str:

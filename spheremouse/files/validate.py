@@ -30,9 +30,6 @@ class Provenance(BaseModel):
     model_config = ConfigDict(extra="allow")
 
 
-GONE = "GONE"  # attribute of a model or a settings class: former keys, each with its replacement
-
-
 def read_checked(path: Path, model: type[M], kind: str) -> tuple[Document, M]:
     """Read a file of this `kind`, a key of `SCHEMAS`. Return the document without `schema`, and the model instance.
 
@@ -63,12 +60,6 @@ def nearest(word: str, names: Sequence[str]) -> str:
     return f"known here: {', '.join(names)}" if names else "no keys are known here"
 
 
-def gone(key: Key, model: type[BaseModel]) -> str:
-    """Return the problem text with the replacement of a former key of `model`; empty if there was no such key."""
-    instead = getattr(_model_at(key[:-1], model), GONE, {}).get(key[-1])
-    return f"is no setting: {instead}" if instead else ""
-
-
 def _problems(error: ValidationError, document: Document, model: type[BaseModel]) -> tuple[list[Problem], int]:
     """Return pydantic's errors as problems sorted by line, at most MAX_PROBLEMS, and the number of the others.
 
@@ -87,7 +78,7 @@ def _worded(key: Key, complaints: Sequence[Any], data: Any, model: type[BaseMode
     if len(complaints) > 1:
         return _with_advice(", or ".join(map(_complaint, complaints)), key, data, model)
     if first["type"] == "extra_forbidden":
-        return gone(key, model) or f"unknown key; {_advice_on_name(str(key[-1]), key[:-1], model)}"
+        return f"unknown key; {_advice_on_name(str(key[-1]), key[:-1], model)}"
     if first["type"] == "missing":
         return _with_advice("missing", key, None, model, value=False)
     return _with_advice(_complaint(first), key, data, model)

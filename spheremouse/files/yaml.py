@@ -149,18 +149,12 @@ def without_schema(document: Document, kind: str) -> Document:
     version = data.get("schema")
     if version is None:
         raise document.error([Problem((), f"schema: missing; write `schema: {wanted}` as the first line")])
-    if type(version) is not int or version < 1:
-        reason = f"is {shown(version)}; this program reads version {wanted}: update one of the two"
-    elif version > wanted:
-        reason = f"is {version}, of a newer spheremouse; this one reads {wanted}: update it"
-    elif version < wanted:
-        remedy = "copy your values into a file that `spheremouse config init FILE` writes"
-        reason = f"is {version}, of an older spheremouse; this one reads {wanted}: {remedy}"
-    else:
-        if kind != "configuration":  # people make their own configuration, and pass the other files on
-            refuse_control_characters(document)
-        return Document(document.name, {k: v for k, v in data.items() if k != "schema"}, document.lines)
-    raise document.error([Problem(("schema",), reason)])
+    if type(version) is not int or version != wanted:
+        text = f"is {shown(version)}; this program reads version {wanted}: update the program or the file"
+        raise document.error([Problem(("schema",), text)])
+    if kind != "configuration":  # people make their own configuration, and pass the other files on
+        refuse_control_characters(document)
+    return Document(document.name, {k: v for k, v in data.items() if k != "schema"}, document.lines)
 
 
 def refuse_control_characters(document: Document) -> None:

@@ -6,7 +6,7 @@ log(R_k R_{k-1}^T) x C. Its chord (eq. 172-174) loses 1 % at 30 Hz and 5 % at 5 
 
 from dataclasses import dataclass
 from math import hypot
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -64,8 +64,6 @@ class AxisSettings:
 @dataclass(frozen=True, slots=True)
 class MotionSettings(AxisSettings):
     """Scale and direction of the counts."""
-
-    GONE: ClassVar[dict[str, str]] = {"swap_xy": "a seat turned by 90 degrees is `player: left` or `right`"}
 
     player: Player = param(
         "far-side",

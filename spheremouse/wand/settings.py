@@ -1,7 +1,7 @@
 """Parameters of the wand's tracker, and the bounds of its colours."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -23,11 +23,6 @@ class ColourSettings:
 @dataclass(frozen=True, slots=True)
 class WandSettings:
     """Parameters of the wand's tracker."""
-
-    GONE: ClassVar[dict[str, str]] = {
-        "proposal": "`method: peaks` is the default; `method: product` draws from the motion",
-        "likelihood": "choose it by `method`: product or rims",
-    }
 
     particles: int = param(
         350, "-", "number of particles; the time for a frame grows with it; the thesis uses 350", ge=10, le=5000

@@ -10,6 +10,8 @@ from spheremouse.files.yaml import Key, Problem
 from spheremouse.geometry.camera import too_large
 from spheremouse.geometry.rotation import Array
 
+_MOST_RADII = 100.0  # of the ball, standard deviation of a length: beyond, it carries no information
+
 
 def camera_problems(c: CameraPart) -> Iterator[Problem]:
     if problem := too_large(c.width, c.height):
@@ -18,19 +20,19 @@ def camera_problems(c: CameraPart) -> Iterator[Problem]:
         if not -size <= value <= 2 * size:
             text = f"is {value:g}, far outside an image of {size} px; it is given in px, and lies near {size / 2:g}"
             yield Problem(("camera", name), text)
-    yield from _covariance_problems(("camera", "covariance"), c.covariance, 9)
+    yield from _covariance_problems(("camera", "covariance"), c.covariance, [math.inf] * 9)
 
 
 def rig_problems(file: RigFile) -> Iterator[Problem]:
-    ball = list(_covariance_problems(("ball", "covariance"), file.ball.covariance, 4))
+    spread = [_MOST_RADII * file.ball.radius] * 3
+    ball = list(_covariance_problems(("ball", "covariance"), file.ball.covariance, [*spread, spread[0]]))
     yield from ball
     if file.disc_radius >= file.ball.radius:
         yield Problem(("disc_radius",), f"is {file.disc_radius:g} m, not smaller than the ball; both are in metres")
-    yield from _spread_problems(file)
     yield from _target_problems(file)
-    targets = list(_targets_covariance_problems(file))
+    targets = list(_targets_covariance_problems(file, spread))
     yield from targets
-    pose = list(_pose_problems(file))
+    pose = list(_pose_problems(file, spread))
     yield from pose
     if not ball and not targets:
         key = ("targets_ball_covariance",)
@@ -41,23 +43,6 @@ def rig_problems(file: RigFile) -> Iterator[Problem]:
     for i, disc in enumerate(file.discs):
         if abs(np.linalg.norm(disc) - 1.0) > 1e-3:
             yield Problem(("discs", i), f"has length {np.linalg.norm(disc):.4g}; give a unit vector")
-
-
-def _spread_problems(file: RigFile) -> Iterator[Problem]:
-    """Yield covariances above a hundred radii of the ball, or half a turn, which carry no information."""
-    r = 100.0 * file.ball.radius
-    own = [(("targets", i, "covariance"), target.covariance, [r] * 3) for i, target in enumerate(file.targets)]
-    for key, rows, most in (
-        (("ball", "covariance"), file.ball.covariance, [r] * 4),
-        (("targets_covariance",), file.targets_covariance, [r] * (3 * len(file.targets))),
-        (("pose_covariance",), file.pose_covariance, [r] * 3 + [math.pi] * 3),
-        *own,
-    ):
-        if rows is not None and _is_square(rows, len(most)):
-            for i, limit in enumerate(most):
-                if rows[i][i] > limit**2:
-                    text = f"has the variance {rows[i][i]:g}, of a standard deviation above {limit:g}"
-                    yield Problem((*key, i), f"{text}: that is not known at all")
 
 
 def _target_problems(file: RigFile) -> Iterator[Problem]:
@@ -83,65 +68,57 @@ def repeated_targets(targets: Sequence[tuple[int, str]]) -> Iterator[Problem]:
             yield Problem(("targets", i, "code"), f"{code} is on another target already; each code appears once")
 
 
-def _targets_covariance_problems(file: RigFile) -> Iterator[Problem]:
+def _targets_covariance_problems(file: RigFile, spread: list[float]) -> Iterator[Problem]:
     for i, target in enumerate(file.targets):
         key = ("targets", i, "covariance")
-        yield from _covariance_problems(key, target.covariance, 3)
+        yield from _covariance_problems(key, target.covariance, spread)
         if target.covariance is not None and file.targets_covariance is not None:
             yield Problem(key, "stands in targets_covariance, too; remove one of them")
-    yield from _covariance_problems(("targets_covariance",), file.targets_covariance, 3 * len(file.targets))
+    yield from _covariance_problems(("targets_covariance",), file.targets_covariance, spread * len(file.targets))
 
 
-def _pose_problems(file: RigFile) -> Iterator[Problem]:
+def _pose_problems(file: RigFile, spread: list[float]) -> Iterator[Problem]:
     if file.pose_covariance is not None and file.T_obj_cam is None:
         yield Problem(("pose_covariance",), "belongs to T_obj_cam, which is missing; give both or none")
     if file.pose_ball_covariance is not None and file.pose_covariance is None:
         yield Problem(("pose_ball_covariance",), "belongs to pose_covariance, which is missing; give both or none")
-    yield from _covariance_problems(("pose_covariance",), file.pose_covariance, 6)
+    yield from _covariance_problems(("pose_covariance",), file.pose_covariance, [*spread, *[math.pi] * 3])
     if file.T_obj_cam is None:
         return
     key: Key = ("T_obj_cam",)
-    if not _is_square(file.T_obj_cam, 4):
-        yield Problem(key, f"must be 4 rows of 4 numbers, is {_shape(file.T_obj_cam)}")
+    if problem := _shape_problem(file.T_obj_cam, 4, 4):
+        yield Problem(key, problem)
         return
     T = matrix(file.T_obj_cam, 4)
     R = T[:3, :3]
-    if not np.array_equal(T[3], [0, 0, 0, 1]):
-        yield Problem((*key, 3), "must be [0, 0, 0, 1]; is the matrix transposed?")
-    elif np.abs(R.T @ R - np.eye(3)).max() > 1e-3:
-        yield Problem(key, "its first 3 x 3 are not a rotation (columns of length 1 at right angles); copy all digits")
-    elif np.linalg.det(R) < 0:
-        yield Problem(key, "its first 3 x 3 mirror (determinant -1); all frames here are right-handed")
+    if not np.array_equal(T[3], [0, 0, 0, 1]) or np.abs(R.T @ R - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
+        yield Problem(key, "is no [R, t; 0, 0, 0, 1] with a right-handed rotation R; copy all digits")
     elif np.linalg.norm(T[:3, 3] - file.ball.center) <= file.ball.radius:
         yield Problem(key, "puts the camera inside the ball; is it T_cam_obj, or not in metres?")
 
 
-def _covariance_problems(key: Key, rows: Matrix | None, n: int) -> Iterator[Problem]:
+def _covariance_problems(key: Key, rows: Matrix | None, most: Sequence[float]) -> Iterator[Problem]:
+    """Yield problems of a covariance; its standard deviations are at most `most`."""
     if rows is None:
         return
-    if not _is_square(rows, n):
-        yield Problem(key, f"must be {n} rows of {n} numbers, is {_shape(rows)}")
+    if problem := _shape_problem(rows, len(most), len(most)):
+        yield Problem(key, problem)
         return
-    C = matrix(rows, n)
-    scale = np.sqrt(np.abs(np.outer(np.diag(C), np.diag(C))))  # units differ from row to row
-    if np.any(np.diag(C) < 0):
-        i = int(np.argmin(np.diag(C)))
-        yield Problem((*key, i), f"has the negative variance {C[i, i]:g} on its diagonal; variances are squares")
-    elif np.any(np.abs(C - C.T) > 1e-6 * scale):
-        i, j = np.unravel_index(int(np.argmax(np.abs(C - C.T) - 1e-6 * scale)), C.shape)
-        yield Problem(
-            key, f"is not symmetric: {C[i, j]:g} against {C[j, i]:g} in rows {i + 1} and {j + 1}; make them equal"
-        )
-    elif not _is_covariance(C):
-        yield Problem(key, "is not positive semidefinite: some correlation is beyond 1; copy all digits")
+    C = matrix(rows, len(most))
+    if not _is_covariance(C):
+        text = "must be symmetric, with variances of at least 0 and correlations of at most 1; copy all digits"
+        yield Problem(key, text)
+    for i in map(int, np.flatnonzero(np.diag(C) > np.square(most))):
+        text = f"has the variance {C[i, i]:g}, of a standard deviation above {most[i]:g}: that is not known at all"
+        yield Problem((*key, i), text)
 
 
 def _cross_problems(key: Key, C: Array, rows: Matrix | None, ball: BallPart) -> Iterator[Problem]:
     """Yield problems of the block between the covariance C, (n, n), and the ball: the whole must be a covariance."""
     if rows is None:
         return
-    if len(rows) != len(C) or not all(len(row) == 4 for row in rows):
-        yield Problem(key, f"must be {len(C)} rows of 4 numbers, is {_shape(rows)}")
+    if problem := _shape_problem(rows, len(C), 4):
+        yield Problem(key, problem)
         return
     X = np.array(rows)
     if not _is_covariance(np.block([[C, X], [X.T, matrix(ball.covariance, 4)]])):
@@ -150,16 +127,18 @@ def _cross_problems(key: Key, C: Array, rows: Matrix | None, ball: BallPart) -> 
 
 
 def _is_covariance(C: Array) -> bool:
-    """Return True if a symmetric matrix with a diagonal >= 0 is positive semidefinite, within the digits of a file."""
-    scale = np.sqrt(np.outer(np.diag(C), np.diag(C)))
+    """Return True if a matrix is symmetric and positive semidefinite, within the digits of a file."""
+    scale = np.sqrt(np.abs(np.outer(np.diag(C), np.diag(C))))  # units differ from row to row
+    if np.any(np.diag(C) < 0) or np.any(np.abs(C - C.T) > 1e-6 * scale):
+        return False
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = np.where(scale > 0, C / scale, np.where(C == 0, 0.0, np.inf))
     return bool(np.isfinite(correlation).all() and np.linalg.eigvalsh(correlation).min(initial=0.0) >= -1e-6)
 
 
-def _is_square(rows: Matrix, n: int) -> bool:
-    return len(rows) == n and all(len(row) == n for row in rows)
-
-
-def _shape(rows: Matrix) -> str:
-    return f"{len(rows)} rows of {'/'.join(sorted({str(len(r)) for r in rows})) or 0}"
+def _shape_problem(rows: Matrix, n: int, m: int) -> str:
+    """Return what is wrong with the shape of a matrix of n rows and m columns; empty if nothing is."""
+    if len(rows) == n and all(len(row) == m for row in rows):
+        return ""
+    lengths = "/".join(sorted({str(len(row)) for row in rows})) or 0
+    return f"must be {n} rows of {m} numbers, is {len(rows)} rows of {lengths}"
