@@ -95,6 +95,7 @@ class Colours(NamedTuple):
     fixed: bool = False  # by the settings
     tried: float = -np.inf  # s, when all projections were tried last
     wait: float = 0.5  # s until they are tried again, unless the ball has turned
+    tried_now: tuple[tuple[Projection, float], ...] = ()  # of an unfinished trial, and their information
     refined: bool = False  # from the pixels of known discs
 
 

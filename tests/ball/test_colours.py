@@ -8,7 +8,7 @@ import pytest
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.discs import DiscSettings
-from spheremouse.ball.detect.projection import GREY, NEGATIVE, normalised
+from spheremouse.ball.detect.projection import CANDIDATES, GREY, NEGATIVE, normalised
 from spheremouse.ball.events import DiscColours
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracking, disc_map
@@ -89,6 +89,18 @@ def test_hands_at_first_do_not_decide(pair):
     true = [m.attitude for m in frames[45:]]
     turned = [a @ after[0].T @ (t @ true[0].T).T for a, t in zip(after, true, strict=True)]
     assert max(np.arccos(np.clip((np.trace(R) - 1.0) / 2.0, -1.0, 1.0)) for R in turned) < np.radians(0.3)
+
+
+def test_a_trial_tries_one_projection_in_a_frame_of_a_tracked_ball():
+    sim, (first, *_) = film("white-black", seconds=0.1)
+    frames = [replace(first, frame=replace(first.frame, stamp=k / 60.0)) for k in range(90)]
+    states, *_ = run(sim, frames)
+    assert all(s.status is Status.TRACKING for s in states)
+    counts = [len(s.colours.tried_now) for s in states]
+    begin = counts.index(1)
+    assert counts[begin : begin + len(CANDIDATES) + 1] == [*range(1, len(CANDIDATES) + 1), 0]
+    assert states[-1].colours.projection == GREY
+    assert states[-1].colours.wait > states[0].colours.wait
 
 
 def test_once_the_ball_has_turned_the_colours_are_fisher_s_and_stay():

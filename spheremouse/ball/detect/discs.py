@@ -8,6 +8,7 @@ a blurred ellipse, whose shape follows from the geometry. The fit gives centre, 
 measures each disc in its own window and does not process the whole image.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -182,6 +183,13 @@ class DiscDetector:
         search = SearchState(*after)
         return Detections(centre, covariance, area), search if learn else search._replace(size=state.size)
 
+    def information(self, image: Image) -> float:
+        """Return the information about the centres of the discs in an image, in noise-free discs."""
+        sigma = self.settings.sigma  # of each covariance, a constant part
+        noise = np.maximum(0.5 * np.trace(self.detect(image).covariance, axis1=1, axis2=2) - sigma**2, 0.0)
+        finest = (_FINEST * sigma) ** 2
+        return float(np.sum(finest / (finest + noise)))
+
     def noise(self, image: Image) -> float:
         """Standard deviation of one pixel, grey values."""
         rows, columns = self.window
@@ -307,16 +315,25 @@ def _centroid(contour: Image) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def best_projection(image: Image, detector: DiscDetector, present: Projection) -> tuple[Projection, float]:
+def projections_to_try(image: Image, present: Projection) -> tuple[Projection, ...]:
+    """Return the candidates for an image, (h, w, 3) BGR or (h, w): the `present` projection first, if it may stay."""
+    return (GREY, NEGATIVE) if image.ndim == 2 else tuple(dict.fromkeys((present, *CANDIDATES)))
+
+
+def best_projection(
+    image: Image, detector: DiscDetector, present: Projection, known: Mapping[Projection, float] | None = None
+) -> tuple[Projection, float]:
     """Return the projection that shows the discs best, and its information in noise-free discs.
 
     The information is that of all fits about the discs' centres. Many fits of good contrast give much information, and
     a fit of a stain or a highlight gives little. `image` is (h, w, 3) BGR or (h, w). The `present` projection stays
     unless another one is clearly better. Grey or its negative takes precedence over colours if it is nearly as good.
+    Candidates whose information in an image just before is `known` are not tried again.
     """
-    tried = (GREY, NEGATIVE) if image.ndim == 2 else dict.fromkeys((present, *CANDIDATES))
-    found = {p: detector.with_projection(p).detect(image) for p in tried}
-    information = {p: information_of(found[p], detector.settings.sigma) for p in tried}
+    information = dict(known or {})
+    for p in projections_to_try(image, present):
+        if p not in information:
+            information[p] = detector.with_projection(p).information(image)
     best, most = max(information, key=information.__getitem__), max(information.values())
     if most < _MIN_GAIN * information.get(present, 0.0) + _MIN_INFORMATION:
         best = present
@@ -324,36 +341,22 @@ def best_projection(image: Image, detector: DiscDetector, present: Projection) -
         best = next((p for p in (GREY, NEGATIVE) if information[p] * _MIN_GAIN > most), best)
     if image.ndim == 2 or best.needs_colour:
         return best, information.get(best, 0.0)
-    fisher = _better_than_grey(image, detector, best, found[best])
-    more = (
-        0.0
-        if fisher is None
-        else information_of(detector.with_projection(fisher).detect(image), detector.settings.sigma)
-    )
+    fisher = _better_than_grey(image, detector.with_projection(best))
+    more = 0.0 if fisher is None else detector.with_projection(fisher).information(image)
     if fisher is None or more < _MIN_GAIN * information[best]:  # such as spots on a hand, which are as dark in grey
         return best, information[best]
     return fisher, more
 
 
-def _better_than_grey(image: Image, detector: DiscDetector, grey: Projection, found: Detections) -> Projection | None:
-    """Return Fisher's projection, or None if grey or its negative is nearly as good for the discs `found` in it.
+def _better_than_grey(image: Image, detector: DiscDetector) -> Projection | None:
+    """Return Fisher's projection, or None if that of the `detector`, grey or its negative, is nearly as good.
 
     White, black and grey differ alike in all channels, so grey shows nearly all of their contrast. White on red differ
     in two channels, and the noise of the third one only disturbs.
     """
-    contrast = colour_contrast(image, detector.model.mask, found, detector.model.diameter)
+    contrast = colour_contrast(image, detector.model.mask, detector.detect(image), detector.model.diameter)
     if contrast is None:
         return None
     fisher = contrast.fisher
-    gain = (contrast.signal_to_noise(fisher) / contrast.signal_to_noise(grey)) ** 2
+    gain = (contrast.signal_to_noise(fisher) / contrast.signal_to_noise(detector.model.fit.projection)) ** 2
     return fisher if gain > _MIN_GAIN_OVER_GREY else None
-
-
-def information_of(found: Detections, sigma: float) -> float:
-    """Return the information about the discs' centres, in noise-free discs.
-
-    `sigma` px is the constant standard deviation per axis that the covariances of `found` include.
-    """
-    noise = np.maximum(0.5 * np.trace(found.covariance, axis1=1, axis2=2) - sigma**2, 0.0)
-    finest = (_FINEST * sigma) ** 2
-    return float(np.sum(finest / (finest + noise)))

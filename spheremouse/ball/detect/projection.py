@@ -129,8 +129,10 @@ def _noise_covariance(image: Image, mask: Image) -> Array:
     It comes from second differences along rows, of every other pixel, because cameras share one chroma sample between
     two neighbours. Differences that are large in any channel are edges and do not count.
     """
-    rows = image[::_EVERY].astype(np.int16)
-    second = (2 * rows[:, 2:-2] - rows[:, :-4] - rows[:, 4:])[mask[::_EVERY, 2:-2] > 0].astype(float)
+    on = [np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0)]
+    ball = np.s_[on[0][0] // _EVERY * _EVERY : on[0][-1] + 1 : _EVERY, max(on[1][0] - 2, 0) : on[1][-1] + 3]
+    rows = image[ball].astype(np.int16)
+    second = (2 * rows[:, 2:-2] - rows[:, :-4] - rows[:, 4:])[mask[ball][:, 2:-2] > 0].astype(float)
     spread = 1.4826 * np.median(np.abs(second), axis=0)
     flat = second[np.all(np.abs(second) <= 3.0 * spread + 1.0, axis=1)]
     return flat.T @ flat / (6.0 * max(len(flat), 1))

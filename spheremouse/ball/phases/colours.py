@@ -1,18 +1,18 @@
 """Choice of the colour projection in which discs are darker than the ball.
 
-Until the ball turns, the tracker repeatedly tries all candidates on one picture (detect.discs). Once three
-discs are known, Fisher's discriminant of their pixels replaces the candidate if it gives more information. After that
-the projection stays the same, unless the ball is lost for 10 s.
+Until the ball turns, the tracker repeatedly tries all candidates (detect.discs). Once three discs are known, Fisher's
+discriminant of their pixels replaces the candidate if it gives more information. After that the projection stays the
+same, unless the ball is lost for 10 s.
 """
 
 from typing import Any
 
-from spheremouse.ball.detect.discs import DiscDetector, best_projection, information_of
+from spheremouse.ball.detect.discs import DiscDetector, best_projection, projections_to_try
 from spheremouse.ball.detect.projection import colour_contrast
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.events import DiscColours
 from spheremouse.ball.state import Colours, Learning, Lost, Phase, Recognising, Tracker, Tracking, TrackState
-from spheremouse.tracker import Frame, Step
+from spheremouse.tracker import Frame, Status, Step
 
 _ENOUGH = 0.2  # noise-free discs: with more information, the wait until the next trial doubles
 _WAIT = (0.5, 64.0)  # s between trials: first and longest; it doubles while the choice stays the same
@@ -35,17 +35,22 @@ def wants_colour(state: TrackState, stamp: float) -> bool:
 
 
 def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
-    """Return the state after a trial of all projections on `frame`, if one is due.
+    """Return the state after a trial of all projections, if one is due: one on each frame while the ball is tracked.
 
     If another projection shows the discs better, the search and an unfinished phase start again with it.
     """
+    before, image = state.colours, frame.image
     if not is_trial_due(state, frame.stamp):
-        return state
-    before, detector = state.colours, _adaptable(tracker)
-    projection, information = best_projection(frame.image, detector, before.projection)
+        return state._replace(colours=before._replace(tried_now=())) if before.tried_now else state
+    detector, known = _adaptable(tracker), dict(before.tried_now)
+    rest = (p for p in projections_to_try(image, before.projection) if p not in known)
+    if state.status is Status.TRACKING and (other := next(rest, None)) is not None:  # all would take many intervals
+        known[other] = detector.with_projection(other).information(image)
+        return state._replace(colours=before._replace(tried_now=tuple(known.items())))
+    projection, information = best_projection(image, detector, before.projection, known)
     if projection == before.projection:
         wait = min(2.0 * before.wait, _WAIT[1]) if information > _ENOUGH else _WAIT[0]
-        return state._replace(colours=before._replace(tried=frame.stamp, wait=wait))
+        return state._replace(colours=before._replace(tried=frame.stamp, wait=wait, tried_now=()))
     colours = Colours(projection, tried=frame.stamp, wait=_WAIT[0])
     state = state._replace(colours=colours, phase=_in_other_colours(state.phase), search=SearchState())
     if not isinstance(state.phase, Learning):
@@ -84,10 +89,7 @@ def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[Trac
     if contrast is None:
         return done
     fisher = contrast.fisher
-    before, after = (
-        information_of(detector.with_projection(p).detect(frame.image), detector.settings.sigma)
-        for p in (colours.projection, fisher)
-    )
+    before, after = (detector.with_projection(p).information(frame.image) for p in (colours.projection, fisher))
     if after <= before:
         return done._replace(state=state._replace(colours=colours._replace(refined=True)))
     state = state._replace(colours=colours._replace(projection=fisher, refined=True), search=SearchState())
