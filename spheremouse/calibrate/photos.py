@@ -92,16 +92,10 @@ def check_size(photos: Sequence[Photo], camera: InteriorOrientation, camera_path
     other = next((p for p in photos if p.size != mode), None)
     if other is None:
         return
-    begin = f"{other.path}: is {px(other.size)}, and {camera_path} is for the mode {px(mode)}"
-    if other.size == mode[::-1]:
-        raise CalibrationError(f"{begin}: the photo was turned by software; take the original from the camera")
-    todo = f"take photos in the mode {px(mode)}, or calibrate the mode you use from board photos of that mode"
-    if mode[0] * other.size[1] == mode[1] * other.size[0]:
-        raise CalibrationError(
-            f"{begin}: same shape, but a rescaled mode is a mode of its own (a camera may crop, skip or join pixels): "
-            f"{todo}"
-        )
-    raise CalibrationError(f"{begin}: another cut of the sensor; {todo}")
+    raise CalibrationError(
+        f"{other.path}: is {px(other.size)}, and {camera_path} is for the mode {px(mode)}: another mode, or turned by "
+        "software; take originals in that mode, or calibrate the mode you use from board photos"
+    )
 
 
 def provenance(
@@ -167,16 +161,12 @@ def _check_one_size(photos: Sequence[Photo]) -> None:
     sizes = Counter(p.size for p in photos).most_common()
     if len(sizes) == 1:
         return
-    (size, count), others = sizes[0], sizes[1:]
-    lines = []
-    for other, _ in others:
-        paths = [p.path for p in photos if p.size == other]
-        rest = "1 other is" if count == 1 else f"{count} others are"
-        begin = f"{_named(paths)}: {'is' if len(paths) == 1 else 'are'} {px(other)}, {rest} {px(size)}"
-        if other == size[::-1]:
-            lines.append(f"{begin}: turned by software; take the original from the camera")
-        else:
-            lines.append(f"{begin}: another mode or zoom; calibrate the mode you use and leave the rest out")
+    most = sizes[0][0]
+    lines = [
+        f"{_named([p.path for p in photos if p.size == size])}: {px(size)}, and the others {px(most)}: another mode or "
+        "zoom, or turned by software; take originals in the mode you calibrate, and leave the rest out"
+        for size, _ in sizes[1:]
+    ]
     raise CalibrationError("\n".join(lines))
 
 

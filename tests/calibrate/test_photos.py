@@ -85,7 +85,7 @@ def test_a_photo_turned_by_software_is_told_from_the_others(tmp_path):
     for i in range(3):
         save(tmp_path / f"{i}.jpg", i, orientation=6)
     save(tmp_path / "t.jpg", 7, (H, W))
-    text = refused([tmp_path], "t.jpg", "64x96", "96x64", "turned by software", "original")
+    text = refused([tmp_path], "t.jpg: 64x96, and the others 96x64", "turned by software")
     assert "0.jpg" not in text
 
 
@@ -116,7 +116,7 @@ def test_the_minority_of_sizes_is_listed(tmp_path):
         save(tmp_path / f"a{i}.jpg", i)
     for i in range(2):
         save(tmp_path / f"b{i}.jpg", i, (48, 32))
-    text = refused([tmp_path], "b0.jpg", "b1.jpg", "48x32", "4 others are 96x64", "calibrate the mode you use")
+    text = refused([tmp_path], "b0.jpg", "b1.jpg: 48x32, and the others 96x64", "another mode or zoom")
     assert "a0.jpg" not in text
 
 
@@ -198,12 +198,7 @@ def test_photos_must_be_of_the_camera_files_mode(tmp_path):
     photos = read_photos([save(tmp_path / "a.jpg")], note=silent)
     path = tmp_path / "camera.yaml"
     check_size(photos, camera(W, H), path)
-    for size, words in (
-        ((2 * W, 2 * H), "a rescaled mode is a mode of its own"),
-        ((H, W), "turned by software"),
-        ((W, W), "another cut of the sensor"),
-    ):
+    for size in ((2 * W, 2 * H), (H, W), (W, W)):
         with pytest.raises(CalibrationError) as e:
             check_size(photos, camera(*size), path)
-        assert words in str(e.value)
         assert f"is 96x64, and {path} is for the mode {size[0]}x{size[1]}" in str(e.value)

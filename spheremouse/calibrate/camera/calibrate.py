@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -11,13 +11,12 @@ from spheremouse.calibrate import photos
 from spheremouse.calibrate.board import Pattern
 from spheremouse.calibrate.camera.adjust import MIN_VIEWS, calibrate_board
 from spheremouse.calibrate.camera.bundle import BoardAdjustment, View
-from spheremouse.calibrate.camera.corners import Sighting, detect_dictionary, find_board, measure_in_plane
+from spheremouse.calibrate.camera.corners import Sighting, find_board, measure_in_plane
 from spheremouse.calibrate.camera.coverage import Coverage, coverage
 from spheremouse.calibrate.photos import Photo, image
 from spheremouse.errors import CalibrationError
 
 _MIN_DISTANCE, _MAX_DISTANCE = 0.02, 30.0  # m, of a board that a person holds before a webcam
-_MAX_MARKER_ERROR = 0.1  # relative; blur makes small markers smaller
 _MIN_CORNERS = 12  # of a chessboard; grids of 3x3 also appear in photos of a device
 _MAX_FOCAL_SIGMA = 0.1  # of the focal length
 
@@ -51,7 +50,6 @@ def calibrate(
         progress("finding the board")
         seen.append(find_board(image(photo), pattern))
     index = [i for i, s in enumerate(seen) if len(s.ids)]
-    _check_markers(photos, seen, pattern)
     if len(index) < MIN_VIEWS:
         raise _too_few(photos, seen, pattern)
     first = calibrate_board([_view(pattern, seen[i]) for i in index], size, terms)
@@ -78,9 +76,7 @@ def _view(pattern: Pattern, seen: Sighting) -> View:
 def rejection_reason(seen: Sighting, pattern: Pattern) -> str:
     """Return the reason why a photo is no view."""
     if pattern.marker is not None:
-        if seen.misplaced:
-            return "its markers do not lie as on this board"
-        return f"shows {seen.markers} markers, too few" if seen.markers else "shows no marker of this board"
+        return f"shows {seen.markers} markers of {pattern.dictionary}, and too few corners of this board"
     wanted = max(pattern.columns, pattern.rows), min(pattern.columns, pattern.rows)
     if seen.grid == wanted:
         return "the board cannot be made out sharply"
@@ -114,26 +110,19 @@ def _too_few(photos: Sequence[Photo], seen: Sequence[Sighting], pattern: Pattern
                     f" ({times} of {len(photos)} photos agree); give --board {grid[0]}x{grid[1]}, or photos of the "
                     "other board"
                 )
-    blind = [image(p) for p, s in zip(photos, seen, strict=True) if not len(s.ids)][:3]
-    name = next((d for picture in blind if (d := detect_dictionary(picture))), None)
-    if name is not None and pattern.marker is None:
+    if n == 0 and any(s.markers for s in seen):
         return CalibrationError(
-            f"no chessboard found, but markers of {name}: a ChArUco board? give --marker LENGTH --dictionary {name}"
+            f"the markers do not lie as on a board of {_words(pattern)} inner corners with {pattern.dictionary}; count "
+            f"the squares ({_words(pattern)} inner corners are {pattern.columns + 1} by {pattern.rows + 1} squares), "
+            "along first, and give --board and --dictionary"
         )
-    if name is not None and name.rpartition("_")[0] != pattern.dictionary.rpartition("_")[0]:
-        return CalibrationError(
-            f"the markers in the photos are of {name}, not {pattern.dictionary}; give --dictionary {name}"
-        )
-    if pattern.marker is not None and name is None:
-        grid = next((g for picture in blind if (g := find_board(picture, replace(pattern, marker=None)).grid)), None)
-        if _is_board(grid):
-            return CalibrationError(
-                f"no marker found, but a chessboard with {grid[0]}x{grid[1]} inner corners; leave --marker out"
-            )
-    if n == 0 and name is None and all(s.markers == 0 and not _is_board(s.grid) for s in seen):
+    if n == 0 and not any(_is_board(s.grid) for s in seen):
+        advice = "It must be sharp, and whole in each; a ChArUco board needs --marker and --dictionary"
+        if pattern.marker is not None:
+            advice = f"It must be near, with markers of {pattern.dictionary}; a chessboard needs no --marker"
         return CalibrationError(
             f"no board found in {len(photos)} photo{'' if len(photos) == 1 else 's'} ({photos[0].path} ...): are they "
-            f"photos of the board? It must be sharp, and {'whole in each' if pattern.marker is None else 'near'}"
+            f"photos of the board? {advice}"
         )
     whole = "the whole board" if pattern.marker is None else "the board"
     return CalibrationError(
@@ -149,29 +138,6 @@ def _reasons(photos: Sequence[Photo], seen: Sequence[Sighting], pattern: Pattern
         if not len(s.ids):
             because.setdefault(rejection_reason(s, pattern), []).append(photo.path.name)
     return "".join(f". {', '.join(names)}: {why}" for why, names in because.items())
-
-
-def _check_markers(photos: Sequence[Photo], seen: Sequence[Sighting], pattern: Pattern) -> None:
-    """Refuse a ChArUco board other than the one described, by places and sizes of its markers."""
-    if pattern.marker is None:
-        return
-    with_markers = [s for s in seen if s.markers >= 4]
-    misplaced = [p.path.name for p, s in zip(photos, seen, strict=True) if s.misplaced]
-    if len(misplaced) > 0.5 * len(with_markers):
-        raise CalibrationError(
-            f"the markers in {misplaced[0]} do not lie as on a board of {_words(pattern)} inner corners with "
-            f"{pattern.dictionary}; count the squares ({_words(pattern)} inner corners are {pattern.columns + 1} by "
-            f"{pattern.rows + 1} squares), along first, and give --board"
-        )
-    ratios = np.array([s.ratio for s in with_markers])
-    if not np.any(np.isfinite(ratios)):
-        return
-    ratio, given = float(np.nanmedian(ratios)), pattern.marker / pattern.square
-    if abs(ratio / given - 1.0) > _MAX_MARKER_ERROR:
-        raise CalibrationError(
-            f"the markers are {ratio:.2f} of a square in the photos, and {given:.2f} as given; measure both, as in "
-            f"--square {1e3 * pattern.square:g}mm --marker {1e3 * pattern.square * ratio:.0f}mm"
-        )
 
 
 def _check_plausible(found: BoardAdjustment, pattern: Pattern) -> None:

@@ -6,7 +6,6 @@ first calibration, `measure_in_plane` uses windows of the board's plane, in whic
 2009, without a new image). The first step alone shifts focal lengths by several standard deviations.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 
@@ -14,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.calibrate.board import DICTIONARIES, Pattern
+from spheremouse.calibrate.board import Pattern
 from spheremouse.geometry.camera import InteriorOrientation, project, unproject
 from spheremouse.geometry.rotation import Array
 
@@ -38,8 +37,6 @@ class Sighting:
     uv: Array  # (k, 2) px
     grid: tuple[int, int] | None = None  # inner corners of the largest chessboard seen, longer side first
     markers: int = 0  # ChArUco markers seen
-    ratio: float = float("nan")  # side of a marker over side of a square, in the image
-    misplaced: bool = False  # markers do not lie as on the board
 
 
 def find_board(image: NDArray[np.uint8], pattern: Pattern, searched: float = SEARCHED) -> Sighting:
@@ -49,16 +46,6 @@ def find_board(image: NDArray[np.uint8], pattern: Pattern, searched: float = SEA
     """
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
     return _find_chessboard(grey, pattern, searched) if pattern.marker is None else _find_charuco(grey, pattern)
-
-
-def detect_dictionary(image: NDArray[np.uint8]) -> str | None:
-    """Return the smallest dictionary with most markers in an image, (h, w) or (h, w, 3); None below four of each."""
-    most, best = 3, None
-    for name in DICTIONARIES:
-        _, ids, _ = cv2.aruco.ArucoDetector(_dictionary(name)).detectMarkers(image)
-        if ids is not None and len(ids) > most:
-            most, best = len(ids), name
-    return best
 
 
 # ---- chessboards ----
@@ -154,7 +141,7 @@ def measure_in_plane(
         found, _ = project(_in_cam(corners, R, t), camera)
         fine = np.linalg.norm(found - uv, axis=1) < 1.0 + 0.1 * reach / pattern.square * _side(uv)  # nan: False
         ids, uv = ids[fine], found[fine]
-    return Sighting(ids, uv, seen.grid, seen.markers, seen.ratio, seen.misplaced)
+    return Sighting(ids, uv, seen.grid, seen.markers)
 
 
 def _reach(pattern: Pattern) -> float:
@@ -264,66 +251,18 @@ def _where_gradients_meet(
 
 
 def _find_charuco(grey: NDArray[np.uint8], pattern: Pattern) -> Sighting:
-    board, detector = _charuco(pattern)
-    corners, ids, marker_corners, marker_ids = detector.detectBoard(grey)
+    """Find corners between markers; OpenCV rejects markers that do not lie as on the board."""
+    corners, ids, _, marker_ids = _charuco(pattern).detectBoard(grey)
     n = 0 if marker_ids is None else len(marker_ids)
-    ratio, misplaced = np.nan, False
-    if n:
-        outlines = np.asarray(marker_corners, float).reshape(-1, 4, 2)
-        ratio, misplaced = _as_laid_out(board, outlines, np.ravel(np.asarray(marker_ids)).astype(np.intp))
-    index = np.empty(0, np.intp) if ids is None or misplaced else np.ravel(np.asarray(ids)).astype(np.intp)
+    index = np.empty(0, np.intp) if ids is None else np.ravel(np.asarray(ids)).astype(np.intp)
     sides = [len(np.unique(k)) for k in (index % pattern.columns, index // pattern.columns)]
     if len(index) < _MIN_CHARUCO_CORNERS or min(sides) < 3:
-        return Sighting(np.empty(0, np.intp), np.empty((0, 2)), None, n, ratio, misplaced)
-    return Sighting(index, np.asarray(corners, float).reshape(-1, 2), None, n, ratio, misplaced)
+        return Sighting(np.empty(0, np.intp), np.empty((0, 2)), None, n)
+    return Sighting(index, np.asarray(corners, float).reshape(-1, 2), None, n)
 
 
 @cache
-def _charuco(pattern: Pattern) -> tuple[cv2.aruco.CharucoBoard, cv2.aruco.CharucoDetector]:
-    marker = pattern.marker or 0.0
+def _charuco(pattern: Pattern) -> cv2.aruco.CharucoDetector:
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, pattern.dictionary))
     size = pattern.columns + 1, pattern.rows + 1
-    board = cv2.aruco.CharucoBoard(size, pattern.square, marker, _dictionary(pattern.dictionary))
-    return board, cv2.aruco.CharucoDetector(board)
-
-
-def _dictionary(name: str) -> cv2.aruco.Dictionary:
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-
-
-def _as_laid_out(board: cv2.aruco.CharucoBoard, outlines: Array, ids: NDArray[np.intp]) -> tuple[float, bool]:
-    """Side of a marker over side of a square, and True for markers at other places than on the board.
-
-    The affine map by the nearest neighbours' centres measures each marker, (n, 4, 2) px. Centres do not depend on the
-    size of the markers.
-    """
-    laid = np.asarray(board.getObjPoints(), float)[:, :, :2] / board.getSquareLength()
-    if np.any(ids >= len(laid)):
-        return np.nan, True
-    places, centres = laid[ids].mean(axis=1), outlines.mean(axis=1)
-    found = list(_local(places, centres, outlines))
-    if not found:
-        return np.nan, False
-    ratio, residual = np.median(np.array(found), axis=0)
-    return float(ratio), bool(residual > 0.25)
-
-
-def _local(places: Array, centres: Array, outlines: Array) -> Iterator[tuple[float, float]]:
-    """Side of each marker with neighbours on all sides, and the misfit of these, in squares."""
-    for i in range(len(places)):
-        distance = np.linalg.norm(places - places[i], axis=1)
-        near = np.flatnonzero(distance < 2.1)
-        if len(near) < 5:
-            continue
-        A = np.hstack([places[near] - places[i], np.ones((len(near), 1))])
-        solved, *_ = np.linalg.lstsq(A, centres[near], rcond=None)
-        scale = np.sqrt(abs(np.linalg.det(solved[:2])))
-        if scale < 1e-6:
-            yield np.nan, np.inf
-            continue
-        misfit = np.sqrt(np.mean(np.sum((A @ solved - centres[near]) ** 2, axis=1))) / scale
-        yield float(np.sqrt(_area(outlines[i])) / scale), float(misfit)
-
-
-def _area(outline: Array) -> float:
-    x, y = outline.T
-    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+    return cv2.aruco.CharucoDetector(cv2.aruco.CharucoBoard(size, pattern.square, pattern.marker or 0.0, dictionary))

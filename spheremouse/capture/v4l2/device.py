@@ -90,7 +90,7 @@ class Device:
         try:
             self.fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as e:
-            raise SourceError(_cannot_open(path, e)) from None
+            raise SourceError(_failure(path, e)) from None
         try:
             found = read_capabilities(self.fd)
         except OSError:
@@ -278,19 +278,9 @@ class Device:
 
     def failure(self, error: OSError) -> SourceError:
         """Return the error of the open device, with a remedy."""
-        if error.errno in (errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN):
-            return SourceError(f"{self.path}: the camera is gone; plug it in again")
-        if error.errno == errno.EBUSY:
-            return SourceError(f"{self.path}: another program uses it; `fuser -v {self.path}` shows which")
-        if error.errno in (errno.EIO, errno.EPROTO, errno.EPIPE):
-            return SourceError(f"{self.path}: the camera stopped ({error.strerror}); see its cable, hub and power")
-        if error.errno == errno.ENOSPC:
-            return SourceError(
-                f"{self.path}: not enough USB bandwidth; choose format=MJPG, a smaller size or rate, or another port"
-            )
         if error.errno == errno.EINVAL and self.driver == "v4l2 loopback":
             return SourceError(f"{self.path}: this loopback device has no writer; start its writer first")
-        return SourceError(f"{self.path}: {error.strerror or error}; unplug the camera and plug it in again")
+        return SourceError(_failure(self.path, error))
 
 
 def find(text: str) -> Path:
@@ -301,16 +291,21 @@ def find(text: str) -> Path:
     return Path(f"/dev/video{text}") if text.isdecimal() else Path(text)
 
 
-def _cannot_open(path: Path, error: OSError) -> str:
-    if error.errno == errno.ENOENT:
-        return f"{path}: no such device; {cameras_here()}"
-    if error.errno in (errno.EACCES, errno.EPERM):
-        return f"{path}: may not be opened; as root: usermod -aG video USER, then log in again"
-    if error.errno in (errno.ENODEV, errno.ENXIO):
-        return f"{path}: the camera is gone; plug it in again"
-    if error.errno == errno.EBUSY:
-        return f"{path}: another program uses it; `fuser -v {path}` shows which"
-    return f"{path}: cannot be opened: {error.strerror or error}; {cameras_here()}"
+def _failure(path: Path | str, error: OSError) -> str:
+    match error.errno:
+        case errno.ENOENT:
+            return f"{path}: no such device; {cameras_here()}"
+        case errno.EACCES | errno.EPERM:
+            return f"{path}: may not be opened; as root: usermod -aG video USER, then log in again"
+        case errno.ENODEV | errno.ENXIO | errno.ESHUTDOWN:
+            return f"{path}: the camera is gone; plug it in again"
+        case errno.EBUSY:
+            return f"{path}: another program uses it; `fuser -v {path}` shows which"
+        case errno.EIO | errno.EPROTO | errno.EPIPE:
+            return f"{path}: the camera stopped ({error.strerror}); see its cable, hub and power"
+        case errno.ENOSPC:
+            return f"{path}: not enough USB bandwidth; choose format=MJPG, a smaller size or rate, or another port"
+    return f"{path}: {error.strerror or error}; unplug the camera and plug it in again"
 
 
 def _unsuitable(able: Capability) -> str | None:

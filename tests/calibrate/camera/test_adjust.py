@@ -11,7 +11,7 @@ from spheremouse.calibrate.board import Pattern
 from spheremouse.calibrate.camera import bundle as bundle_module
 from spheremouse.calibrate.camera.adjust import calibrate_board
 from spheremouse.calibrate.camera.bundle import View
-from spheremouse.calibrate.camera.corners import detect_dictionary, find_board, measure_in_plane
+from spheremouse.calibrate.camera.corners import find_board, measure_in_plane
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import exp, log
@@ -80,7 +80,6 @@ def test_a_charuco_board_may_be_cut_off():
     truth, _ = project(CHARUCO.corners() @ R[0].T + t[0], CAMERA)
     whole = find_board(image, CHARUCO)
     assert len(whole.ids) == 54
-    assert whole.ratio == pytest.approx(0.75, rel=0.06)  # blur takes a part of a pixel
     assert np.sqrt(np.mean(np.sum((whole.uv - truth) ** 2, axis=1))) < 0.15
     fine = measure_in_plane(image, CHARUCO, whole, CAMERA, R[0], t[0])
     assert np.sqrt(np.mean(np.sum((fine.uv - truth[fine.ids]) ** 2, axis=1))) < 0.1
@@ -90,15 +89,12 @@ def test_a_charuco_board_may_be_cut_off():
     assert np.linalg.norm(part.uv - truth[part.ids], axis=1).max() < 0.5
 
 
-def test_a_charuco_board_tells_when_it_is_another():
+def test_another_charuco_board_has_no_corners():
     rng = np.random.default_rng(7)
     R, t = places(1, rng, tilt=(10.0, 30.0))
     image = picture(R[0], t[0], CHARUCO)
-    assert find_board(image, Pattern(9, 6, 0.03, 0.018)).ratio == pytest.approx(0.75, rel=0.06)
-    assert find_board(image, Pattern(8, 6, 0.03, 0.0225)).misplaced
-    other = find_board(image, Pattern(9, 6, 0.03, 0.0225, "DICT_4X4_100"))
-    assert len(other.ids) == 0
-    assert detect_dictionary(image) == "DICT_5X5_50"  # the same markers as the first of DICT_5X5_100
+    for other in (Pattern(8, 6, 0.03, 0.0225), Pattern(9, 6, 0.03, 0.0225, "DICT_4X4_100")):
+        assert len(find_board(image, other).ids) == 0
 
 
 def test_jacobian_is_the_finite_difference():

@@ -96,7 +96,7 @@ def test_the_report_is_whole_and_needs_nothing_beside_it(made):
         (("--board", "9x6", "--square", "30"), "30mm"),
         (("--board", "9x6", "--square", "30m"), "from the board; measure a square"),
         (("--board", "9x6"), "--square"),
-        (("--board", "9x6", "--square", "30mm", "--marker", "20mm"), "a chessboard with 9x6 inner corners"),
+        (("--board", "9x6", "--square", "30mm", "--marker", "20mm"), "a chessboard needs no --marker"),
         (("--board", "9x6", "--square", "30mm", "--marker", "40mm"), "smaller than the square"),
         (("--board", "9x6", "--square", "30mm", "--marker", "20mm", "--dictionary", "X"), "DICT_4X4_50"),
         (("--board", "9x6", "--square", "30mm", "--distortion", "3"), "one of 0, 2, 4, 5"),
