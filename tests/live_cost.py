@@ -32,11 +32,11 @@ from spheremouse.session.process import realtime
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.service import Daemon
 from spheremouse.session.setup import Setup
-from tests.control_latency import wait_for_tracking
 from tests.daemon_process import Camera
 from tests.daemon_world import Film
 
 FPS = 60.0
+PATIENCE = 300.0  # s, until the daemon tracks
 SETTLE = LEASE + 2.0  # s after each period, in which a lease ends
 CONFIG = 'schema: 2\nsource: "synthetic:"\noutput: "null"\nrig: rig.yaml\nrealtime: auto\ncontrol: {{socket: {}/s}}\n'
 
@@ -71,6 +71,16 @@ def serve(folder: Path, camera_type: type[Camera] = Camera) -> None:
 
 
 # ---- the clients ----
+
+
+def wait_for_tracking(path: Path) -> None:
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        with contextlib.suppress(ControlError), Client(path) as client:
+            if client.status().state == "tracking":
+                return
+        time.sleep(0.2)
+    raise SystemExit(f"{path}: no daemon tracks there")
 
 
 def pictures(path: Path, end: float, interval: float = 1 / 15) -> None:

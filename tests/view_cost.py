@@ -28,10 +28,9 @@ from websockets.typing import Origin
 from spheremouse.capture import Payload
 from spheremouse.files.token import read_token
 from spheremouse.session.control.client import Client
-from tests.control_latency import wait_for_tracking
 from tests.daemon_latency import processor
 from tests.daemon_process import Camera, RawFrame
-from tests.live_cost import serve
+from tests.live_cost import serve, wait_for_tracking
 
 SETTLE = 5.0  # s after a change, in which links and leases begin or end
 UNREAD = 60.0  # s in which a browser does not read
