@@ -4,7 +4,7 @@ A ring of radius r with the semi-major axis a in reduced coordinates is at a dep
 percent or so. Wittich 2017, section 3.3.1, uses measured coordinates instead.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -211,25 +211,27 @@ def _adjusted(views: TargetViews, device: Device, camera: InteriorOrientation) -
 
 
 def _in_axes(block: Block, device: Device) -> Block:
-    """The block in the frame of the targets, Z on the side of the cameras.
-
-    Raises CalibrationError if the three targets of the axes lie in a line.
-    """
-    row = device.row
-    origin, up, plane = (block.points[row[i]] for i in (device.axes.origin, device.axes.up, device.axes.plane))
-    y = (up - origin) / np.linalg.norm(up - origin)
-    z = np.cross(plane - origin, y)
-    if np.linalg.norm(z) < 0.02 * np.linalg.norm(plane - origin):
-        raise CalibrationError(
-            f"the targets {device.axes.origin}, {device.axes.up} and {device.axes.plane} of `axes` lie in a line: "
-            "choose three that span a plane"
-        )
-    z /= np.linalg.norm(z)
-    if np.mean([(p.position - origin) @ z for p in block.poses]) < 0.0:
-        z = -z
-    R = np.stack([np.cross(y, z), y, z])  # rows: the new axes
+    """The block in the frame of the targets, Z on the side of the cameras."""
+    R = axes_of(block.points, device.row, device, np.mean([p.position for p in block.poses], axis=0))
+    origin = block.points[device.row[device.axes.origin]]
     poses = tuple(Pose(R @ p.rotation, R @ (p.position - origin)) for p in block.poses)
     return Block(block.camera, poses, (block.points - origin) @ R.T)
+
+
+def axes_of(places: Array, row: Mapping[int, int], device: Device, camera: Array) -> Array:
+    """Return the rotation, (3, 3), to the axes that three targets define; Z points towards `camera`, (3,).
+
+    `places`, (n, 3), are the targets, and `row` gives the row of each target's number. Raises CalibrationError if the
+    three lie in a line.
+    """
+    origin, up, plane = (places[row[i]] for i in (device.axes.origin, device.axes.up, device.axes.plane))
+    y = (up - origin) / np.linalg.norm(up - origin)
+    z = np.cross(y, plane - origin)
+    if np.linalg.norm(z) < 0.02 * np.linalg.norm(plane - origin):
+        raise CalibrationError("the three targets of `axes` lie in a line: name another for `plane` in the device file")
+    z = z / np.linalg.norm(z)
+    z = -z if z @ (camera - origin) < 0.0 else z
+    return np.array([np.cross(y, z), y, z])
 
 
 def _rms(views: TargetViews, block: Block, device: Device, camera: InteriorOrientation) -> Array:

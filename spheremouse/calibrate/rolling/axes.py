@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 from spheremouse.ball.device import Device, Distance
 from spheremouse.ball.pose import Sighting, closed_form_poses, predict_targets
 from spheremouse.ball.rig import Rig
+from spheremouse.calibrate.device.start import axes_of
 from spheremouse.calibrate.rolling.adjust import lens_root
 from spheremouse.calibrate.rolling.problem import Rolling
 from spheremouse.errors import CalibrationError
@@ -272,11 +273,11 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
     if taped:
         x = np.asarray(least_squares(residuals, x, x_scale="jac").x)
     places = moved(x)
-    R = _axes_of(places, at, device)
+    R = axes_of(places, at, device, np.zeros(3))
 
     def places_and_axes(y: Array, lens: InteriorOrientation = camera) -> Array:
         there = moved(y, lens)
-        return np.concatenate([there.ravel(), log(_axes_of(there, at, device) @ R.T)])
+        return np.concatenate([there.ravel(), log(axes_of(there, at, device, np.zeros(3)) @ R.T)])
 
     by_x, seen_through = jacobian(places_and_axes, x), changes_by_lens(lambda c: places_and_axes(x, c), camera)
     own, by_lens = _propagated(by_x, seen_through, residuals(x), places, taped, at)
@@ -336,24 +337,7 @@ def _by_size(uv: Array, size: Array, at: dict[int, int], device: Device, camera:
         xy = xy + np.einsum("nij,nj->ni", by_uv, uv - centre)
         depth = depth * seen / size
         places = depth[:, None] * np.column_stack([xy, np.ones(len(xy))])
-        R = _axes_of(places, at, device)
+        R = axes_of(places, at, device, np.zeros(3))
         if np.abs(seen / size - 1.0).max() < 1e-10:
             break
     return places
-
-
-def _axes_of(places: Array, at: dict[int, int], device: Device) -> Array:
-    """Return R_obj_cam, (3, 3), of the axes that three targets define; Z points towards the camera.
-
-    `places`, (n, 3), are the targets in cam, and `at` gives the row of each target's number. Raises CalibrationError if
-    the three lie in a line.
-    """
-    origin, up, plane = (places[at[i]] for i in (device.axes.origin, device.axes.up, device.axes.plane))
-    y = up - origin
-    y = y / np.linalg.norm(y)
-    z = np.cross(y, plane - origin)
-    if np.linalg.norm(z) < 1e-3 * np.linalg.norm(plane - origin):
-        raise CalibrationError("the three targets of `axes` lie in a line: name another for `plane` in the device file")
-    z = z / np.linalg.norm(z)
-    z = -z if z @ origin > 0.0 else z
-    return np.array([np.cross(y, z), y, z])
