@@ -15,7 +15,8 @@ from spheremouse.files.dataset.ball import Recording
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import WandRecording
 from spheremouse.geometry.camera import Pose
-from spheremouse.session.offline import Known, initialise, track, track_wand
+from spheremouse.session.offline import initialise, track
+from spheremouse.session.wand.offline import Known, track_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.state import WandTracker

@@ -4,12 +4,9 @@ import sys
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from rich.console import Console
-from rich.live import Live
-from rich.text import Text
 
 from spheremouse.output import Counts
 from spheremouse.output.pointer import minus, plus
@@ -18,6 +15,9 @@ from spheremouse.session.timing import FrameTimes
 from spheremouse.session.tracker_adapter import FrameResult
 from spheremouse.tracker import Status
 from spheremouse.wand.axes import estimated_axes
+
+if TYPE_CHECKING:
+    from rich.live import Live
 
 _REFRESH = 0.1  # s between two lines in the same place
 _LINE_EVERY = 1.0  # s between two lines without a terminal
@@ -62,11 +62,10 @@ class Tally:
 class StatusLine:
     """One line for each ball, and messages above it; a context manager."""
 
-    def __init__(self, wanted: bool, console: Console | None = None) -> None:
+    def __init__(self, wanted: bool) -> None:
         """With `wanted` False, show only messages."""
-        self.console = Console(file=sys.stderr, highlight=False) if console is None else console
         self._wanted = wanted
-        self._live = Live(console=self.console, auto_refresh=False) if wanted and self.console.is_terminal else None
+        self._live = _renewed_line() if wanted and sys.stderr.isatty() else None
         self._due = 0.0
 
     def __enter__(self) -> Self:
@@ -82,7 +81,10 @@ class StatusLine:
 
     def log(self, text: str) -> None:
         """Print one or more lines, which stay."""
-        self.console.print(Text(text), soft_wrap=True)
+        if self._live is None:
+            print(text, file=sys.stderr)
+        else:
+            self._live.console.print(text, soft_wrap=True)
 
     def show(self, made: FrameResult, tally: Tally) -> None:
         """Show the state of the balls after a frame, if the last line is old enough."""
@@ -91,10 +93,18 @@ class StatusLine:
             return
         if self._live is not None:
             self._due = now + _REFRESH
-            self._live.update(Text(status_lines(made, tally)), refresh=True)
+            self._live.update(status_lines(made, tally), refresh=True)
         else:
             self._due = now + _LINE_EVERY
             self.log(status_lines(made, tally))
+
+
+def _renewed_line() -> "Live":
+    from rich.console import Console
+    from rich.live import Live
+
+    console = Console(file=sys.stderr, highlight=False, markup=False, emoji=False)
+    return Live(console=console, auto_refresh=False)
 
 
 def status_lines(made: FrameResult, tally: Tally) -> str:

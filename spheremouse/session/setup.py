@@ -5,6 +5,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from spheremouse.ball.rig import Rig
 from spheremouse.capture import Camera, OpenCamera, Source, Stream, open_source, paced
@@ -20,10 +21,10 @@ from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.cameras import is_camera, node_of
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig, with_distinct_names, without_map
 from spheremouse.session.tracker_adapter import MAP, Do, TrackerAdapter
-from spheremouse.session.wand.adapter import WandAdapter
 from spheremouse.wand.ball import WandBall, grzonka_ball
-from spheremouse.wand.build import build
-from spheremouse.wand.state import WandTracker
+
+if TYPE_CHECKING:
+    from spheremouse.wand.state import WandTracker
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +55,8 @@ class Setup:
     def adapter(self, plan: RunConfig, log: Callable[[str], None], do: Do) -> TrackerAdapter:
         """Return the tracker's adapter. Raise ConfigurationError or PoseError if the plan is incomplete."""
         if _is_wand(plan):
+            from spheremouse.session.wand.adapter import WandAdapter
+
             made = WandAdapter(self.wand_tracker, plan, log)
             made.introduce()
             return made
@@ -63,11 +66,13 @@ class Setup:
             keeper = MapKeeper(plan.map_path, rig, log, elsewhere=partial(do, MAP))
         return BallAdapter(rig, plan.configuration, keeper, log, do, self.rig)
 
-    def wand_tracker(self, plan: RunConfig) -> WandTracker:
+    def wand_tracker(self, plan: RunConfig) -> "WandTracker":
         """Return the tracker of the plan's balls, else of the recording's own, else of Grzonka's.
 
         Raises ConfigurationError if no file describes the camera, or if `wand.points` exceeds the number of balls.
         """
+        from spheremouse.wand.build import build
+
         settings = plan.configuration.wand
         camera = plan.camera or (None if plan.rig is None else plan.rig.camera) or self.camera
         if camera is None:

@@ -1,7 +1,7 @@
 """The marks of a frame as plain data, for live pictures, overlays and MCAP files; docs/control.md lists the keys."""
 
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,9 @@ from spheremouse.geometry.camera import InteriorOrientation, Pose, ellipse_to_pi
 from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Status
 from spheremouse.wand.ball import WandBall
-from spheremouse.wand.state import WandPose
+
+if TYPE_CHECKING:
+    from spheremouse.wand.state import WandPose
 
 Plain = dict[str, Any]
 
@@ -89,7 +91,7 @@ def _masked(state: TrackState) -> Array:
     return state.detections.centre[near.any(axis=1)]
 
 
-def of_balls(balls: Iterable[tuple[WandBall, WandPose]], points: int, camera: InteriorOrientation) -> Plain:
+def of_balls(balls: Iterable[tuple[WandBall, "WandPose"]], points: int, camera: InteriorOrientation) -> Plain:
     """Return outlines and discs of balls in a hand. The ball `points` has the outline, the others have `others`."""
     marks: Plain = {"detected": [], "predicted": [], "others": []}
     for k, (ball, pose) in enumerate(balls):
