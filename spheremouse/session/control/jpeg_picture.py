@@ -1,6 +1,5 @@
 """Live pictures as JPEG: whole, or with all but ball and targets black."""
 
-import math
 from functools import cached_property
 from typing import Any
 
@@ -41,33 +40,28 @@ class JpegPicture:
 
 def mask(image: Image, annotations: dict[str, Any]) -> Image:
     """Return an image, (h, w, c), that is black but for the ball and the targets."""
-    seen = np.zeros_like(image)
     height, width = image.shape[:2]
+    seen = np.zeros((height, width), bool)
     outline = np.array(annotations.get("outline") or [], dtype=float).reshape(-1, 2)
     if len(outline) > 2:
-        for row, (left, right) in enumerate(zip(*spans(outline, height), strict=True)):
-            if left <= right:  # rows are faster than a Boolean array, which takes memory
-                part = slice(max(0, math.ceil(left)), max(0, math.floor(min(right, width)) + 1))
-                seen[row, part] = image[row, part]
+        seen = _inside(outline, height, width)
     for target in annotations.get("targets") or []:
         radius = _AROUND_TARGET * _radius(target["shape"])
         x, y = target["x"], target["y"]
         rows = slice(max(0, round(y - radius)), max(0, round(y + radius) + 1))
-        columns = slice(max(0, round(x - radius)), max(0, round(x + radius) + 1))
-        seen[rows, columns] = image[rows, columns]
-    return seen
+        seen[rows, max(0, round(x - radius)) : max(0, round(x + radius) + 1)] = True
+    return np.where(seen[:, :, None], image, np.uint8(0))
 
 
-def spans(outline: NDArray[np.float64], height: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the least and the largest x, px, of a convex outline, (n, 2) px, in each row; +inf and -inf if none."""
-    left, right = np.full(height, np.inf), np.full(height, -np.inf)
-    for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        low, high = sorted((y0, y1))
-        rows = np.arange(max(0, int(np.ceil(low))), min(height - 1, int(np.floor(high))) + 1)
-        x = x0 + (x1 - x0) * (rows - y0) / (y1 - y0) if y1 != y0 else np.full(len(rows), min(x0, x1))
-        left[rows] = np.minimum(left[rows], x)
-        right[rows] = np.maximum(right[rows], x if y1 != y0 else max(x0, x1))
-    return left, right
+def _inside(outline: NDArray[np.float64], height: int, width: int) -> NDArray[np.bool_]:
+    """Return the pixels, (height, width), inside a convex outline, (n, 2) px."""
+    outline = np.roll(outline, -int(np.argmin(outline[:, 1])), axis=0)  # from its top, down one side and up the other
+    bottom = int(np.argmax(outline[:, 1]))
+    sides = outline[: bottom + 1], np.vstack([outline[bottom:], outline[:1]])[::-1]
+    rows = np.arange(height)
+    left, right = np.sort([np.interp(rows, y, x, np.nan, np.nan) for x, y in (side.T for side in sides)], axis=0)
+    columns = np.arange(width)
+    return (left[:, None] <= columns) & (columns <= right[:, None])
 
 
 def _radius(shape: list[float]) -> float:

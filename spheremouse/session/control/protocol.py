@@ -4,11 +4,11 @@ The tests play the examples of that page.
 """
 
 import json
-import math
 import re
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic_core import to_jsonable_python
 
 from spheremouse.errors import ConfigurationError, ControlError, one_line
 from spheremouse.files import plain_json
@@ -198,23 +198,9 @@ def internal_error(e: Exception) -> str:
 
 def encode(message: dict[str, Any]) -> bytes:
     """Return a message as a line. Numbers that are not finite become null. ValueError if it exceeds MAX_LINE."""
-    text = json.dumps(_plain(message), ensure_ascii=False, allow_nan=False)
+    plain = to_jsonable_python(message, inf_nan_mode="null", fallback=lambda array: array.tolist())
+    text = json.dumps(plain, ensure_ascii=False, allow_nan=False)
     line = text.encode("utf-8", "backslashreplace") + b"\n"  # half a surrogate pair becomes JSON's own escape of it
     if len(line) > MAX_LINE:
         raise ValueError(f"a message of {len(line)} bytes")
     return line
-
-
-def _plain(value: Any) -> Any:
-    """Return data that JSON can hold: of NumPy's scalars and arrays, tuples, paths and enumerations too."""
-    if value is None or isinstance(value, bool | str):
-        return value
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, int):
-        return int(value)
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [_plain(v) for v in value]
-    return _plain(value.tolist()) if hasattr(value, "tolist") else str(value)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import simplejpeg
 
-from spheremouse.session.control.jpeg_picture import JpegPicture, mask, spans
+from spheremouse.session.control.jpeg_picture import JpegPicture, mask
 from spheremouse.session.control.pictures import LivePicture
 
 WIDTH, HEIGHT = 160, 120
@@ -60,12 +60,6 @@ def test_the_mask_of_an_outline_is_its_inside(x, y, radius):
     distance = np.hypot(u - x, v - y)
     assert keep[distance < radius - 1.0].all()
     assert not keep[distance > radius + 1.0].any()
-
-
-def test_rows_without_the_outline_have_no_span():
-    left, right = spans(np.array([[10.0, 5.0], [20.0, 5.0], [15.0, 9.0]]), 12)
-    assert np.flatnonzero(left <= right).tolist() == [5, 6, 7, 8, 9]
-    assert (left[5], right[5]) == (10.0, 20.0)
 
 
 @pytest.mark.parametrize("format_", ["bgr", "yuyv"])
