@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 
 from spheremouse import __version__
 from spheremouse.commands import terminal
-from spheremouse.errors import ConfigurationError, SpheremouseError
+from spheremouse.errors import SpheremouseError
 
 _USERS_ERROR, _OUR_ERROR = 2, 70  # exit codes; 70 is EX_SOFTWARE of sysexits.h
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
@@ -64,12 +64,6 @@ class _Group(TyperGroup):
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
         self.commands = _Commands(_COMMANDS)
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command; a former one gets an error that names the present one."""
-        if cmd_name == "experiments":
-            raise ConfigurationError("experiments: is no longer a command; in a clone, run `python docs/experiments`")
-        return super().get_command(ctx, cmd_name)
 
 
 def _command(name: str, module: str, attribute: str, epilog: str) -> Any:

@@ -60,7 +60,7 @@ def check(
     name = find_board() if port == "auto" else port
     output = Serial(lambda: name, speed, "none", lambda _: None)
     try:
-        identity, status = output.identity, output.status()
+        identity, status = output.link.identity, output.status()
     finally:
         output.close()
     if identity is None or status is None:

@@ -1,7 +1,8 @@
 """`spheremouse match`: estimate scale, axes and lag of an old trackball from its log and a recording of the ball."""
 
 import sys
-from contextlib import ExitStack
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from spheremouse.evaluation.trackball import Match, Verdict
     from spheremouse.output.counts import MotionSettings
     from spheremouse.session.run_config import RunConfig
+    from spheremouse.tracker import Frame
 
 _NO_MATCH = 1  # exit code
 _KEYS = ("player", "counts_per_mm", "counts_per_radian", "scale_x", "scale_y", "scale_z", "invert_x", "invert_y")
@@ -113,31 +115,27 @@ def track_recording(recording: str, plan: "RunConfig") -> "tuple[Run, Rig]":
 
     Raises PoseError if the camera's pose is not found, DatasetError or SourceError if no frame can be tracked.
     """
-    from spheremouse.ball.build import build
     from spheremouse.capture import open_source
     from spheremouse.commands.terminal import progress_bar
-    from spheremouse.evaluation.metrics import History
-    from spheremouse.session.offline import initialise, track
+    from spheremouse.session.evaluate import run_ball
 
-    history = History()
-    with ExitStack() as stack:
-        source = stack.enter_context(open_source(plan.source))
-        device, settings = plan.device(source.rig), plan.configuration
-        progress = stack.enter_context(progress_bar())
-        task = progress.add_task("tracking", total=source.count)
+    with open_source(plan.source) as source, progress_bar() as progress:
+        device = plan.device(source.rig)
+        frames = progress.track(_readable(iter(source)), source.count, description="tracking")
         try:
-            start = initialise(iter(source), device, settings)
+            run = run_ball(iter(frames), device, plan.configuration)
         except PoseError as e:
             raise PoseError(f"{recording}: {e}") from None
-        try:
-            for epoch in track(start.frames, build(device, start.pose, settings)):
-                history.add(epoch)
-                progress.update(task, completed=len(history.epochs))
-        except (DatasetError, SourceError) as e:
-            if not history.epochs:
-                raise
-            print(f"{e}; the frames before are used", file=sys.stderr)
-    return history.run(), device
+    return run.history.run(), device
+
+
+def _readable(frames: "Iterator[Frame]") -> "Iterator[Frame]":
+    """Yield the frames before the first that cannot be read. Raise its error if it comes first."""
+    yield from islice(frames, 1)
+    try:
+        yield from frames
+    except (DatasetError, SourceError) as e:
+        print(f"{e}; the frames before are used", file=sys.stderr)
 
 
 # ---- output ----

@@ -256,7 +256,6 @@ class Daemon:
         self._pictures.expire(now)
         self._cpu.look(now)
         worker.look()
-        self._endpoints.retry(self._reloader.plan.configuration.control, now)
         if worker.trouble and not capture.trouble and now - max(worker.good, self._reopened_at) > _USELESS:
             self._reopened_at = now
             capture.again()

@@ -59,7 +59,7 @@ class Pictures:
         number, renew_at, socket, self._latest = 0, 0.0, self._socket(), None
         with Client(socket) as client:
             while (now := time.monotonic()) < self._wanted_until and socket is self._socket():
-                if reader is None or reader.replaced or now >= renew_at:
+                if reader is None or now >= renew_at:
                     renewed = await asyncio.to_thread(client.pictures, INTERVAL)
                     number = number if renewed is reader else 0
                     reader, renew_at = renewed, now + _RENEW

@@ -49,11 +49,3 @@ def test_help_says_what_a_command_and_each_option_does_with_an_example_at_the_en
 def test_help_loads_nothing_that_computes(pages):
     first = next(((words, loaded) for words, _, _, loaded in pages if loaded), None)
     assert first is None, "imports at the head of a command's module: move them into its function"
-
-
-def test_a_former_command_names_the_present_one(spheremouse):
-    assert spheremouse("experiments", "--quick") == (
-        2,
-        "",
-        "spheremouse: experiments: is no longer a command; in a clone, run `python docs/experiments`\n",
-    )

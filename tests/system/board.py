@@ -171,7 +171,7 @@ def settle(output):
 
     def settled():
         output.send(report())
-        return output.settled
+        return output.link.settled
 
     until(settled)
 
@@ -186,14 +186,14 @@ def test_motions_arrive_exactly_with_x_and_y_in_one_report(kind):
             output.send(report(a, -a, b))
             time.sleep(0.001)
         settle(output)
-        statistics = output.statistics()
-        assert (statistics.dropped, statistics.uncertain) == (0, 0)
+        link = output.link
+        assert (link.dropped, link.uncertain) == ([0] * 4, [0] * 4)
         given = [sum(x), -sum(x), sum(z)]
         until(lambda: mouse.sums(e.REL_X, e.REL_Y, e.REL_WHEEL_HI_RES) == given)
         assert all(r.get(e.REL_X, 0) == -r.get(e.REL_Y, 0) for r in mouse.reports)
         assert mouse.sum(e.REL_WHEEL) == pytest.approx(sum(z) / 120, abs=1)
         assert mouse.keys == []
-        print(f"{kind}: {MOTIONS} motions, {len(mouse.reports)} reports, sums {given}; {statistics}")
+        print(f"{kind}: {MOTIONS} motions, {len(mouse.reports)} reports, sums {given}; {link.summary()}")
         assert len(mouse.reports) > 40
 
 
@@ -257,19 +257,19 @@ def test_a_board_that_is_unplugged_leaves_no_button_down_and_comes_back(kind):
         output.send(report(7, 7))  # nobody is there to take it
         time.sleep(1.2)
         output.send(report())
-        before = output.statistics()
-        assert (before.dropped, before.uncertain) == (14, 0)
+        link, sessions, dropped = output.link, output.link.sessions, list(output.link.dropped)
+        assert (dropped, link.uncertain) == ([7, 7, 0, 0], [0] * 4)
         gadget.plug()
         with board(kind), Reader() as mouse:
 
             def again():
                 output.send(report())
-                return output.statistics().sessions > before.sessions
+                return link.sessions > sessions
 
             until(again)
             for _ in range(50):
                 output.send(report(-3, 2))
             settle(output)
             until(lambda: mouse.sums(e.REL_X, e.REL_Y) == [-150, 100])
-            assert output.statistics().dropped == before.dropped
+            assert link.dropped == dropped
             assert mouse.keys == []

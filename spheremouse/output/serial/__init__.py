@@ -13,7 +13,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 from spheremouse.errors import OutputError
@@ -39,37 +38,6 @@ _STATUS_INTERVAL = 0.05  # s between two STATUS?
 _AXIS_INDEX = {"wheel": 2, "pan": 3}
 
 
-@dataclass(frozen=True, slots=True)
-class Statistics:
-    """Figures of a run over the line."""
-
-    round_trip: tuple[float, float]  # s, median and 99 %; NaN without answers
-    motions: int  # frames
-    answers: int
-    sessions: int
-    breaks: int  # sessions that the line or the board ended
-    refused: int  # frames, by the board since its start
-    lost: int  # frames
-    dropped: int  # counts that came too late
-    uncertain: int  # counts in flight when the board was started again
-    waiting: int  # counts that the board has not confirmed
-
-    def __str__(self) -> str:
-        median, slow = (1e3 * t for t in self.round_trip)
-        text = f"round trip {median:.2f} ms (99 %: {slow:.2f} ms)" if self.answers else "no answer to a motion"
-        text += f"; {self.motions} frames"
-        text += f", {self.lost} of them lost and made up for" if self.lost else ""
-        text += f", {self.refused} refused" if self.refused else ""
-        text += f", {self.breaks} break{'' if self.breaks == 1 else 's'} of the line" if self.breaks else ""
-        missing = (
-            (self.dropped, "dropped (too late)"),
-            (self.uncertain, "uncertain (the board was started again)"),
-            (self.waiting, "not confirmed at the end"),
-        )
-        short = ", ".join(f"{n} {reason}" for n, reason in missing if n)
-        return f"{text}; " + (f"counts that did not arrive: {short}" if short else "every count arrived")
-
-
 class Serial(Output):
     """Sends reports to a board."""
 
@@ -79,7 +47,7 @@ class Serial(Output):
         """Open the port that `find_port` returns, now and after each loss, and wait for the board's first answer."""
         self._find_port, self._baud, self._third, self._log = find_port, baud, third, RateLimitedLogger(log)
         self._lock = threading.Lock()  # for the link, the port and the unsent bytes; held for microseconds
-        self._link = Link(lambda: secrets.randbelow(2**32 - 1) + 1, baud)
+        self.link = Link(lambda: secrets.randbelow(2**32 - 1) + 1, baud)
         self._port: Port | None = None
         self._unsent = b""
         self._port_trouble = ""  # name of a port that is gone, and the reason
@@ -103,7 +71,7 @@ class Serial(Output):
         if self._third != NONE:
             counts[_AXIS_INDEX[self._third]] = z
         with self._lock:
-            self._link.add(counts, time.perf_counter())
+            self.link.add(counts, time.perf_counter())
             self._flush()
         if self._failure is not None:
             raise OutputError(f"serial: {self._failure}", "start again") from self._failure
@@ -111,15 +79,15 @@ class Serial(Output):
     def hold(self, buttons: int) -> None:
         """Press the buttons in bits 0 to 4 and release the others, for Python callers."""
         with self._lock:
-            self._link.buttons = buttons & 0x1F
-            self._link.keep_alive(time.perf_counter())
+            self.link.buttons = buttons & 0x1F
+            self.link.keep_alive(time.perf_counter())
             self._flush()
 
     def delivery(self) -> DeliveryStatus:
         """Return the counts that the board has not confirmed, and the reason."""
         axes = (0, 1, *(() if self._third == NONE else (_AXIS_INDEX[self._third],)))
         with self._lock:
-            link, waiting = self._link, self._link.waiting
+            link, waiting = self.link, self.link.waiting
             lost = [d + w for d, w in zip(link.dropped, link.written_off, strict=True)]
             trouble = f"serial: {self._trouble()}" if link.has_failed(time.perf_counter()) else ""
             return DeliveryStatus(trouble, _three(waiting[k] for k in axes), _three(lost[k] for k in axes))
@@ -127,69 +95,44 @@ class Serial(Output):
     def drop_waiting(self) -> None:
         """Drop the counts that the board has not confirmed."""
         with self._lock:
-            self._link.drop_waiting(time.perf_counter())
+            self.link.drop_waiting(time.perf_counter())
 
     def _trouble(self) -> str:
         if self._port is None:
             return f"{self._port_trouble}; plug the board in again"
-        if self._link.running and self._link.ack is not None and not self._link.ack.flags & Flags.USB_READY:
+        if self.link.running and self.link.ack is not None and not self.link.ack.flags & Flags.USB_READY:
             return NOT_TAKEN
-        if self._link.foreign_version is not None:
-            return str(version_mismatch(self._link.foreign_version))
+        if self.link.foreign_version is not None:
+            return str(version_mismatch(self.link.foreign_version))
         return f"{self._port.name}: the board does not answer; plug it in again"
-
-    def statistics(self) -> Statistics:
-        """Return figures of the line so far."""
-        with self._lock:
-            link = self._link
-            return Statistics(
-                (link.round_trip(0.5), link.round_trip(0.99)),
-                link.motions,
-                link.acks,
-                link.sessions,
-                link.breaks,
-                link.ack.refused if link.ack else 0,
-                link.ack.lost if link.ack else 0,
-                *(sum(map(abs, counts)) for counts in (link.dropped, link.uncertain, link.waiting)),
-            )
 
     def status(self, timeout: float = 1.0) -> Status | None:
         """Return the board's STATUS; None if it does not come within `timeout` (s)."""
-        self._link.status = None
+        self.link.status = None
         requested, end = float("-inf"), time.perf_counter() + timeout
-        while (status := self._link.status) is None and (now := time.perf_counter()) < end:
+        while (status := self.link.status) is None and (now := time.perf_counter()) < end:
             if now - requested >= _STATUS_INTERVAL:  # repeated, because a frame may be lost
                 requested = now
                 with self._lock:
-                    self._link.request_status()
+                    self.link.request_status()
                     self._flush()
             time.sleep(0.002)
         return status
-
-    @property
-    def identity(self) -> Identity | None:
-        """Identity of the board that answered last; None before the first answer."""
-        return self._link.identity
-
-    @property
-    def settled(self) -> bool:
-        """True if the board has confirmed all counts."""
-        return self._link.settled
 
     def close(self) -> None:
         """Wait up to 0.5 s for confirmation of all counts, release the buttons, close the port and log statistics."""
         if self._closing.is_set():
             return
         end = time.perf_counter() + CLOSE_TIMEOUT
-        while self._port is not None and not self._link.settled and time.perf_counter() < end:
+        while self._port is not None and not self.link.settled and time.perf_counter() < end:
             with self._lock:
-                self._link.keep_alive(time.perf_counter())
+                self.link.keep_alive(time.perf_counter())
             time.sleep(0.001)
         self._closing.set()
         self._thread.join(5.0)
         with self._lock:
-            self._link.request_stop()
-            stop = self._link.next_frame(time.perf_counter()) if self._link.running else None
+            self.link.request_stop()
+            stop = self.link.next_frame(time.perf_counter()) if self.link.running else None
             last = self._unsent + (b"\0" + stop if stop else b"")
             port, self._port, self._unsent = self._port, None, b""
         if port is not None:
@@ -197,7 +140,7 @@ class Serial(Output):
                 port.write_all(last, time.perf_counter() + CLOSE_TIMEOUT)
             port.close()
         self._log.flush(end=True)
-        self._log(f"{self.statistics()}")
+        self._log(self.link.summary())
 
     # ---- the thread ----
 
@@ -205,18 +148,18 @@ class Serial(Output):
         try:
             self._open()
             end = time.perf_counter() + FIRST_ANSWER_TIMEOUT
-            while not self._link.running:
+            while not self.link.running:
                 assert self._port is not None
                 place = f"serial: {self._port.name}: "
-                if self._link.foreign_version is not None:
-                    raise version_mismatch(self._link.foreign_version, place)
+                if self.link.foreign_version is not None:
+                    raise version_mismatch(self.link.foreign_version, place)
                 if time.perf_counter() > end:
-                    raise no_answer(self._link.damaged, place)
+                    raise no_answer(self.link.damaged, place)
                 self._read_and_write(self._port)
         except PortGoneError as e:
             raise OutputError(f"serial: the port went away ({e})", "plug the board in again") from None
         finally:
-            if not self._link.running and self._port is not None:
+            if not self.link.running and self._port is not None:
                 self._port.close()
         self._log_changes()
 
@@ -233,9 +176,9 @@ class Serial(Output):
                     continue
                 try:
                     self._read_and_write(self._port)
-                    if self._link.running:
+                    if self.link.running:
                         failures = 0
-                    elif time.perf_counter() - max(self._link.last_answer, self._opened) > _SILENCE_TIMEOUT:
+                    elif time.perf_counter() - max(self.link.last_answer, self._opened) > _SILENCE_TIMEOUT:
                         raise PortGoneError("no answer")
                 except PortGoneError as e:
                     self._close_port(str(e), quiet=failures > 0)
@@ -247,11 +190,11 @@ class Serial(Output):
         """Read the bytes that came, or wait a little; write the frames that are due."""
         with self._lock:
             busy = self._unsent or port.queued() > _MAX_QUEUED_BYTES
-            wait = 0.001 if busy else self._link.next_wait(time.perf_counter())
+            wait = 0.001 if busy else self.link.next_wait(time.perf_counter())
         data = port.read(wait)
         with self._lock:
             if data:
-                self._link.receive(data, time.perf_counter())
+                self.link.receive(data, time.perf_counter())
             self._write_due()
 
     def _flush(self) -> None:
@@ -264,7 +207,7 @@ class Serial(Output):
             if not self._unsent:
                 if self._port.queued() > _MAX_QUEUED_BYTES:
                     return
-                self._unsent = self._link.next_frame(time.perf_counter()) or b""
+                self._unsent = self.link.next_frame(time.perf_counter()) or b""
                 if not self._unsent:
                     return
             self._unsent = self._unsent[self._port.write(self._unsent) :]
@@ -275,14 +218,14 @@ class Serial(Output):
         port = Port(self._find_port(), self._baud)
         with self._lock:
             self._port, self._opened = port, time.perf_counter()
-            self._unsent = self._link.port_opened(self._opened)
+            self._unsent = self.link.port_opened(self._opened)
             self._write_due()
 
     def _close_port(self, reason: str, quiet: bool) -> None:
         with self._lock:
             port, self._port, self._unsent = self._port, None, b""
             self._port_trouble = f"{'the port' if port is None else port.name}: {reason}"
-            self._link.port_closed(time.perf_counter())
+            self.link.port_closed(time.perf_counter())
         if not quiet:
             self._loss_logged = True
             self._log(f"{self._port_trouble}; trying again until it is back")
@@ -292,7 +235,7 @@ class Serial(Output):
     def _log_changes(self) -> None:
         """Log the link's notices and each change since the last call: another protocol, the board, its USB state."""
         self._log.flush()
-        link, port = self._link, self._port
+        link, port = self.link, self._port
         while link.notices:
             self._log(link.notices.popleft())
         if not link.running and link.foreign_version not in (None, self._logged_version):

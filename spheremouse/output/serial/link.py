@@ -242,6 +242,24 @@ class Link:
         """Return a quantile of the last round-trip times (s); NaN before the first answer."""
         return float(np.quantile(self._round_trips, q)) if self._round_trips else float("nan")
 
+    def summary(self) -> str:
+        """Return the figures of a run over the line in words."""
+        text = f"{self.motions} frames"
+        if self._round_trips:
+            median, slow = (1e3 * self.round_trip(q) for q in (0.5, 0.99))
+            text = f"round trip {median:.2f} ms (99 %: {slow:.2f} ms); {text}"
+        if self.ack is not None:
+            text += f", {self.ack.lost} of them lost and made up for" if self.ack.lost else ""
+            text += f", {self.ack.refused} refused" if self.ack.refused else ""
+        text += f", {self.breaks} break{'' if self.breaks == 1 else 's'} of the line" if self.breaks else ""
+        missing = (
+            (self.dropped, "dropped (too late)"),
+            (self.uncertain, "uncertain (the board was started again)"),
+            (self.waiting, "not confirmed at the end"),
+        )
+        short = ", ".join(f"{n} {reason}" for counts, reason in missing if (n := sum(map(abs, counts))))
+        return f"{text}; " + (f"counts that did not arrive: {short}" if short else "every count arrived")
+
     # ---- sessions ----
 
     @property

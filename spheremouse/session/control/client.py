@@ -112,8 +112,8 @@ class Client:
     def pictures(self, interval: float | None = None) -> PictureReader:
         """Return a reader of live pictures, of which the daemon writes at most one each `interval` s.
 
-        The daemon stops 3 s after the last call. Call it each second, and at once if the reader is `replaced`: the
-        reader that it returns is the same one, unless the daemon has new memory.
+        The daemon stops 3 s after the last call. Call it each second: the reader that it returns is the same one,
+        unless the daemon has new memory.
         """
         reply = self.ask("pictures", interval=interval)
         if reply.get("fresh") is True and self._memory is not None:

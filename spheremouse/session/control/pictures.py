@@ -20,8 +20,8 @@ from spheremouse.errors import ControlError
 PictureFormat = Literal["jpeg", "yuyv", "nv12", "grey", "bgr"]
 
 _FORMATS: tuple[PictureFormat, ...] = get_args(PictureFormat)
-_MAGIC = int.from_bytes(b"spherem1", "little")
-_NEWEST, _REPLACED, _SLOTS, _SLOT_BYTES = range(1, 5)  # in the header, after _MAGIC
+_MAGIC = int.from_bytes(b"spherem2", "little")
+_NEWEST, _SLOTS, _SLOT_BYTES = range(1, 4)  # in the header, after _MAGIC
 _HEADER_BYTES = 64
 _FIELDS = struct.Struct("=dIIIIII")  # stamp, index of the format, width, height, bytes of pixels, of annotations, 0
 _FIELDS_AT = 16  # after `begun` and `ended`
@@ -98,13 +98,12 @@ class PictureRing:
             return os.dup(self._file)
 
     def close(self) -> None:
-        """Tell readers that no more pictures come here, and free the memory when the last reader has closed it."""
+        """Free the memory when the last reader has closed it."""
         with self._closing:
             if self._file is None:
                 return
             os.close(self._file)
             self._file = None
-        self._numbers[_REPLACED] = 1
         self._numbers.release()
         self._map.close()
 
@@ -128,11 +127,6 @@ class PictureReader:
         if not known or len(self._map) < _HEADER_BYTES + self.slots * (_SLOT_HEADER_BYTES + self.slot_bytes):
             self.close()
             raise ControlError("pictures: the daemon has another version", "restart it")
-
-    @property
-    def replaced(self) -> bool:
-        """True if no more pictures come here. Renew the lease for a reader of the new ring."""
-        return bool(self._numbers[_REPLACED])
 
     def latest(self, after: int = 0) -> LivePicture | None:
         """Return a copy of the newest picture; None if its number is not above `after`, or it was being overwritten."""

@@ -10,7 +10,6 @@ import os
 import select
 import socket
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -415,9 +414,6 @@ def _resolve(reply: asyncio.Future[dict[str, Any]], message: dict[str, Any]) -> 
         reply.set_result(message)
 
 
-_RETRY_INTERVAL = 30.0  # s between two attempts to open the control socket
-
-
 class Endpoints:
     """Open from `open` until `close`."""
 
@@ -426,31 +422,23 @@ class Endpoints:
         self._handle, self._log, self._claim = handle, log, claim
         self._stack = contextlib.ExitStack()
         self._server: ControlServer | None = None
-        self._retry_at = 0.0  # s
 
     def open(self, control: ControlSettings, metrics: MetricsSettings, status: Callable[[], StatusReport]) -> None:
         """Open both. ControlError if a configured socket cannot be opened; other failures are logged."""
         try:
-            self._listen(control)
+            path = socket_path(control.socket)
+            server = ControlServer(path, control, self._handle, self._log, claim=self._claim)
+            self._server = self._stack.enter_context(server)
         except ControlError as e:
             if control.socket is not None:
                 raise
-            self._log(f"control: {e}: `spheremouse ctl` cannot ask this run until that is over")
-            self._retry_at = time.monotonic() + _RETRY_INTERVAL
+            self._log(f"control: {e}: `spheremouse ctl` cannot ask this run")
         if metrics.port is not None:
             try:
                 url = self._stack.enter_context(serve_metrics(metrics.port, metrics.address, status))
                 self._log(f"metrics: {url}")
             except SpheremouseError as e:
                 self._log(f"{e}; going on without")
-
-    def retry(self, control: ControlSettings, now: float) -> None:
-        """Try again to open the control socket: the daemon that held it may have ended."""
-        if self._server is None and now >= self._retry_at:
-            self._retry_at = now + _RETRY_INTERVAL
-            with contextlib.suppress(ControlError):
-                self._listen(control)
-                self._log("control: `spheremouse ctl` can ask this run now")
 
     def submit(self, report: Report) -> None:
         """Send the samples of a frame to the clients that subscribe, from any thread."""
@@ -465,7 +453,3 @@ class Endpoints:
     def close(self) -> None:
         """Close both."""
         self._stack.close()
-
-    def _listen(self, control: ControlSettings) -> None:
-        server = ControlServer(socket_path(control.socket), control, self._handle, self._log, claim=self._claim)
-        self._server = self._stack.enter_context(server)

@@ -42,10 +42,10 @@ def test_the_mouse_moves_by_the_counts_that_are_sent(board, capsys):
     with opened(f"{board.port},third=wheel") as output:
         for k in range(200):
             output.send(report(k % 7, -(k % 5), 1))
-        until(lambda: output.settled)
+        until(lambda: output.link.settled)
         assert board.moved == [sum(k % 7 for k in range(200)), -sum(k % 5 for k in range(200)), 200, 0]
-        assert output.statistics().answers > 0
-        assert 0.0 < output.statistics().round_trip[0] <= output.statistics().round_trip[1]
+        assert output.link.acks > 0
+        assert 0.0 < output.link.round_trip(0.5) <= output.link.round_trip(0.99)
         status = output.status(10.0)
         assert (status.reports, status.damaged) == (board.reports, 0)
     said = capsys.readouterr().err.splitlines()
@@ -60,7 +60,7 @@ def test_the_third_axis(board, third, moved):
     assert bool(left_out(f"serial:{board.port},third={third}")) is (moved[2:] == [0, 0])
     with opened(f"{board.port},third={third}") as output:
         output.send(report(1, 2, 3))
-        until(lambda: output.settled)
+        until(lambda: output.link.settled)
     assert board.moved == moved
 
 
@@ -78,19 +78,19 @@ def test_sending_never_waits_for_a_line_that_takes_nothing(board, monkeypatch):
     """The counts wait as one number, not as a queue of frames."""
     output = opened(f"{board.port}")
     monkeypatch.setattr(ports_module.Port, "write", lambda port, data: 0)
-    frames = output.statistics().motions
+    frames = output.link.motions
     sender = threading.Thread(target=lambda: [output.send(report(1)) for _ in range(20_000)], daemon=True)
     sender.start()
     sender.join(20.0)
     assert not sender.is_alive()
-    assert output.statistics().motions - frames <= 2
+    assert output.link.motions - frames <= 2
     output.close()
 
 
 def test_a_computer_that_falls_asleep_is_reported_when_it_does_and_when_it_wakes(board, capsys):
     with opened(f"{board.port}") as output:
         output.send(report(5))
-        until(lambda: output.settled)
+        until(lambda: output.link.settled)
         board.sleeps_next = True  # while the next report waits for it
         said = ""
 
@@ -105,7 +105,7 @@ def test_a_computer_that_falls_asleep_is_reported_when_it_does_and_when_it_wakes
         assert board.moved[0] == 5
         board.awake = True
         until(lambda: logs(output_module.TAKEN))
-        until(lambda: output.settled)
+        until(lambda: output.link.settled)
         assert board.moved[0] == 8
         board.awake = False
         until(lambda: logs(output_module.NOT_TAKEN))
@@ -125,7 +125,7 @@ def returning(first, find_again):
     said = []
     output = Serial(find_port, 115200, "none", said.append)
     output.send(report(1))
-    until(lambda: output.settled)
+    until(lambda: output.link.settled)
     first.unplug()
     return output, said
 
