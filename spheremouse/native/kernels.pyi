@@ -162,7 +162,7 @@ def follow_discs(
 ) -> tuple[_Float, _Float, _Float, tuple[int, float, float, _Float]]:  # fmt: skip
     """Return centres, covariances and areas of the discs in an image (h, w, c), and a `search.SearchState`.
 
-    `DiscDetector.follow` describes it. `model` is a `windows.DiscModel`, and `lattice` a `search.Lattice`. Raises
+    `DiscDetector.follow` describes it. `model` is a `windows.DiscModel`, and `lattice` is `Lattice.of_turn`. Raises
     ValueError if a sample's neighbour is outside of the image.
     """
 

@@ -178,7 +178,7 @@ class DiscDetector:
         if learn:
             state = state._replace(noise=self.noise(colours), size=0.0)
         centre, covariance, area, after = kernels.follow_discs(
-            colours, directions, self.model, self.lattice, state, motion, known, least
+            colours, directions, self.model, self.lattice.of_turn(state.turn), state, motion, known, least
         )
         search = SearchState(*after)
         return Detections(centre, covariance, area), search if learn else search._replace(size=state.size)

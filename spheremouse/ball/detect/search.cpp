@@ -13,7 +13,6 @@ constexpr double WAIT[] = {32.0, 512.0};  // turns for which it is left out, at 
 constexpr size_t REMEMBERED = 256;        // such places
 constexpr int SIDES = 8;                  // neighbours, opposite ones follow each other
 constexpr int MIN_BRIGHTER = 4;           // neighbours
-constexpr size_t SHIFTS = 4;              // of the lattice
 constexpr size_t OTHER_START = 997;       // each frame begins elsewhere, so the limit falls on no disc for long
 constexpr size_t AHEAD = 128;             // samples that come from memory before their turn
 constexpr float GREY[] = {0.114f, 0.587f, 0.299f};  // `projection.GREY`
@@ -225,10 +224,9 @@ std::vector<Measured> find_new_discs(const Photo& photo, const DiscModel& model,
 }
 
 /// Read the part of a `search.Lattice` for one turn.
-Lattice read_lattice(nb::handle given, int64_t turn, const Image& image) {
+Lattice read_lattice(nb::handle given, const Image& image) {
     const nb::tuple lattice = members(given, 3, "lattice");
-    const nb::tuple shifts = members(lattice[0], SHIFTS, "samples");
-    const nb::tuple samples = members(shifts[size_t(turn) % SHIFTS], 3, "samples");
+    const nb::tuple samples = members(lattice[0], 3, "samples");
     const auto place = array<const int32_t, -1, 2>(samples[0], "place");
     const auto sides = array<const uint8_t, -1>(samples[1], "sides");
     const auto along = array<const int32_t, -1, 2, 2>(samples[2], "along");
@@ -258,7 +256,7 @@ nb::tuple follow_discs(nb::handle image, nb::handle directions_, nb::handle mode
     Search search = read_search(given);
     const double noise = number<double>(given[1], "search");
     const auto [model, photo] = read_model(model_, image, noise);
-    const Lattice lattice = read_lattice(lattice_, search.turn, photo.image);
+    const Lattice lattice = read_lattice(lattice_, photo.image);
     const Directions directions = matrix<Dynamic, 3>(directions_, "directions");
     const Motion motion = read_motion(motion_);
     const auto places = matrix<Dynamic, 2>(known_, "known");

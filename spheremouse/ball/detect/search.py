@@ -41,6 +41,10 @@ class Lattice(NamedTuple):
         part = tuple(Samples(s.place[k], s.sides[k], s.along[k]) for s, k in zip(self.samples, inside, strict=True))
         return self._replace(samples=part)
 
+    def of_turn(self, turn: int) -> tuple[Samples, NDArray[np.int32], int]:
+        """Return the samples of one frame, the offsets and the reduction."""
+        return self.samples[turn % len(_SHIFTS)], self.offsets, self.reduction
+
 
 class SearchState(NamedTuple):
     """State of the search between frames."""

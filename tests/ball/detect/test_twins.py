@@ -115,7 +115,7 @@ def test_a_search_is_that_of_the_twin():
         found, _ = measure_discs(colours, directions_at(places, RIG, POSE)[0], model, 1.0, places)
         missed = np.linalg.norm(places[:, None] - found.centre[None], axis=2).min(axis=1, initial=np.inf) > limits[2]
         after = twins.next_turn(search, places[missed], 1)
-        arguments = np.zeros((0, 3)), model, DETECTOR.lattice, search, AT_REST, known, 0
+        arguments = np.zeros((0, 3)), model, DETECTOR.lattice.of_turn(turn), search, AT_REST, known, 0
         centre, covariance, area, state = kernels.follow_discs(colours, *arguments)
         assert_allclose(centre, found.centre, rtol=1e-5)  # the places are sums in single precision
         assert_allclose(covariance, found.covariance, rtol=1e-3)
@@ -130,7 +130,7 @@ def test_a_followed_disc_is_no_new_one():
     """The discs come first, and the search leaves them out; if there are too few, it waits."""
     image, search = photo(CLEAN, 1.0)[:, :, None], SearchState(0, 1.0, 1.0)
     followed = measure_discs(image, DISCS[:9], DETECTOR.model, 1.0, size=1.0)[0]
-    model = DETECTOR.model, DETECTOR.lattice, search, AT_REST, np.zeros((0, 2))
+    model = DETECTOR.model, DETECTOR.lattice.of_turn(0), search, AT_REST, np.zeros((0, 2))
     centre, *_, state = kernels.follow_discs(image, DISCS[:9], *model, 9)
     assert_array_equal(centre[:9], followed.centre)
     more, _ = DETECTOR.follow(image, search, known=followed.centre)
@@ -164,11 +164,11 @@ def test_a_wrong_argument_is_named():
             kernels.measure_discs(*arguments)
     with pytest.raises(TypeError, match="directions"):
         kernels.appearance(DISCS.T, view_of(RIG, POSE))
-    whole = DETECTOR.lattice
-    outside = whole._replace(samples=tuple(x._replace(place=x.place + 1000) for x in whole.samples))
+    whole = DETECTOR.lattice.of_turn(0)
+    outside = whole[0]._replace(place=whole[0].place + 1000), *whole[1:]
     for lattice, search, error, name in [
         (outside, SearchState(), ValueError, "samples"),
-        (whole._replace(samples=whole.samples[:3]), SearchState(), TypeError, "samples"),
+        (whole[:2], SearchState(), TypeError, "lattice"),
         (whole, SearchState(-1), ValueError, "turn"),
         (whole, SearchState(noise=np.nan), ValueError, "noise"),
         (whole, SearchState(rejected=places), TypeError, "rejected"),
