@@ -76,43 +76,28 @@ def calibrate_device(
     here = [(grey[k], seen[k]) for k in views.photos]
     tolerance = _ray_tolerance(views, block, device, camera)
 
-    def found(size: float, here: Sequence[tuple[Image, TargetDetections]]) -> tuple[BundleResult, Spots]:
-        """Calibrate with discs of a relative size, dark ones in these pictures."""
-        sized = replace(device, disc_radius=size * device.disc_radius)
-        result = adjust_bundle(views, _first_discs(here, block, sized, tolerance), block, sized, camera)
-        check_distances(result, sized)
+    def found(pictures: Sequence[tuple[Image, TargetDetections]]) -> tuple[BundleResult, Spots]:
+        """Calibrate with discs that are dark in these pictures."""
+        result = adjust_bundle(views, _first_discs(pictures, block, device, tolerance), block, device, camera)
+        check_distances(result, device)
         spots = Spots(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0))
         for k in range(2):  # the second time with the ball of the first
             progress("measuring discs", 0.5 + 0.2 * k)
-            spots, observed = _measured_discs(here, result, sized, discs)
+            spots, observed = _measured_discs(pictures, result, device, discs)
             progress("adjusting", 0.6 + 0.2 * k)
-            result = adjust_bundle(views, observed, result.solution.block, sized, camera)
+            result = adjust_bundle(views, observed, result.solution.block, device, camera)
         return result, spots
 
     failed: list[CalibrationError] = []
     for pictures in (here,) if discs.projection else (here, [(cv2.bitwise_not(g), s) for g, s in here]):
         try:
-            result, spots = found(1.0, pictures)
+            result, spots = found(pictures)
             return replace(shift_to_ball(result, views, device), doubtful=_doubtful(result, spots, views, device))
         except DistanceError:
             raise
         except CalibrationError as e:
             failed.append(e)
-    _check_radius(lambda size: found(size, here)[0], device)
     raise failed[0] from None
-
-
-def _check_radius(found: Callable[[float], BundleResult], device: Device) -> None:
-    """Raise CalibrationError if `found` succeeds with discs of half or twice the radius: a diameter was given."""
-    for size, what in ((0.5, "half"), (2.0, "twice")):
-        try:
-            n = len(found(size).solution.block.points) - len(device.ids)
-        except CalibrationError:
-            continue
-        raise CalibrationError(
-            f"{n} discs are seen on the ball, but {what} as large as disc_radius states ({device.disc_radius:g} m): "
-            "give their radius, not the diameter, in metres"
-        ) from None
 
 
 def dark_spots(grey: Image, seen: TargetDetections, share: float) -> Detections:
@@ -167,7 +152,8 @@ def _numbered_points(
     if number.max(initial=-1) + 1 < MIN_POINTS:
         raise CalibrationError(
             f"{number.max(initial=-1) + 1} discs are seen in two photos or more, at least {MIN_POINTS} are needed: "
-            "take photos that overlap, and keep the ball still between them"
+            "take photos that overlap, keep the ball still between them, and see that disc_radius is a radius and no "
+            "diameter"
         )
     index, directions, number = index[number >= 0], directions[number >= 0], number[number >= 0]
     middle = np.stack([np.bincount(number, directions[:, j]) for j in range(3)], axis=1)
