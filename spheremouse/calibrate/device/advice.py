@@ -4,8 +4,7 @@ Residuals and redundancy show the faults. The sides without photos and the tape 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -26,8 +25,7 @@ _MIN_ANGLES = {"from the left": 20.0, "from the right": 20.0, "from above": 20.0
 _COORDINATES = ("the ball's place sideways (X)", "the ball's height (Y)", "the ball's depth (Z)", "the radius")
 
 
-@dataclass(frozen=True, slots=True)
-class Advice:
+class Advice(NamedTuple):
     """One or two sentences."""
 
     kind: Literal["good", "note", "warning"]

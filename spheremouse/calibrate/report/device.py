@@ -67,7 +67,7 @@ def device_json(c: DeviceCalibration, names: Sequence[str], advice: Sequence[Adv
         "out_of_round": c.out_of_round,
         "skipped": [{"file": names[k], "why": why} for k, why in c.skipped],
         "doubtful": [{"file": names[k], "why": why} for k, why in c.doubtful],
-        "advice": [{"kind": a.kind, "text": a.text} for a in advice],
+        "advice": [a._asdict() for a in advice],
     }
 
 
@@ -123,7 +123,7 @@ def print_device(c: DeviceCalibration, advice: Sequence[Advice], console: "Conso
     for line in _headlines(c):
         lines.add_row(*line)
     console.print(Padding(lines, (0, 0, 1, 0), expand=False))
-    print_advice(console, [(a.kind, a.text) for a in advice])
+    print_advice(console, advice)
 
 
 # ---- the page ----
@@ -138,7 +138,7 @@ def write_device_report(
         title="Calibration of the device",
         lead=f"{len(c.photos)} of {len(photos)} photos, {len(c.targets)} targets, {len(c.discs)} discs",
         headlines=_headlines(c),
-        advice=[(a.kind, a.text) for a in advice],
+        advice=advice,
         draw=lambda: _places_figure(c),
         caption="Cameras with the number of the photo and their viewing directions, targets with their ids, discs, and "
         "the ball, at one scale. The more the cameras surround the device, the better.",

@@ -20,9 +20,7 @@ from spheremouse.wand.peaks import SearchContext, fields_near
 from spheremouse.wand.state import Track, WandPose
 from spheremouse.wand.track import acquire
 
-_EFFECTIVE_POINTS = (
-    20.0  # points of four visible discs; less than all edges, because pixels along one repeat each other
-)
+_EFFECTIVE_POINTS = 20.0  # of four visible discs
 _MIN_FACTOR = 0.02  # a 5 x 5 kernel is zero 3 px from the colour: without this one hidden point makes the product zero
 
 
@@ -38,23 +36,12 @@ def follow(
     motions = random_walk(max(stamp - track.stamp, 1e-4), context.tracker)
     fields = fields_near(track, motions, context)
     moved = move(track.particles, motions, rng)
-    value, match = _LIKELIHOODS[context.tracker.settings.method](moved.position, moved.rotation, context, fields)
+    value, match = _LIKELIHOODS[context.tracker.settings.method](moved.position, moved.rotation, context.model, fields)
     weight, _ = normalise(np.log(np.maximum(moved.weight, 1e-300)) + value)
     particles = Particles(moved.position, moved.rotation, weight)
     pose, count = mean_pose(particles), effective_number(weight)
     after = replace(track, particles=resample_degenerate(particles, rng), pose=pose, stamp=stamp, seen=stamp)
     return after, WandPose(context.ball.name, *pose, Status.TRACKING, None, float(weight @ match), count, True)
-
-
-def _product(position: Array, rotation: Array, context: SearchContext, fields: Fields) -> tuple[Array, Array]:
-    return log_product(position, rotation, context.model, fields)
-
-
-def _rims(position: Array, rotation: Array, context: SearchContext, fields: Fields) -> tuple[Array, Array]:
-    return log_likelihood(position, rotation, context.model, fields)
-
-
-_LIKELIHOODS = {"product": _product, "rims": _rims}
 
 
 def log_product(position: Array, rotation: Array, model: Model, fields: Fields) -> tuple[Array, Array]:
@@ -96,3 +83,6 @@ def _mean_of_visible(log_value: Array, visible: NDArray[np.bool_], empty: float,
     some = np.maximum(number, 1)
     mean = np.where(number > 0, np.sum(np.where(visible, log_value, 0.0), axis=1) / some, empty)
     return _EFFECTIVE_POINTS * mean, np.sum(np.where(visible, fit, 0.0), axis=1) / some
+
+
+_LIKELIHOODS = {"product": log_product, "rims": log_likelihood}
