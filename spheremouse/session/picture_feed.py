@@ -25,7 +25,7 @@ class PictureFeed:
         """`log` takes internal errors."""
         self._log = log
         self._lock = threading.Lock()  # held for microseconds
-        self._leases: dict[float, float] = {}  # s, end of the last lease of each interval
+        self._interval, self._until = 0.0, 0.0  # s, between two pictures; s, end of the last lease
         self._ring: PictureRing | None = None
         self._due = 0.0  # s, of the next picture
         self._number = 0  # of the last picture
@@ -33,19 +33,21 @@ class PictureFeed:
     def lease(self, now: float, interval: float, size: tuple[int, int]) -> PictureRing:
         """Begin a lease at `now`, or renew it, and return the ring. `size` is the expected width and height, px.
 
+        Of several clients the one with the shortest interval decides, until all leases have ended.
         Raises ControlError if the system has no memory.
         """
         with self._lock:
             if self._ring is None:
                 self._ring = PictureRing(3 * size[0] * size[1] + _ANNOTATION_BYTES)
-            self._leases[interval] = now + LEASE
+                self._interval = interval
+            self._interval, self._until = min(self._interval, interval), now + LEASE
             return self._ring
 
     def show(self, now: float, raw: RawFrame, adapter: TrackerAdapter, made: FrameResult | None) -> None:
         """Write a frame that is not yet released, if a picture is due; `made` is None if it was not tracked."""
-        if not self._leases or now < self._due:
+        if self._ring is None or now < self._due:
             return
-        interval = min(self._leases)
+        interval = self._interval
         self._due = max(self._due + interval, now + 0.5 * interval)  # the mean interval, at any rate of the camera
         time.sleep(_OUTPUTS_FIRST)
         try:
@@ -65,17 +67,13 @@ class PictureFeed:
 
     def expire(self, now: float) -> None:
         """Free the memory if all leases have ended."""
-        if not self._leases:
-            return
         with self._lock:
-            self._leases = {interval: end for interval, end in self._leases.items() if end > now}
-            if not self._leases:
+            if now >= self._until:
                 self._close()
 
     def close(self) -> None:
         """Free the memory."""
         with self._lock:
-            self._leases = {}
             self._close()
 
     def _write(self, picture: LivePicture) -> None:

@@ -91,17 +91,14 @@ def test_without_a_lease_nothing_is_copied_and_no_memory_is_held(feed):
     assert feed.lease(9.0, 0.1, SIZE) is not ring
 
 
-def test_of_several_clients_the_fastest_decides_while_its_lease_lasts(feed):
-    feed.lease(0.0, 0.05, SIZE)
-    raws = [Raw() for _ in range(600)]
+def test_of_several_clients_the_fastest_decides(feed):
+    raws = [Raw() for _ in range(120)]
     for k, raw in enumerate(raws):
         if k % 60 == 0:
             feed.lease(k * DT, 0.5, SIZE)
-            feed.expire(k * DT)
+            feed.lease(k * DT, 0.05, SIZE)
         feed.show(k * DT, raw, ADAPTER, k)
-    shown = np.flatnonzero([raw.copied for raw in raws]) * DT
-    assert np.sum(shown < LEASE) == pytest.approx(LEASE / 0.05, abs=2)
-    assert np.sum(shown >= LEASE + 1.0) == pytest.approx((10.0 - LEASE - 1.0) / 0.5, abs=1)
+    assert sum(raw.copied for raw in raws) == pytest.approx(40, abs=2)
 
 
 def test_a_larger_frame_gets_a_larger_ring_and_numbers_go_on(feed):

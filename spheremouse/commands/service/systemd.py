@@ -26,12 +26,6 @@ _MARK = "# Placed by `spheremouse service install`, which replaces it.\n"
 _NETWORKS = ("multicast", "link-local", "localhost")  # names of IPAddressAllow, systemd.resource-control(5)
 _UNREACHABLE = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # the unit's ProtectHome and PrivateTmp
 
-# folders that the installation may have made
-_MADE = (
-    "spheremouse", "spheremouse-view", f"{UNIT}.d", "xorg.conf.d", "X11", "sysusers.d", "autostart",
-    "default.target.wants", "user", "systemd",
-)  # fmt: skip
-
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -84,6 +78,11 @@ class Place:
         """Folder of map and recordings; a user's map is beside the rig."""
         users = self._users("XDG_STATE_HOME", ".local/state") / "spheremouse"
         return users if self.user else self.at("/var/lib/spheremouse")
+
+    @property
+    def folders(self) -> list[Path]:
+        """The service's own folders."""
+        return list(dict.fromkeys((self.configuration, self.state, self.view_state, self.changes)))
 
     def files(self) -> list[tuple[str, Path]]:
         """Return name in the folder `service/` and path of each file to place, the unit first."""
@@ -236,30 +235,21 @@ def uninstall(place: Place, purge: bool) -> Iterator[FileAction]:
     config = place.configuration / "config.yaml"
     if not purge and config.exists() and config.read_text(encoding="utf-8") == configuration(place):
         yield FileAction("remove", config, config.unlink, "as it was placed")
-    for path in dict.fromkeys((place.configuration, place.state, place.view_state, place.changes)) if purge else ():
+    for path in place.folders if purge else ():
         if path.exists():
             yield FileAction("remove", path, partial(_remove, path), must=False)
 
 
 def left(place: Place) -> list[Path]:
     """Return the paths that an uninstallation without `purge` leaves."""
-    folders = dict.fromkeys((place.configuration, place.state, place.view_state, place.changes))
-    return sorted(p for folder in folders for p in _below(folder))
+    return sorted(p for folder in place.folders for p in _below(folder))
 
 
 def tidy(place: Place) -> None:
-    """Remove the service's folders, and the folders above them, that are empty.
-
-    With root /, it removes only folders that the installation may have made. The root itself stays.
-    """
-    folders = (place.changes, place.configuration, place.state, place.view_state, place.link.parent)
-    folders += tuple(path.parent for _, path in place.files())
-    for folder in folders:
-        for path in (p for p in (folder, *folder.parents) if p.is_relative_to(place.root) and p != place.root):
-            if place.root == Path("/") and path.name not in _MADE:
-                break
-            with contextlib.suppress(OSError):  # not empty, or gone
-                path.rmdir()
+    """Remove the service's own folders that are empty."""
+    for folder in place.folders:
+        with contextlib.suppress(OSError):  # not empty, or gone
+            folder.rmdir()
 
 
 def differs(path: Path, text: str) -> bool:
