@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from spheremouse.files.config import model_of
 from spheremouse.files.safe_files import write_atomically
 from spheremouse.files.validate import Part, Provenance, read_checked
 from spheremouse.files.yaml import SCHEMAS, Document, Problem
@@ -23,7 +24,7 @@ from spheremouse.wand.settings import ColourSettings
 
 _ALIKE = np.radians(6.0)  # discs this near to one another are taken for the same one: half of the smallest disc
 _TURNED = np.radians(15.0)  # smaller turns onto itself are the same attitude, in effect
-_FEWEST, _MOST = 3, 64  # discs: in a circle of 12 degrees each they cover the ball
+_FEWEST, _MOST = 3, 64  # discs: three give an attitude; in a circle of 12 degrees each, 64 cover the ball
 
 Length = Annotated[float, Field(ge=1e-4, le=2.0)]  # m: a tenth of a millimetre is dust
 
@@ -44,23 +45,16 @@ class _Disc(Part):
     points: Length | None = Field(None, description="m along the surface from the centre to the four outer points")
 
 
-class _Colour(Part):
-    hue_min: float = Field(0.0, ge=0, le=360, description="least hue, degrees; above hue_max it passes through 0")
-    hue_max: float = Field(360.0, ge=0, le=360, description="greatest hue, degrees")
-    saturation_min: float = Field(0.0, ge=0, le=255, description="least saturation, 0 to 255")
-    saturation_max: float = Field(255.0, ge=0, le=255, description="greatest saturation, 0 to 255")
-    value_min: float = Field(0.0, ge=0, le=1e4, description="least brightness where the picture's mean is 127")
-    value_max: float = Field(1e4, ge=0, le=1e4, description="greatest brightness where the picture's mean is 127")
-
-
 class WandModel(Part):
     """Content of wand.yaml."""
 
     name: str = Field("wand", min_length=1, description="name of the ball in messages")
     radius: float = Field(ge=0.005, le=1.0, description="radius of the ball in m, 0.05 for 10 cm across")
     body: Literal["white", "black"] = Field("white", description="the ball between its discs: white or black")
-    discs: tuple[_Disc, ...] = Field(max_length=_MOST, description="list of {azimuth, latitude, diameter, colour}")
-    colours: dict[str, _Colour] = Field(
+    discs: tuple[_Disc, ...] = Field(
+        min_length=_FEWEST, max_length=_MOST, description="list of {azimuth, latitude, diameter, colour}"
+    )
+    colours: dict[str, model_of(ColourSettings)] = Field(  # type: ignore[valid-type]
         {}, max_length=_MOST, description="bounds of each colour; `spheremouse wand colours` picks them"
     )
     provenance: Provenance | None = Field(None, description="where the numbers come from: a section, for people")
@@ -69,16 +63,13 @@ class WandModel(Part):
 def load_wand(path: Path) -> WandFile:
     """Read a ball from a file; ConfigurationError with a line for each problem."""
     document, file = read_checked(path, WandModel, "wand")
-    if problems := [*_disc_problems(file), *_colour_problems(file)]:
+    colours = {name: ColourSettings(**given.model_dump(exclude_unset=True)) for name, given in file.colours.items()}
+    if problems := [*_disc_problems(file), *_colour_problems(file, colours)]:
         raise document.error(problems)
     ball = WandBall(file.name, file.radius, tuple(_disc(d, file.radius) for d in file.discs), file.body)
     if problems := [*_overlaps(ball), *_symmetries(ball, document)]:
         raise document.error(problems)
-    colours = {}
-    for name in ball.colours:
-        given = file.colours.get(name)
-        colours[name] = DEFAULT_COLOURS[name] if given is None else ColourSettings(**given.model_dump())
-    return WandFile(ball, colours)
+    return WandFile(ball, {name: (DEFAULT_COLOURS | colours)[name] for name in ball.colours})
 
 
 def save_wand(
@@ -137,8 +128,6 @@ def _disc(disc: _Disc, radius: float) -> WandDisc:
 
 
 def _disc_problems(file: WandModel) -> Iterator[Problem]:
-    if len(file.discs) < _FEWEST:
-        yield Problem(("discs",), f"are {len(file.discs)}; an attitude needs at least {_FEWEST}")
     for i, disc in enumerate(file.discs):
         if disc.diameter >= 2.0 * file.radius:
             text = f"is {disc.diameter:g} m, on a ball {2.0 * file.radius:g} m across; both are in metres"
@@ -148,13 +137,13 @@ def _disc_problems(file: WandModel) -> Iterator[Problem]:
             yield Problem(("discs", i, "points"), text)
 
 
-def _colour_problems(file: WandModel) -> Iterator[Problem]:
+def _colour_problems(file: WandModel, colours: Mapping[str, ColourSettings]) -> Iterator[Problem]:
     used = {disc.colour for disc in file.discs}
     for i, disc in enumerate(file.discs):
         if disc.colour not in file.colours and disc.colour not in DEFAULT_COLOURS:
             text = f"is {disc.colour!r}, which has no bounds; write them under `colours`"
             yield Problem(("discs", i, "colour"), f"{text}, or use {', '.join(sorted(DEFAULT_COLOURS))}")
-    for name, colour in file.colours.items():
+    for name, colour in colours.items():
         if name not in used:
             yield Problem(("colours", name), "no disc has this colour; remove it, or give it to a disc")
         for what in ("saturation", "value"):

@@ -86,7 +86,7 @@ def test_two_discs_are_too_few(tmp_path):
     ball = grzonka_ball()
     path = tmp_path / "two.yaml"
     save_wand(path, replace(ball, discs=ball.discs[:2]))
-    with pytest.raises(ConfigurationError, match="discs: are 2; an attitude needs at least 3"):
+    with pytest.raises(ConfigurationError, match="discs: must be a list of at least 3, is a list of 2"):
         load_wand(path)
     with pytest.raises(ConfigurationError, match="no such file"):
         load_wand(tmp_path / "none.yaml")
