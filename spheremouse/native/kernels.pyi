@@ -148,11 +148,13 @@ def fit_discs(
     centroids, (n, 2) px, covariances, (n, 2, 2) px², parts of the rim that fit, (n,), and the common size, or 0.
     """
 
-def measure_discs(
-    image: _Byte, directions: _Float, model: tuple[object, ...], noise: float, places: _Float,
-    motion: tuple[_Float, float], size: float,
-) -> tuple[_Float, _Float, _Float, float]:  # fmt: skip
-    """Return centres, covariances and areas of discs, and their size (`windows.measure_discs`)."""
+def measure_places(
+    image: _Byte, places: _Float, model: tuple[object, ...], noise: float
+) -> tuple[_Float, _Float, _Float]:
+    """Return centres, covariances and areas of the discs at dark spots, (n, 2) px, of an image (h, w, c).
+
+    `model` is a `windows.DiscModel`, and `noise` is that of a pixel.
+    """
 
 # spheremouse/ball/detect/search.cpp
 

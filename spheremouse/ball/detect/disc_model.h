@@ -9,7 +9,6 @@ using Image = Array<const uint8_t, -1, -1, -1>;  // (h, w, c), three channels of
 using Mask = Array<const uint8_t, -1, -1>;       // (h, w), not 0 on the ball
 using Shape = Matrix<2>;                         // px², (x - centroid)' shape^-1 (x - centroid) = 1 on the rim
 using Directions = View<Dynamic, 3>;             // (n, 3) unit vectors, obj
-using Places = View<Dynamic, 2>;                 // (n, 2) px
 
 /// Image of a disc (`appearance.Appearance`). All are nan unless the whole rim faces the camera.
 struct Appearance {
@@ -91,13 +90,16 @@ struct Measured {
     double area;           // px²
 };
 
-/// Measure discs, as `windows.measure_discs` describes it, the best ones first.
+/// Measure the discs expected at `directions`, as `windows.py` describes it, the best ones first.
 std::vector<Measured> measure(const Photo& photo, const Directions& directions, const DiscModel& model,
-                              const Places& places, const Motion& motion, double& size);
+                              const Motion& motion, double& size);
+
+/// Measure the discs at dark spots of a ball at rest, the best ones first.
+std::vector<Measured> measure_places(const Photo& photo, const std::vector<Vector<2>>& places, const DiscModel& model);
 
 /// Return the columns of `detections.Detections`, and `more`.
-template <class T>
-nb::tuple to_numpy(const std::vector<Measured>& found, const T& more) {
+template <class... T>
+nb::tuple to_numpy(const std::vector<Measured>& found, const T&... more) {
     const Rows<2> centre(found.size());
     const Rows<2, 2> covariance(found.size());
     auto area = zeros<double>({found.size()});
@@ -106,7 +108,7 @@ nb::tuple to_numpy(const std::vector<Measured>& found, const T& more) {
         covariance[i] = found[i].covariance;
         area.data()[i] = found[i].area;
     }
-    return nb::make_tuple(centre.array, covariance.array, area, more);
+    return nb::make_tuple(centre.array, covariance.array, area, more...);
 }
 
 }  // namespace spheremouse::ball

@@ -30,7 +30,7 @@ from spheremouse.ball.detect.projection import (
     sample_weights_of,
 )
 from spheremouse.ball.detect.search import Lattice, SearchState, lattice
-from spheremouse.ball.detect.windows import ANYWHERE, AT_REST, DiscModel, FitSettings, Motion, measure_discs
+from spheremouse.ball.detect.windows import ANYWHERE, AT_REST, DiscModel, FitSettings, Motion
 from spheremouse.ball.points import directions_at
 from spheremouse.ball.rig import Rig, view_of
 from spheremouse.errors import ConfigurationError
@@ -142,7 +142,7 @@ class DiscDetector:
         plausible = np.flatnonzero((share > 0.3) & (share < 2.5))
         best = plausible[np.argsort(np.abs(np.log(share[plausible])), kind="stable")]
         best = best[suppress(places[index[best]], np.full(len(best), 0.3 * self.model.diameter))]
-        found = measure_discs(_with_channels(image), directions[best], self.model, noise, places[index[best]])[0]
+        found = Detections(*kernels.measure_places(_with_channels(image), places[index[best]], self.model, noise))
         return self._with_slivers(found, image) if self.lattice.reduction > 1 else found
 
     def _with_slivers(self, found: Detections, image: Image) -> Detections:

@@ -201,19 +201,7 @@ std::vector<Measured> find_new_discs(const Photo& photo, const DiscModel& model,
     const Limits limits{int(256.0 * (1.0 - 0.5 * model.fit.contrast)), int(difference), 0.5 * model.diameter,
                         lattice.reduction};
     const Points places = find(Plane(photo), lattice, limits, search, known);
-    Matrix<Dynamic, 3> directions(MAX_FOUND, 3);
-    Matrix<Dynamic, 2> seen(MAX_FOUND, 2);
-    nb::ssize_t n = 0;
-    for (const Vector<2>& place : places) {
-        const Hit hit = first_hit(model.view, unproject(model.view.camera, place).place);
-        if (!hit.met) continue;
-        directions.row(n) = (hit.point - model.view.centre) / model.view.radius;
-        seen.row(n++) = place;
-    }
-    double size = 0.0;
-    const std::vector<Measured> found =
-        n == 0 ? std::vector<Measured>()
-               : measure(photo, Directions(directions.data(), n, 3), model, Places(seen.data(), n, 2), Motion(), size);
+    const std::vector<Measured> found = measure_places(photo, places, model);
     Points rejected;
     for (const Vector<2>& place : places)
         if (std::none_of(found.begin(), found.end(),
@@ -263,7 +251,7 @@ nb::tuple follow_discs(nb::handle image, nb::handle directions_, nb::handle mode
     std::vector<Measured> found;
     {
         nb::gil_scoped_release release;
-        found = measure(photo, directions, model, Places(nullptr, 0, 2), motion, search.size);
+        found = measure(photo, directions, model, motion, search.size);
         if (found.size() >= least) {
             Points known;
             for (const Measured& m : found) known.push_back(m.centre);

@@ -62,20 +62,28 @@ std::vector<Measured> best_of(const std::vector<Disc>& discs, double apart) {
     return kept;
 }
 
-nb::tuple measure_discs(nb::handle image, nb::handle directions_, nb::handle model_, double noise, nb::handle places_,
-                        nb::handle motion_, double size) {
+nb::tuple measure_places_(nb::handle image, nb::handle places_, nb::handle model_, double noise) {
     const auto [model, photo] = read_model(model_, image, noise);
-    const Directions directions = matrix<Dynamic, 3>(directions_, "directions");
-    const Places places = matrix<Dynamic, 2>(places_, "places");
-    if (places.rows() != 0 && places.rows() != directions.rows())
-        throw nb::type_error("places: must have the length of directions, or 0");
-    const Motion motion = read_motion(motion_);
+    const auto given = matrix<Dynamic, 2>(places_, "places");
+    std::vector<Vector<2>> places(size_t(given.rows()));
+    for (size_t i = 0; i < places.size(); i++) places[i] = given.row(nb::ssize_t(i));
     std::vector<Measured> found;
     {
         nb::gil_scoped_release release;
-        found = measure(photo, directions, model, places, motion, size);
+        found = measure_places(photo, places, model);
     }
-    return to_numpy(found, size);
+    return to_numpy(found);
+}
+
+/// Fit discs, and move their centroids to their centres.
+std::vector<Measured> fit_all(const Photo& photo, std::vector<Disc>& discs, const std::vector<Expected>& expected,
+                              const DiscModel& model, double contrast, double& size) {
+    const std::vector<Fit> fits = fit_discs(photo, expected, model.fit, contrast, size);
+    for (size_t i = 0; i < discs.size(); i++) {
+        discs[i].fit = fits[i];
+        discs[i].fit.centroid -= discs[i].seen.centroid - discs[i].seen.centre;  // the eccentricity
+    }
+    return best_of(discs, APART * model.diameter);
 }
 
 }  // namespace
@@ -94,7 +102,7 @@ Motion read_motion(nb::handle given) {
 }
 
 std::vector<Measured> measure(const Photo& photo, const Directions& directions, const DiscModel& model,
-                              const Places& places, const Motion& motion, double& size) {
+                              const Motion& motion, double& size) {
     std::vector<Disc> discs;
     std::vector<Expected> expected;
     for (nb::ssize_t i = 0; i < directions.rows(); i++) {
@@ -102,21 +110,28 @@ std::vector<Measured> measure(const Photo& photo, const Directions& directions, 
         const Appearance seen = appearance(model.view, direction);
         if (!(seen.area >= model.min_area) || !is_inside(seen, photo.mask)) continue;
         discs.push_back({seen, {}});
-        expected.push_back({places.rows() ? Vector<2>(places.row(i)) : seen.centroid, seen.shape,
-                            path_of(model, direction, seen.centre, motion.rate)});
+        expected.push_back({seen.centroid, seen.shape, path_of(model, direction, seen.centre, motion.rate)});
     }
-    const double contrast = model.fit.contrast * (places.rows() ? 1.0 : EXPECTED);
-    const std::vector<Fit> fits = fit_discs(photo, expected, model.fit, contrast, size);
-    for (size_t i = 0; i < discs.size(); i++) {
-        discs[i].fit = fits[i];
-        discs[i].fit.centroid -= discs[i].seen.centroid - discs[i].seen.centre;  // the eccentricity
+    return fit_all(photo, discs, expected, model, EXPECTED * model.fit.contrast, size);
+}
+
+std::vector<Measured> measure_places(const Photo& photo, const std::vector<Vector<2>>& places, const DiscModel& model) {
+    std::vector<Disc> discs;
+    std::vector<Expected> expected;
+    for (const Vector<2>& place : places) {
+        const Hit hit = first_hit(model.view, unproject(model.view.camera, place).place);
+        if (!hit.met) continue;
+        const Appearance seen = appearance(model.view, (hit.point - model.view.centre) / model.view.radius);
+        if (!(seen.area >= model.min_area) || !is_inside(seen, photo.mask)) continue;
+        discs.push_back({seen, {}});
+        expected.push_back({place, seen.shape, Vector<7>::Zero()});
     }
-    return best_of(discs, APART * model.diameter);
+    double size = 0.0;
+    return fit_all(photo, discs, expected, model, model.fit.contrast, size);
 }
 
 void bind_windows(nb::module_& m) {
-    m.def("measure_discs", &measure_discs, arg("image"), arg("directions"), arg("model"), arg("noise"), arg("places"),
-          arg("motion"), arg("size"));
+    m.def("measure_places", &measure_places_, arg("image"), arg("places"), arg("model"), arg("noise"));
 }
 
 }  // namespace spheremouse::ball

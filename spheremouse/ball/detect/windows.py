@@ -1,18 +1,18 @@
-"""Measurement of discs, each in its own window: directions on the ball to centres in the image, in one native call.
+"""Measurement of discs, each in its own window: directions on the ball to centres in the image.
 
 The geometry (detect.appearance) gives each disc's place when its row is read, its shape, and its motion during the
-exposure. `fit.cpp` measures it.
+exposure. `fit.cpp` measures it. The fit of a known disc begins at the expected place, and a part of the contrast
+suffices. The fit of a dark spot begins at the spot. Discs that are not wholly in the image are left out.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from spheremouse.ball.detect.detections import Detections, Image, no_detections
+from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.projection import Projection
 from spheremouse.ball.rig import BallView
 from spheremouse.geometry.rotation import Array
-from spheremouse.native import kernels
 
 
 class FitSettings(NamedTuple):
@@ -47,27 +47,3 @@ class Motion(NamedTuple):
 
 ANYWHERE = np.zeros((0, 2))
 AT_REST = Motion(np.zeros(3), 0.0)
-
-
-def measure_discs(
-    image: Image,
-    directions: Array,
-    model: DiscModel,
-    noise: float,
-    places: Array = ANYWHERE,
-    motion: Motion = AT_REST,
-    size: float = 0.0,
-) -> tuple[Detections, float]:
-    """Measure the discs at `directions`, (n, 3) unit vectors in obj, in an image (h, w, c) of uint8.
-
-    Each fit begins at its place of `places`, (n, 2) px, the centre of a dark spot. Without `places` it begins at the
-    expected place, and a part of the contrast suffices. `noise` is that of a pixel. Discs that are not wholly in the
-    image are left out. The ball's `motion` carries the discs to the time when their row is read. The exposure smears
-    them. If `size`, fitted over expected, is not 0, the fit fixes the size at it. The second result is the common size
-    of the discs, or 0 if too few discs determine it.
-    """
-    if len(directions) == 0:
-        return no_detections(), size
-    directions, places = np.ascontiguousarray(directions), np.ascontiguousarray(places)
-    centre, covariance, area, size = kernels.measure_discs(image, directions, model, noise, places, motion, size)
-    return Detections(centre, covariance, area), size

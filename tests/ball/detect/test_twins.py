@@ -9,11 +9,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from ray_cast import CLEAN, DISCS, POSE, RIG, looking_at, photo
 
 from spheremouse.ball.detect.appearance import appearance, seen_at
+from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
 from spheremouse.ball.detect.projection import GREY
 from spheremouse.ball.detect.search import SearchState
-from spheremouse.ball.detect.windows import AT_REST, FitSettings, Motion, measure_discs
-from spheremouse.ball.points import directions_at
+from spheremouse.ball.detect.windows import AT_REST, FitSettings, Motion
 from spheremouse.ball.rig import view_of
 from spheremouse.geometry.camera import InteriorOrientation, Pose, ellipse_to_pixel, project, project_circle
 from spheremouse.native import kernels
@@ -22,6 +22,7 @@ from tests.ball.detect import twins
 LENS = InteriorOrientation(640, 480, 610.0, 600.0, 322.0, 237.0, np.array([-0.3, 0.1, 2e-3, -1e-3, -0.02]))
 SETTINGS = FitSettings(GREY, 0.8, 0.93, 0.25, size_tolerance=0.25, rim=0.7, sigma=0.02)
 DETECTOR = disc_detector(DiscSettings(), RIG, POSE)
+NOWHERE = np.zeros((0, 2))
 
 
 @pytest.mark.parametrize("camera", [RIG.camera, LENS])
@@ -92,9 +93,12 @@ def test_discs_are_measured_where_and_how_they_are_seen(exposure):
     ok, centroid, covariance, rim, size = kernels.fit_discs(image, model.mask, expected, 1.0, model.fit, contrast, 0.0)
     centre = centroid - (seen.centroid - seen.centre)[which]
     kept = twins.best_fits(centre, rim, ok, 0.3 * model.diameter)
-    found = kernels.measure_discs(image, DISCS, model, 1.0, np.zeros((0, 2)), motion, 0.0)
+    search = DETECTOR.lattice.of_turn(0), SearchState(0, 1.0), motion, NOWHERE, len(DISCS) + 1
+    *found, state = kernels.follow_discs(image, DISCS, model, *search)
     assert len(kept) > 10
-    for native, twin in zip(found, (centre[kept], covariance[kept], seen.area[which][kept], size), strict=True):
+    for native, twin in zip(
+        (*found, state[2]), (centre[kept], covariance[kept], seen.area[which][kept], size), strict=True
+    ):
         assert_allclose(native, twin, rtol=1e-6)  # a path differs by rounding
 
 
@@ -112,7 +116,7 @@ def test_a_search_is_that_of_the_twin():
             grey, model.mask, samples, DETECTOR.lattice.offsets, limits, turn, known, active
         )
         colours = grey[:, :, None]
-        found, _ = measure_discs(colours, directions_at(places, RIG, POSE)[0], model, 1.0, places)
+        found = Detections(*kernels.measure_places(colours, places, model, 1.0))
         missed = np.linalg.norm(places[:, None] - found.centre[None], axis=2).min(axis=1, initial=np.inf) > limits[2]
         after = twins.next_turn(search, places[missed], 1)
         arguments = np.zeros((0, 3)), model, DETECTOR.lattice.of_turn(turn), search, AT_REST, known, 0
@@ -129,17 +133,16 @@ def test_a_search_is_that_of_the_twin():
 def test_a_followed_disc_is_no_new_one():
     """The discs come first, and the search leaves them out; if there are too few, it waits."""
     image, search = photo(CLEAN, 1.0)[:, :, None], SearchState(0, 1.0, 1.0)
-    followed = measure_discs(image, DISCS[:9], DETECTOR.model, 1.0, size=1.0)[0]
-    model = DETECTOR.model, DETECTOR.lattice.of_turn(0), search, AT_REST, np.zeros((0, 2))
-    centre, *_, state = kernels.follow_discs(image, DISCS[:9], *model, 9)
-    assert_array_equal(centre[:9], followed.centre)
-    more, _ = DETECTOR.follow(image, search, known=followed.centre)
-    assert_allclose(centre[9:], more.centre, atol=0.02)
-    assert len(more) > 0
-    assert state[0] == 1
-    centre, *_, state = kernels.follow_discs(image, DISCS[:9], *model, 10)
-    assert_array_equal(centre, followed.centre)
+    model = DETECTOR.model, DETECTOR.lattice.of_turn(0), search, AT_REST, NOWHERE
+    followed, *_, state = kernels.follow_discs(image, DISCS[:9], *model, 10)
+    assert len(followed) == 9
     assert state[0] == 0
+    more, _ = DETECTOR.follow(image, search, known=followed)
+    assert len(more) > 0
+    centre, *_, state = kernels.follow_discs(image, DISCS[:9], *model, 9)
+    assert_array_equal(centre[:9], followed)
+    assert_allclose(centre[9:], more.centre, atol=0.02)
+    assert state[0] == 1
 
 
 def test_noise_is_the_median_of_second_differences():
@@ -151,17 +154,15 @@ def test_noise_is_the_median_of_second_differences():
 
 
 def test_a_wrong_argument_is_named():
-    model, image, rest = DETECTOR.model, np.zeros((480, 640, 3), np.uint8), Motion(np.zeros(3), 0.0)
-    places = np.zeros((0, 2))
+    model, image, places = DETECTOR.model, np.zeros((480, 640, 3), np.uint8), NOWHERE
     for arguments, name in [
-        ((image.astype(float), DISCS, model, 1.0, places, rest, 0.0), "image"),
-        ((image[:, ::2], DISCS, model, 1.0, places, rest, 0.0), "image"),
-        ((image[:400], DISCS, model, 1.0, places, rest, 0.0), "mask"),
-        ((image, DISCS[:, :2].copy(), model, 1.0, places, rest, 0.0), "directions"),
-        ((image, DISCS, model, 1.0, np.zeros((1, 2)), rest, 0.0), "places"),
+        ((image.astype(float), places, model, 1.0), "image"),
+        ((image[:, ::2], places, model, 1.0), "image"),
+        ((image[:400], places, model, 1.0), "mask"),
+        ((image, DISCS, model, 1.0), "places"),
     ]:
         with pytest.raises(TypeError, match=name):
-            kernels.measure_discs(*arguments)
+            kernels.measure_places(*arguments)
     with pytest.raises(TypeError, match="directions"):
         kernels.appearance(DISCS.T, view_of(RIG, POSE))
     whole = DETECTOR.lattice.of_turn(0)
@@ -174,15 +175,16 @@ def test_a_wrong_argument_is_named():
         (whole, SearchState(rejected=places), TypeError, "rejected"),
     ]:
         with pytest.raises(error, match=name):
-            kernels.follow_discs(image, DISCS, model, lattice, search, rest, places, 0)
+            kernels.follow_discs(image, DISCS, model, lattice, search, AT_REST, places, 0)
 
 
 def test_numbers_out_of_range_are_no_discs():
     image = cv2.cvtColor(photo(CLEAN, 1.0), cv2.COLOR_GRAY2BGR)
     wild = np.array([np.nan, np.inf, -np.inf, 1e300, -1e300, 0.0])
     directions = np.stack([wild, np.roll(wild, 1), np.roll(wild, 2)], axis=1)
-    found = kernels.measure_discs(image, directions, DETECTOR.model, 1.0, np.zeros((0, 2)), Motion(wild[:3], 1.0), 0.0)
-    assert len(found[0]) == 0
+    search = DETECTOR.lattice.of_turn(0), SearchState(0, 1.0), Motion(wild[:3], 1.0), NOWHERE, 1
+    assert len(kernels.follow_discs(image, directions, DETECTOR.model, *search)[0]) == 0
+    assert len(kernels.measure_places(image, directions[:, :2].copy(), DETECTOR.model, 1.0)[0]) == 0
     expected = np.stack([wild, wild], axis=1), np.repeat(wild, 4).reshape(-1, 2, 2), np.repeat(wild, 7).reshape(-1, 7)
     ok = kernels.fit_discs(image, DETECTOR.model.mask, expected, 1.0, SETTINGS, 0.25, 0.0)[0]
     assert_array_equal(ok, False)

@@ -142,7 +142,7 @@ def fit_disc(image, mask, place, shape, path, noise, settings, size):
 
 
 def windows(directions, rig, pose, model, motion):
-    """Return appearances and paths of the discs that `kernels.measure_discs` fits, in its order."""
+    """Return appearances and paths of the discs that `kernels.follow_discs` fits, in its order."""
     row = (seen_at(directions, rig, pose)[:, 1] + 0.5) / len(model.mask) - 0.5
     late = np.nan_to_num(motion.readout * row)
     directions = np.einsum("nij,nj->ni", exp(late[:, None] * motion.rate), directions)
