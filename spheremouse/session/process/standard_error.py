@@ -10,14 +10,14 @@ import os
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Iterator
+from queue import Empty, SimpleQueue
 from typing import TextIO
 
 from spheremouse.errors import ControlError
 from spheremouse.session.process.threads import begin
 
-MAX_QUEUED_CHARACTERS = 256_000  # some minutes of a busy log, or one second of the status table
+MAX_QUEUED_TEXTS = 2_000  # some minutes of a busy log
 _MAX_FLUSH_S = 0.5  # at the end
 
 
@@ -26,13 +26,12 @@ class NonBlockingStderr(io.TextIOBase):
 
     def __init__(self, stream: TextIO) -> None:
         self._stream, self._descriptor = stream, stream.fileno()
-        self._queue: deque[str] = deque()
-        self._queued = 0  # characters
+        self._queue: SimpleQueue[str] = SimpleQueue()  # a signal handler may write during a write
+        self._counting = threading.RLock()
         self._dropped = 0  # lines
-        self._changed = threading.Condition(threading.RLock())  # a signal handler may write during a write
-        self._writing = self._closing = False
-        self.failed = False  # the last text could not be written
-        begin(threading.Thread(target=self._run, name="log", daemon=True))
+        self._closing = self._failed = False  # failed: the last text could not be written
+        self._thread = threading.Thread(target=self._run, name="log", daemon=True)
+        begin(self._thread)
 
     @property
     def encoding(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -52,48 +51,36 @@ class NonBlockingStderr(io.TextIOBase):
         return self._descriptor
 
     def write(self, text: str, /) -> int:
-        """Queue a text. If the queue is full, drop the oldest ones."""
-        with self._changed:
-            self._queue.append(text)
-            self._queued += len(text)
-            while self._queued > MAX_QUEUED_CHARACTERS and len(self._queue) > 1:
-                oldest = self._queue.popleft()
-                self._queued -= len(oldest)
-                self._dropped += oldest.count("\n")
-            self._changed.notify()
+        """Queue a text. If the queue is full, drop the oldest one."""
+        self._queue.put(text)
+        if self._queue.qsize() > MAX_QUEUED_TEXTS:
+            with contextlib.suppress(Empty):  # the thread has taken it
+                self._drop(self._queue.get_nowait().count("\n"))
         return len(text)
 
     def finish(self, timeout: float) -> bool:
         """Wait up to `timeout` s for the queue, and end the thread. Return whether all texts were written."""
-        end = time.monotonic() + timeout
-        with self._changed:
-            self._closing = True
-            self._changed.notify_all()
-            while (self._queue or self._writing) and (left := end - time.monotonic()) > 0.0:
-                self._changed.wait(left)
-            return not (self._queue or self._writing or self.failed)
+        self._closing = True
+        self._queue.put("")  # wakes the thread
+        self._thread.join(timeout)
+        return not (self._thread.is_alive() or self._failed)
+
+    def _drop(self, lines: int) -> None:
+        with self._counting:
+            self._dropped += lines
 
     def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._writing = False
-                self._changed.notify_all()
-                while not (self._queue or self._closing):
-                    self._changed.wait()
-                if not self._queue:
-                    return
-                text = self._queue.popleft()
-                self._queued -= len(text)
+        while not (self._closing and self._queue.empty()):
+            text = self._queue.get()
+            with self._counting:
                 dropped, self._dropped = self._dropped, 0
-                self._writing = True
             note = f"spheremouse: {dropped} lines of the log dropped: standard error was blocked\n" if dropped else ""
             try:
                 self._write_all((note + text).encode(self.encoding, "backslashreplace"))
-                self.failed = False
+                self._failed = False
             except OSError:
-                self.failed = True
-                with self._changed:
-                    self._dropped += dropped + text.count("\n")
+                self._failed = True
+                self._drop(dropped + text.count("\n"))
 
     def _write_all(self, data: bytes) -> None:
         while data:

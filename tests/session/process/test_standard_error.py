@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from spheremouse.session.process.standard_error import MAX_QUEUED_CHARACTERS, nonblocking_stderr
+from spheremouse.session.process.standard_error import MAX_QUEUED_TEXTS, nonblocking_stderr
 
 fcntl = pytest.importorskip("fcntl")
 
@@ -49,7 +49,7 @@ def test_all_texts_are_written_in_order_and_the_stream_is_restored():
 
 def test_a_blocked_pipe_delays_nothing_and_dropped_lines_are_counted():
     line = "x" * 99 + "\n"
-    lines = 3 * MAX_QUEUED_CHARACTERS // len(line)
+    lines = 3 * MAX_QUEUED_TEXTS
     with a_pipe() as pipe, nonblocking_stderr():
         begun = time.monotonic()
         for _ in range(lines):
