@@ -1,6 +1,6 @@
 """Measure what outputs cost.
 
-python -m tests.outputs_cost cost [OUTPUT ...] publishes 100 tracked samples a second to one output after another, each
+python -m tests.outputs_cost [OUTPUT ...] publishes 100 tracked samples a second to one output after another, each
 with its thread as in a run. Each round has a second of each output and one without, in a random order. The table has
 the processor time of this process for each sample, less that without an output in the same round: the median and its
 interval of 95 %. Receivers are other processes, and not counted. `{port}` in an OUTPUT is a free port, `{folder}` a new
@@ -189,7 +189,6 @@ def cost(specs, rounds):
 def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["cost"])
     parser.add_argument("outputs", nargs="*", default=OUTPUTS)
     parser.add_argument("--rounds", type=int, default=25)
     given = parser.parse_args()

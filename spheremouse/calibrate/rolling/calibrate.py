@@ -28,7 +28,7 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.tracker import Frame
 
 BLOCK = 15.0  # s of rolling for a start; then two and four times as much
-_MIN_SECONDS = 3.0
+_MIN_SECONDS = 2.9  # three, less a frame at 10 Hz
 _MAX_CHANGE = 2e-3  # of the ratio, or rad: a rig that is off by less measures as well
 _VIEW_INTERVAL = 0.5  # s
 _MAX_VIEWS, _MAX_COLOUR_VIEWS = 240, 30

@@ -1,12 +1,13 @@
 """Frames to read several times: a recording that is opened again, or a live camera's frames in memory."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 
-from spheremouse.capture import open_source
+from spheremouse.capture import open_source, section
 from spheremouse.errors import SourceError
 from spheremouse.tracker import Frame
 
@@ -22,7 +23,7 @@ def recorded(source: str, at_most: float | None) -> Footage:
 
     def frames(seconds: float | None) -> Iterator[Frame]:
         with open_source(source) as given:
-            yield from until(iter(given), min((s for s in (seconds, at_most) if s is not None), default=None))
+            yield from section(given, 0.0, min((s for s in (seconds, at_most) if s is not None), default=math.inf))
 
     return frames
 
@@ -54,14 +55,4 @@ class FrameBuffer:
             Frame(np.asarray(cv2.imdecode(np.frombuffer(d, np.uint8), cv2.IMREAD_UNCHANGED), np.uint8), stamp, number)
             for d, stamp, number in self.stored
         )
-        yield from until(every, seconds)
-
-
-def until(frames: Iterator[Frame], seconds: float | None) -> Iterator[Frame]:
-    """Yield the frames of the first seconds, or all."""
-    first: float | None = None
-    for frame in frames:
-        first = frame.stamp if first is None else first
-        if seconds is not None and frame.stamp - first > seconds:
-            return
-        yield frame
+        yield from section(every, 0.0, math.inf if seconds is None else seconds)

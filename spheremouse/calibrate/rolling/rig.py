@@ -140,12 +140,9 @@ def check_radius(radius: float, ball: Ball, error: float = 0.0) -> None:
     sigma = float(ball.covariance[3, 3]) ** 0.5
     if abs(radius - ball.radius) <= max(error * ball.radius, _MAX_DEVIATION * np.hypot(TAPE * radius, sigma)):
         return
-    why = "measure again, or leave the length out: the targets give it"
-    for factor, what in ((2.0, "the diameter was given for the radius"), (0.5, "half the radius was given")):
-        if abs(radius / ball.radius / factor - 1.0) < _FIRST_ERROR:
-            why = f"it seems that {what}; leave the length out, or correct it"
     raise CalibrationError(
-        f"the ball's radius is given as {radius:.4g} m, but the targets of the rig put it at {ball.radius:.4g} m: {why}"
+        f"the ball's radius is given as {radius:.4g} m, but the targets of the rig put it at {ball.radius:.4g} m: give "
+        "the radius and no diameter, or leave the length out"
     )
 
 
