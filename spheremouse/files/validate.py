@@ -21,7 +21,13 @@ M = TypeVar("M", bound=BaseModel)
 class Part(BaseModel):
     """Base of models of a file's sections. Only whole numbers convert, to float. Unknown keys and NaN are errors."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
+    model_config = ConfigDict(
+        extra="forbid",
+        strict=True,
+        allow_inf_nan=False,
+        protected_namespaces=(),
+        defer_build=True,  # a run reads few kinds of files
+    )
 
 
 class Provenance(BaseModel):
