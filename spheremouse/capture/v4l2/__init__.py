@@ -13,17 +13,18 @@ from dataclasses import replace
 from pathlib import Path
 from select import POLLIN, poll
 from threading import Lock
-from typing import TYPE_CHECKING, Any, Self, cast, get_args
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.capture import Payload, Stream
 from spheremouse.capture.nodes import nodes, persistent_name, probe_node
-from spheremouse.capture.settings import CameraSettings, PixelName
+from spheremouse.capture.settings import CameraSettings
 from spheremouse.capture.v4l2.pixels import Layout, bgr, luma, payload_of
 from spheremouse.capture.v4l2.stamps import Arrival, Count, Moment, Stamps, Timing, correct_stamp, unwrap_count
-from spheremouse.errors import DamagedFrameError, SourceError
+from spheremouse.errors import ConfigurationError, DamagedFrameError, SourceError
+from spheremouse.files.config import override
 from spheremouse.files.registry import options
 from spheremouse.finding import Finding
 from spheremouse.tracker import Frame
@@ -242,22 +243,14 @@ def parse(argument: str, settings: CameraSettings) -> tuple[str, CameraSettings]
     given = options(rest, {**_SIZE, "fps": float, "format": str}, label, SourceError)
     if len(_SIZE.keys() & given.keys()) == 1:
         raise SourceError(f"{label}: width and height go together; give both")
+    assignments = [f"size=[{given['width']}, {given['height']}]"] if "width" in given else []
+    assignments += [f"fps={given['fps']}"] if "fps" in given else []
+    assignments += [f"format={str(given['format']).upper()}"] if "format" in given else []
     try:
-        if "width" in given:
-            settings = replace(settings, size=(int(given["width"]), int(given["height"])))
-        if "fps" in given:
-            settings = replace(settings, fps=float(given["fps"]))
-        if "format" in given:
-            settings = replace(settings, format=cast(PixelName, str(given["format"]).upper()))
-    except ValueError as e:
-        raise SourceError(f"{label}: {e}") from None
-    known = get_args(PixelName)
-    if settings.format != "auto" and settings.format not in known:
-        raise SourceError(f"{label}: unknown format {given['format']}; formats are {', '.join(known)}")
-    if settings.fps is not None and not settings.fps > 0.0:
-        raise SourceError(f"{label}: fps must be above 0, is {settings.fps:g}")
-    if settings.size is not None and min(settings.size) < 1:
-        raise SourceError(f"{label}: width and height must be above 0")
+        for assignment in assignments:
+            settings = override(settings, assignment, label=f"{label}: ")
+    except ConfigurationError as e:
+        raise SourceError(str(e).splitlines()[0]) from None
     return name, settings
 
 
