@@ -85,7 +85,9 @@ class Plane {
     int at(ptrdiff_t index) const {
         if (size_t(index) >= size_) throw nb::value_error("samples: must lie in image, with their neighbours");
         const uint8_t* p = first_ + index;
-        return single_ >= 0 ? sign_ * p[single_] : int(w_[0] * float(p[0]) + w_[1] * float(p[1]) + w_[2] * float(p[2]));
+        if (single_ >= 0) return sign_ * p[single_];
+        constexpr int LOWEST = -1000;  // below all sums, which are rounded
+        return int(w_[0] * float(p[0]) + w_[1] * float(p[1]) + w_[2] * float(p[2]) + 0.5f - LOWEST) + LOWEST;
     }
 };
 

@@ -11,7 +11,7 @@ from ray_cast import CLEAN, DISCS, POSE, RIG, looking_at, photo
 from spheremouse.ball.detect.appearance import appearance, seen_at
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
-from spheremouse.ball.detect.projection import GREY
+from spheremouse.ball.detect.projection import GREY, normalised
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.detect.windows import AT_REST, FitSettings, Motion
 from spheremouse.ball.rig import view_of
@@ -102,9 +102,10 @@ def test_discs_are_measured_where_and_how_they_are_seen(exposure):
         assert_allclose(native, twin, rtol=1e-6)  # a path differs by rounding
 
 
-def test_a_search_is_that_of_the_twin():
+@pytest.mark.parametrize("projection", [GREY, normalised(np.array([-1.0, 2.0, 1.0]))])
+def test_a_search_is_that_of_the_twin(projection):
     rng = np.random.default_rng(2)
-    model, count = DETECTOR.model, 0
+    model, count = DETECTOR.with_projection(projection).model, 0
     for turn in range(12):
         grey = photo(CLEAN, rng.uniform(0.5, 4.0), turn)
         grey[rng.integers(150, 330, 6)] //= 2  # struts, which are no discs
@@ -112,10 +113,12 @@ def test_a_search_is_that_of_the_twin():
         search, known = SearchState(turn, 1.0, 1.0, rejected), rng.uniform(150.0, 480.0, (6, 2))
         samples, limits = DETECTOR.lattice.samples[turn % 4], (0.125, 2.5, 0.5 * model.diameter, 1)
         active = rejected[rejected[:, 2] > turn, :2]
-        places = twins.candidate_pixels(
-            grey, model.mask, samples, DETECTOR.lattice.offsets, limits, turn, known, active
-        )
-        colours = grey[:, :, None]
+        colours, plane = grey[:, :, None], grey
+        if projection != GREY:
+            colours = np.stack([rng.integers(0, 60, grey.shape, dtype=np.uint8), grey, grey // 2], axis=2)
+            plane = np.floor(colours @ np.array(projection.weights) + 0.5).astype(int)
+        more = samples, DETECTOR.lattice.offsets, limits, turn, known, active
+        places = twins.candidate_pixels(plane, model.mask, *more)
         found = Detections(*kernels.measure_places(colours, places, model, 1.0))
         missed = np.linalg.norm(places[:, None] - found.centre[None], axis=2).min(axis=1, initial=np.inf) > limits[2]
         after = twins.next_turn(search, places[missed], 1)
