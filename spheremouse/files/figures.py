@@ -96,11 +96,19 @@ def _device(data: dict[str, Any]) -> Iterator[Row]:
 
 
 def _rolling(data: dict[str, Any]) -> Iterator[Row]:
-    yield "radius over distance", f"{data['ratio']:.6f}", f"{data['ratio_sigma']:.6f}"
+    unit = "R" if data["scale"] == "free" else "m"
+    yield "distance over radius", f"{data['ratio']:.6f}", f"{data['ratio_sigma']:.6f}"
     yield "direction of the centre", "", f"{data['center_direction_sigma_deg']:.4f}°"
+    place = " ".join(f"{row[3]:.4f}" for row in data["T_obj_cam"][:3])
+    yield "camera's place", f"{place} {unit}", f"{' '.join(f'{v:.4f}' for v in data['sigma_position'])} {unit}"
     yield "camera's angles", "", ", ".join(f"{v:.3f}°" for v in data["sigma_angle_deg"])
     yield "axes", str(data["axes"]), ", ".join(f"{v:.3f}°" for v in data["axes_sigma_deg"])
+    if unit == "m":
+        yield "ball's radius", f"{data['ball']['radius']:.4f} m", f"{data['ball']['sigma']:.4f} m"
+    if 0.0 < data["readout_sigma_s"] < 1e-3 and data["readout_s"] > 2e-3:  # a rolling shutter
+        yield "readout of all rows", f"{1e3 * data['readout_s']:.1f} ms", f"{1e3 * data['readout_sigma_s']:.1f} ms"
     yield "frames used", f"{int(data['frames'])} of {int(data['frames_given'])}", ""
+    yield "sightings of discs", f"{int(data['sightings'])}, {int(data['rejected'])} of them set aside", ""
     yield "discs, RMS", f"{data['rms_px']:.3f} px", ""
 
 

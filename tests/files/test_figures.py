@@ -15,9 +15,12 @@ DEVICE = {
     "rms_px": 0.3, "scale_free": False, "ring_scale": 1.0, "advice": [{"kind": "note", "text": "More photos."}],
 }  # fmt: skip
 ROLLING = {
-    "ratio": 0.25, "ratio_sigma": 1e-5, "center_direction": [0, 0, 1], "center_direction_sigma_deg": 0.01,
+    "ratio": 4.0, "ratio_sigma": 1e-5, "center_direction": [0, 0, 1], "center_direction_sigma_deg": 0.01,
     "sigma_angle_deg": [0.1, 0.2, 0.3], "axes": "gestures", "axes_sigma_deg": [1.0, 1.0, 0.5], "frames": 90,
-    "frames_given": 100, "rms_px": 0.2,
+    "frames_given": 100, "rms_px": 0.2, "scale": "metric",
+    "T_obj_cam": [[1, 0, 0, 0.1], [0, 1, 0, 0.2], [0, 0, 1, 2.4]], "sigma_position": [0.001, 0.002, 0.003],
+    "ball": {"radius": 0.6, "sigma": 0.001}, "readout_s": 0.01,
+    "readout_sigma_s": 0.0001, "sightings": 900, "rejected": 3,
 }  # fmt: skip
 
 
@@ -49,7 +52,8 @@ def test_without_a_scale_lengths_are_in_radii(tmp_path):
 def test_rolling_has_its_ratio_and_axes(tmp_path):
     (report,) = read(tmp_path, ROLLING)
     assert report["kind"] == "rolling"
-    assert ("radius over distance", "0.250000", "0.000010") in report["rows"]
+    assert ("distance over radius", "4.000000", "0.000010") in report["rows"]
+    assert ("camera's place", "0.1000 0.2000 2.4000 m", "0.0010 0.0020 0.0030 m") in report["rows"]
     assert ("frames used", "90 of 100", "") in report["rows"]
 
 

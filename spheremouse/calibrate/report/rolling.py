@@ -8,6 +8,7 @@ from spheremouse.ball.rig import Rig
 from spheremouse.calibrate.rolling.axes import Axes
 from spheremouse.calibrate.rolling.calibrate import Solution
 from spheremouse.calibrate.rolling.problem import Rolling, RollingAdjustment
+from spheremouse.files.figures import figure_rows
 from spheremouse.geometry.rotation import Array, fibonacci_sphere, log
 
 GOOD_RATIO, GOOD_DIRECTION = 1e-3, float(np.deg2rad(0.02))  # standard deviations; larger ones spoil tracking
@@ -16,11 +17,6 @@ _MIN_AXIS_SHARE = 0.05  # of the rotation about each further axis; less is a rot
 _MAX_UNSEEN = 0.1  # of the ball's surface
 _MAX_STEP = 0.5  # rad between frames; more is a gap
 _VISIBLE = 0.85  # of the angle to the limb
-_SOURCES = {
-    "targets": "targets with known positions",
-    "device": "the sizes of the targets",
-    "gestures": "the ball rolled forward and right",
-}
 
 
 def rolling_json(solution: Solution, axes: Axes, source: str, rig: Rig) -> dict[str, Any]:
@@ -55,28 +51,14 @@ def rolling_json(solution: Solution, axes: Axes, source: str, rig: Rig) -> dict[
     }
 
 
-def rolling_text(solution: Solution, axes: Axes, source: str, rig: Rig) -> str:
-    """Return the figures that matter, each with its standard deviation."""
-    rolled, f = solution.rolled, rolling_json(solution, axes, source, rig)
-    assert rig.pose is not None
-    position = " ".join(f"{v:.4f}" for v in rig.pose.position)
-    spread = " ".join(f"{v:.4f}" for v in f["sigma_position"])
-    angles = " ".join(f"{v:.3f}" for v in f["axes_sigma_deg"])
+def rolling_text(figures: dict[str, Any]) -> str:
+    """Return the figures of `rolling_json` that matter, each with its standard deviation."""
     lines = [
-        f"{f['frames']} of {f['frames_given']} frames, {len(rolled.rolling.discs)} discs, {f['sightings']} sightings "
-        f"({f['rejected']} set aside); residuals {f['rms_px']:.3f} px",
-        f"distance over radius  {f['ratio']:.5f} ± {f['ratio_sigma']:.5f}  "
-        f"({100.0 * f['ratio_sigma'] / f['ratio']:.4f} %)",
-        f"direction to centre   ± {f['center_direction_sigma_deg']:.4f}°",
-        f"axes from {_SOURCES[source]}, ± {angles}° about X Y Z",
-        f"camera position       {position} ± {spread} {'R' if rig.scale_free else 'm'}",
+        f"{name:<24}{' ± '.join(filter(None, (value, sigma))) if value else f'± {sigma}'}"
+        for name, value, sigma in figure_rows(figures)
     ]
-    if rig.scale_free:
+    if figures["scale"] == "free":
         lines.append("scale free: lengths count in radii of the ball (R), mouse counts per radian; --radius makes it m")
-    else:
-        lines.append(f"ball radius           {rig.ball.radius:.4f} ± {f['ball']['sigma']:.4f} m")
-    if 0.0 < rolled.readout_sigma < 1e-3 and rolled.rolling.readout > 2e-3:
-        lines.append(f"rolling shutter       {1e3 * f['readout_s']:.1f} ± {1e3 * f['readout_sigma_s']:.1f} ms")
     return "\n".join(lines)
 
 

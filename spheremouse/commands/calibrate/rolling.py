@@ -120,7 +120,7 @@ def rolling(
     figures = rolling_json(solution, made.axes, made.source, made.rig)
     if out is not None:
         _save(out, source, solution, made, {"camera": camera, "device": device})
-    _print(source, solution, made, out, err=json_file is not None and write_json(json_file, figures))
+    _print(source, solution, figures, out, err=json_file is not None and write_json(json_file, figures))
 
 
 def _gestures(forward: str | None, right: str | None) -> tuple[tuple[float, float], tuple[float, float]] | None:
@@ -202,14 +202,14 @@ def _save(
     save_map(map_path(out), saved)
 
 
-def _print(source: str, solution: "Solution", made: "RollingCalibration", out: Path | None, err: bool) -> None:
+def _print(source: str, solution: "Solution", figures: dict[str, Any], out: Path | None, err: bool) -> None:
     """Print the report and the next command, on standard error if `err`."""
     from spheremouse.calibrate.guide.folder import axes_command
     from spheremouse.calibrate.report.rolling import advise, rolling_text
     from spheremouse.files.disc_map import map_path
     from spheremouse.session.cameras import is_camera
 
-    typer.echo(rolling_text(solution, made.axes, made.source, made.rig), err=err)
+    typer.echo(rolling_text(figures), err=err)
     for line in advise(solution.rolled):
         typer.echo(f"advice: {line}", err=err)
     if out is None:
