@@ -198,7 +198,7 @@ void next_turn(Search& search, const Points& rejected, int reduction) {
 std::vector<Measured> find_new_discs(const Photo& photo, const DiscModel& model, const Lattice& lattice, Search& search,
                                      const Points& known) {
     const double difference = 2.5 * photo.noise;
-    if (!(std::abs(model.fit.contrast) <= 2.0 && difference < 1e6 && model.diameter < 1e6))
+    if (!(std::abs(model.fit.contrast) <= 2.0 && std::abs(difference) < 1e6 && std::abs(model.diameter) < 1e6))
         throw nb::value_error("model: must have a finite diameter and noise, and a contrast up to 2");
     const Limits limits{int(256.0 * (1.0 - 0.5 * model.fit.contrast)), int(difference), 0.5 * model.diameter,
                         lattice.reduction};
