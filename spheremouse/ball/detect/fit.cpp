@@ -23,6 +23,8 @@ constexpr double RIM_OFFSET = 0.35;   // px by which lens blur and gloss may shi
 constexpr double SLIVER = 2.0;        // px, semi-minor axis below which both rims are one blur
 constexpr double SLIVER_BIAS = 0.15;  // px at a semi-minor axis of one pixel
 constexpr double CUT = 1.5;           // px², variance per covered part of the rim: a cover's edge may pass for a rim
+constexpr double MISFIT = 3.0;        // px², the same per part that fits worse than that of whole discs
+constexpr double NEAR_COVER = 0.02;   // part of the surround that is foreign: a cover is beside the disc
 constexpr double LARGE = 3.0;         // px, semi-minor axis from which a disc contributes to the common size
 constexpr float LIMITS[] = {0.35f, 0.25f, 0.25f, 0.25f, 0.25f};  // of the contrast: residuals beyond weigh nothing
 constexpr double STILL = 0.01;                                   // px: a step this short is the last
@@ -214,6 +216,16 @@ double full_contrast(const std::vector<DiscFit>& fits) {
     return count >= 3 ? full : 1.0;
 }
 
+/// Return the part of a disc's surround that is not the ball.
+double foreign_beside(const Pixels& pixels) {
+    int clear = 0, foreign = 0;
+    for (size_t i = 0; i < pixels.count; i++) {
+        clear += pixels.e[i] < CLEAR;
+        foreign += pixels.e[i] < CLEAR && pixels.weight[i] < COVERED;
+    }
+    return double(foreign) / std::max(clear, 1);
+}
+
 /// Fit a disc of known size.
 Fit fit_centre(DiscFit& fit, const Photo& photo, const FitSettings& settings, double contrast, double size,
                double full) {
@@ -238,8 +250,13 @@ Fit fit_centre(DiscFit& fit, const Photo& photo, const FitSettings& settings, do
     // of the pixels' noise the smoothing leaves about a half in a centre
     const double variance = std::max(q.squares / std::max(q.weight - UNKNOWNS, 1.0), 0.5 * photo.noise * photo.noise);
     // where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
-    const double systematic =
-        settings.sigma * settings.sigma + std::pow(SLIVER_BIAS / (fit.minor * fit.minor), 2) + CUT * cut;
+    const double sliver = SLIVER_BIAS / (fit.minor * fit.minor);
+    // The edge of a cover passes for a rim: it shifts the size as much as the centre. Gloss fits as badly, with nothing
+    // foreign beside it. Of whole discs one in twenty fits worse than `whole`.
+    const double shifted = std::max((std::abs(x(8) - size) - size_sigma) * fit.minor - 2.0 * sliver, 0.0);
+    const double whole = 0.95 - 0.1 / fit.minor, near = std::min(foreign_beside(fit.pixels) / NEAR_COVER, 1.0);
+    const double covered = std::max(CUT * cut, near * MISFIT * (whole - rim)) + near * shifted * shifted;
+    const double systematic = settings.sigma * settings.sigma + sliver * sliver + covered;
     const Matrix<3> L = fit.L.bottomRightCorner<3, 3>();  // of the last unknowns, so the others do not matter
     for (int j = 0; j < 2; j++) result.covariance.row(j) = variance * solve<3>(L, Vector<3>::Unit(j)).head<2>();
     result.covariance.diagonal().array() += systematic;

@@ -328,7 +328,7 @@ WIDE Quality quality(const Pixels& p, const Vector<UNKNOWNS>& x) {
         const Lanes dx = lanes(p.d[0], i), dy = lanes(p.d[1], i), w = lanes(p.weight, i);
         const Lanes slope = root(dx * dx + dy * dy), r = light.residual(p, i);
         fits += w * slope;
-        covered += w < 0.3f ? slope : Lanes{};
+        covered += w < COVERED ? slope : Lanes{};
         rim += slope;
         inside += lanes(p.e, i);
         squares += w * r * r;

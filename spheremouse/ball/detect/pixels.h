@@ -7,11 +7,12 @@
 
 namespace spheremouse::ball {
 
-constexpr int UNKNOWNS = 9;     // level and slopes of the background, those of the contrast, centre, size
-constexpr int EDGE = 3;         // px around a patch that the smoothing needs
-constexpr float CLEAR = 0.02f;  // part of a disc's darkness below which a pixel lies beside it
-constexpr float BESIDE = 0.2f;  // of the contrast: what is beside a disc and differs more from the ball is foreign
-constexpr size_t LANES = 8;     // partial sums, one for each lane of a wide register
+constexpr int UNKNOWNS = 9;      // level and slopes of the background, those of the contrast, centre, size
+constexpr int EDGE = 3;          // px around a patch that the smoothing needs
+constexpr float CLEAR = 0.02f;   // part of a disc's darkness below which a pixel lies beside it
+constexpr float COVERED = 0.3f;  // weight below which a pixel shows something else
+constexpr float BESIDE = 0.2f;   // of the contrast: what is beside a disc and differs more from the ball is foreign
+constexpr size_t LANES = 8;      // partial sums, one for each lane of a wide register
 
 /// Pixels relative to the place of a disc, and the model's value e there, with its derivatives by centre and size.
 ///

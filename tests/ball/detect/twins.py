@@ -9,7 +9,8 @@ from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import exp
 
 SURROUND, UNEVEN, GLOSS, SLOPE, BESIDE, CLEAR = 3.0, 0.02, 0.3, 0.02, 0.2, 0.02
-SIZE, RIM_OFFSET, SLIVER, SLIVER_BIAS, CUT, STILL = 0.02, 0.35, 2.0, 0.15, 1.5, 0.01
+SIZE, RIM_OFFSET, SLIVER, SLIVER_BIAS, STILL = 0.02, 0.35, 2.0, 0.15, 0.01
+CUT, MISFIT, NEAR_COVER = 1.5, 3.0, 0.02
 LIMITS = 0.35, 0.25, 0.25, 0.25, 0.25
 
 
@@ -136,7 +137,11 @@ def fit_disc(image, mask, place, shape, path, noise, settings, size):
     slope, r = np.hypot(*fit.d[:2]), fit.residual()
     rim, cut = fit.w @ slope / slope.sum(), slope[fit.w < 0.3].sum() / slope.sum()
     variance = max(fit.w @ r**2 / max(fit.w.sum() - 9, 1.0), 0.5 * noise**2)
-    systematic = settings.sigma**2 + (SLIVER_BIAS / fit.minor**2) ** 2 + CUT * cut
+    sliver, size_sigma, clear = SLIVER_BIAS / fit.minor**2, SIZE + RIM_OFFSET / 3.0 / fit.minor, fit.e < CLEAR
+    near = min(np.mean(fit.w[clear] < 0.3) / NEAR_COVER, 1.0)
+    shifted = max((abs(fit.u[8] - size) - size_sigma) * fit.minor - 2.0 * sliver, 0.0)
+    covered = max(CUT * cut, near * MISFIT * (0.95 - 0.1 / fit.minor - rim)) + near * shifted**2
+    systematic = settings.sigma**2 + sliver**2 + covered
     covariance = variance * np.linalg.inv(fit.N)[6:8, 6:8] + systematic * np.eye(2)
     return deep(fit.u, settings.contrast, noise), place + fit.u[6:8], covariance, rim
 
