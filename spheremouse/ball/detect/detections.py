@@ -39,6 +39,11 @@ class Detections:
             np.concatenate([self.area, other.area]),
         )
 
+    def joined_apart(self, other: "Detections", distance: float) -> "Detections":
+        """Return the entries, and those of `other` that are `distance` px or more from each of them."""
+        gap = np.linalg.norm(other.centre[:, None] - self.centre[None], axis=2).min(axis=1, initial=np.inf)
+        return self.joined(other.take(gap >= distance))
+
 
 def no_detections() -> Detections:
     """An empty set."""

@@ -51,24 +51,28 @@ def detect_discs(
     """Return the disc candidates of a frame, and the state of the search.
 
     While the attitude is confirmed, the detector measures each disc of the map in a window at its predicted place, and
-    searches a part of the rest of the ball. If it sees too few of the discs of the frame before, it searches all of it.
+    searches a part of the rest of the ball. Until the ball turns, or if the detector sees too few of the discs of the
+    frame before, it searches all of the ball.
     """
     detector: Any = tracker.detector.with_projection(
         state.colours.projection
     )  # a DiscDetector, as `build` chose this method
-    if not isinstance(state.phase, Tracking) or state.confirmed_at != state.filter.stamp:
+    if state.status is not Status.TRACKING or state.confirmed_at != state.filter.stamp:
         return detector.detect(frame.image), state.search
     which = tracker.filter.visible(predicted)
     known = np.concatenate(
         [predicted.discs[which], state.lookalikes.candidates.anchor_ball]
     )  # discs, and what may be one
     seen_before = np.count_nonzero(predicted.missed[which] == 0)
-    least = max(_SECURE, (min(seen_before, len(state.filter.used)) + 1) // 2)
+    seen_enough = max(_SECURE, (min(seen_before, len(state.filter.used)) + 1) // 2)
+    least = seen_enough if state.known_to_turn else len(known) + 1
     motion = Motion(predicted.rate, tracker.rig.readout_s + predicted.readout)
     found, search = detector.follow(
         frame.image, state.search, known @ predicted.attitude.T, motion, state.lookalikes.masks, least
     )
-    return (detector.detect(frame.image) if len(found) < least else found), search
+    if len(found) < least:
+        found = found.joined_apart(detector.detect(frame.image), 0.5 * detector.model.diameter)
+    return found, search
 
 
 def follow(
