@@ -173,14 +173,14 @@ def follow_discs(
 # SpherePoints.measurement, and `activity` a so3_settings.Activity. The matrix `added`, (9, 9), is process noise that
 # the covariance does not include yet.
 
-_Body = tuple[_Float, _Float, _Float, _Float, _Float, _Float, float]
+_Body = tuple[_Float, _Float, _Float, _Float, _Float, _Float, float, int]
 _Points = tuple[_Float, _Float, _Float, _Float, _Float, _Float, float]
 _Innovation = tuple[_Float, _Float, _Float, _Float]
 _Modes = tuple[_Float, _Float, _Float]
 _Pending = tuple[_Float, float, _Float, _Modes | None]
 _Sightings = tuple[_Index, _Index, _Float]
 _Activity = tuple[float, float, float, _Float, _Float, _Float]
-_Motion = tuple[_Float, _Float, _Float, _Float, _Float]  # attitude, rate, acceleration, discs, their axes
+_Motion = tuple[_Float, _Float, _Float, _Float, _Float]  # attitude, rate, acceleration, landmarks, their axes
 _Camera = tuple[_Float, float]  # unit vector to the camera, obj, and the least cosine with it of a disc that it sees
 _Figures = tuple[float, float, float]  # rms level of the steps, normalised innovation squared, readout
 _Corrected = tuple[_Motion, _Float, _Float, _Figures, _Modes | None]  # with joint and weights

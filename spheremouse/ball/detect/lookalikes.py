@@ -35,6 +35,7 @@ class Candidates(NamedTuple):
     anchor_ball: Array  # (t, 3) direction in ball, were it a disc
     seen: Array  # (t,) s
     proven: NDArray[np.bool_]  # (t,) moved with the ball
+    number: NDArray[np.intp]  # (t,) different for each
 
     def take(self, keep: NDArray[np.bool_]) -> "Candidates":
         """Return the candidates in a mask, (t,)."""
@@ -47,7 +48,14 @@ class Candidates(NamedTuple):
         return Candidates(*both)
 
 
-_NO_CANDIDATES = Candidates(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=bool))
+_NO_CANDIDATES = Candidates(
+    np.zeros((0, 2)),
+    np.zeros((0, 2)),
+    np.zeros((0, 3)),
+    np.zeros(0),
+    np.zeros(0, dtype=np.bool_),
+    np.zeros(0, dtype=np.intp),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +65,7 @@ class StaticDistractors:
     masks: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2) px
     mask_seen: Array = field(default_factory=lambda: np.zeros(0))  # (k,) s
     candidates: Candidates = _NO_CANDIDATES
+    next_number: int = 0  # of the next candidate
 
 
 def unmasked(state: StaticDistractors, centre: Array, stamp: float) -> tuple[NDArray[np.bool_], StaticDistractors]:
@@ -87,6 +96,17 @@ def without_landmarks(state: StaticDistractors, discs: Array, disc_angle: float)
     return replace(state, candidates=state.candidates.take(~near))
 
 
+def with_places(state: StaticDistractors, numbers: NDArray[np.intp], places: Array) -> StaticDistractors:
+    """Set the places on the ball, (k, 3) unit vectors in ball, of the candidates with `numbers`, (k,)."""
+    candidates = state.candidates
+    at, which = np.nonzero(candidates.number[:, None] == numbers)
+    if len(at) == 0:
+        return state
+    anchors = candidates.anchor_ball.copy()
+    anchors[at] = places[which]
+    return replace(state, candidates=candidates._replace(anchor_ball=anchors))
+
+
 def classify_candidates(
     state: StaticDistractors,
     centre: Array,
@@ -95,17 +115,18 @@ def classify_candidates(
     stamp: float,
     rig: Rig,
     pose: Pose,
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_], StaticDistractors]:
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.intp], StaticDistractors]:
     """Follow the candidates of one frame: `centre` (n, 2) px, `direction` (n, 3) unit in obj, none of them masked.
 
-    `attitude` is R_obj_ball, (3, 3), as this frame's discs have confirmed it. Returns two masks and the new state. The
-    first mask, (n,), contains the candidates proven to turn with the ball. The second, (n,), contains those newly
-    proven to be static. The new state masks the static ones.
+    `attitude` is R_obj_ball, (3, 3), as this frame's discs have confirmed it. Returns two masks, the number of each
+    candidate, (n,), and the new state. The first mask, (n,), contains the candidates proven to turn with the ball. The
+    second, (n,), contains those newly proven to be static. The new state masks the static ones.
     """
     candidates = state.candidates
     if len(centre) == 0:  # a frequent case: only the time passes
         none, alive = np.zeros(0, dtype=bool), stamp - candidates.seen < _FORGET_AFTER_S
-        return none, none, state if alive.all() else replace(state, candidates=candidates.take(alive))
+        state = state if alive.all() else replace(state, candidates=candidates.take(alive))
+        return none, none, np.zeros(0, dtype=np.intp), state
     expected = _expected(candidates, attitude, rig, pose)
     track = _found(candidates, expected, centre)
     known = track >= 0
@@ -121,8 +142,12 @@ def classify_candidates(
     keep[which[stands]] = False
     followed = candidates._replace(place=place, seen=seen, proven=known_proven).take(keep)
     at, count = centre[~known], np.count_nonzero(~known)
-    new = Candidates(at, at, direction[~known] @ attitude, np.full(count, stamp), np.zeros(count, dtype=bool))
-    return proven, still, mask(replace(state, candidates=followed.joined(new)), centre[still], stamp)
+    number = np.zeros(len(centre), dtype=np.intp)
+    number[known], number[~known] = candidates.number[which], state.next_number + np.arange(count)
+    anchors, unproven = direction[~known] @ attitude, np.zeros(count, dtype=bool)
+    new = Candidates(at, at, anchors, np.full(count, stamp), unproven, number[~known])
+    state = replace(state, candidates=followed.joined(new), next_number=state.next_number + count)
+    return proven, still, number, mask(state, centre[still], stamp)
 
 
 def _classify_by_motion(centre: Array, first: Array, turned: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

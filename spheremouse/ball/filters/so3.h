@@ -20,6 +20,7 @@ struct Body {
     View<Dynamic, 6> basis;  // rows of (3, 2)
     View<> P;
     double readout;  // s, by which the rolling shutter takes longer than the rig says
+    int known;       // discs; the others are candidates, which no point corrects
 
     int size() const { return int(discs.rows()); }
 
@@ -81,6 +82,7 @@ struct Moved {
     Matrix<Dynamic, 6> basis;
     Dense P;  // of the errors about the moved state
     double readout;
+    int known;
 
     Body body() const;
 };

@@ -29,9 +29,17 @@ from spheremouse.ball.filters.so3_settings import (
     squared_levels,
     usual_acceleration,
 )
-from spheremouse.ball.filters.so3_state import So3State, augment, drop, inject
+from spheremouse.ball.filters.so3_state import (
+    So3State,
+    augment,
+    drop,
+    inject,
+    promote,
+    with_candidates,
+    without_candidates,
+)
 from spheremouse.ball.points import SpherePoints
-from spheremouse.geometry.matching import suppress
+from spheremouse.geometry.matching import assign, suppress
 from spheremouse.geometry.rotation import Array
 from spheremouse.geometry.statistics import poisson_tail
 from spheremouse.native import kernels
@@ -41,7 +49,16 @@ _NONE = np.zeros(0, dtype=np.intp)
 _RARE = 1e-3  # probability per frame below which chance does not explain the pairs
 _LARGE_TWIST = 6.0  # rad/s: a third of `loss.fastest`, it counts by its logarithm
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
+_MOST_CANDIDATES = 6  # as many points are searched for each attitude; more points show the rotation without them
 _NO_NOISE = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
+
+
+class CandidatePoints(NamedTuple):
+    """Points that are candidates for discs."""
+
+    rows: NDArray[np.intp]  # (k,) indices into the points
+    numbers: NDArray[np.intp]  # (k,) of the candidates
+    turning: NDArray[np.bool_]  # (k,) proven to turn with the ball
 
 
 class Pairing(NamedTuple):
@@ -88,7 +105,7 @@ class So3Filter:
             attitude,
             rate,
             acceleration,
-            state.discs,
+            state.landmarks,
             state.basis,
             joint,
             state.hits,
@@ -100,6 +117,7 @@ class So3Filter:
             readout=state.readout,
             interval=interval,
             modes=modes,
+            candidates=state.candidates,
         )
 
     def adopt(self, state: So3State, before: "So3Filter") -> So3State:
@@ -207,7 +225,7 @@ class So3Filter:
             return None
         (motion, joint, weights, figures, modes), rows, (sightings, keep, seen, missed) = updated
         at_frame = *motion, joint, *sightings, rows, weights, _NO_NOISE, *figures, seen, missed
-        state = So3State(state.stamp, *at_frame, modes=modes)
+        state = So3State(state.stamp, *at_frame, modes=modes, candidates=state.candidates)
         return self._with_new_discs(state, keep, points, rows, may_start_landmark)
 
     def nearest_pairs(self, state: So3State, points: SpherePoints) -> Pairing:
@@ -251,8 +269,7 @@ class So3Filter:
         cosine = state.discs @ (self.towards_camera @ state.attitude)
         which = np.flatnonzero(cosine > self.horizon - np.minimum(slack, 0.5))
         added = self._added_noise(state, max(squared_levels(self.settings.levels)) if widest else 1.0)
-        spread = float(np.trace(state.joint[:3, :3] + added[:3, :3]))
-        allowance = min(spread, 0.25) ** 2
+        allowance = _omitted_variance(state, added)
         return kernels.distances(state.body, points.measurement(self.radius), which, added, allowance, gate), which
 
     @staticmethod
@@ -269,16 +286,21 @@ class So3Filter:
 
         A large correction is made again about the state it leads to.
         """
-        rows, columns = pairing.rows, pairing.columns
-        if len(rows) == 0:
+        if len(pairing.rows) == 0:
             return self._coasted(state), 0.0
+        corrected, log_likelihood = self._corrected(state, points, pairing)
+        columns = pairing.columns
+        return (_twist_as_swing(corrected, columns[0]) if len(columns) == 1 else corrected), log_likelihood
+
+    def _corrected(self, state: So3State, points: SpherePoints, pairing: Pairing) -> tuple[So3State, float]:
+        rows, columns = pairing.rows, pairing.columns
         pairs = rows, columns, self._added_noise(state, pairing.noise_scale)
         (motion, joint, weights, figures, modes), log_likelihood = kernels.correct(
             state.body, points.measurement(self.radius), pairs, state.pending, activity_of(self.settings)
         )
         Q, sightings = _NO_NOISE, state.sightings
-        corrected = So3State(state.stamp, *motion, joint, *sightings, rows, weights, Q, *figures, modes=modes)
-        return (_twist_as_swing(corrected, columns[0]) if len(columns) == 1 else corrected), log_likelihood
+        at_frame = *motion, joint, *sightings, rows, weights, Q, *figures
+        return So3State(state.stamp, *at_frame, modes=modes, candidates=state.candidates), log_likelihood
 
     def _coasted(self, state: So3State) -> So3State:
         """Return the state after a frame without pairs.
@@ -327,7 +349,13 @@ class So3Filter:
         free = np.ones(len(points), dtype=np.bool_) if may_start_landmark is None else may_start_landmark
         new = self._new_discs(state, points, free, rows)
         state = drop(state, keep)
-        return augment(state, points, new[: self._room(state)], self.radius)
+        new = new[: self._room(state)]
+        if len(new) and len(state.candidates):
+            squared = self._candidate_distances(state, points, new, np.arange(len(state.candidates)))
+            rows, which = assign(squared, self.settings.gate)
+            state = self._promoted(state, points, new[rows], which)
+            new = np.delete(new, rows)
+        return augment(state, points, new, self.radius)
 
     def _is_apart(self, discs: Array, hits: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Return a mask, (m,), without the discs that have their centre on another disc, seen more often.
@@ -338,11 +366,51 @@ class So3Filter:
         keep[order[suppress(discs[order], np.full(len(discs), 2.0 * math.sin(0.5 * self.disc_angle)))]] = True
         return keep
 
-    def with_discs(self, state: So3State, points: SpherePoints, which: NDArray[np.intp]) -> So3State:
-        """Return the state with the points `which`, (k,) indices, as discs, unless the map has them already."""
+    def follow_candidates(self, state: So3State, points: SpherePoints, seen: CandidatePoints) -> So3State:
+        """Return the state after a frame's candidates. Those that turn with the ball become discs.
+
+        The state includes a candidate from its first sighting on. Once it is a disc, both sightings correct the state.
+        A candidate outside of the gate about its predicted place does not turn with the ball.
+        """
+        turning = np.isin(seen.rows, self._free(state, points, seen.rows[seen.turning]))
+        known = np.isin(seen.numbers, state.candidates)
+        if (turning & known).any():
+            rows = seen.rows[turning & known]
+            which = np.argmax(state.candidates == seen.numbers[turning & known, None], axis=1)
+            in_place = self._candidate_distances(state, points, rows, which).diagonal() < self.settings.gate
+            state = self._promoted(state, points, rows[in_place], which[in_place])
+        state = augment(state, points, seen.rows[turning & ~known], self.radius)
+        new = np.flatnonzero(~seen.turning & ~known)[: max(_MOST_CANDIDATES - len(state.candidates), 0)]
+        return with_candidates(state, points, seen.rows[new], seen.numbers[new], self.radius)
+
+    def _candidate_distances(
+        self, state: So3State, points: SpherePoints, rows: NDArray[np.intp], which: NDArray[np.intp]
+    ) -> Array:
+        """Return squared Mahalanobis distances, (k, c), of the points `rows` to the candidates `which`."""
+        measurement = points.take(rows).measurement(self.radius)
+        columns, allowance = len(state.discs) + which, _omitted_variance(state, _NO_NOISE)
+        return kernels.distances(state.body, measurement, columns, _NO_NOISE, allowance, self.settings.gate)
+
+    def _promoted(
+        self, state: So3State, points: SpherePoints, rows: NDArray[np.intp], which: NDArray[np.intp]
+    ) -> So3State:
+        """Return the state with the candidates `which`, (k,), as discs, corrected by their points `rows`, (k,)."""
+        if len(rows) == 0:
+            return state
+        promoted = promote(state, which)
+        corrected, _ = self._corrected(promoted, points, Pairing(rows, len(state.discs) + np.arange(len(rows))))
+        return replace(
+            corrected,
+            used=np.concatenate([state.used, corrected.used]),
+            manoeuvre_level=state.manoeuvre_level,
+            nis=state.nis + corrected.nis,
+        )
+
+    def _free(self, state: So3State, points: SpherePoints, which: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return those of the points `which`, (k,), that can become discs."""
         free = np.zeros(len(points), dtype=np.bool_)
         free[which] = True
-        return augment(state, points, self._new_discs(state, points, free, _NONE)[: self._room(state)], self.radius)
+        return self._new_discs(state, points, free, _NONE)[: self._room(state)]
 
     def _new_discs(
         self, state: So3State, points: SpherePoints, free: NDArray[np.bool_], rows: NDArray[np.intp]
@@ -373,6 +441,7 @@ def relocate(
     `rate` (3,) rad/s is the expected rate, to within a sudden change by a hand; None: unknown.
     Attitude and map become uncorrelated, because the new attitude does not depend on the history of the map.
     """
+    state = without_candidates(state)  # their places depend on the attitude before
     joint = state.joint.copy()
     considered = joint[KINEMATIC_DIM:MAP_OFFSET, KINEMATIC_DIM:MAP_OFFSET].copy()
     joint[:MAP_OFFSET] = 0.0
@@ -393,6 +462,12 @@ def relocate(
         process=np.zeros((KINEMATIC_DIM, KINEMATIC_DIM)),
         modes=None,
     )
+
+
+def _omitted_variance(state: So3State, added: Array) -> float:
+    """Return the variance, rad², of a place by terms that the linear model omits, with `added` noise of the motion."""
+    spread = float(np.trace(state.joint[:3, :3] + added[:3, :3]))
+    return min(spread, 0.25) ** 2
 
 
 def _twist_as_swing(state: So3State, column: int) -> So3State:

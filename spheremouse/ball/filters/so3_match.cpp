@@ -139,12 +139,13 @@ bool unambiguous(const Dense& distance, double gate) {
 }  // namespace
 
 Body read_body(nb::tuple body) {
-    members(body, 7, "body");
+    members(body, 8, "body");
     Body r{matrix<3, 3>(body[0], "attitude"),    vector<3>(body[1], "rate"),       vector<3>(body[2], "acceleration"),
            matrix<Dynamic, 3>(body[3], "discs"), matrices<3, 2>(body[4], "basis"), matrix(body[5], "joint"),
-           number<double>(body[6], "body")};
+           number<double>(body[6], "body"),      number<int>(body[7], "body")};
     const nb::ssize_t m = r.discs.rows(), n = MAP_OFFSET + 2 * m + CLONE;
     if (r.basis.rows() != m) throw nb::type_error("basis: must have the length of discs");
+    if (r.known < 0 || r.known > m) throw nb::type_error("known: must be at most the length of discs");
     if (r.P.rows() != n || r.P.cols() != n)
         throw nb::type_error("joint: must be square, with 23 rows and two for each disc");
     return r;
@@ -189,7 +190,7 @@ Viewer read_camera(nb::tuple camera) {
 Indices visible(const Body& body, const Viewer& viewer) {
     const Vector<3> to_camera = body.attitude.transpose() * viewer.towards;
     Indices which;
-    for (int k = 0; k < body.size(); k++)
+    for (int k = 0; k < body.known; k++)
         if (body.discs.row(k).dot(to_camera) > viewer.horizon) which.push_back(k);
     return which;
 }

@@ -47,7 +47,7 @@ nb::object update_ordinary_(nb::tuple body_, nb::tuple points_, nb::tuple camera
     const Body body = read_body(body_);
     const Points points = read_points(points_, body.readout);
     Viewer viewer = read_camera(camera);
-    Sightings sightings = read_sightings(sightings_, body.size());
+    Sightings sightings = read_sightings(sightings_, body.known);
     const Activity activity = read_activity(activity_);
     const Pending pending = read_pending(pending_, body, activity);
     std::optional<Updated> r;
@@ -56,7 +56,7 @@ nb::object update_ordinary_(nb::tuple body_, nb::tuple points_, nb::tuple camera
         r = update_ordinary(body, points, viewer, pending, activity);
         if (r) {
             viewer.covariance = r->moved.P.topLeftCorner<3, 3>();
-            count(sightings, r->moved.attitude, r->moved.discs, viewer, r->pairs.columns, true);
+            count(sightings, r->moved.attitude, r->moved.discs.topRows(body.known), viewer, r->pairs.columns, true);
         }
     }
     if (!r) return nb::none();

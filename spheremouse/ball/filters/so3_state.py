@@ -16,6 +16,7 @@ from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangen
 from spheremouse.native import kernels
 
 PLACED = kernels.PLACED  # rad, standard deviation: a third of the way between neighbours of fifty discs
+_NONE = np.zeros(0, dtype=np.intp)
 _NO_PROCESS = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
 
@@ -32,9 +33,9 @@ class So3State:
     attitude: Array  # (3, 3) R_obj_ball
     rate: Array  # (3,) rad/s, w_obj
     acceleration: Array  # (3,) rad/s², angular, obj
-    discs: Array  # (m, 3) unit vectors, ball
-    basis: Array  # (m, 3, 2) tangent vectors of the discs: axes of their errors, ball
-    joint: Array  # (23 + 2m, 23 + 2m): rotation rad (obj), rate, acceleration, pose, ball, readout, discs, reference
+    landmarks: Array  # (l, 3) unit vectors, ball: m discs, then c candidates, which no point corrects
+    basis: Array  # (l, 3, 2) tangent vectors of the landmarks: axes of their errors, ball
+    joint: Array  # (23 + 2l, 23 + 2l): rotation (rad, obj), rate, acceleration, pose, ball, readout, landmarks, clone
     hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
     hidden: Array = field(default_factory=lambda: np.zeros(0))  # (m,) probability that it is not to be seen
@@ -48,6 +49,17 @@ class So3State:
     known_missed: float = 0.0  # discs beyond their trial that should have been detected and were not, expected number
     interval: float = 0.0  # s, of the last prediction, where no update has used it yet
     modes: Modes | None = None  # of which attitude, rate, acceleration and joint are the moments; None: one
+    candidates: NDArray[np.intp] = field(default_factory=lambda: _NONE)  # (c,) their numbers as look-alikes
+
+    @property
+    def discs(self) -> Array:
+        """(m, 3) unit vectors in `ball`."""
+        return self.landmarks[: len(self.landmarks) - len(self.candidates)] if len(self.candidates) else self.landmarks
+
+    @property
+    def places_of_candidates(self) -> Array:
+        """(c, 3) unit vectors in `ball`."""
+        return self.landmarks[len(self.discs) :]
 
     @property
     def is_placed(self) -> bool:
@@ -63,9 +75,11 @@ class So3State:
         return bool(np.linalg.eigvalsh(self.joint[:3, :3])[-1] < 1.0)
 
     @property
-    def body(self) -> tuple[Array, Array, Array, Array, Array, Array, float]:
-        """The fields that predict where the camera sees each disc, as `kernels` takes them."""
-        return self.attitude, self.rate, self.acceleration, self.discs, self.basis, self.joint, self.readout
+    def body(self) -> tuple[Array, Array, Array, Array, Array, Array, float, int]:
+        """The fields that predict where the camera sees each landmark, as `kernels` takes them."""
+        motion = self.attitude, self.rate, self.acceleration
+        known = len(self.landmarks) - len(self.candidates)
+        return *motion, self.landmarks, self.basis, self.joint, self.readout, known
 
     @property
     def pending(self) -> tuple[Array, float, Array, Modes | None]:
@@ -93,11 +107,11 @@ class So3State:
         The rotation that all discs have in common drops out, since it changes no constellation: the S-transformation
         of Baarda 1973, with the discs' own variances as weights.
         """
-        P = self.joint[MAP_OFFSET:-CLONE_DIM, MAP_OFFSET:-CLONE_DIM]
-        m = len(self.discs)
+        discs, m = self.discs, len(self.discs)
         if m < 2:
             return np.zeros(m)
-        A = -(self.basis.transpose(0, 2, 1) @ hat(self.discs)).reshape(2 * m, 3)  # by a common rotation, ball
+        P = self.joint[MAP_OFFSET : MAP_OFFSET + 2 * m, MAP_OFFSET : MAP_OFFSET + 2 * m]
+        A = -(self.basis[:m].transpose(0, 2, 1) @ hat(discs)).reshape(2 * m, 3)  # by a common rotation, ball
         weighted = A / np.maximum(np.diag(P), 1e-12)[:, None]
         B = np.linalg.solve(weighted.T @ A, weighted.T)  # (3, 2m), common rotation from the discs' errors
         BP, A = (B @ P).reshape(3, m, 2).transpose(1, 0, 2), A.reshape(m, 2, 3)
@@ -116,7 +130,7 @@ class So3State:
             self.attitude,
             self.rate,
             self.acceleration,
-            self.discs,
+            self.landmarks,
             self.basis,
             joint,
             self.hits,
@@ -131,6 +145,7 @@ class So3State:
             self.known_seen,
             self.known_missed,
             modes=self.modes,
+            candidates=self.candidates,
         )
 
     def with_reference_of(self, other: "So3State") -> "So3State":
@@ -158,7 +173,7 @@ class So3State:
         keep = self.hits >= least
         if np.count_nonzero(keep) < 4:
             return None
-        kept = drop(self, keep)
+        kept = drop(without_candidates(self), keep)
         basis = tangent_basis(kept.discs)
         T = basis.transpose(0, 2, 1) @ kept.basis
         m = len(kept.discs)
@@ -181,7 +196,7 @@ def inject(
     `joint` (23 + 2m, 23 + 2m) is the covariance of the errors before the move, and `weights` (l,) the probability of
     the levels. None keeps the old one. `used` (k,) are indices of the points in the update.
     """
-    body = state.body if joint is None else (*state.body[:5], joint, state.readout)
+    body = state.body if joint is None else (*state.body[:5], joint, *state.body[6:])
     motion, moved, readout = kernels.move(body, dx)
     return So3State(
         state.stamp,
@@ -194,6 +209,7 @@ def inject(
         manoeuvre_level,
         nis,
         readout,
+        candidates=state.candidates,
     )
 
 
@@ -201,20 +217,61 @@ def drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
     """Forget the discs that are not in a mask, (m,)."""
     if keep.all():
         return state
-    rows = np.concatenate([np.ones(MAP_OFFSET, dtype=bool), np.repeat(keep, 2), np.ones(CLONE_DIM, dtype=bool)])
+    state = _with_landmarks(state, np.flatnonzero(np.concatenate([keep, np.ones(len(state.candidates), dtype=bool)])))
+    return replace(state, hits=state.hits[keep], missed=state.missed[keep], hidden=state.hidden[keep])
+
+
+def keep_candidates(state: So3State, numbers: NDArray[np.intp]) -> So3State:
+    """Forget the candidates without one of the `numbers`, (k,)."""
+    keep = np.isin(state.candidates, numbers)
+    if keep.all():
+        return state
+    m = len(state.discs)
+    return replace(_with_landmarks(state, np.r_[:m, m + np.flatnonzero(keep)]), candidates=state.candidates[keep])
+
+
+def without_candidates(state: So3State) -> So3State:
+    """Forget all candidates."""
+    return keep_candidates(state, _NONE)
+
+
+def promote(state: So3State, which: NDArray[np.intp]) -> So3State:
+    """Make discs of the candidates `which`, (k,) indices; they become the last discs, in that order."""
+    m, rest = len(state.discs), np.delete(np.arange(len(state.candidates)), which)
+    state = replace(_with_landmarks(state, np.r_[:m, m + which, m + rest]), candidates=state.candidates[rest])
+    return _counted_once(state, len(which))
+
+
+def _with_landmarks(state: So3State, which: NDArray[np.intp]) -> So3State:
+    """Return the state with the landmarks `which`, (k,) indices, in that order."""
+    errors = MAP_OFFSET + (2 * which[:, None] + np.arange(2)).ravel()
+    rows = np.concatenate([np.arange(MAP_OFFSET), errors, len(state.joint) - CLONE_DIM + np.arange(CLONE_DIM)])
+    return replace(
+        state, landmarks=state.landmarks[which], basis=state.basis[which], joint=state.joint[np.ix_(rows, rows)]
+    )
+
+
+def _counted_once(state: So3State, k: int) -> So3State:
+    """Return the state with k discs after the counted ones, each seen once."""
+    none = np.zeros(k, dtype=np.intp)
     return replace(
         state,
-        discs=state.discs[keep],
-        basis=state.basis[keep],
-        joint=state.joint[np.ix_(rows, rows)],
-        hits=state.hits[keep],
-        missed=state.missed[keep],
-        hidden=state.hidden[keep],
+        hits=np.concatenate([state.hits, none + 1]),
+        missed=np.concatenate([state.missed, none]),
+        hidden=np.concatenate([state.hidden, np.full(k, FALSE_SHARE)]),
     )
 
 
 def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radius: float) -> So3State:
-    """Take up the points `index`, (k,), on a ball of `radius` m as discs, with covariance and correlations.
+    """Take up the points `index`, (k,), on a ball of `radius` m as discs, with covariance and correlations."""
+    state = with_candidates(state, points, index, np.full(len(index), -1), radius)
+    return promote(state, np.flatnonzero(state.candidates < 0))
+
+
+def with_candidates(
+    state: So3State, points: SpherePoints, index: NDArray[np.intp], numbers: NDArray[np.intp], radius: float
+) -> So3State:
+    """Take up the points `index`, (k,), on a ball of `radius` m as candidates with `numbers`, (k,).
 
     d = R^T b; a rotation error e turns it by R^T (b x e), an error of pose or ball by R^T db: the inverse observation
     of EKF-SLAM, which Wittich 2017, eq. 171 leaves out.
@@ -226,8 +283,8 @@ def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radi
     late = delays(points, state)
     turn = late[:, None] * state.rate + 0.5 * late[:, None] ** 2 * state.acceleration
     R = exp(turn) @ state.attitude
-    discs = np.einsum("kij,ki->kj", R, b)
-    basis = tangent_basis(discs)
+    places = np.einsum("kij,ki->kj", R, b)
+    basis = tangent_basis(places)
     E = R @ basis
     turning = E.transpose(0, 2, 1) @ hat(b)
     delay, along = late[:, None, None], turning @ left_jacobian(turn)
@@ -249,15 +306,12 @@ def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radi
     for i in range(k):
         at = n + 2 * i
         joint[at : at + 2, at : at + 2] += noise[i]
-    none = np.zeros(k, dtype=np.intp)
     return replace(
         state,
-        discs=np.concatenate([state.discs, discs]),
+        landmarks=np.concatenate([state.landmarks, places]),
         basis=np.concatenate([state.basis, basis]),
         joint=joint,
-        hits=np.concatenate([state.hits, none + 1]),
-        missed=np.concatenate([state.missed, none]),
-        hidden=np.concatenate([state.hidden, np.full(k, FALSE_SHARE)]),
+        candidates=np.concatenate([state.candidates, numbers]),
     )
 
 
@@ -281,12 +335,13 @@ def with_map(state: So3State, known: DiscMap, most: int) -> So3State:
     joint[MAP_OFFSET:-CLONE_DIM, MAP_OFFSET:-CLONE_DIM] = known.covariance
     return replace(
         state,
-        discs=known.directions.copy(),
+        landmarks=known.directions.copy(),
         basis=tangent_basis(known.directions),
         joint=joint,
         hits=np.minimum(known.sightings, most),
         missed=np.zeros(m, dtype=np.intp),
         hidden=np.full(m, HIDDEN_SHARE),
+        candidates=_NONE,
     )
 
 

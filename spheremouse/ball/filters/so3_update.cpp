@@ -183,8 +183,8 @@ struct Evidence {
 /// 1993). The log likelihood is then Laplace's approximation.
 std::pair<Corrected, Moved> correct_about(const Evidence& by, const Body& about, const Each& mean,
                                           const Innovation& seen, int round = 0) {
-    const Body prior{about.attitude, by.predicted.rate, by.predicted.acceleration, about.discs, about.basis,
-                     about.P,        about.readout};
+    const Body prior{about.attitude, by.predicted.rate, by.predicted.acceleration, about.discs, about.basis, about.P,
+                     about.readout,  about.known};
     Corrected r = correct(prior, seen, by.pending, by.activity);
     r.dx += mean;
     if (round == 3 || r.dx.head<3>().cwiseAbs().maxCoeff() < (round == 0 ? LINEAR : 0.1 * LINEAR)) {

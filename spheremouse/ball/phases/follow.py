@@ -5,7 +5,6 @@ if no prediction does. Points without a disc are discs if they turn with the bal
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -18,11 +17,10 @@ from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.detect.windows import Motion
 from spheremouse.ball.filters import FilterState
-from spheremouse.ball.filters.so3 import So3Filter, relocate
+from spheremouse.ball.filters.so3 import CandidatePoints, So3Filter, relocate
 from spheremouse.ball.filters.so3_mixture import Hypothesis, update_hypotheses
-from spheremouse.ball.filters.so3_state import So3State
-from spheremouse.ball.points import SpherePoints
-from spheremouse.ball.state import F, Tracker, Tracking, TrackState, no_points
+from spheremouse.ball.filters.so3_state import So3State, keep_candidates
+from spheremouse.ball.state import F, Tracker, TrackState, no_points
 from spheremouse.geometry.rotation import rotation_between
 from spheremouse.tracker import Frame, Status
 
@@ -34,8 +32,6 @@ _TURNS = 0.15  # rad/s, from which a disc may come into view with any frame
 _CERTAIN = math.log(0.999)  # log probability from which the most probable attitude counts as the only one
 _KNOWN_SIGMA = 0.02  # rad per axis, up to which one disc alone holds the attitude: half a disc's width
 IDENTIFY_SIGMA = 0.003  # rad, of a direction when the map is searched; at a tenth any disc may be any other
-
-AddLandmarks = Callable[[F, SpherePoints, NDArray[np.intp]], F]  # the filter with some of the points as discs
 
 
 def detect_everywhere(
@@ -90,8 +86,10 @@ def follow(
             return state._replace(filter=found[0], alternatives=(), confirmed=True, supported_at=stamp)
     if state.alternatives:  # the attitude by which candidates would be judged is in doubt
         return state
+    lookalikes = static.with_places(state.lookalikes, state.filter.candidates, state.filter.places_of_candidates)
+    state, seen = classify_unmatched(state._replace(lookalikes=lookalikes), stamp, tracker)
     # a point that has just shown to turn with the ball is a disc at once: the next frame may show no other
-    return classify_unmatched(state, stamp, tracker, predicted, tracker.filter.with_discs)
+    return _with_candidates(state, seen, tracker)
 
 
 def updated_hypotheses(
@@ -236,31 +234,41 @@ def all_are_discs(state: TrackState) -> bool:
     )
 
 
-def classify_unmatched(
-    state: TrackState[F], stamp: float, tracker: Tracker, predicted: F, with_discs: AddLandmarks[F]
-) -> TrackState[F]:
-    """Classify the points without a disc: turning with the ball, static, or undecided."""
+def classify_unmatched(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[TrackState[F], CandidatePoints]:
+    """Classify the points without a disc: turning with the ball, static, or undecided. Return those that may be discs.
+
+    If the attitude is neither confirmed nor known well, no point has a place on the ball, and none is classified.
+    """
     points, centre, confirmed = state.points, state.detections.centre[state.points.index], state.confirmed
-    rig, posterior = tracker.rig, state.filter
-    if not confirmed and not _known_well(posterior, tracker):  # no point has a place on the ball
-        return state
+    if not confirmed and not _known_well(state.filter, tracker):
+        none = np.zeros(0, dtype=np.intp)
+        return state, CandidatePoints(none, none, np.zeros(0, dtype=np.bool_))
     other = np.ones(len(points), dtype=bool)
-    other[posterior.used] = False  # points of known discs need no classification
-    turning, _, lookalikes = static.classify_candidates(
+    other[state.filter.used] = False  # points of known discs need no classification
+    turning, still, number, lookalikes = static.classify_candidates(
         state.lookalikes,
         centre[other],
         points.direction[other],
-        posterior.attitude,
+        state.filter.attitude,
         stamp,
-        rig,
+        tracker.rig,
         tracker.pose,
     )
     if not confirmed:  # a hand may have stopped the ball, so only moving candidates count
         lookalikes = replace(lookalikes, masks=state.lookalikes.masks, mask_seen=state.lookalikes.mask_seen)
-    posterior = with_discs(posterior, points, np.flatnonzero(other)[turning])
-    if len(posterior.discs) > len(predicted.discs):
-        lookalikes = static.without_landmarks(lookalikes, posterior.discs, rig.disc_radius / rig.ball.radius)
-    return state._replace(filter=posterior, lookalikes=lookalikes)
+    seen = CandidatePoints(np.flatnonzero(other)[~still], number[~still], turning[~still])
+    return state._replace(lookalikes=lookalikes), seen
+
+
+def _with_candidates(
+    state: TrackState[So3State], seen: CandidatePoints, tracker: Tracker[So3Filter]
+) -> TrackState[So3State]:
+    """Return the state with a frame's candidates: those that turn with the ball are discs."""
+    filtered, lookalikes = tracker.filter.follow_candidates(state.filter, state.points, seen), state.lookalikes
+    if len(filtered.discs) > len(state.filter.discs):
+        lookalikes = static.without_landmarks(lookalikes, filtered.discs, tracker.filter.disc_angle)
+    filtered = keep_candidates(filtered, lookalikes.candidates.number)
+    return state._replace(filter=filtered, lookalikes=lookalikes)
 
 
 def _known_well(filter_state: FilterState, tracker: Tracker) -> bool:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_state import KINEMATIC_DIM, So3State, consider
+from spheremouse.ball.filters.so3_state import KINEMATIC_DIM, So3State, consider, without_candidates
 from spheremouse.ball.phases.follow import detect_discs, detect_everywhere, follow, is_covered
 from spheremouse.ball.phases.learn import learn, update_all
 from spheremouse.ball.phases.recover import check_bearings, recognise, recover
@@ -33,12 +33,13 @@ def _at_new_pose(state: TrackState[So3State], tracker: Tracker[So3Filter], added
     If the pose comes from the one before, its covariance grows by `added`, (6, 6), and the map keeps its correlation
     with it. Otherwise (None) the errors of pose and map are independent.
     """
-    joint = state.filter.joint.copy()
+    filtered = without_candidates(state.filter)
+    joint = filtered.joint.copy()
     if added is None:
         consider(joint, tracker.filter.considered)
     else:
         joint[KINEMATIC_DIM : KINEMATIC_DIM + 6, KINEMATIC_DIM : KINEMATIC_DIM + 6] += added
-    return replace(state.filter, joint=joint)
+    return replace(filtered, joint=joint)
 
 
 SO3 = Method(

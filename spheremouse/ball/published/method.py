@@ -40,7 +40,7 @@ def _followed(state: State, stamp: float, tracker: Tracker, predicted: EulerStat
     if not state.confirmed:  # then no point starts a landmark
         none = np.zeros(len(state.points), dtype=bool)
         state = state._replace(filter=tracker.filter.update(predicted, state.points, none))
-    return classify_unmatched(state, stamp, tracker, predicted, lambda posterior, *_: posterior)
+    return classify_unmatched(state, stamp, tracker)[0]
 
 
 def _at_new_pose(state: State, tracker: Tracker, added: Array | None) -> EulerState:

@@ -32,7 +32,7 @@ def look(state, uv, attitude, stamp):
     free, state = unmasked(state, uv, stamp)
     d, index = directions_at(uv[free], RIG, POSE)
     assert len(index) == np.count_nonzero(free)
-    p, s, state = classify_candidates(state, uv[free], d, attitude, stamp, RIG, POSE)
+    p, s, _, state = classify_candidates(state, uv[free], d, attitude, stamp, RIG, POSE)
     proven, still = np.zeros(len(uv), dtype=bool), np.zeros(len(uv), dtype=bool)
     proven[free], still[free] = p, s
     return proven, still, free, state

@@ -162,7 +162,7 @@ def test_innovation_and_new_discs_depend_on_pose_and_ball_as_finite_differences_
     rows = np.arange(len(d))
     known = replace(state, joint=np.eye(len(state.joint)))  # then H @ joint is H
     H = innovation(known, points, rows)[1][:, KINEMATIC_DIM:READOUT]
-    bare = replace(known, discs=np.zeros((0, 3)), basis=np.zeros((0, 3, 2)), joint=np.eye(MAP_OFFSET + CLONE_DIM))
+    bare = replace(known, landmarks=np.zeros((0, 3)), basis=np.zeros((0, 3, 2)), joint=np.eye(MAP_OFFSET + CLONE_DIM))
     added = augment(bare, points, rows, RADIUS)
     ours = added.joint[MAP_OFFSET:-CLONE_DIM, KINEMATIC_DIM:READOUT]
     h = 1e-5
@@ -355,7 +355,7 @@ def test_new_discs_depend_on_the_readout_as_finite_differences_say(rate):
     p = (state.discs @ state.attitude.T)[rows]
     row, readout, h = np.array([-0.4, 0.5, 0.1, -0.2]), 0.02, 1e-5
     points = replace(points_at(p), delay=0.01 * row, row=row)  # the rig says 10 ms
-    nothing = {"discs": np.zeros((0, 3)), "basis": np.zeros((0, 3, 2)), "joint": np.eye(MAP_OFFSET + CLONE_DIM)}
+    nothing = {"landmarks": np.zeros((0, 3)), "basis": np.zeros((0, 3, 2)), "joint": np.eye(MAP_OFFSET + CLONE_DIM)}
     bare = replace(state, rate=rate * FLICK, acceleration=np.zeros(3), readout=readout, **nothing)
     added, *ends = (augment(replace(bare, readout=readout + s * h), points, rows, RADIUS) for s in (0, 1, -1))
     slope = np.einsum("mij,mi->mj", added.basis, (ends[0].discs - ends[1].discs) / (2 * h)).ravel()

@@ -11,10 +11,18 @@ from so3_world import DT, FILTER, OWN, SETTINGS, draw, follow, points_at, square
 from so3_world import seen as directions_seen
 
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.filters.so3 import Pairing, relocate
+from spheremouse.ball.filters.so3 import CandidatePoints, Pairing, relocate
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
-from spheremouse.ball.filters.so3_state import augment, consider, drop, inject, with_map
+from spheremouse.ball.filters.so3_state import (
+    augment,
+    consider,
+    drop,
+    inject,
+    keep_candidates,
+    with_candidates,
+    with_map,
+)
 from spheremouse.geometry.rotation import exp, log, tangent_basis
 
 DISCS = directions(24, 7, 0.35)
@@ -122,6 +130,52 @@ def test_an_error_that_attitude_and_discs_share_is_never_measured():
         squares.append(squared(log(state.attitude @ R.T), state.joint[:3, :3]))
     assert_allclose(np.median(sigmas), sigma, rtol=0.02)
     assert np.sum(squares) < chi2(3 * len(squares)).ppf(0.999)
+
+
+def test_a_candidate_measures_the_turn_since_its_first_sighting():
+    """One known disc, a turn about it while a candidate is in view, and the proof two frames later.
+
+    40 balls: NEES of the attitude, and a turn that is known before and after to the noise of the images.
+    """
+    rng, squares, twist, known = np.random.default_rng(9), [], [], DISCS[[0]]
+    for _ in range(40):
+        R = exp(np.cross(DISCS[0], [0.0, 0.0, 1.0])) @ exp(0.1 * rng.normal(size=3))
+        state, rate = FILTER.initial(0.0, R), 0.5 * rng.normal(size=3)
+        joint = state.joint.copy()
+        joint[3:6, 3:6] = 0.5**2 * np.eye(3)
+        state = replace(state, joint=joint)
+        state = augment(state, points_at(known @ R.T, rng=rng), np.array([0]), FILTER.radius)
+        aside = exp(0.3 * rng.normal(size=3)) @ np.cross(DISCS[0], rng.normal(size=3))
+        other = (known[0] + 0.5 * aside / np.linalg.norm(aside))[None]
+        both = np.concatenate([known, other / np.linalg.norm(other)])
+        for k in range(3):
+            points = points_at(both @ R.T, rng=rng)
+            state, _ = FILTER.correct(state, points, Pairing(np.array([0]), np.array([0])))
+            seen_now = CandidatePoints(np.array([1]), np.array([7]), np.array([k == 2]))
+            before, state = state, FILTER.follow_candidates(state, points, seen_now)
+            if k < 2:
+                assert len(state.discs) == 1
+                R = exp(DT * rate) @ R
+                state = FILTER.predict(state, state.stamp + DT)
+        assert len(state.discs) == 2
+        axis = R @ DISCS[0]
+        twist.append([np.sqrt(axis @ s.joint[:3, :3] @ axis) for s in (before, state)])
+        squares.append(squared(log(state.attitude @ R.T), state.joint[:3, :3]))
+    without, with_candidate = np.mean(twist, axis=0)
+    assert with_candidate < 0.1 * without
+    assert np.sum(squares) < chi2(3 * len(squares)).ppf(0.999)
+
+
+def test_a_candidate_moves_nothing_and_leaves_no_trace():
+    """Two films, one with a candidate in view that is never proven: the same attitude, map and covariance."""
+    (plain, R), rng = learnt(), np.random.default_rng(3)
+    place = points_at(np.array([[0.1, 0.2, 0.97]]), rng=rng)
+    followed = with_candidates(plain, place, np.array([0]), np.array([3]), FILTER.radius)
+    plain, followed = (play(s, SPIN, 20, np.random.default_rng(4), R)[0] for s in (plain, followed))
+    assert len(followed.candidates) == 1
+    followed = keep_candidates(followed, np.zeros(0, dtype=int))
+    for name in ("attitude", "rate", "discs", "joint", "hits", "missed"):
+        assert_allclose(getattr(followed, name), getattr(plain, name), rtol=1e-9, atol=1e-12, err_msg=name)
 
 
 @pytest.mark.parametrize("rate", [None, SPIN])

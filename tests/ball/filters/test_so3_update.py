@@ -51,7 +51,7 @@ def frame(rng, P):
     discs = rng.normal(size=(4, 3))
     discs /= np.linalg.norm(discs, axis=1, keepdims=True)
     rates = 0.01 * rng.normal(size=3), 5.0 * rng.normal(size=3)  # too slow to determine the readout
-    body = exp(rng.normal(size=3)), *rates, discs, tangent_basis(discs), P, 1e-3
+    body = exp(rng.normal(size=3)), *rates, discs, tangent_basis(discs), P, 1e-3, 4
     noise = rng.normal(size=(4, 3, 3)) * 3e-4
     row = rng.uniform(-0.5, 0.5, 4)
     points = discs, noise @ noise.transpose(0, 2, 1), 0.01 * row, row, *rng.normal(size=(2, 4, 3, 6))
@@ -166,7 +166,7 @@ def test_a_wrong_pose_leaves_the_covariance_positive_in_a_long_jerky_play():
     F[:3, 6:9] = 0.5 * DT * DT * np.eye(3)
     for _ in range(200):
         z = np.linalg.cholesky(H @ P @ H.T + R) @ rng.normal(size=8) * rng.choice([1.0, 10.0])
-        P, _, _, modes, *_ = corrected((*body[:5], P, body[6]), showing(body, points, z), DT, modes)
+        P, _, _, modes, *_ = corrected((*body[:5], P, *body[6:]), showing(body, points, z), DT, modes)
         P = F @ P @ F.T
         modes = modes[0] @ F[3:9, 3:9].T, F[3:9, 3:9] @ modes[1] @ F[3:9, 3:9].T, modes[2]
         scale = np.sqrt(np.diag(P))
@@ -216,7 +216,7 @@ def test_discs_move_along_their_axes_which_stay_orthonormal_and_keep_their_hand(
     basis[::2, :, 1] *= -1.0  # left-handed as well
     dx = 0.1 * rng.normal(size=N)
     rate, acceleration = rng.normal(size=(2, 3))
-    body = frames[0], rate, acceleration, discs, basis, np.zeros((N, N)), 0.1
+    body = frames[0], rate, acceleration, discs, basis, np.zeros((N, N)), 0.1, 4
     (attitude, new_rate, new_acceleration, moved, axes), _, readout = kernels.move(body, dx)
     assert_allclose((*new_rate, *new_acceleration), (*(rate + dx[3:6]), *(acceleration + dx[6:9])))
     assert readout == 0.1 + dx[READOUT]
@@ -245,8 +245,8 @@ def test_a_wrong_argument_is_named():
     pairs, pending = (np.arange(4), np.arange(4), np.zeros((9, 9))), (np.zeros((9, 9)), DT, weights[0], modes)
     good = [body, points, pairs, pending, activity(VARIANCES)]
     for at, wrong, name in [
-        (0, (*body[:5], P[:5], 0.0), "joint"),
-        (0, (*body[:5], P.astype(np.float32), 0.0), "joint"),
+        (0, (*body[:5], P[:5], *body[6:]), "joint"),
+        (0, (*body[:5], P.astype(np.float32), *body[6:]), "joint"),
         (0, (body[0], np.zeros(4), *body[2:]), "rate"),
         (0, (*body[:2], [1.0, 2.0, 3.0], *body[3:]), "acceleration"),
         (2, (*pairs[:2], np.zeros((8, 9))), "added"),
@@ -262,4 +262,4 @@ def test_a_wrong_argument_is_named():
         with pytest.raises(IndexError, match="columns"):
             kernels.correct(*good[:2], (pairs[0], which, pairs[2]), *good[3:])
     with pytest.raises(ValueError, match="positive definite"):
-        kernels.correct((*body[:5], -P, 0.0), *good[1:])
+        kernels.correct((*body[:5], -P, *body[6:]), *good[1:])
