@@ -48,6 +48,8 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
         known[other] = detector.with_projection(other).information(image)
         return state._replace(colours=before._replace(tried_now=tuple(known.items())))
     projection, information = best_projection(image, detector, before.projection, known)
+    if known and projection != before.projection:  # the frames of the trial may show different things
+        projection, information = best_projection(image, detector, before.projection)
     if projection == before.projection:
         wait = min(2.0 * before.wait, _WAIT[1]) if information > _ENOUGH else _WAIT[0]
         return state._replace(colours=before._replace(tried=frame.stamp, wait=wait, tried_now=()))
