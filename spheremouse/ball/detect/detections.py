@@ -1,6 +1,6 @@
 """Result of a disc detector."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,6 @@ class Detections:
     centre: Array  # (n, 2) px, the disc's centre in the (distorted) image
     covariance: Array  # (n, 2, 2) px²
     area: Array  # (n,) px²
-    contours: tuple[Image, ...] = field(default=())  # outlines for the overlay; may be empty
 
     def __len__(self) -> int:
         return len(self.centre)
@@ -26,11 +25,10 @@ class Detections:
     def take(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> "Detections":
         """Return the entries of a mask (n,) or of indices (k,), in that order."""
         index = np.flatnonzero(keep) if keep.dtype == bool else keep
-        contours = tuple(self.contours[i] for i in index) if self.contours else ()
-        return Detections(self.centre[index], self.covariance[index], self.area[index], contours)
+        return Detections(self.centre[index], self.covariance[index], self.area[index])
 
     def joined(self, other: "Detections") -> "Detections":
-        """Return the entries of both, without outlines."""
+        """Return the entries of both."""
         if len(other) == 0:
             return self
         return Detections(

@@ -47,7 +47,6 @@ class BlobDetector:
             np.array([centre for _, centre, _ in unique]),
             np.broadcast_to(_SIGMA_PX**2 * np.eye(2), (n, 2, 2)).copy(),
             np.array([area for area, _, _ in unique]),
-            tuple(contour for _, _, contour in unique),
         )
 
     def _blob(self, contour: Image) -> tuple[float, tuple[float, float], Image] | None:

@@ -43,7 +43,6 @@ def test_a_disc_is_found_once_wherever_the_masks_are(level, radius):
     assert len(seen) == 1
     assert np.abs(seen.centre[0] - centre).max() < 0.25
     assert_allclose(seen.covariance[0], 0.1**2 * np.eye(2))
-    assert abs(seen.area[0] - cv2.contourArea(seen.contours[0])) < 1e-9
     assert np.pi * (radius - 1.5) ** 2 < seen.area[0] < np.pi * (radius + 0.5) ** 2
 
 
