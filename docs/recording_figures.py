@@ -6,6 +6,7 @@ that of handing over, as a share of one core.
 
 import os
 import tempfile
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -33,18 +34,20 @@ def processor() -> float:
 def measured(images: list[np.ndarray], subject: Subject, settings: RecordSettings, folder: Path) -> str:
     """Record the images at their pace and return the cost in words."""
     recorder = Recorder(folder, subject, settings)
-    recorder.ready(60.0)
+    writer = threading.Thread(target=recorder.write)
+    writer.start()
     n, handing, begun, before = round(FPS * SECONDS), [], time.monotonic(), processor()
     for i in range(n):
         time.sleep(max(0.0, begun + i / FPS - time.monotonic()))
         a = time.perf_counter()
         recorder.add(Frame(images[i % len(images)], i / FPS, i))
         handing.append(time.perf_counter() - a)
-    while recorder.status().waiting:
-        time.sleep(0.01)
+    recorder.stop()
+    writer.join()
     spent = processor() - before
     status = recorder.status()
-    recorder.finish()
+    assert status.bytes
+    assert status.frames
     us = 1e6 * np.array(handing)
     return (
         f"{100 * spent / SECONDS:3.0f} % of a core, {status.bytes / status.frames / 1e3:4.0f} kB a frame, "
