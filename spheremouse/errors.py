@@ -1,5 +1,6 @@
 """Errors that the user can mend: a line with problem and remedy, which the command line prints without a traceback."""
 
+import traceback
 import unicodedata
 
 
@@ -16,6 +17,11 @@ def has_control_characters(text: str) -> bool:
 def one_line(text: str) -> str:
     """Any text as one short line."""
     return " ".join(text.split())[:120]
+
+
+def internal_error_text() -> str:
+    """Return the log lines for the exception in progress, a fault of this program."""
+    return "internal error, please report it:\n" + traceback.format_exc().rstrip()
 
 
 class SpheremouseError(Exception):

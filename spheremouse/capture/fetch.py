@@ -6,13 +6,12 @@ It decodes nothing, and no error of a device ends it.
 import math
 import threading
 import time
-import traceback
 from collections.abc import Callable, Iterator
 from typing import Any, Self
 
 from spheremouse.capture import OpenCamera, Payload, RawFrame, Source
 from spheremouse.capture.newest import Arrival, LatestFrame
-from spheremouse.errors import SourceError, SpheremouseError
+from spheremouse.errors import SourceError, SpheremouseError, internal_error_text
 from spheremouse.tracker import Frame
 
 PATIENCE = 2.0  # s without a frame until a stream counts as frozen; exposures and focus searches are shorter
@@ -137,7 +136,7 @@ class Capture(threading.Thread):
             except Exception as e:
                 trouble = f"{type(e).__name__}: {' '.join(str(e).split())}"
                 if trouble != self.trouble:
-                    self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
+                    self._say(internal_error_text())
                 self.trouble = trouble
             self.opening = False
             self._latest.wake()

@@ -9,6 +9,18 @@ from spheremouse.errors import ServiceError
 STATE_FOLDER = Path("/var/lib/spheremouse")  # systemd makes it at the service's first start
 
 
+def service_state_folder() -> Path | None:
+    """Return the state folder that systemd gives this process; None without one."""
+    given = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    return Path(given) if given else None
+
+
+def state_folder() -> Path:
+    """Return the folder of maps, recordings and tokens that this process makes: the service's, else the user's."""
+    home = os.environ.get("XDG_STATE_HOME")
+    return service_state_folder() or (Path(home) if home else Path.home() / ".local/state") / "spheremouse"
+
+
 def access_problem(path: Path) -> tuple[str, str] | None:
     """Return the reason why this account may not read and write a node, and the remedy; None if it may."""
     if os.access(path, os.R_OK | os.W_OK):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from spheremouse.errors import ControlError
 from spheremouse.files import safe_files
+from spheremouse.files.access import state_folder
 
 _TOKEN_FILE = "view.token"
 _TOKEN_BYTES = 32
@@ -38,11 +39,7 @@ def own_token(path: Path) -> str:
 
 def token_path() -> Path:
     """Return the path of the token that this process makes: in systemd's state folder, else in the user's."""
-    given = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
-    if given:
-        return Path(given) / _TOKEN_FILE
-    state = os.environ.get("XDG_STATE_HOME")
-    return (Path(state) if state else Path.home() / ".local/state") / "spheremouse" / _TOKEN_FILE
+    return state_folder() / _TOKEN_FILE
 
 
 def present_token() -> Path:

@@ -8,7 +8,6 @@ from pathlib import Path
 from spheremouse.capture import Source, open_source
 from spheremouse.capture.lock import locked
 from spheremouse.capture.settings import CameraSettings
-from spheremouse.session.run_config import RunConfig
 
 
 def is_camera(spec: str) -> bool:
@@ -23,7 +22,7 @@ def looked_through(source: str, settings: CameraSettings, realtime: bool = False
     Raises SourceError if another daemon has the camera.
     """
     kind, _, argument = source.partition(":")
-    node = node_of_source(source)
+    node = node_of(source)
     with nullcontext() if node is None else locked(node):
         if kind == "v4l2":
             from spheremouse.capture import v4l2
@@ -35,20 +34,15 @@ def looked_through(source: str, settings: CameraSettings, realtime: bool = False
             yield stream
 
 
-def refuse_if_taken(plan: RunConfig) -> None:
+def refuse_if_taken(source: str) -> None:
     """Raise SourceError if another daemon has the camera."""
-    node = node_of(plan)
+    node = node_of(source)
     if node is not None:
         with locked(node):
             pass
 
 
-def node_of(plan: RunConfig) -> Path | None:
-    """Return the device node of a plan's camera; None for another source, or outside Linux."""
-    return node_of_source(plan.source)
-
-
-def node_of_source(source: str) -> Path | None:
+def node_of(source: str) -> Path | None:
     """Return the device node of a source; None if it is no camera, or outside Linux."""
     kind, _, argument = source.partition(":")
     name = argument.partition(",")[0].strip()

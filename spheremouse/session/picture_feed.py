@@ -5,11 +5,10 @@ Without a lease it allocates, copies and computes nothing.
 
 import threading
 import time
-import traceback
 from collections.abc import Callable
 
 from spheremouse.capture import RawFrame
-from spheremouse.errors import ControlError, DamagedFrameError
+from spheremouse.errors import ControlError, DamagedFrameError, internal_error_text
 from spheremouse.session.control.pictures import LivePicture, PictureRing
 from spheremouse.session.control.protocol import LEASE
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
@@ -63,7 +62,7 @@ class PictureFeed:
             self._log(str(e))
             self.close()
         except Exception:
-            self._log("internal error, please report it:\n" + traceback.format_exc().rstrip())
+            self._log(internal_error_text())
 
     def expire(self, now: float) -> None:
         """Free the memory if all leases have ended."""

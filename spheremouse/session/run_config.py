@@ -13,11 +13,12 @@ from spheremouse import output as outputs
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import ConfigurationError, OutputError, SourceError
 from spheremouse.files import config
+from spheremouse.files.access import service_state_folder
 from spheremouse.files.dataset.format import MOST_BALLS
 from spheremouse.files.disc_map import map_path
 from spheremouse.files.exchange import read_saved
 from spheremouse.files.registry import check
-from spheremouse.files.rig import load_camera, load_rig, with_camera
+from spheremouse.files.rig import load_camera, load_rig
 from spheremouse.files.wand import load_wand
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.settings import Configuration
@@ -111,15 +112,15 @@ class RunConfig:
             raise ConfigurationError(
                 f"{self.source}: has no description of the device; give its rig file with --rig FILE"
             )
-        return rig if self.camera is None else with_camera(rig, self.camera)
+        return rig if self.camera is None else replace(rig, camera=self.camera)
 
 
 def saved_file(configuration: Path | None) -> Path | None:
     """Return the file for settings of a service that may not write its configuration; None for other runs."""
-    state = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
-    if not state or configuration is None or os.access(configuration.parent, os.W_OK):
+    state = service_state_folder()
+    if state is None or configuration is None or os.access(configuration.parent, os.W_OK):
         return None
-    return Path(state) / "saved.yaml"
+    return state / "saved.yaml"
 
 
 def read_run_config(overrides: CommandLineOverrides) -> RunConfig:
@@ -196,11 +197,6 @@ def check_kinds(plan: RunConfig, before: RunConfig | None = None) -> None:
             check(outputs, "output", spec, OutputError)
 
 
-def without_map(plan: RunConfig) -> RunConfig:
-    """Return the plan without a map, for a source with its own rig, unless a map was requested."""
-    return replace(plan, map_path=None)
-
-
 def beside(file: Path | None, name: str | None) -> Path | None:
     """Return a path of the configuration, relative to its folder; None for None."""
     if name is None:
@@ -224,7 +220,5 @@ def _with_folder(c: Configuration, file: Path | None) -> Configuration:
 def _usual_map(rig_path: Path) -> Path:
     """Return the map's path beside the rig, or in the state folder of a service."""
     usual = map_path(rig_path)
-    state = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
-    if state and not os.access(rig_path.parent, os.W_OK):
-        return Path(state) / usual.name
-    return usual
+    state = service_state_folder()
+    return usual if state is None or os.access(rig_path.parent, os.W_OK) else state / usual.name

@@ -19,7 +19,7 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.cameras import is_camera, node_of
-from spheremouse.session.run_config import CommandLineOverrides, RunConfig, with_distinct_names, without_map
+from spheremouse.session.run_config import CommandLineOverrides, RunConfig, with_distinct_names
 from spheremouse.session.tracker_adapter import MAP, Do, TrackerAdapter
 from spheremouse.wand.ball import WandBall, grzonka_ball
 
@@ -44,7 +44,9 @@ class Setup:
     def planned(self, overrides: CommandLineOverrides, plan: RunConfig) -> RunConfig:
         """Return the plan without a map if the source brings its own device, unless a map was requested."""
         own = self.rig is not None and not is_camera(plan.source)
-        return without_map(plan) if own and overrides.map is None and plan.configuration.map is None else plan
+        return (
+            replace(plan, map_path=None) if own and overrides.map is None and plan.configuration.map is None else plan
+        )
 
     @property
     def open_replay(self) -> OpenCamera | None:
@@ -145,7 +147,7 @@ def opener(plan: RunConfig, opened: list[Source] | None = None) -> OpenCamera:
         return Streamed(source, plan.source)
 
     def open_held() -> AbstractContextManager[Camera]:
-        node = node_of(plan)  # each time: a camera that comes back may have another node
+        node = node_of(plan.source)  # each time: a camera that comes back may have another node
         return open_it() if node is None else locked_camera(node, open_it)
 
     return open_held

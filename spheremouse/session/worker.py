@@ -4,12 +4,11 @@ One thread calls it, and it never waits. Other threads read its attributes.
 """
 
 import time
-import traceback
 from collections import defaultdict, deque
 from collections.abc import Callable
 
 from spheremouse.capture.newest import Arrival, ContiguousBuffer
-from spheremouse.errors import DamagedFrameError, SourceError
+from spheremouse.errors import DamagedFrameError, SourceError, internal_error_text
 from spheremouse.session.timing import FrameTimes
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.tracker import Frame, Status
@@ -86,7 +85,7 @@ class Worker:
 
     def _too_many_faults(self, now: float) -> bool:
         """Log an internal error and restart the tracker. Return True if there were too many."""
-        self._log("internal error, please report it:\n" + traceback.format_exc().rstrip())
+        self._log(internal_error_text())
         self.adapter.restart("an internal error; the ball is searched again")
         self._faults.append(now)
         return len(self._faults) == _FAULTS and now - self._faults[0] < _FAULTS_WITHIN

@@ -123,11 +123,12 @@ def test_another_way_to_open_a_camera_that_is_open_is_no_second_daemon(tmp_path,
     node, log = tmp_path / "video0", []
     node.touch()
     monkeypatch.setattr("spheremouse.capture.v4l2.open_camera", lambda argument, settings: Camera(log))
-    plan = read_run_config(CommandLineOverrides(source=f"v4l2:{node},fps=30", outputs=("null",)))
-    refuse_if_taken(plan)
+    source = f"v4l2:{node},fps=30"
+    plan = read_run_config(CommandLineOverrides(source=source, outputs=("null",)))
+    refuse_if_taken(source)
     with opener(plan)():
         with pytest.raises(SourceError, match=f"process {os.getpid()}|in use by another"):
-            refuse_if_taken(plan)
+            refuse_if_taken(source)
         changed = opener(plan)  # nothing is opened, and nothing refused, yet
     with changed():
         assert log == ["open", "closed", "open"]

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from spheremouse.ball.rig import CODES, UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.rig import load_camera, load_rig, rig_text, save_camera, save_rig, with_camera
+from spheremouse.files.rig import load_camera, load_rig, rig_text, save_camera, save_rig
 from spheremouse.files.yaml import read_document
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 
@@ -168,11 +168,6 @@ def test_cameras_are_saved_and_replaced(tmp_path):
     save_camera(tmp_path / "camera.yaml", camera, PROVENANCE)
     assert same(load_camera(tmp_path / "camera.yaml"), camera)
     assert read_document(tmp_path / "camera.yaml").data["provenance"]["version"] == "1.0"
-    rig = random_rig(1, 4, True, 3)
-    changed = with_camera(rig, camera)
-    assert changed.camera is camera
-    assert changed.targets is rig.targets
-    assert changed.pose is rig.pose
 
 
 def test_provenance_is_kept_in_the_file_and_out_of_the_rig(tmp_path):

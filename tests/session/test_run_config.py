@@ -8,7 +8,7 @@ import pytest
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.rig import rig_text
-from spheremouse.session.run_config import CommandLineOverrides, RunConfig, read_run_config, saved_file, without_map
+from spheremouse.session.run_config import CommandLineOverrides, RunConfig, read_run_config, saved_file
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.scene import default_scene
 
@@ -99,7 +99,6 @@ def test_where_the_map_is_kept(folder, monkeypatch):
     )  # beside the rig where that may be written
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     assert read_run_config(CommandLineOverrides(config)).map_path == state / "rig.map.yaml"
-    assert without_map(read_run_config(CommandLineOverrides(config))).map_path is None
 
 
 def test_saved_settings_come_between_configuration_and_command_line_and_a_broken_file_is_ignored(folder):

@@ -153,7 +153,7 @@ def _opened(
     """Open the camera in the mode of the existing photos."""
     from spheremouse.capture import full_spec
     from spheremouse.capture.nodes import default_camera, in_size
-    from spheremouse.session.cameras import looked_through, node_of_source
+    from spheremouse.session.cameras import looked_through, node_of
 
     spec = full_spec(source or configured.source or default_camera())
     kind, _, argument = spec.partition(":")
@@ -165,7 +165,7 @@ def _opened(
     spec = in_size(spec, size)
     with looked_through(spec, configured.camera) as stream:
         if kind == "v4l2":
-            _warn_of_autofocus(node_of_source(spec), screen)
+            _warn_of_autofocus(node_of(spec), screen)
         screen.print(f"{spec}: photos go to {place}")
         yield stream
 

@@ -73,7 +73,7 @@ def rolling(
     from spheremouse.commands.terminal import progress_bar
     from spheremouse.files.device import load_device
     from spheremouse.files.disc_map import map_path
-    from spheremouse.files.rig import load_camera, load_rig, with_camera
+    from spheremouse.files.rig import load_camera, load_rig
 
     ball, around, disc = (None if text is None else parse_length(text) for text in (radius, circumference, disc_radius))
     if ball is not None and around is not None:
@@ -99,7 +99,7 @@ def rolling(
         raise ConfigurationError(
             "the lens must be known: give --camera camera.yaml (`spheremouse calibrate camera` makes it)"
         )
-    aligning = with_camera(known, interior) if known is not None and known.targets.ids else None
+    aligning = replace(known, camera=interior) if known is not None and known.targets.ids else None
     axes = AxesFrom(aligning, targets, gestures, interior)
     if not live:
         axes.check()

@@ -22,12 +22,11 @@ from spheremouse.commands.findings import Section
 from spheremouse.commands.service import check as service
 from spheremouse.commands.service.systemd import Place
 from spheremouse.errors import SpheremouseError
-from spheremouse.files.rig import with_camera
 from spheremouse.finding import Finding, Verdict, ok, refused, unchecked, wrong
 from spheremouse.native import kernels
 from spheremouse.session.cameras import is_camera, node_of
 from spheremouse.session.control.status import StatusReport
-from spheremouse.session.run_config import CommandLineOverrides, RunConfig, without_map
+from spheremouse.session.run_config import CommandLineOverrides, RunConfig
 from spheremouse.session.settings import RecordSettings
 from spheremouse.session.setup import Setup, open_setup
 
@@ -56,7 +55,7 @@ def examine(
     if plan is None:
         yield Section("configuration", tuple(findings))
     else:
-        node = None if plan.source == _NO_CAMERA else node_of(plan)
+        node = None if plan.source == _NO_CAMERA else node_of(plan.source)
         run = _Run(plan, usual, node, findings)
         yield from run.examine(there, status, seconds, progress)
     node = node if node is not None and node.exists() else None
@@ -111,7 +110,7 @@ class _Run:
 
     def _is_in_use(self, status: StatusReport | None) -> bool:
         spec = status.source.spec if status and status.source else None
-        other = node_of(replace(self.plan, source=spec)) if spec else None
+        other = node_of(spec) if spec else None
         return self.node is not None and other is not None and self.node.resolve() == other.resolve()
 
     def _film(self, seconds: float) -> Iterator[Finding]:
@@ -140,9 +139,9 @@ class _Run:
         """Check rig and map, and return the check of the pictures."""
         plan, brought = self.plan, None if self.footage is None else self.footage.rig
         if brought is not None and plan.map_path is not None and plan.rig_path is None:
-            plan = without_map(plan)
+            plan = replace(plan, map_path=None)
         rig = plan.rig or brought
-        rig = with_camera(rig, plan.camera) if rig is not None and plan.camera is not None else rig
+        rig = replace(rig, camera=plan.camera) if rig is not None and plan.camera is not None else rig
         broken = any(f.verdict is Verdict.WRONG for f in self.findings)
         if broken and plan.rig is None and brought is not None:
             text = "the source's own is taken, since not all that is named can be read"

@@ -20,7 +20,7 @@ from spheremouse.evaluation.plot import plot_run
 from spheremouse.evaluation.table import ball_table, consistency, path_notes
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import Recording, open_dataset
-from spheremouse.files.rig import load_camera, load_rig, with_camera
+from spheremouse.files.rig import load_camera, load_rig
 from spheremouse.session.ball.map_keeper import open_map
 from spheremouse.session.evaluate import BallRun, ball_reports, numbered_frames, rig_of, run_ball
 from spheremouse.session.settings import Configuration
@@ -89,7 +89,7 @@ def _tracks(options: Options, settings: Settings) -> Iterator[_Track]:
     for path in options.datasets:
         recording = open_dataset(path)
         rig = rig_of(recording, given)
-        rig = rig if camera is None else with_camera(rig, camera)
+        rig = rig if camera is None else replace(rig, camera=camera)
         if options.pose == "known":
             if recording.pose is None:
                 raise DatasetError(f"{path}: scene.json has no truth_T_obj_cam, which --pose known takes")

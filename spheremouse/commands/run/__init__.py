@@ -210,7 +210,7 @@ def serve(
     from spheremouse.session.service import Daemon
     from spheremouse.session.setup import opener
 
-    refuse_if_taken(plan)
+    refuse_if_taken(plan.source)
     opened = [] if setup.source is None else [setup.source]
     daemon = Daemon(
         overrides,

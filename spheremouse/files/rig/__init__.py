@@ -71,11 +71,6 @@ def load_camera(path: Path) -> InteriorOrientation:
     return _interior(file.camera)
 
 
-def with_camera(rig: Rig, camera: InteriorOrientation) -> Rig:
-    """Return the rig with another interior orientation, of another resolution or lens."""
-    return dataclasses.replace(rig, camera=camera)
-
-
 def save_rig(path: Path, rig: Rig, provenance: Mapping[str, Any] | None = None) -> None:
     """Write a rig file, whole or not at all; it reads back to the same rig."""
     write_atomically(path, rig_text(rig, provenance))

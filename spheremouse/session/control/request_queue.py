@@ -1,13 +1,12 @@
 """Requests and calls that wait for the worker's thread. Of each kind of request, one is under way at a time."""
 
 import threading
-import traceback
 from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from spheremouse.errors import SpheremouseError
+from spheremouse.errors import SpheremouseError, internal_error_text
 from spheremouse.session.control.protocol import Record, Request, internal_error, refused
 
 MAX_WAITING = 8  # requests
@@ -134,4 +133,4 @@ class RequestQueue:
         except SpheremouseError as e:
             self._log(str(e))
         except Exception:
-            self._log("internal error, please report it:\n" + traceback.format_exc().rstrip())
+            self._log(internal_error_text())

@@ -3,12 +3,11 @@
 import queue
 import threading
 import time
-import traceback
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from typing import TypeVar
 
-from spheremouse.errors import ControlError
+from spheremouse.errors import ControlError, internal_error_text
 
 _MAX_FINISH_S = 30.0  # that a recording may take at the end
 
@@ -99,5 +98,5 @@ class WorkerPool:
         try:
             return work()
         except Exception:
-            self._log("internal error, please report it:\n" + traceback.format_exc().rstrip())
+            self._log(internal_error_text())
             return None

@@ -4,14 +4,13 @@ If a client disconnects before the recording's first frame, or before the snapsh
 Later a recording continues without its client.
 """
 
-import traceback
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from spheremouse.errors import ControlError, OutputError, SpheremouseError
+from spheremouse.errors import ControlError, OutputError, SpheremouseError, internal_error_text
 from spheremouse.output import Counts
 from spheremouse.session.control.protocol import Record, Snapshot, internal_error, refused
 from spheremouse.session.control.request_queue import PendingRequest
@@ -197,7 +196,7 @@ class Archive:
         except (SpheremouseError, OSError) as e:
             reply = refused(str(e))
         except Exception as e:
-            self._log("internal error, please report it:\n" + traceback.format_exc().rstrip())
+            self._log(internal_error_text())
             reply = refused(internal_error(e))
         return partial(answer, reply)
 

@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 from spheremouse.errors import DatasetError, SpheremouseError
+from spheremouse.files.access import state_folder
 from spheremouse.session.settings import RecordSettings
 
 FOLDER, FILE = 0o750, 0o640  # modes
@@ -23,11 +24,7 @@ def recordings_folder(settings: RecordSettings) -> Path:
     """Return the folder of recordings: as configured, else recordings/ in the state directory of service or user."""
     if settings.folder is not None:
         return Path(settings.folder).expanduser().absolute()
-    given = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
-    if given:
-        return Path(given) / "recordings"
-    state = os.environ.get("XDG_STATE_HOME")
-    return (Path(state) if state else Path.home() / ".local" / "state") / "spheremouse" / "recordings"
+    return state_folder() / "recordings"
 
 
 def next_name(folder: Path, now: time.struct_time | None = None, suffix: str = "") -> Path:
