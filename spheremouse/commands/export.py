@@ -1,6 +1,5 @@
 """`spheremouse export`: track a recording, and write pictures, marks and samples as an MCAP file."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -39,7 +38,8 @@ def export(
 
     sdk()
     check_outputs([out], [recording, config, rig, camera, *(balls or ())], force)
-    plan = read_run_config(replace(of_recording(recording, config, assignments, balls), rig=rig, camera=camera))
+    options = {"rig": rig, "camera_file": camera, "wand.balls": balls}
+    plan = read_run_config(of_recording(recording, config, assignments, options))
     try:
         with NewFile(out) as new:
             frames = _write(new.file, plan)

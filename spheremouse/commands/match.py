@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from spheremouse.commands.options import Assignments, CameraFile, ConfigFile, RigFile
+from spheremouse.commands.options import Assignments, CameraFile, ConfigFile, RigFile, settings_given
 from spheremouse.errors import ConfigurationError, DatasetError, PoseError, SourceError
 
 if TYPE_CHECKING:
@@ -77,9 +77,9 @@ def _plan(
 
     if not Path(recording).exists() and ":" not in recording:
         raise SourceError(f"{recording}: no such recording; name a dataset folder or a video")
-    plan = read_run_config(
-        CommandLineOverrides(config, tuple(assignments), recording, ("null",), rig, camera, no_map=True)
-    )
+    options = {"source": recording, "output": "null", "rig": rig, "camera_file": camera}
+    given = settings_given(assignments, config, options)
+    plan = read_run_config(CommandLineOverrides(config, given, no_map=True))
     if plan.configuration.tracker == "wand":
         raise ConfigurationError("tracker: wand is for balls in a hand; so3 is for one on a trackball")
     return plan

@@ -5,7 +5,7 @@ or a list is its form, WxH or X,Y,Z.
 """
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import Field, fields
 from functools import wraps
 from math import inf, isfinite
@@ -48,6 +48,23 @@ Socket = Annotated[
     Path | None,
     typer.Option(metavar="PATH", help="The daemon's socket.  [default: $SPHEREMOUSE_SOCKET, else where one answers]"),
 ]
+
+
+def settings_given(assignments: list[str] | None, config: Path | None, options: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return --set and the `options` that stand for a setting, by its key, as KEY=VALUE. None and [] leave it.
+
+    A path becomes absolute if there is a configuration file: paths of settings are relative to it.
+    """
+    from spheremouse.files.config import assignments as as_assignments
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Path):
+            return str(value if config is None else value.absolute())
+        return tuple(map(plain, value)) if isinstance(value, list) else value
+
+    given = {key: plain(value) for key, value in options.items() if value not in (None, [])}
+    return (*(assignments or ()), *as_assignments(given))
+
 
 # ---- options from the fields of a dataclass ----
 

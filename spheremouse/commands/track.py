@@ -1,12 +1,11 @@
 """`spheremouse track`: track a recording once, and send its samples to outputs."""
 
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from spheremouse.commands.options import Assignments, Balls, CameraFile, ConfigFile, RigFile
+from spheremouse.commands.options import Assignments, Balls, CameraFile, ConfigFile, RigFile, settings_given
 from spheremouse.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -14,21 +13,18 @@ if TYPE_CHECKING:
 
 
 def of_recording(
-    recording: Path, config: Path | None, assignments: list[str] | None, balls: list[Path] | None
+    recording: Path, config: Path | None, assignments: list[str] | None, options: dict[str, Any]
 ) -> "CommandLineOverrides":
-    """Return the overrides that track a recording with its own tracker and without a map, for output `null`."""
+    """Return the overrides that track a recording with its own tracker, rig and camera, and without a map.
+
+    `options` are settings by their keys; the output is `null` unless they have one.
+    """
     from spheremouse.files.dataset.wand import is_wand
     from spheremouse.session.run_config import CommandLineOverrides
 
-    of_wand = ("tracker=wand",) if is_wand(recording) else ()
-    return CommandLineOverrides(
-        config,
-        (*of_wand, *(assignments or ())),
-        f"dataset:{recording}",
-        ("null",),
-        no_map=True,
-        balls=tuple(balls or ()),
-    )
+    own = ("rig=null", "camera_file=null", "map=null", *(("tracker=wand",) if is_wand(recording) else ()))
+    given = settings_given(assignments, config, {"source": f"dataset:{recording}", "output": "null", **options})
+    return CommandLineOverrides(config, (*own, *given), no_map=True)
 
 
 def track(
@@ -54,9 +50,8 @@ def track(
     from spheremouse.commands.run import run_plan
     from spheremouse.session.run_config import check_kinds, read_run_config
 
-    overrides = replace(
-        of_recording(recording, config, assignments, balls), outputs=tuple(output), rig=rig, camera=camera
-    )
+    options = {"output": output, "rig": rig, "camera_file": camera, "wand.balls": balls}
+    overrides = of_recording(recording, config, assignments, options)
     plan = read_run_config(overrides)
     check_kinds(plan)
     if smooth and plan.configuration.tracker != "so3":

@@ -103,6 +103,11 @@ def key_of(assignment: str) -> str:
     return assignment.partition("=")[0].strip()
 
 
+def assignments(values: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return settings, by dotted key, as KEY=VALUE."""
+    return tuple(f"{key}={to_yaml(value)}" for key, value in values.items())
+
+
 def assigned(settings: Any, assignments: Iterable[str]) -> dict[tuple[str, ...], Any]:
     """Return the values of the settings that the assignments name, by key."""
     found: dict[tuple[str, ...], Any] = {}

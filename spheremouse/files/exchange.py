@@ -8,8 +8,7 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files import safe_files
-from spheremouse.files.config import to_yaml
+from spheremouse.files import config, safe_files
 from spheremouse.files.edit import put
 from spheremouse.files.validate import nearest
 from spheremouse.files.yaml import SCHEMAS, Document, parse_value, read_document
@@ -65,7 +64,7 @@ def values_of(assignments: Iterable[str]) -> dict[str, Any]:
 def read_saved(path: Path) -> tuple[str, ...]:
     """Return the settings of a file as KEY=VALUE; none without a file. Raises ConfigurationError if it is invalid."""
     found = read_settings(read_document(path)) if path.exists() else {}
-    return tuple(f"{key}={to_yaml(value)}" for key, value in found.items())
+    return config.assignments(found)
 
 
 def save(path: Path, assignments: Iterable[str]) -> None:

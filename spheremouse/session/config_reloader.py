@@ -61,49 +61,26 @@ def latest(assignments: tuple[str, ...]) -> tuple[str, ...]:
 
 def given(overrides: CommandLineOverrides) -> tuple[str, ...]:
     """Return the keys that the command line sets; no file changes them."""
-    options = {
-        "source": overrides.source,
-        "output": overrides.outputs,
-        "rig": overrides.rig,
-        "camera_file": overrides.camera,
-        "map": overrides.map or overrides.no_map,
-        "wand.balls": overrides.balls,
-    }
-    return (*(key for key, said in options.items() if said), *map(key_of, overrides.assignments))
+    return (*dict.fromkeys(map(key_of, overrides.assignments)), *(("map",) if overrides.no_map else ()))
 
 
 def settings_in_use(overrides: CommandLineOverrides, plan: RunConfig) -> list[dict[str, Any]]:
     """Return the settings that the tracker of a plan reads, as `config.described`; `live`: `set` can change it."""
-    options = given(replace(overrides, assignments=()))
-    named = {"source": plan.source, "output": plan.outputs, "rig": plan.rig_path, "camera_file": plan.camera_path,
-             "map": plan.map_path, "wand.balls": plan.ball_paths}  # fmt: skip
-    found = []
-    for about in config.described(plan.configuration):
-        key = about["key"]
-        section = key.partition(".")[0]
-        if section not in _UNREAD[plan.configuration.tracker]:
-            value = {"value": named[key]} if key in options else {}
-            found.append({**about, **value, "live": key not in options and section not in AT_START})
-    return found
+    fixed = (*AT_START, "map") if overrides.no_map else AT_START
+    described = ((about, about["key"].partition(".")[0]) for about in config.described(plan.configuration))
+    unread = _UNREAD[plan.configuration.tracker]
+    return [{**about, "live": section not in fixed} for about, section in described if section not in unread]
 
 
 def check_settable(overrides: CommandLineOverrides, assignments: tuple[str, ...]) -> None:
     """Raise ControlError if an assignment could not take effect."""
-    keys = [key_of(a) for a in assignments]
-    late = sorted({key for key in (k.partition(".")[0] for k in keys) if key in AT_START})
-    if late:
+    sections = {key_of(a).partition(".")[0] for a in assignments}
+    if late := sorted(sections.intersection(AT_START)):
         raise ControlError(
             f"{', '.join(late)}: read at the start only; write it into the configuration file and start again"
         )
-    _refuse_given(replace(overrides, assignments=()), assignments)
-
-
-def _refuse_given(overrides: CommandLineOverrides, assignments: tuple[str, ...]) -> None:
-    said = sorted(set(map(key_of, assignments)) & set(given(overrides)))
-    if said:
-        raise ControlError(
-            f"{', '.join(said)}: set on the command line, which overrides it; start again without that option"
-        )
+    if overrides.no_map and "map" in sections:
+        raise ControlError("map: this run keeps none; start again without --no-map")
 
 
 def check_read(plan: RunConfig, assignments: tuple[str, ...]) -> None:
@@ -250,7 +227,10 @@ class ConfigReloader:
             self.reload(pending)
             return
         changes = tuple(c for c in self.overrides.changes if asked is None or key_of(c) in asked)
-        _refuse_given(self.overrides, changes)
+        if fixed := sorted(set(map(key_of, changes)) & set(given(self.overrides))):
+            raise ControlError(
+                f"{', '.join(fixed)}: set on the command line, which overrides it; start again without that option"
+            )
 
         def write() -> None:
             try:
@@ -285,7 +265,7 @@ class ConfigReloader:
             time.sleep(max(0.0, self._read_at + _MIN_READING_INTERVAL - time.monotonic()))
             files = stamps_of(wanted, before)
             try:
-                plan = self._setup.planned(wanted, read_run_config(wanted))
+                plan = self._setup.planned(read_run_config(wanted))
                 check_kinds(plan, before)
                 check_read(plan, assigned)
                 if plan.notice != before.notice:

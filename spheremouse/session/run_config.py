@@ -14,7 +14,6 @@ from spheremouse.ball.rig import Rig
 from spheremouse.errors import ConfigurationError, OutputError, SourceError
 from spheremouse.files import config
 from spheremouse.files.access import service_state_folder
-from spheremouse.files.dataset.format import MOST_BALLS
 from spheremouse.files.disc_map import map_path
 from spheremouse.files.exchange import read_saved
 from spheremouse.files.registry import check
@@ -72,17 +71,11 @@ def with_distinct_names(balls: tuple[WandBall, ...]) -> tuple[WandBall, ...]:
 
 @dataclass(frozen=True, slots=True)
 class CommandLineOverrides:
-    """Settings of the command line; None leaves a setting to the configuration file."""
+    """A configuration file, and the settings that come before it."""
 
     file: Path | None = None  # the configuration
-    assignments: tuple[str, ...] = ()  # KEY=VALUE
-    source: str | None = None
-    outputs: tuple[str, ...] = ()
-    rig: Path | None = None
-    camera: Path | None = None
-    map: Path | None = None
+    assignments: tuple[str, ...] = ()  # KEY=VALUE: those of --set, and options that stand for a setting
     no_map: bool = False
-    balls: tuple[Path, ...] = ()  # wand files
     changes: tuple[str, ...] = ()  # KEY=VALUE by `ctl set`: until the next start or reload
     saved: Path | None = None  # file of the settings that the service saved; they override the configuration
 
@@ -146,12 +139,11 @@ def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
     for change in overrides.changes:
         c = config.override(c, change, label="")
     c = _with_folder(c, overrides.file)
-    source, to = overrides.source or c.source, overrides.outputs or c.outputs
-    source = None if source is None else sources.full_spec(source)
-    if source is None:
+    if c.source is None:
         raise ConfigurationError(
             "no source: give --source, for example v4l2:/dev/video0, or `source:` in --config FILE"
         )
+    to = c.outputs
     if not to:
         raise ConfigurationError(
             "no output: give --output, for example uinput or text:-, or `output:` in --config FILE "
@@ -159,24 +151,17 @@ def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
         )
     if twice := next((spec for k, spec in enumerate(to) if spec in to[:k]), None):
         raise ConfigurationError(f"output: {twice} is given twice; leave one out")
-    if overrides.map is not None and overrides.no_map:
-        raise ConfigurationError("--map and --no-map: give one of the two")
-    given_map = overrides.map or beside(overrides.file, c.map)
-    if given_map is not None and c.tracker != "so3" and not overrides.no_map:
-        where, left = ("--map", "--map") if overrides.map is not None else (f"{overrides.file}: map", "it")
-        raise ConfigurationError(f"{where}: tracker {c.tracker} keeps no map; use so3, or leave {left} out")
-    rig_path = overrides.rig or beside(overrides.file, c.rig)
-    camera_path = overrides.camera or beside(overrides.file, c.camera_file)
+    if c.map is not None and c.tracker != "so3" and not overrides.no_map:
+        raise ConfigurationError(f"map: tracker {c.tracker} keeps no map; use so3, or leave the map out")
+    rig_path, camera_path, map_file = (beside(overrides.file, name) for name in (c.rig, c.camera_file, c.map))
     rig = None if rig_path is None else load_rig(rig_path)
     camera = None if camera_path is None else load_camera(camera_path)
     if overrides.no_map or c.tracker != "so3":
         map_file = None
-    else:
-        map_file = given_map or (None if rig_path is None else _usual_map(rig_path))
-    ball_paths = named_balls(overrides, c) if c.tracker == "wand" else ()
-    if len(ball_paths) > MOST_BALLS:
-        raise ConfigurationError(f"--ball: given {len(ball_paths)} times; at most {MOST_BALLS} balls are tracked")
-    balls = read_balls(ball_paths)
+    elif map_file is None and rig_path is not None:
+        map_file = _usual_map(rig_path)
+    ball_paths = wand_files(overrides.file, c) if c.tracker == "wand" else ()
+    balls, source = read_balls(ball_paths), sources.full_spec(c.source)
     return RunConfig(c, source, to, rig, rig_path, camera, camera_path, map_file, balls, ball_paths, unchanged, saved)
 
 
@@ -205,9 +190,9 @@ def beside(file: Path | None, name: str | None) -> Path | None:
     return path if file is None else file.parent / path
 
 
-def named_balls(overrides: CommandLineOverrides, c: Configuration) -> tuple[Path, ...]:
-    """Return the wand files of the command line, else those of the configuration."""
-    return overrides.balls or tuple(path for name in c.wand.balls if (path := beside(overrides.file, name)) is not None)
+def wand_files(file: Path | None, c: Configuration) -> tuple[Path, ...]:
+    """Return the wand files of a configuration."""
+    return tuple(path for name in c.wand.balls if (path := beside(file, name)) is not None)
 
 
 def _with_folder(c: Configuration, file: Path | None) -> Configuration:

@@ -19,7 +19,7 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.cameras import is_camera, node_of
-from spheremouse.session.run_config import CommandLineOverrides, RunConfig, with_distinct_names
+from spheremouse.session.run_config import RunConfig, with_distinct_names
 from spheremouse.session.tracker_adapter import MAP, Do, TrackerAdapter
 from spheremouse.wand.ball import WandBall, grzonka_ball
 
@@ -41,12 +41,10 @@ class Setup:
         """The device that the source brings; None without a source, or if it brings none."""
         return None if self.source is None else self.source.rig
 
-    def planned(self, overrides: CommandLineOverrides, plan: RunConfig) -> RunConfig:
+    def planned(self, plan: RunConfig) -> RunConfig:
         """Return the plan without a map if the source brings its own device, unless a map was requested."""
-        own = self.rig is not None and not is_camera(plan.source)
-        return (
-            replace(plan, map_path=None) if own and overrides.map is None and plan.configuration.map is None else plan
-        )
+        brought = self.rig is not None and not is_camera(plan.source)
+        return replace(plan, map_path=None) if brought and plan.configuration.map is None else plan
 
     @property
     def open_replay(self) -> OpenCamera | None:

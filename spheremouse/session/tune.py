@@ -119,8 +119,8 @@ class Objective:
 
 def changed(settings: Configuration, values: Values) -> Configuration:
     """Return the settings with other values by dotted key. Raises ConfigurationError for an invalid value."""
-    for key, value in values.items():
-        settings = config.override(settings, f"{key}={config.to_yaml(value)}", label="")
+    for assignment in config.assignments(values):
+        settings = config.override(settings, assignment, label="")
     return settings
 
 

@@ -124,7 +124,7 @@ def test_another_way_to_open_a_camera_that_is_open_is_no_second_daemon(tmp_path,
     node.touch()
     monkeypatch.setattr("spheremouse.capture.v4l2.open_camera", lambda argument, settings: Camera(log))
     source = f"v4l2:{node},fps=30"
-    plan = read_run_config(CommandLineOverrides(source=source, outputs=("null",)))
+    plan = read_run_config(CommandLineOverrides(None, (f"source='{source}'", "output=null")))
     refuse_if_taken(source)
     with opener(plan)():
         with pytest.raises(SourceError, match=f"process {os.getpid()}|in use by another"):

@@ -241,7 +241,7 @@ def test_a_map_is_shown(spheremouse, empty_folder, roll):
     [
         (["--map", "m.yaml", "--no-map"], "--map and --no-map: give one of the two"),
         (["--map", "nowhere/m.yaml"], "nowhere/m.yaml: no such folder; name a place for the map with --map, "),
-        (["--map", "m.yaml", "--set", "tracker=ekf2"], "--map: tracker ekf2 keeps no map; use so3, or leave --map out"),
+        (["--map", "m.yaml", "--set", "tracker=ekf2"], "map: tracker ekf2 keeps no map; use so3, or leave the map out"),
         (["--map", "damaged.yaml"],
          "damaged.yaml:1: schema: is 7; this program reads version 1: update the program or the file; "),
     ],

@@ -20,13 +20,14 @@ from spheremouse.session.service import Daemon
 from spheremouse.session.setup import open_replay
 
 CLIP = Path(__file__).parents[1] / "data" / "far26_clip"
+ON_CLIP = (f"source=dataset:{CLIP}", "output=null")
 PATIENCE = 60.0  # s
 
 
 class Run:
     def __init__(self, folder):
-        settings = ("realtime=off", f"control.socket={folder / 's'}")
-        overrides = CommandLineOverrides(None, settings, f"dataset:{CLIP}", ("null",), no_map=True)
+        settings = ("realtime=off", f"control.socket={folder / 's'}", *ON_CLIP)
+        overrides = CommandLineOverrides(None, settings, no_map=True)
         plan = read_run_config(overrides)
         setup = open_replay(plan)
         self.results = []
@@ -77,7 +78,7 @@ def test_each_pass_is_exactly_that_of_the_recording_tracked_frame_by_frame(run):
     recording = open_dataset(CLIP)
     assert run.daemon.adapter.pose is not None
     tracker = build(recording.rig, run.daemon.adapter.pose, read_run_config(
-        CommandLineOverrides(None, (), f"dataset:{CLIP}", ("null",))).configuration)  # fmt: skip
+        CommandLineOverrides(None, ON_CLIP)).configuration)  # fmt: skip
     expected = [(e.frame.sequence, e.estimate.rotation, e.estimate.rate, e.estimate.increment)
                 for e in track(read_frames(recording), tracker)]  # fmt: skip
     for results in passes:
@@ -96,4 +97,4 @@ def test_nonsense_is_refused_in_words_and_changes_nothing(run):
 
 def test_a_camera_is_no_recording():
     with pytest.raises(SourceError, match="is no recording"):
-        open_replay(read_run_config(CommandLineOverrides(None, (), "v4l2:/dev/video0", ("null",))))
+        open_replay(read_run_config(CommandLineOverrides(None, ("source=v4l2:/dev/video0", "output=null"))))

@@ -39,9 +39,9 @@ def test_the_command_line_comes_first(folder):
     other.mkdir()
     (other / "r.yaml").write_text((folder / "rig.yaml").read_text())
     overrides = CommandLineOverrides(
-        folder / "config.yaml", ("motion.scale_x=2", "motion.scale_x=3"), "opencv:0", ("null",), other / "r.yaml",
-        map=other / "m.yaml"
-    )  # fmt: skip
+        folder / "config.yaml",
+        ("motion.scale_x=2", "motion.scale_x=3", "source=opencv:0", "output=null", "rig=sub/r.yaml", "map=sub/m.yaml"),
+    )
     plan = read_run_config(overrides)
     assert (plan.source, plan.outputs, plan.rig_path, plan.map_path) == (
         "opencv:0", ("null",), other / "r.yaml", other / "m.yaml",
@@ -50,8 +50,8 @@ def test_the_command_line_comes_first(folder):
 
 
 def test_without_a_file_the_defaults_hold():
-    plan = read_run_config(CommandLineOverrides(source="opencv:0", outputs=("null",)))
-    assert plan.configuration == Configuration()
+    plan = read_run_config(CommandLineOverrides(None, ("source=opencv:0", "output=null")))
+    assert plan.configuration == Configuration(source="opencv:0", output="null")
     assert (plan.rig, plan.rig_path, plan.map_path) == (None, None, None)
     with pytest.raises(ConfigurationError, match="--rig FILE"):
         plan.device(None)
@@ -60,13 +60,12 @@ def test_without_a_file_the_defaults_hold():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"file": None, "outputs": ("null",)}, "no source: give --source"),
-        ({"file": None, "source": "opencv:0"}, "no output: give --output"),
-        ({"map": Path("x"), "no_map": True}, "one of the two"),
-        ({"assignments": ("tracker=ekf1",), "map": Path("x")}, "keeps no map"),
+        ({"file": None, "assignments": ("output=null",)}, "no source: give --source"),
+        ({"file": None, "assignments": ("source=opencv:0",)}, "no output: give --output"),
+        ({"assignments": ("tracker=ekf1", "map=x")}, "keeps no map"),
         ({"assignments": ("motion.scale_x=many",)}, "motion.scale_x"),
-        ({"rig": Path("missing.yaml")}, "missing.yaml"),
-        ({"camera": Path("missing.yaml")}, "missing.yaml"),
+        ({"assignments": ("rig=missing.yaml",)}, "missing.yaml"),
+        ({"assignments": ("camera_file=missing.yaml",)}, "missing.yaml"),
         ({"file": Path("missing.yaml")}, "missing.yaml"),
     ],
 )

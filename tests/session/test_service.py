@@ -1017,7 +1017,7 @@ def test_who_is_refused_has_emptied_no_file(playing, tmp_path):
     """A second run with the same configuration finds the socket taken before it opens its output."""
     path = tmp_path / "out.txt"
     path.write_text("what the first run has written\n")
-    overrides = CommandLineOverrides(playing.config, outputs=(f"text:{path}",))
+    overrides = CommandLineOverrides(playing.config, (f"output=text:{path}",))
     other = run_module.Daemon(
         overrides, read_run_config(overrides), Setup(), lambda _: playing.open_camera, log=lambda _: None
     )  # fmt: skip

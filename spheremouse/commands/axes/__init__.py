@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from spheremouse.commands.options import Assignments, Balls, CameraFile, RigFile
+from spheremouse.commands.options import Assignments, Balls, CameraFile, RigFile, settings_given
 from spheremouse.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from spheremouse.session.run_config import CommandLineOverrides, RunConfig
+    from spheremouse.session.run_config import RunConfig
 
 
 def axes(
@@ -57,21 +57,20 @@ def axes(
         raise ConfigurationError(
             f"--profile {profile}: needs --config FILE, and a name of letters, digits, '_' and '-'"
         )
-    said = () if tracker is None else (f"tracker={tracker}",)
     there = config is not None and config.exists()
     if config is not None and not dry:
         check_place(config)
         if not os.access(config.parent, os.W_OK) or (there and not os.access(config, os.W_OK)):
             raise ConfigurationError(f"{config}: this account may not write it; use sudo, or only look with --dry-run")
-    file, told = config if there else None, (*(assignments or ()), *said)
-    overrides = CommandLineOverrides(
-        file, told, source, ("null",), rig, camera, None, no_map=True, balls=tuple(balls or ())
-    )
+    options = {"tracker": tracker, "source": source, "output": "null"}
+    options |= {"rig": rig, "camera_file": camera, "wand.balls": balls}
+    given = settings_given(assignments, config, options)
+    overrides = CommandLineOverrides(config if there else None, given, no_map=True)
     plan = read_run_config(overrides)
     live = is_camera(plan.source)
     with nonblocking_stderr() if live else nullcontext(), SignalHandler() as stopping:
         setup = open_setup(plan)
-        plan = setup.planned(overrides, plan)
+        plan = setup.planned(plan)
         if plan.source.startswith("v4l2:"):  # a service waits for its camera; a person gets an error
             with opener(plan)():
                 pass
@@ -84,7 +83,7 @@ def axes(
         raise KeyboardInterrupt
     for key, value, before in values:
         print(f"{key}: {_shown(value)} ({'as it was' if value == before else f'was {_shown(before)}'})")
-    kept = {} if config is None else _told(plan, overrides, config)
+    kept = {} if config is None else _options_to_keep(plan, given, config)
     for key, value, _ in values:
         kept[tuple(key.split(".")) if profile is None else ("profiles", profile, key)] = value
     _keep(config, kept, dry)
@@ -96,22 +95,25 @@ def _shown(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _told(plan: "RunConfig", overrides: "CommandLineOverrides", config: Path) -> dict[tuple[str, ...], Any]:
+def _options_to_keep(plan: "RunConfig", given: tuple[str, ...], config: Path) -> dict[tuple[str, ...], Any]:
     """Return the command line's values that the configuration lacks, so that `run --config` needs nothing else."""
     from spheremouse.files.config import assigned
     from spheremouse.files.yaml import read_document
     from spheremouse.session.cameras import is_camera
 
-    beside = config.parent
-    said: dict[tuple[str, ...], Any] = {("source",): plan.source} if is_camera(plan.source) else {}
-    said |= assigned(plan.configuration, overrides.assignments)
-    for key, path in (("rig", overrides.rig), ("camera_file", overrides.camera)):
-        if path is not None:
-            said[key,] = os.path.relpath(path, beside)
-    if overrides.balls:
-        said["wand", "balls"] = tuple(os.path.relpath(path, beside) for path in overrides.balls)
+    def beside(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return tuple(map(beside, value))
+        return os.path.relpath(value, config.parent) if isinstance(value, str) and os.path.isabs(value) else value
+
+    kept = assigned(plan.configuration, given)
+    kept |= {key: beside(kept[key]) for key in (("rig",), ("camera_file",), ("wand", "balls")) if key in kept}
+    del kept["output",]
+    kept.pop(("source",), None)
+    if is_camera(plan.source):
+        kept["source",] = plan.source
     there = read_document(config).lines if config.exists() else {}
-    return {key: value for key, value in said.items() if key not in there}
+    return {key: value for key, value in kept.items() if key not in there}
 
 
 def _keep(config: Path | None, values: dict[tuple[str, ...], Any], dry: bool) -> None:

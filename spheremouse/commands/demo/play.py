@@ -27,6 +27,7 @@ from spheremouse.commands.run.view import RunView
 from spheremouse.errors import ConfigurationError
 from spheremouse.evaluation.metrics import History, Reference, Run, report
 from spheremouse.evaluation.plot import plot_run
+from spheremouse.files import config
 from spheremouse.geometry.rotation import rotation_between
 from spheremouse.output import Report
 from spheremouse.output.counts import MotionSettings
@@ -64,7 +65,8 @@ def play(out: Path, seconds: float, seed: int) -> None:
     except OSError as e:
         raise ConfigurationError(f"--out {out}: cannot be made: {e.strerror or e}") from None
     source = f"synthetic:motion=play,seconds={seconds:g},noise={_NOISE:g},seed={seed}"
-    overrides = CommandLineOverrides(source=source, outputs=(f"csv:{out / 'motion.csv'}",), no_map=True)
+    settings = config.assignments({"source": source, "output": f"csv:{out / 'motion.csv'}"})
+    overrides = CommandLineOverrides(assignments=settings, no_map=True)
     with ExitStack() as stack:
         stopping = stack.enter_context(SignalHandler())
         view = _View(stack, True, out / "overlay.mp4", film.simulation.fps)

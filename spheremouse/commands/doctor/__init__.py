@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from spheremouse.commands.options import Balls, CameraFile, RigFile
+from spheremouse.commands.options import Balls, CameraFile, RigFile, settings_given
 
 
 def doctor(
@@ -48,9 +48,9 @@ def doctor(
 
     if balls and tracker != "wand":
         raise ConfigurationError("--ball: goes with --tracker wand; add that, or leave it out")
-    assignments = [] if tracker is None else [f"tracker={tracker}"]
-    assignments += [f"wand.balls={json.dumps([str(path.absolute()) for path in balls])}"] if balls else []
-    overrides = CommandLineOverrides(config, tuple(assignments), source, tuple(output or ()), rig, camera)
+    options = {"tracker": tracker, "source": source, "output": output}
+    options |= {"rig": rig, "camera_file": camera, "wand.balls": balls}
+    overrides = CommandLineOverrides(config, settings_given(None, config, options))
     console = Console(highlight=False, soft_wrap=False)
     sections: list[Section] = []
     with _waiting(quiet=as_json) as progress:

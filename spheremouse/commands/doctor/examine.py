@@ -101,9 +101,8 @@ class _Run:
             progress(f"looking for {'the ball' if self.of_wand else 'targets and discs'}")
             if findings := tuple(picture(self.footage)):
                 yield Section("picture", findings)
-        if self.live or self.overrides.outputs or self.plan.configuration.outputs:
-            findings = tuple(f for spec in self.plan.outputs for f in _guarded("output", output.probe, spec))
-        else:
+        findings = tuple(f for spec in self.plan.outputs for f in _guarded("output", output.probe, spec))
+        if not self.live and self.plan.outputs == ("null",):
             advice = "give --output KIND:ARG to have it looked at"
             findings = (unchecked("output", "none is named, and a recording needs none", advice),)
         yield Section("output", findings)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from spheremouse.ball.rig import Rig
+from spheremouse.capture import full_spec
 from spheremouse.commands.service.systemd import Place
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
@@ -14,6 +15,7 @@ from spheremouse.files.disc_map import age, check_fits, load_map, map_path
 from spheremouse.files.yaml import read_document
 from spheremouse.finding import Finding, Verdict, classify, ok, refusals, unchecked, warning, wrong
 from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.session.cameras import is_camera
 from spheremouse.session.control.status import StatusReport
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig, read_run_config
 from spheremouse.session.settings import Configuration
@@ -39,18 +41,12 @@ def service_state(overrides: CommandLineOverrides) -> Path | None:
 
 def _of_daemon(status: StatusReport) -> CommandLineOverrides:
     """Return the request of a daemon from its status."""
-    return CommandLineOverrides(
-        file=_path(status.config),
-        source=status.source.spec if status.source else None,
-        outputs=tuple(output.spec for output in status.outputs or () if output.spec),
-        rig=_path(status.rig),
-        map=_path(status.map),
-        no_map=status.map is None,
-    )
-
-
-def _path(name: str | None) -> Path | None:
-    return None if name is None else Path(name)
+    outputs = tuple(output.spec for output in status.outputs or () if output.spec)
+    source = status.source.spec if status.source else None
+    named = {"source": source, "output": outputs or None, "rig": status.rig, "map": status.map}
+    settings = config.assignments({key: value for key, value in named.items() if value is not None})
+    file = None if status.config is None else Path(status.config)
+    return CommandLineOverrides(file, settings, no_map=status.map is None)
 
 
 def read(overrides: CommandLineOverrides, camera: str | None) -> tuple[RunConfig | None, list[Finding]]:
@@ -59,14 +55,11 @@ def read(overrides: CommandLineOverrides, camera: str | None) -> tuple[RunConfig
     Hand-held balls are not read here: they have a finding of their own.
     """
     findings: list[Finding] = []
-    overrides = replace(overrides, assignments=(*overrides.assignments, "wand.balls=[]"), balls=())
-    bare = replace(
-        overrides, assignments=(*overrides.assignments, "rig=null", "camera_file=null"), rig=None, camera=None
-    )
+    given = (*overrides.assignments, "wand.balls=[]")
     attempts = [
-        overrides,
-        replace(bare, no_map=True, map=None),
-        CommandLineOverrides(None, (), overrides.source, overrides.outputs),
+        replace(overrides, assignments=given),
+        replace(overrides, assignments=(*given, "rig=null", "camera_file=null"), no_map=True),
+        CommandLineOverrides(None, tuple(a for a in given if config.key_of(a) in ("source", "output"))),
     ]
     plan: RunConfig | None = None
     for attempt in attempts:
@@ -93,11 +86,10 @@ def _as_the_service(plan: RunConfig, overrides: CommandLineOverrides) -> RunConf
 def _completed(overrides: CommandLineOverrides, camera: str | None) -> CommandLineOverrides:
     """Return the request with a source and an output, which a plan needs."""
     c = config.in_force(overrides.file, overrides.assignments, Configuration)
-    return replace(
-        overrides,
-        source=overrides.source or c.source or camera or "v4l2:",
-        outputs=overrides.outputs or c.outputs or ("auto",),
-    )
+    source = full_spec(c.source or camera or "v4l2:")
+    output = c.outputs or ("auto" if is_camera(source) else "null",)
+    settings = config.assignments({"source": source, "output": output})
+    return replace(overrides, assignments=(*overrides.assignments, *settings))
 
 
 def rig_file(path: Path | None, rig: Rig | None, given: Rig | None) -> Finding:

@@ -9,7 +9,7 @@ from spheremouse.commands.doctor.files import size
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.finding import Finding, Verdict, classify, ok, refused, unchecked, wrong
-from spheremouse.session.run_config import CommandLineOverrides, RunConfig, named_balls, read_balls
+from spheremouse.session.run_config import CommandLineOverrides, RunConfig, read_balls, wand_files
 from spheremouse.session.settings import Configuration
 from spheremouse.session.setup import Setup
 from spheremouse.session.wand.messages import trouble_and_remedy
@@ -28,9 +28,8 @@ def tracker_of(
     `given` is the setup of a recording.
     """
     try:
-        balls = read_balls(
-            named_balls(overrides, config.in_force(overrides.file, overrides.assignments, Configuration))
-        )
+        c = config.in_force(overrides.file, overrides.assignments, Configuration)
+        balls = read_balls(wand_files(overrides.file, c))
         tracker = (given or Setup()).wand_tracker(replace(plan, balls=balls))
     except ConfigurationError as e:
         return None, refused("ball", e)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from spheremouse.commands.options import Assignments, Balls, CameraFile, ConfigFile, RigFile
+from spheremouse.commands.options import Assignments, Balls, CameraFile, ConfigFile, RigFile, settings_given
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 
 if TYPE_CHECKING:
@@ -105,19 +105,13 @@ def run(
     """
     from spheremouse.session.run_config import CommandLineOverrides, check_kinds, read_run_config, saved_file
 
-    said = [] if tracker is None else [f"tracker={tracker}"]
-    overrides = CommandLineOverrides(
-        config,
-        (*(_REPLAYED if replay else ()), *(assignments or ()), *said),
-        source,
-        tuple(output or ()),
-        rig,
-        camera,
-        map_file,
-        no_map,
-        tuple(balls or ()),
-        saved=None if replay else saved_file(config),
-    )
+    if map_file is not None and no_map:
+        raise ConfigurationError("--map and --no-map: give one of the two")
+    options = {"tracker": tracker, "source": source, "output": output, "rig": rig, "camera_file": camera}
+    options |= {"map": map_file, "wand.balls": balls}
+    given = settings_given(assignments, config, options)
+    saved = None if replay else saved_file(config)
+    overrides = CommandLineOverrides(config, (*(_REPLAYED if replay else ()), *given), no_map, saved=saved)
     plan = read_run_config(overrides)
     check_kinds(plan)
     if overlay is not None:
@@ -165,7 +159,7 @@ def run_plan(
         with ExitStack() as stack:
             stopping = stack.enter_context(SignalHandler())
             setup = open_replay(plan) if pace == "replay" else open_setup(plan, pace == "realtime")
-            plan = setup.planned(overrides, plan)
+            plan = setup.planned(plan)
             shown = RunView(stack, status, overlay, None if setup.source is None else setup.source.fps, verbose)
             try:
                 work = serve if live else partial(follow, smooth=smooth)

@@ -41,10 +41,10 @@ OK, WARNING, WRONG, UNCHECKED = Verdict.OK, Verdict.WARNING, Verdict.WRONG, Verd
 FAR26_RIG = "the source brings its own"
 
 
-def examined(**overrides):
+def examined(*assignments, file=None):
     """Findings by subject and name; names that occur twice in lists."""
     found = {}
-    for section in doctor.examine(CommandLineOverrides(**overrides), seconds=1.0):
+    for section in doctor.examine(CommandLineOverrides(file, assignments), seconds=1.0):
         for f in section.findings:
             found.setdefault((section.subject, f.name), []).append(f)
     return found
@@ -57,7 +57,7 @@ def one(found, subject, name):
 
 def film_of(options, seconds, size="[512,384]"):
     spec = f"synthetic:seconds={seconds + 0.1},size={size},{options}"
-    return film(read_run_config(CommandLineOverrides(source=spec, outputs=("null",))), seconds, None)
+    return film(read_run_config(CommandLineOverrides(None, (f"source='{spec}'", "output=null"))), seconds, None)
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def seen(good):
     """The camera's pose from the targets of that film, and what sees discs."""
     footage = good
     rig = footage.rig
-    settings = read_run_config(CommandLineOverrides(source="null", outputs=("null",))).configuration
+    settings = read_run_config(CommandLineOverrides(None, ("source='null'", "output=null"))).configuration
     pose, _ = sights.targets(footage.views, rig, settings)
     return sights.sight(rig, pose, settings)[0]
 
@@ -86,7 +86,7 @@ def a_film(stamps, sequence=None, **changes):
 
 
 def test_the_reference_recording_is_well_and_the_discs_are_those_of_its_truth(far26):
-    found = examined(source=f"dataset:{far26}")
+    found = examined(f"source=dataset:{far26}")
     assert {f.verdict for (subject, _), all_ in found.items() if subject in ("camera", "picture") for f in all_} <= {
         OK,
         UNCHECKED,
@@ -135,7 +135,7 @@ def test_one_thing_wrong_hides_nothing_else(tmp_path, far26):
 
 
 def test_a_source_that_gives_nothing_leaves_the_other_subjects(tmp_path):
-    found = examined(source=f"dataset:{tmp_path / 'gone'}", outputs=("text:-",))
+    found = examined(f"source=dataset:{tmp_path / 'gone'}", "output=text:-")
     assert one(found, "camera", "film").verdict is WRONG
     assert ("picture", "targets") not in found
     assert one(found, "output", "output").verdict is OK
@@ -146,7 +146,7 @@ def test_a_check_that_fails_itself_is_a_line(monkeypatch, far26):
         raise ZeroDivisionError("of its own")
 
     monkeypatch.setattr(sights, "brightness", broken)
-    found = examined(source=f"dataset:{far26}")
+    found = examined(f"source=dataset:{far26}")
     assert one(found, "picture", "brightness").verdict is WRONG
     assert "ZeroDivisionError: of its own" in one(found, "picture", "brightness").text
     assert one(found, "picture", "discs").verdict is OK
@@ -160,7 +160,7 @@ def test_a_recording_that_breaks_off_is_used_as_far_as_it_goes(tmp_path, far26):
     capture = cv2.VideoCapture(str(far26 / "video.mkv"))
     for k in range(12):
         cv2.imwrite(str(folder / "frames" / f"{k:06d}.png"), capture.read()[1])
-    found = examined(source=f"dataset:{folder}")
+    found = examined(f"source=dataset:{folder}")
     assert "ends after 12 of 60 frames" in one(found, "camera", "stamps").text
     assert one(found, "picture", "targets").verdict is OK
 
@@ -295,7 +295,7 @@ def test_blur_is_a_matter_of_how_long_the_shutter_is_open(seen):
 
 
 def test_targets_that_moved_against_the_rig_are_told(far26):
-    plan = read_run_config(CommandLineOverrides(source=f"dataset:{far26}", outputs=("null",)))
+    plan = read_run_config(CommandLineOverrides(None, (f"source=dataset:{far26}", "output=null")))
     footage = film(plan, 0.5, None)
     rig, settings = footage.rig, plan.configuration
     assert rig is not None
@@ -321,7 +321,7 @@ def test_targets_that_moved_against_the_rig_are_told(far26):
 
 
 def test_discs_that_are_too_small_or_a_covered_ball_are_told(far26):
-    plan = read_run_config(CommandLineOverrides(source=f"dataset:{far26}", outputs=("null",)))
+    plan = read_run_config(CommandLineOverrides(None, (f"source=dataset:{far26}", "output=null")))
     footage = film(plan, 0.2, None)
     rig, settings = footage.rig, plan.configuration
     assert rig is not None
@@ -435,7 +435,7 @@ def test_without_a_word_the_daemons_or_the_services_configuration_is_looked_at(t
     other = tmp_path / "other.yaml"
     other.write_text("schema: 2\n")
     assert files.usual(CommandLineOverrides(), StatusReport(config=str(other))).file == other
-    assert files.usual(CommandLineOverrides(source="null"), StatusReport(config=str(other))).file is None
+    assert files.usual(CommandLineOverrides(None, ("source=video:a",)), StatusReport(config=str(other))).file is None
 
 
 def test_what_the_daemon_was_told_on_its_command_line_is_looked_at(tmp_path):
@@ -445,13 +445,14 @@ def test_what_the_daemon_was_told_on_its_command_line_is_looked_at(tmp_path):
     config.write_text("schema: 2\n")
     told = {"config": None, "rig": "/r.yaml", "map": None, **{k: STATUS[k] for k in ("source", "outputs")}}
     for kept in (None, "/m.yaml"):
-        assert files.usual(CommandLineOverrides(), StatusReport.read({**told, "map": kept})) == CommandLineOverrides(
-            source="v4l2:/dev/video7",
-            outputs=("uinput",),
-            rig=Path("/r.yaml"),
-            map=kept and Path(kept),
-            no_map=kept is None,
+        settings = (
+            "source='v4l2:/dev/video7'",
+            "output=[uinput]",
+            "rig='/r.yaml'",
+            *([f"map='{kept}'"] if kept else []),
         )
+        usual = files.usual(CommandLineOverrides(), StatusReport.read({**told, "map": kept}))
+        assert usual == CommandLineOverrides(None, settings, no_map=kept is None)
 
 
 def test_map_and_recordings_of_the_service_are_where_the_service_keeps_them(tmp_path, far26):
@@ -524,7 +525,7 @@ def test_a_daemon_that_runs_keeps_its_camera(tmp_path_factory, monkeypatch):
     with ControlServer(path, ControlSettings(), lambda pending: pending.answer(dict(STATUS))):
         sections = {
             s.subject: s.findings
-            for s in doctor.examine(CommandLineOverrides(source="v4l2:7", outputs=("null",)), socket=path)
+            for s in doctor.examine(CommandLineOverrides(None, ("source=v4l2:7", "output=null")), socket=path)
         }
     (told,) = [f for f in sections["camera"] if f.name == "film"]
     assert told.verdict is UNCHECKED

@@ -34,7 +34,7 @@ def examined(overrides):
 
 
 def test_a_ball_that_is_in_view_is_found_and_its_distance_told(hand):
-    found = examined(CommandLineOverrides(None, ("tracker=wand",), f"dataset:{hand}"))
+    found = examined(CommandLineOverrides(None, ("tracker=wand", f"source=dataset:{hand}")))
     assert found["camera file"].text == "the source brings its own"
     assert found["ball"].text == "grzonka, 100 mm across, 8 discs"
     assert found["sight"].verdict is Verdict.OK
@@ -49,7 +49,7 @@ def test_a_camera_without_a_file_and_a_ball_file_that_is_missing_are_lines(hand,
     assert "give --camera FILE" in found["camera file"].advice
     file = tmp_path / "config.yaml"
     file.write_text("schema: 2\ntracker: wand\nwand: {balls: [mine.yaml]}\n")
-    found = examined(CommandLineOverrides(file, (), f"dataset:{hand}"))
+    found = examined(CommandLineOverrides(file, (f"source=dataset:{hand}",)))
     assert found["ball"].verdict is Verdict.WRONG
     assert "mine.yaml: no such file" in found["ball"].text
     assert "sight" not in found

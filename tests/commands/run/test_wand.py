@@ -180,7 +180,7 @@ def test_what_does_not_go_together_is_refused(spheremouse, hand, camera, tmp_pat
         ((*source, "--output", "text:-", "--output", "text:-"), "output: text:- is given twice; leave one out"),
         (source, "no output: give --output"),
         (("--source", "synthetic", "--output", "null"), "synthetic: simulates no wand; film one with"),
-        ((*source, "--output", "null", "--map", "m.yaml"), "--map: tracker wand keeps no map"),
+        ((*source, "--output", "null", "--map", "m.yaml"), "map: tracker wand keeps no map"),
         ((*source, "--output", "null", "--overlay", "o.gif"), "o.gif: unknown kind of overlay"),
         ((*source, "--output", "null", "--set", "wand.points=2"), "wand.points: is 2, but there is one ball"),
         ((*source, "--output", "null", "--set", "wand.particles=3"), "--set wand.particles: must be at least 10"),
@@ -228,7 +228,8 @@ def test_a_film_without_the_ball_ends_in_words(spheremouse, camera, tmp_path):
 def test_a_running_daemon_does_not_become_another_program():
     """`ctl reload` and `ctl set` go through this."""
     before, after = (
-        read_run_config(CommandLineOverrides(None, (f"tracker={t}",), "opencv:0", ("null",))) for t in ("so3", "wand")
+        read_run_config(CommandLineOverrides(None, (f"tracker={t}", "source=opencv:0", "output=null")))
+        for t in ("so3", "wand")
     )
     check_kinds(after)
     for a, b in ((after, before), (before, after)):

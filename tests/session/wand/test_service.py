@@ -232,7 +232,8 @@ def test_a_recording_is_tracked_again_to_the_last_bit(world, tmp_path):
     recording = open_wand(folder)
     live = {e.frame.stamp: (e, r) for e, r in world.frames}
     setup = Setup(camera=recording.camera)
-    plan = read_run_config(CommandLineOverrides(folder / "config.yaml", source=f"dataset:{folder}", outputs=("null",)))
+    given = (f"source=dataset:{folder}", "output=null")
+    plan = read_run_config(CommandLineOverrides(folder / "config.yaml", given))
     adapter = setup.adapter(plan, lambda _: None, lambda _, work: work())
     seen = 0
     for frame in read_frames(recording):
