@@ -48,7 +48,6 @@ class BoardSelector(Selector[Sighting]):
 
     @property
     def count(self) -> int:
-        """Number of views."""
         return len(self._views)
 
     @property
@@ -61,15 +60,12 @@ class BoardSelector(Selector[Sighting]):
         return find_board(picture, self.pattern, _QUICK_SEARCH if quick else SEARCHED)
 
     def fault(self, seen: Sighting) -> str:
-        """Describe why no board is found; empty if there is one."""
         return "" if len(seen.ids) else f"it {rejection_reason(seen, self.pattern)}"
 
     def points(self, seen: Sighting) -> tuple[Sequence[int], Array]:
-        """Return the corners' numbers and places, (n, 2) px."""
         return seen.ids.tolist(), seen.uv
 
     def describe(self, seen: Sighting) -> str:
-        """Describe the size of the board."""
         share = self._filled(seen)
         words = f"the board fills {100.0 * share:.0f} % of the picture"
         return f"come closer: {words}" if share < _MIN_SHARE else words
@@ -94,7 +90,6 @@ class BoardSelector(Selector[Sighting]):
         self._rotations, _, _ = resect_views(self._views, self._camera)
 
     def wanted(self) -> list[str]:
-        """List missing views as instructions; left and right as the camera sees them."""
         return missing(self.coverage)
 
     def status(self) -> list[str]:

@@ -41,7 +41,6 @@ class DeviceSelector(Selector[TargetDetections]):
 
     @property
     def count(self) -> int:
-        """Number of photos."""
         return len(self._seen)
 
     @property
@@ -57,16 +56,13 @@ class DeviceSelector(Selector[TargetDetections]):
         return detect_targets(picture, self._device.target_radii, self._rings)
 
     def fault(self, seen: TargetDetections) -> str:
-        """Describe why a picture has no use by itself; empty for three targets or more."""
         views = target_views([seen], self._device, self._camera, TARGET_SIGMA)
         return views.skipped[0][1] if views.skipped else ""
 
     def points(self, seen: TargetDetections) -> tuple[Sequence[str], Array]:
-        """Return the targets' codes and centres, (n, 2) px."""
         return seen.codes, seen.centre
 
     def describe(self, seen: TargetDetections) -> str:
-        """Count the targets of the device."""
         return f"{len(set(seen.codes) & set(self._device.codes))} of {len(self._device.codes)} targets"
 
     def resume(self, read: Callable[[], Image]) -> bool:
@@ -76,20 +72,16 @@ class DeviceSelector(Selector[TargetDetections]):
         return counts
 
     def add(self, seen: TargetDetections) -> None:
-        """Count a photo, and place it among the others."""
         self._seen.append(seen)
         self._block = self._placed(self._seen)
 
     def wanted(self) -> list[str]:
-        """List places to go to; left and right as the camera sees them."""
         return [f"take one {side}" for side in self._missing_sides()] or ["take more from places between"]
 
     def status(self) -> list[str]:
-        """Return a line with the number of photos."""
         return [f"{self.count} photos of {DEVICE_ENOUGH} to {DEVICE_MOST}"]
 
     def gain(self, seen: TargetDetections) -> tuple[str, str]:
-        """Return how far a picture is from the others, or an empty text and the reason why it adds nothing."""
         if not self._seen:
             return "the first", ""
         try:

@@ -111,12 +111,10 @@ class BallAdapter(TrackerAdapter):
 
     @property
     def reason(self) -> str:
-        """State of the ball in words; empty if there is nothing to report."""
         return self._messages.reason
 
     @property
     def camera(self) -> InteriorOrientation:
-        """The camera of the rig."""
         return self.rig.camera
 
     @property
@@ -156,7 +154,6 @@ class BallAdapter(TrackerAdapter):
         self._log(text)
 
     def wants_colour(self, stamp: float) -> bool:
-        """Return True if the targets may be searched in the frame of `stamp`."""
         again = self._reinitialisation
         if self._tracker is None or (again is not None and again.search.wants_colour):
             return True
@@ -174,21 +171,16 @@ class BallAdapter(TrackerAdapter):
         return self._track(frame, self._tracker)
 
     def observation(self, tracked: FrameResult) -> Observation | None:
-        """Return the information of the last frame for the smoother; None with a published filter."""
         tracker, epoch = self.tracker, tracked.epoch
         if tracker is None or self.settings.tracker != "so3":
             return None
         return observe(epoch.estimate, epoch.state.filter, epoch.state.points, tracker.filter)
 
     def take_messages(self) -> LogMessages:
-        """Return the last log line about the ball since the previous call, and clear it."""
         return LogMessages(self._messages.take())
 
     def interrupted(self, reason: str) -> None:
-        """Drop the work on past frames, since the camera may be moved meanwhile.
-
-        A requested estimate of the pose is answered with `reason`.
-        """
+        """Drop the work on past frames, since the camera may be moved meanwhile."""
         self._forget_views()
         self._cancel_reinitialisation(reason)
 
@@ -199,11 +191,7 @@ class BallAdapter(TrackerAdapter):
         self._forget_views()
 
     def prepare(self, plan: RunConfig, changed: Collection[str]) -> Callable[[], TrackerAdapter]:
-        """Prepare other settings, another map or another device; `changed` are the names of the plan's changed parts.
-
-        The result saves the map before it reads another. Raises SpheremouseError, and changes nothing, if the plan is
-        invalid.
-        """
+        """Prepare other settings, another map or another device. The result saves the map before it reads another."""
         settings = plan.configuration
         rig = plan.device(self._given) if "rig" in changed else self.rig
         mapped = not {"rig", "map"}.isdisjoint(changed)
@@ -238,10 +226,6 @@ class BallAdapter(TrackerAdapter):
         return apply
 
     def reinitialise(self, answer: Callable[[str | None, str], None], wanted: Callable[[], bool]) -> None:
-        """Estimate the camera's pose again while tracking continues with the old one.
-
-        At the end, calls `answer` with an error (or None) and a text. Gives up if `wanted` returns False.
-        """
         if self._tracker is None:
             answer(None, f"the pose is being looked for: {self.waiting}")
         elif len(self.rig.targets.codes) < _MIN_TARGETS:
@@ -253,10 +237,6 @@ class BallAdapter(TrackerAdapter):
             self._reinitialisation = _Reinitialisation(search, answer, wanted)
 
     def tracker_status(self, seeing: bool) -> TrackerStatus:
-        """Return the tracker's part of the status: discs, motion, camera pose and targets.
-
-        `seeing` is False if no frames arrive. Then discs used are 0 and motion is None.
-        """
         estimate = self._estimate
         found = {} if estimate is None else estimate.statistics
         tracking = seeing and self.status is Status.TRACKING
@@ -300,29 +280,19 @@ class BallAdapter(TrackerAdapter):
         )
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
-        """Return a function that draws the overlay for a tracked frame with the sum of `counts`.
-
-        It is black except for ball and targets, unless `everything`. The image is copied.
-        """
         tracker = self.tracker
         assert tracker is not None
         keep = None if everything else partial(kept, self.rig, tracker.pose, self.settings)
         return picture_of(tracked, self.annotations(tracked), counts, keep)
 
     def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
-        """Return a function that draws a frame with its targets; unless `everything`, the rest is in coarse blocks."""
         return partial(sought, frame.image.copy(), self.rig, self.settings, everything=everything)
 
     def failure(self, unused: str) -> SpheremouseError | None:
-        """Return PoseError if the camera's pose was never found, else None.
-
-        `unused` is the reason why the source's frames could not be used, or empty.
-        """
         why = self.waiting if self.untracked else unused or "the source gave no frame"
         return PoseError(why) if self.waiting else None
 
     def close(self) -> None:
-        """Save the map, if one is kept, and wait for it."""
         if self._keeper is not None:
             self._keeper.close()
 

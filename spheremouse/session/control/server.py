@@ -441,7 +441,6 @@ class Endpoints:
                 self._log(f"{e}; going on without")
 
     def submit(self, report: Report) -> None:
-        """Send the samples of a frame to the clients that subscribe, from any thread."""
         if self._server is not None:
             self._server.submit(report)
 

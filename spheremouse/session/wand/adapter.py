@@ -66,12 +66,10 @@ class WandAdapter(TrackerAdapter):
 
     @property
     def camera(self) -> InteriorOrientation:
-        """The camera of the balls."""
         return self.tracker.camera
 
     @property
     def reason(self) -> str:
-        """State of the ball that points."""
         return self._messages.reason
 
     def introduce(self) -> None:
@@ -84,7 +82,6 @@ class WandAdapter(TrackerAdapter):
         return True
 
     def follow(self, frame: Frame) -> FrameResult:
-        """Track the balls. Raise SourceError if the frame has another size than the camera's, or no colour."""
         check_wand_frame(frame, self.tracker)
         begun = time.perf_counter()
         state = self._state or begin(self.tracker, 0, frame.stamp)
@@ -110,7 +107,6 @@ class WandAdapter(TrackerAdapter):
         )
 
     def take_messages(self) -> LogMessages:
-        """Return the log lines since the previous call, and clear them. Of several changes it keeps the last."""
         return self._messages.take()
 
     def interrupted(self, reason: str) -> None:
@@ -119,7 +115,6 @@ class WandAdapter(TrackerAdapter):
         self._messages.interrupted()
 
     def restart(self, reason: str) -> None:
-        """Search for all balls again."""
         self._state, self._poses, self.status = None, (), Status.SEARCHING
         self.mapping.interrupted()
         self._messages.reason = reason
@@ -155,7 +150,6 @@ class WandAdapter(TrackerAdapter):
         answer(None, f"{names}: searched again")
 
     def tracker_status(self, seeing: bool) -> TrackerStatus:
-        """Return the pose of each ball, and the motion of the one that points."""
         poses, estimate, motion = self._poses, self._estimate, None
         if seeing and estimate is not None and self.status is Status.TRACKING:
             motion = of_hand(self._plan.configuration.wand.pointing).motion(estimate)
@@ -177,24 +171,20 @@ class WandAdapter(TrackerAdapter):
         }
 
     def annotations(self, tracked: FrameResult | None) -> dict[str, Any]:
-        """Return outlines and discs of the balls on the last frame as plain data."""
         if tracked is None:
             return plain(None, self.status)
         balls = zip(self.tracker.balls, tracked.epoch.poses, strict=True)
         return plain(tracked.samples[0].sequence, self.status, **of_balls(balls, self.points, self.tracker.camera))
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
-        """Return a function that draws the overlay, black except around the balls unless `everything`."""
         keep = None if everything else partial(_around_balls, tracked.epoch.poses, self.tracker)
         return picture_of(tracked, self.annotations(tracked), counts, keep)
 
     def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
-        """Return a function that draws a frame that cannot be used; coarse unless `everything`."""
         image = frame.image.copy()
         return lambda: image if everything else in_blocks(image, np.zeros(image.shape[:2], np.uint8))
 
     def failure(self, unused: str) -> SpheremouseError | None:
-        """Return SourceError if the ball that points was never seen, else None."""
         if self.points in self._messages.found:
             return None
         frames = f"{self._frames} frame{'' if self._frames == 1 else 's'}"
@@ -202,7 +192,6 @@ class WandAdapter(TrackerAdapter):
         return SourceError(f"{self._plan.source}: {why}")
 
     def final_messages(self, failed: bool) -> tuple[str, ...]:
-        """Return a log line for each ball never seen; after a failure without the pointing one, which it names."""
         return self._messages.never_found(but=self.points if failed else None)
 
 
