@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from spheremouse.files.dataset.wand import WAND_COLUMNS, columns_of, wand_scene
-from spheremouse.files.dataset.write import DatasetFolder, DatasetWriter, device_description
+from spheremouse.files.dataset.write import TruthWriter, dataset_folder, device_description
 from spheremouse.simulate.ball.film import Change, Simulation, simulate
 from spheremouse.simulate.wand.film import WandFilm, simulate_wand
 
@@ -41,10 +41,11 @@ def _change(change: Change) -> dict[str, Any]:
 def write_simulation(path: Path | str, simulation: Simulation, *, replace: bool = False) -> Iterator[int]:
     """Film a simulation into a dataset folder, giving the number of frames done after each; complete at the end.
 
-    Raises DatasetError as DatasetWriter does. An iterator that is closed early writes nothing.
+    Raises DatasetError as `dataset_folder` does. An iterator that is closed early writes nothing.
     """
     description, centres = scene_description(simulation, Path(path).absolute().name), simulation.options.reach > 0.0
-    with DatasetWriter(path, description, replace=replace, centres=centres) as writer:
+    with dataset_folder(path, description, replace=replace) as made:
+        writer = TruthWriter(made, centres=centres)
         for done, filmed in enumerate(simulate(simulation), start=1):
             writer.add(filmed.frame, filmed.attitude, filmed.rate, filmed.discs, filmed.centre)
             yield done
@@ -70,7 +71,7 @@ def write_wand(path: Path | str, film: WandFilm, *, replace: bool = False) -> It
     Raises DatasetError where `path` is there and not empty (unless `replace`, and it holds a dataset), or cannot be
     written. An iterator that is closed early writes nothing.
     """
-    with DatasetFolder(path, wand_scene_description(film, Path(path).absolute().name), replace=replace) as made:
+    with dataset_folder(path, wand_scene_description(film, Path(path).absolute().name), replace=replace) as made:
         poses = [name for k in range(len(film.scene.balls)) for name in columns_of(k)]
         rows = made.table("truth.csv", (*WAND_COLUMNS[:2], *poses))
         for shot in simulate_wand(film):

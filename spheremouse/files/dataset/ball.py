@@ -1,6 +1,6 @@
 """Read recordings: folders with the description of a device, the frames, and perhaps the truth.
 
-`open_dataset` and `frames.read_frames` read one, `write.DatasetWriter` writes one. docs/datasets describes the format.
+`open_dataset` and `frames.read_frames` read one, `write.dataset_folder` writes one. docs/datasets describes the format.
 """
 
 from dataclasses import dataclass, replace

@@ -3,11 +3,11 @@
 import csv
 import json
 import os
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,78 +23,71 @@ from spheremouse.tracker import Frame
 CENTRE_COLUMNS = ("bx", "by", "bz")  # of truth.csv, where the ball leaves its place
 
 
-class DatasetFolder:
-    """A dataset in a hidden folder beside `path`, which takes its name at the end of the `with` block.
+@contextmanager
+def new_folder(path: Path, check: Callable[[Path], None], error: type[SpheremouseError]) -> Iterator[Path]:
+    """Make a hidden folder beside `path`, which takes its name at the end, or is removed after an exception or a kill.
 
-    Add each image to `pictures`, and a row to each table. After an exception or a kill there is no dataset.
+    `check` raises `error` if `path` may not be replaced. It is called at both ends: another process may have made it.
     """
+    check(path)
+    new = NewFolder(path, error)
+    try:
+        new.make().chmod(0o755)
+        yield new.path
+        check(path)
+        new.finish()
+    except OSError as e:
+        raise error(f"{path}: cannot be written ({e.strerror})") from None
+    finally:
+        new.discard()
 
-    def __init__(self, path: Path | str, scene: Mapping[str, Any], *, replace: bool = False) -> None:
-        """`scene`: the content of scene.json without `frames`. `replace` permits to replace a dataset, and no other."""
-        self._path = Path(path).absolute()
-        self._scene, self._replace = scene, replace
-        self._size = (int(scene["width"]), int(scene["height"]))
-        self._files = ExitStack()
 
-    def __enter__(self) -> Self:
-        refuse_to_overwrite(self._path, self._replace)
-        self._new = NewFolder(self._path, DatasetError)
-        try:
-            self._folder = self._new.make()
-            self._folder.chmod(0o755)
-            self.pictures = PictureWriter(self._folder, self._size, float(self._scene["fps"]))
-        except BaseException:
-            self._new.discard()
-            raise
-        return self
+class DatasetFolder(NamedTuple):
+    """A dataset that is being written. Add each image to `pictures`, and a row to each table."""
+
+    path: Path
+    pictures: PictureWriter
+    files: ExitStack
 
     def table(self, name: str, columns: Sequence[str]) -> Any:
         """Return a writer of the rows of a table."""
-        return _begin_table(self._files, self._folder / name, columns)
+        return _begin_table(self.files, self.path / name, columns)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+
+@contextmanager
+def dataset_folder(path: Path | str, scene: Mapping[str, Any], *, replace: bool = False) -> Iterator[DatasetFolder]:
+    """Write a dataset in this block. After an exception or a kill there is none.
+
+    `scene`: the content of scene.json without `frames`. `replace` permits to replace a dataset, and no other.
+    """
+    path = Path(path).absolute()
+    size = int(scene["width"]), int(scene["height"])
+    with new_folder(path, partial(refuse_to_overwrite, replace=replace), DatasetError) as folder, ExitStack() as files:
+        pictures = PictureWriter(folder, size, float(scene["fps"]))
         try:
-            self._files.close()
-            if isinstance(error, OSError):
-                raise error
-            if error is None:
-                _finish_pictures(self.pictures, self._path)
-                _write_scene(self._folder, {**self._scene, "frames": self.pictures.written})
-                refuse_to_overwrite(self._path, self._replace)  # another process may have made it meanwhile
-                self._new.finish()
-        except OSError as e:
-            raise DatasetError(f"{self._path}: cannot be written ({e.strerror})") from None
+            yield DatasetFolder(folder, pictures, files)
+            _finish_pictures(pictures, path)
+            _write_scene(folder, {**scene, "frames": pictures.written})
         finally:
-            self.pictures.release()
-            self._new.discard()
+            pictures.release()
 
 
-class DatasetWriter(DatasetFolder):
-    """A dataset of the ball in its frame, with truth."""
+class TruthWriter:
+    """Writes frames of the ball in its frame, with their truth, into a dataset."""
 
-    def __init__(
-        self, path: Path | str, scene: Mapping[str, Any], *, replace: bool = False, centres: bool = False
-    ) -> None:
-        """`centres`: write the ball's centre, which moves; the others as for `DatasetFolder`."""
-        super().__init__(path, scene, replace=replace)
-        self._centres = centres
-
-    def __enter__(self) -> Self:
-        super().__enter__()
-        self._truth = self.table("truth.csv", (*TRUTH_COLUMNS, *(CENTRE_COLUMNS if self._centres else ())))
-        self._discs = self.table("discs.csv", DISC_COLUMNS)
-        return self
+    def __init__(self, made: DatasetFolder, *, centres: bool = False) -> None:
+        """`centres`: write the ball's centre, which moves."""
+        self._pictures, self._centres = made.pictures, centres
+        self._truth = made.table("truth.csv", (*TRUTH_COLUMNS, *(CENTRE_COLUMNS if centres else ())))
+        self._discs = made.table("discs.csv", DISC_COLUMNS)
 
     def add(self, frame: Frame, attitude: Array, rate: Array, discs: DiscTruth, centre: Array | None = None) -> None:
         """Add a frame with R_obj_ball (3, 3), w_obj (3,) rad/s and the rows of its discs (their `frame` is not used).
 
         `centre`: (3,) m in obj, of the ball, where `centres` are written.
         """
-        assert frame.image.shape == (self._size[1], self._size[0], 3)
-        index = self.pictures.written
-        self.pictures.add(frame.image)
+        index = self._pictures.written
+        self._pictures.add(frame.image)
         numbers = [frame.stamp, *attitude.ravel(), *rate, *to_euler(attitude)]
         if self._centres:
             numbers += [0.0, 0.0, 0.0] if centre is None else list(centre)

@@ -12,7 +12,7 @@ from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
-from spheremouse.files.dataset.write import DatasetWriter
+from spheremouse.files.dataset.write import TruthWriter, dataset_folder
 from spheremouse.geometry.rotation import exp, from_euler
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.simulate.to_dataset import write_simulation
@@ -49,7 +49,8 @@ def discs_of(index):
 
 
 def write(path, frames=FRAMES, size=SIZE, replace=False, **more):
-    with DatasetWriter(path, scene_of(size, **more), replace=replace) as writer:
+    with dataset_folder(path, scene_of(size, **more), replace=replace) as made:
+        writer = TruthWriter(made)
         for i in range(frames):
             writer.add(Frame(picture(i, size), 0.04 * i + 0.001, i), *motion(i), discs_of(i))
     return path
@@ -320,8 +321,8 @@ def test_a_spoilt_picture_is_named(tmp_path):
 
 def test_an_exception_leaves_nothing_behind(tmp_path):
     def break_off():
-        with DatasetWriter(tmp_path / "out", scene_of()) as writer:
-            writer.add(Frame(picture(0), 0.0, 0), *motion(0), discs_of(0))
+        with dataset_folder(tmp_path / "out", scene_of()) as made:
+            TruthWriter(made).add(Frame(picture(0), 0.0, 0), *motion(0), discs_of(0))
             assert len(list(tmp_path.iterdir())) == 1
             raise ZeroDivisionError
 

@@ -4,8 +4,7 @@ The folder has board/*.jpg, device/*.jpg, board.yaml, device.yaml, truth.json, a
 for `spheremouse axes`.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +13,6 @@ import typer
 from spheremouse.commands.options import with_fields
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
-from spheremouse.files.safe_files import NewFolder
 from spheremouse.simulate.ball.options import StillsOptions
 
 EXAMPLE = "Example: spheremouse calibrate practice trial --photos 8 --seed 1"
@@ -43,6 +41,7 @@ def practice(
     """
     from spheremouse.calibrate.guide.folder import FILM, camera_command, device_command, next_command
     from spheremouse.commands.calibrate.practice.write import device_of, film_of, write_stills
+    from spheremouse.files.dataset.write import new_folder
     from spheremouse.simulate.ball.stills import prepare_stills
     from spheremouse.simulate.to_dataset import write_simulation
 
@@ -56,7 +55,10 @@ def practice(
         raise CalibrationError(f"--focal {options.focal:g}: must be from 10 to 100000 px")
     stills = prepare_stills(options, None if like is None else device_of(like))
     film = film_of(stills) if options.photos and filmed else None
-    with _new_folder(folder, force) as made, progress_bar() as bar:
+    with (
+        new_folder(folder.absolute(), partial(_refuse, replace=force), CalibrationError) as made,
+        progress_bar() as bar,
+    ):
         task = bar.add_task(f"photographing into {folder}", total=options.photos + options.boards)
         for _ in write_stills(made, stills, jpeg):
             bar.advance(task)
@@ -73,26 +75,6 @@ def practice(
     print(f"next: {camera_command(folder)}")
     print(f"then: {device_command(folder)}")
     print(f"the next step, at any time: {next_command(folder)}")
-
-
-# ---- the folder ----
-
-
-@contextmanager
-def _new_folder(path: Path, replace: bool) -> Iterator[Path]:
-    """Make a folder beside `path` that takes its name at the end, or is removed after an exception."""
-    path = path.absolute()
-    _refuse(path, replace)
-    made = NewFolder(path, CalibrationError)
-    try:
-        made.make().chmod(0o755)
-        yield made.path
-        _refuse(path, replace)  # again: another process may have made it
-        made.finish()
-    except OSError as e:
-        raise CalibrationError(f"{path}: cannot be written ({e.strerror})") from None
-    finally:
-        made.discard()
 
 
 def _refuse(path: Path, replace: bool) -> None:
