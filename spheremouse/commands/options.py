@@ -6,7 +6,7 @@ or a list is its form, WxH or X,Y,Z.
 
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import Field, fields
+from dataclasses import MISSING, Field, fields
 from functools import wraps
 from math import inf, isfinite
 from pathlib import Path
@@ -72,13 +72,16 @@ def settings_given(assignments: list[str] | None, config: Path | None, options: 
 def with_fields(**names: tuple[str, ...]) -> Callable[[Command], Command]:
     """Decorate a command: replace its keyword `options` by one option for each field of the dataclass that it takes.
 
-    `names` has the names of options that differ from their fields.
+    A field is declared with `settings.param`, or with typer's annotation. `names` has the names of options that differ
+    from their fields.
     """
 
     def decorate(command: Command) -> Command:
         written = dict(inspect.signature(command).parameters)
         kind = written["options"].annotation
-        made = [_option(field, names.get(field.name, ())) for field in fields(kind)]
+        made = [
+            _option(field, names.get(field.name, ())) if field.metadata else _as_typed(field) for field in fields(kind)
+        ]
         signature = inspect.Signature([p for name in written for p in (made if name == "options" else [written[name]])])
 
         @wraps(command)
@@ -93,6 +96,11 @@ def with_fields(**names: tuple[str, ...]) -> Callable[[Command], Command]:
         return call
 
     return decorate
+
+
+def _as_typed(field: "Field[Any]") -> inspect.Parameter:
+    default = inspect.Parameter.empty if field.default is MISSING else field.default
+    return inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=field.type)
 
 
 def _option(field: "Field[Any]", names: tuple[str, ...]) -> inspect.Parameter:
@@ -125,7 +133,7 @@ def _word(unit: str, value: Any) -> str | None:
 
 def _value(field: "Field[Any]", typed: Any) -> Any:
     """Return the typed words in the form of the field. Raises ConfigurationError for an unknown word."""
-    unit = field.metadata["unit"]
+    unit = field.metadata.get("unit", "-")
     if typed is None or not _is_word(unit):
         return typed
     example = (

@@ -70,7 +70,7 @@ def evaluate_balls(options: Options, out: Console, err: Console) -> tuple[list[d
 
 def _settings(options: Options) -> Settings:
     """Return the defaults, changed by the file, each KEY=VALUE, and the options with a name of their own."""
-    settings: Settings = config.in_force(options.config_file, options.assignments, Configuration)
+    settings: Settings = config.in_force(options.config_file, options.assignments or (), Configuration)
     for key, value in (("tracker", options.tracker), ("detector", options.detector)):
         if value is not None:
             settings = config.override(settings, f"{key}={value}", label="--")

@@ -34,9 +34,9 @@ def evaluate_wands(options: Options, out: Console, err: Console) -> tuple[list[d
     """
     if options.runs < 1:
         raise ConfigurationError(f"--runs: must be 1 or more, is {options.runs}")
-    settings = config.in_force(options.config_file, options.assignments, Configuration).wand
+    settings = config.in_force(options.config_file, options.assignments or (), Configuration).wand
     camera = None if options.camera_file is None else load_camera(options.camera_file)
-    given = read_balls(options.balls)
+    given = read_balls(options.balls or ())
     recordings = [open_wand(path) for path in options.datasets]
     for recording in recordings:
         if options.pose == "known" and recording.truth is None:

@@ -1,17 +1,21 @@
 """`spheremouse preview`: show the picture of a camera or a recording, with targets and advice. No rig is needed."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from spheremouse.commands.options import Assignments, ConfigFile
+from spheremouse.commands.options import Assignments, ConfigFile, with_fields
 from spheremouse.errors import ConfigurationError
 
 _PICTURES = (".png", ".jpg", ".jpeg")
 
 
-def preview(
+@dataclass(frozen=True, slots=True)
+class PreviewOptions:
+    """Options of the command."""
+
     source: Annotated[
         str | None,
         typer.Argument(
@@ -19,10 +23,10 @@ def preview(
             help="A source as of `run --source`: v4l2:DEVICE, opencv:INDEX, video:PATH, dataset:DIR.  [default: the "
             "first camera]",
         ),
-    ] = None,
-    out: Annotated[
-        Path, typer.Option(metavar="FILE", help="The picture (.png, .jpg). An earlier one is replaced.")
-    ] = Path("preview.png"),
+    ] = None
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The picture (.png, .jpg). An earlier one is replaced.")] = (
+        Path("preview.png")
+    )
     at: Annotated[
         float | None,
         typer.Option(
@@ -30,18 +34,21 @@ def preview(
             min=0.0,
             help="Time of the picture after the first frame.  [default: 1 for a camera, which sets its exposure]",
         ),
-    ] = None,
+    ] = None
     every: Annotated[
         float | None, typer.Option(metavar="S", min=0.2, help="Replace the picture every S seconds, until Ctrl-C.")
-    ] = None,
+    ] = None
     rig: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Report the targets that this rig has.  [default: the recording's rig]"),
-    ] = None,
-    config: ConfigFile = None,
-    assignments: Assignments = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
-) -> None:
+    ] = None
+    config: ConfigFile = None
+    assignments: Assignments = None
+    as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False
+
+
+@with_fields()
+def preview(*, options: PreviewOptions) -> None:
     """Show the camera's picture with ring targets, rejected targets and dark spots. Print sharpness and brightness.
 
     Use it to place and focus the camera and to light the ball. You need no rig and no calibration. For each rejected
@@ -49,11 +56,8 @@ def preview(
     """
     from spheremouse.capture import full_spec
     from spheremouse.capture.nodes import default_camera
-    from spheremouse.commands.preview.show import PreviewOptions, pictures
+    from spheremouse.commands.preview.show import pictures
 
-    if out.suffix.lower() not in _PICTURES:
-        raise ConfigurationError(f"--out: {out} is not a picture; end its name in .png or .jpg")
-    options = PreviewOptions(
-        full_spec(source or default_camera()), out, at, rig, config, tuple(assignments or ()), as_json
-    )
-    pictures(options, every)
+    if options.out.suffix.lower() not in _PICTURES:
+        raise ConfigurationError(f"--out: {options.out} is not a picture; end its name in .png or .jpg")
+    pictures(options, full_spec(options.source or default_camera()))

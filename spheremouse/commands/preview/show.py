@@ -17,6 +17,7 @@ from spheremouse.ball.detect.projection import GREY, projected
 from spheremouse.calibrate.rolling.start import Spots, dark_spots
 from spheremouse.capture.signals import SignalHandler
 from spheremouse.commands.doctor.sight import brightness
+from spheremouse.commands.preview import PreviewOptions
 from spheremouse.errors import ConfigurationError, SourceError
 from spheremouse.files import config
 from spheremouse.files.rig import load_rig
@@ -33,19 +34,6 @@ from spheremouse.tracker import Frame
 _EXPOSURE_S = 1.0  # until a camera has set its exposure
 _TARGET_PROPORTIONS = np.array([1.0, 2.0, 3.0])  # of the targets of `calibrate print`
 _MAX_SHARP_PX, _MAX_SOFT_PX = 1.0, 1.5  # blur: a focused lens has 0.3 to 0.7; rings of 4 px are lost from 1.5
-
-
-@dataclass(frozen=True, slots=True)
-class PreviewOptions:
-    """Options of the command."""
-
-    source: str
-    out: Path
-    at: float | None  # s after the first frame
-    rig: Path | None
-    config: Path | None
-    assignments: tuple[str, ...]
-    as_json: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,51 +106,42 @@ class Analysis:
         yield f"brightness  {self.light.text}" + (f"; {self.light.advice}" if self.light.advice else "")
 
 
-def pictures(options: PreviewOptions, every: float | None) -> None:
+def pictures(options: PreviewOptions, source: str) -> None:
     """Write one picture. With `every`, replace it until the source ends or a signal arrives."""
     due = -np.inf
-    with _open(options, every is not None) as (frames, analyse):
+    with _open(options, source) as (frames, analyse):
         for frame in frames:
             if frame.stamp < due:
                 continue
-            due = frame.stamp + (every or 0.0)
+            due = frame.stamp + (options.every or 0.0)
             analysis = analyse(frame)
             write_picture(options.out, analysis.picture)
-            _print(options, analysis)
-            if every is None:
+            if options.as_json:
+                print(json.dumps({"source": source, "file": str(options.out), **analysis.data()}), flush=True)
+            else:
+                head = f"{options.out}: {source} at {frame.stamp:.2f} s"
+                print("\n".join((head, *analysis.lines())), flush=True)
+            if options.every is None:
                 break
     if due == -np.inf:
-        raise _no_frame(options)
-
-
-def _no_frame(options: PreviewOptions) -> SourceError:
-    late = "" if options.at is None else f" from {options.at:g} s on: give a smaller --at"
-    return SourceError(f"{options.source}: gave no frame{late}")
-
-
-def _print(options: PreviewOptions, analysis: Analysis) -> None:
-    if options.as_json:
-        print(json.dumps({"source": options.source, "file": str(options.out), **analysis.data()}), flush=True)
-    else:
-        print(
-            "\n".join((f"{options.out}: {options.source} at {analysis.frame.stamp:.2f} s", *analysis.lines())),
-            flush=True,
-        )
+        late = "" if options.at is None else f" from {options.at:g} s on: give a smaller --at"
+        raise SourceError(f"{source}: gave no frame{late}")
 
 
 @contextmanager
-def _open(options: PreviewOptions, realtime: bool) -> Iterator[tuple[Iterator[Frame], Callable[[Frame], Analysis]]]:
+def _open(options: PreviewOptions, source: str) -> Iterator[tuple[Iterator[Frame], Callable[[Frame], Analysis]]]:
     """Yield the frames until a signal arrives, and the function that analyses one."""
-    settings = config.in_force(options.config, options.assignments, Configuration)
+    settings = config.in_force(options.config, options.assignments or (), Configuration)
     rig = None if options.rig is None else load_rig(options.rig)
-    argument = options.source.partition(":")[2]
+    argument = source.partition(":")[2]
     if argument and options.out.resolve() == Path(argument).resolve():
         raise ConfigurationError(f"--out: {options.out} is the source; name another file")
-    with looked_through(options.source, settings.camera, realtime) as source, SignalHandler() as signals:
-        rig = rig or source.rig
+    realtime = options.every is not None
+    with looked_through(source, settings.camera, realtime) as opened, SignalHandler() as signals:
+        rig = rig or opened.rig
         radii, codes = (_TARGET_PROPORTIONS, None) if rig is None else (rig.targets.radii, rig.targets.codes)
-        at = options.at if options.at is not None else _EXPOSURE_S if source.live else 0.0
-        frames = _from(signals.frames(iter(source)), at)
+        at = options.at if options.at is not None else _EXPOSURE_S if opened.live else 0.0
+        frames = _from(signals.frames(iter(opened)), at)
         yield frames, lambda frame: _analyse(frame, radii, codes, settings)
 
 
