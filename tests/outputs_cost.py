@@ -1,11 +1,12 @@
 """Measure what outputs cost.
 
-python -m tests.outputs_cost [OUTPUT ...] publishes 100 tracked samples a second to one output after another, each
-with its thread as in a run. Each round has a second of each output and one without, in a random order. The table has
-the processor time of this process for each sample, less that without an output in the same round: the median and its
-interval of 95 %. Receivers are other processes, and not counted. `{port}` in an OUTPUT is a free port, `{folder}` a new
-folder. `watch` is a client of `ctl watch`, and `gamepad` writes its events to the null device. An OUTPUT with spaces is
-several outputs of one run, and the table has the time for each of them.
+python -m tests.outputs_cost [OUTPUT ...] publishes 100 tracked samples a second to one output after another, each with
+its thread as in a run. Each round has a second of each output and one without, in a random order. The table has the
+processor time of this process for each sample, less that without an output in the same round: the median and its
+interval of 95 %. A sample is made when it is published, as by a tracker, so its numbers are in the processor's cache.
+Receivers are other processes, and not counted. `{port}` in an OUTPUT is a free port, `{folder}` a new folder. `watch`
+is a client of `ctl watch`, and `gamepad` writes its events to the null device. An OUTPUT with spaces is several
+outputs of one run, and the table has the time for each of them.
 """
 
 import argparse
@@ -19,7 +20,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
-from evdev import _uinput
 from scipy.stats import quantile_test
 
 from spheremouse.output import Report, open_output
@@ -78,23 +78,20 @@ while s.recv(65536):
 """
 
 
-def reports(count, fps):
-    """Return reports of a ball that is tracked, with other numbers in each."""
-    rng = np.random.default_rng(1)
-    made = []
-    for k in range(count):
-        A = 1e-4 * rng.normal(size=(12, 12))
-        estimate = unknown(k / fps, k, Status.TRACKING)._replace(
-            rate=rng.normal(size=6),
-            covariance=A @ A.T,
-            increment=0.01 * rng.normal(size=6),
-            increment_covariance=(A @ A.T)[:6, :6],
-            confirmed=True,
-            statistics={"discs_used": 14, "discs_seen": 15, "discs_known": 40, "nis": float(rng.chisquare(20))},
-        )
-        sample = Sample(estimate, wall=1.7e9 + k / fps, latency=0.011)
-        made.append(Report((20, -20, 3), (20 * fps, -20 * fps, 0.0), k / fps, (sample,)))
-    return made
+def report(k):
+    """Return the report number k of a ball that is tracked, with other numbers in each."""
+    rng = np.random.default_rng(k)
+    A = 1e-4 * rng.normal(size=(12, 12))
+    estimate = unknown(k / FPS, k, Status.TRACKING)._replace(
+        rate=rng.normal(size=6),
+        covariance=A @ A.T,
+        increment=0.01 * rng.normal(size=6),
+        increment_covariance=(A @ A.T)[:6, :6],
+        confirmed=True,
+        statistics={"discs_used": 14, "discs_seen": 15, "discs_known": 40, "nis": float(rng.chisquare(20))},
+    )
+    sample = Sample(estimate, wall=1.7e9 + k / FPS, latency=0.011)
+    return Report((20, -20, 3), (20 * FPS, -20 * FPS, 0.0), k / FPS, (sample,))
 
 
 def free_port():
@@ -119,19 +116,13 @@ def receiver(spec):
 
 
 class NullDevice:
-    """Writes each event of a gamepad to the null device, by one system call as to /dev/uinput."""
+    """The null device in place of /dev/uinput."""
 
     def __init__(self):
-        self._file = os.open(os.devnull, os.O_WRONLY)
-
-    def write(self, kind, code, value):
-        _uinput.write(self._file, kind, code, value)
-
-    def syn(self):
-        self.write(0, 0, 0)
+        self.fd = os.open(os.devnull, os.O_WRONLY)
 
     def close(self):
-        os.close(self._file)
+        os.close(self.fd)
 
 
 @contextmanager
@@ -148,23 +139,24 @@ def subscriber(spec):
     output.thread.close()
 
 
-def processor_time(publish, made):
-    """Return the processor time of this process, s a sample, to publish reports at `SAMPLES_PER_S`."""
+def processor_time(publish, count=WARM_UP + int(SAMPLES_PER_S)):
+    """Return the processor time of this process, s a sample, to make and publish reports at `SAMPLES_PER_S`."""
     processor, start = 0.0, time.monotonic()
-    for k, report in enumerate(made):
+    for k in range(count):
         if k == WARM_UP:
             processor = time.process_time()
         taken = start + k / SAMPLES_PER_S
         time.sleep(max(0.0, taken - time.monotonic()))
+        made = report(k)
         for submit in publish:
-            submit(report, taken)
+            submit(made, taken)
     time.sleep(1.0 / SAMPLES_PER_S)
-    return (time.process_time() - processor) / (len(made) - WARM_UP)
+    return (time.process_time() - processor) / (count - WARM_UP)
 
 
 def cost(specs, rounds):
     """Print the cost of each output."""
-    rng, made = np.random.default_rng(), reports(WARM_UP + int(SAMPLES_PER_S), FPS)
+    rng = np.random.default_rng()
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         publish = {"": []}
         for k, spec in enumerate(specs):
@@ -173,11 +165,11 @@ def cost(specs, rounds):
             publish[spec] = [stack.enter_context(subscriber(one)) for one in several]
             for one in several:
                 stack.enter_context(receiver(one))
-            processor_time(publish[spec], made)  # loads code, and connects
+            processor_time(publish[spec])  # loads code, and connects
         spent = {spec: [] for spec in publish}
         for _ in range(rounds):
             for spec in rng.permutation(list(publish)).tolist():
-                spent[spec].append(processor_time(publish[spec], made))
+                spent[spec].append(processor_time(publish[spec]))
     print("| output | a sample | 95 % interval of the median |\n| --- | --- | --- |")
     for spec in specs:
         each = 1e3 * (np.array(spent[spec]) - spent[""]) / len(publish[spec])

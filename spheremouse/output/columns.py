@@ -52,23 +52,24 @@ def columns(coordinates: StillAxes) -> tuple[Column, ...]:
 def rows(report: Report) -> Iterator[list[Any]]:
     """Yield the row of each sample of a report, in the order of `columns`; the pointing ball has the counts."""
     for sample, counts in report.counted:
-        held, known = sample.coordinates == "cam", sample.status is Status.TRACKING
+        e = sample.estimate
+        held, known, rate = sample.coordinates == "cam", e.status is Status.TRACKING, e.rate.tolist()
         numbers = [
-            *to_quaternion(sample.rotation),
-            *sample.rate.tolist(),
-            *sample.increment.tolist(),
+            *to_quaternion(e.rotation),
+            *rate[:3],
+            *e.increment.tolist()[:3],
             *_upper(sample.attitude_covariance),
             *_upper(sample.rate_covariance),
         ]
         if held:
-            numbers += [*sample.position.tolist(), *sample.velocity.tolist(), *_upper(sample.position_covariance)]
+            numbers += [*e.position.tolist(), *rate[3:], *_upper(sample.position_covariance)]
         yield [
-            float(sample.stamp),
+            float(e.stamp),
             sample.wall,
-            int(sample.sequence),
+            int(e.sequence),
             sample.ball,
-            str(sample.status),
-            bool(sample.confirmed),
+            str(e.status),
+            bool(e.confirmed),
             *(v if known and isfinite(v) else None for v in numbers),
             *counts,
             *(() if held else _statistics(sample)),

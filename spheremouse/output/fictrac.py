@@ -64,14 +64,15 @@ class FicTrac:
         if self._first is None:  # the way while the ball was lost is unknown
             self._first, self._last = sample.sequence, sample.stamp
             self._x = self._y = self._heading = 0.0
-        increment, attitude = sample.increment.tolist(), _rotation_vector(sample.rotation)
-        (xx, _, _), (_, yy, _), (_, _, zz) = sample.increment_covariance.tolist()
+        estimate = sample.estimate
+        increment, attitude = estimate.increment.tolist()[:3], _rotation_vector(estimate.rotation)
+        variance = sum(estimate.increment_covariance.diagonal().tolist()[:3])
         R_cam, R_lab = self._camera_axes(sample), self._R_lab[sample.coordinates]
         lab = _rotated(R_lab, increment)
         forward, side = lab[1], -lab[0]
         self._integrate(forward, side, -lab[2])
         capture = sample.stamp if sample.wall is None else sample.wall
-        values = [sample.sequence + 1, *_rotated(R_cam, increment), sqrt(max(0.0, xx + yy + zz)), *lab]
+        values = [sample.sequence + 1, *_rotated(R_cam, increment), sqrt(max(0.0, variance)), *lab]
         values += [*_rotated(R_cam, attitude), *_rotated(R_lab, attitude)]
         values += [self._x, self._y, self._heading, atan2(side, forward) % (2 * pi), hypot(forward, side)]
         values += [self._forward, self._side, 1e3 * capture, sample.sequence - self._first + 1]

@@ -57,7 +57,7 @@ class Lsl(Output):
         return pylsl.StreamOutlet(info)
 
     def _values(self, row: list[Any]) -> list[float]:
-        return [math.nan if row[k] is None else float(row[k]) for k in self._channels]
+        return [math.nan if (value := row[k]) is None else value for k in self._channels]
 
 
 def open(argument: str) -> Lsl:

@@ -7,7 +7,6 @@ recording. All vectors are in `obj`, and in `cam` for a hand-held ball. docs/out
 import struct
 from functools import cache
 from math import isfinite, sqrt
-from typing import Any
 
 from spheremouse.finding import Finding
 from spheremouse.output import Counts, Report
@@ -20,25 +19,7 @@ from spheremouse.tracker import Status
 _MAX_COUNT = 2**31 - 1  # an OSC integer is signed and has 32 bits
 _BUNDLE = struct.Struct(">8sQ")  # name and time tag, in 2**-32 s since 1900
 _IMMEDIATELY, _NTP_EPOCH = 1, 2208988800  # s from 1900 to 1970 (RFC 5905)
-Message = tuple[str, str, list[Any]]  # address, types, values
-
-
-def messages(sample: Sample, counts: Counts) -> list[Message]:
-    """Return the messages of a sample: status and counts, and the others if the ball is tracked and they are finite."""
-    estimate, place = sample.estimate, f"/spheremouse/{sample.ball}"
-    whole = [max(-_MAX_COUNT, min(_MAX_COUNT, n)) for n in counts]
-    made: list[Message] = [(f"{place}/status", "s", [str(estimate.status)]), (f"{place}/counts", "iii", whole)]
-    if estimate.status is not Status.TRACKING:
-        return made
-    variances = estimate.covariance.diagonal().tolist()[:3]
-    values = [
-        ("quaternion", "ffff", to_quaternion(estimate.rotation)),
-        ("rate", "fff", estimate.rate.tolist()[:3]),
-        ("sigma", "fff", [sqrt(max(v, 0.0)) for v in variances]),
-    ]
-    if sample.coordinates == "cam":
-        values.append(("position", "fff", estimate.position.tolist()))
-    return made + [(f"{place}/{name}", types, v) for name, types, v in values if isfinite(sum(v))]
+_NUMBERS = {"counts": "iii", "quaternion": "ffff", "rate": "fff", "sigma": "fff", "position": "fff"}
 
 
 class Osc(DatagramOutput):
@@ -50,33 +31,49 @@ class Osc(DatagramOutput):
 
 
 def encode(sample: Sample, counts: Counts) -> bytes:
-    """Return the bundle of a sample. Only its numbers are new; the builders of python-osc take ten times as long."""
+    """Return the bundle of a sample: status and counts, and each other vector if the ball is tracked and it is finite.
+
+    Only the numbers are packed anew; the builders of python-osc take ten times as long.
+    """
+    estimate = sample.estimate
     tag = _IMMEDIATELY if sample.wall is None else round((sample.wall + _NTP_EPOCH) * 2**32) % 2**64
-    bundle = [_BUNDLE.pack(b"#bundle", tag)]
-    for address, types, values in messages(sample, counts):
-        if types == "s":
-            bundle.append(_text_message(address, values[0]))
-        else:
-            head, numbers = _layout(address, types)
-            bundle += [head, numbers.pack(*values)]
+    bundle = [_BUNDLE.pack(b"#bundle", tag), _status(sample.ball, str(estimate.status))]
+    vectors = [[max(-_MAX_COUNT, min(_MAX_COUNT, n)) for n in counts]]
+    if estimate.status is Status.TRACKING:
+        variances = estimate.covariance.diagonal().tolist()[:3]
+        vectors += [
+            to_quaternion(estimate.rotation),
+            estimate.rate.tolist()[:3],
+            [sqrt(max(v, 0.0)) for v in variances],
+        ]
+        if sample.coordinates == "cam":
+            vectors.append(estimate.position.tolist())
+    for (head, numbers), values in zip(_layout(sample.ball), vectors, strict=False):
+        if isfinite(sum(values)):
+            bundle += head, numbers.pack(*values)
     return b"".join(bundle)
 
 
 @cache
-def _text_message(address: str, text: str) -> bytes:
+def _status(ball: int, text: str) -> bytes:
+    """Return the message of a status."""
     from pythonosc.parsing import osc_types
 
-    message = b"".join(map(osc_types.write_string, (address, ",s", text)))
+    message = b"".join(map(osc_types.write_string, (f"/spheremouse/{ball}/status", ",s", text)))
     return osc_types.write_int(len(message)) + message
 
 
 @cache
-def _layout(address: str, types: str) -> tuple[bytes, struct.Struct]:
-    """Return size, address and types of a message of numbers, and the form of its numbers."""
+def _layout(ball: int) -> list[tuple[bytes, struct.Struct]]:
+    """Return size, address and types of each message of numbers, and the form of its numbers."""
     from pythonosc.parsing import osc_types
 
-    head, numbers = b"".join(map(osc_types.write_string, (address, f",{types}"))), struct.Struct(f">{types}")
-    return osc_types.write_int(len(head) + numbers.size) + head, numbers
+    layout = []
+    for name, types in _NUMBERS.items():
+        head = b"".join(map(osc_types.write_string, (f"/spheremouse/{ball}/{name}", f",{types}")))
+        numbers = struct.Struct(f">{types}")
+        layout.append((osc_types.write_int(len(head) + numbers.size) + head, numbers))
+    return layout
 
 
 def open(argument: str) -> Osc:

@@ -14,6 +14,7 @@ import contextlib
 import threading
 import time
 import traceback
+from array import array
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -61,9 +62,9 @@ class ReporterStatus:
     latency: Latency | None  # None: no frame was sent yet
 
 
-# A report in the queue. `taken` is the frame's stamp on the clock (s), or None for an empty report that ends the
-# prediction. `wanted` is False during a pause. `submitted` is in s. A plain tuple costs each frame and output least.
-_QueuedReport = tuple[Report, float | None, bool, float]
+# A report in the queue, the frame's stamp on the clock (s), False during a pause, and the time of `submit` (s). A plain
+# tuple costs each frame and output least.
+_QueuedReport = tuple[Report, float, bool, float]
 _Call = tuple[str, str]  # of the output: what it means for a message, and the usual reason of a hang or nothing
 
 
@@ -103,7 +104,7 @@ class OutputThread:
         self._seen_call: tuple[_Call, float] | None = None
         self._hung_call: _Call | None = None
         self._reports = self._frames = self._dropped = 0
-        self._latency = [0.0] * LATENCY_COUNT
+        self._latency = array("d", [0.0]) * LATENCY_COUNT
         self._acknowledges = False  # True: the output may report trouble of its receiver
         self._paced = False  # True: counts at a steady rate, with prediction; False: a report a frame
         self._last: tuple[Report, float] | None = None  # of the last frame, and its stamp on the clock, s
@@ -128,8 +129,10 @@ class OutputThread:
 
     def end_prediction(self, now: float) -> None:
         """End the prediction at `now` (s, monotonic), because no frame will correct it."""
-        self._queue.append((_empty(now), None, True, self._clock()))
-        self._wake_thread()
+        if self._paced:
+            submitted = self._clock()
+            self._queue.append((_empty(now), submitted, True, submitted))
+            self._wake_thread()
 
     def pause(self, paused: bool) -> None:
         """Start or end a pause, in which all submitted counts become unsent."""
@@ -217,26 +220,19 @@ class OutputThread:
         try:
             while not self._over:
                 try:
-                    self._work()
+                    left = self._work()
                 except Exception as e:
                     self._log("internal error, please report it:\n" + traceback.format_exc().rstrip())
                     self._fail(f"internal error: {_reason(e)}", e)
-                left = self._next_work_time() - self._clock()
+                    left = 0.0
                 if left > 0.0:
                     self._wakeup.acquire(timeout=min(left, threading.TIMEOUT_MAX))
         finally:
             self._close(None)
             self._drop_queue()
 
-    def _next_work_time(self) -> float:
-        """Return the time (s) of the next work, if no report is submitted before."""
-        if self._queue:
-            return -inf
-        if self._output is None:
-            return inf if self._ended else self._retry_time
-        return self._next
-
-    def _work(self) -> None:
+    def _work(self) -> float:
+        """Do all work that is due, and return the time (s) until the next, if no report is submitted before."""
         if self._output is None and not self._ended and self._clock() >= self._retry_time:
             self._open_again()
         if self._acknowledges:
@@ -244,22 +240,24 @@ class OutputThread:
         if self._paused:
             self._reset()
         while self._queue:
-            report, taken, wanted, submitted = self._queue.popleft()
-            now = self._clock()
-            if taken is None and not self._paced:
-                continue
-            late = self._paced and now - submitted > MAX_QUEUE_TIME
-            if self._failed is not None or self._output is None or self._paused or late or not wanted:
-                self._unsent, self._dropped = plus(self._unsent, report.counts), self._dropped + 1
-                if self._output is not None and self._failed is not None and not self._paused:
-                    self._send(_empty(report.stamp), self._sent)
-            else:
-                self._take(report, submitted if taken is None else taken, now)
-        if self._next < inf and self._clock() >= self._next:
+            self._take(*self._queue.popleft())
+        if self._output is None:
+            return inf if self._ended else self._retry_time - self._clock()
+        if self._next == inf:
+            return inf
+        if self._clock() >= self._next:
             self._carry_on(self._clock())
+        return self._next - self._clock()
 
-    def _take(self, report: Report, taken: float, now: float) -> None:
+    def _take(self, report: Report, taken: float, wanted: bool, submitted: float) -> None:
         """Send a frame's report at once, even an empty one: some outputs use it as a sign of life."""
+        now = self._clock() if self._paced else submitted  # a late report of a frame is still worth sending
+        works = self._output is not None and self._failed is None and not self._paused
+        if not (works and wanted) or now - submitted > MAX_QUEUE_TIME:
+            self._unsent, self._dropped = plus(self._unsent, report.counts), self._dropped + 1
+            if self._output is not None and self._failed is not None and not self._paused:
+                self._send(_empty(report.stamp), self._sent)
+            return
         self._frame_sum = due = plus(self._frame_sum, report.counts)
         if self._paced:
             due = self._predict(report, taken, now)
@@ -293,8 +291,9 @@ class OutputThread:
 
     def _send(self, report: Report, due: Counts) -> bool:
         assert self._output is not None
+        self._pending_call = call = (_SENDS, self._output.hang_hint)  # as `_call`, which would cost each report more
         try:
-            hung = self._call(_SENDS, self._output.send, report)
+            self._output.send(report)
         except OutputClosed as e:
             self._ended = True
             self._fail("the reader of the output is gone", e)
@@ -302,11 +301,13 @@ class OutputThread:
         except Exception as e:
             self._fail(_reason(e), e)
             return False
+        finally:
+            self._pending_call = None
         self._sent = due
         if report.counts != _NONE:
             self._reports += 1
             self._failures = 0  # reset by a report, not by opening: an output may open and never send
-        if hung:
+        if call is self._hung_call:
             self._log(f"{self._name}: works again")
             self._reset()  # the counts of that time would make the pointer jump
         return True

@@ -8,6 +8,8 @@ REL_WHEEL_HI_RES (one unit a count, 120 a notch), and REL_WHEEL for each whole n
 """
 
 import importlib.util
+import os
+import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -23,10 +25,12 @@ NODE = Path("/dev/uinput")
 BUS, VENDOR, PRODUCT, VERSION = 0x06, 0x5350, 0x4D31, 1
 
 # Linux, input-event-codes.h
-EV_KEY, EV_REL = 0x01, 0x02
+EV_SYN, EV_KEY, EV_REL = 0x00, 0x01, 0x02
+SYN_REPORT = 0x00
 REL_X, REL_Y, REL_RZ, REL_WHEEL, REL_WHEEL_HI_RES = 0x00, 0x01, 0x05, 0x08, 0x0B
 BTN_LEFT, BTN_RIGHT, BTN_MIDDLE = 0x110, 0x111, 0x112
 _AXES = {"none": [], "wheel": [REL_WHEEL, REL_WHEEL_HI_RES], "rz": [REL_RZ]}
+_EVENT = struct.Struct("@llHHi")  # the kernel's input_event: s, us, type, code, value; the kernel sets the time
 _MAX_VALUE = 2**31 - 1  # an event's value is a signed 32-bit integer
 
 
@@ -104,11 +108,11 @@ def _obstacle(node: Path) -> tuple[str, str] | None:
 
 def write_events(kind: str, device: Any, event_type: int, events: Sequence[tuple[int, int]]) -> None:
     """Write events of one type, (code, value), as one report. Raise OutputError of the output `kind` if refused."""
-    try:
-        for code, value in events:
-            device.write(event_type, code, value)
-        if events:
-            device.syn()
+    if not events:
+        return
+    report = [_EVENT.pack(0, 0, event_type, code, value) for code, value in events]
+    try:  # by one system call; evdev makes one for each event
+        os.write(device.fd, b"".join([*report, _EVENT.pack(0, 0, EV_SYN, SYN_REPORT, 0)]))
     except OSError as e:
         raise OutputError(f"{kind}: the kernel takes no more events ({e.strerror or e})", "start again") from None
 

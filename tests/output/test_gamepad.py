@@ -1,6 +1,8 @@
 """The gamepad's sticks as text, and on a device that keeps what is written; the kernel's own in tests/system."""
 
+import contextlib
 import os
+import struct
 
 import numpy as np
 import pytest
@@ -14,20 +16,26 @@ from spheremouse.output.counts import MotionSettings
 from spheremouse.output.response import Response
 
 FULL = np.radians(180.0)
+EVENT = struct.Struct("@llHHi")  # of the kernel: s, us, type, code, value
 
 
 class Device:
     """Positions of the axes that a program would see."""
 
     def __init__(self):
-        self.axes, self.written, self.closed = {}, {}, False
+        self._events, self.fd = os.pipe()
+        os.set_blocking(self._events, False)
+        self._axes, self.closed = {}, False
 
-    def write(self, kind, code, value):
-        assert kind == gamepad.EV_ABS
-        self.written[code] = value
-
-    def syn(self):
-        self.axes = self.written = dict(self.written)
+    @property
+    def axes(self):
+        with contextlib.suppress(BlockingIOError):
+            while read := os.read(self._events, 4 * EVENT.size):  # a report: three axes, and its end
+                *axes, end = EVENT.iter_unpack(read)
+                assert end == (0, 0, 0, 0, 0)
+                assert {kind for _, _, kind, _, _ in axes} == {gamepad.EV_ABS}
+                self._axes |= {code: value for *_, code, value in axes}
+        return self._axes
 
     def close(self):
         self.closed = True
