@@ -1,7 +1,8 @@
 """Track a recording of a ball in its frame from its first frame to its last, and measure times."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 from typing import Protocol
@@ -21,7 +22,7 @@ from spheremouse.ball.state import Epoch, Tracker, TrackState
 from spheremouse.ball.track import step as step_ball
 from spheremouse.errors import ConfigurationError, OutputError, PoseError, SourceError
 from spheremouse.geometry.camera import Pose
-from spheremouse.output import Output, OutputClosed, Report, report_of, response_of
+from spheremouse.output import Output, OutputClosed, Report, open_output, report_of, response_of
 from spheremouse.output.counts import OutputCounter
 from spheremouse.output.sample import Sample
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
@@ -124,6 +125,19 @@ def smooth_samples(samples: Iterable[Sample], settings: So3Settings) -> list[Sam
         observations.append(sample.observation)
     estimates = smooth(observations, settings)
     return [replace(s, estimate=e, observation=None) for s, e in zip(samples, estimates, strict=True)]
+
+
+def opened(specs: Sequence[str], stack: ExitStack, view: View) -> dict[str, Output]:
+    """Open outputs. One that cannot be opened is logged and left out. The error of the last one ends the run."""
+    outputs = dict[str, Output]()
+    for spec in specs:
+        try:
+            outputs[spec] = stack.enter_context(open_output(spec))
+        except OutputError as e:
+            if spec == specs[-1] and not outputs:
+                raise
+            view.log(f"output {spec}: {e}")
+    return outputs
 
 
 def follow(tracked: Iterable[FrameResult], adapter: TrackerAdapter, outputs: dict[str, Output], view: View) -> None:

@@ -1,5 +1,6 @@
 """`spheremouse track` refuses wrong requests before it tracks. `tests/test_api.py` checks its samples."""
 
+import socket
 from pathlib import Path
 
 import pytest
@@ -25,3 +26,14 @@ def test_a_wrong_request_is_one_line(words, message):
     assert code == 2
     assert message in text
     assert len(text.splitlines()) == 1
+
+
+def test_an_output_that_cannot_be_opened_is_one_line_and_the_others_go_on(tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        taken, file = f"tcp:{server.getsockname()[1]}", tmp_path / "a.txt"
+        reason = f"{taken}: Address already in use; stop the other program, or take another port"
+        code, text = invoke(app, "track", CLIP, "--output", taken, "--output", f"text:{file}")
+        assert code == 0, text
+        assert f"output {taken}: {reason}\n" in text
+        assert len(file.read_text().splitlines()) > 10
+        assert invoke(app, "track", CLIP, "--output", taken) == (2, reason)

@@ -35,7 +35,8 @@ def test_it_is_left_out_where_the_output_makes_nothing_of_a_spin(kind):
 
 def test_the_notice_names_the_output_and_every_way_that_it_has():
     notice, of_serial = left_out("uinput"), left_out("serial:/dev/ttyACM0,baud=115200")
-    assert notice and of_serial
+    assert notice
+    assert of_serial
     assert notice.problem == "the third axis (the ball's spin) is not sent: output uinput has no `third=`"
     assert notice.hint == "third=wheel or third=rz sends it (docs/outputs.md)"
     assert of_serial.hint.startswith("third=wheel or third=pan sends it")

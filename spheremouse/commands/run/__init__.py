@@ -240,7 +240,6 @@ def follow(
     smooth: bool = False,
 ) -> tuple[SpheremouseError | None, tuple[str, ...]]:
     """Track every frame of a recording, one after the other. Return error and last words."""
-    from spheremouse.output import open_output
     from spheremouse.output.third_axis import left_out
     from spheremouse.session import offline
     from spheremouse.session.run_description import describe_run
@@ -252,7 +251,7 @@ def follow(
         source = stack.enter_context(setup.source)
         adapter = setup.adapter(plan, view.log, here)
         stack.callback(adapter.close)
-        to = {spec: stack.enter_context(open_output(spec)) for spec in plan.outputs}
+        to = offline.opened(plan.outputs, stack, view)
         for output in to.values():
             output.begin(lambda: describe_run(plan) | {"smoothed": smooth})
         for notice in filter(None, map(left_out, plan.outputs)):
