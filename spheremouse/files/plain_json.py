@@ -7,6 +7,7 @@ import json
 from typing import Any
 
 MAX_DEPTH = 20  # levels; a scene has 5
+_CHECKED = (str, list, dict)
 MAX_DIGITS = 30  # of a whole number; 64 bits have 20
 
 
@@ -64,4 +65,5 @@ def _check(value: Any, depth: int, surrogates: bool) -> None:
         if depth == 0:
             raise ValueError(f"nested deeper than {MAX_DEPTH} levels")
         for inner in (*value, *value.values()) if isinstance(value, dict) else value:
-            _check(inner, depth - 1, surrogates)
+            if isinstance(inner, _CHECKED):  # most are numbers
+                _check(inner, depth - 1, surrogates)

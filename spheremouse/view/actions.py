@@ -21,13 +21,7 @@ from spheremouse.view.guide import Guide
 from spheremouse.view.recordings import Recordings
 
 _REQUESTS = ("reinit", "pause", "resume", "reload", "record", "replay", "snapshot", "profile")
-_WORDS = {
-    "replay": "",
-    "pause": "Paused.",
-    "resume": "Resumed.",
-    "reload": "Configuration read again.",
-    "undo": "Undone.",
-}
+_WORDS = {"replay": "", "pause": "Paused.", "resume": "Resumed.", "reload": "Configuration read again."}
 
 
 class Done(NamedTuple):
@@ -53,7 +47,7 @@ class Actions:
         if action in _REQUESTS:
             return Done(_message(await self._daemon.ask(action, **arguments), _WORDS.get(action, "Done.")))
         if action == "undo":
-            return Done(_message(await self._daemon.undo(), _WORDS["undo"]))
+            return Done(_message(await self._daemon.undo(), "Undone."))
         if action == "reset":
             return await self._set_all(defaults(self._daemon.settings, arguments.get("keys", [])), "reset")
         if action == "save":

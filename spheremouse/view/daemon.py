@@ -25,6 +25,7 @@ Values = dict[str, Any]
 STATUS_INTERVAL = 0.5  # s
 _UNKNOWN = [None] * 3  # of a vector
 _RETRY = 0.5  # s between two attempts to connect
+_REST = 0.05  # s between two looks for samples, since each costs more than the samples
 _LOG_LINES = 200
 _ROWS = 1500  # samples kept for slow browsers: 10 s of two balls at 60 Hz
 _UNDO_STEPS = 100
@@ -52,7 +53,7 @@ class Daemon:
         """`publish` takes each message for all browsers, in the event loop."""
         self.socket, self.publish = socket, publish
         self.status: Message | None = None
-        self.reason = "connecting to the daemon"
+        self.trouble = ControlError("connecting to the daemon")  # why there is no status
         self.log: deque[str] = deque(maxlen=_LOG_LINES)
         self.count = 0  # samples since the start
         self._rows: deque[list[Any]] = deque(maxlen=_ROWS)
@@ -81,7 +82,7 @@ class Daemon:
         if socket != self.socket:
             self.socket = socket
             self._undo.clear()
-            self._ended("connecting to the daemon")
+            self._ended(ControlError("connecting to the daemon"))
 
     @property
     def settings(self) -> list[Message]:
@@ -94,9 +95,8 @@ class Daemon:
         return {"type": "hello", "settings": settings, "profiles": profiles, "scene": scene, "log": list(self.log)}
 
     def state(self) -> Message:
-        """Return the message of the present status."""
-        status, reason = self.status, "" if self.status else self.reason
-        return {"type": "status", "status": status, "connected": status is not None, "reason": reason}
+        """Return the message of the present status, or why there is none."""
+        return {"type": "status", "status": self.status, "reason": self.trouble.problem, "hint": self.trouble.hint}
 
     def values(self) -> Message:
         """Return the values of all settings, the keys of those that no file has, and the number of undo steps."""
@@ -170,8 +170,8 @@ class Daemon:
         self.publish(self.hello())
         self.publish(self.values())
 
-    def _ended(self, reason: str) -> None:
-        self.status, self.reason = None, reason
+    def _ended(self, trouble: ControlError) -> None:
+        self.status, self.trouble = None, trouble
         self.publish(self.state())
 
     def _take(self, event: Message) -> None:
@@ -192,7 +192,7 @@ class Daemon:
                 before, self._described = self._described, await asyncio.to_thread(self._read)
             self._read_for = read_for
             _, scene, profiles = self._described
-            bare = [[_without_value(about) for about in d.settings] for d in (before, self._described)]
+            bare = [[{**about, "value": None} for about in d.settings] for d in (before, self._described)]
             if bare[0] != bare[1] or profiles != before.profiles:
                 self.publish(self.hello())
             elif scene != before.scene:
@@ -214,9 +214,11 @@ class Daemon:
                             self._store(event["sample"])
                         else:
                             self._post(self._take, event)
+                        if not client.has_received:
+                            time.sleep(_REST)
             except ControlError as e:
                 if socket is self.socket:
-                    self._post(self._ended, str(e))
+                    self._post(self._ended, e)
                     time.sleep(_RETRY)
 
     def _store(self, sample: Message) -> None:
@@ -254,10 +256,6 @@ def _described_by(status: Message) -> list[Any]:
     return [*map(status.get, _DESCRIBED_KEYS), (status.get("pose") or {}).get("position_m")]
 
 
-def _without_value(about: Message) -> Message:
-    return {**about, "value": None}
-
-
 def _row_of(sample: dict[str, Any]) -> list[Any]:
     """Return a sample in the form of `frame`: stamp, ball, confirmed, quaternion, rate and its standard deviations,
     counts, latency, discs, position. Unknown values are None. Units as in docs/samples.md.
@@ -265,14 +263,7 @@ def _row_of(sample: dict[str, Any]) -> list[Any]:
     covariance = sample.get("rate_covariance")
     sigma = [math.sqrt(max(0.0, covariance[k][k])) for k in range(3)] if covariance else _UNKNOWN
     return [
-        sample["stamp"],
-        sample["ball"],
-        sample["confirmed"],
-        *(sample.get("quaternion") or [None] * 4),
-        *(sample.get("rate") or _UNKNOWN),
-        *sigma,
-        *sample["counts"],
-        sample.get("latency"),
-        sample.get("statistics", {}).get("discs_used"),
-        *(sample.get("position") or _UNKNOWN),
-    ]
+        sample["stamp"], sample["ball"], sample["confirmed"], *(sample.get("quaternion") or [None] * 4),
+        *(sample.get("rate") or _UNKNOWN), *sigma, *sample["counts"], sample.get("latency"),
+        sample.get("statistics", {}).get("discs_used"), *(sample.get("position") or _UNKNOWN),
+    ]  # fmt: skip

@@ -22,7 +22,7 @@ from spheremouse.errors import ControlError, printable
 from spheremouse.files import safe_files
 from spheremouse.session.process import child
 
-_LOOK = "camera"  # the step before all others
+LOOK = "camera"  # the step before all others
 _LOOK_INTERVAL = 0.3  # s between two pictures
 _MAX_LINES = 40
 _MAX_DEVICE_BYTES = 100_000
@@ -69,7 +69,7 @@ class Guide:
         if action == "look":
             source = [] if self._source is None else [self._source]
             every = ("--every", f"{_LOOK_INTERVAL}", "--json", "--out", f"{self._picture}")
-            await self._start(_LOOK, "preview", *source, *every)
+            await self._start(LOOK, "preview", *source, *every)
         elif action == "stop":
             await self.stop()
         elif action == "run":
@@ -98,10 +98,6 @@ class Guide:
             process.kill()
         if self._following is not None:
             await self._following
-
-    async def rest(self) -> None:
-        """Close the camera that `look` opened. Call it when the last browser has left."""
-        await self.stop(_LOOK)
 
     async def _read_steps(self) -> dict[str, Any]:
         folder = [] if self.folder is None else [str(self.folder)]

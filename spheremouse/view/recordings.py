@@ -10,6 +10,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from spheremouse.errors import ControlError, printable
+from spheremouse.files.config import key_of
 from spheremouse.files.exchange import values_of
 from spheremouse.files.listing import Listed, list_recordings
 from spheremouse.session.control.client import NoDaemonError
@@ -120,10 +121,8 @@ class Recordings:
         config, given = status.get("config"), [key for key in status.get("given") or [] if key in values]
         words = [] if config is None else ["--config", str(config)]
         for assignment in (*(status.get("saved") or ()), *(f"{key}={json.dumps(values[key])}" for key in given)):
-            if (
-                not assignment.startswith("wand.balls=")
-                and assignment.split("=")[0].split(".")[0] not in _OF_THE_COMPUTER
-            ):
+            key = key_of(assignment)
+            if key != "wand.balls" and key.partition(".")[0] not in _OF_THE_COMPUTER:
                 words += ["--set", assignment]
         if (status.get("tracker") == "wand") != recording.wand:
             words += ["--tracker", "wand" if recording.wand else "so3"]

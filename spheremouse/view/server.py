@@ -30,7 +30,7 @@ from spheremouse.session.control.jpeg_picture import JpegPicture
 from spheremouse.view.access import COOKIE, HEADERS, Access, Visitor
 from spheremouse.view.actions import Actions
 from spheremouse.view.daemon import Daemon
-from spheremouse.view.guide import Guide, GuideOptions
+from spheremouse.view.guide import LOOK, Guide, GuideOptions
 from spheremouse.view.pictures import Pictures
 
 STATIC = Path(__file__).with_name("static")
@@ -57,12 +57,8 @@ class _Message(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
-class _Next(_Message):
-    type: Literal["next"]
-
-
-class _Rest(_Message):
-    type: Literal["rest"]
+class _Pace(_Message):
+    type: Literal["next", "rest"]
 
 
 class _Set(_Message):
@@ -79,7 +75,7 @@ class _Do(_Message):
     arguments: dict[str, Any] = Field(default_factory=dict)
 
 
-_MESSAGES: TypeAdapter[_Next | _Rest | _Set | _Do] = TypeAdapter(_Next | _Rest | _Set | _Do, config=ConfigDict())
+_MESSAGES: TypeAdapter[_Pace | _Set | _Do] = TypeAdapter(_Pace | _Set | _Do, config=ConfigDict())
 
 
 class Page:
@@ -118,7 +114,7 @@ class Page:
         if not self.browsers:
             self.actions.recordings.end()
             self.daemon.look(False)
-            await self.guide.rest()
+            await self.guide.stop(LOOK)
 
     def _publish(self, message: dict[str, Any]) -> None:
         kind = message["type"]
@@ -158,10 +154,8 @@ class _Browser:
         """Take requests until the browser leaves."""
         daemon = self._page.daemon
         self.push("hello", self.hello())
-        self.push("status", json.dumps(daemon.state()))
-        self.push("values", json.dumps(daemon.values()))
-        if self.owner:
-            self.push("guide", json.dumps(self._page.guide.state()))
+        for message in (daemon.state(), daemon.values(), *([self._page.guide.state()] if self.owner else [])):
+            self.push(message["type"], json.dumps(message))
         sending = asyncio.create_task(self._send())
         try:
             while True:
@@ -194,12 +188,11 @@ class _Browser:
             text = f"{'.'.join(map(str, error['loc'][1:])) or 'message'}: {one_line(error['msg'])}"
             self._answer("trouble", None, text=printable(text))
             return
-        if isinstance(message, _Next):
-            if self._frame is None or self._frame.done():
-                self._frame = self._begin(self._send_frame())
-        elif isinstance(message, _Rest):
-            if self._frame is not None:
+        if isinstance(message, _Pace):
+            if message.type == "rest" and self._frame is not None:
                 self._frame.cancel()
+            elif message.type == "next" and (self._frame is None or self._frame.done()):
+                self._frame = self._begin(self._send_frame())
         elif not self.owner:
             words = "this page only shows; open it with its token, which `spheremouse view --url` prints"
             self._answer("trouble", message.id, text=words)

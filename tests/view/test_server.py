@@ -78,7 +78,6 @@ def serving(daemon, port=0, cabinet=None, source=None):
     listener = socket.create_server(("127.0.0.1", port), backlog=256)
     port = listener.getsockname()[1]
     running = server(application(daemon, Access(TOKEN, port), GuideOptions(cabinet, source)), "127.0.0.1", port)
-    running.install_signal_handlers = lambda: None
     thread = threading.Thread(target=lambda: asyncio.run(running.serve([listener])))
     thread.start()
     try:
@@ -152,17 +151,16 @@ def test_a_browser_gets_settings_status_pictures_and_each_sample_once(world, pag
         hello = browser.until("hello", lambda m: m["settings"])
         assert hello["owner"] is True
         assert {"motion.scale_x", *hello["tune"]} <= {about["key"] for about in hello["settings"]}
-        assert browser.until("status", lambda m: m["connected"])["status"]["state"] == "tracking"
+        assert browser.until("status", lambda m: m["status"])["status"]["state"] == "tracking"
         first = browser.frame()
         while not first["jpeg"]:
             first = browser.frame()
         assert simplejpeg.decode_jpeg(first["jpeg"]).shape == (480, 640, 3)
         stamps = [row[0] for row in first["samples"]]
-        for _ in range(5):
+        while len(stamps) < 12:
             frame = browser.frame()
             assert frame["number"] > first["number"] or not frame["jpeg"]
             stamps += [row[0] for row in frame["samples"]]
-        assert len(stamps) > 10
         assert stamps == sorted(set(stamps))
 
 
@@ -320,7 +318,7 @@ def act(browser, action, **arguments):
 def replayed(browser, name):
     """The process of a replay, which is begun."""
     assert act(browser, "play", name=name)["type"] == "done"
-    return browser.until("status", lambda m: m["connected"] and "replay" in m["status"]["source"])["status"]["pid"]
+    return browser.until("status", lambda m: m["status"] and "replay" in m["status"]["source"])["status"]["pid"]
 
 
 def wait_for_end(process):
@@ -332,7 +330,7 @@ def wait_for_end(process):
 
 def test_recordings_of_the_daemons_folder_are_listed_and_no_other_is_opened(world, page, clip):
     with Browser(page) as browser:
-        browser.until("status", lambda m: m["connected"])
+        browser.until("status", lambda m: m["status"])
         found = {each["name"]: each for each in act(browser, "recordings")["data"]["recordings"]}
         assert found["clip"]["frames"] == 50
         assert found["clip"]["seconds"] == pytest.approx(50 / 30)
@@ -348,9 +346,9 @@ def test_a_replay_takes_the_cameras_place_with_the_changed_settings_and_gives_th
     with Browser(page) as browser:
         browser.until("hello", lambda m: m["settings"])
         browser.ask("set", values={"motion.scale_x": 2.0}, gesture="g")
-        browser.until("status", lambda m: m["connected"] and m["status"]["changes"])
+        browser.until("status", lambda m: m["status"] and m["status"]["changes"])
         assert act(browser, "play", name=clip)["type"] == "done"
-        status = browser.until("status", lambda m: m["connected"])["status"]
+        status = browser.until("status", lambda m: m["status"])["status"]
         assert status["source"]["replay"]["frames"] == 50
         assert status["changes"] == ["motion.scale_x=2.0"]
         while not (frame := browser.frame())["jpeg"]:
@@ -358,14 +356,14 @@ def test_a_replay_takes_the_cameras_place_with_the_changed_settings_and_gives_th
         assert simplejpeg.decode_jpeg(frame["jpeg"]).shape == (480, 640, 3)
         assert browser.ask("set", values={"so3.acceleration_sigma": 20.0}, gesture="h")["type"] == "done"
         assert act(browser, "replay", speed=0.5, step=True)["type"] == "done"
-        browser.until("status", lambda m: m["connected"] and m["status"]["state"] == "paused")
+        browser.until("status", lambda m: m["status"] and m["status"]["state"] == "paused")
         assert "replay: speed: " in act(browser, "replay", speed=-1)["text"]
         assert "scale_x" in world.client.ask("status")["changes"][0]
         assert act(browser, "leave")["type"] == "done"
         assert world.client.ask("status")["changes"] == ["motion.scale_x=2.0", "so3.acceleration_sigma=20.0"]
         assert act(browser, "undo")["type"] == "done"
         assert world.client.ask("status")["changes"] == ["motion.scale_x=2.0", "so3.acceleration_sigma=0.1"]
-        live = browser.until("status", lambda m: m["connected"] and m["status"]["pid"] != status["pid"])
+        live = browser.until("status", lambda m: m["status"] and m["status"]["pid"] != status["pid"])
         assert live["status"]["source"]["spec"] == "film:played"
         wait_for_end(status["pid"])
 
@@ -374,7 +372,7 @@ def test_a_replay_takes_the_cameras_place_with_the_changed_settings_and_gives_th
 def test_a_replay_ends_with_the_last_browser(world, page, clip, monkeypatch):
     monkeypatch.setattr(server_module, "_LINGER", 0.1)
     with Browser(page) as browser:
-        browser.until("status", lambda m: m["connected"])
+        browser.until("status", lambda m: m["status"])
         replay = replayed(browser, clip)
     wait_for_end(replay)
 
@@ -382,10 +380,10 @@ def test_a_replay_ends_with_the_last_browser(world, page, clip, monkeypatch):
 @pytest.mark.slow
 def test_the_end_of_a_replay_is_reported(world, page, clip):
     with Browser(page) as browser:
-        browser.until("status", lambda m: m["connected"])
+        browser.until("status", lambda m: m["status"])
         os.kill(replayed(browser, clip), signal.SIGKILL)
         assert "the replay has ended" in browser.until("trouble")["text"]
-        browser.until("status", lambda m: m["connected"] and "replay" not in m["status"]["source"])
+        browser.until("status", lambda m: m["status"] and "replay" not in m["status"]["source"])
 
 
 @pytest.mark.slow
@@ -393,7 +391,7 @@ def test_two_settings_are_compared_on_the_same_seconds(world, page, clip):
     with Browser(page) as browser:
         browser.until("hello", lambda m: m["settings"])
         browser.ask("set", values={"so3.acceleration_sigma": 100.0}, gesture="g")
-        browser.until("status", lambda m: m["connected"] and m["status"]["changes"])
+        browser.until("status", lambda m: m["status"] and m["status"]["changes"])
         found = act(browser, "compare", name=clip, begin=0.5, end=1.5)["data"]
         before, after = found["before"], found["after"]
         assert before["frames"] == after["frames"] == 30
@@ -434,15 +432,15 @@ def test_garbage_is_answered_in_one_line_and_the_connection_stays(page):
 
 def test_the_page_outlives_the_daemon_and_a_browser_the_page(world):
     with serving(world.socket) as port, Browser(port) as browser:
-        browser.until("status", lambda m: m["connected"])
+        browser.until("status", lambda m: m["status"])
         world.stop()
         world.client.close()
-        assert browser.until("status", lambda m: not m["connected"])["reason"]
+        assert browser.until("status", lambda m: not m["status"])["reason"]
         assert "no daemon" in browser.ask("do", action="pause")["text"]
         world.start()
         world.reach("tracking")
         begun = time.monotonic()
-        browser.until("status", lambda m: m["connected"])
+        browser.until("status", lambda m: m["status"])
         while not browser.frame()["jpeg"]:
             pass
         assert time.monotonic() - begun < 5.0

@@ -60,6 +60,11 @@ class Client:
         return self._path
 
     @property
+    def has_received(self) -> bool:
+        """True if the next event has been read from the socket."""
+        return b"\n" in self._received
+
+    @property
     def is_trusted(self) -> bool:
         """True if the server runs as this user or as root, by the kernel's credentials."""
         peer = peer_of(self._connected())

@@ -20,7 +20,7 @@ const STATES = {
   starting: { word: "starting", look: "wait", advice: "Wait a few seconds." },
   "no-camera": { word: "no camera", look: "bad", advice: "Check the camera's cable. The service opens the camera as soon as it is there." },
   "searching-targets": { word: "searching", look: "wait", advice: "The camera must see at least three targets. Clear its view, and add light." },
-  tracking: { word: "tracking", look: "good", advice: "" },
+  tracking: { word: "tracking", look: "good", advice: "The pointer follows the ball." },
   lost: { word: "lost", look: "wait", advice: "Take hands and cloths off the ball, and light it evenly. If the camera was moved, estimate its pose again." },
   paused: { word: "paused", look: "wait", advice: "The pointer stands still. Press Resume." },
   "failed-output": { word: "no output", look: "bad", advice: "The ball is followed, but its motion is not sent. Open Outputs." },
@@ -67,7 +67,7 @@ async function perform(action, words = {}) {
 function showMessage(/** @type {string} */ text, /** @type {boolean} */ refused) {
   const line = byId("message", HTMLElement);
   clearTimeout(messageTimer);
-  setText(line, text);
+  setText(byId("message-text", HTMLElement), text);
   line.classList.toggle("bad", refused);
   line.hidden = !text;
   if (!refused) messageTimer = setTimeout(() => (line.hidden = true), MESSAGE_MS);
@@ -76,7 +76,7 @@ function showMessage(/** @type {string} */ text, /** @type {boolean} */ refused)
 /** @param {any} message */
 function receive(message) {
   if (message.type === "hello") hello(message);
-  else if (message.type === "status") showStatus(message.status, message.reason ?? "");
+  else if (message.type === "status") showStatus(message.status, message.reason, message.hint && `${message.hint}. Before the calibration, open Guide.`);
   else if (message.type === "values") settings.update(message);
   else if (message.type === "log") log.add(message.lines);
   else if (message.type === "trouble") showMessage(message.text, true);
@@ -88,7 +88,7 @@ function receive(message) {
 function hello(message) {
   owner = message.owner;
   settings.locked = !owner;
-  if (!owner) showMessage("This page only shows. To change settings, open the address that `spheremouse view --url` prints.", true);
+  if (!owner) showMessage("This page only shows. To change settings, open the address that `spheremouse view --url` prints.", false);
   if (message.settings.length && settings.load(message.settings)) {
     expert.load(message);
     drawing.load();
@@ -121,7 +121,7 @@ function lost() {
  * @param {string} reason why not
  * @param {string} remedy of no answer
  */
-function showStatus(now, reason, remedy = "Start the service: systemctl start spheremouse. Before the calibration, open Guide.") {
+function showStatus(now, reason, remedy) {
   status = now;
   const known = STATES[now?.state ?? ""];
   const replay = now?.source?.replay;
@@ -159,22 +159,22 @@ byId("reinit", HTMLElement).addEventListener("click", () => void perform("reinit
 byId("pause", HTMLElement).addEventListener("click", () => void perform(status?.paused ? "resume" : "pause"));
 byId("record", HTMLElement).addEventListener("click", () => void perform("record", status?.recording ? { stop: true } : {}));
 byId("snapshot", HTMLElement).addEventListener("click", () => void perform("snapshot"));
+byId("message-close", HTMLElement).addEventListener("click", () => showMessage("", false));
 
-/** @type {[name: string, element: HTMLElement, wide: boolean][]} */
+/** @type {[name: string, element: HTMLElement][]} */
 const PANELS = [
-  ["Tune", tune.element, false], ["Expert", expert.element, true], ["Log", log.element, true], ["Draw", drawing.element, false],
-  ["Recordings", recordings.element, true], ["Outputs", outputs.element, true], ["Doctor", doctor.element, true], ["Calibration", calibration.element, true], ["Guide", guide.element, true],
+  ["Tune", tune.element], ["Expert", expert.element], ["Log", log.element], ["Draw", drawing.element], ["Recordings", recordings.element],
+  ["Outputs", outputs.element], ["Doctor", doctor.element], ["Calibration", calibration.element], ["Guide", guide.element],
 ];
 
 /** @param {string} chosen */
 function show(chosen) {
-  for (const [name, , wide] of PANELS) {
+  for (const [name] of PANELS) {
     const tab = byId(`tab-${name}`, HTMLElement);
     const is = name === chosen;
     tab.setAttribute("aria-selected", String(is));
     tab.tabIndex = is ? 0 : -1;
     byId(`panel-${name}`, HTMLElement).hidden = !is;
-    if (is) document.body.classList.toggle("wide", wide);
   }
   drawing.activate(chosen === "Draw");
   if (chosen === "Recordings" && owner) void recordings.open();
