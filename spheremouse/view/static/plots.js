@@ -31,15 +31,15 @@ export function readSample(row) {
 }
 
 /**
- * Return about `parts` round numbers within a range.
+ * Return at least two round numbers within a range that contains 0, and about `parts` of them.
  * @param {number} low
  * @param {number} high
  * @param {number} parts
  */
 function ticks(low, high, parts) {
-  const raw = (high - low) / parts;
-  const power = 10 ** Math.floor(Math.log10(raw));
-  const step = ([10, 5, 2].find((m) => m * power <= 1.25 * raw) ?? 1) * power;
+  const least = Math.min((0.8 * (high - low)) / parts, high / 2);
+  const power = 10 ** Math.floor(Math.log10(least));
+  const step = ([1, 2, 5].find((m) => m * power >= least) ?? 10) * power;
   const first = Math.ceil(low / step);
   return Array.from({ length: Math.max(0, Math.floor(high / step) - first + 1) }, (_, i) => (first + i) * step);
 }
@@ -208,20 +208,19 @@ export class Plots {
   /** @param {import("./types.js").Status | null} status */
   read(status) {
     const { rate = null, sigma = null } = this.last ?? {};
-    /** @type {[string, string][]} */
+    /** @type {[name: string, value: string, width?: "two" | "all"][]} columns that a reading takes */
     const rows = AXES.map((name, i) => [name, rate ? `${formatSigned((rate[i] ?? 0) * DEGREES)} °/s` : "–"]);
-    if (sigma) rows.push(["σ", `${(Math.max(...sigma) * DEGREES).toFixed(2)} °/s`]);
+    rows.push(["σ", sigma ? `${(Math.max(...sigma) * DEGREES).toFixed(2)} °/s` : "–"]);
     if (status) {
-      rows.push(["motion", status.motion?.words ?? "not known"]);
-      rows.push(["counts", status.counts?.join(", ") ?? "–"]);
-      if (!status.balls) rows.push(["discs", `${status.discs ?? "–"} used, ${status.discs_seen ?? "–"} seen, ${status.discs_known ?? "–"} known`]);
-      for (const ball of status.balls ?? []) rows.push([ball.name ?? "ball", ballText(ball)]);
-      rows.push(["latency", formatLatency(status.latency_ms)], ["frames", `${(status.fps ?? 0).toFixed(1)} /s`]);
+      rows.push(["frames", `${(status.fps ?? 0).toFixed(1)} /s`], ["latency", formatLatency(status.latency_ms), "two"], ["counts", status.counts?.map((/** @type {number} */ v) => formatSigned(v, 0)).join(", ") ?? "–", "two"]);
+      if (!status.balls) rows.push(["discs", `${status.discs ?? "–"} used, ${status.discs_seen ?? "–"} seen, ${status.discs_known ?? "–"} known`, "two"]);
+      for (const ball of status.balls ?? []) rows.push([ball.name ?? "ball", ballText(ball), "all"]);
+      rows.push(["motion", status.motion?.words ?? "not known", "all"]);
     }
     const known = new Map([...this.#readings.children].map((row) => [row.firstElementChild?.textContent, row.lastElementChild]));
     if (rows.length === known.size && rows.every(([name]) => known.has(name)))
       for (const [name, value] of rows) setText(/** @type {HTMLElement} */ (known.get(name)), value);
-    else this.#readings.replaceChildren(...rows.map(([name, value]) => el("div", {}, el("dt", {}, name), el("dd", {}, value))));
+    else this.#readings.replaceChildren(...rows.map(([name, value, width = ""]) => el("div", { class: width }, el("dt", {}, name), el("dd", {}, value))));
   }
 }
 

@@ -31,7 +31,7 @@ export class RecordingsPanel {
   #speed = el("select", { id: "replay-speed" }, ...SPEEDS.map((x) => el("option", { value: x, selected: x === 1 }, `${x} ×`)));
   #loop = el("input", { type: "checkbox", id: "replay-loop" });
   #begin = el("input", { type: "number", id: "replay-begin", min: 0, step: 0.1, value: 0 });
-  #end = el("input", { type: "number", id: "replay-end", min: 0, step: 0.1 });
+  #end = el("input", { type: "number", id: "replay-end", min: 0, step: 0.1, placeholder: "end" });
   #evaluate = el("button", { type: "button", id: "compare" }, "Compare saved and present settings");
   #results = el("tbody", {});
   #table = table("Comparison", ["On these seconds", "Saved", "Present"], this.#results);
@@ -59,7 +59,9 @@ export class RecordingsPanel {
     this.element = el("div", {},
       el("div", { class: "row" }, el("label", { for: "recording" }, "Recording"), this.#list, this.#play, this.#leave), this.#note, this.#player,
       el("div", { class: "row" }, el("label", { for: "replay-begin" }, "Seconds from"), this.#begin, el("label", { for: "replay-end" }, "to"), this.#end,
-        this.#evaluate), this.#table);
+        this.#evaluate),
+      el("p", { class: "help" }, "While a recording plays, change settings in Tune or Expert. The comparison tracks these seconds with the saved and with the present settings."),
+      this.#table);
     this.#table.hidden = true;
   }
 

@@ -1,6 +1,6 @@
 /** The panels of the log, the outputs and the doctor. */
 
-import { byId, el, formatDuration, formatLatency, setText, table } from "./dom.js";
+import { byId, el, formatDuration, formatLatency, formatSigned, setText, table } from "./dom.js";
 
 /** @typedef {import("./types.js").Status} Status */
 /** @typedef {import("./tune.js").Act} Act */
@@ -61,11 +61,10 @@ export class OutputsPanel {
     fill(this.#table, rows, (row) => el("tr", {}, ...row.map((cell, i) => (i ? el("td", {}, cell) : el("th", { scope: "row" }, cell)))));
     const s = status ?? {};
     const pose = s.pose;
-    const numbers = (/** @type {number[]} */ values, /** @type {number} */ digits) => values.map((v) => v.toFixed(digits)).join(", ");
     const facts = status ? [
       ["Tracker", s.tracker], ["Source", s.source?.description ?? s.source?.spec], ["Configuration", s.config], ["Rig", s.rig], ["Map", s.map],
       ["Frames", `${s.frames ?? 0} tracked, ${s.skipped ?? 0} skipped, ${s.dropped ?? 0} lost by the driver, ${s.damaged ?? 0} damaged`],
-      ["Camera pose", pose?.position_m ? `${numbers(pose.position_m, 3)} m, σ ${numbers(pose.sigma_mm ?? [], 1)} mm` : "not known"],
+      ["Camera pose", pose?.position_m ? `${pose.position_m.map((/** @type {number} */ v) => formatSigned(v, 3)).join(", ")} m, σ ${(pose.sigma_mm ?? []).map((/** @type {number} */ v) => v.toFixed(1)).join(", ")} mm` : "not known"],
       ["Running", `${formatDuration(s.uptime_s ?? 0)}, without tracking ${formatDuration(s.unseen_s ?? 0)}, lost ${s.lost_count ?? 0} times`],
       ["Process", `${Math.round(s.memory_mb ?? 0)} MB, ${Math.round(100 * (s.cpu_share ?? 0))} % of a core, ${s.scheduling ?? ""}`],
       ["Version", s.version]] : [["Tracker", "not running"]];

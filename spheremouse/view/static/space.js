@@ -351,6 +351,11 @@ function fill(/** @type {CanvasRenderingContext2D} */ c, /** @type {Vector[]} */
 }
 
 function text(/** @type {CanvasRenderingContext2D} */ c, /** @type {string} */ words, /** @type {number} */ x, /** @type {number} */ y) {
+  c.save();
   c.font = "11px system-ui, sans-serif";
-  c.fillText(words, Math.max(4, Math.min(x, c.canvas.clientWidth - c.measureText(words).width - 4)), Math.min(y, c.canvas.clientHeight - 4));
+  const place = /** @type {const} */ ([Math.max(4, Math.min(x, c.canvas.clientWidth - c.measureText(words).width - 4)), Math.min(y, c.canvas.clientHeight - 4)]);
+  [c.strokeStyle, c.lineWidth] = [colour("--panel"), 3]; // legible on the ball
+  c.strokeText(words, ...place);
+  c.fillText(words, ...place);
+  c.restore();
 }
