@@ -63,8 +63,6 @@ def bench(
 
 @dataclass(frozen=True, slots=True)
 class Film:
-    """A film, and the device in it."""
-
     name: str
     rig: "Rig"
     interval: float  # s from frame to frame

@@ -43,7 +43,6 @@ def access_problem(path: Path) -> tuple[str, str] | None:
 
 
 def account() -> str:
-    """Return the name of this account."""
     try:
         import pwd
 

@@ -49,7 +49,6 @@ def load(path: Path, root: type[S]) -> S:
 
 
 def loads(document: Document, root: type[S]) -> S:
-    """Return the settings of a document."""
     document = without_schema(document, KIND)
     names = [field.name for field in dataclasses.fields(typing.cast(Any, root))]
     strange = [key for key in document.data if key not in names]
@@ -99,7 +98,6 @@ def in_force(file: Path | None, assignments: Iterable[str], root: type[S]) -> S:
 
 
 def key_of(assignment: str) -> str:
-    """Return the key of KEY=VALUE."""
     return assignment.partition("=")[0].strip()
 
 

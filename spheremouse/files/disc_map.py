@@ -128,7 +128,6 @@ def age(saved: SavedMap) -> str:
 
 
 def map_text(saved: SavedMap) -> str:
-    """Return a map as YAML."""
     sigma, root = _factored(saved.map.covariance)
     lines = [
         "# The discs on one ball, as tracked. Written by spheremouse and read at the next start; without it a new one",

@@ -21,8 +21,6 @@ _MAX_SECONDS = 6 * 3600.0
 
 
 class MouseReport(NamedTuple):
-    """One report of the mouse."""
-
     stamp: float  # s, time.monotonic()
     dx: int  # counts
     dy: int  # counts

@@ -99,7 +99,6 @@ def values(before: RunConfig, now: RunConfig, assignments: tuple[str, ...]) -> V
 
 
 def describe_changes(values: Values) -> str:
-    """Return the changes in words."""
     return ", ".join(
         f"{key} {config.to_yaml(old)} → {config.to_yaml(new)}" if old != new else f"{key} {config.to_yaml(new)} already"
         for key, (old, new) in values.items()

@@ -102,7 +102,6 @@ def _state(event: Event) -> str:
 
 
 def sentence(event: Event) -> str:
-    """Return an event in words."""
     happened = cast(_Ball, event)
     match happened:
         case events.Found(discs):

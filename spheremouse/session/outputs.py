@@ -39,8 +39,6 @@ class RunOutput:
 
 
 class Outputs:
-    """The outputs of one run."""
-
     def __init__(
         self,
         specs: Sequence[str],
@@ -92,7 +90,6 @@ class Outputs:
             output.thread.pause(paused)
 
     def change(self, settings: PointerSettings) -> None:
-        """Change the pointer's settings."""
         for output in self._all:
             output.thread.change(settings)
 

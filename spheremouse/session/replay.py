@@ -52,7 +52,6 @@ class ReplayProcess:
         return False
 
     def end(self) -> None:
-        """End it."""
         if self._process.returncode is None:
             self._process.terminate()
 

@@ -191,7 +191,6 @@ def beside(file: Path | None, name: str | None) -> Path | None:
 
 
 def wand_files(file: Path | None, c: Configuration) -> tuple[Path, ...]:
-    """Return the wand files of a configuration."""
     return tuple(path for name in c.wand.balls if (path := beside(file, name)) is not None)
 
 

@@ -41,7 +41,6 @@ def axes_of(position: Array, rotation: Array, covariance: Array) -> Axes:
 
 
 def estimated_axes(estimate: Estimate) -> Axes:
-    """Return the axes of an estimate."""
     covariance = np.roll(estimate.covariance[:6, :6], (3, 3), axis=(0, 1))  # the rotation first in an estimate
     return axes_of(estimate.position, estimate.rotation, covariance)
 

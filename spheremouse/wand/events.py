@@ -19,8 +19,6 @@ _MIN_COLOUR_FRACTION, _MAX_COLOUR_FRACTION = 2e-6, 0.25  # of the picture: a bal
 
 @dataclass(frozen=True, slots=True)
 class BallEvent(Event):
-    """An event of one ball."""
-
     ball: str
 
 

@@ -104,7 +104,6 @@ class DeviceCalibration:
         return slice(int(ends[i]), int(ends[i + 1]))
 
     def rig(self) -> Rig:
-        """Return the rig for a tracker."""
         targets, radius = self.block("targets"), self.block("radius")
         ball = np.zeros((4, 4))
         ball[3, 3] = self.covariance[radius, radius].item()

@@ -176,7 +176,6 @@ def count(n: int, thing: str) -> str:
 
 
 def init_command(folder: Path) -> str:
-    """Return the command that makes the folder."""
     return calibrate_command("init", folder)
 
 

@@ -25,8 +25,6 @@ S = TypeVar("S")  # detections in a frame
 
 @dataclass(frozen=True, slots=True)
 class FrameCheck(Generic[S]):
-    """The check of one frame."""
-
     seen: S
     words: str  # for the person before the camera: contents, and the hindrance
     gain: str = ""  # new contents; empty if the frame becomes no photo

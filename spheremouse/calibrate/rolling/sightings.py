@@ -32,8 +32,6 @@ _MAX_JOIN_FRAMES = 50  # of a segment that are tried
 
 @dataclass(frozen=True, slots=True)
 class TrackedRolling:
-    """Result of the tracker."""
-
     rolling: Rolling
     sightings: Sightings
     size: float  # of the fitted discs over the expected size

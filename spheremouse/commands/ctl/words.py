@@ -32,7 +32,6 @@ _WIDEST = 2 + max(map(len, _COLOURS))
 
 
 def status_table(s: StatusReport) -> Panel:
-    """Return a status as a short table."""
     rows = Table.grid(padding=(0, 2))
     rows.add_column(style="dim", min_width=8)
     rows.add_column(overflow="fold")

@@ -40,7 +40,6 @@ def service_state(overrides: CommandLineOverrides) -> Path | None:
 
 
 def _of_daemon(status: StatusReport) -> CommandLineOverrides:
-    """Return the request of a daemon from its status."""
     outputs = tuple(output.spec for output in status.outputs or () if output.spec)
     source = status.source.spec if status.source else None
     named = {"source": source, "output": outputs or None, "rig": status.rig, "map": status.map}

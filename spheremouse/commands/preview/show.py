@@ -48,7 +48,6 @@ class Analysis:
 
     @property
     def sharpness(self) -> str:
-        """Return the sharpness in one word."""
         if not np.isfinite(self.blur):
             return "no edge analysis"
         return "sharp" if self.blur < _MAX_SHARP_PX else "soft" if self.blur < _MAX_SOFT_PX else "blurred"

@@ -32,7 +32,6 @@ class Link:
         self._thread = threading.Thread(target=self._run, name="link", daemon=True)
 
     def start(self) -> None:
-        """Start to poll."""
         self._thread.start()
 
     def close(self) -> None:

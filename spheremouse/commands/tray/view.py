@@ -41,7 +41,6 @@ class View:
 
 
 def view(status: StatusReport) -> View:
-    """Convert a status."""
     state, recording = _line(status.state or "") or "unknown", status.recording
     return View(
         state=state,

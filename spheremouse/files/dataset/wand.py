@@ -49,7 +49,6 @@ class WandRecording(Recorded):
 
     @property
     def ball(self) -> WandBall:
-        """The first ball."""
         return self.balls[0]
 
     @property

@@ -450,5 +450,4 @@ class Endpoints:
             self._server.publish({"event": "log", "text": text})
 
     def close(self) -> None:
-        """Close both."""
         self._stack.close()

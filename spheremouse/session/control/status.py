@@ -86,8 +86,6 @@ class BallStatus(_Part):
 
 
 class OutputStatus(_Part):
-    """An output."""
-
     spec: Text | None = None
     left_out: Text | None = None
     failed: Text | None = None
@@ -111,16 +109,12 @@ class ReplayStatus(_Part):
 
 
 class SourceStatus(_Part):
-    """The source of the frames."""
-
     spec: Text | None = None
     description: Text | None = None
     replay: ReplayStatus | None = None
 
 
 class RecordingStatus(_Part):
-    """The recording in progress."""
-
     folder: Text | None = None
     frames: int | None = None
     seconds: float | None = None

@@ -35,11 +35,9 @@ class NonBlockingStderr(io.TextIOBase):
 
     @property
     def encoding(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Encoding of the stream."""
         return self._stream.encoding
 
     def writable(self) -> bool:
-        """Return True."""
         return True
 
     def isatty(self) -> bool:

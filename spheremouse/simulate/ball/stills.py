@@ -253,8 +253,6 @@ class Stills:
 
 
 class Photo(NamedTuple):
-    """One picture."""
-
     name: str  # in its folder: device/device_0 or board/chess_00, without ending
     image: NDArray[np.uint8]  # (h, w, 3) blue, green, red
     pose: Pose  # of the camera, obj
