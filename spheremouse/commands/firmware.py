@@ -49,7 +49,7 @@ def check(
     json_file: JsonFile = None,
     force: Force = False,
 ) -> None:
-    """Ask the running board for its firmware's version, its computer, and its damaged frames."""
+    """Ask the board for its firmware's version, whether a computer takes its mouse, and its damaged frames."""
     from spheremouse.output.serial import BAUD, Serial, firmware, validate_baud
     from spheremouse.output.serial.ports import find_board
 

@@ -53,8 +53,9 @@ _ROUNDS = 6  # of removing false corners and estimating variances
 def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5) -> BoardAdjustment:
     """Calibrate a camera with images of `size` (width, height) px from views of a board.
 
-    `terms` counts the estimated distortion terms: 0 none, 2 k1 k2, 4 also p1 p2, 5 also k3; the others stay 0. Raises
-    CalibrationError if the views do not determine the camera.
+    `terms` counts the estimated distortion terms: 0 none, 2 k1 k2, 4 also p1 p2, 5 also k3; the others stay 0. Views
+    that do not fit the others are left out, the worst first, while `MIN_VIEWS` stay. Raises CalibrationError if the
+    views do not determine the camera.
     """
     if len(views) < MIN_VIEWS:
         raise CalibrationError(

@@ -104,7 +104,7 @@ def expected_residual(rig: Rig, pose: Pose, sigma: float) -> float:
 def sight(rig: Rig, pose: Pose, settings: Settings) -> tuple[Sight | None, Finding]:
     """Return pose and detector, None if the ball is not in view, and a finding about the size of ball and discs."""
     try:
-        build(rig, pose, settings)
+        build(rig, pose, settings)  # PoseError without the ball in the picture
         detector = disc_detector(settings.discs, rig, pose)
     except SpheremouseError as e:
         return None, refused("ball", e)
