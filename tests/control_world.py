@@ -83,6 +83,11 @@ def page_reply(command):
     return next(r[0] for c in conversations() for q, r in c if q == f'{{"command": "{command}"}}')
 
 
+def a_status(**change):
+    """The page's status with some values changed."""
+    return {key: value for key, value in page_reply("status").items() if key != "ok"} | change
+
+
 class Daemon:
     """Answers as a daemon in the situations of the page would."""
 

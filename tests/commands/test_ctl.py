@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 import typer
-from control_world import Daemon, conversations
+from control_world import Daemon, a_status, conversations
 from rich.console import Console
 from typer.testing import CliRunner
 
@@ -72,9 +72,9 @@ def ctl(path, monkeypatch):
     return run
 
 
-def shown(status, width=80):
+def shown(width=80, **change):
     console = Console(width=width, highlight=False, record=True, file=io.StringIO())
-    console.print(said_of.status_table(StatusReport.read(status)))
+    console.print(said_of.status_table(StatusReport.read(a_status(**change))))
     return console.export_text()
 
 
@@ -109,26 +109,23 @@ def test_the_status_as_json_is_the_plain_dict(ctl, daemon):
 
 
 def test_a_status_that_knows_nothing_yet_is_shown_too():
-    empty = {"state": "starting", "reason": "", "since_s": 0.2, "fps": None, "latency_ms": None, "pose": None}
-    text = shown(
-        {**empty, "outputs": [{"spec": "uinput", "failed": "/dev/uinput: permission denied", "unsent": [0, 0, 0]}]}
-    )
+    failed = {**a_status()["outputs"][0], "failed": "/dev/uinput: permission denied"}
+    text = shown(state="starting", reason="", since_s=0.2, latency_ms=None, pose=None, motion=None, outputs=[failed])
     assert "● starting for 0.2 s" in text
-    assert "not known" in text
-    assert "uinput: /dev/uinput: permission denied" in text
-    assert shown({})
+    assert text.count("not known") == 2
+    assert "/dev/uinput: permission denied" in text
 
 
 def test_a_pause_is_seen_behind_a_worse_state():
-    assert "no-camera for 3.0 s, and paused" in shown({"state": "no-camera", "since_s": 3.0, "paused": True})
-    assert "and paused" not in shown({"state": "paused", "since_s": 3.0, "paused": True})
-    assert "and paused" not in shown({"state": "lost", "since_s": 3.0, "paused": False})
+    assert "no-camera for 3.0 s, and paused" in shown(state="no-camera", since_s=3.0, paused=True)
+    assert "and paused" not in shown(state="paused", since_s=3.0, paused=True)
+    assert "and paused" not in shown(state="lost", since_s=3.0, paused=False)
 
 
 def test_what_the_daemon_quotes_does_not_steer_the_terminal():
     bad = "\x1b[2J\x1b]0;owned\x07[bold]x[/bold]"
-    status = {"state": bad, "reason": bad, "outputs": [{"spec": bad, "failed": bad}], "source": {"description": bad}}
-    text = shown(status, 200)
+    output = {**a_status()["outputs"][0], "spec": bad, "failed": bad}
+    text = shown(200, state=bad, reason=bad, outputs=[output], source={"spec": bad, "description": bad})
     assert "\x1b" not in text
     assert "\x07" not in text
     assert text.count("[bold]x[/bold]") >= 4  # and is no markup
@@ -215,8 +212,9 @@ def test_an_event_is_a_line():
     figures = "59.9 frames/s  latency 2.9, 99 % 6.4 ms  17/26 discs  towards you 32 °/s"
     assert line(status) == f"12:00:00  ● tracking            {figures}"
     assert line({**status, "state": "lost", "reason": "hands"}).endswith("  hands")
-    bare = "12:00:00  ● no-camera              - frames/s  no latency  -/- discs  unplugged"
-    assert line({"state": "no-camera", "reason": "unplugged"}) == bare
+    bare = {"fps": 0.0, "latency_ms": None, "discs": None, "discs_known": None, "motion": None}
+    told = "12:00:00  ● no-camera            0.0 frames/s  no latency  -/- discs  unplugged"
+    assert line({**status, **bare, "state": "no-camera", "reason": "unplugged"}) == told
     assert line("lost: hands") == "12:00:00  lost: hands"
 
 

@@ -14,7 +14,6 @@ from spheremouse.session.control.status import (
     PoseStatus,
     Quantiles,
     RecordingStatus,
-    SourceStatus,
     StatusReport,
 )
 
@@ -51,14 +50,13 @@ def status_table(s: StatusReport) -> Panel:
         rows.add_row("set", _text(f"{', '.join(s.changes)} (until the next start; `ctl save` keeps it)"))
     if s.saved:
         rows.add_row("saved", _text(f"{', '.join(s.saved)} (`ctl save --forget` goes back to the configuration file)"))
-    for output in s.outputs or ():
+    for output in s.outputs:
         rows.add_row("output", _output(output, s.reason))
-    source = s.source or SourceStatus()
-    rows.add_row("source", _text(source.description or source.spec or "-"))
-    rows.add_row("unseen", f"{span(s.unseen_s)} of {span(s.uptime_s)}, lost {_n(s.lost_count)} times")
+    rows.add_row("source", _text(s.source.description or s.source.spec))
+    rows.add_row("unseen", f"{span(s.unseen_s)} of {span(s.uptime_s)}, lost {s.lost_count} times")
     if s.recording:
         rows.add_row("recording", _recording(s.recording))
-    head = Text.assemble((" spheremouse ", "bold"), f"{printable(s.version or '')} │ process {_n(s.pid)} ")
+    head = Text.assemble((" spheremouse ", "bold"), f"{printable(s.version)} │ process {s.pid} ")
     return Panel(rows, title=head, title_align="left", border_style="dim", expand=False)
 
 
@@ -91,31 +89,31 @@ def event_line(event: StatusReport | str, clock: str) -> Text:
         return Text.assemble((clock, "dim"), "  ", _text(event))
     latency = event.latency_ms
     parts = [
-        f"{_number(event.fps, '.1f'):>5} frames/s",
+        f"{event.fps:>5.1f} frames/s",
         f"latency {_number(latency.p50, '.1f')}, 99 % {_number(latency.p99, '.1f')} ms" if latency else "no latency",
         f"{_n(event.discs)}/{_n(event.discs_known)} discs"
         if event.balls is None
-        else ", ".join(f"{printable(b.name or '')} {printable(b.state or '')}" for b in event.balls),
+        else ", ".join(f"{printable(b.name)} {printable(b.state)}" for b in event.balls),
     ]
     state = _state(event)
     state.pad_right(max(0, _WIDEST - len(state)))
     if event.motion:
-        parts.append(printable(event.motion.words or ""))
-    failed = next((f"output {o.spec}: {o.failed}" for o in event.outputs or () if o.failed), "")
+        parts.append(printable(event.motion.words))
+    failed = next((f"output {o.spec}: {o.failed}" for o in event.outputs if o.failed), "")
     words = event.reason if event.state != "tracking" else failed
     tail = f"  {printable(words)}" if words else ""
     return Text.assemble((clock, "dim"), "  ", state, "  ", "  ".join(parts), tail)
 
 
 def _state(s: StatusReport) -> Text:
-    name = printable(s.state or "unknown")
+    name = printable(s.state)
     return Text(f"● {name}", style=_COLOURS.get(name, ""))
 
 
 def _frames(s: StatusReport) -> str:
     lost = {"skipped": s.skipped, "dropped": s.dropped, "damaged": s.damaged}
     parts = [f"{n} {word}" for word, n in lost.items() if n]
-    return ", ".join([f"{_number(s.fps, '.1f')}/s, {_n(s.frames)} in all", *parts])
+    return ", ".join([f"{s.fps:.1f}/s, {s.frames} in all", *parts])
 
 
 def _latency(ms: Quantiles | None) -> str:
@@ -126,15 +124,13 @@ def _latency(ms: Quantiles | None) -> str:
 
 
 def _motion(s: StatusReport) -> Text:
-    words = (s.motion.words if s.motion else None) or "not known"
-    if s.counts:
-        words += "; counts x {:+d}, y {:+d}, third {:+d}".format(*s.counts)
-    return _text(words)
+    words = s.motion.words if s.motion else "not known"
+    return _text(words + "; counts x {:+d}, y {:+d}, third {:+d}".format(*s.counts))
 
 
 def _ball(ball: BallStatus) -> Text:
     """Return place and attitude of a ball in a hand, with standard deviations."""
-    words = f"{ball.name or ''} {ball.state or ''}"
+    words = f"{ball.name} {ball.state}"
     place, angles, sigma, turned = ball.position_m, ball.angles_deg, ball.sigma_mm, ball.sigma_deg
     if place and angles and sigma and turned:
         words += f": x {place[0]:+.3f}, y {place[1]:+.3f}, z {place[2]:.3f} m ±{max(sigma):.0f} mm"
@@ -145,19 +141,18 @@ def _ball(ball: BallStatus) -> Text:
 def _pose(pose: PoseStatus | None) -> str:
     if pose is None:
         return "not known"
-    return f"{span(pose.age_s)} old" + (f", within {max(pose.sigma_mm):.1f} mm (1 sigma)" if pose.sigma_mm else "")
+    return f"{span(pose.age_s)} old, within {max(pose.sigma_mm):.1f} mm (1 sigma)"
 
 
-def _output(output: OutputStatus, reason: str | None) -> Text:
-    spec = output.spec or "-"
-    text = _text(spec)
+def _output(output: OutputStatus, reason: str) -> Text:
+    text = _text(output.spec)
     if output.failed:
-        failed = "failed" if output.failed == reason else printable(output.failed).removeprefix(f"{spec}: ")
+        failed = "failed" if output.failed == reason else printable(output.failed).removeprefix(f"{output.spec}: ")
         text.append(f": {failed}", style="bold red")
     else:
-        text.append(f", {output.reports or 0} reports")
-    if any(output.unsent or ()):
-        text.append(f", not sent: {' '.join(f'{n:+d}' for n in output.unsent or ())} counts")
+        text.append(f", {output.reports} reports")
+    if any(output.unsent):
+        text.append(f", not sent: {' '.join(f'{n:+d}' for n in output.unsent)} counts")
     if output.left_out:
         text.append(f"\n{printable(output.left_out)}", style="dim")
     return text
@@ -165,14 +160,11 @@ def _output(output: OutputStatus, reason: str | None) -> Text:
 
 def _recording(r: RecordingStatus) -> Text:
     dropped = f", {r.dropped} dropped" if r.dropped else ""
-    megabytes = 1e-6 * (r.bytes or 0)
-    return _text(f"{r.folder}: {_n(r.frames)} frames, {span(r.seconds)}, {megabytes:.0f} MB{dropped}")
+    return _text(f"{r.folder}: {r.frames} frames, {span(r.seconds)}, {1e-6 * r.bytes:.0f} MB{dropped}")
 
 
-def span(seconds: float | None) -> str:
+def span(seconds: float) -> str:
     """Return a time, s, in a unit that suits it."""
-    if seconds is None:
-        return "-"
     for size, limit, unit in ((1.0, 120.0, "s"), (60.0, 120.0, "min"), (3600.0, 48.0, "h")):
         if seconds / size < limit:
             return f"{seconds / size:.1f} {unit}" if seconds < 10.0 else f"{seconds / size:.0f} {unit}"

@@ -108,8 +108,7 @@ class _Run:
         yield Section("output", findings)
 
     def _is_in_use(self, status: StatusReport | None) -> bool:
-        spec = status.source.spec if status and status.source else None
-        other = node_of(spec) if spec else None
+        other = None if status is None else node_of(status.source.spec)
         return self.node is not None and other is not None and self.node.resolve() == other.resolve()
 
     def _film(self, seconds: float) -> Iterator[Finding]:

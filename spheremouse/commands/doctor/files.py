@@ -40,9 +40,8 @@ def service_state(overrides: CommandLineOverrides) -> Path | None:
 
 
 def _of_daemon(status: StatusReport) -> CommandLineOverrides:
-    outputs = tuple(output.spec for output in status.outputs or () if output.spec)
-    source = status.source.spec if status.source else None
-    named = {"source": source, "output": outputs or None, "rig": status.rig, "map": status.map}
+    outputs = tuple(output.spec for output in status.outputs)
+    named = {"source": status.source.spec, "output": outputs, "rig": status.rig, "map": status.map}
     settings = config.assignments({key: value for key, value in named.items() if value is not None})
     file = None if status.config is None else Path(status.config)
     return CommandLineOverrides(file, settings, no_map=status.map is None)

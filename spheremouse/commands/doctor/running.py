@@ -31,71 +31,67 @@ def ask(socket: Path | None = None) -> tuple[StatusReport | None, Finding]:
         return None, ok("daemon", "none runs: the camera is free")
     except ControlError as e:
         return None, unchecked("daemon", str(e).partition("; ")[0], str(e).partition("; ")[2])
-    text = f"process {status.pid}, version {status.version}, for {span(status.uptime_s or 0.0)}"
+    text = f"process {status.pid}, version {status.version}, for {span(status.uptime_s)}"
     other, advice = status.version != __version__, "restart it to run the installed version"
     return status, classify("daemon", text, (other, Verdict.WARNING, f"; this program is {__version__}", advice))
 
 
 def check(status: StatusReport) -> list[Finding]:
-    """Return findings about a status; missing values are left out."""
+    """Return findings about a status; values that are not known yet are left out."""
     checks = (_state, _frames, _latency, _discs, _motion)
     found = [finding for each in checks if (finding := each(status)) is not None]
-    return found + [_output(output) for output in status.outputs or ()]
+    return found + [_output(output) for output in status.outputs]
 
 
 def _state(s: StatusReport) -> Finding:
-    state = str(s.state)
     verdict = {"tracking": Verdict.OK, "no-camera": Verdict.WRONG, "failed-output": Verdict.WRONG}
-    text, advice = f"{state}: {s.reason}", _ADVICE.get(state, "")
-    return Finding("state", verdict.get(state, Verdict.WARNING), text, advice, {"state": state})
+    advice = _ADVICE.get(s.state, "")
+    return Finding("state", verdict.get(s.state, Verdict.WARNING), f"{s.state}: {s.reason}", advice, {"state": s.state})
 
 
 def _frames(s: StatusReport) -> Finding | None:
-    frames, dropped, skipped, damaged = (n or 0 for n in (s.frames, s.dropped, s.skipped, s.damaged))
-    if s.fps is None or frames == 0:
+    if s.frames == 0:
         return None
-    produced = frames + dropped + skipped + damaged
-    described = s.source.description if s.source else None
-    text = f"{s.fps:.1f} frames/s; of {produced} lost {dropped}, skipped {skipped}, damaged {damaged}"
+    produced, described = s.frames + s.dropped + s.skipped + s.damaged, s.source.description
+    text = f"{s.fps:.1f} frames/s; of {produced} lost {s.dropped}, skipped {s.skipped}, damaged {s.damaged}"
     slow = "this computer is too slow for them: a smaller size or rate"
     cable = "a port of its own for the camera, a shorter cable, a lower rate"
     return classify(
         "frames",
         f"{text} ({described})" if described else text,
-        (skipped > _MAX_LOST * produced, Verdict.WARNING, "", slow),
-        (dropped + damaged > _MAX_LOST * produced, Verdict.WARNING, "", cable),
+        (s.skipped > _MAX_LOST * produced, Verdict.WARNING, "", slow),
+        (s.dropped + s.damaged > _MAX_LOST * produced, Verdict.WARNING, "", cable),
         fps=s.fps,
-        frames=frames,
-        dropped=dropped,
-        skipped=skipped,
-        damaged=damaged,
+        frames=s.frames,
+        dropped=s.dropped,
+        skipped=s.skipped,
+        damaged=s.damaged,
     )
 
 
 def _latency(s: StatusReport) -> Finding | None:
-    ms, fps = s.latency_ms, s.fps or 0.0
-    if ms is None or ms.p50 is None or ms.p99 is None or fps <= 0.0:
+    ms = s.latency_ms
+    if ms is None or ms.p50 is None or ms.p99 is None or s.fps <= 0.0:
         return None
-    intervals = ms.p99 * fps / 1e3
+    intervals = ms.p99 * s.fps / 1e3
     text = f"{ms.p50:.1f} ms from frame to event, 1 in 100 takes {ms.p99:.1f} ms ({intervals:.1f} intervals)"
-    text += f"; {s.scheduling}" if s.scheduling else ""
     advice = "real-time scheduling (the service has it), fewer programs, a faster computer"
     slow = (intervals > _MAX_INTERVALS, Verdict.WARNING, "", advice)
-    return classify("latency", text, slow, **ms.model_dump(exclude_unset=True))
+    return classify("latency", f"{text}; {s.scheduling}", slow, **ms.model_dump(exclude_unset=True))
 
 
 def _discs(s: StatusReport) -> Finding | None:
     if s.discs is None or s.state not in ("tracking", "lost", "failed-output"):
         return None
     text = f"{s.discs} used, {s.discs_seen} seen, {s.discs_known} known"
-    text += f"; camera pose {span(s.pose.age_s or 0.0)} old" if s.pose else ""
+    text += f"; camera pose {span(s.pose.age_s)} old" if s.pose else ""
     few = s.state == "tracking" and s.discs < _MIN_DISCS
     return classify("discs", text, (few, Verdict.WARNING, "", "uncover and light the ball"), used=s.discs)
 
 
 def _motion(s: StatusReport) -> Finding | None:
     """Report the present direction of the ball, which a hand on it can compare."""
-    if s.motion is None or s.counts is None:
+    if s.motion is None:
         return None
     x, y, third = s.counts
     text = f"{s.motion.words}; counts so far x {x:+d}, y {y:+d}, third {third:+d}"

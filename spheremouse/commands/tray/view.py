@@ -41,14 +41,8 @@ class View:
 
 
 def view(status: StatusReport) -> View:
-    state, recording = _line(status.state or "") or "unknown", status.recording
-    return View(
-        state=state,
-        reason=_line(status.reason or ""),
-        fps=status.fps,
-        paused=state == "paused" if status.paused is None else status.paused,
-        recording=None if recording is None else _line(recording.folder or "") or "?",
-    )
+    recording = None if status.recording is None else _line(status.recording.folder)
+    return View(_line(status.state), _line(status.reason), status.fps, status.paused, recording)
 
 
 def no_daemon(reason: str) -> View:

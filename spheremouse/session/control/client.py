@@ -248,9 +248,9 @@ def settings_to_save(
     report any file and any setting, so its word counts for neither. Raises ControlError if nothing can be saved.
     """
     status = client.status()
-    changes = status.changes or [] if assignments is None else assignments
+    changes = status.changes if assignments is None else assignments
     keys = [key_of(assignment) for assignment in changes]
-    given = [key for key in keys if key in (status.given or ())]
+    given = [key for key in keys if key in status.given]
     if given:
         words = f"{', '.join(given)}: set on the daemon's command line, which overrides the file; leave it out there"
         raise ControlError(words)

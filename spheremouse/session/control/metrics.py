@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from spheremouse.errors import ControlError
-from spheremouse.session.control.status import STATES, OutputStatus, PoseStatus, Quantiles, SourceStatus, StatusReport
+from spheremouse.session.control.status import STATES, Quantiles, StatusReport
 
 Samples = Sequence[tuple[dict[str, str], float | None]]  # labels, value
 
@@ -47,7 +47,7 @@ class _Collector:
         """Yield the metrics of the present status."""
         status = self._status()
         if self._started is None:  # computed once: a start time that varies looks like a restart
-            self._started = time.time() - (status.uptime_s or 0.0)
+            self._started = time.time() - status.uptime_s
         yield from families(status, self._started)
 
 
@@ -55,8 +55,9 @@ def families(status: StatusReport, started: float) -> Iterator[Any]:
     """Yield the metric families of a status; `started` in s since 1970. A value that is not known is left out."""
     from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
 
-    kinds = {"source": _kind(status.source), "output": _kind((status.outputs or [None])[0])}
-    yield InfoMetricFamily("spheremouse", "What runs.", {"version": status.version or "", **kinds})
+    specs = {"source": status.source.spec, "output": status.outputs[0].spec}
+    kinds = {name: spec.partition(":")[0] for name, spec in specs.items()}  # the rest may be a path
+    yield InfoMetricFamily("spheremouse", "What runs.", {"version": status.version, **kinds})
     for metrics, family in ((_gauges(status, started), GaugeMetricFamily), (_counters(status), CounterMetricFamily)):
         for name, text, samples in metrics:
             made = family(f"spheremouse_{name}", text, labels=list(samples[0][0]) if samples else [])
@@ -67,7 +68,6 @@ def families(status: StatusReport, started: float) -> Iterator[Any]:
 
 
 def _counters(s: StatusReport) -> Iterator[tuple[str, str, Samples]]:
-    reports = sum(output.reports or 0 for output in s.outputs or ())
     for name, text, value in (
         ("not_tracked_seconds", "Time since the start without tracking.", s.unseen_s),
         ("lost", "Number of times that the ball was lost.", s.lost_count),
@@ -76,44 +76,37 @@ def _counters(s: StatusReport) -> Iterator[tuple[str, str, Samples]]:
         ("skipped_frames", "Frames that a newer one replaced.", s.skipped),
         ("dropped_frames", "Frames that the driver did not deliver.", s.dropped),
         ("damaged_frames", "Frames that could not be decoded.", s.damaged),
-        ("reports", "Reports sent.", reports),
+        ("reports", "Reports sent.", sum(output.reports for output in s.outputs)),
     ):
         yield name, text, [({}, value)]
 
 
 def _gauges(s: StatusReport, started: float) -> Iterator[tuple[str, str, Samples]]:
-    output, pose = (s.outputs or [OutputStatus()])[0], s.pose or PoseStatus()
-    memory = None if s.memory_mb is None else 1e6 * s.memory_mb
+    output = s.outputs[0]
     for name, text, value in (
         ("start_time_seconds", "Start time of the daemon, since 1970.", started),
         ("state_age_seconds", "Time in this state.", s.since_s),
         ("frames_per_second", "Rate of the processed frames.", s.fps),
-        ("pose_age_seconds", "Age of the camera's pose.", pose.age_s),
+        ("pose_age_seconds", "Age of the camera's pose.", s.pose and s.pose.age_s),
         ("output_failed", "1 while motion cannot be sent.", output.failed is not None),
         ("recording", "1 while it records.", s.recording is not None),
-        ("resident_memory_bytes", "Memory in use.", memory),
+        ("resident_memory_bytes", "Memory in use.", 1e6 * s.memory_mb),
         ("cpu_ratio", "Share of one core in use.", s.cpu_share),
     ):
         yield name, text, [({}, value)]
     yield "state", "1 for the present state, else 0.", [({"state": state}, state == s.state) for state in STATES]
     latency = "From a frame's stamp to its motion sent, of the last frames; quantile 1 is the longest."
     yield "latency_seconds", latency, list(_quantiles(s.latency_ms, {}))
-    stages = [q for stage, ms in (s.stages_ms or {}).items() for q in _quantiles(ms, {"stage": stage})]
+    stages = [q for stage, ms in s.stages_ms.items() for q in _quantiles(ms, {"stage": stage})]
     yield "stage_seconds", "Time that a stage takes, of the last frames.", stages
     discs = {"used": s.discs, "seen": s.discs_seen, "known": s.discs_known}
     yield "discs", "Discs on the ball.", [({"kind": kind}, n) for kind, n in discs.items()]
-    unsent = zip(("x", "y", "third"), output.unsent or (), strict=False)
+    unsent = zip(("x", "y", "third"), output.unsent, strict=True)
     counts = "Sum of the counts that were not sent while paused or without output."
     yield "unsent_counts", counts, [({"axis": axis}, n) for axis, n in unsent]
 
 
 def _quantiles(ms: Quantiles | None, labels: dict[str, str]) -> Iterator[tuple[dict[str, str], float]]:
-    ms = ms or Quantiles()
-    for quantile, value in (("0.5", ms.p50), ("0.99", ms.p99), ("1", ms.max)):
+    for quantile, value in () if ms is None else (("0.5", ms.p50), ("0.99", ms.p99), ("1", ms.max)):
         if value is not None:
             yield {**labels, "quantile": quantile}, 1e-3 * value
-
-
-def _kind(part: SourceStatus | OutputStatus | None) -> str:
-    """Return the text before the colon: the rest may be a path."""
-    return ((part.spec if part else None) or "").partition(":")[0]

@@ -1,6 +1,6 @@
 """The status of a run: one record that the daemon builds and that its clients read.
 
-Each value may be None, since an older daemon lacks it. Unknown keys of a later daemon are kept.
+Unknown keys of a later daemon are kept.
 """
 
 from enum import StrEnum
@@ -44,82 +44,82 @@ class _Part(BaseModel):
 class Quantiles(_Part):
     """Times of the last frames, ms."""
 
-    p50: float | None = None
-    p99: float | None = None
+    p50: float | None
+    p99: float | None
     max: float | None = None
 
 
 class PoseStatus(_Part):
     """The camera's pose in `obj`."""
 
-    position_m: Triple | None = None
-    sigma_mm: Triple | None = None
-    sigma_deg: Triple | None = None
-    age_s: float | None = None
+    position_m: Triple
+    sigma_mm: Triple
+    sigma_deg: Triple
+    age_s: float
 
 
 class TargetsStatus(_Part):
     """Codes of the targets while the camera's pose is unknown. `strangers` are seen and not in the rig."""
 
-    seen: list[Text] | None = None
-    missing: list[Text] | None = None
-    strangers: list[Text] | None = None
+    seen: list[Text]
+    missing: list[Text]
+    strangers: list[Text]
 
 
 class MotionStatus(_Part):
     """The motion of the ball that points: right, down or towards the player, third axis; and in words."""
 
-    rate: Triple | None = None
-    unit: Text | None = None  # °/s or m/s
-    words: Text | None = None
+    rate: Triple
+    unit: Text  # °/s or m/s
+    words: Text
 
 
 class BallStatus(_Part):
     """A ball in a hand, in `cam`; the numbers are None if its pose is unknown."""
 
-    name: Text | None = None
-    state: Text | None = None  # searching, tracking, hidden, lost
-    position_m: Triple | None = None
-    angles_deg: Triple | None = None
-    sigma_mm: Triple | None = None
-    sigma_deg: Triple | None = None
+    name: Text
+    state: Text  # searching, tracking, hidden, lost
+    position_m: Triple | None
+    angles_deg: Triple | None
+    sigma_mm: Triple | None
+    sigma_deg: Triple | None
 
 
 class OutputStatus(_Part):
-    spec: Text | None = None
-    left_out: Text | None = None
-    failed: Text | None = None
-    reports: int | None = None
-    unsent: Counts | None = None
-    ahead: Counts | None = None
-    dropped: int | None = None
-    latency_ms: Quantiles | None = None
+    spec: Text
+    left_out: Text | None
+    failed: Text | None
+    reports: int
+    unsent: Counts
+    ahead: Counts
+    dropped: int
+    latency_ms: Quantiles | None
 
 
 class ReplayStatus(_Part):
     """A recording that is replayed: the number of the present frame, and s after the first one."""
 
-    frame: int | None = None
-    frames: int | None = None
-    seconds: float | None = None
-    begin: float | None = None
-    end: float | None = None
-    speed: float | None = None
-    loop: bool | None = None
+    frame: int
+    frames: int | None
+    seconds: float
+    begin: float
+    end: float
+    speed: float
+    loop: bool
 
 
 class SourceStatus(_Part):
-    spec: Text | None = None
-    description: Text | None = None
+    spec: Text
+    description: Text
     replay: ReplayStatus | None = None
 
 
 class RecordingStatus(_Part):
-    folder: Text | None = None
-    frames: int | None = None
-    seconds: float | None = None
-    bytes: int | None = None
-    dropped: int | None = None
+    folder: Text
+    frames: int
+    seconds: float
+    bytes: int
+    dropped: int
 
 
 class TrackerStatus(_Part):
@@ -137,38 +137,38 @@ class TrackerStatus(_Part):
 class StatusReport(TrackerStatus):
     """The status. Its keys are described in docs/control.md."""
 
-    state: Text | None = None  # of `State`, or of a later version
-    reason: Text | None = None
-    since_s: float | None = None
-    fps: float | None = None
-    latency_ms: Quantiles | None = None
-    stages_ms: dict[str, Quantiles] | None = None
-    tracker: Text | None = None
-    frames: int | None = None
-    skipped: int | None = None
-    dropped: int | None = None
-    damaged: int | None = None
-    counts: Counts | None = None
-    outputs: list[OutputStatus] | None = None  # the main one first
-    source: SourceStatus | None = None
-    unseen_s: float | None = None
-    lost_count: int | None = None
-    camera_restarts: int | None = None
-    uptime_s: float | None = None
-    version: Text | None = None
-    pid: int | None = None
-    config: Text | None = None
-    changes: list[Text] | None = None
-    given: list[Text] | None = None
-    saved: list[Text] | None = None  # None: the daemon keeps no file of saved settings
-    rig: Text | None = None
-    map: Text | None = None
-    recording: RecordingStatus | None = None
-    recordings: Text | None = None  # the folder
-    memory_mb: float | None = None
-    cpu_share: float | None = None
-    scheduling: Text | None = None
-    paused: bool | None = None
+    state: Text  # of `State`, or of a later version
+    reason: Text
+    since_s: float
+    fps: float
+    latency_ms: Quantiles | None
+    stages_ms: dict[str, Quantiles]
+    tracker: Text
+    frames: int
+    skipped: int
+    dropped: int
+    damaged: int
+    counts: Counts
+    outputs: list[OutputStatus]  # the main one first
+    source: SourceStatus
+    unseen_s: float
+    lost_count: int
+    camera_restarts: int
+    uptime_s: float
+    version: Text
+    pid: int
+    config: Text | None
+    changes: list[Text]
+    given: list[Text]
+    saved: list[Text] | None  # None: the daemon keeps no file of saved settings
+    rig: Text | None
+    map: Text | None
+    recording: RecordingStatus | None
+    recordings: Text  # the folder
+    memory_mb: float
+    cpu_share: float | None
+    scheduling: Text
+    paused: bool
 
     @classmethod
     def read(cls, data: dict[str, Any]) -> Self:
@@ -180,5 +180,5 @@ class StatusReport(TrackerStatus):
             raise ControlError(f"{'.'.join(map(str, error['loc']))}: {one_line(error['msg'])}") from None
 
     def as_json(self) -> dict[str, Any]:
-        """Return the status as plain data, without the values that were not given."""
+        """Return the status as plain data, without `replay` of a camera and `max` of stages."""
         return self.model_dump(exclude_unset=True)

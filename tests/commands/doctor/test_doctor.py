@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import typer
+from control_world import a_status
 from rich.console import Console
 from typer.testing import CliRunner
 
@@ -434,8 +435,9 @@ def test_without_a_word_the_daemons_or_the_services_configuration_is_looked_at(t
     assert files.usual(CommandLineOverrides(), None).file == config
     other = tmp_path / "other.yaml"
     other.write_text("schema: 2\n")
-    assert files.usual(CommandLineOverrides(), StatusReport(config=str(other))).file == other
-    assert files.usual(CommandLineOverrides(None, ("source=video:a",)), StatusReport(config=str(other))).file is None
+    status = StatusReport.read(a_status(config=str(other)))
+    assert files.usual(CommandLineOverrides(), status).file == other
+    assert files.usual(CommandLineOverrides(None, ("source=video:a",)), status).file is None
 
 
 def test_what_the_daemon_was_told_on_its_command_line_is_looked_at(tmp_path):
@@ -443,15 +445,14 @@ def test_what_the_daemon_was_told_on_its_command_line_is_looked_at(tmp_path):
     config = Place(tmp_path).configuration / "config.yaml"
     config.parent.mkdir(parents=True)
     config.write_text("schema: 2\n")
-    told = {"config": None, "rig": "/r.yaml", "map": None, **{k: STATUS[k] for k in ("source", "outputs")}}
     for kept in (None, "/m.yaml"):
         settings = (
-            "source='v4l2:/dev/video7'",
-            "output=[uinput]",
+            "source='v4l2:/dev/video0'",
+            "output=['uinput:third=wheel']",
             "rig='/r.yaml'",
             *([f"map='{kept}'"] if kept else []),
         )
-        usual = files.usual(CommandLineOverrides(), StatusReport.read({**told, "map": kept}))
+        usual = files.usual(CommandLineOverrides(), StatusReport.read(a_status(config=None, rig="/r.yaml", map=kept)))
         assert usual == CommandLineOverrides(None, settings, no_map=kept is None)
 
 
@@ -480,15 +481,6 @@ def map_read(config):
 
 # ---- the daemon ----
 
-STATUS = {
-    "state": "tracking", "reason": "the ball is followed", "fps": 60.0,
-    "latency_ms": {"p50": 9.0, "p99": 14.0, "max": 20.0},
-    "discs": 9, "discs_seen": 11, "discs_known": 26, "frames": 10000, "skipped": 3, "dropped": 2, "damaged": 0,
-    "pose": {"age_s": 7200.0}, "outputs": [{"spec": "uinput", "failed": None, "reports": 5}],
-    "source": {"spec": "v4l2:/dev/video7", "description": "/dev/video7: MJPG"}, "version": doctor.running.__version__,
-    "pid": 812, "uptime_s": 3600.0,
-}  # fmt: skip
-
 
 @pytest.mark.parametrize(
     ("change", "name", "verdict"),
@@ -497,21 +489,17 @@ STATUS = {
         ({"state": "lost"}, "state", WARNING),
         ({"state": "paused"}, "state", WARNING),
         ({"state": "no-camera"}, "state", WRONG),
-        ({"skipped": 500}, "frames", WARNING),
-        ({"dropped": 500}, "frames", WARNING),
+        ({"skipped": 50000}, "frames", WARNING),
+        ({"dropped": 50000}, "frames", WARNING),
         ({"latency_ms": {"p50": 9.0, "p99": 40.0, "max": 50.0}}, "latency", WARNING),
         ({"discs": 2}, "discs", WARNING),
-        ({"outputs": [{"spec": "uinput", "failed": "gone; plug it in", "reports": 5}]}, "sending", WRONG),
+        ({"outputs": [{**a_status()["outputs"][0], "failed": "gone; plug it in"}]}, "sending", WRONG),
     ],
 )
 def test_what_the_daemon_says_of_itself(change, name, verdict):
-    found = running.check(StatusReport.read({**STATUS, **change}))
+    found = running.check(StatusReport.read(a_status(**change)))
     assert {f.name for f in found if f.verdict is not OK} == ({name} if name else set())
     assert all(f.verdict is verdict for f in found if f.name == name)
-
-
-def test_a_status_without_keys_is_no_trouble():
-    assert [f.name for f in running.check(StatusReport())] == ["state"]
 
 
 def test_a_daemon_that_runs_keeps_its_camera(tmp_path_factory, monkeypatch):
@@ -522,7 +510,8 @@ def test_a_daemon_that_runs_keeps_its_camera(tmp_path_factory, monkeypatch):
     path = Path(tmp_path_factory.mktemp("s")) / "c"
     monkeypatch.setattr(doctor.capture, "probe", lambda spec: [])
     monkeypatch.setattr(camera, "film", lambda *_: pytest.fail("the camera was opened"))
-    with ControlServer(path, ControlSettings(), lambda pending: pending.answer(dict(STATUS))):
+    status = a_status(source={"spec": "v4l2:/dev/video7", "description": ""}, version=running.__version__)
+    with ControlServer(path, ControlSettings(), lambda pending: pending.answer(status)):
         sections = {
             s.subject: s.findings
             for s in doctor.examine(CommandLineOverrides(None, ("source=v4l2:7", "output=null")), socket=path)
@@ -539,7 +528,7 @@ def test_a_daemon_of_another_version_is_to_be_started_anew(tmp_path_factory):
     from spheremouse.session.settings import ControlSettings
 
     path = Path(tmp_path_factory.mktemp("s")) / "c"
-    with ControlServer(path, ControlSettings(), lambda pending: pending.answer({**STATUS, "version": "0.0.1"})):
+    with ControlServer(path, ControlSettings(), lambda pending: pending.answer(a_status(version="0.0.1"))):
         status, told = running.ask(path)
     assert status is not None
     assert told.verdict is WARNING

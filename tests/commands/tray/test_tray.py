@@ -7,7 +7,8 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from control_world import a_status
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spheremouse.commands.tray import icon as tray_live
@@ -67,20 +68,21 @@ def test_each_state_has_its_colour_except_the_two_errors():
 statuses = st.fixed_dictionaries(
     {},
     optional={
-        "state": st.none() | st.sampled_from(STATES[:-1]) | st.text(max_size=200),
-        "reason": st.none() | st.text(max_size=200),
-        "fps": st.none() | st.floats(0.0, 1e6),
-        "paused": st.none() | st.booleans(),
-        "recording": st.none() | st.fixed_dictionaries({"folder": st.none() | st.text(max_size=200)}),
+        "state": st.sampled_from(STATES[:-1]) | st.text("a\n\x1b", min_size=1, max_size=200).map(lambda s: f"{s}a"),
+        "reason": st.text(max_size=200),
+        "fps": st.floats(0.0, 1e6),
+        "paused": st.booleans(),
+        "recording": st.text(max_size=200).map(
+            lambda folder: {"folder": folder, "frames": 1, "seconds": 1.0, "bytes": 1, "dropped": 0}
+        ),
     },
 )
 
 
 @settings(max_examples=40)
 @given(statuses, st.text(max_size=300))
-@example({"state": "\n", "recording": {}}, "\n")
 def test_tooltip_and_menu_are_short_printable_lines_for_any_status(status, note):
-    v = tray.view(StatusReport.read(status))
+    v = tray.view(StatusReport.read(a_status(**status)))
     assert v.connected
     tip, items = tray.tooltip(v), tray.menu(v, note)
     assert len(tip) <= 127
@@ -179,7 +181,7 @@ class Daemon:
     def handle(self, pending):
         request, reply = pending.request, pending.answer
         if request.command == "status":
-            reply({"state": self.state, "reason": "as set"})
+            reply(a_status(state=self.state, reason="as set"))
             return
         self.asked.append(request.model_dump(exclude_defaults=True))
         if request.command == "reinit":
@@ -215,7 +217,7 @@ def test_the_link_outlives_daemons(world):
     assert "spheremouse run" in shown[-1][0].reason
     for _ in range(2):
         with Daemon(path) as daemon:
-            until(lambda: shown[-1][0] == View("tracking", "as set"))
+            until(lambda: shown[-1][0] == View("tracking", "as set", 59.9))
             daemon.state = "lost"
             until(lambda: shown[-1][0].state == "lost")
         until(lambda: shown[-1][0].state == NO_DAEMON)

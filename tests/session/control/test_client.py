@@ -10,7 +10,7 @@ import threading
 from dataclasses import replace
 
 import pytest
-from control_world import answer
+from control_world import a_status, answer
 
 from spheremouse.errors import ControlError
 from spheremouse.session.control.client import Client, NoDaemonError, RefusedError
@@ -44,15 +44,15 @@ def test_the_client_says_what_is_wrong(path):
 
 def test_a_file_whose_name_is_no_text_is_in_a_status(path):
     """Half a surrogate pair, as Python calls such a byte."""
-    with ControlServer(path, ControlSettings(), lambda p: p.answer({"config": "caf\udce9.yaml"})):
+    with ControlServer(path, ControlSettings(), lambda p: p.answer(a_status(config="caf\udce9.yaml"))):
         assert Client(path).status().config == "caf\udce9.yaml"
 
 
 def test_the_client_sees_the_daemon_end(path):
-    server = ControlServer(path, ControlSettings(), answer)
+    server = ControlServer(path, ControlSettings(), lambda p: p.answer(a_status()))
     with Client(path) as client:
         events = client.watch(0.1)
-        assert next(events) == StatusReport.read({"state": "tracking", "command": "status"})
+        assert next(events) == StatusReport.read(a_status())
         server.close()
         with pytest.raises(NoDaemonError, match="the daemon has ended"):
             for _ in events:

@@ -10,7 +10,7 @@ import urllib.parse
 from pathlib import Path
 
 import pytest
-from control_world import Daemon
+from control_world import a_status
 
 from spheremouse.errors import ControlError
 from spheremouse.session.control import metrics
@@ -24,10 +24,6 @@ ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "metrics.md").read_text(encoding="utf-8")
 BOARD = json.loads((ROOT / "service" / "grafana" / "spheremouse.json").read_text(encoding="utf-8"))
 GENEROUS = 20.0  # s
-
-
-def a_status():
-    return {k: v for k, v in Daemon().status.items() if k != "ok"}
 
 
 def a_report():
@@ -96,10 +92,11 @@ def test_the_figures_are_those_of_the_status(scrape):
 
 
 def test_what_is_not_known_is_left_out(scrape):
-    samples, _ = scrape({"state": "starting", "fps": None, "latency_ms": None, "pose": None, "uptime_s": 0.1})
+    samples, _ = scrape(a_status(state="starting", latency_ms=None, pose=None, discs=None, cpu_share=None))
     names = {name for name, _ in samples}
     assert "spheremouse_state" in names
-    assert not names & {"spheremouse_latency_seconds", "spheremouse_pose_age_seconds", "spheremouse_frames_per_second"}
+    unknown = {"latency_seconds", "pose_age_seconds", "cpu_ratio"}
+    assert not names & {f"spheremouse_{name}" for name in unknown}
     assert "nan" not in str(samples)
 
 
@@ -113,7 +110,8 @@ def test_a_failed_output_and_a_recording_show(scrape):
 
 
 def test_no_path_of_a_file_is_given_out():
-    status = a_status() | {"reason": "/home/somebody/secret", "outputs": [{"spec": "text:/home/somebody/log"}]}
+    status = a_status(reason="/home/somebody/secret")
+    status["outputs"][0]["spec"] = "text:/home/somebody/log"
     with serve(lambda: StatusReport.read(status)) as server:
         text = get(server)[1]
     assert "/" not in re.sub(r"^# .*", "", text, flags=re.M)
