@@ -93,6 +93,7 @@ class OutputThread:
         self._over = self._paused = self._ended = False
         self._output: Output | None = None
         self._failed: str | None = None
+        self._unproven: str | None = None  # reason of a failure, once the output is open again and took no report yet
         self._failures = 0
         self._retry_time = clock()  # s, when the thread opens the output
         self._resampler = Resampler()
@@ -307,6 +308,9 @@ class OutputThread:
         if report.counts != _NONE:
             self._reports += 1
             self._failures = 0  # reset by a report, not by opening: an output may open and never send
+        if self._unproven is not None:
+            self._unproven = None
+            self._log(f"{self._name}: works again")
         if call is self._hung_call:
             self._log(f"{self._name}: works again")
             self._reset()  # the counts of that time would make the pointer jump
@@ -318,7 +322,10 @@ class OutputThread:
         except Exception as e:
             self._fail(_reason(e), e)
             return
-        if self._failed is not None or hung:
+        if self._failed is not None:
+            self._drop_queue()
+            self._failed, self._unproven = None, self._failed
+        elif hung:
             self._works_again()
         self._next = inf
 
@@ -357,9 +364,9 @@ class OutputThread:
     def _fail(self, reason: str, error: Exception) -> None:
         """Close the output, log the reason and set the time of the next attempt."""
         self._close(error)
-        if reason != self._failed:
+        if reason not in (self._failed, self._unproven):
             self._log(f"{self._name}: {reason}" + ("" if self._ended else "; trying again until it works"))
-        self._failed = reason
+        self._failed, self._unproven = reason, None
         self._retry_time = self._clock() + RETRY_DELAYS[min(self._failures, len(RETRY_DELAYS) - 1)]
         self._failures += 1
 

@@ -56,12 +56,12 @@ class Fake(Output):
     def __init__(self, world):
         self._world = world
 
-    def send(self, motion):
+    def send(self, report):
         if self._world.gate is not None:
             assert self._world.gate.wait(PATIENCE)
         if self._world.broken is not None:
             raise self._world.broken
-        self._world.reports.append(motion)
+        self._world.reports.append(report)
 
     def __enter__(self):
         self._world.entered += 1
@@ -151,13 +151,13 @@ def test_motion_is_carried_on_to_the_horizon_and_no_further(start):
 
 
 def test_the_latency_is_from_the_stamp_to_the_end_of_send(start):
-    world = World(gate=threading.Event())
+    world = World(gate=(gate := threading.Event()))
     reporter, given = start(world)
     assert reporter.status().latency is None
     taken = time.monotonic()
     given(1, 0, 0, taken=taken)
     time.sleep(0.02)
-    world.gate.set()
+    gate.set()
     until(lambda: reporter.status().latency is not None)
     latency = reporter.status().latency
     assert 0.02 <= latency.p50 == latency.p99 == latency.max <= time.monotonic() - taken
@@ -165,12 +165,12 @@ def test_the_latency_is_from_the_stamp_to_the_end_of_send(start):
 
 def test_submitting_never_waits_and_counts_of_a_full_queue_are_unsent(start, monkeypatch):
     monkeypatch.setattr(module, "MAX_QUEUED_FRAMES", 5)
-    world = World(gate=threading.Event())
+    world = World(gate=(gate := threading.Event()))
     reporter, given = start(world)
     for _ in range(200):
         given(1, 2, 3)
     assert world.reports == []  # all were given while the output hung
-    world.gate.set()
+    gate.set()
     until(lambda: even(reporter, given))
     assert 1 <= len(world.reports) <= 6
     assert world.sum == reporter.status().sent
@@ -271,8 +271,24 @@ def test_an_output_that_fails_is_opened_again_and_nothing_jumps(start, error):
     given(2, 0, 0)
     until(lambda: world.sum == (3, 0, 0))
     assert world.closed == [error]
+    until(lambda: len(world.said) == 2)
     assert world.said == [f"output: {status.failed}; trying again until it works", "output: works again"]
     assert even(reporter, given)
+
+
+def test_an_output_that_can_be_opened_but_not_written_is_one_line(start):
+    world = World(broken=OutputError("the disk is full"))
+    reporter, given = start(world)
+
+    def opened_often():
+        given(1, 0, 0)
+        return world.opened > 3
+
+    until(opened_often)
+    world.broken = None
+    until(lambda: given(1, 0, 0) or len(world.said) > 1)
+    assert world.said == ["output: the disk is full; trying again until it works", "output: works again"]
+    until(lambda: even(reporter, given))
 
 
 def test_counts_submitted_during_an_opening_are_unsent(start):
@@ -517,12 +533,12 @@ def test_a_full_pipe_is_a_failed_output(start, tmp_path):
 
 def test_an_output_that_hangs_in_a_call_is_one_that_failed(start):
     """When it goes on, nothing is made up for."""
-    world = World(gate=threading.Event())
+    world = World(gate=(gate := threading.Event()))
     reporter, _ = start(world)
     with Playing(reporter) as playing:
         assert "takes no report" in playing.fails(time.monotonic())
         time.sleep(0.1)
-        world.gate.set()
+        gate.set()
         until(lambda: reporter.failed is None)
     until(lambda: even(reporter, playing.given) and tuple(world.sum) == reporter.status().sent)
     assert [line.partition(" for ")[0] for line in world.said] == [
