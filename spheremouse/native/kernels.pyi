@@ -149,19 +149,19 @@ def fit_discs(
     """
 
 def measure_places(
-    image: _Byte, places: _Float, model: tuple[object, ...], noise: float
+    image: _Byte, places: _Float, model: tuple[object, ...], noise: float, usual: float
 ) -> tuple[_Float, _Float, _Float]:
     """Return centres, covariances and areas of the discs at dark spots, (n, 2) px, of an image (h, w, c).
 
-    `model` is a `windows.DiscModel`, and `noise` is that of a pixel.
+    `model` is a `windows.DiscModel`, `noise` is that of a pixel, and `usual` is the contrast of a disc, or 0.
     """
 
 # spheremouse/ball/detect/search.cpp
 
 def follow_discs(
     image: _Byte, directions: _Float, model: tuple[object, ...], lattice: tuple[object, ...],
-    search: tuple[int, float, float, _Float], motion: tuple[_Float, float], known: _Float, least: int,
-) -> tuple[_Float, _Float, _Float, tuple[int, float, float, _Float]]:  # fmt: skip
+    search: tuple[int, float, float, _Float, float], motion: tuple[_Float, float], known: _Float, least: int,
+) -> tuple[_Float, _Float, _Float, tuple[int, float, float, _Float, float]]:  # fmt: skip
     """Return centres, covariances and areas of the discs in an image (h, w, c), and a `search.SearchState`.
 
     `DiscDetector.follow` describes it. `model` is a `windows.DiscModel`, and `lattice` is `Lattice.of_turn`. Raises

@@ -74,14 +74,20 @@ struct Fit {
     bool ok = false;
 };
 
+/// What all discs have in common.
+struct Common {
+    double size;      // fitted over expected, or 0
+    double contrast;  // usual one over the light of the lighter of disc and ball, or 0
+};
+
 /// Fit discs to a picture. `contrast` is the least one over the light of the lighter of disc and ball.
 ///
 /// The first fit leaves the size free. It separates discs from other objects and gives the common size of all discs,
 /// fitted over expected. The second fit holds the size near that value. Otherwise a disc cut by a strut would look
 /// smaller instead of cut. If fewer than three discs determine the size, it is held near 1 and `size` stays 0. If
-/// `size` is not 0, the first fit is left out.
+/// `size` is not 0, the first fit is left out. Clear discs, large and without a cover, move the usual contrast.
 std::vector<Fit> fit_discs(const Photo& photo, const std::vector<Expected>& discs, const FitSettings& settings,
-                           double contrast, double& size);
+                           double contrast, Common& common);
 
 /// A disc in a picture.
 struct Measured {
@@ -92,10 +98,11 @@ struct Measured {
 
 /// Measure the discs expected at `directions`, as `windows.py` describes it, the best ones first.
 std::vector<Measured> measure(const Photo& photo, const Directions& directions, const DiscModel& model,
-                              const Motion& motion, double& size);
+                              const Motion& motion, Common& common);
 
-/// Measure the discs at dark spots of a ball at rest, the best ones first.
-std::vector<Measured> measure_places(const Photo& photo, const std::vector<Vector<2>>& places, const DiscModel& model);
+/// Measure the discs at dark spots of a ball at rest, the best ones first. `usual` is their usual contrast, or 0.
+std::vector<Measured> measure_places(const Photo& photo, const std::vector<Vector<2>>& places, const DiscModel& model,
+                                     double usual);
 
 /// Return the columns of `detections.Detections`, and `more`.
 template <class... T>

@@ -130,8 +130,11 @@ class DiscDetector:
             return self
         return replace(self, model=self.model._replace(fit=self.model.fit._replace(projection=projection)))
 
-    def detect(self, image: Image) -> Detections:
-        """Disc candidates in an image (h, w, 3) BGR or (h, w), look-alikes included."""
+    def detect(self, image: Image, usual: float = 0.0) -> Detections:
+        """Disc candidates in an image (h, w, 3) BGR or (h, w), look-alikes included.
+
+        `usual` is the contrast of a disc, as `SearchState` has it: a spot with less than half of it is no disc.
+        """
         noise = self.noise(image)
         offset = offset_of(self.model.fit.projection, 1 if image.ndim == 2 else 3)
         places, size = self._dark_places(self._grey(image), noise, offset)
@@ -142,15 +145,17 @@ class DiscDetector:
         plausible = np.flatnonzero((share > 0.3) & (share < 2.5))
         best = plausible[np.argsort(np.abs(np.log(share[plausible])), kind="stable")]
         best = best[suppress(places[index[best]], np.full(len(best), 0.3 * self.model.diameter))]
-        found = Detections(*kernels.measure_places(_with_channels(image), places[index[best]], self.model, noise))
-        return self._with_slivers(found, image) if self.lattice.reduction > 1 else found
+        found = Detections(
+            *kernels.measure_places(_with_channels(image), places[index[best]], self.model, noise, usual)
+        )
+        return self._with_slivers(found, image, usual) if self.lattice.reduction > 1 else found
 
-    def _with_slivers(self, found: Detections, image: Image) -> Detections:
+    def _with_slivers(self, found: Detections, image: Image, usual: float) -> Detections:
         """Return `found` and the discs near the limb, which are too thin for the coarse image.
 
         The search tries each place at most once. It ends when a round of all shifts finds no new place.
         """
-        near_limb, state, idle = replace(self, lattice=self.slivers), SearchState(), 0
+        near_limb, state, idle = replace(self, lattice=self.slivers), SearchState(contrast=usual), 0
         shifts = len(self.slivers.samples)
         while idle < shifts and state.turn < _MOST_ROUNDS * shifts:
             more, after = near_limb.follow(image, state, known=found.centre)

@@ -14,18 +14,20 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr double SURROUND = 3.0;      // px of background around a disc: enough for its slope, too few for more
-constexpr double UNEVEN = 0.02;       // of the contrast: unevenness of print and ball that a good fit leaves
-constexpr double GLOSS = 0.3;         // of the contrast, the most that gloss takes of it, from a centre to its rim
-constexpr double SLOPE = 0.02;        // 1/px of the ball's shade, as 60 degrees off the light at 100 px radius
-constexpr double SIZE = 0.02;         // discs cut from one sheet differ by this part of their size
-constexpr double RIM_OFFSET = 0.35;   // px by which lens blur and gloss may shift a rim: much of a sliver's size
-constexpr double SLIVER = 2.0;        // px, semi-minor axis below which both rims are one blur
-constexpr double SLIVER_BIAS = 0.15;  // px at a semi-minor axis of one pixel
-constexpr double CUT = 1.5;           // px², variance per covered part of the rim: a cover's edge may pass for a rim
-constexpr double MISFIT = 3.0;        // px², the same per part that fits worse than that of whole discs
-constexpr double NEAR_COVER = 0.02;   // part of the surround that is foreign: a cover is beside the disc
-constexpr double LARGE = 3.0;         // px, semi-minor axis from which a disc contributes to the common size
+constexpr double SURROUND = 3.0;       // px of background around a disc: enough for its slope, too few for more
+constexpr double UNEVEN = 0.02;        // of the contrast: unevenness of print and ball that a good fit leaves
+constexpr double GLOSS = 0.3;          // of the contrast, the most that gloss takes of it, from a centre to its rim
+constexpr double SLOPE = 0.02;         // 1/px of the ball's shade, as 60 degrees off the light at 100 px radius
+constexpr double SIZE = 0.02;          // discs cut from one sheet differ by this part of their size
+constexpr double RIM_OFFSET = 0.35;    // px by which lens blur and gloss may shift a rim: much of a sliver's size
+constexpr double SLIVER = 2.0;         // px, semi-minor axis below which both rims are one blur
+constexpr double SLIVER_BIAS = 0.15;   // px at a semi-minor axis of one pixel
+constexpr double CUT = 1.5;            // px², variance per covered part of the rim: a cover's edge may pass for a rim
+constexpr double MISFIT = 3.0;         // px², the same per part that fits worse than that of whole discs
+constexpr double NEAR_COVER = 0.02;    // part of the surround that is foreign: a cover is beside the disc
+constexpr double CLEAR_SIGMA = 0.1;    // px, of a disc without a cover
+constexpr double LEARNING_RATE = 0.1;  // per frame: the light changes in a third of a second at the fastest
+constexpr double LARGE = 3.0;          // px, semi-minor axis from which a disc contributes to the common size
 constexpr float LIMITS[] = {0.35f, 0.25f, 0.25f, 0.25f, 0.25f};  // of the contrast: residuals beyond weigh nothing
 constexpr double STILL = 0.01;                                   // px: a step this short is the last
 
@@ -216,6 +218,18 @@ double full_contrast(const std::vector<DiscFit>& fits) {
     return count >= 3 ? full : 1.0;
 }
 
+/// Move the usual contrast towards the median one of the clear discs, or set it if it is 0.
+void learn_contrast(const std::vector<DiscFit>& fits, const std::vector<Fit>& results, double& usual) {
+    std::vector<double> contrasts;
+    for (size_t i = 0; i < fits.size(); i++)
+        if (results[i].ok && fits[i].minor > LARGE && results[i].covariance.trace() < 2.0 * CLEAR_SIGMA * CLEAR_SIGMA)
+            contrasts.push_back(fits[i].x(3) / lighter(fits[i].x));
+    if (contrasts.empty()) return;
+    std::nth_element(contrasts.begin(), contrasts.begin() + contrasts.size() / 2, contrasts.end());
+    const double median = contrasts[contrasts.size() / 2];
+    usual += (usual > 0.0 ? LEARNING_RATE : 1.0) * (median - usual);
+}
+
 /// Return the part of a disc's surround that is not the ball.
 double foreign_beside(const Pixels& pixels) {
     int clear = 0, foreign = 0;
@@ -277,9 +291,10 @@ nb::tuple fit_discs_(nb::handle image, nb::handle mask, nb::handle expected_, do
     for (size_t i = 0; i < n; i++)
         discs[i] = {View<2, 1>(&place(i, 0)), View<2, 2>(&shape(i, 0, 0)), View<7, 1>(&path(i, 0))};
     std::vector<Fit> fits;
+    Common common{size, 0.0};
     {
         nb::gil_scoped_release release;
-        fits = fit_discs(photo, discs, settings, contrast, size);
+        fits = fit_discs(photo, discs, settings, contrast, common);
     }
     auto ok = zeros<bool>({n});
     auto centroid = zeros<double>({n, 2}), covariance = zeros<double>({n, 2, 2}), rim = zeros<double>({n});
@@ -289,7 +304,7 @@ nb::tuple fit_discs_(nb::handle image, nb::handle mask, nb::handle expected_, do
         Eigen::Map<Matrix<2>>(covariance.data() + 4 * i) = fits[i].covariance;
         rim.data()[i] = fits[i].rim;
     }
-    return nb::make_tuple(ok, centroid, covariance, rim, size);
+    return nb::make_tuple(ok, centroid, covariance, rim, common.size);
 }
 
 /// Return the standard deviation of a projected pixel, from second differences along sixteen rows.
@@ -349,7 +364,8 @@ FitSettings read_fit_settings(nb::handle given) {
 }
 
 std::vector<Fit> fit_discs(const Photo& photo, const std::vector<Expected>& discs, const FitSettings& settings,
-                           double contrast, double& size) {
+                           double contrast, Common& common) {
+    double& size = common.size;
     std::vector<DiscFit> fits(discs.size());
     for (size_t i = 0; i < discs.size(); i++) {
         fits[i].disc = discs[i];
@@ -365,6 +381,7 @@ std::vector<Fit> fit_discs(const Photo& photo, const std::vector<Expected>& disc
     for (size_t i = 0; i < discs.size(); i++)
         if (fits[i].plausible)
             results[i] = fit_centre(fits[i], photo, settings, contrast, size > 0.0 ? size : 1.0, full);
+    learn_contrast(fits, results, common.contrast);
     return results;
 }
 

@@ -37,7 +37,7 @@ struct Rejection {
 
 struct Search {
     int64_t turn;
-    double size;  // of the discs, fitted over expected, or 0
+    Common discs;
     std::vector<Rejection> rejected;
 };
 
@@ -203,7 +203,7 @@ std::vector<Measured> find_new_discs(const Photo& photo, const DiscModel& model,
     const Limits limits{int(256.0 * (1.0 - 0.5 * model.fit.contrast)), int(difference), 0.5 * model.diameter,
                         lattice.reduction};
     const Points places = find(Plane(photo), lattice, limits, search, known);
-    const std::vector<Measured> found = measure_places(photo, places, model);
+    const std::vector<Measured> found = measure_places(photo, places, model, search.discs.contrast);
     Points rejected;
     for (const Vector<2>& place : places)
         if (std::none_of(found.begin(), found.end(),
@@ -232,7 +232,8 @@ Lattice read_lattice(nb::handle given, const Image& image) {
 
 /// Read a `search.SearchState`.
 Search read_search(const nb::tuple& given) {
-    Search search{number<int64_t>(given[0], "search"), number<double>(given[2], "search"), {}};
+    const auto scalar = [&](int i) { return number<double>(given[i], "search"); };
+    Search search{number<int64_t>(given[0], "search"), {scalar(2), scalar(4)}, {}};
     const auto rejected = matrix<Dynamic, 4>(given[3], "rejected");
     if (search.turn < 0 || search.turn >= int64_t(1) << 53) throw nb::value_error("turn: must be from 0 to 2^53");
     for (nb::ssize_t i = 0; i < rejected.rows(); i++)
@@ -242,7 +243,7 @@ Search read_search(const nb::tuple& given) {
 
 nb::tuple follow_discs(nb::handle image, nb::handle directions_, nb::handle model_, nb::handle lattice_,
                        nb::handle search_, nb::handle motion_, nb::handle known_, size_t least) {
-    const nb::tuple given = members(search_, 4, "search");
+    const nb::tuple given = members(search_, 5, "search");
     Search search = read_search(given);
     const double noise = number<double>(given[1], "search");
     const auto [model, photo] = read_model(model_, image, noise);
@@ -253,7 +254,7 @@ nb::tuple follow_discs(nb::handle image, nb::handle directions_, nb::handle mode
     std::vector<Measured> found;
     {
         nb::gil_scoped_release release;
-        found = measure(photo, directions, model, motion, search.size);
+        found = measure(photo, directions, model, motion, search.discs);
         if (found.size() >= least) {
             Points known;
             for (const Measured& m : found) known.push_back(m.centre);
@@ -267,7 +268,8 @@ nb::tuple follow_discs(nb::handle image, nb::handle directions_, nb::handle mode
         const Rejection& r = search.rejected[i];
         rejected[i] << r.place, r.until, r.wait;
     }
-    return to_numpy(found, nb::make_tuple(search.turn, noise, search.size, rejected.array));
+    return to_numpy(found,
+                    nb::make_tuple(search.turn, noise, search.discs.size, rejected.array, search.discs.contrast));
 }
 
 }  // namespace

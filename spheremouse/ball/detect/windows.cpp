@@ -6,8 +6,9 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr double EXPECTED = 0.3;  // of the contrast suffices at a place that the map predicts: glare, deep shade
-constexpr double APART = 0.3;     // of a disc's diameter: of two nearer discs, the one with the worse fit is left out
+constexpr double EXPECTED = 0.3;    // of the contrast suffices at a place that the map predicts: glare, deep shade
+constexpr double UNEXPECTED = 0.5;  // of the usual one elsewhere: the edge of a strut has less
+constexpr double APART = 0.3;       // of a disc's diameter: of two nearer discs, the one with the worse fit is left out
 
 /// A disc whose image is large enough and wholly in the picture.
 struct Disc {
@@ -62,7 +63,7 @@ std::vector<Measured> best_of(const std::vector<Disc>& discs, double apart) {
     return kept;
 }
 
-nb::tuple measure_places_(nb::handle image, nb::handle places_, nb::handle model_, double noise) {
+nb::tuple measure_places_(nb::handle image, nb::handle places_, nb::handle model_, double noise, double usual) {
     const auto [model, photo] = read_model(model_, image, noise);
     const auto given = matrix<Dynamic, 2>(places_, "places");
     std::vector<Vector<2>> places(size_t(given.rows()));
@@ -70,15 +71,15 @@ nb::tuple measure_places_(nb::handle image, nb::handle places_, nb::handle model
     std::vector<Measured> found;
     {
         nb::gil_scoped_release release;
-        found = measure_places(photo, places, model);
+        found = measure_places(photo, places, model, usual);
     }
     return to_numpy(found);
 }
 
 /// Fit discs, and move their centroids to their centres.
 std::vector<Measured> fit_all(const Photo& photo, std::vector<Disc>& discs, const std::vector<Expected>& expected,
-                              const DiscModel& model, double contrast, double& size) {
-    const std::vector<Fit> fits = fit_discs(photo, expected, model.fit, contrast, size);
+                              const DiscModel& model, double contrast, Common& common) {
+    const std::vector<Fit> fits = fit_discs(photo, expected, model.fit, contrast, common);
     for (size_t i = 0; i < discs.size(); i++) {
         discs[i].fit = fits[i];
         discs[i].fit.centroid -= discs[i].seen.centroid - discs[i].seen.centre;  // the eccentricity
@@ -102,7 +103,7 @@ Motion read_motion(nb::handle given) {
 }
 
 std::vector<Measured> measure(const Photo& photo, const Directions& directions, const DiscModel& model,
-                              const Motion& motion, double& size) {
+                              const Motion& motion, Common& common) {
     std::vector<Disc> discs;
     std::vector<Expected> expected;
     for (nb::ssize_t i = 0; i < directions.rows(); i++) {
@@ -112,10 +113,11 @@ std::vector<Measured> measure(const Photo& photo, const Directions& directions, 
         discs.push_back({seen, {}});
         expected.push_back({seen.centroid, seen.shape, path_of(model, direction, seen.centre, motion.rate)});
     }
-    return fit_all(photo, discs, expected, model, EXPECTED * model.fit.contrast, size);
+    return fit_all(photo, discs, expected, model, EXPECTED * std::max(model.fit.contrast, common.contrast), common);
 }
 
-std::vector<Measured> measure_places(const Photo& photo, const std::vector<Vector<2>>& places, const DiscModel& model) {
+std::vector<Measured> measure_places(const Photo& photo, const std::vector<Vector<2>>& places, const DiscModel& model,
+                                     double usual) {
     std::vector<Disc> discs;
     std::vector<Expected> expected;
     for (const Vector<2>& place : places) {
@@ -126,12 +128,12 @@ std::vector<Measured> measure_places(const Photo& photo, const std::vector<Vecto
         discs.push_back({seen, {}});
         expected.push_back({place, seen.shape, Vector<7>::Zero()});
     }
-    double size = 0.0;
-    return fit_all(photo, discs, expected, model, model.fit.contrast, size);
+    Common common{0.0, usual};
+    return fit_all(photo, discs, expected, model, std::max(model.fit.contrast, UNEXPECTED * usual), common);
 }
 
 void bind_windows(nb::module_& m) {
-    m.def("measure_places", &measure_places_, arg("image"), arg("places"), arg("model"), arg("noise"));
+    m.def("measure_places", &measure_places_, arg("image"), arg("places"), arg("model"), arg("noise"), arg("usual"));
 }
 
 }  // namespace spheremouse::ball

@@ -53,8 +53,11 @@ def detect_discs(
     detector: Any = tracker.detector.with_projection(
         state.colours.projection
     )  # a DiscDetector, as `build` chose this method
-    if state.status is not Status.TRACKING or state.confirmed_at != state.filter.stamp:
-        return detector.detect(frame.image), state.search
+    tracking, before = state.status is Status.TRACKING, state.search
+    if not (tracking and state.known_to_turn):  # bolts, or another ball
+        before = before._replace(contrast=0.0)
+    if not tracking or state.confirmed_at != state.filter.stamp:
+        return detector.detect(frame.image, before.contrast), before
     which = tracker.filter.visible(predicted)
     known = np.concatenate(
         [predicted.discs[which], state.lookalikes.candidates.anchor_ball]
@@ -64,10 +67,10 @@ def detect_discs(
     least = seen_enough if state.known_to_turn else len(known) + 1
     motion = Motion(predicted.rate, tracker.rig.readout_s + predicted.readout)
     found, search = detector.follow(
-        frame.image, state.search, known @ predicted.attitude.T, motion, state.lookalikes.masks, least
+        frame.image, before, known @ predicted.attitude.T, motion, state.lookalikes.masks, least
     )
     if len(found) < least:
-        found = found.joined_apart(detector.detect(frame.image), 0.5 * detector.model.diameter)
+        found = found.joined_apart(detector.detect(frame.image, search.contrast), 0.5 * detector.model.diameter)
     return found, search
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ray_cast import BALL, CLEAN, DISCS, PLAIN, POSE, RIG, TRUTH, centre_of, match, photo, ray_cast, spread
+from ray_cast import BALL, CLEAN, DISCS, INK, PLAIN, POSE, RIG, TRUTH, centre_of, match, photo, ray_cast, spread
 from scipy.stats import chi2
 
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
@@ -80,6 +80,22 @@ def test_a_pale_disc_is_followed_though_it_would_not_be_detected():
     assert len(DETECTOR.detect(image)) == 0
     seen = follow(image, DISCS)
     assert len(match(seen, TRUTH, 0.5)) == len(seen) == len(DISCS)
+
+
+def test_a_pale_spot_is_no_disc_once_dark_ones_have_shown_their_contrast():
+    """The edge of a strut is as pale. A disc of the map is measured in spite of it."""
+    dark, pale = DISCS[3:], DISCS[:3]
+    image = photo(np.minimum(ray_cast(dark), ray_cast(pale, ink=0.65 * BALL)), 1.0)
+    assert len(match(DETECTOR.detect(image), TRUTH, 0.5)) == len(DISCS)
+    _, learnt = DETECTOR.follow(image, SearchState(), dark)
+    assert abs(learnt.contrast - (1.0 - INK / BALL)) < 0.05
+    seen = match(DETECTOR.detect(image, learnt.contrast), TRUTH, 0.5)
+    assert sorted(seen[:, 1]) == list(range(3, len(DISCS)))
+    after = DETECTOR.follow(image, learnt, dark)[1]
+    for _ in range(4):
+        seen, after = DETECTOR.follow(image, after, dark)
+        assert len(seen) == len(dark)
+    assert len(DETECTOR.follow(image, after, DISCS)[0]) == len(DISCS)
 
 
 def smeared(directions, rate, exposure, n=10):
