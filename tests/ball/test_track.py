@@ -455,6 +455,38 @@ def test_new_discs_take_over_when_the_known_ones_go_out_of_view():
     assert out.error[-1] < 2e-2
 
 
+def test_a_disc_joins_the_map_where_it_is_clear():
+    """A cover beside a disc shifts each of its first sightings by the same path, as if the disc were elsewhere."""
+    discs = np.array([[0.0, 0.3, 1.0], [0.3, -0.2, 1.0], [-0.3, -0.3, 1.0], [-0.6, 0.4, 1.0]])
+    discs /= np.linalg.norm(discs, axis=1, keepdims=True)
+    rng, tracker = np.random.default_rng(0), build(RIG, POSE, SO3)
+    state, shift = begin(tracker, 0.0), np.array([1.6, -1.2])
+    for t in seconds(1.6):
+        seen = detected(pixels(discs @ start(t, 0.3).T)[: 3 if t < 0.9 else 4], rng)
+        if 0.9 <= t < 1.2:
+            seen.centre[3] += shift
+            seen.covariance[3] = 0.7**2 * np.eye(2)
+        state, _, _ = advance(state, float(t), seen, tracker)
+    known = state.filter.discs
+    assert len(known) == len(discs)
+    assert_allclose(np.sort(known @ known.T, axis=None), np.sort(discs @ discs.T, axis=None), atol=3e-3)
+
+
+def test_a_spot_that_slides_over_the_ball_never_joins_the_map():
+    """It moves with the ball within the coarse rule of candidates, but never lies where the ball turned it."""
+    discs = np.array([[0.0, 0.3, 1.0], [0.3, -0.2, 1.0], [-0.3, -0.3, 1.0], [-0.6, 0.4, 1.0]])
+    discs /= np.linalg.norm(discs, axis=1, keepdims=True)
+    rng, tracker = np.random.default_rng(0), build(RIG, POSE, SO3)
+    state = begin(tracker, 0.0)
+    for t in seconds(2.0):
+        R, slid = start(t, 0.3), exp(0.25 * ROLL * (t - 0.8))
+        spot = np.zeros((0, 2)) if t < 0.8 else pixels((slid @ R @ [[0.5], [0.0], [0.75]]).T / np.hypot(0.5, 0.75))
+        seen = detected(np.concatenate([pixels(discs @ R.T), spot]), rng)
+        state, _, _ = advance(state, float(t), seen, tracker)
+        assert len(state.filter.discs) <= len(discs)
+    assert len(state.filter.discs) == len(discs)
+
+
 def _pushed(push, seconds, grey):
     """A rolling ball whose camera is pushed at 0.5 s: steps, true attitudes, the tracker given, and the new pose.
 

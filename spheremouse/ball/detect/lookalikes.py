@@ -20,6 +20,7 @@ from spheremouse.geometry.matching import mutual_nearest
 from spheremouse.geometry.rotation import Array
 
 MOVED_PX = 2.0  # displacement by the ball's rotation that shows a static candidate: many times a centre's noise
+TURNED_PART = 0.3  # of its path, by which a disc may miss the place to which the ball turned it
 STILL_PX = 0.6  # a static candidate stays within this: noise and passing shadows; at most half of MOVED_PX
 MASK_RADIUS_PX = 1.5  # a mask hides the detections within this of its centre
 _MATCH_PX = 4.0  # a candidate is found again within this of its last place or of its rotated place
@@ -96,6 +97,11 @@ def without_landmarks(state: StaticDistractors, discs: Array, disc_angle: float)
     return replace(state, candidates=state.candidates.take(~near))
 
 
+def without_candidates(state: StaticDistractors, numbers: NDArray[np.intp]) -> StaticDistractors:
+    """Forget the candidates with these `numbers`, (k,)."""
+    return replace(state, candidates=state.candidates.take(~np.isin(state.candidates.number, numbers)))
+
+
 def with_places(state: StaticDistractors, numbers: NDArray[np.intp], places: Array) -> StaticDistractors:
     """Set the places on the ball, (k, 3) unit vectors in ball, of the candidates with `numbers`, (k,)."""
     candidates = state.candidates
@@ -159,7 +165,7 @@ def _classify_by_motion(centre: Array, first: Array, turned: Array) -> tuple[NDA
     off = np.linalg.norm(centre - turned, axis=1)
     stayed = np.linalg.norm(centre - first, axis=1)
     tell = path > MOVED_PX
-    return tell & (off < 0.3 * path), tell & (stayed < STILL_PX) & (off > 0.5 * path)
+    return tell & (off < TURNED_PART * path), tell & (stayed < STILL_PX) & (off > 0.5 * path)
 
 
 def known_before_to_turn(

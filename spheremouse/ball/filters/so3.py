@@ -350,7 +350,7 @@ class So3Filter:
         new = self._new_discs(state, points, free, rows)
         state = drop(state, keep)
         new = new[: self._room(state)]
-        if len(new) and len(state.candidates):
+        if len(new) and len(state.candidates) and state.is_placed:  # else no place identifies a candidate
             squared = self._candidate_distances(state, points, new, np.arange(len(state.candidates)))
             rows, which = assign(squared, self.settings.gate)
             state = self._promoted(state, points, new[rows], which)

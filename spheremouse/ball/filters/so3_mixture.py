@@ -51,14 +51,13 @@ def update_hypotheses(
     predicted: tuple[Hypothesis, ...],
     points: SpherePoints,
     proven: NDArray[np.bool_],
-    has_turned: bool = False,
-    extend_map: bool = True,
+    needed: bool = False,
 ) -> tuple[Hypothesis, ...]:
     """Return the hypotheses after a frame's points, most probable first; their probabilities sum to one.
 
     `predicted` holds the states predicted for the frame's stamp. A point without a disc starts a landmark if it is
-    `proven` (n,) to turn with the ball. If fewer than two discs are paired and the ball `has_turned` since two were
-    paired, all such points start landmarks, which then measure the rotation. With `extend_map` false, none does.
+    `proven` (n,) to turn with the ball. If fewer than two discs are paired and landmarks are `needed`, every such point
+    starts one: after a turn new discs are in view, and their landmarks measure the rotation.
     """
     extended: list[tuple[So3State, _Node, float]] = []
     for k, (state, log_probability) in enumerate(predicted):
@@ -74,9 +73,9 @@ def update_hypotheses(
             kept.append(item)
     total = math.log(sum(math.exp(value - kept[0][2]) for _, _, value in kept)) + kept[0][2]
     hypotheses = []
-    few = has_turned and len(points) <= _FEW_POINTS  # many points at once are none of a ball with few discs
+    few = needed and len(points) <= _FEW_POINTS  # many points at once are none of a ball with few discs
     for _, node, value in kept:
-        may_start = (proven | (few and len(node.rows) < 2)) & extend_map
+        may_start = proven | (few and len(node.rows) < 2)
         hypotheses.append(
             Hypothesis(
                 filter_.keep_map(node.state, points, _pairing(node.rows, node.columns), may_start), value - total

@@ -30,6 +30,7 @@ _JUMP = 16.0  # level of the player from which points pair by chance
 _HIDDEN_BY_CHANCE = 2.0  # discs: struts hide so many, a cover on the ball hides more
 _TURNS = 0.15  # rad/s, from which a disc may come into view with any frame
 _CERTAIN = math.log(0.999)  # log probability from which the most probable attitude counts as the only one
+_CLEAR_PX = static.TURNED_PART * static.MOVED_PX  # standard deviation of a point that may be a new disc
 _KNOWN_SIGMA = 0.02  # rad per axis, up to which one disc alone holds the attitude: half a disc's width
 IDENTIFY_SIGMA = 0.003  # rad, of a direction when the map is searched; at a tenth any disc may be any other
 
@@ -112,7 +113,9 @@ def updated_hypotheses(
     points, centre, f = state.points, state.detections.centre[state.points.index], tracker.filter
     if proven is None:
         proven = static.known_before_to_turn(state.lookalikes, centre, predicted.attitude, tracker.rig, tracker.pose)
-    certain = None if state.alternatives else f.update_if_certain(predicted, points, proven & extend_map)
+        proven &= is_clear(state)
+    proven &= extend_map
+    certain = None if state.alternatives else f.update_if_certain(predicted, points, proven)
     if certain is not None:
         filtered, alternatives = certain, ()
     else:
@@ -121,7 +124,8 @@ def updated_hypotheses(
         turned = rotation_between(state.reported_attitude, predicted.attitude)  # new discs come into view by that alone
         turns = float(predicted.rate @ predicted.rate) > _TURNS**2
         has_turned = turns or float(turned @ turned) > (2.0 * f.disc_angle) ** 2
-        hypotheses = update_hypotheses(f, (Hypothesis(predicted, best), *rest), points, proven, has_turned, extend_map)
+        needed = has_turned and extend_map
+        hypotheses = update_hypotheses(f, (Hypothesis(predicted, best), *rest), points, proven, needed)
         filtered = hypotheses[0].state
         alternatives = () if hypotheses[0].log_probability > _CERTAIN else hypotheses[1:]
     confirmed = not alternatives and confirms(filtered, len(points), predicted, tracker)
@@ -259,8 +263,19 @@ def classify_unmatched(state: TrackState[F], stamp: float, tracker: Tracker) -> 
     )
     if not confirmed:  # a hand may have stopped the ball, so only moving candidates count
         lookalikes = replace(lookalikes, masks=state.lookalikes.masks, mask_seen=state.lookalikes.mask_seen)
-    seen = CandidatePoints(np.flatnonzero(other)[~still], number[~still], turning[~still])
+    new = ~still & is_clear(state)[other]
+    seen = CandidatePoints(np.flatnonzero(other)[new], number[new], turning[new])
     return state._replace(lookalikes=lookalikes), seen
+
+
+def is_clear(state: TrackState) -> NDArray[np.bool_]:
+    """Return a mask, (n,), of the points that are known well enough for a place on the map.
+
+    The limb, or a cover beside a disc, shifts its centre in the same way in each frame. So further sightings neither
+    reveal nor reduce such an error. If it may be larger than the path that proves a candidate allows, it proves none.
+    """
+    covariance = state.detections.covariance[state.points.index]
+    return np.trace(covariance, axis1=1, axis2=2) < 2.0 * _CLEAR_PX**2
 
 
 def _with_candidates(
@@ -268,8 +283,10 @@ def _with_candidates(
 ) -> TrackState[So3State]:
     """Return the state with a frame's candidates: those that turn with the ball are discs."""
     filtered, lookalikes = tracker.filter.follow_candidates(state.filter, state.points, seen), state.lookalikes
+    refused = np.intersect1d(seen.numbers[seen.turning], filtered.candidates)  # they turned elsewhere
     if len(filtered.discs) > len(state.filter.discs):
         lookalikes = static.without_landmarks(lookalikes, filtered.discs, tracker.filter.disc_angle)
+    lookalikes = static.without_candidates(lookalikes, refused)
     filtered = keep_candidates(filtered, lookalikes.candidates.number)
     return state._replace(filter=filtered, lookalikes=lookalikes)
 
