@@ -39,7 +39,7 @@ export function readSample(row) {
 function ticks(low, high, parts) {
   const least = Math.min((0.8 * (high - low)) / parts, high / 2);
   const power = 10 ** Math.floor(Math.log10(least));
-  const step = ([1, 2, 5].find((m) => m * power >= least) ?? 10) * power;
+  const step = ([1, 2, 3, 5].find((m) => m * power >= least) ?? 10) * power;
   const first = Math.ceil(low / step);
   return Array.from({ length: Math.max(0, Math.floor(high / step) - first + 1) }, (_, i) => (first + i) * step);
 }
