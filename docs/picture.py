@@ -48,7 +48,9 @@ def page() -> None:
         service = Service(Path(folder))
         try:
             service.reach(state="tracking")
-            browser = play.chromium.launch(executable_path=shutil.which("chromium"), args=["--disable-gpu"])
+            browser = play.chromium.launch(
+                executable_path=shutil.which("chromium"), args=["--disable-gpu", "--no-sandbox"]
+            )
             width, height = PAGE_SIZE
             shown = browser.new_page(viewport={"width": width, "height": height}, color_scheme="dark")
             shown.goto(service.owner_url)
