@@ -107,6 +107,7 @@ def test_bad_input_is_told_what_to_do(folder, tmp_path, words, said):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_photos_of_the_device_are_not_taken_for_a_board_of_another_size(tmp_path):
     """A grid of 3x3 is found in two of them; a board in none."""
     said = refused(datasets_dir() / "stills" / "device", *BOARD, "--out", tmp_path / "c.yaml")
