@@ -302,8 +302,10 @@ def test_struts_hands_and_the_limb_decide_the_state(renderer):
 
 def hidden(small, options, times):
     handled, outline = altered(small, options), small.backdrop.ball > 0.5
-    pairs = [[r.frame(still(), t, 0, rng()).frame.image.astype(int) for r in (small, handled)] for t in times]
-    return np.array([np.mean(np.max(np.abs(a - b), axis=2)[outline] > 3) for a, b in pairs])
+    plain, *seen = (
+        r.frame(still(), t, 0, rng()).frame.image.astype(int) for r, t in [(small, 0.0), *((handled, t) for t in times)]
+    )
+    return np.array([np.mean(np.max(np.abs(image - plain), axis=2)[outline] > 3) for image in seen])
 
 
 def test_two_hands_cover_up_to_a_third_of_the_ball_when_asked(small):

@@ -28,6 +28,18 @@ def hand():
     return film()
 
 
+@pytest.fixture(scope="module")
+def steps(hand):
+    """The default tracker's steps through the film of the hand."""
+    camera, balls, shots = hand
+    tracker = build(camera, balls)
+    state, found = begin(tracker, 1), []
+    for shot in shots:
+        found.append(step(state, shot.frame, tracker))
+        state = found[-1].state
+    return found
+
+
 def follow(shots, tracker, state=None):
     state = state or begin(tracker, 1)
     poses = []
@@ -52,40 +64,34 @@ def worst(shots, poses, ball=0, skip=0):
     return np.max(errors, axis=0)
 
 
-@pytest.mark.parametrize("particles", [50, 350])
-def test_fast_hand_is_tracked_without_an_initial_pose(hand, particles):
+def test_fast_hand_is_tracked_without_an_initial_pose(hand, steps):
     camera, balls, shots = hand
-    _, poses = follow(shots, build(camera, balls, WandSettings(particles=particles)))
-    assert np.all(worst(shots, poses, skip=4) < [0.006, 0.06, np.deg2rad(8)])
+    _, few = follow(shots, build(camera, balls, WandSettings(particles=50)))
+    for poses in (few, [found.state.poses for found in steps]):
+        assert np.all(worst(shots, poses, skip=4) < [0.006, 0.06, np.deg2rad(8)])
 
 
-def test_nees_is_of_the_order_of_one(hand):
-    camera, balls, shots = hand
-    _, poses = follow(shots, build(camera, balls))
+def test_nees_is_of_the_order_of_one(hand, steps):
     nees = []
-    for shot, (pose,) in zip(shots, poses, strict=True):
+    for shot, found in zip(hand[2], steps, strict=True):
+        (pose,) = found.state.poses
         e = np.concatenate([pose.position - shot.position[0], log(pose.rotation @ shot.rotation[0].T)])
         nees.append(e @ np.linalg.solve(pose.covariance, e) / 6.0)
     assert 0.1 < np.mean(nees) < 3.0
 
 
-def test_equal_frames_and_seeds_give_equal_poses(hand):
+def test_equal_frames_and_seeds_give_equal_poses(hand, steps):
     camera, balls, shots = hand
-    tracker = build(camera, balls)
-    one, other = (follow(shots[:5], tracker)[1] for _ in range(2))
-    for (a,), (b,) in zip(one, other, strict=True):
+    _, again = follow(shots[:5], build(camera, balls))
+    for (a,), found in zip(again, steps[:5], strict=True):
+        (b,) = found.state.poses
         np.testing.assert_array_equal(a.position, b.position)
         np.testing.assert_array_equal(a.covariance, b.covariance)
 
 
-def test_increments_add_up_to_the_motion(hand):
-    camera, balls, shots = hand
-    tracker = build(camera, balls)
-    state, found = begin(tracker, 1), []
-    for shot in shots:
-        state, estimate, _ = step(state, shot.frame, tracker)
-        found.append(estimate)
-    assert [estimate.sequence for estimate in found] == list(range(len(shots)))
+def test_increments_add_up_to_the_motion(steps):
+    found = [each.estimate for each in steps]
+    assert [estimate.sequence for estimate in found] == list(range(len(steps)))
     assert all(estimate.confirmed for estimate in found)
     turn = np.eye(3)
     for estimate in found[1:]:
@@ -139,19 +145,15 @@ def test_covariance_of_a_hidden_ball_grows_by_the_random_walk():
     assert gained == pytest.approx(walk, rel=0.15)
 
 
-def test_velocity_is_that_of_the_hand(hand):
+def test_velocity_is_that_of_the_hand(hand, steps):
     """The error is less than 40 % after three frames, also along the line of sight."""
-    camera, balls, shots = hand
-    tracker = build(camera, balls)
-    state, off, speed = begin(tracker, 1), [], []
-    for k, shot in enumerate(shots[:-1]):
-        state = step(state, shot.frame, tracker).state
-        if k > 3:
-            a, b = shots[k - 1], shots[k + 1]
-            dt = b.frame.stamp - a.frame.stamp
-            true = np.concatenate([b.position[0] - a.position[0], log(b.rotation[0] @ a.rotation[0].T)]) / dt
-            off.append(state.tracks[0].velocity - true)
-            speed.append(true)
+    shots, off, speed = hand[2], [], []
+    for k in range(4, len(shots) - 1):
+        a, b = shots[k - 1], shots[k + 1]
+        dt = b.frame.stamp - a.frame.stamp
+        true = np.concatenate([b.position[0] - a.position[0], log(b.rotation[0] @ a.rotation[0].T)]) / dt
+        off.append(steps[k].state.tracks[0].velocity - true)
+        speed.append(true)
     for part in (slice(0, 2), slice(2, 3), slice(3, 6)):
         assert np.linalg.norm(np.array(off)[:, part]) < 0.4 * np.linalg.norm(np.array(speed)[:, part])
 

@@ -115,7 +115,7 @@ def test_errors_of_pose_and_ball_are_in_the_covariance():
     assert np.all((low < squares) & (squares < high))
     assert used > 0.8
     ignorant = replace(consider, considered=np.zeros((CONSIDERED_DIM, CONSIDERED_DIM)))
-    squares, _ = played(ignorant, rig, pose, errors, rng)
+    squares, _ = played(ignorant, rig, pose, errors[:20], rng)
     assert squares[0] > 20.0 * high  # far outside: measured 150 to 230 where 3 is right
     assert squares[1] > 1.5 * high
 
@@ -276,7 +276,7 @@ def played_through(filter_, shutter, known, seed, seconds=6.0):
     return state, np.array(squares)
 
 
-@pytest.mark.parametrize("shutter", [0.0, 0.012, 0.03])
+@pytest.mark.parametrize("shutter", [0.0, pytest.param(0.012, marks=pytest.mark.slow), 0.03])
 def test_the_readout_is_learnt_from_play(shutter):
     """Four plays; the attitude is as good as that of a filter that knows it, but for chance."""
     ours, theirs = [], []

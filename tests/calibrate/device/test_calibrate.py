@@ -6,12 +6,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from conftest import datasets_dir
+from conftest import datasets_dir, shared
 from experiments.kit.observations import calibrated, normalised_errors, simulated_calibration
 from scipy.stats import chi2
 
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.device import DistanceError
+from spheremouse.calibrate.device import calibrate as calibrate_module
 from spheremouse.calibrate.device.calibrate import calibrate_device
 from spheremouse.calibrate.device.correspond import ball_rig
 from spheremouse.errors import CalibrationError
@@ -20,6 +21,16 @@ from spheremouse.geometry.camera import InteriorOrientation, pose_from_matrix
 from spheremouse.geometry.rotation import exp, log
 
 RUNS = 24
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _detected_once():
+    """Detect targets and dark spots of a photo once. Most tests calibrate from the same six."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("detect_targets", "dark_spots"):
+            detect = getattr(calibrate_module, name)
+            patch.setattr(calibrate_module, name, shared(detect, lambda *args: args, most=40))
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -200,7 +200,7 @@ def spots_of(truth, s, bolts=6, sigma=0.2, seed=0):
     return every
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_start_finds_the_ball(seed):
     truth, s = rolled(seed, frames=150, discs=30, fps=30.0, speed=0.8)
     found = start(spots_of(truth, s), CAMERA)
