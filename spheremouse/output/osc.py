@@ -33,7 +33,7 @@ class Osc(DatagramOutput):
 def encode(sample: Sample, counts: Counts) -> bytes:
     """Return the bundle of a sample: status and counts, and each other vector if the ball is tracked and it is finite.
 
-    Only the numbers are packed anew; the builders of python-osc take ten times as long.
+    Only the numbers are packed for each sample. The builders of python-osc take ten times as long.
     """
     estimate = sample.estimate
     tag = _IMMEDIATELY if sample.wall is None else round((sample.wall + _NTP_EPOCH) * 2**32) % 2**64

@@ -176,7 +176,7 @@ class DiscDetector:
 
         The ball's `motion` carries the discs on to when their row is exposed, and smears them while it is. The search
         covers a part of the ball that `state` selects. It leaves out the discs and the places `known`, (m, 2) px. If
-        fewer than `least` discs are seen, there is no search. `state` remembers noise and size of the discs.
+        fewer than `least` discs are seen, there is no search. `state` remembers noise, size and contrast of the discs.
         """
         colours = _with_channels(image)
         learn = state.turn % _LEARN_EVERY == 0 or state.noise == 0.0  # light and discs change slowly
