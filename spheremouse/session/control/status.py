@@ -103,7 +103,7 @@ class ReplayStatus(_Part):
     frames: int | None
     seconds: float
     begin: float
-    end: float
+    end: float | None  # None: that of the recording
     speed: float
     loop: bool
 
