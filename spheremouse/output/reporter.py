@@ -13,7 +13,6 @@ not sent.
 import contextlib
 import threading
 import time
-import traceback
 from array import array
 from collections import deque
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from math import floor, inf
 
 import numpy as np
 
+from spheremouse.errors import internal_error_text
 from spheremouse.output import Counts, DeliveryStatus, Output, OutputClosed, Report, pointer
 from spheremouse.output.pointer import PointerSettings, Resampler, minus, plus
 
@@ -223,7 +223,7 @@ class OutputThread:
                 try:
                     left = self._work()
                 except Exception as e:
-                    self._log("internal error, please report it:\n" + traceback.format_exc().rstrip())
+                    self._log(internal_error_text())
                     self._fail(f"internal error: {_reason(e)}", e)
                     left = 0.0
                 if left > 0.0:

@@ -113,7 +113,8 @@ def updated_hypotheses(
     points, centre, f = state.points, state.detections.centre[state.points.index], tracker.filter
     if proven is None:
         proven = static.known_before_to_turn(state.lookalikes, centre, predicted.attitude, tracker.rig, tracker.pose)
-        proven &= is_clear(state)
+        if proven.any():
+            proven &= _is_clear(state)
     proven &= extend_map
     certain = None if state.alternatives else f.update_if_certain(predicted, points, proven)
     if certain is not None:
@@ -263,12 +264,12 @@ def classify_unmatched(state: TrackState[F], stamp: float, tracker: Tracker) -> 
     )
     if not confirmed:  # a hand may have stopped the ball, so only moving candidates count
         lookalikes = replace(lookalikes, masks=state.lookalikes.masks, mask_seen=state.lookalikes.mask_seen)
-    new = ~still & is_clear(state)[other]
+    new = ~still & _is_clear(state)[other]
     seen = CandidatePoints(np.flatnonzero(other)[new], number[new], turning[new])
     return state._replace(lookalikes=lookalikes), seen
 
 
-def is_clear(state: TrackState) -> NDArray[np.bool_]:
+def _is_clear(state: TrackState) -> NDArray[np.bool_]:
     """Return a mask, (n,), of the points that are known well enough for a place on the map.
 
     The limb, or a cover beside a disc, shifts its centre in the same way in each frame. So further sightings neither
