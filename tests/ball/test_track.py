@@ -38,6 +38,8 @@ from spheremouse.tracker import Estimate, Event, Frame, Status
 
 BOLTS = np.array([[300.0, 100.0], [250.0, 380.0], [420.0, 250.0], [200.0, 200.0]])
 SO3 = Settings()
+NEAR_MIDDLE = np.array([[0.0, 0.3, 1.0], [0.3, -0.2, 1.0], [-0.3, -0.3, 1.0], [-0.6, 0.4, 1.0]])
+NEAR_MIDDLE /= np.linalg.norm(NEAR_MIDDLE, axis=1, keepdims=True)
 ROLL = np.array([0.5, 0.15, 0.35])  # rad/s; phi stays away from 90 deg for the Euler filters
 trackers = pytest.mark.parametrize("name", ["so3", "ekf1", "ekf2"])
 
@@ -457,8 +459,7 @@ def test_new_discs_take_over_when_the_known_ones_go_out_of_view():
 
 def test_a_disc_joins_the_map_where_it_is_clear():
     """A cover beside a disc shifts each of its first sightings by the same path, as if the disc were elsewhere."""
-    discs = np.array([[0.0, 0.3, 1.0], [0.3, -0.2, 1.0], [-0.3, -0.3, 1.0], [-0.6, 0.4, 1.0]])
-    discs /= np.linalg.norm(discs, axis=1, keepdims=True)
+    discs = NEAR_MIDDLE
     rng, tracker = np.random.default_rng(0), build(RIG, POSE, SO3)
     state, shift = begin(tracker, 0.0), np.array([1.6, -1.2])
     for t in seconds(1.6):
@@ -474,8 +475,7 @@ def test_a_disc_joins_the_map_where_it_is_clear():
 
 def test_a_spot_that_slides_over_the_ball_never_joins_the_map():
     """It moves with the ball within the coarse rule of candidates, but never lies where the ball turned it."""
-    discs = np.array([[0.0, 0.3, 1.0], [0.3, -0.2, 1.0], [-0.3, -0.3, 1.0], [-0.6, 0.4, 1.0]])
-    discs /= np.linalg.norm(discs, axis=1, keepdims=True)
+    discs = NEAR_MIDDLE
     rng, tracker = np.random.default_rng(0), build(RIG, POSE, SO3)
     state = begin(tracker, 0.0)
     for t in seconds(2.0):
