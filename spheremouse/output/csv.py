@@ -5,6 +5,7 @@ Comment lines give unit, frame and meaning of each column. Every number reads ba
 
 import contextlib
 from collections.abc import Sequence
+from functools import partial
 from io import RawIOBase
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from spheremouse.output.log_file import check_file, drop_unfinished_line, lock, 
 from spheremouse.output.table import Table, csv_line, open_table, table_file
 
 _START = b"# spheremouse samples"
+
+file_of = partial(table_file, "csv")
 
 
 class CsvWriter:
@@ -86,11 +89,6 @@ def open(argument: str) -> Table:
 def check(argument: str) -> None:
     """Raise OutputError if the path is empty or `-`, or if the file does not begin as such a table."""
     check_file(file_of(argument), _START)
-
-
-def file_of(argument: str) -> Path:
-    """Return the file that an argument names."""
-    return table_file("csv", argument)
 
 
 def probe(argument: str) -> list[Finding]:

@@ -4,8 +4,9 @@ A Parquet file is unreadable without its end, so rows go to an Arrow stream firs
 the output moves them to FILE. After a run that was killed, the next opening of FILE does, up to the last whole batch.
 """
 
-import contextlib
 from collections.abc import Iterator, Sequence
+from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,10 @@ from spheremouse.output.table import Table, open_table, table_file
 
 _START = b"PAR1"
 _PART_START = b"\xff\xff\xff\xff"  # of a message of Arrow
-_GROUP_ROWS = 65_536  # 18 minutes of a ball at 60 Hz
+_GROUP_BATCHES = 256  # to a row group; a batch has the rows of a second
+
+arrow = partial(import_extra, "parquet", "pyarrow", "parquet")  # module name -> module, or OutputError if it is missing
+file_of = partial(table_file, "parquet")
 
 
 class PartWriter:
@@ -55,12 +59,9 @@ class PartWriter:
 
     def close(self) -> None:
         """Move the rows to the file."""
-        try:
+        with self._file:
             if self._stream is not None:
                 self._stream.close()
-        finally:
-            with contextlib.suppress(OSError):
-                self._file.close()
         move_part(self._part, self._path)
 
 
@@ -82,32 +83,21 @@ def move_part(part: Path, path: Path) -> None:
         if stream is not None:
             with NewFile(path) as new, pq.ParquetWriter(new.file, stream.schema) as table:
                 if path.exists():
-                    for batch in pq.ParquetFile(path).iter_batches(_GROUP_ROWS):
+                    for batch in pq.ParquetFile(path).iter_batches():
                         table.write_batch(batch)
-                for batches in _groups(stream):
-                    table.write_table(pa.Table.from_batches(batches))
+                batches = _whole_batches(stream)
+                while group := list(islice(batches, _GROUP_BATCHES)):
+                    table.write_table(pa.Table.from_batches(group))
     part.unlink()
 
 
-def _groups(stream: Any) -> Iterator[list[Any]]:
-    """Yield the whole batches of a stream, in lists of a row group each."""
-    batches: list[Any] = []
+def _whole_batches(stream: Any) -> Iterator[Any]:
+    """Yield the whole batches of a stream."""
     try:
-        for batch in stream:
-            batches.append(batch)
-            if sum(b.num_rows for b in batches) >= _GROUP_ROWS:
-                yield batches
-                batches = []
+        yield from stream
     except (OSError, ValueError) as e:
         if getattr(e, "errno", None):  # the disk fails; otherwise a killed run or a full disk cut the last batch
             raise
-    if batches:
-        yield batches
-
-
-def arrow(name: str) -> Any:
-    """Return a module of pyarrow. Raise OutputError if it is not installed."""
-    return import_extra("parquet", "pyarrow", "parquet", name)
 
 
 def open(argument: str) -> Table:
@@ -123,11 +113,6 @@ def check(argument: str) -> None:
     if is_stream(path):
         raise OutputError(f"{path}: is no regular file", "name one, or use csv")
     check_file(path, _START)
-
-
-def file_of(argument: str) -> Path:
-    """Return the file that an argument names."""
-    return table_file("parquet", argument)
 
 
 def probe(argument: str) -> list[Finding]:

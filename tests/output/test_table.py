@@ -17,7 +17,7 @@ def kind(request, monkeypatch):
     monkeypatch.setattr(table, "_PERIOD", 0.0)
     if request.param == "parquet":
         pytest.importorskip("pyarrow")
-        monkeypatch.setattr(parquet, "_GROUP_ROWS", 2)
+        monkeypatch.setattr(parquet, "_GROUP_BATCHES", 2)
     return request.param
 
 
