@@ -1,16 +1,15 @@
 """The examples of docs/examples run."""
 
 import contextlib
+import importlib
 import itertools
 import json
 import re
-import runpy
 import socket
 import subprocess
 import sys
 import threading
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -34,7 +33,7 @@ def game(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setenv("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     pytest.importorskip("pygame")
-    return SimpleNamespace(**runpy.run_path(str(EXAMPLES / "boulder.py")))
+    return importlib.import_module("spheremouse.commands.demo.boulder")
 
 
 @pytest.mark.parametrize(("direction", "hits"), [(1.0, 1), (-1.0, 0)])
@@ -58,10 +57,11 @@ def test_closing_the_window_ends_the_game(game):
     assert game.play(samples()) == 0
 
 
-def test_without_a_service_a_simulated_ball_plays(game, monkeypatch, tmp_path):
-    monkeypatch.setenv("SPHEREMOUSE_SOCKET", str(tmp_path / "none"))
-    first = next(game.samples("synthetic:seconds=0.2"))
-    assert first.sequence == 0
+def test_demo_plays_the_game_with_a_simulated_ball(game):
+    command = [sys.executable, "-m", "spheremouse", "demo", "--play", "--seconds", "2"]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert re.fullmatch(r"huts hit: \d+\n", run.stdout)
 
 
 def free_port():
