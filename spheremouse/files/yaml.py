@@ -215,8 +215,14 @@ def _compose(text: str, name: str) -> Node | None:
     return _yaml().compose(text)
 
 
+class _Yaml(YAML):
+    def official_plug_ins(self) -> list[str]:
+        """Return none. Otherwise each value of `ctl set` would search ruamel's folder on the disk."""
+        return []
+
+
 def _yaml() -> YAML:
-    return YAML(typ="safe", pure=True)
+    return _Yaml(typ="safe", pure=True)
 
 
 def _syntax_error(e: YAMLError, text: str, name: str) -> ConfigurationError:

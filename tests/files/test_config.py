@@ -2,6 +2,8 @@
 
 import os
 import re
+import subprocess
+import sys
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Literal
 
@@ -449,3 +451,16 @@ def test_a_size_may_be_written_as_people_write_it(size):
 def test_another_size_is_refused(size):
     with pytest.raises(ConfigurationError, match=r"--set camera\.size: must be "):
         config.override(Configuration(), f"camera.size={size}")
+
+
+def test_a_value_of_ctl_set_is_parsed_without_a_look_at_the_disk():
+    code = """if True:
+        import sys
+        from spheremouse.files.yaml import parse_value
+        parse_value("1", "a")  # loads code
+        seen = []
+        disk = ("open", "os.listdir", "os.scandir")
+        sys.addaudithook(lambda event, _: seen.append(event) if event in disk else None)
+        print(parse_value("2.5", "a"), seen)"""
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout == "2.5 []\n"
