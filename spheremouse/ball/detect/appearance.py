@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import Rig, view_of
-from spheremouse.geometry.camera import Pose, sphere_outline
+from spheremouse.geometry.camera import Pose, project, sphere_outline
 from spheremouse.geometry.rotation import Array
 from spheremouse.native import kernels
 
@@ -54,6 +54,19 @@ def ball_mask(rig: Rig, pose: Pose) -> Image:
     mask = np.zeros((rig.camera.height, rig.camera.width), np.uint8)
     outline = np.clip(ball_outline(rig, pose), -1e4, 1e4)
     cv2.fillPoly(mask, [np.rint(outline * 16).astype(np.int32)], 255, shift=4)
+    return mask
+
+
+def clear_mask(rig: Rig, pose: Pose) -> Image:
+    """255 on the ball's image, a pixel within its outline and beside the ring targets in front of it, (h, w)."""
+    mask = cv2.erode(ball_mask(rig, pose), np.ones((3, 3), np.uint8))  # pixels on the outline mix with the room
+    angle = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
+    ring = rig.targets.radii[-1] * np.stack([np.cos(angle), np.sin(angle), np.zeros(32)], axis=1)
+    distance = np.linalg.norm(pose.position - rig.targets.position, axis=1)
+    for position in rig.targets.position[distance < np.linalg.norm(pose.position - rig.ball.centre)]:
+        corners = project(pose.to_cam(position + ring), rig.camera)[0]
+        if np.isfinite(corners).all():
+            cv2.fillPoly(mask, [np.rint(np.clip(corners, -1e4, 1e4)).astype(np.int32)], 0)
     return mask
 
 

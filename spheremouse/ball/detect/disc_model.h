@@ -84,8 +84,9 @@ struct Common {
 ///
 /// The first fit leaves the size free. It separates discs from other objects and gives the common size of all discs,
 /// fitted over expected. The second fit holds the size near that value. Otherwise a disc cut by a strut would look
-/// smaller instead of cut. If fewer than three discs determine the size, it is held near 1 and `size` stays 0. If
-/// `size` is not 0, the first fit is left out. Clear discs, large and without a cover, move the usual contrast.
+/// smaller instead of cut. If fewer than three discs determine the size, it is held near 1. If `common.size` is not 0,
+/// the first fit is left out, and what has another size is no disc. Clear discs, large and without a cover, move what
+/// they have in `common`.
 std::vector<Fit> fit_discs(const Photo& photo, const std::vector<Expected>& discs, const FitSettings& settings,
                            double contrast, Common& common);
 

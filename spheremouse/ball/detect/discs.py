@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.detect.appearance import appearance, ball_mask, largest_disc
+from spheremouse.ball.detect.appearance import appearance, ball_mask, clear_mask, largest_disc
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.projection import (
     CANDIDATES,
@@ -42,7 +42,7 @@ from spheremouse.settings import param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
 _SHOWN = 4.0  # px of the coarse picture, across a disc that its samples meet: they are 2 px apart, and print is blurred
-_LEARN_EVERY = 16  # frames: noise, and the size of the discs
+_NOISE_EVERY = 16  # frames: the light changes slowly
 _MOST_ROUNDS = 3  # of the search for slivers in one picture: struts that cross the limb offer places, too
 _FINE = 14.0  # px, diameter of a disc that is found as well no finer: larger pictures are searched more coarsely
 
@@ -179,14 +179,12 @@ class DiscDetector:
         fewer than `least` discs are seen, there is no search. `state` remembers noise, size and contrast of the discs.
         """
         colours = _with_channels(image)
-        learn = state.turn % _LEARN_EVERY == 0 or state.noise == 0.0  # light and discs change slowly
-        if learn:
-            state = state._replace(noise=self.noise(colours), size=0.0)
+        if state.turn % _NOISE_EVERY == 0 or state.noise == 0.0:
+            state = state._replace(noise=self.noise(colours))
         centre, covariance, area, after = kernels.follow_discs(
             colours, directions, self.model, self.lattice.of_turn(state.turn), state, motion, known, least
         )
-        search = SearchState(*after)
-        return Detections(centre, covariance, area), search if learn else search._replace(size=state.size)
+        return Detections(centre, covariance, area), SearchState(*after)
 
     def information(self, image: Image) -> float:
         """Return the information about the centres of the discs in an image, in noise-free discs."""
@@ -268,8 +266,7 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose, before: object =
         return replace(before, settings=settings, model=before.model._replace(fit=fit, min_area=settings.min_area))
     diameter = largest_disc(rig, pose)
     f = max(int(np.rint(diameter / _FINE)), 1)
-    # pixels on the outline mix with the room
-    mask = cv2.erode(ball_mask(rig, pose), np.ones((3, 3), np.uint8))
+    mask = clear_mask(rig, pose)
     for place in settings.masks:
         corners = np.array(place)[[0, 1, 2, 1, 2, 3, 0, 3] if len(place) == 4 else slice(None)].reshape(-1, 2)
         cv2.fillPoly(mask, [np.rint(corners).astype(np.int32)], 0)  # with its outline

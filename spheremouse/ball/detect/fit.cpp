@@ -22,14 +22,18 @@ constexpr double SIZE = 0.02;          // discs cut from one sheet differ by thi
 constexpr double RIM_OFFSET = 0.35;    // px by which lens blur and gloss may shift a rim: much of a sliver's size
 constexpr double SLIVER = 2.0;         // px, semi-minor axis below which both rims are one blur
 constexpr double SLIVER_BIAS = 0.15;   // px at a semi-minor axis of one pixel
-constexpr double CUT = 1.5;            // px², variance per covered part of the rim: a cover's edge may pass for a rim
-constexpr double MISFIT = 3.0;         // px², the same per part that fits worse than that of whole discs
+constexpr double COVER_BIAS = 1.5;     // px, the same with a cover beside the disc: its edge may pass for a rim
+constexpr double SHOWN = 0.3;          // least part of the rim beside a cover
+constexpr double OTHER_SIZE = 3.0;     // standard deviations of the size, beyond which it is something else
 constexpr double NEAR_COVER = 0.02;    // part of the surround that is foreign: a cover is beside the disc
 constexpr double CLEAR_SIGMA = 0.1;    // px, of a disc without a cover
 constexpr double LEARNING_RATE = 0.1;  // per frame: the light changes in a third of a second at the fastest
 constexpr double LARGE = 3.0;          // px, semi-minor axis from which a disc contributes to the common size
-constexpr float LIMITS[] = {0.35f, 0.25f, 0.25f, 0.25f, 0.25f};  // of the contrast: residuals beyond weigh nothing
-constexpr double STILL = 0.01;                                   // px: a step this short is the last
+constexpr float LIMIT = 0.25f;         // of the contrast: residuals beyond weigh nothing
+constexpr float WIDE_LIMIT = 0.5f;     // the same far from the centre
+constexpr double FAR = 0.5;            // px: after a longer step the centre is still far
+constexpr int MOST_ROUNDS = 10;        // 1 px each at most
+constexpr double STILL = 0.01;         // px: a step this short is the last
 
 using Unknowns = Vector<UNKNOWNS>;
 
@@ -47,8 +51,12 @@ struct DiscFit {
     Unknowns x = Unknowns::Zero();
     double scale;        // grey values of an ordinary residual
     double gloss;        // 1/px
+    double shown = 1.0;  // part of the rim that no cover hides
     Matrix<UNKNOWNS> L;  // triangle of the last normal matrix
     bool plausible = false;
+
+    /// Return the part of the size by which blur and gloss may shift the rim.
+    double rim_sigma() const { return RIM_OFFSET / 3.0 / minor; }
 
     void expect(float blur) {
         rest.x = float(x(6));
@@ -162,22 +170,33 @@ bool collect_pixels(DiscFit& fit, const Photo& photo, double smoothing) {
     return true;
 }
 
-/// Begin a fit with the ball's shade beside the disc; return false if there is no disc.
-bool begin(DiscFit& fit, const Photo& photo, const FitSettings& settings, double contrast) {
-    if (!collect_pixels(fit, photo, settings.smoothing)) return false;
+/// Leave out what lies behind a cover; return false if that is too much of the disc.
+bool is_shown(DiscFit& fit) {
+    fit.shown = leave_out_covered(fit.pixels, fit.disc.shape);
+    return fit.shown > SHOWN;
+}
+
+/// Estimate background and contrast, first the ball's shade beside the disc; return false if there is no disc.
+bool estimate_light(DiscFit& fit, const Photo& photo, const FitSettings& settings, double contrast) {
     Pixels& pixels = fit.pixels;
-    fit.x(8) = 1.0;
-    fit.expect(float(settings.blur));
     if (std::count_if(pixels.e, pixels.e + pixels.count, [](float e) { return e < CLEAR; }) < UNKNOWNS) return false;
     fit_background(pixels, fit.x, float(photo.noise));
     const double a = contrast_of(pixels, fit.x);
-    fit.x(3) = a;
+    fit.x.segment<3>(3) << a, 0.0, 0.0;
     if (!(a >= std::max(0.3 * contrast * lighter(fit.x), 2.0 * photo.noise))) return false;
     fit.scale = std::max(photo.noise, UNEVEN * a);
     // across a sliver a slope of the contrast and a shift of the centre look alike: there gloss is left out
     fit.gloss = std::clamp((fit.minor - 2.0 * settings.blur) / 1.5, 0.01, 1.0) / fit.major;
     leave_out_foreign(pixels, fit.x, float(BESIDE * a + 4.0 * photo.noise));
     return true;
+}
+
+/// Begin a fit at the expected place; return false if there is no disc.
+bool begin(DiscFit& fit, const Photo& photo, const FitSettings& settings, double contrast) {
+    if (!collect_pixels(fit, photo, settings.smoothing)) return false;
+    fit.x(8) = 1.0;
+    fit.expect(float(settings.blur));
+    return is_shown(fit) && estimate_light(fit, photo, settings, contrast);
 }
 
 /// Fit the size, too; return false if the result is no disc.
@@ -218,16 +237,23 @@ double full_contrast(const std::vector<DiscFit>& fits) {
     return count >= 3 ? full : 1.0;
 }
 
-/// Move the usual contrast towards the median one of the clear discs, or set it if it is 0.
-void learn_contrast(const std::vector<DiscFit>& fits, const std::vector<Fit>& results, double& usual) {
-    std::vector<double> contrasts;
+/// Move a usual value towards the median one of a frame's clear discs, or set it if it is 0.
+void learn(std::vector<double>& values, double& usual) {
+    std::nth_element(values.begin(), values.begin() + values.size() / 2, values.end());
+    usual += (usual > 0.0 ? LEARNING_RATE : 1.0) * (values[values.size() / 2] - usual);
+}
+
+/// Learn size and contrast from the clear discs of a frame.
+void learn_common(const std::vector<DiscFit>& fits, const std::vector<Fit>& results, Common& common) {
+    std::vector<double> sizes, contrasts;
     for (size_t i = 0; i < fits.size(); i++)
-        if (results[i].ok && fits[i].minor > LARGE && results[i].covariance.trace() < 2.0 * CLEAR_SIGMA * CLEAR_SIGMA)
+        if (results[i].ok && fits[i].minor > LARGE && results[i].covariance.trace() < 2.0 * CLEAR_SIGMA * CLEAR_SIGMA) {
+            sizes.push_back(fits[i].x(8));
             contrasts.push_back(fits[i].x(3) / lighter(fits[i].x));
-    if (contrasts.empty()) return;
-    std::nth_element(contrasts.begin(), contrasts.begin() + contrasts.size() / 2, contrasts.end());
-    const double median = contrasts[contrasts.size() / 2];
-    usual += (usual > 0.0 ? LEARNING_RATE : 1.0) * (median - usual);
+        }
+    if (sizes.empty()) return;
+    learn(sizes, common.size);
+    learn(contrasts, common.contrast);
 }
 
 /// Return the part of a disc's surround that is not the ball.
@@ -240,40 +266,67 @@ double foreign_beside(const Pixels& pixels) {
     return double(foreign) / std::max(clear, 1);
 }
 
-/// Fit a disc of known size.
-Fit fit_centre(DiscFit& fit, const Photo& photo, const FitSettings& settings, double contrast, double size,
-               double full) {
+/// Fit the centre with a known size, and return the centre's last step, px.
+double fit_known_size(DiscFit& fit, const FitSettings& settings, double size, double size_sigma, double full) {
     const Unknowns& x = fit.x;
-    const double size_sigma = SIZE + RIM_OFFSET / 3.0 / fit.minor;
     double moved = 1.0;
-    for (size_t round = 0; round < std::size(LIMITS) && !(round > 1 && moved < STILL); round++) {
-        biweight(fit.pixels, x, LIMITS[round], float(fit.scale));
+    for (int round = 0; round < MOST_ROUNDS && !(round > 1 && moved < STILL); round++) {
+        biweight(fit.pixels, x, moved > FAR ? WIDE_LIMIT : LIMIT, float(fit.scale));
         const double gloss = fit.gloss * std::min(std::max(1.0 - x(3) / lighter(x) / full, UNEVEN), GLOSS);
         moved = gauss_newton_step(fit, {gloss, size, size_sigma}, round < 2 ? 1.0 : 0.5);
         fit.expect(float(settings.blur));
     }
+    return moved;
+}
+
+/// Return the covariance of the centre, px², without the systematic part of all discs.
+Matrix<2> covariance_of(const DiscFit& fit, const Quality& q, double noise) {
+    // of the pixels' noise the smoothing leaves about a half in a centre
+    const double variance = std::max(q.squares / std::max(q.weight - UNKNOWNS, 1.0), 0.5 * noise * noise);
+    Matrix<3> C;  // of centre and size; they are the last unknowns, so the others do not matter
+    for (int j = 0; j < 3; j++) C.row(j) = solve<3>(fit.L.bottomRightCorner<3, 3>(), Vector<3>::Unit(j));
+    // where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
+    const double sliver = SLIVER_BIAS / (fit.minor * fit.minor);
+    const double near = fit.shown < 1.0 ? 1.0 : std::min(foreign_beside(fit.pixels) / NEAR_COVER, 1.0);
+    const double cover = near * COVER_BIAS / std::pow(fit.minor, 3);
+    // what shifts a rim changes the size of a whole disc, and moves the centre of one with a rim on one side only
+    const Vector<2> moved = C.topRightCorner<2, 1>() / C(2, 2) * fit.rim_sigma();
+    return variance * C.topLeftCorner<2, 2>() + sliver * sliver * Matrix<2>::Identity() +
+           cover * cover * fit.disc.shape + moved * moved.transpose();
+}
+
+/// Fit a disc of known size.
+///
+/// The fitted place shows better than the expected one whether a cover hides a part of the disc.
+Fit fit_centre(DiscFit& fit, const Photo& photo, const FitSettings& settings, double contrast, double size,
+               double full) {
+    const Unknowns& x = fit.x;
+    const double size_sigma = SIZE + fit.rim_sigma();
+    double moved = fit_known_size(fit, settings, size, size_sigma, full);
+    const bool was_covered = fit.shown < 1.0;
+    Vector<2> corrected = Vector<2>::Zero();
+    if (was_covered) {
+        fit.pixels.restore();
+        fit.expect(float(settings.blur));
+    }
+    if (!is_shown(fit)) return {};
+    if (was_covered || fit.shown < 1.0) {
+        corrected = x.segment<2>(6);
+        if (!estimate_light(fit, photo, settings, contrast)) return {};
+        moved = fit_known_size(fit, settings, size, size_sigma, full);
+        corrected -= x.segment<2>(6);
+    }
     const Quality q = quality(fit.pixels, x);
-    const double rim = q.fits / (q.rim + 1e-9), cut = q.covered / (q.rim + 1e-9);
+    const double rim = q.fits / (q.rim + 1e-9);
     // the far rim of a sliver drowns in the limb; half of it, with the known size, still fixes the centre
     const double least = fit.minor < SLIVER ? std::min(0.45, settings.rim) : settings.rim;
     const double area = 3.14159265358979323846 * std::sqrt(fit.disc.shape.determinant()) * size * size;
     Fit result;
-    result.ok = is_deep(x, contrast, photo.noise) && rim > least && q.inside > 0.4 * area && moved < 0.1;
-    result.rim = rim;
+    result.ok = is_deep(x, contrast, photo.noise) && rim > least && q.inside > 0.4 * area * fit.shown && moved < 0.1;
+    result.rim = rim * fit.shown;
     result.centroid = fit.disc.place + x.segment<2>(6);
-    // of the pixels' noise the smoothing leaves about a half in a centre
-    const double variance = std::max(q.squares / std::max(q.weight - UNKNOWNS, 1.0), 0.5 * photo.noise * photo.noise);
-    // where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
-    const double sliver = SLIVER_BIAS / (fit.minor * fit.minor);
-    // The edge of a cover passes for a rim: it shifts the size as much as the centre. Gloss fits as badly, with nothing
-    // foreign beside it. Of whole discs one in twenty fits worse than `whole`.
-    const double shifted = std::max((std::abs(x(8) - size) - size_sigma) * fit.minor - 2.0 * sliver, 0.0);
-    const double whole = 0.95 - 0.1 / fit.minor, near = std::min(foreign_beside(fit.pixels) / NEAR_COVER, 1.0);
-    const double covered = std::max(CUT * cut, near * MISFIT * (whole - rim)) + near * shifted * shifted;
-    const double systematic = settings.sigma * settings.sigma + sliver * sliver + covered;
-    const Matrix<3> L = fit.L.bottomRightCorner<3, 3>();  // of the last unknowns, so the others do not matter
-    for (int j = 0; j < 2; j++) result.covariance.row(j) = variance * solve<3>(L, Vector<3>::Unit(j)).head<2>();
-    result.covariance.diagonal().array() += systematic;
+    const double systematic = settings.sigma * settings.sigma + corrected.squaredNorm();
+    result.covariance = covariance_of(fit, q, photo.noise) + systematic * Matrix<2>::Identity();
     return result;
 }
 
@@ -307,65 +360,11 @@ nb::tuple fit_discs_(nb::handle image, nb::handle mask, nb::handle expected_, do
     return nb::make_tuple(ok, centroid, covariance, rim, common.size);
 }
 
-/// Return the standard deviation of a projected pixel, from second differences along sixteen rows.
-///
-/// Their median: half of the pixels may be edges.
-double noise_of(nb::handle image_, nb::handle weights_, int top, int bottom, int left, int right) {
-    const auto image = array<const uint8_t, -1, -1, -1>(image_, "image");
-    const auto weights = array<const float, -1>(weights_, "weights");
-    if (weights.shape(0) != image.shape(2)) throw nb::type_error("weights: must have one for each channel of image");
-    if (top < 0 || left < 0 || bottom < top || right < left || bottom > int(image.shape(0)) ||
-        right > int(image.shape(1)))
-        throw nb::value_error("window: must lie in image");
-    constexpr double ROUNDING = 0.29;  // standard deviation of a whole number
-    int count[1024] = {}, total = 0;
-    const int step = std::max((bottom - top) / 16, 1);
-    for (int i = top + step / 2; i < bottom; i += step)
-        for (int j = left + 1; j < right - 1; j++) {
-            float d = 0.0f;
-            for (size_t c = 0; c < weights.shape(0); c++) {
-                const uint8_t* p = &image(size_t(i), size_t(j), c);
-                d += weights(c) * float(2 * p[0] - p[-int(weights.shape(0))] - p[weights.shape(0)]);
-            }
-            count[int(std::min(1023.0f, std::fabs(d) + 0.5f))]++;
-            total++;
-        }
-    int below = 0;
-    for (int d = 0; d < 1024; below += count[d++])
-        if (2 * (below + count[d]) >= total)  // of whole numbers the median lies within the step: interpolated
-            return std::max((d - 0.5 + (0.5 * total - below) / std::max(count[d], 1)) * 1.4826 / std::sqrt(6.0),
-                            ROUNDING);
-    return ROUNDING;
-}
-
 }  // namespace
-
-Photo read_photo(nb::handle image_, nb::handle mask_, nb::handle projection, double noise) {
-    const auto image = array<const uint8_t, -1, -1, -1>(image_, "image");
-    const auto mask = array<const uint8_t, -1, -1>(mask_, "mask");
-    if (image.shape(0) != mask.shape(0) || image.shape(1) != mask.shape(1) || image.size() == 0)
-        throw nb::type_error("mask: must have the size of image");
-    if (image.shape(2) != 1 && image.shape(2) != 3) throw nb::type_error("image: must have one channel or three");
-    Photo photo{image, mask, {}, noise};
-    const nb::tuple weights = members(members(projection, 1, "projection")[0], 3, "weights");
-    float sum = 0.0f;
-    for (size_t k = 0; k < 3; k++) {
-        sum += photo.weights[k] = number<float>(weights[k], "weights");
-        if (!(std::abs(photo.weights[k]) <= 1.0f)) throw nb::value_error("weights: must be from -1 to 1");
-    }
-    if (image.shape(2) == 1) photo.weights[0] = sum >= 0.0f ? 1.0f : -1.0f;
-    return photo;
-}
-
-FitSettings read_fit_settings(nb::handle given) {
-    const nb::tuple settings = members(given, 7, "settings");
-    const auto scalar = [&](int i) { return number<double>(settings[i], "settings"); };
-    return {scalar(1), scalar(2), scalar(3), scalar(4), scalar(5), scalar(6)};
-}
 
 std::vector<Fit> fit_discs(const Photo& photo, const std::vector<Expected>& discs, const FitSettings& settings,
                            double contrast, Common& common) {
-    double& size = common.size;
+    double size = common.size;
     std::vector<DiscFit> fits(discs.size());
     for (size_t i = 0; i < discs.size(); i++) {
         fits[i].disc = discs[i];
@@ -381,12 +380,13 @@ std::vector<Fit> fit_discs(const Photo& photo, const std::vector<Expected>& disc
     for (size_t i = 0; i < discs.size(); i++)
         if (fits[i].plausible)
             results[i] = fit_centre(fits[i], photo, settings, contrast, size > 0.0 ? size : 1.0, full);
-    learn_contrast(fits, results, common.contrast);
+    learn_common(fits, results, common);
+    for (size_t i = 0; i < discs.size() && common.size > 0.0; i++)
+        results[i].ok &= std::abs(fits[i].x(8) - common.size) < OTHER_SIZE * (SIZE + fits[i].rim_sigma());
     return results;
 }
 
 void bind_fit(nb::module_& m) {
-    m.def("noise_of", &noise_of, arg("image"), arg("weights"), arg("top"), arg("bottom"), arg("left"), arg("right"));
     m.def("fit_discs", &fit_discs_, arg("image"), arg("mask"), arg("expected"), arg("noise"), arg("settings"),
           arg("contrast"), arg("size"));
 }

@@ -1,11 +1,13 @@
 #include "spheremouse/ball/detect/pixels.h"
 
 #include <cstring>
+#include <tuple>
 #include <utility>
 
 namespace spheremouse::ball {
 namespace {
 
+constexpr float FILL = 1e6f;         // grey value of the pixels that fill the last lanes
 constexpr double RIPPLE_STEP = 1.8;  // of the blur, px between the images of a smear: its ripple is below 1 %
 
 #pragma GCC diagnostic ignored "-Wpsabi"  // all functions of lanes are inlined
@@ -184,10 +186,34 @@ void Pixels::reserve(size_t pixels) {
 }
 
 void Pixels::resize(size_t pixels) {
-    count = pixels;
+    count = all_ = pixels;
+    fill();
+}
+
+void Pixels::fill() {
     size = (count + LANES - 1) / LANES * LANES;
-    const float far = 50.0f + 0.25f * float(count);  // px beyond the disc and its blur
-    for (size_t i = count; i < size; i++) x[i] = x[0] + far, y[i] = y[0] + far, grey[i] = 1e6f, weight[i] = 0.0f;
+    const float far = 50.0f + 0.25f * float(all_);  // px beyond the disc and its blur
+    for (size_t i = count; i < size; i++) {
+        x[i] = x[0] + far, y[i] = y[0] + far, grey[i] = FILL;
+        for (float* column : {weight, e, d[0], d[1], d[2]}) column[i] = 0.0f;
+    }
+}
+
+void Pixels::exchange(size_t i, size_t j) {
+    for (float* column : {x, y, grey, weight, e, d[0], d[1], d[2]}) std::swap(column[i], column[j]);
+}
+
+void Pixels::keep(size_t pixels) {
+    count = pixels;
+    for (size_t l = 0; l < LANES && count + l < all_; l++) last_[l] = {x[count + l], y[count + l], grey[count + l]};
+    fill();
+}
+
+void Pixels::restore() {
+    for (size_t l = 0; l < LANES && count + l < all_; l++)
+        std::tie(x[count + l], y[count + l], grey[count + l]) = last_[l];
+    count = all_;
+    fill();
 }
 
 const float* cut_patch(const Photo& photo, double smoothing, int top, int left, int h, int w) {
@@ -321,20 +347,44 @@ WIDE void leave_out_foreign(Pixels& p, const Vector<UNKNOWNS>& x, float foreign)
     }
 }
 
+WIDE Shades shades(const Pixels& p) {
+    Lanes greatest_e = {}, sum = {}, count = {}, least = Lanes{} + FILL, greatest = Lanes{} - FILL;
+    for (size_t i = 0; i < p.size; i += LANES) {
+        const Lanes e = lanes(p.e, i), grey = lanes(p.grey, i);
+        greatest_e = e > greatest_e ? e : greatest_e;
+        const auto beside = (e < CLEAR) & (grey < FILL);
+        sum += beside ? grey : Lanes{};
+        count += beside ? Lanes{} + 1.0f : Lanes{};
+    }
+    float most = 0.0f;
+    for (size_t l = 0; l < LANES; l++) most = std::max(most, greatest_e[l]);
+    Shades s{most, total(sum) / std::max(total(count), 1.0f), FILL, -FILL};
+    for (size_t i = 0; i < p.size; i += LANES) {
+        const Lanes e = lanes(p.e, i), value = s.ball + (lanes(p.grey, i) - s.ball) * (most / (e + 1e-6f));
+        const auto inside = e > INSIDE * most;
+        least = inside & (value < least) ? value : least;
+        greatest = inside & (value > greatest) ? value : greatest;
+    }
+    for (size_t l = 0; l < LANES; l++) {
+        s.least = std::min(s.least, least[l]);
+        s.greatest = std::max(s.greatest, greatest[l]);
+    }
+    return s;
+}
+
 WIDE Quality quality(const Pixels& p, const Vector<UNKNOWNS>& x) {
     const Light light(x);
-    Lanes fits = {}, covered = {}, rim = {}, inside = {}, squares = {}, weight = {};
+    Lanes fits = {}, rim = {}, inside = {}, squares = {}, weight = {};
     for (size_t i = 0; i < p.size; i += LANES) {
         const Lanes dx = lanes(p.d[0], i), dy = lanes(p.d[1], i), w = lanes(p.weight, i);
         const Lanes slope = root(dx * dx + dy * dy), r = light.residual(p, i);
         fits += w * slope;
-        covered += w < COVERED ? slope : Lanes{};
         rim += slope;
         inside += lanes(p.e, i);
         squares += w * r * r;
         weight += w;
     }
-    return {total(fits), total(covered), total(rim), total(inside), total(squares), total(weight)};
+    return {total(fits), total(rim), total(inside), total(squares), total(weight)};
 }
 
 }  // namespace spheremouse::ball

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <memory>
+#include <tuple>
 
 #include "spheremouse/ball/detect/disc_model.h"
 
@@ -12,6 +13,7 @@ constexpr int EDGE = 3;          // px around a patch that the smoothing needs
 constexpr float CLEAR = 0.02f;   // part of a disc's darkness below which a pixel lies beside it
 constexpr float COVERED = 0.3f;  // weight below which a pixel shows something else
 constexpr float BESIDE = 0.2f;   // of the contrast: what is beside a disc and differs more from the ball is foreign
+constexpr float INSIDE = 0.9f;   // part of the greatest darkness from which a pixel lies inside the disc
 constexpr size_t LANES = 8;      // partial sums, one for each lane of a wide register
 
 /// Pixels relative to the place of a disc, and the model's value e there, with its derivatives by centre and size.
@@ -27,8 +29,21 @@ struct Pixels {
     /// Keep that many pixels, and fill the last lanes.
     void resize(size_t pixels);
 
+    /// Exchange two pixels.
+    void exchange(size_t i, size_t j);
+
+    /// Keep that many of the first pixels until `restore`.
+    void keep(size_t pixels);
+
+    /// Take all pixels again. Those that `keep` left out have no value of the model.
+    void restore();
+
   private:
     std::unique_ptr<float[]> memory_;
+    size_t all_ = 0;                                    // pixels
+    std::tuple<float, float, float> last_[LANES] = {};  // x, y and grey that the last lanes hide
+
+    void fill();
 };
 
 /// An ellipse, (x - c)' inverse (x - c) = size².
@@ -61,11 +76,29 @@ double contrast_of(const Pixels& p, const Vector<UNKNOWNS>& x);
 /// Set weight 0 beside the disc for pixels that differ by more than `foreign` from the background, else 1.
 void leave_out_foreign(Pixels& p, const Vector<UNKNOWNS>& x, float foreign);
 
+/// Grey values around a disc, and inside of it. Those of pixels at its rim are extrapolated to the darkest part.
+struct Shades {
+    float most;             // greatest part of the disc's darkness in a pixel
+    float ball;             // mean beside the disc
+    float least, greatest;  // inside
+
+    bool is_inside(float e) const { return e > INSIDE * most; }
+    float value(float grey, float e) const { return ball + (grey - ball) * most / e; }
+};
+
+Shades shades(const Pixels& p);
+
+/// Leave out the pixels behind the straight edge of a cover, if one cuts the disc; return the part of the rim beside
+/// it.
+///
+/// Two shades inside of the disc show a cover, if a line separates them. `shape` is the disc's, as in `Expected`.
+double leave_out_covered(Pixels& p, const Shape& shape);
+
 /// Sums that tell how well a disc fits.
 struct Quality {
-    double fits, covered, rim;  // slopes of the rim that fit, of those that do not at all, and of all
-    double inside;              // px² of the disc
-    double squares, weight;     // of the residuals
+    double fits, rim;        // slopes of the rim that fit, and of all
+    double inside;           // px² of the disc
+    double squares, weight;  // of the residuals
 };
 
 Quality quality(const Pixels& p, const Vector<UNKNOWNS>& x);

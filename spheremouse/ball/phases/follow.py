@@ -56,7 +56,7 @@ def detect_discs(
     )  # a DiscDetector, as `build` chose this method
     tracking, before = state.status is Status.TRACKING, state.search
     if not (tracking and state.known_to_turn):  # bolts, or another ball
-        before = before._replace(contrast=0.0)
+        before = before._replace(size=0.0, contrast=0.0)
     if not tracking or state.confirmed_at != state.filter.stamp:
         return detector.detect(frame.image, before.contrast), before
     which = tracker.filter.visible(predicted)

@@ -1,13 +1,15 @@
 """How a disc looks: predicted ellipses against a cap sampled densely and projected point by point with OpenCV."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from ray_cast import NO_TARGETS, looking_at, polygon_moments, to_image
 
-from spheremouse.ball.detect.appearance import appearance, ball_mask, ball_outline, largest_disc
-from spheremouse.ball.rig import Ball, Rig
+from spheremouse.ball.detect.appearance import appearance, ball_mask, ball_outline, clear_mask, largest_disc
+from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 
 STRONG = InteriorOrientation(1920, 1080, 1404.0, 1390.0, 967.0, 540.0, np.array([-0.4, 0.2, 2e-3, -1e-3, -0.05]))
@@ -124,3 +126,15 @@ def test_no_directions_no_appearance():
     assert seen.shape.shape == (0, 2, 2)
     hidden = appearance(-directions(rig, pose)[:3], rig, pose)
     assert_array_equal(hidden.whole, False)
+
+
+@pytest.mark.parametrize(("height", "covers"), [(0.9, True), (-0.9, False)])
+def test_a_ring_target_covers_the_ball_if_it_is_in_front_of_it(height, covers):
+    rig, pose = device(PLAIN)
+    at = rig.ball.centre + height * (pose.position - rig.ball.centre) / np.linalg.norm(pose.position)
+    targets = Targets((0,), ("CMY",), at[None], np.zeros((3, 3)), np.array([0.01, 0.02, 0.03]))
+    mask = clear_mask(replace(rig, targets=targets), pose)
+    edge, beside = at + np.array([0.029, 0.0, 0.0]), at + np.array([0.05, 0.0, 0.0])
+    inside, outside = (to_image(p[None], rig, pose)[0] for p in (edge, beside))
+    values = [mask[round(float(v)), round(float(u))] for u, v in (inside, outside)]
+    assert values == [0 if covers else 255, 255]

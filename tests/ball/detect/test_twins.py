@@ -73,13 +73,37 @@ def test_the_fit_is_its_twin_up_to_single_precision(channels, size, way):
         expected = place[None], shape[None], path[None]
         ok, centroid, covariance, rim, _ = kernels.fit_discs(image, mask, expected, 1.0, SETTINGS, 0.25, size)
         deep, at, C, fits = twins.fit_disc(image, mask, place, shape, path, 1.0, SETTINGS, size)
-        if ok[0]:
+        if ok[0] and rim[0] > 0.5:  # of less, single pixels decide where a cover ends
             assert deep
             assert_allclose(centroid[0], at, atol=1e-4)
-            assert_allclose(covariance[0], C, rtol=1e-3)
+            assert_allclose(covariance[0], C, rtol=1e-3, atol=1e-6)
             assert_allclose(rim[0], fits, atol=1e-4)
             count += 1
     assert count >= (12 if way == 0.0 else 3)
+
+
+@pytest.mark.parametrize("grey", [60, 90, 250])
+def test_a_disc_behind_a_cover_is_fitted_as_its_twin(grey):
+    rng = np.random.default_rng(5)
+    count = 0
+    for _ in range(20):
+        shape = np.diag(rng.uniform(5.0, 9.0, 2) ** 2)
+        c = np.array([24.0, 22.0]) + rng.uniform(-1.0, 1.0, 2)
+        image, mask = picture(rng, 1, c, shape), np.full((44, 48), 255, np.uint8)
+        y, x = np.mgrid[:44, :48]
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        image[(x - c[0]) * np.cos(angle) + (y - c[1]) * np.sin(angle) > rng.uniform(0.0, 5.0)] = grey
+        place, path = c + rng.uniform(-0.5, 0.5, 2), np.zeros(7)
+        expected = place[None], shape[None], path[None]
+        ok, centroid, covariance, rim, _ = kernels.fit_discs(image, mask, expected, 1.0, SETTINGS, 0.25, 1.0)
+        deep, at, C, fits = twins.fit_disc(image, mask, place, shape, path, 1.0, SETTINGS, 1.0)
+        if ok[0]:
+            assert deep
+            assert_allclose(centroid[0], at, atol=2e-4)
+            assert_allclose(covariance[0], C, rtol=1e-3, atol=1e-5)
+            assert_allclose(rim[0], fits, atol=1e-4)
+            count += fits < 0.9
+    assert count >= 8
 
 
 @pytest.mark.parametrize("exposure", [0.0, 0.01])
@@ -125,7 +149,7 @@ def test_a_search_is_that_of_the_twin(projection):
         arguments = np.zeros((0, 3)), model, DETECTOR.lattice.of_turn(turn), search, AT_REST, known, 0
         centre, covariance, area, state = kernels.follow_discs(colours, *arguments)
         assert_allclose(centre, found.centre, rtol=1e-5)  # the places are sums in single precision
-        assert_allclose(covariance, found.covariance, rtol=1e-3)
+        assert_allclose(covariance, found.covariance, rtol=1e-3, atol=1e-9)
         assert_allclose(area, found.area, rtol=1e-5)
         assert state[:3] == after[:3]
         assert_allclose(state[3], after.rejected, rtol=1e-5)

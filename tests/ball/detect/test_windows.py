@@ -37,7 +37,8 @@ def test_noise_and_size_are_learnt_and_remembered(noise):
     assert abs(learnt.noise / noise - 1.0) < 0.1
     assert abs(learnt.size - 1.0) < 0.05
     seen, same = DETECTOR.follow(image, learnt, DISCS)
-    assert (same.noise, same.size) == (learnt.noise, learnt.size)
+    assert same.noise == learnt.noise
+    assert abs(same.size - learnt.size) < 1e-3
     i, j = match(seen, TRUTH).T
     assert len(i) == len(TRUTH)
     assert np.sqrt(np.mean(np.square(seen.centre[i] - TRUTH[j]))) < 0.02 + 0.01 * noise
@@ -131,18 +132,35 @@ def test_a_moving_disc_is_where_it_is_at_mid_exposure(rate):
 
 @pytest.mark.parametrize("readout", [0.03, 0.015])
 def test_a_disc_is_looked_for_where_it_is_when_its_row_is_read(readout):
-    rate = np.array([5.0, 2.0, -2.0]) * 0.015 / readout
+    rate = np.array([10.0, 4.0, -4.0]) * 0.015 / readout
     t = np.zeros(len(DISCS))
     for _ in range(8):
         then = np.einsum("nij,nj->ni", exp(t[:, None] * rate), DISCS)
         t = readout * ((centre_of(then, RIG, POSE)[:, 1] + 0.5) / 480 - 0.5)
     truth = centre_of(then, RIG, POSE)
-    assert np.linalg.norm(truth - TRUTH, axis=1).max() > 3.0
+    assert np.linalg.norm(truth - TRUTH, axis=1).max() > 6.0
     image = photo(ray_cast(then), 1.0)
     seen = follow(image, DISCS, rate, readout)
     pairs = match(seen, truth, 0.3)
     assert len(pairs) == len(seen) == len(DISCS)
     assert len(match(follow(image, DISCS, rate), truth, 0.3)) < len(DISCS)
+
+
+@pytest.mark.parametrize("radius", [0.85, 1.2])
+def test_a_spot_of_another_size_in_the_window_of_a_disc_is_none(radius):
+    """A bolt on the frame hides a disc, or looks like it."""
+    rig = replace(RIG, disc_radius=radius * RIG.disc_radius)
+    image = photo(
+        np.where(
+            np.hypot(*(np.mgrid[:480, :640] - TRUTH[0, ::-1, None, None])) < 25.0, ray_cast(DISCS, rig=rig), CLEAN
+        ),
+        1.0,
+    )
+    _, learnt = DETECTOR.follow(photo(CLEAN, 1.0), SearchState(), DISCS)
+    first, _ = DETECTOR.follow(image, SearchState(), DISCS[:1], least=2)
+    seen, _ = DETECTOR.follow(image, learnt, DISCS, least=len(DISCS) + 1)
+    assert len(match(first, TRUTH[:1], 0.3)) == 1  # with no other disc in view it may be one
+    assert sorted(match(seen, TRUTH)[:, 1]) == list(range(1, len(DISCS)))
 
 
 def behind_a_strut(which, level, share, turn):
@@ -164,15 +182,7 @@ def behind_a_strut(which, level, share, turn):
     [
         pytest.param(5.0, id="black"),
         pytest.param(110.0, id="mid-grey"),
-        pytest.param(
-            BALL,
-            id="as the ball",
-            marks=pytest.mark.xfail(
-                strict=True,
-                raises=AssertionError,
-                reason="a rim cut by what looks like the ball passes for a rim: 0.5 px off, ten sigma",
-            ),
-        ),
+        pytest.param(BALL, id="as the ball"),
         pytest.param(240.0, id="light"),
     ],
 )

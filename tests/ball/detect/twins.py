@@ -9,9 +9,9 @@ from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import exp
 
 SURROUND, UNEVEN, GLOSS, SLOPE, BESIDE, CLEAR = 3.0, 0.02, 0.3, 0.02, 0.2, 0.02
-SIZE, RIM_OFFSET, SLIVER, SLIVER_BIAS, STILL = 0.02, 0.35, 2.0, 0.15, 0.01
-CUT, MISFIT, NEAR_COVER = 1.5, 3.0, 0.02
-LIMITS = 0.35, 0.25, 0.25, 0.25, 0.25
+SIZE, RIM_OFFSET, SLIVER_BIAS, COVER_BIAS, NEAR_COVER = 0.02, 0.35, 0.15, 1.5, 0.02
+LIMIT, WIDE_LIMIT, FAR, STILL, MOST_ROUNDS = 0.25, 0.5, 0.5, 0.01, 10
+LIFTED, TWO_SHADES, STRAY, MARGIN = 0.15, 0.8, 0.3, 2.0
 
 
 def phi(x):
@@ -48,6 +48,33 @@ def deep(u, contrast, noise):
     return u[3] > max(contrast * lighter(u[0] + u[1] * u[6] + u[2] * u[7], u[3]), 4.0 * noise)
 
 
+def beside_cover(x, y, grey, e, shape):
+    """Return a mask, (n,), of the pixels before the straight edge of a cover that cuts a disc: all without a cover.
+
+    Otsu's threshold divides the pixels inside of the disc, and a line has to divide them alike.
+    """
+    everything = np.ones(len(x), dtype=bool)
+    ball, inside = grey[e < CLEAR].mean(), e > 0.9 * e.max()
+    value, at = ball + (grey[inside] - ball) * e.max() / e[inside], np.stack([x, y], axis=1)[inside]
+    v, n = np.sort(value), len(value)
+    if v[-1] - v[0] <= LIFTED * (ball - v[0]):
+        return everything
+    k, below = np.arange(1, n), np.cumsum(v)[:-1]
+    low, high = below / k, (v.sum() - below) / (n - k)
+    between = k * (n - k) / n * (high - low) ** 2
+    dark = k[best] if between[best := np.argmax(between)] > TWO_SHADES * n * v.var() else 0
+    if dark < 6 or n - dark < 3 or high[best] - low[best] <= LIFTED * (ball - low[best]):
+        return everything
+    light = value > 0.5 * (v[dark - 1] + v[dark])
+    to_circle = np.linalg.inv(np.linalg.cholesky(shape))
+    normal = to_circle.T @ to_circle @ (at[light].mean(axis=0) - at[~light].mean(axis=0))
+    normal /= np.linalg.norm(normal)
+    edge = np.sort(at @ normal)[dark] - 0.5
+    if np.count_nonzero(light != (at @ normal > edge)) > STRAY * min(dark, n - dark) + 2:
+        return everything
+    return np.stack([x, y], axis=1) @ normal <= edge - MARGIN
+
+
 class Fit:
     """Fit of one disc, with the unknowns u: background, contrast (level and slopes each), centre and size."""
 
@@ -63,7 +90,8 @@ class Fit:
         offset = np.stack(np.meshgrid(*map(np.arange, image.shape[1::-1])), axis=-1) - place
         near = np.einsum("hwi,ij,hwj->hw", offset, np.linalg.inv(grown), offset) < 1.0
         self.x, self.y = offset[near & (mask > 0)].T
-        self.grey = grey[near & (mask > 0)]
+        self.grey, self.shape, self.shown = grey[near & (mask > 0)], shape, 1.0
+        self.all = self.x, self.y, self.grey
         self.inverse, self.path, self.noise, self.blur = np.linalg.inv(shape), path, noise, settings.blur
         self.u = np.append(np.zeros(8), 1.0)
         self.expect()
@@ -71,11 +99,23 @@ class Fit:
     def expect(self):
         self.e, self.d = expected(self.x, self.y, self.inverse, self.u[6:], self.path, self.blur)
 
+    def leave_out_covered(self):
+        """Look for a cover among all pixels, and leave out what lies behind it."""
+        self.x, self.y, self.grey = self.all
+        self.expect()
+        keep, slope = beside_cover(*self.all, self.e, self.shape), np.hypot(*self.d[:2])
+        if not keep.all():
+            self.shown = slope[keep].sum() / slope.sum()
+            self.x, self.y, self.grey = (column[keep] for column in self.all)
+            self.expect()
+        else:
+            self.shown = 1.0
+
     def residual(self):
         plane = np.stack([np.ones_like(self.x), self.x, self.y])
         return self.grey - self.u[:3] @ plane + self.u[3:6] @ plane * self.e
 
-    def begin(self):
+    def estimate_light(self):
         """Fit the background beside the disc, and the contrast."""
         plane, beside = np.stack([np.ones_like(self.x), self.x, self.y]), self.e < CLEAR
         w = beside.astype(float)
@@ -87,6 +127,7 @@ class Fit:
             if k < 2:
                 w = beside & (off < max(1.5 * (w @ off) / w.sum(), 2.0 * self.noise))
         core = self.e > 0.3
+        self.u[3:6] = 0.0
         self.u[3] = self.e[core] @ (self.u[:3] @ plane - self.grey)[core] / np.sum(self.e[core] ** 2)
         self.w = np.where(beside & (off > BESIDE * self.u[3] + 4.0 * self.noise), 0.0, 1.0)
         self.scale = max(self.noise, UNEVEN * self.u[3])
@@ -119,30 +160,45 @@ class Fit:
         self.w = np.maximum(1.0 - ratio**2, 0.0) ** 2
 
 
+def fit_known_size(fit, size, size_sigma):
+    """Fit the centre, and return its last step."""
+    moved = 1.0
+    for k in range(MOST_ROUNDS):
+        fit.biweight(WIDE_LIMIT if moved > FAR else LIMIT)
+        gloss = fit.gloss * min(max(1.0 - fit.u[3] / lighter(fit.u[0], fit.u[3]), UNEVEN), GLOSS)
+        moved = fit.step(gloss, size, size_sigma, 1.0 if k < 2 else 0.5)
+        if k and moved < STILL:
+            break
+
+
 def fit_disc(image, mask, place, shape, path, noise, settings, size):
     """Twin of `kernels.fit_discs` for a single disc without refusals: is it deep, its centroid, covariance and rim."""
     fit = Fit(image, mask, place, shape, path, noise, settings)
-    fit.begin()
+    fit.leave_out_covered()
+    fit.estimate_light()
     for k in range(0 if size else 2):
         if k:
             fit.biweight(0.5)
         fit.step(GLOSS * fit.gloss, 1.0, 0.4 * settings.size_tolerance, 1.0)
     size, fit.u[8] = size or 1.0, size or fit.u[8]
-    for k, limit in enumerate(LIMITS):
-        fit.biweight(limit)
-        gloss = fit.gloss * min(max(1.0 - fit.u[3] / lighter(fit.u[0], fit.u[3]), UNEVEN), GLOSS)
-        moved = fit.step(gloss, size, SIZE + RIM_OFFSET / 3.0 / fit.minor, 1.0 if k < 2 else 0.5)
-        if k and moved < STILL:
-            break
+    rim_sigma = RIM_OFFSET / 3.0 / fit.minor
+    fit_known_size(fit, size, SIZE + rim_sigma)
+    was_covered, corrected = fit.shown < 1.0, np.zeros(2)
+    fit.leave_out_covered()
+    if was_covered or fit.shown < 1.0:
+        corrected = fit.u[6:8].copy()
+        fit.estimate_light()
+        fit_known_size(fit, size, SIZE + rim_sigma)
+        corrected -= fit.u[6:8]
     slope, r = np.hypot(*fit.d[:2]), fit.residual()
-    rim, cut = fit.w @ slope / slope.sum(), slope[fit.w < 0.3].sum() / slope.sum()
+    rim = fit.shown * (fit.w @ slope) / slope.sum()
     variance = max(fit.w @ r**2 / max(fit.w.sum() - 9, 1.0), 0.5 * noise**2)
-    sliver, size_sigma, clear = SLIVER_BIAS / fit.minor**2, SIZE + RIM_OFFSET / 3.0 / fit.minor, fit.e < CLEAR
-    near = min(np.mean(fit.w[clear] < 0.3) / NEAR_COVER, 1.0)
-    shifted = max((abs(fit.u[8] - size) - size_sigma) * fit.minor - 2.0 * sliver, 0.0)
-    covered = max(CUT * cut, near * MISFIT * (0.95 - 0.1 / fit.minor - rim)) + near * shifted**2
-    systematic = settings.sigma**2 + sliver**2 + covered
-    covariance = variance * np.linalg.inv(fit.N)[6:8, 6:8] + systematic * np.eye(2)
+    near = 1.0 if fit.shown < 1.0 else min(np.mean(fit.w[fit.e < CLEAR] < 0.3) / NEAR_COVER, 1.0)
+    C = np.linalg.inv(fit.N)[6:, 6:]
+    by_rim = C[:2, 2] / C[2, 2] * rim_sigma
+    systematic = settings.sigma**2 + (SLIVER_BIAS / fit.minor**2) ** 2 + corrected @ corrected
+    cover = (near * COVER_BIAS / fit.minor**3) ** 2 * shape
+    covariance = variance * C[:2, :2] + systematic * np.eye(2) + cover + np.outer(by_rim, by_rim)
     return deep(fit.u, settings.contrast, noise), place + fit.u[6:8], covariance, rim
 
 
