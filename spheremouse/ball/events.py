@@ -46,6 +46,7 @@ class Recognised(Event):
 
     discs: int
     saved: bool = False
+    older: bool = False  # the map before the last new one
 
 
 @dataclass(frozen=True, slots=True)

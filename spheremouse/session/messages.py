@@ -111,6 +111,8 @@ def sentence(event: Event) -> str:
             return f"the ball turns{more}"
         case events.Recognised(discs, saved=True):
             return f"recognised by {discs} discs of the saved map"
+        case events.Recognised(discs, older=True):
+            return f"the attitude is that of the earlier map again, recognised by {discs} discs"
         case events.Recognised(discs):
             return f"tracking again: attitude kept, recognised by {discs} discs"
         case BallLost():

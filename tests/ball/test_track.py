@@ -248,6 +248,28 @@ def test_another_ball_after_the_cap_is_a_stated_reset():
     assert np.abs(out.counts).max() < 1.5 * np.abs(MATRIX @ ROLL * DT).max()
 
 
+def test_a_new_map_gives_way_to_the_older_one_that_is_recognised():
+    """After a cap of 1 s only two known discs are in view, beside three new ones, and later all."""
+
+    def attitude(t):
+        return start(min(t, 2.0) + 0.3 * max(t - 2.0, 0.0))
+
+    facing = np.argsort(-(DISCS @ attitude(4.0).T)[:, 2])
+    known, new = facing[[0, 2]], facing[[1, 3, 4]]
+
+    def shown(t):
+        which = np.delete(np.arange(len(DISCS)), new) if t < 2.5 else np.concatenate([known, new])
+        return DISCS[which] if t < 5.5 else DISCS
+
+    out = film(attitude, seconds(7.0), hidden=[(2.0, 3.0)], seed=4, discs=shown)
+    happened = [e for e in out.events if isinstance(e, (BallLost, NewMap, Recognised))]
+    assert [type(e) for e in happened] == [BallLost, NewMap, Recognised]
+    assert happened[-1].older
+    assert out.error[round(5.4 / DT)] > 0.05  # the new map has an attitude of its own
+    assert out.error[-1] < 3e-3
+    assert np.abs(out.counts).max() < 1.5 * np.abs(MATRIX @ ROLL * DT).max()
+
+
 @pytest.mark.parametrize("hidden", [0.1, 0.25])
 @pytest.mark.parametrize("rate", [0.5, 1.0, 3.0])
 def test_a_hand_that_hides_the_ball_and_stops_it(rate, hidden):

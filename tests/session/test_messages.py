@@ -16,6 +16,7 @@ SENTENCES = {
     events.Turned(1): "the ball turns; 1 look-alike masked",
     events.Turned(2): "the ball turns; 2 look-alikes masked",
     events.Recognised(9): "tracking again: attitude kept, recognised by 9 discs",
+    events.Recognised(5, older=True): "the attitude is that of the earlier map again, recognised by 5 discs",
     events.Recognised(6, saved=True): "tracking: recognised by 6 discs of the saved map",
     BallLost(Why.UNSEEN, 0.3): "lost: no disc in view for 0.3 s",
     BallLost(Why.UNSEEN, 0.3, discs=4): "lost: 4 discs in view, none where it should be for 0.3 s",

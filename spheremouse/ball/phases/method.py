@@ -6,7 +6,7 @@ from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import KINEMATIC_DIM, So3State, consider, without_candidates
 from spheremouse.ball.phases.follow import detect_discs, detect_everywhere, follow, is_covered
 from spheremouse.ball.phases.learn import learn, update_all
-from spheremouse.ball.phases.recover import check_bearings, recognise, recover
+from spheremouse.ball.phases.recover import check_bearings, recognise, recognise_older_map, recover
 from spheremouse.ball.state import Events, Learning, Lost, Method, Recognising, Tracker, Tracking, TrackState
 from spheremouse.geometry.rotation import Array
 
@@ -21,7 +21,11 @@ def _next_phase(
         case Learning():
             return learn(state, state.phase, stamp, tracker, predicted)
         case Tracking():
-            state = follow(state, stamp, tracker, predicted)
+            known, state = len(state.filter.discs), follow(state, stamp, tracker, predicted)
+            if state.older is not None and state.confirmed and len(state.filter.discs) > known:
+                on_older_map = recognise_older_map(state, stamp, tracker)
+                if on_older_map is not None:
+                    return on_older_map
             return check_bearings(state, stamp, tracker, predicted) if tracker.method.exact_centres else (state, ())
         case Lost():
             return recover(state, state.phase, stamp, tracker, predicted)

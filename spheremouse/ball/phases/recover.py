@@ -200,6 +200,23 @@ def recognise(
     return state, (NewMap(saved=True), *events)
 
 
+def recognise_older_map(
+    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter]
+) -> tuple[TrackState[So3State], Events] | None:
+    """Return the state and events if the discs in view have their places on the map before the last new one.
+
+    A ball that was lost with too few discs in view for recognition gets a new map, and shows the others later. The
+    older map gives back the attitude from before the loss. Its attitude is no motion.
+    """
+    recognised = recognised_attitude(state._replace(filter=state.older, confirmed_at=stamp), stamp, tracker)
+    if recognised is None:
+        return None
+    filtered, pairs = recognised
+    state = state._replace(older=None, lookalikes=forget(state.lookalikes))
+    state = start_tracking(state, Tracking(), filtered.clone_attitude(), filtered.attitude, stamp)
+    return state, (Recognised(pairs, older=True),)
+
+
 def _new_map(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[F, BufferedFrame]:
     """Return a new map at the last attitude from this frame's points, and the view. It may include look-alikes."""
     start = tracker.filter.initial(stamp, state.filter.attitude)
