@@ -23,7 +23,10 @@ constexpr double RIM_OFFSET = 0.35;    // px by which lens blur and gloss may sh
 constexpr double SLIVER = 2.0;         // px, semi-minor axis below which both rims are one blur
 constexpr double SLIVER_BIAS = 0.15;   // px at a semi-minor axis of one pixel
 constexpr double COVER_BIAS = 1.5;     // px, the same with a cover beside the disc: its edge may pass for a rim
+constexpr double LOST = 1.5;           // px², variance per part of the rim that does not fit at all
+constexpr double MISFIT = 3.0;         // px², the same per part that fits worse than that of whole discs
 constexpr double SHOWN = 0.3;          // least part of the rim beside a cover
+constexpr double SMEARED = 2.0;        // px: a longer way lightens a part of a disc as a cover does
 constexpr double OTHER_SIZE = 3.0;     // standard deviations of the size, beyond which it is something else
 constexpr double NEAR_COVER = 0.02;    // part of the surround that is foreign: a cover is beside the disc
 constexpr double CLEAR_SIGMA = 0.1;    // px, of a disc without a cover
@@ -33,6 +36,7 @@ constexpr float LIMIT = 0.25f;         // of the contrast: residuals beyond weig
 constexpr float WIDE_LIMIT = 0.5f;     // the same far from the centre
 constexpr double FAR = 0.5;            // px: after a longer step the centre is still far
 constexpr int MOST_ROUNDS = 10;        // 1 px each at most
+constexpr int SMEARED_ROUNDS = 5;      // of a disc with a long way: the way is wrong if it needs more
 constexpr double STILL = 0.01;         // px: a step this short is the last
 
 using Unknowns = Vector<UNKNOWNS>;
@@ -54,6 +58,8 @@ struct DiscFit {
     double shown = 1.0;  // part of the rim that no cover hides
     Matrix<UNKNOWNS> L;  // triangle of the last normal matrix
     bool plausible = false;
+
+    bool is_smeared() const { return disc.path.head<2>().norm() > SMEARED; }
 
     /// Return the part of the size by which blur and gloss may shift the rim.
     double rim_sigma() const { return RIM_OFFSET / 3.0 / minor; }
@@ -172,7 +178,7 @@ bool collect_pixels(DiscFit& fit, const Photo& photo, double smoothing) {
 
 /// Leave out what lies behind a cover; return false if that is too much of the disc.
 bool is_shown(DiscFit& fit) {
-    fit.shown = leave_out_covered(fit.pixels, fit.disc.shape);
+    fit.shown = fit.is_smeared() ? 1.0 : leave_out_covered(fit.pixels, fit.disc.shape);
     return fit.shown > SHOWN;
 }
 
@@ -270,8 +276,9 @@ double foreign_beside(const Pixels& pixels) {
 double fit_known_size(DiscFit& fit, const FitSettings& settings, double size, double size_sigma, double full) {
     const Unknowns& x = fit.x;
     double moved = 1.0;
-    for (int round = 0; round < MOST_ROUNDS && !(round > 1 && moved < STILL); round++) {
-        biweight(fit.pixels, x, moved > FAR ? WIDE_LIMIT : LIMIT, float(fit.scale));
+    for (int round = 0; round < (fit.is_smeared() ? SMEARED_ROUNDS : MOST_ROUNDS) && !(round > 1 && moved < STILL);
+         round++) {
+        biweight(fit.pixels, x, moved > FAR && !fit.is_smeared() ? WIDE_LIMIT : LIMIT, float(fit.scale));
         const double gloss = fit.gloss * std::min(std::max(1.0 - x(3) / lighter(x) / full, UNEVEN), GLOSS);
         moved = gauss_newton_step(fit, {gloss, size, size_sigma}, round < 2 ? 1.0 : 0.5);
         fit.expect(float(settings.blur));
@@ -280,21 +287,27 @@ double fit_known_size(DiscFit& fit, const FitSettings& settings, double size, do
 }
 
 /// Return the covariance of the centre, px², without the systematic part of all discs.
-Matrix<2> covariance_of(const DiscFit& fit, const Quality& q, double noise) {
+Matrix<2> covariance_of(const DiscFit& fit, const Quality& q, double noise, double size) {
     // of the pixels' noise the smoothing leaves about a half in a centre
     const double variance = std::max(q.squares / std::max(q.weight - UNKNOWNS, 1.0), 0.5 * noise * noise);
     Matrix<3> C;  // of centre and size; they are the last unknowns, so the others do not matter
     for (int j = 0; j < 3; j++) C.row(j) = solve<3>(fit.L.bottomRightCorner<3, 3>(), Vector<3>::Unit(j));
     // where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
-    const double sliver = SLIVER_BIAS / (fit.minor * fit.minor);
-    const double near = fit.shown < 1.0 ? 1.0 : std::min(foreign_beside(fit.pixels) / NEAR_COVER, 1.0);
-    const double cover = near * COVER_BIAS / std::pow(fit.minor, 3);
+    const double sliver = SLIVER_BIAS / (fit.minor * fit.minor), cover = COVER_BIAS / std::pow(fit.minor, 3);
     // what shifts a rim changes the size of a whole disc, and moves the centre of one with a rim on one side only
     const Vector<2> moved = C.topRightCorner<2, 1>() / C(2, 2) * fit.rim_sigma();
-    return variance * C.topLeftCorner<2, 2>() + sliver * sliver * Matrix<2>::Identity() +
-           cover * cover * fit.disc.shape + moved * moved.transpose();
+    const Matrix<2> covariance =
+        variance * C.topLeftCorner<2, 2>() + sliver * sliver * Matrix<2>::Identity() + moved * moved.transpose();
+    if (fit.shown < 1.0) return covariance + cover * cover * fit.disc.shape;
+    // An edge beside the disc that is not recognised as one of a cover passes for a rim: it shifts the size as much as
+    // the centre. Gloss fits as badly, with nothing foreign beside it. Of whole discs one in twenty fits worse.
+    const double rim = q.fits / (q.rim + 1e-9), near = std::min(foreign_beside(fit.pixels) / NEAR_COVER, 1.0);
+    const double larger = std::abs(fit.x(8) - size) - SIZE - fit.rim_sigma();
+    const double shifted = std::max(larger * fit.minor - 2.0 * sliver, 0.0);
+    const double misfit = near * MISFIT * (0.95 - 0.1 / fit.minor - rim);
+    return covariance +
+           (std::max(LOST * q.lost / (q.rim + 1e-9), misfit) + near * shifted * shifted) * Matrix<2>::Identity();
 }
-
 /// Fit a disc of known size.
 ///
 /// The fitted place shows better than the expected one whether a cover hides a part of the disc.
@@ -326,7 +339,7 @@ Fit fit_centre(DiscFit& fit, const Photo& photo, const FitSettings& settings, do
     result.rim = rim * fit.shown;
     result.centroid = fit.disc.place + x.segment<2>(6);
     const double systematic = settings.sigma * settings.sigma + corrected.squaredNorm();
-    result.covariance = covariance_of(fit, q, photo.noise) + systematic * Matrix<2>::Identity();
+    result.covariance = covariance_of(fit, q, photo.noise, size) + systematic * Matrix<2>::Identity();
     return result;
 }
 

@@ -374,17 +374,18 @@ WIDE Shades shades(const Pixels& p) {
 
 WIDE Quality quality(const Pixels& p, const Vector<UNKNOWNS>& x) {
     const Light light(x);
-    Lanes fits = {}, rim = {}, inside = {}, squares = {}, weight = {};
+    Lanes fits = {}, lost = {}, rim = {}, inside = {}, squares = {}, weight = {};
     for (size_t i = 0; i < p.size; i += LANES) {
         const Lanes dx = lanes(p.d[0], i), dy = lanes(p.d[1], i), w = lanes(p.weight, i);
         const Lanes slope = root(dx * dx + dy * dy), r = light.residual(p, i);
         fits += w * slope;
+        lost += w < COVERED ? slope : Lanes{};
         rim += slope;
         inside += lanes(p.e, i);
         squares += w * r * r;
         weight += w;
     }
-    return {total(fits), total(rim), total(inside), total(squares), total(weight)};
+    return {total(fits), total(lost), total(rim), total(inside), total(squares), total(weight)};
 }
 
 }  // namespace spheremouse::ball

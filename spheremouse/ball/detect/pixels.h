@@ -96,7 +96,7 @@ double leave_out_covered(Pixels& p, const Shape& shape);
 
 /// Sums that tell how well a disc fits.
 struct Quality {
-    double fits, rim;        // slopes of the rim that fit, and of all
+    double fits, lost, rim;  // slopes of the rim that fit, of those that do not at all, and of all
     double inside;           // px² of the disc
     double squares, weight;  // of the residuals
 };

@@ -10,7 +10,8 @@ from spheremouse.geometry.rotation import exp
 
 SURROUND, UNEVEN, GLOSS, SLOPE, BESIDE, CLEAR = 3.0, 0.02, 0.3, 0.02, 0.2, 0.02
 SIZE, RIM_OFFSET, SLIVER_BIAS, COVER_BIAS, NEAR_COVER = 0.02, 0.35, 0.15, 1.5, 0.02
-LIMIT, WIDE_LIMIT, FAR, STILL, MOST_ROUNDS = 0.25, 0.5, 0.5, 0.01, 10
+LOST, MISFIT, SMEARED = 1.5, 3.0, 2.0
+LIMIT, WIDE_LIMIT, FAR, STILL, MOST_ROUNDS, SMEARED_ROUNDS = 0.25, 0.5, 0.5, 0.01, 10, 5
 LIFTED, TWO_SHADES, STRAY, MARGIN = 0.15, 0.8, 0.3, 2.0
 
 
@@ -93,7 +94,7 @@ class Fit:
         self.grey, self.shape, self.shown = grey[near & (mask > 0)], shape, 1.0
         self.all = self.x, self.y, self.grey
         self.inverse, self.path, self.noise, self.blur = np.linalg.inv(shape), path, noise, settings.blur
-        self.u = np.append(np.zeros(8), 1.0)
+        self.u, self.smeared = np.append(np.zeros(8), 1.0), np.hypot(*path[:2]) > SMEARED
         self.expect()
 
     def expect(self):
@@ -101,6 +102,8 @@ class Fit:
 
     def leave_out_covered(self):
         """Look for a cover among all pixels, and leave out what lies behind it."""
+        if self.smeared:
+            return
         self.x, self.y, self.grey = self.all
         self.expect()
         keep, slope = beside_cover(*self.all, self.e, self.shape), np.hypot(*self.d[:2])
@@ -163,8 +166,8 @@ class Fit:
 def fit_known_size(fit, size, size_sigma):
     """Fit the centre, and return its last step."""
     moved = 1.0
-    for k in range(MOST_ROUNDS):
-        fit.biweight(WIDE_LIMIT if moved > FAR else LIMIT)
+    for k in range(SMEARED_ROUNDS if fit.smeared else MOST_ROUNDS):
+        fit.biweight(WIDE_LIMIT if moved > FAR and not fit.smeared else LIMIT)
         gloss = fit.gloss * min(max(1.0 - fit.u[3] / lighter(fit.u[0], fit.u[3]), UNEVEN), GLOSS)
         moved = fit.step(gloss, size, size_sigma, 1.0 if k < 2 else 0.5)
         if k and moved < STILL:
@@ -191,14 +194,17 @@ def fit_disc(image, mask, place, shape, path, noise, settings, size):
         fit_known_size(fit, size, SIZE + rim_sigma)
         corrected -= fit.u[6:8]
     slope, r = np.hypot(*fit.d[:2]), fit.residual()
-    rim = fit.shown * (fit.w @ slope) / slope.sum()
+    rim, lost = fit.w @ slope / slope.sum(), slope[fit.w < 0.3].sum() / slope.sum()
     variance = max(fit.w @ r**2 / max(fit.w.sum() - 9, 1.0), 0.5 * noise**2)
-    near = 1.0 if fit.shown < 1.0 else min(np.mean(fit.w[fit.e < CLEAR] < 0.3) / NEAR_COVER, 1.0)
-    C = np.linalg.inv(fit.N)[6:, 6:]
+    C, sliver = np.linalg.inv(fit.N)[6:, 6:], SLIVER_BIAS / fit.minor**2
     by_rim = C[:2, 2] / C[2, 2] * rim_sigma
-    systematic = settings.sigma**2 + (SLIVER_BIAS / fit.minor**2) ** 2 + corrected @ corrected
-    cover = (near * COVER_BIAS / fit.minor**3) ** 2 * shape
-    covariance = variance * C[:2, :2] + systematic * np.eye(2) + cover + np.outer(by_rim, by_rim)
+    near = min(np.mean(fit.w[fit.e < CLEAR] < 0.3) / NEAR_COVER, 1.0)
+    shifted = max((abs(fit.u[8] - size) - SIZE - rim_sigma) * fit.minor - 2.0 * sliver, 0.0)
+    misfit = max(LOST * lost, near * MISFIT * (0.95 - 0.1 / fit.minor - rim)) + near * shifted**2
+    other = misfit * np.eye(2) if fit.shown == 1.0 else (COVER_BIAS / fit.minor**3) ** 2 * shape
+    systematic = settings.sigma**2 + sliver**2 + corrected @ corrected
+    covariance = variance * C[:2, :2] + systematic * np.eye(2) + np.outer(by_rim, by_rim) + other
+    rim *= fit.shown
     return deep(fit.u, settings.contrast, noise), place + fit.u[6:8], covariance, rim
 
 
