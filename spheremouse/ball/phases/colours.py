@@ -22,7 +22,8 @@ _LOST = 10.0  # s without a disc, after which the user may have placed another b
 def is_trial_due(state: TrackState, stamp: float) -> bool:
     """Return True if the tracker must try all projections on the frame of `stamp` (s)."""
     colours, phase = state.colours, state.phase
-    if colours.fixed or isinstance(phase, Tracking) or colours.tried <= stamp < colours.tried + colours.wait:
+    wait = _WAIT[0] if isinstance(phase, Lost) else colours.wait  # a cover may have had colours of its own
+    if colours.fixed or isinstance(phase, Tracking) or colours.tried <= stamp < colours.tried + wait:
         return False
     if isinstance(phase, Lost) and isinstance(phase.last, Tracking):
         return phase.in_view_since is None and stamp - state.confirmed_at > _LOST
