@@ -22,7 +22,7 @@ constexpr double SIZE = 0.02;          // discs cut from one sheet differ by thi
 constexpr double RIM_OFFSET = 0.35;    // px by which lens blur and gloss may shift a rim: much of a sliver's size
 constexpr double SLIVER = 2.0;         // px, semi-minor axis below which both rims are one blur
 constexpr double SLIVER_BIAS = 0.15;   // px at a semi-minor axis of one pixel
-constexpr double COVER_BIAS = 1.5;     // px, the same with a cover beside the disc: its edge may pass for a rim
+constexpr double COVER_BIAS = 1.5;     // px, the same of a disc that a cover cuts, along its shorter axis
 constexpr double LOST = 1.5;           // px², variance per part of the rim that does not fit at all
 constexpr double MISFIT = 3.0;         // px², the same per part that fits worse than that of whole discs
 constexpr double SHOWN = 0.3;          // least part of the rim beside a cover
@@ -63,6 +63,8 @@ struct DiscFit {
 
     /// Return the part of the size by which blur and gloss may shift the rim.
     double rim_sigma() const { return RIM_OFFSET / 3.0 / minor; }
+
+    double size_sigma() const { return SIZE + rim_sigma(); }
 
     void expect(float blur) {
         rest.x = float(x(6));
@@ -177,7 +179,7 @@ bool collect_pixels(DiscFit& fit, const Photo& photo, double smoothing) {
 }
 
 /// Leave out what lies behind a cover; return false if that is too much of the disc.
-bool is_shown(DiscFit& fit) {
+bool leave_out_cover(DiscFit& fit) {
     fit.shown = fit.is_smeared() ? 1.0 : leave_out_covered(fit.pixels, fit.disc.shape);
     return fit.shown > SHOWN;
 }
@@ -202,7 +204,7 @@ bool begin(DiscFit& fit, const Photo& photo, const FitSettings& settings, double
     if (!collect_pixels(fit, photo, settings.smoothing)) return false;
     fit.x(8) = 1.0;
     fit.expect(float(settings.blur));
-    return is_shown(fit) && estimate_light(fit, photo, settings, contrast);
+    return leave_out_cover(fit) && estimate_light(fit, photo, settings, contrast);
 }
 
 /// Fit the size, too; return false if the result is no disc.
@@ -273,14 +275,14 @@ double foreign_beside(const Pixels& pixels) {
 }
 
 /// Fit the centre with a known size, and return the centre's last step, px.
-double fit_known_size(DiscFit& fit, const FitSettings& settings, double size, double size_sigma, double full) {
+double fit_known_size(DiscFit& fit, const FitSettings& settings, double size, double full) {
     const Unknowns& x = fit.x;
     double moved = 1.0;
     for (int round = 0; round < (fit.is_smeared() ? SMEARED_ROUNDS : MOST_ROUNDS) && !(round > 1 && moved < STILL);
          round++) {
         biweight(fit.pixels, x, moved > FAR && !fit.is_smeared() ? WIDE_LIMIT : LIMIT, float(fit.scale));
         const double gloss = fit.gloss * std::min(std::max(1.0 - x(3) / lighter(x) / full, UNEVEN), GLOSS);
-        moved = gauss_newton_step(fit, {gloss, size, size_sigma}, round < 2 ? 1.0 : 0.5);
+        moved = gauss_newton_step(fit, {gloss, size, fit.size_sigma()}, round < 2 ? 1.0 : 0.5);
         fit.expect(float(settings.blur));
     }
     return moved;
@@ -301,12 +303,11 @@ Matrix<2> covariance_of(const DiscFit& fit, const Quality& q, double noise, doub
     if (fit.shown < 1.0) return covariance + cover * cover * fit.disc.shape;
     // An edge beside the disc that is not recognised as one of a cover passes for a rim: it shifts the size as much as
     // the centre. Gloss fits as badly, with nothing foreign beside it. Of whole discs one in twenty fits worse.
-    const double rim = q.fits / (q.rim + 1e-9), near = std::min(foreign_beside(fit.pixels) / NEAR_COVER, 1.0);
-    const double larger = std::abs(fit.x(8) - size) - SIZE - fit.rim_sigma();
+    const double near = std::min(foreign_beside(fit.pixels) / NEAR_COVER, 1.0);
+    const double larger = std::abs(fit.x(8) - size) - fit.size_sigma();
     const double shifted = std::max(larger * fit.minor - 2.0 * sliver, 0.0);
-    const double misfit = near * MISFIT * (0.95 - 0.1 / fit.minor - rim);
-    return covariance +
-           (std::max(LOST * q.lost / (q.rim + 1e-9), misfit) + near * shifted * shifted) * Matrix<2>::Identity();
+    const double misfit = near * MISFIT * (0.95 - 0.1 / fit.minor - q.fits);
+    return covariance + (std::max(LOST * q.lost, misfit) + near * shifted * shifted) * Matrix<2>::Identity();
 }
 /// Fit a disc of known size.
 ///
@@ -314,29 +315,27 @@ Matrix<2> covariance_of(const DiscFit& fit, const Quality& q, double noise, doub
 Fit fit_centre(DiscFit& fit, const Photo& photo, const FitSettings& settings, double contrast, double size,
                double full) {
     const Unknowns& x = fit.x;
-    const double size_sigma = SIZE + fit.rim_sigma();
-    double moved = fit_known_size(fit, settings, size, size_sigma, full);
+    double moved = fit_known_size(fit, settings, size, full);
     const bool was_covered = fit.shown < 1.0;
     Vector<2> corrected = Vector<2>::Zero();
     if (was_covered) {
         fit.pixels.restore();
         fit.expect(float(settings.blur));
     }
-    if (!is_shown(fit)) return {};
+    if (!leave_out_cover(fit)) return {};
     if (was_covered || fit.shown < 1.0) {
         corrected = x.segment<2>(6);
         if (!estimate_light(fit, photo, settings, contrast)) return {};
-        moved = fit_known_size(fit, settings, size, size_sigma, full);
+        moved = fit_known_size(fit, settings, size, full);
         corrected -= x.segment<2>(6);
     }
     const Quality q = quality(fit.pixels, x);
-    const double rim = q.fits / (q.rim + 1e-9);
     // the far rim of a sliver drowns in the limb; half of it, with the known size, still fixes the centre
     const double least = fit.minor < SLIVER ? std::min(0.45, settings.rim) : settings.rim;
     const double area = 3.14159265358979323846 * std::sqrt(fit.disc.shape.determinant()) * size * size;
     Fit result;
-    result.ok = is_deep(x, contrast, photo.noise) && rim > least && q.inside > 0.4 * area * fit.shown && moved < 0.1;
-    result.rim = rim * fit.shown;
+    result.ok = is_deep(x, contrast, photo.noise) && q.fits > least && q.inside > 0.4 * area * fit.shown && moved < 0.1;
+    result.rim = q.fits * fit.shown;
     result.centroid = fit.disc.place + x.segment<2>(6);
     const double systematic = settings.sigma * settings.sigma + corrected.squaredNorm();
     result.covariance = covariance_of(fit, q, photo.noise, size) + systematic * Matrix<2>::Identity();
@@ -395,7 +394,7 @@ std::vector<Fit> fit_discs(const Photo& photo, const std::vector<Expected>& disc
             results[i] = fit_centre(fits[i], photo, settings, contrast, size > 0.0 ? size : 1.0, full);
     learn_common(fits, results, common);
     for (size_t i = 0; i < discs.size() && common.size > 0.0; i++)
-        results[i].ok &= std::abs(fits[i].x(8) - common.size) < OTHER_SIZE * (SIZE + fits[i].rim_sigma());
+        results[i].ok &= std::abs(fits[i].x(8) - common.size) < OTHER_SIZE * fits[i].size_sigma();
     return results;
 }
 

@@ -385,7 +385,8 @@ WIDE Quality quality(const Pixels& p, const Vector<UNKNOWNS>& x) {
         squares += w * r * r;
         weight += w;
     }
-    return {total(fits), total(lost), total(rim), total(inside), total(squares), total(weight)};
+    const double all = total(rim) + 1e-9;
+    return {total(fits) / all, total(lost) / all, total(inside), total(squares), total(weight)};
 }
 
 }  // namespace spheremouse::ball

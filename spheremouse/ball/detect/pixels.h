@@ -94,11 +94,11 @@ Shades shades(const Pixels& p);
 /// Two shades inside of the disc show a cover, if a line separates them. `shape` is the disc's, as in `Expected`.
 double leave_out_covered(Pixels& p, const Shape& shape);
 
-/// Sums that tell how well a disc fits.
+/// Measures of how well a disc fits.
 struct Quality {
-    double fits, lost, rim;  // slopes of the rim that fit, of those that do not at all, and of all
+    double fits, lost;       // parts of the rim that fit, and that do not at all
     double inside;           // px² of the disc
-    double squares, weight;  // of the residuals
+    double squares, weight;  // sums of the residuals
 };
 
 Quality quality(const Pixels& p, const Vector<UNKNOWNS>& x);

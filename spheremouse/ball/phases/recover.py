@@ -208,6 +208,7 @@ def recognise_older_map(
     A ball that was lost with too few discs in view for recognition gets a new map, and shows the others later. The
     older map gives back the attitude from before the loss. Its attitude is no motion.
     """
+    # confirmed now, since the attitude reported before is that of the other map, and so shows no rate
     recognised = recognised_attitude(state._replace(filter=state.older, confirmed_at=stamp), stamp, tracker)
     if recognised is None:
         return None
