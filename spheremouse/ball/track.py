@@ -190,11 +190,15 @@ def _from_elsewhere(phase: Phase) -> Phase:
 
 
 def _camera_moving(state: TrackState, stamp: float, tracker: Tracker) -> Step[TrackState]:
-    """Process a frame of a moving camera: wait, and lose the ball after a while."""
+    """Process a frame of a moving camera: wait, and lose the ball after a while.
+
+    Nothing was detected in such a frame, so it does not show that discs are hidden.
+    """
     assert state.watch is not None
     away = stamp if state.watch.away is None else min(state.watch.away, stamp)
+    predicted = tracker.filter.predict(state.filter, stamp)
     state = state._replace(
-        filter=tracker.filter.update(tracker.filter.predict(state.filter, stamp), no_points(tracker)),
+        filter=replace(tracker.filter.update(predicted, no_points(tracker)), hidden=predicted.hidden),
         detections=no_detections(),
         points=no_points(tracker),
         confirmed=False,

@@ -25,6 +25,7 @@ from spheremouse.ball.events import (
     Recognised,
     Why,
 )
+from spheremouse.ball.filters.so3_settings import HIDDEN_SHARE
 from spheremouse.ball.rig import Ball
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import TrackState, Withheld, current
@@ -566,6 +567,15 @@ def test_colour_is_wanted_for_the_first_frame_and_while_the_camera_swings():
     away = [k for k, (s, *_) in enumerate(steps) if s.watch.away is not None or s.watch.asked]
     assert away
     assert np.flatnonzero(wanted).tolist() == [0, *(k + 1 for k in away)]
+
+
+def test_a_frame_of_a_moving_camera_hides_no_disc():
+    """Nothing was detected in it. A disc that was in view stays so, up to what a hand may cover meanwhile."""
+    steps, *_ = _pushed((2.0, 1.0, -2.0, 0.1, -0.2, 0.1), 0.8, lambda *_: False)
+    moving = [(a.state, b.state) for a, b in pairwise(steps) if b.state.watch.away is not None]
+    assert moving
+    for before, state in moving:
+        assert np.all(state.filter.hidden <= np.maximum(before.filter.hidden, HIDDEN_SHARE) + 1e-9)
 
 
 def _rolled(frames, tracker, change):
