@@ -1,7 +1,9 @@
 """Errors that the user can mend: a line with problem and remedy, which the command line prints without a traceback."""
 
+import contextlib
 import traceback
 import unicodedata
+from collections.abc import Iterator
 
 
 def printable(thing: object) -> str:
@@ -67,3 +69,12 @@ class ControlError(SpheremouseError):
 
 class ServiceError(SpheremouseError):
     """The service cannot be installed, started or removed."""
+
+
+@contextlib.contextmanager
+def os_errors_as(kind: type[SpheremouseError], problem: str, hint: str = "") -> Iterator[None]:
+    """Raise an OSError of this block as an error of a kind: `problem: reason; hint`."""
+    try:
+        yield
+    except OSError as e:
+        raise kind(f"{problem}: {e.strerror or e}", hint) from None

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from spheremouse.errors import CalibrationError
+from spheremouse.errors import CalibrationError, os_errors_as
 from spheremouse.files.safe_files import open_to_read
 
 if TYPE_CHECKING:
@@ -47,11 +47,8 @@ def note(text: str) -> None:
 
 def sha256(path: Path) -> str:
     """Return the hash of a file, for provenance; CalibrationError if it cannot be read."""
-    try:
-        with open_to_read(path) as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as e:
-        raise CalibrationError(f"{path}: cannot be read: {e.strerror or e}") from None
+    with os_errors_as(CalibrationError, f"{path}: cannot be read"), open_to_read(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def copyable(*words: str | Path) -> str:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from spheremouse import __version__
 from spheremouse.calibrate.outputs import note
-from spheremouse.errors import CalibrationError
+from spheremouse.errors import CalibrationError, os_errors_as
 from spheremouse.files.pictures import MOST_BYTES, PHOTO_PIXELS, Header, Size, decoded, px, read_header
 from spheremouse.files.safe_files import read_bytes
 from spheremouse.geometry.camera import InteriorOrientation
@@ -80,10 +80,8 @@ def image(photo: Photo) -> NDArray[np.uint8]:
     data = _bytes(photo.path)
     if _header(photo.path, data).size != photo.size:
         raise CalibrationError(f"{photo.path}: has changed meanwhile; run it again")
-    try:
+    with os_errors_as(CalibrationError, f"{photo.path}"):
         return decoded(data)
-    except OSError as e:
-        raise CalibrationError(f"{photo.path}: {e.strerror}") from None
 
 
 def check_size(photos: Sequence[Photo], camera: InteriorOrientation, camera_path: Path) -> None:
@@ -130,10 +128,8 @@ def _expanded(paths: Iterable[Path]) -> list[Path]:
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    try:
+    with os_errors_as(CalibrationError, f"{folder}: cannot be read"):
         files = [p for p in folder.iterdir() if not p.name.startswith(".") and p.is_file()]
-    except OSError as e:
-        raise CalibrationError(f"{folder}: cannot be read: {e.strerror or e}") from None
     if found := sorted((p for p in files if p.suffix.lower() in ENDINGS), key=_natural):
         return found
     raise CalibrationError(
@@ -203,10 +199,8 @@ def _bytes(path: Path) -> bytes:
 
 
 def _header(path: Path, data: bytes, *, to_the_end: bool = False) -> Header:
-    try:
+    with os_errors_as(CalibrationError, f"{path}"):
         return read_header(data, PHOTO_PIXELS, to_the_end=to_the_end)
-    except OSError as e:
-        raise CalibrationError(f"{path}: {e.strerror}") from None
 
 
 # ---- words ----

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from spheremouse.commands.options import Assignments, Balls, CameraFile, ConfigFile, RigFile
-from spheremouse.errors import ConfigurationError
+from spheremouse.errors import ConfigurationError, os_errors_as
 
 if TYPE_CHECKING:
     from io import BufferedWriter
@@ -40,12 +40,10 @@ def export(
     check_outputs([out], [recording, config, rig, camera, *(balls or ())], force)
     options = {"rig": rig, "camera_file": camera, "wand.balls": balls}
     plan = read_run_config(of_recording(recording, config, assignments, options))
-    try:
+    with os_errors_as(ConfigurationError, f"{out}: cannot be written"):
         with NewFile(out) as new:
             frames = _write(new.file, plan)
         size = out.stat().st_size
-    except OSError as e:
-        raise ConfigurationError(f"{out}: cannot be written: {e.strerror or e}") from None
     print(f"{out}: {frames} frame{'' if frames == 1 else 's'}, {size / 1e6:.1f} MB")
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from spheremouse.errors import ConfigurationError
+from spheremouse.errors import ConfigurationError, os_errors_as
 
 
 def layout(
@@ -57,10 +57,8 @@ def layout(
         "nearest_mm": round(1e3 * radius * distance, 1),
     }
     folder = out or Path("calibration") / f"placement-{discs}"
-    try:
+    with os_errors_as(ConfigurationError, f"{folder}: cannot be made", "name another with --out"):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as e:
-        raise ConfigurationError(f"{folder}: cannot be made: {e.strerror or e}; name another with --out") from None
     guide, file = folder / "guide.html", folder / "layout.json"
     check_outputs([guide, file], [], force)
     write_guide(guide, Layout(directions, radius, disc_radius, angle, seed))

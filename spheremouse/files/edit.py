@@ -11,7 +11,7 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.nodes import MappingNode, ScalarNode
 
-from spheremouse.errors import ConfigurationError
+from spheremouse.errors import ConfigurationError, os_errors_as
 from spheremouse.files import config
 from spheremouse.files.safe_files import replace
 from spheremouse.files.yaml import SCHEMAS, Key, parse_document
@@ -24,7 +24,7 @@ def save_settings(path: Path, values: Mapping[tuple[str, ...], Any], root: type[
     Raises ConfigurationError if the file is a link, cannot be read or written, or would become invalid.
     """
     check_place(path)
-    try:
+    with os_errors_as(ConfigurationError, f"{path}: cannot be written"):
         if path.exists() and root is not None:
             config.load(path, root)  # reports the mistakes that are there already, with their lines
         raw = path.read_bytes() if path.exists() else f"schema: {SCHEMAS[config.KIND]}\n".encode()
@@ -40,8 +40,6 @@ def save_settings(path: Path, values: Mapping[tuple[str, ...], Any], root: type[
             raise ConfigurationError(f"{path}: the program cannot edit it and left it unchanged; edit it by hand")
         if mark + text.encode() != raw or not path.exists():
             replace(path, mark + text.encode())
-    except OSError as e:
-        raise ConfigurationError(f"{path}: cannot be written: {e.strerror or e}") from None
 
 
 def check_place(path: Path) -> None:

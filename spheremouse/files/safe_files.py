@@ -28,7 +28,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
-from spheremouse.errors import ConfigurationError, SpheremouseError
+from spheremouse.errors import ConfigurationError, SpheremouseError, os_errors_as
 
 OLD = 3600.0  # s since the last write; no file of ours takes so long until it has its name
 LONGEST_LINE = 65_536  # characters of a table's line; a wand's truth of 20 balls has 6,000
@@ -134,10 +134,8 @@ def write(path: Path, data: bytes) -> None:
 
 def write_atomically(path: Path, text: str) -> None:
     """Write text as `write` does; raise ConfigurationError if that fails."""
-    try:
+    with os_errors_as(ConfigurationError, f"{path}: cannot be written"):
         write(path, text.encode("utf-8"))
-    except OSError as e:
-        raise ConfigurationError(f"{path}: cannot be written: {e.strerror or e}") from None
 
 
 def write_json(path: Path, data: Any) -> bool:
@@ -230,12 +228,10 @@ class NewFolder:
 
     def make(self) -> Path:
         """Make the folder, empty, and return `path`; raise the error of the constructor if that fails."""
-        try:
+        with os_errors_as(self._error, f"{self._place}: cannot be written"):
             self._place.parent.mkdir(parents=True, exist_ok=True)
             refuse_shared_folder(self._place.parent)
             self.path.mkdir(0o700)
-        except OSError as e:
-            raise self._error(f"{self._place}: cannot be written ({e.strerror})") from None
         return self.path
 
     def finish(self) -> None:

@@ -4,7 +4,7 @@ import os
 import secrets
 from pathlib import Path
 
-from spheremouse.errors import ControlError
+from spheremouse.errors import ControlError, os_errors_as
 from spheremouse.files import safe_files
 from spheremouse.files.access import state_folder
 
@@ -29,11 +29,9 @@ def read_token(path: Path) -> str:
 def own_token(path: Path) -> str:
     """Return the token in a file, which only its owner and group may read. A missing file gets a new token."""
     if not path.exists():
-        try:
+        with os_errors_as(ControlError, f"{path}: cannot be written", "name another --token-file"):
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             safe_files.replace(path, f"{secrets.token_urlsafe(_TOKEN_BYTES)}\n".encode(), 0o640)
-        except OSError as e:
-            raise ControlError(f"{path}: cannot be written ({e.strerror})", "name another --token-file") from None
     return read_token(path)
 
 

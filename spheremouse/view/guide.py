@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from spheremouse.errors import ControlError, printable
+from spheremouse.errors import ControlError, os_errors_as, printable
 from spheremouse.files import safe_files
 from spheremouse.session.process import child
 
@@ -137,10 +137,8 @@ class Guide:
         if "device" not in self._steps:
             raise ControlError("guide: the steps have changed; look at the list again")
         path = Path(self._steps["folder"]) / "device.yaml"
-        try:
+        with os_errors_as(ControlError, f"{path}: cannot be written"):
             safe_files.replace(path, text.encode())
-        except OSError as e:
-            raise ControlError(f"{path}: cannot be written ({e.strerror})") from None
 
     async def _start(self, name: str, *words: str) -> None:
         """Start a command. It ends another one, which may have the camera."""

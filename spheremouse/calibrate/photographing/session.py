@@ -21,7 +21,7 @@ from rich.text import Text
 from spheremouse.ball.detect.detections import Image
 from spheremouse.calibrate.photographing.selector import FrameCheck, Selector
 from spheremouse.calibrate.photos import has_photos, image, read_photos
-from spheremouse.errors import CalibrationError, SpheremouseError
+from spheremouse.errors import CalibrationError, SpheremouseError, os_errors_as
 from spheremouse.files.pictures import Size, px
 from spheremouse.files.safe_files import replace
 from spheremouse.geometry.rotation import Array
@@ -123,10 +123,8 @@ def take_photos(frames: Iterable[Frame], begin: Callable[[Size], Selector], fold
     `begin` makes the selector for frames of a size. Raises CalibrationError if the folder cannot be used, or holds
     photos of another size.
     """
-    try:
+    with os_errors_as(CalibrationError, f"{folder}: cannot be made"):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as e:
-        raise CalibrationError(f"{folder}: cannot be made: {e.strerror or e}") from None
     selector: Selector | None = None
     count, hindrances, failure = 0, Counter[str](), None
     try:
@@ -160,10 +158,8 @@ def store(picture: Image, folder: Path) -> Path:
 
 
 def _write(path: Path, picture: Image) -> None:
-    try:
+    with os_errors_as(CalibrationError, f"{path}: cannot be written"):
         replace(path, cv2.imencode(path.suffix, picture)[1].tobytes(), 0o600)  # it may show people
-    except OSError as e:
-        raise CalibrationError(f"{path}: cannot be written: {e.strerror or e}") from None
 
 
 def _marked(picture: Image, points: Array, taken: bool) -> Image:

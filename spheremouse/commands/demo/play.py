@@ -24,7 +24,7 @@ from spheremouse.capture import Stream
 from spheremouse.capture.signals import SignalHandler
 from spheremouse.commands.run import follow
 from spheremouse.commands.run.view import RunView
-from spheremouse.errors import ConfigurationError
+from spheremouse.errors import ConfigurationError, os_errors_as
 from spheremouse.evaluation.metrics import History, Reference, Run, report
 from spheremouse.evaluation.plot import plot_run
 from spheremouse.files import config
@@ -58,12 +58,10 @@ _NOISE = 4.0  # grey values: a webcam in a lit room
 def play(out: Path, seconds: float, seed: int) -> None:
     """Simulate, track and compare, and write FILES into a folder."""
     film = _Film(prepare(SimulationOptions(motion="play", seconds=seconds, noise=_NOISE, seed=seed)))
-    try:
+    with os_errors_as(ConfigurationError, f"--out {out}: cannot be made"):
         out.mkdir(parents=True, exist_ok=True)
         for name in _TABLE:  # of an earlier demo, which would be continued
             (out / name).unlink(missing_ok=True)
-    except OSError as e:
-        raise ConfigurationError(f"--out {out}: cannot be made: {e.strerror or e}") from None
     source = f"synthetic:motion=play,seconds={seconds:g},noise={_NOISE:g},seed={seed}"
     settings = config.assignments({"source": source, "output": f"csv:{out / 'motion.csv'}"})
     overrides = CommandLineOverrides(assignments=settings, no_map=True)

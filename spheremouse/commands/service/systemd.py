@@ -15,7 +15,7 @@ from functools import partial
 from ipaddress import ip_network
 from pathlib import Path
 
-from spheremouse.errors import ConfigurationError, ServiceError, printable
+from spheremouse.errors import ConfigurationError, ServiceError, os_errors_as, printable
 from spheremouse.files.access import service_files
 from spheremouse.files.safe_files import others_may_change, replace
 
@@ -189,7 +189,7 @@ def refuse_unsafe(place: Place) -> None:
     folders = [place.root, place.link.parent, place.changes, place.configuration, place.state.parent]
     folders += [path.parent for _, path in place.files()]
     for folder in dict.fromkeys(map(_existing, folders)):
-        try:
+        with os_errors_as(ServiceError, f"{folder}: cannot be examined"):
             if not folder.resolve().is_relative_to(place.root):
                 raise ServiceError(f"{folder}: leads out of {place.root}; make it a folder there")
             if others_may_change(folder):
@@ -197,8 +197,6 @@ def refuse_unsafe(place: Place) -> None:
                     f"{folder}: users other than root can change its contents; let only root write there, "
                     "or run the command as its owner"
                 )
-        except OSError as e:
-            raise ServiceError(f"{folder}: cannot be examined: {e.strerror or e}") from None
 
 
 # ---- plan ----

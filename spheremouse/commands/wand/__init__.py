@@ -8,7 +8,7 @@ import typer
 
 from spheremouse.commands.options import with_fields
 from spheremouse.commands.simulate import written
-from spheremouse.errors import ConfigurationError
+from spheremouse.errors import ConfigurationError, os_errors_as
 from spheremouse.simulate.wand.options import WandOptions
 
 if TYPE_CHECKING:
@@ -127,12 +127,10 @@ def read_picture(path: Path) -> "NDArray[np.uint8]":
         return next(read_frames(open_wand(path))).image
     if not path.exists():
         raise ConfigurationError(f"{path}: no such file; name a picture with the ball in it")
-    try:
+    with os_errors_as(ConfigurationError, f"{path}"):
         data = read_bytes(path, MOST_BYTES, "picture")
         read_header(data, FRAME_PIXELS)
         image = decoded(data, upright=True)
-    except OSError as e:
-        raise ConfigurationError(f"{path}: {e.strerror or e}") from None
     if min(image.shape[:2]) < 32:
         raise ConfigurationError(f"{path}: is {image.shape[1]}x{image.shape[0]} px; too small to show a ball")
     return image

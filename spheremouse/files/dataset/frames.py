@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.errors import DatasetError
+from spheremouse.errors import DatasetError, os_errors_as
 from spheremouse.files.dataset.format import STAMP_COLUMNS, check_frames
 from spheremouse.files.pictures import FRAME_PIXELS, decoded, film_images, film_size, open_film, px, read_header
 from spheremouse.files.pictures import MOST_BYTES as PICTURE_BYTES
@@ -127,10 +127,8 @@ def picture_file(folder: Path, index: int) -> Path:
 
 def video_images(path: Path, size: tuple[int, int]) -> Iterator[NDArray[np.uint8]]:
     """Yield the readable frames of a video, (h, w, 3) blue, green, red; DatasetError for another `size`."""
-    try:
+    with os_errors_as(DatasetError, f"{path}"):
         capture = open_film(path)
-    except OSError as e:
-        raise DatasetError(f"{path}: {e.strerror or e}") from None
     if capture is None:
         return
     if film_size(capture) != size:  # before anything of it is decoded
@@ -148,11 +146,9 @@ def folder_images(folder: Path, size: tuple[int, int]) -> Iterator[NDArray[np.ui
 
 def read_picture(file: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
     """Read an image file, (h, w, 3) blue, green, red; DatasetError if its header has another `size`."""
-    try:
+    with os_errors_as(DatasetError, f"{file}"):
         data = read_bytes(file, PICTURE_BYTES, "picture")
         header = read_header(data, FRAME_PIXELS)
         if header.size != size:
             raise DatasetError(f"{file}: is {px(header.size)}, but scene.json has {px(size)}")
         return decoded(data)
-    except OSError as e:
-        raise DatasetError(f"{file}: {e.strerror or e}") from None

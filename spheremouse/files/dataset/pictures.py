@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from spheremouse.ball.detect.detections import Image
-from spheremouse.errors import DatasetError
+from spheremouse.errors import DatasetError, os_errors_as
 from spheremouse.files.dataset.frames import picture_file
 from spheremouse.files.pictures import film_images, open_film
 
@@ -117,13 +117,11 @@ class PictureWriter:
 
     def _write_file(self, index: int, image: Image) -> None:
         path = picture_file(self._folder, index)
-        try:
+        with os_errors_as(DatasetError, f"{path}: cannot be written"):
             path.parent.mkdir(exist_ok=True)
             self._in_files += path.write_bytes(
                 cv2.imencode(".png", image, (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes()
             )
-        except OSError as e:
-            raise DatasetError(f"{path}: cannot be written ({e.strerror})") from None
 
 
 def _open(path: Path, codec: str, fps: float, size: tuple[int, int], colour: bool) -> cv2.VideoWriter:

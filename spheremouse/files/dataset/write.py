@@ -13,7 +13,7 @@ import numpy as np
 
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import DiscTruth
-from spheremouse.errors import DatasetError, SpheremouseError
+from spheremouse.errors import DatasetError, SpheremouseError, os_errors_as
 from spheremouse.files.dataset.format import DISC_COLUMNS, FILES, STAMP_COLUMNS, TRUTH_COLUMNS, camera_description
 from spheremouse.files.dataset.pictures import FAST, PictureWriter
 from spheremouse.files.safe_files import NewFolder
@@ -147,7 +147,7 @@ class FilmWriter:
         dataset, name and text.
         """
         assert self._pictures is not None
-        try:
+        with os_errors_as(DatasetError, f"{self._path}: cannot be written"):
             self._files.close()
             _finish_pictures(self._pictures, self._path)
             for name, text in files.items():
@@ -160,8 +160,6 @@ class FilmWriter:
             refuse_to_overwrite(self._path, False)
             self._new.finish()
             _sync(self._path.parent)
-        except OSError as e:
-            raise DatasetError(f"{self._path}: cannot be written ({e.strerror})") from None
 
     def discard(self) -> None:
         """Remove the dataset, unless it has its name."""

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from spheremouse.errors import ControlError
+from spheremouse.errors import ControlError, os_errors_as
 from spheremouse.files.safe_files import others_may_change
 
 SOCKET = "control.sock"
@@ -25,10 +25,8 @@ def runtime_folder() -> Path:
         return Path(given)
     root = _uid() == 0
     path = _SYSTEM if root else _own_folder()
-    try:
+    with os_errors_as(ControlError, f"{path}: cannot be made", "set control.socket to a path elsewhere"):
         path.mkdir(mode=0o755 if root else 0o700, exist_ok=True)
-    except OSError as e:
-        raise ControlError(f"{path}: cannot be made ({e.strerror}); set control.socket to a path elsewhere") from None
     if not _is_ours(path):
         raise ControlError(f"{path}: is another user's, or others may write there; remove it or set control.socket")
     return path
@@ -169,15 +167,13 @@ def _lock(path: Path) -> Iterator[None]:
             f"{path}: too long for a socket; set control.socket to a path of {_MAX_PATH_BYTES} bytes or less"
         )
     folder, file = path.parent, path.with_name(path.name + ".lock")
-    try:
+    with os_errors_as(ControlError, f"{file}: cannot be made", "set control.socket to a path elsewhere"):
         mode = folder.stat().st_mode
         if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
             raise ControlError(f"{folder}: anybody may write there; set control.socket to a path in a safer folder")
         if others_may_change(folder):  # the socket's mode and group are set by its path
             raise ControlError(f"{folder}: is another user's; set control.socket to a path in a folder of root's")
         descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-    except OSError as e:
-        raise ControlError(f"{file}: cannot be made ({e.strerror}); set control.socket to a path elsewhere") from None
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield

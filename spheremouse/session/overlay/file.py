@@ -7,7 +7,7 @@ from typing import Self
 
 import cv2
 
-from spheremouse.errors import OutputError
+from spheremouse.errors import OutputError, os_errors_as
 from spheremouse.files.safe_files import NewFolder, replace
 from spheremouse.session.overlay.pen import Image
 
@@ -78,10 +78,8 @@ class OverlayFile:
         written.release()
         if not good:
             raise OutputError(f"{self.path}: the video could not be written; is the disk full?")
-        try:
+        with os_errors_as(OutputError, f"{self.path}: cannot be written"):
             os.replace(self._part, self.path)
-        except OSError as e:
-            raise OutputError(f"{self.path}: cannot be written: {e.strerror or e}") from None
 
 
 def write_picture(path: Path, image: Image, mode: int | None = None) -> None:
@@ -92,10 +90,8 @@ def write_picture(path: Path, image: Image, mode: int | None = None) -> None:
     good, data = cv2.imencode(path.suffix, image)
     if not good:
         raise OutputError(f"{path}: OpenCV cannot write such a picture; use .png")
-    try:
+    with os_errors_as(OutputError, f"{path}: cannot be written"):
         replace(path, data.tobytes(), mode)
-    except OSError as e:
-        raise OutputError(f"{path}: cannot be written: {e.strerror or e}") from None
 
 
 def _open_video(path: Path, fps: float, size: tuple[int, int]) -> cv2.VideoWriter:

@@ -12,7 +12,7 @@ import shutil
 import time
 from pathlib import Path
 
-from spheremouse.errors import DatasetError, SpheremouseError
+from spheremouse.errors import DatasetError, SpheremouseError, os_errors_as
 from spheremouse.files.access import state_folder
 from spheremouse.session.settings import RecordSettings
 
@@ -66,12 +66,10 @@ def lock(folder: Path) -> int:
 
 def made_folder(folder: Path, error: type[SpheremouseError]) -> None:
     """Make a folder and its missing parents, whatever the umask. Raise `error` if that fails."""
-    try:
+    with os_errors_as(error, f"{folder}: cannot be made"):
         for missing in [p for p in (*reversed(folder.parents), folder) if not p.exists()]:
             missing.mkdir(FOLDER, exist_ok=True)
             missing.chmod(FOLDER)
-    except OSError as e:
-        raise error(f"{folder}: cannot be made ({e.strerror or e})") from None
 
 
 def disk_is_full(folder: Path, settings: RecordSettings, least: float = 0.0) -> bool:
