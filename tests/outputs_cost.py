@@ -11,7 +11,6 @@ outputs of one run, and the table has the time for each of them.
 
 import argparse
 import os
-import socket
 import subprocess
 import sys
 import tempfile
@@ -33,6 +32,7 @@ from spheremouse.session.control.server import ControlServer
 from spheremouse.session.outputs import RunOutput
 from spheremouse.session.settings import ControlSettings
 from spheremouse.tracker import Status, unknown
+from tests.reporting import free_port
 
 FPS = 60.0  # frames/s
 SAMPLES_PER_S = 100.0  # to measure the cost
@@ -92,11 +92,6 @@ def report(k):
     )
     sample = Sample(estimate, wall=1.7e9 + k / FPS, latency=0.011)
     return Report((20, -20, 3), (20 * FPS, -20 * FPS, 0.0), k / FPS, (sample,))
-
-
-def free_port():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return server.getsockname()[1]
 
 
 @contextmanager

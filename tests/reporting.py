@@ -1,5 +1,6 @@
 """Reports made up for tests of outputs, counts of what was tracked, and the wait for what a thread does."""
 
+import socket
 import time
 
 import numpy as np
@@ -21,6 +22,11 @@ def until(condition):
         assert time.monotonic() < end, "it never came to be"
         time.sleep(0.002)
     return found
+
+
+def free_port():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return server.getsockname()[1]
 
 
 def refused(spec):

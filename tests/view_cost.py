@@ -31,6 +31,7 @@ from spheremouse.session.control.client import Client
 from tests.daemon_latency import processor
 from tests.daemon_process import Camera, RawFrame
 from tests.live_cost import serve, wait_for_tracking
+from tests.reporting import free_port
 
 SETTLE = 5.0  # s after a change, in which links and leases begin or end
 UNREAD = 60.0  # s in which a browser does not read
@@ -62,9 +63,7 @@ class Page:
     """The page process."""
 
     def __init__(self, folder: Path, daemon: Path) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as listener:
-            self.port = listener.getsockname()[1]
-        file = folder / "token"
+        self.port, file = free_port(), folder / "token"
         words = ("--port", str(self.port), "--socket", str(daemon), "--token-file", str(file))
         command = [sys.executable, "-m", "spheremouse", "view", *words]
         self.process = subprocess.Popen(command, stderr=subprocess.DEVNULL)

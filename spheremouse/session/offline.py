@@ -44,13 +44,12 @@ def initialise(
     rig: Rig,
     settings: Settings,
     *,
-    live: bool = False,
     report: Callable[[str], None] = lambda _: None,
 ) -> Start:
     """Find the camera's pose in the first views that show enough targets.
 
-    The frames of a recording start with the first of those views, those of a live camera after them. `report` gets the
-    problem of views with too few targets once. Raises PoseError if the frames end before a pose was found.
+    The returned frames start with the first of those views. `report` gets the problem of views with too few targets
+    once. Raises PoseError if the frames end before a pose was found.
     """
     if rig.pose is not None:
         return Start(rig.pose, None, frames)
@@ -73,7 +72,7 @@ def initialise(
                 report(said)
             passed += len(views)
             continue
-        return Start(resection.pose, resection, frames if live else chain(views, frames), passed)
+        return Start(resection.pose, resection, chain(views, frames), passed)
 
 
 def _colour(frame: Frame) -> NDArray[np.uint8]:

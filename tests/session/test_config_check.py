@@ -1,7 +1,6 @@
 """What a configuration names: what is not so is told with the line of its key; what may come is a warning."""
 
 import os
-import sys
 
 import pytest
 from typer.testing import CliRunner
@@ -16,8 +15,6 @@ from spheremouse.session.config_check import validate
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.scene import default_scene
 from tests.files.test_registry import OUTPUT, installed  # noqa: F401  a fixture
-
-linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="V4L2 is of Linux")
 
 
 @pytest.fixture
@@ -79,7 +76,6 @@ def test_a_file_that_is_there_and_broken_says_its_own_line(checked, tmp_path):
     assert said.startswith(f"rig.yaml:{last}: nonsense: unknown key")
 
 
-@linux
 def test_what_may_be_missing_only_now_is_a_warning(checked, tmp_path):
     (tmp_path / "uinput").unlink()
     code, said = checked("source: v4l2:/dev/video97", "output: uinput", "rig: rig.yaml")

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from reporting import PATIENCE, report, until
+from reporting import PATIENCE, free_port, report, until
 
 from spheremouse.errors import ControlError
 from spheremouse.output import OutputClosed
@@ -155,11 +155,6 @@ def run_of(*specs):
     outputs = Outputs(specs, EXACT, log=[].append, workers=WorkerPool((OUTPUT,), [].append), call=[].append)
     outputs.begin()
     return outputs
-
-
-def free_port():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return server.getsockname()[1]
 
 
 def refuses(port):

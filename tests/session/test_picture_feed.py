@@ -12,8 +12,6 @@ from spheremouse.session.control.pictures import PictureReader
 from spheremouse.session.control.protocol import LEASE
 from spheremouse.session.picture_feed import PictureFeed
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="no anonymous files on this system")
-
 SIZE = (8, 4)
 DT = 1 / 60
 

@@ -1,13 +1,13 @@
 """A daemon that replays a recording: exactly, under control of its clients."""
 
 import threading
-import time
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from reporting import until
 
 from spheremouse.ball.build import build
 from spheremouse.errors import ControlError, SourceError
@@ -41,17 +41,8 @@ class Run:
         estimate = made.epoch.estimate
         self.results.append((made.frame.sequence, estimate.rotation, estimate.rate, estimate.increment))
 
-    def wait(self, condition):
-        end = time.monotonic() + PATIENCE
-        while not condition():
-            assert time.monotonic() < end
-            time.sleep(0.01)
-
     def ask(self, command, **arguments):
         return self.client.ask(command, **arguments)
-
-    def status(self):
-        return self.ask("status")
 
     def close(self):
         self.client.close()
@@ -64,7 +55,7 @@ class Run:
 def run(tmp_path):
     run = Run(tmp_path)
     try:
-        run.wait(lambda: run.results)
+        until(lambda: run.results)
         yield run
     finally:
         run.close()
@@ -72,7 +63,7 @@ def run(tmp_path):
 
 def test_each_pass_is_exactly_that_of_the_recording_tracked_frame_by_frame(run):
     run.ask("replay", speed=20.0)
-    run.wait(lambda: [r[0] for r in run.results].count(0) > 3)
+    until(lambda: [r[0] for r in run.results].count(0) > 3)
     starts = [k for k, result in enumerate(run.results) if result[0] == 0]
     passes = [run.results[a:b] for a, b in pairwise(starts)][-2:]
     recording = open_dataset(CLIP)
@@ -91,7 +82,7 @@ def test_nonsense_is_refused_in_words_and_changes_nothing(run):
     for wrong in ({"speed": 0.0}, {"begin": -1.0}, {"end": "late"}, {"step": 1}, {"end": 1.0, "begin": 1.0}):
         with pytest.raises(ControlError, match=f"replay: {next(iter(wrong))}: "):
             run.ask("replay", **wrong)
-    controls = run.status()["source"]["replay"]
+    controls = run.ask("status")["source"]["replay"]
     assert (controls["begin"], controls["end"], controls["speed"]) == (0.0, None, 1.0)
 
 

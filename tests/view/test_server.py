@@ -386,19 +386,6 @@ def test_the_end_of_a_replay_is_reported(world, page, clip):
         browser.until("status", lambda m: m["status"] and "replay" not in m["status"]["source"])
 
 
-@pytest.mark.slow
-def test_two_settings_are_compared_on_the_same_seconds(world, page, clip):
-    with Browser(page) as browser:
-        browser.until("hello", lambda m: m["settings"])
-        browser.ask("set", values={"so3.acceleration_sigma": 100.0}, gesture="g")
-        browser.until("status", lambda m: m["status"] and m["status"]["changes"])
-        found = act(browser, "compare", name=clip, begin=0.5, end=1.5)["data"]
-        before, after = found["before"], found["after"]
-        assert before["frames"] == after["frames"] == 30
-        assert before["attitude_rmse_deg"]["combined"] < 0.1
-        assert after["rate_roughness_deg_s"] > 2 * before["rate_roughness_deg_s"]
-
-
 @pytest.mark.parametrize("origin", ["http://evil.example", None, "http://localhost:1"])
 def test_a_foreign_page_gets_403(alone, origin):
     with pytest.raises(InvalidStatus) as e:

@@ -202,7 +202,6 @@ def _file_to_write(
 
     with _failing(), Client(socket) as client:
         return settings_to_save(client, config, assignments)
-    raise AssertionError
 
 
 def _write(file: Path, changes: list[str]) -> dict[str, Any]:

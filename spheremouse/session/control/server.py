@@ -80,8 +80,6 @@ class ControlServer:
 
         It then calls `handle`, which must return at once and answers then or later.
         """
-        if not hasattr(socket, "AF_UNIX"):
-            raise ControlError("this system has no Unix sockets, so the daemon cannot be controlled here")
         self.path = path
         self._settings, self._handle, self._log = settings, handle, log
         self._limits, self._claim = limits or Limits(), claim

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import time
 from itertools import combinations
 
 import numpy as np
@@ -10,6 +9,7 @@ import pytest
 from control_world import a_status
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reporting import until
 
 from spheremouse.commands.tray import icon as tray_live
 from spheremouse.commands.tray import view as tray
@@ -191,13 +191,6 @@ class Daemon:
         else:
             self.state = {"pause": "paused", "resume": "tracking"}[request.command]
             reply({"state": self.state})
-
-
-def until(what):
-    end = time.monotonic() + 20.0
-    while not what():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 @pytest.fixture

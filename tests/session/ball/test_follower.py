@@ -57,33 +57,15 @@ def watched(options, covered=(0.0, 0.0), level=170, disc=1.0):
 
 
 @pytest.mark.parametrize(
-    ("options", "change", "told"),
+    ("change", "told"),
     [
-        ({}, {"covered": (0.0, 9.0), "level": 3}, "it is nearly black (3 of 255); uncover the lens, light the ball"),
-        pytest.param(
-            {},
-            {"covered": (0.0, 9.0), "level": 255},
-            "it is overexposed (255 of 255); a shorter exposure",
-            marks=pytest.mark.slow,
-        ),
-        ({}, {"covered": (0.0, 9.0)}, "nothing on it stands out; uncover the ball"),
-        pytest.param(
-            {"ball_colour": (40.0,) * 3, "disc_colour": (230.0,) * 3},
-            {},
-            "set discs.polarity to light",
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            {"ball_colour": (200.0,) * 3, "disc_colour": (165.0,) * 3, "discs": 40},
-            {},
-            "a smaller discs.contrast",
-            marks=pytest.mark.slow,
-        ),
-        ({}, {"disc": 1.8}, "correct disc_radius in the rig"),
+        ({"covered": (0.0, 9.0), "level": 3}, "it is nearly black (3 of 255); uncover the lens, light the ball"),
+        ({"covered": (0.0, 9.0)}, "nothing on it stands out; uncover the ball"),
+        ({"disc": 1.8}, "correct disc_radius in the rig"),
     ],
 )
-def test_a_ball_without_discs_states_why_within_two_seconds_and_the_log_has_it_once(options, change, told):
-    seen, _ = watched(SimulationOptions(seed=5, motion="rest", noise=2.0, seconds=2.5, fps=10.0, **options), **change)
+def test_a_ball_without_discs_states_why_within_two_seconds_and_the_log_has_it_once(change, told):
+    seen, _ = watched(SimulationOptions(seed=5, motion="rest", noise=2.0, seconds=2.5, fps=10.0), **change)
     after = [k for k, t in enumerate(seen.stamps) if t - seen.stamps[0] >= 2.0]
     for k in after:
         assert seen.reasons[k].startswith("no disc found on the ball for ")

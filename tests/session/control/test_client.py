@@ -19,9 +19,6 @@ from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.status import StatusReport
 from spheremouse.session.settings import ControlSettings
 
-pytestmark = pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="no peer credentials on this system")
-
-
 PICTURE = LivePicture(1, 12.5, "grey", 4, 2, b"12345678", {"sequence": 7})
 
 

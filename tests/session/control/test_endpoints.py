@@ -3,6 +3,7 @@
 import contextlib
 
 import pytest
+from control_world import answer
 
 from spheremouse.errors import ControlError
 from spheremouse.session.control.client import Client
@@ -11,10 +12,6 @@ from spheremouse.session.control.socket_file import SOCKET
 from spheremouse.session.settings import ControlSettings, MetricsSettings
 
 ANYWHERE, NO_METRICS = ControlSettings(), MetricsSettings()
-
-
-def answer(pending):
-    pending.answer({"state": "tracking"})
 
 
 @pytest.fixture

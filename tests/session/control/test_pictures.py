@@ -13,8 +13,6 @@ import pytest
 from spheremouse.errors import ControlError
 from spheremouse.session.control.pictures import LivePicture, PictureReader, PictureRing
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="no anonymous files on this system")
-
 PICTURE = LivePicture(1, 12.5, "yuyv", 4, 2, bytes(range(16)), {"sequence": 7, "outline": [[1.25, -2.0]]})
 SIZE = 200_000  # bytes of a picture, which take longer to copy than to number
 

@@ -42,27 +42,6 @@ def test_what_cannot_be_written_is_refused_at_once(tmp_path, name):
         OverlayFile(tmp_path / name, 30.0)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["seen.png", "seen.mp4"])
-def test_run_draws_a_recording(tmp_path, name):
-    film = prepare_wand(WandOptions(motion="hand", size=(320, 240), seconds=0.4, seed=2))
-    list(write_wand(tmp_path / "film", film))
-    path = tmp_path / name
-    told = CliRunner().invoke(
-        app, ["run", "--tracker", "wand", "--source", f"dataset:{tmp_path / 'film'}", "--output", "null",
-              "--overlay", str(path)],
-    )  # fmt: skip
-    assert told.exit_code == 0, told.output
-    capture = cv2.VideoCapture(str(path))
-    shots = 0
-    while (read := capture.read())[0]:
-        shots, image = shots + 1, read[1]
-    assert shots == (1 if name.endswith("png") else 6)
-    assert image.shape[:2] == ((960, 1280) if name.endswith("png") else (480, 640))
-    assert told.stderr.splitlines()[-2] == f"overlay: {path}"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["film", name]
-
-
 @pytest.mark.parametrize(
     "name",
     ["film/video.mkv", "film/scene.json", "film/frames/000000.png", "axes.png", "out.mp4", "ball.avi", "folder.mp4"],

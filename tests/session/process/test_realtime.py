@@ -10,8 +10,6 @@ import pytest
 
 from spheremouse.session.process import realtime
 
-linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="scheduling classes of Linux")
-
 
 def alone(code):
     """What a program of its own prints; it does no work, so nobody starves."""
@@ -20,7 +18,6 @@ def alone(code):
     return done.stdout.splitlines()
 
 
-@linux
 def test_what_is_said_is_what_is():
     said, scheduler, inherited, locked = alone("""
 import os, threading
@@ -41,7 +38,6 @@ print([line for line in open("/proc/self/status") if line.startswith("VmLck")][0
     assert inherited == "True"  # who writes files waits for who moves the pointer
 
 
-@linux
 def test_off_asks_for_nothing():
     said, scheduler, nice, locked = alone("""
 import os
@@ -56,7 +52,6 @@ print([line for line in open("/proc/self/status") if line.startswith("VmLck")][0
     assert int(nice) == os.getpriority(os.PRIO_PROCESS, 0)
 
 
-@linux
 def test_what_is_not_granted_is_said(monkeypatch):
     def refuse(*_):
         raise PermissionError

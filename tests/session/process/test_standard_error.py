@@ -1,6 +1,7 @@
 """Standard error without waiting: all texts are written if possible, and the others are counted."""
 
 import contextlib
+import fcntl
 import os
 import subprocess
 import sys
@@ -11,8 +12,6 @@ from pathlib import Path
 import pytest
 
 from spheremouse.session.process.standard_error import MAX_QUEUED_TEXTS, nonblocking_stderr
-
-fcntl = pytest.importorskip("fcntl")
 
 
 @contextlib.contextmanager
@@ -103,7 +102,6 @@ def test_a_stream_without_a_descriptor_is_kept(capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs Linux's /dev/full")
 def test_an_error_that_cannot_be_written_has_the_same_exit_code():
     """There is no traceback, and no exit code 120, which Python gives if it cannot flush."""
     words = [sys.executable, "-m", "spheremouse", "run", "--config", "/nonexistent"]

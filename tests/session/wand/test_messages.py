@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from spheremouse.session.wand.messages import WandMessages, problem, sentence
 from spheremouse.tracker import Status
@@ -55,22 +54,6 @@ def test_events_are_said_when_they_are_new():
         "a second ball like ball is in view: declare it too, or take it away",
         "the bounds of red match 30 % of the picture: narrow them with `spheremouse wand colours`",
     ]
-
-
-@pytest.mark.parametrize(
-    ("event", "words"),
-    [
-        (NotInView("red"), "no ball like red in view: hold it into the picture, or check its colours and size"),
-        (BallLost("red"), "red is lost: hold it into the picture"),
-        (BallHidden("red"), "red is hidden: its pose is predicted"),
-        (ColourNowhere("red"),
-         "the bounds of red match nothing in the picture: pick them with `spheremouse wand colours`"),
-        (ColourEverywhere("red", 0.304),
-         "the bounds of red match 30 % of the picture: narrow them with `spheremouse wand colours`"),
-    ],
-)  # fmt: skip
-def test_an_event_is_a_sentence_with_what_to_do(event, words):
-    assert sentence(event) == words
 
 
 def test_a_ball_that_is_not_found_for_long_is_told_once_with_what_to_do():

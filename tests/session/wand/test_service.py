@@ -4,7 +4,6 @@ Laws that hold in every test, checked at its end: nothing is sent but while the 
 was sent or was counted as unsent; every raw frame was given back.
 """
 
-import os
 import time
 from dataclasses import replace
 
@@ -159,7 +158,6 @@ def test_status_tells_where_the_ball_is(playing):
     assert playing.client.ask("status")["lost_count"] == 1
 
 
-@pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="no anonymous files on this system")
 def test_live_pictures_and_the_scene_show_the_ball(playing):
     """The outline lies around the ball's true place, and the discs within it."""
     with Client(playing.socket) as client:
