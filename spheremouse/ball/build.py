@@ -28,7 +28,7 @@ from spheremouse.ball.state import (
     TrackState,
     no_points,
 )
-from spheremouse.errors import PoseError
+from spheremouse.errors import ConfigurationError, PoseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 
@@ -39,9 +39,13 @@ def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = Non
     """Build the tracker for a device and one camera pose.
 
     If the detector of `before` is of the same device, pose and settings, it is used again.
-    Raises PoseError if the camera cannot see the ball: it is inside the ball, the ball is not in front of it, or the
-    ball is outside the image.
+    Raises ConfigurationError if the ball has no discs, and PoseError if the camera cannot see the ball: it is inside
+    the ball, the ball is not in front of it, or the ball is outside the image.
     """
+    if rig.disc_radius is None:
+        raise ConfigurationError(
+            f"rig: disc_radius: missing; the tracker {settings.tracker} follows discs, and this ball has none"
+        )
     towards = pose.position - rig.ball.centre
     distance = float(np.linalg.norm(towards))
     if (
@@ -61,7 +65,7 @@ def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = Non
             settings.so3,
             towards / distance,
             rig.ball.radius / distance,
-            rig.disc_radius / rig.ball.radius,
+            rig.disc_angle,
             rig.ball.radius,
             considered_covariance(pose, rig.ball),
             rig.readout_sigma_s,

@@ -48,7 +48,7 @@ class Rig:
     camera: InteriorOrientation
     ball: Ball
     targets: Targets
-    disc_radius: float  # m, along the ball's surface
+    disc_radius: float | None  # m, along the ball's surface; None: a ball without discs
     readout_s: float = 0.0  # s, time a rolling shutter takes over all rows
     readout_sigma_s: float = 0.0  # s, its standard deviation; UNKNOWN_READOUT without a measurement
     exposure_s: float = 0.0  # s, time the shutter is open; 0 where it is short or unknown
@@ -56,6 +56,12 @@ class Rig:
     disc_directions: Array | None = None  # (m, 3) unit vectors in ball, a disc map made earlier
     cross_covariance: Array | None = None  # (3n, 4) m², targets' coordinates with the ball's centre, radius; None: zero
     scale_free: bool = False  # lengths are not in metres but in a unit of their own, such as the ball's radius
+
+    @property
+    def disc_angle(self) -> float:
+        """rad, from the centre of a disc to its edge, seen from the ball's centre. The ball must have discs."""
+        assert self.disc_radius is not None
+        return self.disc_radius / self.ball.radius
 
     @property
     def radius_m(self) -> float | None:
@@ -83,7 +89,7 @@ def in_metres(rig: Rig, unit: float) -> Rig:
             covariance=unit**2 * targets.covariance,
             radii=unit * targets.radii,
         ),
-        disc_radius=unit * rig.disc_radius,
+        disc_radius=None if rig.disc_radius is None else unit * rig.disc_radius,
         pose=pose,
         cross_covariance=None if rig.cross_covariance is None else unit**2 * rig.cross_covariance,
         scale_free=False,
@@ -100,7 +106,7 @@ class BallView(NamedTuple):
 
     centre: Array  # (3,) m, of the ball, obj
     radius: float  # m
-    disc_angle: float  # rad, angular radius of a disc
+    disc_angle: float  # rad, angular radius of a disc; 0 for a ball without discs
     rotation: Array  # (3, 3) R_obj_cam
     position: Array  # (3,) m, of the camera, obj
     intrinsic: tuple[float, float, float, float]  # px, fx, fy, cx, cy
@@ -129,7 +135,7 @@ def _view_of(rig: Rig, pose: Pose) -> BallView:
     return BallView(
         np.ascontiguousarray(ball.centre),
         ball.radius,
-        rig.disc_radius / ball.radius,
+        0.0 if rig.disc_radius is None else rig.disc_angle,
         np.ascontiguousarray(pose.rotation),
         np.ascontiguousarray(pose.position),
         camera.intrinsic,

@@ -28,10 +28,11 @@ def simulate(
 
     film = prepare(options)
     megabytes = written(folder, film.frames, write_simulation(folder, film, replace=force))
-    (width, height), discs = options.size, options.discs
+    (width, height), discs = options.size, options.disc_count
+    pattern = "" if options.pattern is None else f"pattern {options.pattern}, "
     print(
         f"{folder}: {film.frames} frame{_s(film.frames)} of {width}x{height} at {options.fps:g} Hz, "
-        f"{discs} disc{_s(discs)}, motion {options.motion}; {megabytes:.1f} MB"
+        f"{pattern}{discs} disc{_s(discs)}, motion {options.motion}; {megabytes:.1f} MB"
     )
 
 

@@ -82,6 +82,7 @@ def old_path(path: Path) -> Path:
 
 def saved_now(disc_map: DiscMap, rig: Rig) -> SavedMap:
     """Return a map to save, with the sizes of this device, the time and our version."""
+    assert rig.disc_radius is not None
     now = datetime.now(UTC).replace(microsecond=0)
     return SavedMap(disc_map, rig.ball.radius, rig.disc_radius, now, __version__)
 
@@ -111,7 +112,7 @@ def check_fits(saved: SavedMap, rig: Rig, path: Path) -> None:
         ("a ball", saved.ball_radius, rig.ball.radius, BALL_DIFFERS),
         ("discs", saved.disc_radius, rig.disc_radius, _DISC_DIFFERS),
     ):
-        if abs(there - here) > most * here:
+        if here is not None and abs(there - here) > most * here:
             raise ConfigurationError(
                 f"{path}: was made with {what} of radius {there:g} m, the rig has {here:g} m: name this device's map "
                 "with --map, or move the file away, and the tracker creates a new one as the ball turns"

@@ -19,8 +19,11 @@ def scene_description(simulation: Simulation, name: str) -> dict[str, Any]:
         "fps": simulation.fps,
         **device_description(scene.rig()),
         "truth_T_obj_cam": scene.pose.matrix().tolist(),
-        "truth_disc_directions": scene.disc_directions.tolist(),
     }
+    if len(scene.disc_directions):
+        description["truth_disc_directions"] = scene.disc_directions.tolist()
+    if scene.pattern is not None:
+        description |= {"pattern": scene.pattern.name, "truth_pattern_seed": scene.pattern.seed}
     if simulation.changes:
         description["truth_changes"] = [_change(change) for change in simulation.changes]
         bumps = [change for change in simulation.changes if change.what == "bump"]
@@ -45,7 +48,7 @@ def write_simulation(path: Path | str, simulation: Simulation, *, replace: bool 
     """
     description, centres = scene_description(simulation, Path(path).absolute().name), simulation.options.reach > 0.0
     with dataset_folder(path, description, replace=replace) as made:
-        writer = TruthWriter(made, centres=centres)
+        writer = TruthWriter(made, centres=centres, discs=len(simulation.scene.disc_directions) > 0)
         for done, filmed in enumerate(simulate(simulation), start=1):
             writer.add(filmed.frame, filmed.attitude, filmed.rate, filmed.discs, filmed.centre)
             yield done

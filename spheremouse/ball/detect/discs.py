@@ -290,7 +290,7 @@ def _thin(rig: Rig, pose: Pose, diameter: float, reduction: int) -> NDArray[np.b
     mask = ball_mask(rig, pose)
     if reduction == 1:
         return np.zeros(mask.shape, dtype=np.bool_)
-    radius = 0.5 * diameter / np.sin(rig.disc_radius / rig.ball.radius)  # px, of the ball
+    radius = 0.5 * diameter / np.sin(rig.disc_angle)  # px, of the ball
     cosine = min(_SHOWN * reduction / diameter, 1.0)
     depth = radius * (1.0 - np.sqrt(1.0 - cosine**2))  # px from the limb
     return cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_5) < depth

@@ -100,7 +100,7 @@ def solve(
         frames = progress("tracking" if seconds is None else "first tracking", footage(seconds))
         tracked = track_rolling(frames, rig, provisional_pose(at.direction, at.ratio), settings)
         rolled = adjust_rolling(tracked.sightings, tracked.rolling, camera, rig.readout_sigma_s)
-        return rolled, tracked, replace(rig, disc_radius=rig.disc_radius * tracked.size)
+        return rolled, tracked, replace(rig, disc_radius=rig.disc_angle * tracked.size)
 
     rig = replace(start_rig(found, camera), readout_s=readout[0], readout_sigma_s=readout[1])
     rolled, tracked, rig = adjusted(rig, found, block)
@@ -123,7 +123,7 @@ def solve(
         )
         if change < _MAX_CHANGE:
             break
-    return Solution(rolled, tracked, rig.disc_radius, views, views.last - views.first)
+    return Solution(rolled, tracked, rig.disc_angle, views, views.last - views.first)
 
 
 def _ball_found(

@@ -121,7 +121,7 @@ def _numbered(segments: list[_Segment], discs: Array, rig: Rig, pose: Pose) -> t
     ball = np.einsum("nji,nj->ni", attitude[frame], np.concatenate(direction))
     cosine = ball @ discs.T
     disc = cosine.argmax(axis=1)
-    near = cosine.max(axis=1) > np.cos(2.0 * rig.disc_radius / rig.ball.radius)
+    near = cosine.max(axis=1) > np.cos(2.0 * rig.disc_angle)
     near &= _unbiased(np.concatenate(direction), rig, pose)
     to_centre = pose.to_cam(rig.ball.centre)
     ratio = float(np.linalg.norm(to_centre))

@@ -368,4 +368,4 @@ def _disc_angle(paths: Sequence[Path], rig: Rig, pose: Pose) -> float:
     share = share[np.isfinite(share)]
     if len(share) == 0:
         raise CalibrationError("the dark spots that move are not on the ball that they turn with: roll the ball alone")
-    return rig.disc_radius * float(np.sqrt(np.median(share)))
+    return rig.disc_angle * float(np.sqrt(np.median(share)))

@@ -69,7 +69,7 @@ class _Scene(SceneEntry):
     readout_s: Annotated[float, Field(ge=0)] | None = None
     camera: CameraEntry
     ball: _Ball
-    disc_radius: Positive
+    disc_radius: Positive | None = None
     targets: tuple[_Target, ...] = ()
     target_radii: tuple[Positive, Positive, Positive] | None = None
     T_obj_cam: _Matrix4 | None = None

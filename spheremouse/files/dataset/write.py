@@ -75,11 +75,11 @@ def dataset_folder(path: Path | str, scene: Mapping[str, Any], *, replace: bool 
 class TruthWriter:
     """Writes frames of the ball in its frame, with their truth, into a dataset."""
 
-    def __init__(self, made: DatasetFolder, *, centres: bool = False) -> None:
-        """`centres`: write the ball's centre, which moves."""
+    def __init__(self, made: DatasetFolder, *, centres: bool = False, discs: bool = True) -> None:
+        """`centres`: write the ball's centre, which moves; `discs`: the ball has some."""
         self._pictures, self._centres = made.pictures, centres
         self._truth = made.table("truth.csv", (*TRUTH_COLUMNS, *(CENTRE_COLUMNS if centres else ())))
-        self._discs = made.table("discs.csv", DISC_COLUMNS)
+        self._discs = made.table("discs.csv", DISC_COLUMNS) if discs else None
 
     def add(self, frame: Frame, attitude: Array, rate: Array, discs: DiscTruth, centre: Array | None = None) -> None:
         """Add a frame with R_obj_ball (3, 3), w_obj (3,) rad/s and the rows of its discs (their `frame` is not used).
@@ -93,6 +93,7 @@ class TruthWriter:
             numbers += [0.0, 0.0, 0.0] if centre is None else list(centre)
         self._truth.writerow([index, *(repr(float(x)) for x in numbers)])
         for k in range(len(discs)):
+            assert self._discs is not None
             centre_px = (f"{x:.4f}" for x in discs.centre[k])
             blob = ("" if np.isnan(x) else f"{x:.4f}" for x in (*discs.blob_centre[k], discs.area[k]))
             self._discs.writerow([index, int(discs.disc[k]), *centre_px, *blob, int(discs.state[k])])
@@ -235,12 +236,13 @@ def device_description(rig: Rig) -> dict[str, Any]:
         "exposure_s": float(rig.exposure_s),
         "camera": camera_description(camera),
         "ball": {"radius": float(rig.ball.radius)},
-        "disc_radius": float(rig.disc_radius),
         "targets": [
             {"id": int(i), "code": code, "position": position.tolist()}
             for i, code, position in zip(targets.ids, targets.codes, targets.position, strict=True)
         ],
     }
+    if rig.disc_radius is not None:
+        description["disc_radius"] = float(rig.disc_radius)
     if np.any(targets.radii):
         description["target_radii"] = targets.radii.tolist()
     if rig.readout_sigma_s == 0.0:

@@ -94,7 +94,7 @@ def rig_text(rig: Rig, provenance: Mapping[str, Any] | None = None) -> str:
         f"  radius: {float(rig.ball.radius)!r}",
         f"  center: {_flow(rig.ball.centre)}",
         *_covariance_lines(rig.ball.covariance, "  covariance", "  # m², of centre x, y, z and radius"),
-        f"disc_radius: {float(rig.disc_radius)!r}  # along the ball's surface",
+        *([] if rig.disc_radius is None else [f"disc_radius: {float(rig.disc_radius)!r}  # along the ball's surface"]),
         f"readout_s: {_readout(rig)}  # time a rolling shutter takes over all rows; 0: global; null: unknown",
         f"exposure_s: {float(rig.exposure_s)!r}  # time the shutter is open; 0: unknown",
     ]

@@ -27,7 +27,7 @@ def rig_problems(file: RigFile) -> Iterator[Problem]:
     spread = [_MOST_RADII * file.ball.radius] * 3
     ball = list(_covariance_problems(("ball", "covariance"), file.ball.covariance, [*spread, spread[0]]))
     yield from ball
-    if file.disc_radius >= file.ball.radius:
+    if file.disc_radius is not None and file.disc_radius >= file.ball.radius:
         yield Problem(("disc_radius",), f"is {file.disc_radius:g} m, not smaller than the ball; both are in metres")
     yield from _target_problems(file)
     targets = list(_targets_covariance_problems(file, spread))

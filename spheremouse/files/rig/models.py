@@ -63,7 +63,9 @@ class RigFile(CameraFile):
     scale: Literal["metric", "free"] = Field(
         "metric", description="metric: lengths are in m; free: in a unit of their own, such as the ball's radius"
     )
-    disc_radius: Length = Field(description="radius of a disc in m, along the ball's surface")
+    disc_radius: Length | None = Field(
+        None, description="radius of a disc in m, along the ball's surface; left out for a ball without discs"
+    )
     readout_s: float | None = Field(
         None, ge=0, lt=1, description="time a rolling shutter takes over all rows in s; 0: global; null: unknown"
     )

@@ -19,6 +19,7 @@ from spheremouse.simulate.ball.scene import Scene
 
 AttitudeAt = Callable[[Array], Array]  # times (n,) s -> R_obj_ball (n, 3, 3)
 
+_PARTS = 2  # of a pixel's side, for a painted pattern
 _FINE = 3  # parts of a pixel's side where an edge runs through it
 _FINER = 7  # the same near the limb, where a pixel sees far around the ball
 _GRAZING = 5.0  # square roots of a pixel's size on the ball, in radii: below that cosine is near the limb
@@ -41,6 +42,23 @@ class BallView(NamedTuple):
     alone: NDArray[np.float32]  # (h, w) were nothing in front of it
 
 
+class Surface(NamedTuple):
+    """Points of the ball that pixels show, `_PARTS`² in each."""
+
+    pixel: NDArray[np.intp]  # (k,) index into the image's pixels, row by row
+    normal: NDArray[np.float32]  # (k, m, 3) unit vectors, obj
+    weight: NDArray[np.float32]  # (k, m) of the points in their pixel's mean; parts that miss the ball have almost none
+
+
+class _Hit(NamedTuple):
+    """Rays on the ball. One that misses it has the point where it is nearest."""
+
+    normal: Array  # (k, 3) unit vectors, obj
+    depth: Array  # (k,) in lengths of the ray
+    length: Array  # (k,) m, of the ray
+    cosine: Array  # (k,) of the angle between ray and normal, 0 where the ray misses the ball
+
+
 class _Edge(NamedTuple):
     g: Array  # (k,) of the module's docstring
     slope: Array  # (k, 2) absolute values of its gradient, 1/px
@@ -54,7 +72,7 @@ class Caps:
         """`reach`: m, how far the ball's centre may be from its place."""
         self.scene = scene
         camera, pose = scene.camera, scene.pose
-        self._there = np.array([k not in scene.fallen for k in range(len(scene.disc_directions))])  # (n,) on the ball
+        self._there = ~np.isin(np.arange(len(scene.disc_directions)), scene.fallen)  # (n,) on the ball
         self._place(np.zeros(3))
         self._low, high = _ball_bounds(scene, scene.ball_radius + reach)
         v, u = np.mgrid[self._low[1] : high[1], self._low[0] : high[0]]
@@ -104,6 +122,20 @@ class Caps:
         keep = share > 0.0
         return Coverage((v * self.scene.camera.width + u)[keep], disc[keep], share[keep])
 
+    def surface(self, shown: NDArray[np.floating]) -> Surface:
+        """Return the points of the ball that pixels show, if its share `shown` of the pixel, (h, w), is above 0."""
+        row, column = np.nonzero(shown[self._low[1] :, self._low[0] :][: self._size[0], : self._size[1]] > 0.0)
+        grid = _grid(_PARTS)
+        ray = self._ray[row, column][:, None] + grid @ self._dray[row, column].transpose(0, 2, 1)
+        hit = self._hit(ray.reshape(-1, 3))
+        weight = np.where(hit.cosine > 0.0, 1.0, 1e-6).reshape(-1, len(grid))
+        normal = np.where(np.isnan(hit.normal), self._eye, hit.normal).reshape(-1, len(grid), 3)
+        return Surface(
+            (row + self._low[1]) * self.scene.camera.width + column + self._low[0],
+            normal.astype(np.float32),
+            (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32),
+        )
+
     def truth(self, attitude_at: AttitudeAt, t: float, frame: int, covered: Coverage, view: BallView) -> DiscTruth:
         """Return the discs with centres on the near side at time `t`, each at the time of its own rows.
 
@@ -140,11 +172,14 @@ class Caps:
         state = np.where(shown > 0.99, VISIBLE, np.where(shown > 0.01, PARTLY_HIDDEN, HIDDEN))
         return np.where(np.isnan(area) & (state == VISIBLE), PARTLY_HIDDEN, state).astype(np.intp)
 
+    def attitude_by_row(self, attitude_at: AttitudeAt, t: float) -> Array:
+        """R_obj_ball, (1 or h, 3, 3), when each row is exposed in a frame at time `t`; one if that is the same."""
+        h = self.scene.camera.height
+        return attitude_at(np.array([t]) if self.scene.readout_s == 0.0 else t + self.row_offset(np.arange(float(h))))
+
     def _centres_by_row(self, attitude_at: AttitudeAt, t: float) -> Array:
         """Disc directions in `obj`, (1 or h, n, 3)."""
-        h = self.scene.camera.height
-        times = np.array([t]) if self.scene.readout_s == 0.0 else t + self.row_offset(np.arange(float(h)))
-        return self.scene.disc_directions @ attitude_at(times).transpose(0, 2, 1)
+        return self.scene.disc_directions @ self.attitude_by_row(attitude_at, t).transpose(0, 2, 1)
 
     def _windows(self, centres: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
         """Disc, row and column of all pixels that may show a disc."""
@@ -169,8 +204,7 @@ class Caps:
 
     def _share(self, ray: Array, dray: Array, toward: Array, fine: int) -> Array:
         """Share of the ball's part of pixels that caps around `toward` cover, (k,), from `fine`² parts of each."""
-        offset = (np.arange(fine) + 0.5) / fine - 0.5
-        grid = np.stack(np.meshgrid(offset, offset), axis=-1).reshape(-1, 2)
+        grid = _grid(fine)
         n = len(grid)
         rays = (ray[:, None] + grid @ dray.transpose(0, 2, 1)).reshape(-1, 3)
         edge = self._edge(rays, np.repeat(dray, n, axis=0), np.repeat(toward, n, axis=0))
@@ -180,7 +214,7 @@ class Caps:
         part = np.where(steep, edge.g > 0.0, half_plane(edge.g, edge.slope / fine)).reshape(-1, n) * on_ball
         return part.sum(axis=1) / np.maximum(on_ball.sum(axis=1), 1)
 
-    def _edge(self, ray: Array, dray: Array, toward: Array) -> _Edge:
+    def _hit(self, ray: Array) -> _Hit:
         R, origin = self.scene.ball_radius, self._origin
         a = np.einsum("ki,ki->k", ray, ray)
         b = ray @ origin
@@ -190,11 +224,14 @@ class Caps:
         s = (-b - depth) / a
         n = origin + s[:, None] * ray
         n /= np.linalg.norm(n, axis=1, keepdims=True)
+        return _Hit(n, s, np.sqrt(a), np.where(on_ball, depth / np.sqrt(a) / R, 0.0))
+
+    def _edge(self, ray: Array, dray: Array, toward: Array) -> _Edge:
+        n, s, length, cosine = self._hit(ray)
         g = np.einsum("ki,ki->k", n, toward) - np.cos(self.scene.disc_angle)
-        cosine = np.where(on_ball, depth / np.sqrt(a) / R, 0.0)
-        along = -np.maximum(cosine, 1e-6) * np.sqrt(a)
+        along = -np.maximum(cosine, 1e-6) * length
         slide = toward - (np.einsum("ki,ki->k", toward, ray) / along)[:, None] * n
-        gradient = np.einsum("ki,kij->kj", slide, dray) * (s / R)[:, None]
+        gradient = np.einsum("ki,kij->kj", slide, dray) * (s / self.scene.ball_radius)[:, None]
         return _Edge(np.nan_to_num(g, nan=-1.0), np.abs(np.nan_to_num(gradient)), cosine)
 
     def _directions(
@@ -219,6 +256,12 @@ class Caps:
     def _project(self, directions: Array) -> Array:
         pose = self.scene.pose
         return project(pose.to_cam(self._centre + self.scene.ball_radius * directions), self.scene.camera)[0]
+
+
+def _grid(n: int) -> Array:
+    """Middles of the n² parts of a pixel, (n², 2) px from its middle."""
+    offset = (np.arange(n) + 0.5) / n - 0.5
+    return np.stack(np.meshgrid(offset, offset), axis=-1).reshape(-1, 2)
 
 
 def _ball_bounds(scene: Scene, radius: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

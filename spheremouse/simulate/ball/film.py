@@ -11,6 +11,7 @@ import numpy as np
 from spheremouse.errors import ConfigurationError
 from spheremouse.simulate.ball.events import Change, Dimming, Flicker, HandVisit, Lift, bumped, displaced, facing
 from spheremouse.simulate.ball.options import Named, SimulationOptions, check_bounds, option_name
+from spheremouse.simulate.ball.pattern import Pattern
 from spheremouse.simulate.ball.profile import (
     TURN_SECONDS,
     Profile,
@@ -65,14 +66,16 @@ def prepare(options: SimulationOptions, named: Named = option_name) -> Simulatio
         if time is not None and time >= seconds:
             raise ConfigurationError(f"{named(field)}: {time:g} s is after the end, at {seconds:g} s")
     width, height = options.size
+    layout = options.seed if options.layout is None else options.layout
     try:
         scene = default_scene(
-            options.discs,
+            options.disc_count,
             options.view,
-            options.seed if options.layout is None else options.layout,
+            layout,
             width=width,
             height=height,
             distortion=np.array(options.dist),
+            pattern=None if options.pattern is None else Pattern(options.pattern, layout),
         )
     except ValueError as e:
         raise ConfigurationError(f"{named('discs')}: {e}") from None
@@ -175,6 +178,9 @@ def _check(options: SimulationOptions, named: Named) -> None:
             raise ConfigurationError(f"{named(name)}: {value:g} s is longer than a frame at {options.fps:g} Hz")
     if options.dim_at is not None and options.dim is None:
         raise ConfigurationError(f"{named('dim_at')}: needs {named('dim')}, the factor")
+    for name in ("disc_off", "disc_moved"):
+        if getattr(options, name) is not None and options.disc_count == 0:
+            raise ConfigurationError(f"{named(name)}: the ball has no discs; add them by {named('discs')}")
     if np.linalg.norm(options.lift_by) + options.eccentric > 200.0:
         name = "eccentric" if options.eccentric > 100.0 else "lift_by"
         raise ConfigurationError(f"{named(name)}: the ball must stay within 200 mm of its place")

@@ -10,6 +10,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.settings import param
 
 View = Literal["far", "near"]
+PatternName = Literal["patches", "marble", "speckle", "dirt", "none"]
 Motion = Literal["thesis", "roll", "play", "still", "rest", "creep", "flick", "axes"]
 Triple = tuple[float, float, float]
 Named = Callable[[str], str]  # returns the name of a field in its source, for messages
@@ -24,7 +25,10 @@ _RULES = {"gt": (operator.gt, "above"), "ge": (operator.ge, "at least"), "le": (
 class SimulationOptions:
     """Options of a film. The fields are the options of `spheremouse simulate`."""
 
-    discs: int = param(26, "-", "Discs on the ball.", ge=1)
+    pattern: PatternName | None = param(
+        None, "-", "What is painted on the ball; none: a plain ball.  [default: discs alone]"
+    )
+    discs: int | None = param(None, "-", "Discs on the ball.  [default: 26, with --pattern 0]", ge=0)
     view: View = param("far", "-", "Camera 2.35 m or 1.35 m from the ball's centre.")
     motion: Motion = param(
         "thesis",
@@ -40,10 +44,8 @@ class SimulationOptions:
     brightness: float = param(0.0, "levels", "Grey values added to every pixel; may be negative.")
     blur: float = param(0.0, "s", "Exposure time in s: motion blur.", ge=0)
     readout: float = param(0.0, "s", "Time a rolling shutter takes over all rows in s.", ge=0)
-    seed: int = param(0, "-", "Of discs, noise and play.", ge=0)
-    layout: int | None = param(
-        None, "-", "Seed of the places of the discs alone: another ball.  [default: as --seed]", ge=0
-    )
+    seed: int = param(0, "-", "Of discs, pattern, noise and play.", ge=0)
+    layout: int | None = param(None, "-", "Seed of discs and pattern alone: another ball.  [default: as --seed]", ge=0)
     size: tuple[int, int] = param((640, 480), "WxH", "Size of the images in px.", ge=16, le=_MAX_SIDE)
     dist: tuple[float, float, float, float, float] = param(
         (0.0, 0.0, 0.0, 0.0, 0.0), "k1,k2,p1,p2,k3", "Lens distortion in OpenCV's order."
@@ -73,6 +75,13 @@ class SimulationOptions:
     eccentric: float = param(0.0, "mm", "From the point the ball turns about to its centre.", ge=0)
     disc_off: float | None = param(None, "s", "Time at which a disc in view falls off.", ge=0)
     disc_moved: float | None = param(None, "s", "Time at which a disc in view is put 12 cm beside its place.", ge=0)
+
+    @property
+    def disc_count(self) -> int:
+        """Number of discs on the ball at the start."""
+        if self.discs is not None:
+            return self.discs
+        return 26 if self.pattern is None else 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,11 @@
 """Frames of a simulated scene, each with its exact truth.
 
-The renderer draws the still parts of the scene once (`backdrop`). Each frame mixes in the discs (`caps`), averaged over
-the exposure and row by row with a rolling shutter, then hands, light and noise. It mixes grey values, like a camera
-with a linear response. While nothing moves, only light and noise are new.
+The renderer draws the still parts of the scene once (`backdrop`). Each frame mixes in the discs (`caps`) and what is
+painted on the ball (`pattern`), averaged over the exposure and row by row with a rolling shutter, then hands, light and
+noise. It mixes grey values, like a camera with a linear response. While nothing moves, only light and noise are new.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -18,8 +18,9 @@ from spheremouse.ball.truth import DiscTruth
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.backdrop import Backdrop, render_backdrop, render_layers
-from spheremouse.simulate.ball.caps import BallView, Caps, Coverage
+from spheremouse.simulate.ball.caps import BallView, Caps, Coverage, Surface
 from spheremouse.simulate.ball.events import Dimming, Flicker, HandVisit, Lift, PlacedHand, draw_hand, place_hand
+from spheremouse.simulate.ball.pattern import Pattern
 from spheremouse.simulate.ball.profile import Profile
 from spheremouse.simulate.ball.scene import Scene
 from spheremouse.tracker import Frame
@@ -66,6 +67,7 @@ class _Set(NamedTuple):
     centre: Array  # (3,) m, obj
     backdrop: Backdrop
     caps: Caps
+    surface: Surface | None  # None without a pattern
 
 
 class _Seen(NamedTuple):
@@ -74,8 +76,8 @@ class _Seen(NamedTuple):
     attitude: Array  # (3, 3) R_obj_ball
     centre: Array  # (3,) m
     moments: list[Coverage]
-    pixel: NDArray[np.intp]  # (k,) that show discs at some moment
-    share: NDArray[np.float32]  # (k,) mean share of them
+    pixel: NDArray[np.intp]  # (k,) that show discs at some moment, or a pattern
+    share: NDArray[np.float32]  # (k,) mean share of black in them
     discs: DiscTruth | None  # None where hands were in the way
 
 
@@ -88,7 +90,7 @@ class Renderer:
         self.options = RenderOptions() if options is None else options
         self.backdrop = render_backdrop(scene) if backdrop is None else backdrop
         reach = self.options.reach
-        self._home = _Set(np.zeros(3), self.backdrop, Caps(scene, reach))
+        self._home = _set(np.zeros(3), self.backdrop, Caps(scene, reach))
         self._away = self._home
         self._layers = render_layers(scene, self.backdrop) if reach > 0.0 else None
         self._bytes = _to_bytes(self.backdrop.white)
@@ -123,7 +125,7 @@ class Renderer:
         if self._layers is None or not np.any(centre):
             return self._home
         if np.any(centre != self._away.centre):
-            self._away = _Set(centre, self._layers.backdrop(centre), self._home.caps.moved(centre))
+            self._away = _set(centre, self._layers.backdrop(centre), self._home.caps.moved(centre))
         return self._away
 
     def _look(self, profile: Profile, t: float, attitude: Array, scenery: _Set) -> _Seen:
@@ -138,8 +140,14 @@ class Renderer:
             and np.array_equal(last.attitude, attitude)
         ):
             return last
-        moments = [scenery.caps.coverage(profile.attitude, moment) for moment in self._moments(profile, t)]
-        pixel, share = _mean_coverage(moments)
+        times = self._moments(profile, t)
+        moments = [scenery.caps.coverage(profile.attitude, moment) for moment in times]
+        if self.scene.pattern is None or scenery.surface is None:
+            pixel, share = _mean_coverage(moments)
+        else:
+            attitudes = (scenery.caps.attitude_by_row(profile.attitude, moment) for moment in times)
+            pixel = scenery.surface.pixel
+            share = _mean_black(self.scene.pattern, scenery.surface, attitudes, moments, self.scene.camera.width)
         seen = _Seen(attitude, scenery.centre, moments, pixel, share, None)
         self._last = seen if np.all(throughout == attitude) else None
         return seen
@@ -203,6 +211,27 @@ def _mean_coverage(moments: list[Coverage]) -> tuple[NDArray[np.intp], NDArray[n
     pixel, group = np.unique(np.concatenate([m.pixel for m in moments]), return_inverse=True)
     share = np.bincount(group.ravel(), np.concatenate([m.share for m in moments]), len(pixel)) / len(moments)
     return pixel, share.astype(np.float32)
+
+
+def _set(centre: Array, backdrop: Backdrop, caps: Caps) -> _Set:
+    return _Set(centre, backdrop, caps, None if caps.scene.pattern is None else caps.surface(backdrop.ball))
+
+
+def _mean_black(
+    pattern: Pattern, surface: Surface, attitudes: Iterable[Array], moments: list[Coverage], width: int
+) -> NDArray[np.float32]:
+    """Return 1 less the mean albedo of the pixels of `surface`, (k,). Discs on the pattern are black.
+
+    `attitudes`: R_obj_ball by rows, (1 or h, 3, 3), for each of the `moments`.
+    """
+    k, m = surface.weight.shape
+    light = np.zeros(k, dtype=np.float32)
+    for R, covered in zip(attitudes, moments, strict=True):
+        turn = R.astype(np.float32)[surface.pixel // width if len(R) > 1 else 0]
+        albedo = pattern.albedo((surface.normal @ turn).reshape(-1, 3)).reshape(k, m)
+        discs = np.bincount(covered.pixel, covered.share, surface.pixel.max(initial=0) + 1)[surface.pixel]
+        light += np.einsum("km,km->k", albedo, surface.weight) * (1.0 - discs).astype(np.float32)
+    return np.float32(1.0) - light / np.float32(len(moments))
 
 
 def _developed(

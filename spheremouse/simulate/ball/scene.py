@@ -14,6 +14,7 @@ from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array, from_euler
 from spheremouse.simulate.ball.options import View
+from spheremouse.simulate.ball.pattern import Pattern
 from spheremouse.simulate.light import Lamp, Lighting, Strip
 from spheremouse.simulate.shapes import Colour, Face, Ring, Shape, Sphere, box, post
 
@@ -204,6 +205,7 @@ class Scene:
     ball_colour: Colour = WHITE_BALL
     disc_colour: Colour = BLACK
     fallen: tuple[int, ...] = ()  # discs that are no longer on the ball
+    pattern: Pattern | None = None  # under the discs; None: the ball has one colour
 
     @property
     def disc_angle(self) -> float:
@@ -216,7 +218,7 @@ class Scene:
             self.camera,
             Ball(self.ball_radius),
             self.targets,
-            self.disc_radius,
+            self.disc_radius if len(self.disc_directions) else None,
             readout_s=self.readout_s,
             exposure_s=self.exposure_s,
         )
@@ -230,10 +232,11 @@ def default_scene(
     width: int = 640,
     height: int = 480,
     distortion: Array | None = None,
+    pattern: Pattern | None = None,
 ) -> Scene:
     """Return the reference geometry. `seed` places the discs. Other sizes than 640 x 480 keep the whole view.
 
-    `distortion` (5,) is k1, k2, p1, p2, k3; None: a lens without distortion.
+    `distortion` (5,) is k1, k2, p1, p2, k3; None: a lens without distortion. A ball with a `pattern` may have no discs.
     """
     focal, position, angles = _VIEWS[view]
     scale = min(width / 640.0, height / 480.0)
@@ -249,15 +252,18 @@ def default_scene(
     targets = Targets((1, 2, 3, 4), ("MCY", "CYM", "YMC", "CMY"), _TARGET_POSITIONS, np.zeros((12, 12)), _TARGET_RADII)
     ball_radius, disc_radius = 0.6, 0.02
     bolt_radius = 0.0105  # as far26: the size of a disc that lies a little aslant
+    apart, rng = 3.0 * disc_radius / ball_radius, np.random.default_rng(seed)
+    without = discs == 0 and pattern is not None
     return Scene(
         camera=camera,
         pose=Pose(from_euler(np.radians(angles)), np.array(position)),
         ball_radius=ball_radius,
-        disc_directions=spread_directions(discs, 3.0 * disc_radius / ball_radius, np.random.default_rng(seed)),
+        disc_directions=np.zeros((0, 3)) if without else spread_directions(discs, apart, rng),
         disc_radius=disc_radius,
         targets=targets,
         surroundings=(*frame(targets, bolt_radius), *room()),
         lighting=Lighting(LAMPS, STRIPS, ball_radius),
+        pattern=pattern,
     )
 
 

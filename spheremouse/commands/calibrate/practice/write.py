@@ -30,8 +30,10 @@ def device_of(dataset: Path) -> DeviceShape:
     """
     recording = open_dataset(dataset)
     rig, directions = recording.rig, recording.truth_directions
-    if directions is None:
-        raise CalibrationError(f"{dataset}: scene.json lacks the discs' places (truth_disc_directions)")
+    if directions is None or rig.disc_radius is None:
+        raise CalibrationError(
+            f"{dataset}: scene.json lacks the discs' places or size (truth_disc_directions, disc_radius)"
+        )
     if len(rig.targets.ids) < 3:
         raise CalibrationError(
             f"{dataset}: {len(rig.targets.ids)} ring targets in scene.json; photos of a device need 3 or more"

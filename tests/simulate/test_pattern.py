@@ -1,0 +1,271 @@
+"""Painted balls: the albedo as a function on the sphere, and films against rays that OpenCV traces."""
+
+import json
+from dataclasses import replace
+from typing import get_args
+
+import cv2
+import numpy as np
+import pytest
+
+from spheremouse.errors import ConfigurationError
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.geometry.rotation import exp
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.options import PatternName
+from spheremouse.simulate.ball.pattern import Pattern
+from spheremouse.simulate.ball.profile import play
+from spheremouse.simulate.ball.render import Renderer
+from spheremouse.simulate.ball.scene import default_scene
+from spheremouse.simulate.to_dataset import write_simulation
+
+NAMES = get_args(PatternName)
+PAINTED = [name for name in NAMES if name != "none"]
+LENS = np.array([-0.2, 0.06, 0.001, -0.0015, -0.01])
+ATTITUDE = exp(np.array([0.4, -1.1, 0.7]))
+
+
+class Fixed:
+    seconds = 1.0
+
+    def __init__(self, attitude):
+        self.at_rest = attitude
+
+    def attitude(self, t):
+        return np.broadcast_to(self.at_rest, (len(t), 3, 3))
+
+    def rate(self, t):
+        return np.zeros((len(t), 3))
+
+
+def rng(seed=0):
+    return np.random.default_rng(seed)
+
+
+def anywhere(n, seed=0):
+    u = rng(seed).standard_normal((n, 3))
+    return u / np.linalg.norm(u, axis=1, keepdims=True)
+
+
+def scene_of(name, seed=1, **options):
+    return default_scene(0, pattern=Pattern(name, seed), **options)
+
+
+@pytest.fixture(scope="module")
+def small():
+    return Renderer(default_scene(width=320, height=240, discs=30))
+
+
+def painted(small, name, options=None, **changes):
+    """Return a renderer of the small scene with a pattern in place of discs."""
+    changes = {"pattern": Pattern(name, 1), "disc_directions": np.zeros((0, 3)), **changes}
+    return Renderer(replace(small.scene, **changes), options, small.backdrop)
+
+
+def image(renderer, profile, t=0.0):
+    return renderer.frame(profile, t, 0, rng()).frame.image.astype(float)
+
+
+def fastest_time(profile):
+    t = np.linspace(0.0, profile.seconds, 2001)
+    return float(t[np.argmax(np.linalg.norm(profile.rate(t), axis=1))])
+
+
+# ---- the albedo ----
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_albedo_is_a_function_of_the_direction_alone(name):
+    pattern, u = Pattern(name, 5), anywhere(20_000)
+    albedo = pattern.albedo(u)
+    assert albedo.min() >= 0.0
+    assert albedo.max() <= 1.0
+    order = rng(2).permutation(len(u))
+    assert np.allclose(pattern.albedo(u[order]), albedo[order], atol=2e-3)  # single precision at steep edges
+    assert np.allclose([pattern.albedo(d[None])[0] for d in u[:50]], albedo[:50], atol=2e-3)
+    assert np.array_equal(Pattern(name, 5).albedo(u), albedo)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_albedo_has_no_seam_and_no_pole(name):
+    """Great circles through the poles and across every half plane where a map would begin."""
+    pattern = Pattern(name, 5)
+    angle = np.linspace(0.0, 2.0 * np.pi, 60_001)
+    circles = [(np.eye(3)[i], np.eye(3)[j]) for i, j in ((0, 1), (1, 2), (2, 0))]
+    circles += [(R[0], R[1]) for R in exp(rng(3).uniform(-2.0, 2.0, (3, 3)))]
+    for a, b in circles:
+        albedo = pattern.albedo(np.cos(angle)[:, None] * a + np.sin(angle)[:, None] * b)
+        assert np.max(np.abs(np.diff(albedo))) < 0.12  # 1e-4 rad of an edge of 0.004 rad, which may be twice as steep
+
+
+@pytest.mark.parametrize("name", PAINTED)
+def test_each_seed_is_another_ball_with_the_same_look(name):
+    u = anywhere(50_000)
+    balls = np.array([Pattern(name, seed).albedo(u) for seed in range(4)])
+    assert np.all(np.abs(np.corrcoef(balls) - np.eye(4)) < 0.2)
+    assert np.ptp(balls.mean(axis=1)) < 0.15
+    assert np.allclose(balls.std(axis=1), balls.std(), rtol=0.4)
+
+
+def test_patterns_look_as_they_are_called():
+    u = anywhere(100_000)
+    albedo = {name: Pattern(name, 7).albedo(u) for name in NAMES}
+    assert np.all(albedo["none"] == 1.0)
+    for name in ("patches", "speckle"):  # two tones with sharp edges
+        assert np.mean((albedo[name] < 0.15) | (albedo[name] > 0.99)) > 0.9
+    assert 0.15 < np.mean(albedo["patches"] < 0.5) < 0.55
+    assert 0.05 < np.mean(albedo["speckle"] < 0.5) < 0.25
+    assert 0.08 < albedo["marble"].std() < 0.2
+    dirt = 1.0 - albedo["dirt"]
+    assert dirt.min() == 0.0
+    assert 0.1 < np.quantile(dirt, 0.995) < 0.25  # faint
+    assert 0.02 < np.mean(dirt > 0.05) < 0.25  # and few
+
+
+# ---- films ----
+
+
+def traced(scene, attitude, parts=6):
+    """Return the albedo that each pixel whose rays all meet the ball sees, (h, w), else nan, by OpenCV's camera."""
+    camera = scene.camera
+    h, w = camera.height, camera.width
+    offset = (np.arange(parts) + 0.5) / parts - 0.5
+    v, dv, u, du = np.meshgrid(np.arange(h), offset, np.arange(w), offset, indexing="ij")
+    uv = np.stack([u + du, v + dv], axis=-1).reshape(-1, 1, 2)
+    xy = cv2.undistortPoints(
+        uv, camera.matrix, camera.distortion, criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-12)
+    )[:, 0]
+    ray = np.column_stack([xy, np.ones(len(xy))]) @ scene.pose.rotation.T
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    along = -ray @ scene.pose.position
+    miss2 = scene.pose.position @ scene.pose.position - along**2
+    depth = along - np.sqrt(np.where(miss2 < scene.ball_radius**2, scene.ball_radius**2 - miss2, np.nan))
+    point = scene.pose.position + depth[:, None] * ray
+    albedo = np.full(len(ray), np.nan)
+    hit = ~np.isnan(depth)
+    albedo[hit] = scene.pattern.albedo(point[hit] @ attitude / scene.ball_radius)
+    return albedo.reshape(h, parts, w, parts).mean(axis=(1, 3))
+
+
+@pytest.mark.parametrize(("view", "lens"), [("far", None), ("near", LENS)])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_pixel_shows_the_light_times_the_albedo_where_its_ray_hits(name, view, lens):
+    scene = scene_of(name, view=view, distortion=lens, width=320, height=240)
+    renderer = Renderer(scene)
+    seen = image(renderer, Fixed(ATTITUDE))
+    expected = traced(scene, ATTITUDE)
+    white, black = renderer.backdrop.white, renderer.backdrop.black
+    whole = (renderer.backdrop.ball == 1.0) & ~np.isnan(expected)
+    assert whole.sum() > 10_000
+    error = (seen - black - (white - black) * np.nan_to_num(expected)[..., None])[whole]
+    assert np.sqrt(np.mean(np.square(error))) < (0.5 if name in ("none", "marble", "dirt") else 5.0)
+    assert np.all(np.abs(np.mean(error, axis=0)) < 0.05)
+    assert np.array_equal(seen[renderer.backdrop.outline == 0.0], np.rint(white[renderer.backdrop.outline == 0.0]))
+    if name == "none":
+        assert np.array_equal(
+            seen, image(Renderer(replace(scene, pattern=None), None, renderer.backdrop), Fixed(np.eye(3)))
+        )
+
+
+@pytest.mark.parametrize("name", ["patches", "marble"])
+def test_the_pattern_turns_with_the_ball_and_light_does_not(small, name):
+    """A picture of the turned ball is that of a ball whose pattern was painted turned."""
+    renderer = painted(small, name)
+
+    class Turned:
+        def albedo(self, directions):
+            return Pattern(name, 1).albedo(directions @ ATTITUDE)
+
+    other = painted(small, name, pattern=Turned())
+    difference = np.abs(image(renderer, Fixed(ATTITUDE)) - image(other, Fixed(np.eye(3))))
+    assert np.max(difference) <= 1.0
+    assert np.max(np.abs(image(renderer, Fixed(ATTITUDE)) - image(renderer, Fixed(np.eye(3))))) > 40.0
+
+
+@pytest.mark.parametrize("name", ["patches", "dirt"])
+def test_a_blurred_frame_is_the_mean_of_sharp_ones(small, name):
+    profile, exposure = play(20.0, rng(5)), 0.03
+    t = fastest_time(profile)
+    sharp = painted(small, name)
+    blurred = image(painted(small, name, exposure_s=exposure), profile, t)
+    moments = t + exposure * ((np.arange(30) + 0.5) / 30 - 0.5)
+    mean = np.mean([image(sharp, profile, m) for m in moments], axis=0)
+    assert np.sqrt(np.mean(np.square(image(sharp, profile, t) - mean))) > (3.0 if name == "patches" else 0.1)
+    assert np.max(np.abs(blurred - mean)) < 12.0
+    assert np.sqrt(np.mean(np.square(blurred - mean))) < 0.6
+
+
+def test_a_rolling_shutter_takes_each_row_at_its_own_time(small):
+    profile, readout = play(20.0, rng(5)), 0.03
+    t = fastest_time(profile)
+    sharp = painted(small, "patches")
+    rolled = image(painted(small, "patches", readout_s=readout), profile, t)
+    assert np.any(rolled != image(sharp, profile, t))
+    for row in range(20, 220, 19):
+        at_once = image(sharp, profile, t + readout * ((row + 0.5) / 240.0 - 0.5))
+        assert np.max(np.abs(rolled[row] - at_once[row])) <= 1.0
+
+
+def test_discs_lie_on_the_pattern(small):
+    """On a plain ball they are those of a ball without a pattern; on another they hide it."""
+    discs = {"disc_directions": small.scene.disc_directions, "exposure_s": 0.02}
+    profile = play(20.0, rng(5))
+    t = fastest_time(profile)
+    plain = Renderer(replace(small.scene, exposure_s=0.02), None, small.backdrop).frame(profile, t, 0, rng())
+    on_none, on_marble = (painted(small, name, **discs).frame(profile, t, 0, rng()) for name in ("none", "marble"))
+    assert np.max(np.abs(on_none.frame.image.astype(int) - plain.frame.image)) <= 1
+    assert np.array_equal(on_marble.discs.centre, plain.discs.centre)
+    assert np.array_equal(on_marble.discs.state, plain.discs.state)
+    black = np.all(np.abs(plain.frame.image - small.backdrop.black) <= 1.0, axis=2)
+    assert np.array_equal(on_marble.frame.image[black], plain.frame.image[black])
+    assert np.any(on_marble.frame.image != plain.frame.image)
+
+
+def test_a_lifted_ball_takes_its_pattern_along(small):
+    film = prepare(SimulationOptions(pattern="patches", size=(320, 240), motion="still", seconds=2.0, lift=0.5))
+    renderer = Renderer(film.scene, film.options, small.backdrop)
+    before, during = (renderer.frame(film.profile, t, 0, rng()).frame.image[..., 1] for t in (0.2, 1.0))
+    inside = cv2.erode((small.backdrop.ball > 0.99).astype(np.uint8), np.ones((31, 31), np.uint8)) > 0
+    rows, columns = np.nonzero(inside)
+    part = before[rows.min() : rows.max(), columns.min() : columns.max()]
+    match = cv2.matchTemplate(during, part, cv2.TM_CCOEFF_NORMED)
+    _, best, _, (u, _) = cv2.minMaxLoc(match)
+    assert best > 0.9
+    assert u - columns.min() < -2  # up is to the left: the camera lies on its side
+
+
+# ---- options and datasets ----
+
+
+def test_a_painted_ball_has_discs_only_if_they_are_asked_for():
+    assert len(prepare(SimulationOptions()).scene.disc_directions) == 26
+    bare, both = (prepare(SimulationOptions(pattern="marble", discs=n, seed=4, layout=6)) for n in (None, 8))
+    assert len(bare.scene.disc_directions) == 0
+    assert bare.scene.rig().disc_radius is None
+    assert len(both.scene.disc_directions) == 8
+    assert both.scene.rig().disc_radius == 0.02
+    assert bare.scene.pattern == both.scene.pattern == Pattern("marble", 6)
+    for event in ("disc_off", "disc_moved"):
+        with pytest.raises(ConfigurationError, match=f"^--{event.replace('_', '-')}: the ball has no discs"):
+            prepare(SimulationOptions(pattern="marble", **{event: 0.1}))
+
+
+@pytest.mark.parametrize("discs", [None, 5])
+def test_a_dataset_names_the_pattern_and_has_what_there_is(tmp_path, discs):
+    film = prepare(SimulationOptions(pattern="speckle", discs=discs, size=(160, 120), seconds=0.2, hands=True))
+    for _ in write_simulation(tmp_path / "film", film):
+        pass
+    scene = json.loads((tmp_path / "film" / "scene.json").read_text())
+    assert scene["pattern"] == "speckle"
+    recording = open_dataset(tmp_path / "film")
+    filmed = list(simulate(film))
+    assert recording.frames == len(filmed)
+    assert np.array_equal(recording.truth.attitude, [f.attitude for f in filmed])
+    if discs is None:
+        assert not {"disc_radius", "truth_disc_directions"} & set(scene)
+        assert not (tmp_path / "film" / "discs.csv").exists()
+        assert (recording.rig.disc_radius, recording.discs, recording.truth_directions) == (None, None, None)
+    else:
+        assert recording.rig.disc_radius == 0.02
+        assert len(recording.truth_directions) == discs
+        assert np.array_equal(recording.discs.of_frame(0).disc, filmed[0].discs.disc)
