@@ -49,6 +49,11 @@ class Surface(NamedTuple):
     normal: NDArray[np.float32]  # (k, m, 3) unit vectors, obj
     weight: NDArray[np.float32]  # (k, m) of the points in their pixel's mean; parts that miss the ball have almost none
 
+    def parts(self, *chosen: int) -> "Surface":
+        """Return some of the parts of each pixel."""
+        weight = self.weight[:, chosen]
+        return Surface(self.pixel, self.normal[:, chosen], weight / weight.sum(axis=1, keepdims=True))
+
 
 class _Hit(NamedTuple):
     """Rays on the ball. One that misses it has the point where it is nearest."""

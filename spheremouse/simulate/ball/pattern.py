@@ -17,8 +17,9 @@ Single = NDArray[np.float32]
 _Bounds = tuple[float, float]
 Albedo = Callable[[Single], Single]  # unit vectors in ball, (n, 3) -> 0..1, (n,)
 
-_WAVES = 96  # of a field
+_WAVES = 64  # of a field
 _CHUNK = 4096  # directions at a time: their waves stay in the processor's cache
+_EDGE = 0.004  # rad, width of a painted edge
 _CELLS = 48  # along the side of the cube around the ball, to look up its dots
 
 
@@ -116,7 +117,7 @@ class _Dots(NamedTuple):
         """Return `n` dots anywhere, of radii from `low` to `high`, in radii of the ball; small ones are frequent."""
         centre, radius = _anywhere(rng, n), low * (high / low) ** rng.uniform(0.0, 1.0, n) ** 1.5
         around = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-        cell = _cell(centre)[:, None] + around
+        cell = _cell_of(centre)[:, None] + around
         distance = np.linalg.norm((cell + 0.5) * (2.0 / _CELLS) - 1.0 - centre[:, None], axis=2)
         near = distance < radius[:, None] + _EDGE + np.sqrt(3.0) / _CELLS
         near &= np.all((cell >= 0) & (cell < _CELLS), axis=2)
@@ -133,7 +134,7 @@ class _Dots(NamedTuple):
     def __call__(self, d: Single) -> Single:
         """Return the share of dots in directions (n, 3): (n,), 0 outside, 1 inside."""
         share, on = np.zeros(len(d), dtype=np.float32), np.arange(len(d))
-        cells = self.table[_cell(d) @ (_CELLS**2, _CELLS, 1)]
+        cells = self.table[_cell_of(d) @ (_CELLS**2, _CELLS, 1)]
         for dots in cells.T:
             on = on[dots[on] < len(self.radius) - 1]
             dot = dots[on]
@@ -142,15 +143,12 @@ class _Dots(NamedTuple):
         return share
 
 
-_EDGE = 0.004  # rad, width of a painted edge
-
-
 def _inside(depth: Single) -> Single:
     """Return 0 outside of an edge, 1 inside, from the distance to it, rad."""
     return np.clip(0.5 + depth / _EDGE, 0.0, 1.0)
 
 
-def _cell(directions: NDArray[np.floating]) -> NDArray[np.intp]:
+def _cell_of(directions: NDArray[np.floating]) -> NDArray[np.intp]:
     return np.clip((directions + 1.0) * (0.5 * _CELLS), 0, _CELLS - 1).astype(np.intp)
 
 
@@ -163,16 +161,16 @@ def _anywhere(rng: np.random.Generator, n: int) -> Array:
 
 
 def _patches(rng: np.random.Generator) -> Albedo:
-    field = _Waves.random(rng, 9.0, 90.0, 1.4)
-    return lambda d: 1.0 - 0.9 * _inside((field(d) - 0.4) / field.steepness())
+    field = _Waves.random(rng, 12.0, 90.0, 1.4)
+    return lambda d: 1.0 - 0.9 * _inside((field(d) - 0.5) / field.steepness())
 
 
 def _marble(rng: np.random.Generator) -> Albedo:
-    broad, fine, cloud = (_Waves.random(rng, *band) for band in ((4.0, 40.0, 1.3), (12.0, 90.0, 1.2), (3.0, 30.0, 1.0)))
+    broad, fine = _Waves.random(rng, 4.0, 40.0, 1.3), _Waves.random(rng, 12.0, 90.0, 1.2)
 
     def albedo(d: Single) -> Single:
         veins = 0.38 * np.exp(-((broad(d) / 0.22) ** 2)) + 0.2 * np.exp(-((fine(d) / 0.16) ** 2))
-        return np.clip(0.92 + 0.05 * cloud(d) - veins, 0.0, 1.0).astype(np.float32, copy=False)
+        return (1.0 - veins).astype(np.float32, copy=False)
 
     return albedo
 

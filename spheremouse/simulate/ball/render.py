@@ -7,6 +7,7 @@ noise. It mixes grey values, like a camera with a linear response. While nothing
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import cycle
 from typing import NamedTuple
 
 import cv2
@@ -222,15 +223,16 @@ def _mean_black(
 ) -> NDArray[np.float32]:
     """Return 1 less the mean albedo of the pixels of `surface`, (k,). Discs on the pattern are black.
 
-    `attitudes`: R_obj_ball by rows, (1 or h, 3, 3), for each of the `moments`.
+    `attitudes`: R_obj_ball by rows, (1 or h, 3, 3), for each of the `moments`. If there are several, each has two
+    opposite parts of a pixel and the next moment the other two: motion smooths, and the middle of a pixel stays.
     """
-    k, m = surface.weight.shape
-    light = np.zeros(k, dtype=np.float32)
-    for R, covered in zip(attitudes, moments, strict=True):
+    light = np.zeros(len(surface.pixel), dtype=np.float32)
+    halves = [surface] if len(moments) == 1 else [surface.parts(0, 3), surface.parts(1, 2)]
+    for part, R, covered in zip(cycle(halves), attitudes, moments, strict=False):
         turn = R.astype(np.float32)[surface.pixel // width if len(R) > 1 else 0]
-        albedo = pattern.albedo((surface.normal @ turn).reshape(-1, 3)).reshape(k, m)
+        albedo = pattern.albedo((part.normal @ turn).reshape(-1, 3)).reshape(part.weight.shape)
         discs = np.bincount(covered.pixel, covered.share, surface.pixel.max(initial=0) + 1)[surface.pixel]
-        light += np.einsum("km,km->k", albedo, surface.weight) * (1.0 - discs).astype(np.float32)
+        light += np.einsum("km,km->k", albedo, part.weight) * (1.0 - discs).astype(np.float32)
     return np.float32(1.0) - light / np.float32(len(moments))
 
 
