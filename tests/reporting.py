@@ -1,12 +1,13 @@
 """Reports made up for tests of outputs, counts of what was tracked, and the wait for what a thread does."""
 
+import os
 import socket
 import time
 
 import numpy as np
 import pytest
 
-from spheremouse.errors import OutputError
+from spheremouse.errors import OutputError, SpheremouseError
 from spheremouse.output import Report, open_output, report_of
 from spheremouse.output.counts import Counter, MotionSettings
 from spheremouse.output.sample import Sample
@@ -22,6 +23,24 @@ def until(condition):
         assert time.monotonic() < end, "it never came to be"
         time.sleep(0.002)
     return found
+
+
+def error_of_nobody(action):
+    """Return the error that an action has for the user nobody, in a process of its own."""
+    reads, writes = os.pipe()
+    if os.fork() == 0:
+        os.setgroups([])
+        os.setgid(65534)
+        os.setuid(65534)
+        try:
+            action()
+        except SpheremouseError as e:
+            os.write(writes, str(e).encode())
+        finally:
+            os._exit(0)
+    os.close(writes)
+    with os.fdopen(reads) as said:
+        return said.read()
 
 
 def free_port():

@@ -1,7 +1,5 @@
 """`spheremouse axes`: gestures in, the setting out, and the configuration told."""
 
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,19 +16,8 @@ FILM = "synthetic:motion=axes,noise=3,seed=2"
 UP = np.array([0.0, 1.0, 0.0])
 
 
-def spheremouse(*words):
-    done = subprocess.run(
-        [sys.executable, "-m", "spheremouse", *map(str, words)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    return done.returncode, done.stdout, done.stderr
-
-
 @pytest.mark.slow
-def test_a_player_on_the_far_side_is_understood_and_the_file_told(tmp_path):
+def test_a_player_on_the_far_side_is_understood_and_the_file_told(spheremouse, tmp_path):
     """The film shows 60° right, away, and counter-clockwise, as somebody opposite the camera does it."""
     file = tmp_path / "config.yaml"
     file.write_text("schema: 2\nmotion:\n  player: left  # guessed\n  invert_y: true\n")
@@ -49,7 +36,7 @@ def test_a_player_on_the_far_side_is_understood_and_the_file_told(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_directions_are_saved_into_a_profile_alone(tmp_path):
+def test_the_directions_are_saved_into_a_profile_alone(spheremouse, tmp_path):
     file = tmp_path / "config.yaml"
     file.write_text("schema: 2\nmotion: {player: left}\nprofiles:\n  doom: {motion.scale_x: 2}  # fast\n")
     for name in ("doom", "menu"):
@@ -66,7 +53,7 @@ def test_the_directions_are_saved_into_a_profile_alone(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_configuration_is_begun_with_what_the_command_line_said(tmp_path):
+def test_a_configuration_is_begun_with_what_the_command_line_said(spheremouse, tmp_path):
     """So that `run --config` needs nothing else."""
     config_file = tmp_path / "cabinet" / "config.yaml"
     config_file.parent.mkdir()
@@ -81,15 +68,14 @@ def test_a_configuration_is_begun_with_what_the_command_line_said(tmp_path):
     assert (saved.source, saved.motion.player, saved.motion.scale_y) == (None, "far-side", 2.0)  # a film is no camera
 
 
-@pytest.mark.slow
-def test_who_cannot_save_hears_so_before_the_first_gesture(tmp_path):
+def test_who_cannot_save_hears_so_before_the_first_gesture(spheremouse, tmp_path):
     path = tmp_path / "no" / "config.yaml"
     code, out, err = spheremouse("axes", "--config", path, "--source", FILM)
     assert (code, out, err) == (2, "", f"spheremouse: {path}: cannot be written: there is no folder {path.parent}\n")
 
 
 @pytest.mark.slow
-def test_a_film_without_gestures_is_refused_in_a_line():
+def test_a_film_without_gestures_is_refused_in_a_line(spheremouse):
     code, _, err = spheremouse("axes", "--source", "synthetic:motion=still,seconds=2")
     assert code == 2
     assert "0 of 3 gestures were seen; missing: 'roll the ball to the right" in err

@@ -34,6 +34,26 @@ def pixels(page):
     return picture[rows // 4 : -rows // 4, columns // 3 : -columns // 3]
 
 
+def drag(page, *places):
+    """Press the mouse at the first place, move it to the others, and release it."""
+    (x, y), *others = places
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for place in others:
+        page.mouse.move(*place, steps=4)
+    page.mouse.up()
+
+
+def middle(locator):
+    box = locator.bounding_box()
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def masks(service):
+    """Return the numbers of all places without discs."""
+    return [float(n) for n in re.findall(r"-?[\d.]+", value(service, "discs.masks") or "")]
+
+
 def value(service, key):
     """Return a setting as the daemon reports it."""
     changes = dict(change.split("=", 1) for change in service.status()["changes"])
@@ -129,13 +149,8 @@ def test_a_gesture_on_a_slider_is_one_step_of_undo(page, service):
     undo = page.locator("#undo")
     page.locator("#unsaved").wait_for()
     before = undo.inner_text()
-    box = page.locator('[data-key="motion.scale_x"] .slider').bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.mouse.move(x, y)
-    page.mouse.down()
-    for i in range(1, 20):
-        page.mouse.move(x + 3 * i, y)
-    page.mouse.up()
+    x, y = middle(page.locator('[data-key="motion.scale_x"] .slider'))
+    drag(page, (x, y), *((x + 12 * i, y) for i in range(1, 6)))
     chosen = field(page, "tune", "motion.scale_x").input_value()
     assert float(chosen) > 1.5
     wait_for("the last value", lambda: float(value(service, "motion.scale_x") or 0) == float(chosen))
@@ -234,66 +249,55 @@ def test_expert_settings_are_searched_changed_and_reset(page, service):
 @pytest.mark.parametrize("by", ["mouse", "keys", "numbers"])
 def test_a_rectangle_without_discs_can_be_drawn(page, service, by):
     choose(page, "Draw")
-    masks = lambda: [float(n) for n in re.findall(r"-?[\d.]+", value(service, "discs.masks") or "")]  # noqa: E731
+    shown = lambda: masks(service)  # noqa: E731
     if by == "mouse":
-        box = page.locator("#picture").bounding_box()
-        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-        page.mouse.move(x, y)
-        page.mouse.down()
-        page.mouse.move(x + 40, y + 30, steps=4)
-        page.mouse.up()
-        left, top, right, bottom = wait_for("a rectangle", masks)
+        x, y = middle(page.locator("#picture"))
+        drag(page, (x, y), (x + 40, y + 30))
+        left, top, right, bottom = wait_for("a rectangle", shown)
         assert left == pytest.approx(320, abs=3)
         assert top == pytest.approx(240, abs=3)
         assert (right - left) / (bottom - top) == pytest.approx(40 / 30, abs=0.1)
         return
     page.locator("#add-mask").click()
-    first = wait_for("a rectangle", masks)
+    first = wait_for("a rectangle", shown)
     if by == "keys":
         page.wait_for_timeout(500)  # until the daemon has confirmed it, the page may show the value before
         page.locator("#picture").focus()
         page.keyboard.press("ArrowLeft")
-        wait_for("its place", lambda: masks() == [first[0] - 4, first[1], first[2] - 4, first[3]])
+        wait_for("its place", lambda: shown() == [first[0] - 4, first[1], first[2] - 4, first[3]])
         page.keyboard.press("Delete")
-        wait_for("none", lambda: masks() == [])
+        wait_for("none", lambda: shown() == [])
     else:
         page.get_by_label("left").fill("12")
         page.get_by_label("left").press("Enter")
-        wait_for("its edge", lambda: masks() == [12, *first[1:]])
+        wait_for("its edge", lambda: shown() == [12, *first[1:]])
 
 
 @pytest.mark.parametrize("by", ["mouse", "keys"])
 def test_a_polygon_without_discs_can_be_drawn_and_changed(page, service, by):
     choose(page, "Draw")
-    masks = lambda: [float(n) for n in re.findall(r"-?[\d.]+", value(service, "discs.masks") or "")]  # noqa: E731
+    shown = lambda: masks(service)  # noqa: E731
     page.get_by_role("button", name="Draw polygon").click()
     if by == "keys":  # 4 px a step, from the middle
         for key in ("Enter", *["ArrowRight"] * 10, "Enter", *["ArrowDown"] * 10, "Enter", "Enter"):
             page.keyboard.press(key)
-        wait_for("a triangle", lambda: masks() == [320, 240, 360, 240, 360, 280])
+        wait_for("a triangle", lambda: shown() == [320, 240, 360, 240, 360, 280])
         page.get_by_label("y 3").fill("300")
         page.get_by_label("y 3").press("Enter")
-        wait_for("its corner", lambda: masks()[-2:] == [360, 300])
+        wait_for("its corner", lambda: shown()[-2:] == [360, 300])
         return
-    box = page.locator("#picture").bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    x, y = middle(page.locator("#picture"))
     for at in ((0, 0), (60, 0), (60, 60), (0, 60), (0, 60)):
         page.mouse.click(x + at[0], y + at[1])
-    square = wait_for("a square", masks)
+    square = wait_for("a square", shown)
     assert len(square) == 8
     assert (square[2] - square[0]) / (square[5] - square[1]) == pytest.approx(1.0, abs=0.1)
-    page.mouse.move(x + 60, y)
-    page.mouse.down()
-    page.mouse.move(x + 40, y + 20, steps=3)
-    page.mouse.up()
+    drag(page, (x + 60, y), (x + 40, y + 20))
     wait_for(
-        "its corner", lambda: masks()[:2] == square[:2] and masks()[2] < square[2] - 10 and masks()[4:] == square[4:]
+        "its corner", lambda: shown()[:2] == square[:2] and shown()[2] < square[2] - 10 and shown()[4:] == square[4:]
     )
-    page.mouse.move(x + 30, y + 40)
-    page.mouse.down()
-    page.mouse.move(x + 30, y, steps=3)
-    page.mouse.up()
-    wait_for("its place", lambda: masks()[1] < square[1] - 20)
+    drag(page, (x + 30, y + 40), (x + 30, y))
+    wait_for("its place", lambda: shown()[1] < square[1] - 20)
 
 
 @pytest.mark.slow
@@ -360,16 +364,9 @@ def test_outputs_are_listed(page):
 
 def test_a_report_of_a_calibration_is_shown_and_nonsense_refused_with_its_reason(page, service):
     view = {"file": "board_1.jpg", "rms_px": 0.0456, "corners": 88, "why": None}
-    camera = {
-        "width": 640,
-        "height": 480,
-        "fx": 500.0,
-        "fy": 501.0,
-        "cx": 320.0,
-        "cy": 240.0,
-        "dist": [0.1, 0, 0, 0, 0],
-    }
-    figures = {"camera": {**camera, "sigma": [0.25] * 9}, "rms_px": 0.05, "board_views": [view], "advice": ["Good."]}
+    lens = {"fx": 500.0, "fy": 501.0, "cx": 320.0, "cy": 240.0, "dist": [0.1, 0, 0, 0, 0], "sigma": [0.25] * 9}
+    camera = {"width": 640, "height": 480, **lens}
+    figures = {"camera": camera, "rms_px": 0.05, "board_views": [view], "advice": ["Good."]}
     (service.folder / "lens.json").write_text(json.dumps(figures))
     (service.folder / "rig.json").write_text("{")
     choose(page, "Calibration")

@@ -37,20 +37,6 @@ def figures(spheremouse, path, *words):
     return [result, *result.get("more_balls", [])], out, err
 
 
-@pytest.mark.slow
-def test_two_balls_that_look_alike_are_compared_with_those_they_follow(spheremouse, two, ball):
-    found, out, err = figures(spheremouse, two)
-    assert "two, ball 2" in out
-    assert "never found" not in err
-    for of_ball in found:
-        assert (of_ball["tracked"], of_ball["lost_runs"]) == (12, 0)
-        assert max(of_ball["position_max_mm"].values()) < 40.0
-    found, _, err = figures(spheremouse, two, "--ball", ball)  # one is declared, whichever is found
-    assert (len(found), found[0]["lost_runs"]) == (1, 0)
-    assert max(found[0]["position_max_mm"].values()) < 40.0
-    assert "a second ball like grzonka is in view" in err
-
-
 def test_a_ball_that_is_never_found_is_a_line_with_the_reason(spheremouse, two, ball, tmp_path):
     none = {c: ColourSettings(hue_min=100.0 + k, hue_max=101.0 + k) for k, c in enumerate(("red", "blue"))}
     save_wand(tmp_path / "none.yaml", grzonka_ball(), none)

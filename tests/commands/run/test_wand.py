@@ -178,12 +178,8 @@ def test_what_does_not_go_together_is_refused(spheremouse, hand, camera, tmp_pat
         ((*source, "--output", "null", "--ball", "nix.yaml"), "nix.yaml: no such file; check the path"),
         (video, f"video:{hand / 'video.mkv'}: has no description of the camera; give its file with --camera FILE"),
         ((*source, "--output", "text:-", "--output", "text:-"), "output: text:- is given twice; leave one out"),
-        (source, "no output: give --output"),
         (("--source", "synthetic", "--output", "null"), "synthetic: simulates no wand; film one with"),
-        ((*source, "--output", "null", "--map", "m.yaml"), "map: tracker wand keeps no map"),
-        ((*source, "--output", "null", "--overlay", "o.gif"), "o.gif: unknown kind of overlay"),
         ((*source, "--output", "null", "--set", "wand.points=2"), "wand.points: is 2, but there is one ball"),
-        ((*source, "--output", "null", "--set", "wand.particles=3"), "--set wand.particles: must be at least 10"),
         (("--source", f"dataset:{tmp_path}", "--output", "null"), f"{tmp_path / 'scene.json'}: missing"),
     ):
         assert refused(spheremouse(*WAND, *words)).startswith(reason)
