@@ -29,7 +29,7 @@ def save_settings(path: Path, values: Mapping[tuple[str, ...], Any], root: type[
             config.load(path, root)  # reports the mistakes that are there already, with their lines
         raw = path.read_bytes() if path.exists() else f"schema: {SCHEMAS[config.KIND]}\n".encode()
         mark, text = raw[: len(BOM_UTF8)] if raw.startswith(BOM_UTF8) else b"", raw.removeprefix(BOM_UTF8).decode()
-        wanted = _copied(parse_document(text, str(path)).data)
+        wanted = parse_document(text, str(path)).data
         for key, value in values.items():
             text = _with(text, key, value)
             put(wanted, key, value)
@@ -87,13 +87,6 @@ def _inserted(
         return text + ("" if text.endswith("\n") or not text else end) + block
     line = text.find("\n", after)
     return text + end + block if line < 0 else text[: line + 1] + block + text[line + 1 :]
-
-
-def _copied(value: Any) -> Any:
-    """Return a copy of plain data with mutable sections. Lists stay tuples."""
-    if isinstance(value, dict):
-        return {k: _copied(v) for k, v in value.items()}
-    return tuple(_copied(v) for v in value) if isinstance(value, tuple) else value
 
 
 def put(data: Any, key: Key, value: Any) -> None:

@@ -192,11 +192,12 @@ def test_a_table_has_the_samples_of_the_text_and_the_description_of_its_run(sphe
     samples = [json.loads(line) for line in (tmp_path / "a.txt").read_text().splitlines()]
     table = pd.read_csv(path, comment="#")
     for name in ("quaternion", "rate", "increment", "count"):
-        rows = [s["counts" if name == "count" else name] for s in samples if s["quaternion"] is not None]
+        rows = [s["counts" if name == "count" else name] for s in samples if s["status"] == "tracking"]
         known = table[table["status"] == "tracking"]
         np.testing.assert_allclose(known.filter(regex=f"^{name}_[wxyz]$").to_numpy(), rows, rtol=1e-12)
     (run,) = json.loads((tmp_path / "a.csv.json").read_text())["runs"]
-    assert run["rows"] == len(samples) == 20
+    assert run["rows"] == len(samples)
+    assert live or len(samples) == 20  # a slow computer skips frames
     assert run["configuration"]["pose"]["frames"] == 2
     assert run["rig"] == {"file": str(device), "sha256": hashlib.sha256(device.read_bytes()).hexdigest()}
     assert (run["source"]["spec"], run["versions"]["numpy"]) == (f"dataset:{roll}", np.__version__)

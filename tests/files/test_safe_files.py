@@ -12,7 +12,6 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files import safe_files
 from spheremouse.files.safe_files import write_atomically
 
-posix = pytest.mark.skipif(os.name != "posix", reason="modes and links are others there")
 KILLED = """
 import os, signal, sys
 from pathlib import Path
@@ -22,7 +21,6 @@ write_atomically(Path(sys.argv[1]), "half")
 """
 
 
-@posix
 def test_a_new_file_has_the_mode_of_the_umask_and_an_old_one_keeps_its_own(tmp_path):
     before = os.umask(0o027)
     try:
@@ -37,7 +35,6 @@ def test_a_new_file_has_the_mode_of_the_umask_and_an_old_one_keeps_its_own(tmp_p
         os.umask(before)
 
 
-@posix
 def test_a_link_is_replaced_and_what_it_led_to_stays(tmp_path):
     (tmp_path / "aim").write_text("aim")
     (tmp_path / "link").symlink_to("aim")
@@ -63,7 +60,6 @@ def test_a_file_that_is_given_up_leaves_nothing(tmp_path):
         write_atomically(tmp_path / "no" / "a.yaml", "x")
 
 
-@posix
 def test_what_a_killed_writer_left_is_removed_by_the_next_writing_once_it_is_old(tmp_path):
     path, other = tmp_path / "rig.map.yaml", tmp_path / ".rig.map.yml.01234567.new"
     other.write_text("")

@@ -14,6 +14,7 @@ from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, pre
 from spheremouse.calibrate.device.start import TargetViews
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import fibonacci_sphere
+from spheremouse.simulate.ball.stills import looking
 
 CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 960.0, 540.0)
 TARGETS = np.array([[-0.33, 0.2, 0.57], [-0.33, -0.6, 0.57], [0.33, -0.6, 0.57], [0.33, 0.2, 0.57]])
@@ -26,10 +27,8 @@ EDGES = ((1, 2), (2, 3), (3, 4), (4, 1))
 
 def station(azimuth, height, distance=2.6):
     a, h = np.radians([azimuth, height])
-    z = -np.array([np.sin(a) * np.cos(h), np.sin(h), np.cos(a) * np.cos(h)])
-    x = np.cross(z, [0.0, 1.0, 0.0])
-    x /= np.linalg.norm(x)
-    return Pose(np.stack([x, np.cross(z, x), z], axis=1), np.array([0.0, -0.1, 0.28]) - distance * z)
+    middle = np.array([0.0, -0.1, 0.28])
+    return looking(middle + distance * np.array([np.sin(a) * np.cos(h), np.sin(h), np.cos(a) * np.cos(h)]), middle, 0.0)
 
 
 @cache

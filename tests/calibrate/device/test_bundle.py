@@ -11,6 +11,7 @@ from spheremouse.calibrate.device import bundle
 from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, predicted, solve_block
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array, exp, log
+from spheremouse.simulate.ball.stills import looking
 
 CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 967.0, 540.0, np.array([-0.49, 0.3, -1e-4, -1e-4, -0.11]))
 SD = np.array([0.3, 0.3, 0.3, 0.3, 1e-3, 4e-3, 5e-5, 5e-5, 5e-3])  # of an interior orientation from a board
@@ -33,11 +34,8 @@ def stations(rng: np.random.Generator, to: Array, n: int = 6) -> tuple[Pose, ...
     poses = []
     for a, e in zip(azimuth, height, strict=True):
         way = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
-        z = -way
-        x = np.cross(z, [0.0, 1.0, 0.0])
-        x /= np.linalg.norm(x)
-        turn = exp(rng.uniform(-1.5, 1.5) * z)
-        poses.append(Pose(turn @ np.stack([x, np.cross(z, x), z], axis=1), to + rng.uniform(2.0, 3.0) * way))
+        roll = rng.uniform(-1.5, 1.5)
+        poses.append(looking(to + rng.uniform(2.0, 3.0) * way, to, roll))
     return tuple(poses)
 
 

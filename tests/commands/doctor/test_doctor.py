@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -34,9 +35,10 @@ from spheremouse.files.rig import load_rig, save_rig
 from spheremouse.finding import Verdict, ok, warning, wrong
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import exp
+from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.status import StatusReport
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
-from spheremouse.session.settings import RecordSettings
+from spheremouse.session.settings import ControlSettings, RecordSettings
 
 OK, WARNING, WRONG, UNCHECKED = Verdict.OK, Verdict.WARNING, Verdict.WRONG, Verdict.UNCHECKED
 FAR26_RIG = "the source brings its own"
@@ -503,10 +505,6 @@ def test_what_the_daemon_says_of_itself(change, name, verdict):
 
 
 def test_a_daemon_that_runs_keeps_its_camera(tmp_path_factory, monkeypatch):
-    pytest.importorskip("fcntl")
-    from spheremouse.session.control.server import ControlServer
-    from spheremouse.session.settings import ControlSettings
-
     path = Path(tmp_path_factory.mktemp("s")) / "c"
     monkeypatch.setattr(doctor.capture, "probe", lambda spec: [])
     monkeypatch.setattr(camera, "film", lambda *_: pytest.fail("the camera was opened"))
@@ -523,10 +521,6 @@ def test_a_daemon_that_runs_keeps_its_camera(tmp_path_factory, monkeypatch):
 
 
 def test_a_daemon_of_another_version_is_to_be_started_anew(tmp_path_factory):
-    pytest.importorskip("fcntl")
-    from spheremouse.session.control.server import ControlServer
-    from spheremouse.session.settings import ControlSettings
-
     path = Path(tmp_path_factory.mktemp("s")) / "c"
     with ControlServer(path, ControlSettings(), lambda pending: pending.answer(a_status(version="0.0.1"))):
         status, told = running.ask(path)
@@ -578,7 +572,6 @@ def test_room_memory_and_rights(tmp_path, monkeypatch):
     info.write_text("MemTotal: 4000000 kB\nMemAvailable: 3000000 kB\n")
     assert computer.memory(info).values == {"free_mb": 3072}
     assert computer.memory(tmp_path / "none").verdict is UNCHECKED
-    resource = pytest.importorskip("resource")
     status = tmp_path / "status"
     status.write_text("CapEff:\t0000000000000000\n")
     monkeypatch.setattr(resource, "getrlimit", lambda which: (0, 0))

@@ -18,7 +18,9 @@ from spheremouse.commands.service import app, check
 from spheremouse.commands.service import systemd as service
 from spheremouse.commands.service.systemd import Place
 from spheremouse.errors import ServiceError
+from spheremouse.files import config
 from spheremouse.files.access import service_files
+from spheremouse.session.settings import Configuration
 
 PROGRAM = "/opt/spheremouse/current/bin/spheremouse"
 UNIT = "etc/systemd/system/spheremouse.service"
@@ -381,11 +383,8 @@ def test_names_agree_with_the_code():
 
 
 def test_the_configuration_to_begin_with_is_one_that_the_program_reads(root):
-    from spheremouse.files import config
-
-    settings = pytest.importorskip("spheremouse.session.settings")
     call("install", root=root)
-    given = config.load(root / "etc/spheremouse/config.yaml", settings.Configuration)
+    given = config.load(root / "etc/spheremouse/config.yaml", Configuration)
     assert (given.source, given.output) == ("v4l2:/dev/video0", "auto")
     assert (given.rig, given.map) == ("/etc/spheremouse/rig.yaml", "/var/lib/spheremouse/rig.map.yaml")
 

@@ -22,12 +22,6 @@ from spheremouse.session.settings import ControlSettings
 PICTURE = LivePicture(1, 12.5, "grey", 4, 2, b"12345678", {"sequence": 7})
 
 
-@pytest.fixture
-def path(tmp_path_factory):
-    """A short path; those of pytest may be too long for a socket."""
-    return tmp_path_factory.mktemp("s") / "c"
-
-
 def test_the_client_says_what_is_wrong(path):
     with pytest.raises(NoDaemonError, match=rf"no daemon runs \(no daemon listens at {path}\); start one with"):
         Client(path).ask("status")

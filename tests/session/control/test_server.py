@@ -33,12 +33,6 @@ from spheremouse.tracker import Status, unknown
 
 
 @pytest.fixture
-def path(tmp_path_factory):
-    """A short path; those of pytest may be too long for a socket."""
-    return tmp_path_factory.mktemp("s") / "c"
-
-
-@pytest.fixture
 def serve(path):
     with contextlib.ExitStack() as stack:
         yield lambda handle=answer, limits=None, log=None, **options: stack.enter_context(

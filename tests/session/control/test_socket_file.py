@@ -22,12 +22,6 @@ from spheremouse.session.settings import ControlSettings
 as_root = pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("setpriv"), reason="needs root and setpriv")
 
 
-@pytest.fixture
-def path(tmp_path_factory):
-    """A short path; those of pytest may be too long for a socket."""
-    return tmp_path_factory.mktemp("s") / "c"
-
-
 @pytest.mark.parametrize("grouped", [False, True])
 def test_the_file_is_the_owners_alone_or_the_groups_too_from_the_moment_it_listens(path, monkeypatch, grouped):
     """Whatever the process's umask: the mode is set before anybody can connect."""
