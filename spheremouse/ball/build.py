@@ -35,6 +35,14 @@ from spheremouse.geometry.rotation import Array
 _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
 
 
+def check_discs(rig: Rig, settings: Settings) -> None:
+    """Raise ConfigurationError if the ball has no discs, which the tracker of these settings needs."""
+    if rig.disc_radius is None:
+        raise ConfigurationError(
+            f"rig: disc_radius: missing; the tracker {settings.tracker} follows discs, and this ball has none"
+        )
+
+
 def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = None) -> Tracker:
     """Build the tracker for a device and one camera pose.
 
@@ -42,10 +50,7 @@ def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = Non
     Raises ConfigurationError if the ball has no discs, and PoseError if the camera cannot see the ball: it is inside
     the ball, the ball is not in front of it, or the ball is outside the image.
     """
-    if rig.disc_radius is None:
-        raise ConfigurationError(
-            f"rig: disc_radius: missing; the tracker {settings.tracker} follows discs, and this ball has none"
-        )
+    check_discs(rig, settings)
     towards = pose.position - rig.ball.centre
     distance = float(np.linalg.norm(towards))
     if (

@@ -49,7 +49,8 @@ def test_metres_change_what_is_seen_by_nothing_and_what_is_known_by_their_unit()
     assert_allclose(b.covariance, UNIT**2 * a.covariance, rtol=1e-9)
     joint, other = (np.block([[r.targets.covariance, r.cross_covariance]]) for r in (free, metric))
     assert_allclose(other, UNIT**2 * joint)
-    assert_allclose(metric.disc_radius / metric.ball.radius, free.disc_radius / free.ball.radius)
+    assert_allclose(metric.disc_angle, free.disc_angle)
+    assert in_metres(replace(free, disc_radius=None), UNIT).disc_radius is None
 
 
 def test_what_is_considered_is_pose_and_ball_with_what_they_share():

@@ -66,7 +66,7 @@ def random_rig(seed, targets, known_pose, discs, correlated=True):
             ids=tuple(range(3, 3 + targets)), codes=CODES[:targets], position=rng.normal(size=(targets, 3)),
             covariance=whole[10:, 10:], radii=np.sort(rng.uniform(0.01, 0.1, 3))
         ),
-        disc_radius=rng.uniform(0.01, 0.03), **shutter(rng),
+        disc_radius=rng.uniform(0.01, 0.03) if discs or rng.random() < 0.5 else None, **shutter(rng),
         pose=Pose(*place, whole[:6, :6], whole[:6, 6:10]) if known_pose else None,
         disc_directions=directions / np.linalg.norm(directions, axis=1, keepdims=True) if discs else None,
         cross_covariance=whole[10:, 6:10] if correlated and targets else None, scale_free=bool(rng.random() < 0.5)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spheremouse.ball.build import begin, build
+from spheremouse.ball.build import begin, build, check_discs
 from spheremouse.ball.camera_moved import shows_targets
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.events import CameraMoved
@@ -78,8 +78,9 @@ class BallAdapter(TrackerAdapter):
 
         `keeper` saves the map of the discs; None saves none. `log` prints a line. `do` has another thread do work.
         `given` is the rig of the source, if it has one. Raises PoseError if the rig has neither the camera's pose nor
-        three targets, or if the ball is not in view.
+        three targets, or if the ball is not in view, and ConfigurationError if the ball has no discs.
         """
+        check_discs(rig, settings)
         self.rig, self.settings, self._keeper, self._log = rig, settings, keeper, log
         self._do, self._given = do, given
         self.pose: Pose | None = None
