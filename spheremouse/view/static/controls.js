@@ -21,12 +21,7 @@ export function title(key) {
   return words.charAt(0).toUpperCase() + words.slice(1);
 }
 
-/**
- * Return the value that was typed; a text that is none stays a text, which the daemon refuses in words.
- * @param {Setting} setting
- * @param {string} text
- * @returns {Value}
- */
+/** Return the value that was typed; a text that is none stays a text, which the daemon refuses in words. @type {(setting: Setting, text: string) => Value} */
 export function parse(setting, text) {
   const typed = text.trim();
   if (typed === "") return setting.default === null || setting.type === "text" ? null : "";

@@ -36,12 +36,8 @@ export function byId(id, type) {
   return found;
 }
 
-/**
- * Write a text only if it differs, so that screen readers announce changes alone.
- * @param {HTMLElement} element
- * @param {string} text
- */
-export function setText(element, text) {
+/** Write a text only if it differs, so that screen readers announce changes alone. */
+export function setText(/** @type {HTMLElement} */ element, /** @type {string} */ text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
@@ -49,11 +45,8 @@ export function setText(element, text) {
 const colours = new Map();
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => colours.clear());
 
-/**
- * Return a colour of style.css, for example "--x".
- * @param {string} name
- */
-export function colour(name) {
+/** Return a colour of style.css, for example "--x". */
+export function colour(/** @type {string} */ name) {
   let value = colours.get(name);
   if (value === undefined) {
     value = getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -62,11 +55,8 @@ export function colour(name) {
   return value;
 }
 
-/**
- * Match the canvas to its place on the screen. Returns its context in CSS pixels, cleared, with width and height.
- * @param {HTMLCanvasElement} canvas
- */
-export function prepareCanvas(canvas) {
+/** Match the canvas to its place on the screen. Returns its context in CSS pixels, cleared, with width and height. */
+export function prepareCanvas(/** @type {HTMLCanvasElement} */ canvas) {
   const { clientWidth: width, clientHeight: height } = canvas;
   const ratio = devicePixelRatio || 1;
   const [w, h] = [Math.round(width * ratio), Math.round(height * ratio)];
@@ -77,47 +67,32 @@ export function prepareCanvas(canvas) {
   return { context, width, height };
 }
 
-/**
- * Return a number with at most `digits` digits that count.
- * @param {number} value
- */
-export function formatNumber(value, digits = 4) {
+/** Return a number with at most `digits` digits that count. */
+export function formatNumber(/** @type {number} */ value, digits = 4) {
   return Number.isInteger(value) ? String(value) : String(Number(value.toPrecision(digits)));
 }
 
-/**
- * Return a number with its sign and a fixed number of decimals.
- * @param {number} value
- */
-export function formatSigned(value, decimals = 1) {
+/** Return a number with its sign and a fixed number of decimals. */
+export function formatSigned(/** @type {number} */ value, decimals = 1) {
   const text = Math.abs(value).toFixed(decimals);
   return (value < 0 && Number(text) !== 0 ? "−" : "+") + text;
 }
 
-/**
- * Return a duration in the largest two units, for example "3 min 20 s".
- * @param {number} seconds
- */
-export function formatDuration(seconds) {
+/** Return a duration in the largest two units, for example "3 min 20 s". */
+export function formatDuration(/** @type {number} */ seconds) {
   const s = Math.floor(seconds);
   if (s < 60) return `${s} s`;
   if (s < 3600) return `${Math.floor(s / 60)} min ${s % 60} s`;
   return `${Math.floor(s / 3600)} h ${Math.floor((s % 3600) / 60)} min`;
 }
 
-/**
- * Return the quantiles of a latency of the status.
- * @param {{p50?: number, p99?: number} | null | undefined} latency ms
- */
-export function formatLatency(latency) {
+/** Return the quantiles of a latency of the status, ms. */
+export function formatLatency(/** @type {{p50?: number, p99?: number} | null | undefined} */ latency) {
   return latency?.p50 === undefined ? "–" : `${latency.p50.toFixed(1)} ms, 99 % ${(latency.p99 ?? 0).toFixed(1)} ms`;
 }
 
-/**
- * Return the text of a value as it is typed.
- * @param {any} value
- */
-export function valueText(value) {
+/** Return the text of a value as it is typed. */
+export function valueText(/** @type {any} */ value) {
   if (value === null || value === undefined) return "";
   if (typeof value === "number") return formatNumber(value, 12);
   return typeof value === "string" ? value : JSON.stringify(value).replaceAll(",", ", ");

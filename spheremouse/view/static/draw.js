@@ -20,11 +20,8 @@ const HUE_HALF_WIDTH = 15; // OpenCV hue, for the light
 const GRIP_RADIUS = 9; // screen pixels about a corner
 const MIN_SIDE = 3; // px of a rectangle
 
-/**
- * Return OpenCV's hue, 0 to 180, and saturation, 0 to 255.
- * @param {[number, number, number]} rgb
- */
-export function hue([r, g, b]) {
+/** Return OpenCV's hue, 0 to 180, and saturation, 0 to 255. */
+export function hue(/** @type {[number, number, number]} */ [r, g, b]) {
   const [high, low] = [Math.max(r, g, b), Math.min(r, g, b)];
   const range = high - low || 1;
   const sixth = high === r ? (g - b) / range : high === g ? 2 + (b - r) / range : 4 + (r - g) / range;
@@ -313,11 +310,8 @@ export class DrawPanel {
   }
 }
 
-/**
- * Return a mask; of a rectangle, left is before right, and top before bottom.
- * @param {Mask} mask
- */
-function ordered(mask) {
+/** Return a mask; of a rectangle, left is before right, and top before bottom. */
+function ordered(/** @type {Mask} */ mask) {
   const [a = 0, b = 0, c = 0, d = 0] = mask;
   return mask.length > 4 ? mask : [Math.min(a, c), Math.min(b, d), Math.max(a, c), Math.max(b, d)];
 }
@@ -333,12 +327,8 @@ function corners(mask) {
   return pairs(mask.length > 4 ? mask : [a, b, c, b, c, d, a, d]);
 }
 
-/**
- * Return if a polygon contains a point: a ray from it crosses an odd number of sides.
- * @param {Point[]} places
- * @param {Point} point
- */
-function contains(places, [x, y]) {
+/** Return if a polygon contains a point: a ray from it crosses an odd number of sides. */
+function contains(/** @type {Point[]} */ places, /** @type {Point} */ [x, y]) {
   const crossed = places.filter(([ax, ay], i) => {
     const [bx, by] = places[(i + 1) % places.length] ?? [0, 0];
     return ay > y !== by > y && x < ax + ((y - ay) / (by - ay)) * (bx - ax);

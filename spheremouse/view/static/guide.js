@@ -33,11 +33,7 @@ export class GuidePanel {
 
   /** Read the steps again. */ refresh = () => this.#do("steps");
 
-  /**
-   * @param {string} action
-   * @param {Record<string, any>} words
-   */
-  async #do(action, words = {}) {
+  async #do(/** @type {string} */ action, /** @type {Record<string, any>} */ words = {}) {
     if (action !== "steps") setText(this.#note, "One moment.");
     const done = await this.#perform("guide", { do: action, ...words });
     if (!done || action === "describe") setText(this.#note, "");

@@ -35,12 +35,8 @@ export class Picture {
     new ResizeObserver(() => this.draw()).observe(canvas);
   }
 
-  /**
-   * Take a frame; without a picture the last one stays.
-   * @param {Frame} frame
-   * @param {ImageBitmap | null} bitmap
-   */
-  take(frame, bitmap) {
+  /** Take a frame; without a picture the last one stays. */
+  take(/** @type {Frame} */ frame, /** @type {ImageBitmap | null} */ bitmap) {
     const { width, height } = frame;
     if (!bitmap || !width || !height) return;
     this.#bitmap?.close();
@@ -53,22 +49,14 @@ export class Picture {
     this.draw();
   }
 
-  /**
-   * Return the place of a pointer in the picture, px.
-   * @param {PointerEvent} event
-   * @returns {Point}
-   */
+  /** Return the place of a pointer in the picture, px. @type {(event: PointerEvent) => Point} */
   locate(event) {
     const box = this.canvas.getBoundingClientRect();
     const { x, y, scale } = this.view;
     return [(event.clientX - box.left - x) / scale - 0.5, (event.clientY - box.top - y) / scale - 0.5];
   }
 
-  /**
-   * Return the mean colour [red, green, blue] of 5 x 5 px of the picture; null without a picture.
-   * @param {Point} point
-   * @returns {[number, number, number] | null}
-   */
+  /** Return the mean colour of 5 x 5 px of the picture; null without a picture. @type {(at: Point) => [red: number, green: number, blue: number] | null} */
   sample([x, y]) {
     if (!this.#bitmap) return null;
     const scale = this.#bitmap.width / this.view.width;
@@ -84,24 +72,15 @@ export class Picture {
     this.#paint(this.canvas, this.view, (name) => this.#shown.get(name)?.checked ?? false, this.painters);
   }
 
-  /**
-   * Draw the picture with some layers on another canvas. Returns the number of what they show, in words.
-   * @param {HTMLCanvasElement} canvas
-   * @param {string[]} layers
-   */
-  copy(canvas, layers) {
+  /** Draw the picture with some layers on another canvas. Returns the number of what they show, in words. */
+  copy(/** @type {HTMLCanvasElement} */ canvas, /** @type {string[]} */ layers) {
     canvas.style.aspectRatio = `${this.view.width} / ${this.view.height}`;
     this.#paint(canvas, { ...this.view }, (name) => layers.includes(name), []);
     const { detected = [], targets = [] } = this.#annotations;
     return layers.includes("targets") ? `${targets.length} targets` : `${detected.filter((d) => d.used).length} of ${detected.length} contours used`;
   }
 
-  /**
-   * @param {HTMLCanvasElement} canvas
-   * @param {View} view
-   * @param {(name: string) => boolean} on
-   * @param {Painter[]} painters
-   */
+  /** @type {(canvas: HTMLCanvasElement, view: View, on: (name: string) => boolean, painters: Painter[]) => void} */
   #paint(canvas, view, on, painters) {
     const { context: c, width, height } = prepareCanvas(canvas);
     view.scale = Math.min(width / view.width, height / view.height);
@@ -120,11 +99,7 @@ export class Picture {
     c.restore();
   }
 
-  /**
-   * @param {CanvasRenderingContext2D} c
-   * @param {number} s screen pixels in a pixel of the picture
-   * @param {(name: string) => boolean} on
-   */
+  /** Draw layers; `s` are the screen pixels in a pixel. @type {(c: CanvasRenderingContext2D, s: number, on: (name: string) => boolean) => void} */
   #layers(c, s, on) {
     const { outline, detected, predicted, targets, masked, strangers } = this.#annotations;
     if (on("contours") && outline?.length) {
@@ -166,13 +141,7 @@ export class Picture {
   }
 }
 
-/**
- * Draw the line of the current path with a dark edge.
- * @param {CanvasRenderingContext2D} c
- * @param {string} line
- * @param {number} width
- * @param {number[]} [dash]
- */
+/** Draw the current path with a dark edge. @type {(c: CanvasRenderingContext2D, line: string, width: number, dash?: number[]) => void} */
 function strokeWithHalo(c, line, width, dash = []) {
   c.setLineDash(dash);
   [c.strokeStyle, c.lineWidth] = [HALO, width + 1.6];
@@ -203,7 +172,8 @@ function ellipse(c, x, y, [xx, xy, yy], s, line, width, dash) {
   strokeWithHalo(c, line, width, dash);
 }
 
-function cross(/** @type {CanvasRenderingContext2D} */ c, /** @type {number} */ x, /** @type {number} */ y, /** @type {string} */ line) {
+/** @type {(c: CanvasRenderingContext2D, x: number, y: number, line: string) => void} */
+function cross(c, x, y, line) {
   c.beginPath();
   for (const d of [4, -4]) {
     c.moveTo(x - 4, y - d);
@@ -212,13 +182,7 @@ function cross(/** @type {CanvasRenderingContext2D} */ c, /** @type {number} */ 
   strokeWithHalo(c, line, 1.5);
 }
 
-/**
- * @param {CanvasRenderingContext2D} c
- * @param {string} text
- * @param {number} x
- * @param {number} y
- * @param {string} fill
- */
+/** @type {(c: CanvasRenderingContext2D, text: string, x: number, y: number, fill: string) => void} */
 function label(c, text, x, y, fill) {
   c.font = "600 11px system-ui, sans-serif";
   c.lineJoin = "round";

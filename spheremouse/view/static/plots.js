@@ -12,11 +12,7 @@ const DEGREES = 180 / Math.PI;
 const DASHES = [[], [6, 3], [2, 2]];
 const AXES = ["X", "Y", "Z"];
 
-/**
- * Return a sample of the row of a frame message.
- * @param {any[]} row
- * @returns {Sample}
- */
+/** Return a sample of the row of a frame message. @type {(row: any[]) => Sample} */
 export function readSample(row) {
   const [stamp, ball, confirmed, qw, qx, qy, qz, wx, wy, wz, sx, sy, sz, cx, cy, cz, latency, discs, px, py, pz] = row;
   const known = (/** @type {any} */ v) => v !== null && v !== undefined;
@@ -30,12 +26,7 @@ export function readSample(row) {
   };
 }
 
-/**
- * Return at least two round numbers within a range that contains 0, and about `parts` of them.
- * @param {number} low
- * @param {number} high
- * @param {number} parts
- */
+/** Return at least two round numbers within a range that contains 0, and about `parts` of them. @type {(low: number, high: number, parts: number) => number[]} */
 function ticks(low, high, parts) {
   const least = Math.min((0.8 * (high - low)) / parts, high / 2);
   const power = 10 ** Math.floor(Math.log10(least));
@@ -61,11 +52,8 @@ class Plot {
     byId(`${id}-legend`, HTMLElement).replaceChildren(el("b", {}, name), el("small", {}, unit), ...keys);
   }
 
-  /**
-   * @param {Sample[]} samples
-   * @param {number} now stamp at the right edge, s
-   */
-  draw(samples, now) {
+  /** Draw samples; `now` is the stamp at the right edge, s. */
+  draw(/** @type {Sample[]} */ samples, /** @type {number} */ now) {
     const { context: c, width, height } = prepareCanvas(this.canvas);
     const lines = this.series.map((s) => samples.map((sample) => s.read(sample)));
     const values = lines.flat().filter((v) => v !== null);
@@ -99,7 +87,11 @@ class Plot {
     this.series.forEach((series, i) => {
       const line = lines[i] ?? [];
       c.fillStyle = c.strokeStyle = colour(series.colour);
-      if (series.sigma) this.#band(c, samples, line, series.sigma, x, y);
+      const { sigma } = series;
+      if (sigma) this.#band(c, samples.map((sample, k) => {
+        const [value, s] = [line[k] ?? null, sigma(sample)];
+        return value === null || s === null ? null : [x(sample.stamp), value, BAND * s];
+      }), y);
       c.setLineDash(series.dash);
       c.beginPath();
       let pen = false;
@@ -114,18 +106,10 @@ class Plot {
     c.restore();
   }
 
-  /**
-   * @param {CanvasRenderingContext2D} c
-   * @param {Sample[]} samples
-   * @param {(number | null)[]} line
-   * @param {Read} sigma
-   * @param {(stamp: number) => number} x
-   * @param {(value: number) => number} y
-   */
-  #band(c, samples, line, sigma, x, y) {
+  /** Fill the band about a line; each value is a place across, a value and half the band's width there, or null in a gap. */
+  #band(/** @type {CanvasRenderingContext2D} */ c, /** @type {([number, number, number] | null)[]} */ values, /** @type {(value: number) => number} */ y) {
     c.globalAlpha = 0.25;
-    /** @type {[number, number, number][]} */
-    let run = [];
+    let run = /** @type {[number, number, number][]} */ ([]);
     const flush = () => {
       c.beginPath();
       for (const [at, value, half] of run) c.lineTo(at, y(value + half));
@@ -133,12 +117,10 @@ class Plot {
       c.fill();
       run = [];
     };
-    samples.forEach((sample, k) => {
-      const [value, s] = [line[k] ?? null, sigma(sample)];
-      if (value === null || s === null) flush();
-      else run.push([x(sample.stamp), value, BAND * s]);
-    });
-    flush();
+    for (const value of [...values, null]) {
+      if (value) run.push(value);
+      else flush();
+    }
     c.globalAlpha = 1;
   }
 }

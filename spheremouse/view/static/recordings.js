@@ -101,12 +101,8 @@ export class RecordingsPanel {
     return { begin: Number(this.#begin.value) || 0, end: Number(this.#end.value) || 0 };
   }
 
-  /**
-   * @param {HTMLButtonElement} button
-   * @param {string} action
-   * @param {string} note while it runs
-   */
-  async #run(button, action, note) {
+  /** Carry out an action; the button is disabled and the note shown while it runs. */
+  async #run(/** @type {HTMLButtonElement} */ button, /** @type {string} */ action, /** @type {string} */ note) {
     button.disabled = true;
     setText(this.#note, note);
     const done = await this.#perform(action, { name: this.#list.value, ...(action === "compare" ? this.#section() : {}) });

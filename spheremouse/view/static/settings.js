@@ -57,11 +57,7 @@ export class Settings {
     this.#emit();
   }
 
-  /**
-   * Return the value that the user chose, or the daemon's.
-   * @param {string} key
-   * @returns {Value}
-   */
+  /** Return the value that the user chose, or the daemon's. @type {(key: string) => Value} */
   value(key) {
     for (const entry of [...this.#queue].reverse()) if (key in entry.values) return entry.values[key] ?? null;
     return (key in this.#underWay ? this.#underWay[key] : this.all.get(key)?.value) ?? null;

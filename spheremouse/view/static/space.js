@@ -6,6 +6,7 @@ import { prepareCanvas, colour, el, setText } from "./dom.js";
 /** @typedef {import("./types.js").Scene} Scene */
 /** @typedef {import("./types.js").Sample} Sample */
 /** @typedef {(p: Vector) => Vector} Project point in space to x, y on the screen and depth towards the viewer, m */
+/** @typedef {{c: CanvasRenderingContext2D, project: Project, towards: Vector, scale: number, radius: number}} View of a ball */
 
 const TURN = 0.01; // rad for a pixel of drag
 const KEY_TURN = 0.1; // rad
@@ -24,21 +25,13 @@ const times = (a, s) => [a[0] * s, a[1] * s, a[2] * s];
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const unit = (/** @type {Vector} */ a) => times(a, 1 / (Math.hypot(...a) || 1));
 
-/**
- * Return two unit vectors that are perpendicular to a unit vector and to each other.
- * @param {Vector} n
- * @returns {[Vector, Vector]}
- */
+/** Return two unit vectors that are perpendicular to a unit vector and to each other. @type {(n: Vector) => [Vector, Vector]} */
 function perpendicular(n) {
   const u = unit(cross(n, Math.abs(n[0]) < 0.8 ? [1, 0, 0] : [0, 1, 0]));
   return [u, cross(n, u)];
 }
 
-/**
- * Return the function that rotates by a unit quaternion (w, x, y, z).
- * @param {number[]} q
- * @returns {(v: Vector) => Vector}
- */
+/** Return the function that rotates by a unit quaternion (w, x, y, z). @type {(q: number[]) => (v: Vector) => Vector} */
 function rotation([w = 1, x = 0, y = 0, z = 0]) {
   const axis = /** @type {Vector} */ ([x, y, z]);
   return (v) => {
@@ -47,11 +40,7 @@ function rotation([w = 1, x = 0, y = 0, z = 0]) {
   };
 }
 
-/**
- * Return the lower Cholesky factor's columns of a covariance (9, row-major).
- * @param {number[]} m
- * @returns {[Vector, Vector, Vector]}
- */
+/** Return the lower Cholesky factor's columns of a covariance (9, row-major). @type {(m: number[]) => [Vector, Vector, Vector]} */
 function cholesky([a = 0, , , b = 0, c = 0, , d = 0, e = 0, f = 0]) {
   const l11 = Math.sqrt(Math.max(a, 0));
   const [l21, l31] = l11 ? [b / l11, d / l11] : [0, 0];
@@ -60,13 +49,7 @@ function cholesky([a = 0, , , b = 0, c = 0, , d = 0, e = 0, f = 0]) {
   return [[l11, l21, l31], [0, l22, l32], [0, 0, Math.sqrt(Math.max(f - l31 * l31 - l32 * l32, 0))]];
 }
 
-/**
- * Return a closed circle about a centre, in the plane of two vectors.
- * @param {Vector} centre
- * @param {Vector} u
- * @param {Vector} v
- * @returns {Vector[]}
- */
+/** Return a closed circle about a centre, in the plane of u and v. @type {(centre: Vector, u: Vector, v: Vector, parts?: number) => Vector[]} */
 function circle(centre, u, v, parts = 24) {
   return Array.from({ length: parts }, (_, i) => {
     const angle = (2 * Math.PI * i) / parts;
@@ -173,20 +156,16 @@ export class Space {
     c.lineJoin = "round";
     const camera = this.#wand ? { position: /** @type {Vector} */ ([0, 0, 0]), rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1] } : scene?.camera;
     const far = camera && dot(camera.position, towards) < 0;
-    if (camera && far) this.#camera(c, project, radius, camera);
-    this.#targets(c, project, towards, false);
-    for (const sample of balls) this.#ball(c, project, towards, scale, radius, sample);
-    this.#targets(c, project, towards, true);
-    if (camera && !far) this.#camera(c, project, radius, camera);
+    const view = { c, project, towards, scale, radius };
+    if (camera && far) this.#camera(view, camera);
+    this.#targets(view, false);
+    for (const sample of balls) this.#ball(view, sample);
+    this.#targets(view, true);
+    if (camera && !far) this.#camera(view, camera);
     if (!scene) setText(this.note, "not known yet");
   }
 
-  /**
-   * Return points that the view must contain.
-   * @param {number} radius
-   * @param {(Sample | null)[]} balls
-   * @returns {Vector[]}
-   */
+  /** Return points that the view must contain. @type {(radius: number, balls: (Sample | null)[]) => Vector[]} */
   #extent(radius, balls) {
     const centres = this.#wand ? [...balls.map((b) => b?.position ?? /** @type {Vector} */ ([0, 0, 1]))] : [/** @type {Vector} */ ([0, 0, 0])];
     const r = this.#wand ? 4 * radius : 1.35 * radius;
@@ -197,15 +176,8 @@ export class Space {
     return [...corners, ...targets, ...(camera ? [camera] : [])];
   }
 
-  /**
-   * @param {CanvasRenderingContext2D} c
-   * @param {Project} project
-   * @param {Vector} towards
-   * @param {number} scale
-   * @param {number} radius
-   * @param {Sample | null} sample
-   */
-  #ball(c, project, towards, scale, radius, sample) {
+  #ball(/** @type {View} */ view, /** @type {Sample | null} */ sample) {
+    const { c, project, scale, radius } = view;
     const centre = /** @type {Vector} */ ((this.#wand && sample?.position) || [0, 0, 0]);
     const turn = rotation(sample?.quaternion ?? []);
     const [x, y] = project(centre);
@@ -217,7 +189,7 @@ export class Space {
     c.arc(x, y, r, 0, 2 * Math.PI);
     c.fillStyle = light;
     c.fill();
-    if (sample?.quaternion) this.#pattern(c, project, towards, radius, centre, turn);
+    if (sample?.quaternion) this.#pattern(view, centre, turn);
     if (sample && !sample.confirmed) {
       [c.strokeStyle, c.lineWidth] = [colour("--warn"), 2];
       c.setLineDash([5, 4]);
@@ -238,16 +210,8 @@ export class Space {
     }
   }
 
-  /**
-   * Draw discs and two great circles that turn with the ball; those behind it are faint.
-   * @param {CanvasRenderingContext2D} c
-   * @param {Project} project
-   * @param {Vector} towards
-   * @param {number} radius
-   * @param {Vector} centre
-   * @param {(v: Vector) => Vector} turn
-   */
-  #pattern(c, project, towards, radius, centre, turn) {
+  /** Draw discs and two great circles that turn with the ball; those behind it are faint. */
+  #pattern(/** @type {View} */ { c, project, towards, radius }, /** @type {Vector} */ centre, /** @type {(v: Vector) => Vector} */ turn) {
     const discs = this.#scene?.discs ?? [];
     const size = this.#scene?.disc_radius ?? radius / 25;
     for (const disc of discs) {
@@ -255,7 +219,9 @@ export class Space {
       const [u, v] = perpendicular(axis);
       const front = dot(axis, towards) > 0;
       c.fillStyle = front ? "#14181d" : "rgba(20, 24, 29, .13)";
-      fill(c, circle(add(centre, axis, radius), times(u, size), times(v, size)).map(project));
+      c.beginPath();
+      for (const [x, y] of circle(add(centre, axis, radius), times(u, size), times(v, size)).map(project)) c.lineTo(x, y);
+      c.fill();
     }
     c.strokeStyle = "rgba(20, 24, 29, .25)";
     c.lineWidth = 1;
@@ -269,17 +235,11 @@ export class Space {
     }
   }
 
-  /**
-   * Draw the targets, and the frame between them, on one side of the ball's centre.
-   * @param {CanvasRenderingContext2D} c
-   * @param {Project} project
-   * @param {Vector} towards
-   * @param {boolean} front
-   */
-  #targets(c, project, towards, front) {
+  /** Draw the targets, and the frame between them, if they are in front of the ball's centre or if not. */
+  #targets(/** @type {View} */ { c, project, towards }, /** @type {boolean} */ front) {
     const targets = this.#scene?.targets ?? [];
-    if (!targets.length || dot(targets.reduce((sum, t) => add(sum, t.position), /** @type {Vector} */ ([0, 0, 0])), towards) > 0 !== front) return;
     const middle = times(targets.reduce((sum, t) => add(sum, t.position), /** @type {Vector} */ ([0, 0, 0])), 1 / targets.length);
+    if (!targets.length || dot(middle, towards) > 0 !== front) return;
     const angle = (/** @type {Vector} */ p) => Math.atan2(p[1] - middle[1], p[0] - middle[0]);
     const around = [...targets].sort((a, b) => angle(a.position) - angle(b.position)).map((t) => project(t.position));
     [c.strokeStyle, c.lineWidth] = [colour("--muted"), 1.5];
@@ -298,12 +258,10 @@ export class Space {
 
   /**
    * Draw the camera's field of view, and the ellipsoid of its position.
-   * @param {CanvasRenderingContext2D} c
-   * @param {Project} project
-   * @param {number} radius
+   * @param {View} view
    * @param {{position: Vector, rotation: number[], covariance?: number[] | null, focal?: number[], centre?: number[], size?: number[]}} camera
    */
-  #camera(c, project, radius, { position, rotation: r, covariance, focal, centre, size }) {
+  #camera({ c, project, radius }, { position, rotation: r, covariance, focal, centre, size }) {
     const [fx = 1, fy = 1] = focal ?? [800, 800];
     const [cx = 0, cy = 0] = centre ?? [320, 240];
     const [w = 0, h = 0] = size ?? [640, 480];
@@ -342,12 +300,6 @@ function line(/** @type {CanvasRenderingContext2D} */ c, /** @type {Vector[]} */
   c.beginPath();
   for (const [x, y] of points) c.lineTo(x, y);
   c.stroke();
-}
-
-function fill(/** @type {CanvasRenderingContext2D} */ c, /** @type {Vector[]} */ points) {
-  c.beginPath();
-  for (const [x, y] of points) c.lineTo(x, y);
-  c.fill();
 }
 
 function text(/** @type {CanvasRenderingContext2D} */ c, /** @type {string} */ words, /** @type {number} */ x, /** @type {number} */ y) {

@@ -100,9 +100,9 @@ export class ExpertPanel {
   load({ tune }) {
     const others = [...this.#settings.all.values()].filter((s) => !tune.includes(s.key));
     this.#controls = others.map((setting) => ({ setting, ...control(setting, this.#settings, "expert") }));
-    const groups = group(this.#controls);
-    this.#list.replaceChildren(...[...groups].map(([name, controls]) =>
-      el("section", {}, el("h3", {}, STAGES[name] ?? title(name)), ...controls.map((c) => c.element))));
+    const groups = [...new Set(others.map((setting) => setting.group))];
+    this.#list.replaceChildren(...groups.map((name) => el("section", {}, el("h3", {}, STAGES[name] ?? title(name)),
+      ...this.#controls.filter((c) => c.setting.group === name).map((c) => c.element))));
     this.#show();
   }
 
@@ -136,17 +136,6 @@ export class ExpertPanel {
     this.#reset.disabled = !changed.some((c) => this.#isReset(c.setting));
     setText(this.#count, `${shown} of ${this.#controls.length} settings shown, ${changed.length} differ from the default.`);
   }
-}
-
-/**
- * @template {{setting: Setting}} T
- * @param {T[]} controls
- */
-function group(controls) {
-  /** @type {Map<string, T[]>} */
-  const groups = new Map();
-  for (const c of controls) groups.set(c.setting.group, [...(groups.get(c.setting.group) ?? []), c]);
-  return groups;
 }
 
 /** @param {import("./types.js").Done | null} done */
