@@ -116,6 +116,12 @@ class Sphere:
 Shape = Face | Ring | Sphere
 
 
+def pixel_parts(n: int) -> Array:
+    """Middles of the n² parts of a pixel, (n², 2) px from its middle."""
+    offset = (np.arange(n) + 0.5) / n - 0.5
+    return np.stack(np.meshgrid(offset, offset), axis=-1).reshape(-1, 2)
+
+
 def box(low: Vector, high: Vector, colour: Colour, turn: float = 0.0) -> list[Face]:
     """Six faces of a box between two corners, turned by `turn` rad about the vertical through its middle."""
     lo, hi = np.array(low), np.array(high)

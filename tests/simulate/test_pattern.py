@@ -167,6 +167,28 @@ def test_a_pixel_shows_the_light_times_the_albedo_where_its_ray_hits(name, view,
         )
 
 
+@pytest.mark.parametrize("blur", [0.0, 0.01])
+@pytest.mark.parametrize("name", ["patches", "dirt"])
+def test_an_alignment_that_knows_the_albedo_finds_the_attitude_at_mid_exposure(small, name, blur):
+    """One Gauss-Newton step from the truth: it would leave it if the film were not where its truth says."""
+    profile, step = play(20.0, rng(5)), 0.002
+    t = fastest_time(profile)
+    truth = profile.attitude(np.array([t]))[0]
+    renderer = painted(small, name, exposure_s=blur)
+    white, black = small.backdrop.white, small.backdrop.black
+    albedo = [traced(renderer.scene, exp(d) @ truth, 3) for d in step * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])]
+    slope = (np.array(albedo[1:4]) - albedo[4:]) / (2.0 * step)
+    whole = cv2.erode((small.backdrop.ball == 1.0).astype(np.uint8), np.ones((5, 5))) > 0  # without the limb
+    whole &= np.all(np.isfinite(albedo), axis=0)
+    light = (white - black)[whole][..., 1]
+    error = image(renderer, profile, t)[whole][..., 1] - black[whole][..., 1] - light * albedo[0][whole]
+    J = (light * slope[:, whole]).T
+    turned = np.linalg.lstsq(J, error, rcond=None)[0]
+    sigma = error.std() * np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
+    assert np.all(np.degrees(sigma) < 0.01)
+    assert np.all(np.abs(turned) < 4.0 * sigma + np.radians(0.002))
+
+
 @pytest.mark.parametrize("name", ["patches", "marble"])
 def test_the_pattern_turns_with_the_ball_and_light_does_not(small, name):
     """A picture of the turned ball is that of a ball whose pattern was painted turned."""

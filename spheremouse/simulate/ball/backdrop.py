@@ -17,7 +17,7 @@ from spheremouse.geometry.camera import project_sphere, reduced_to_pixel, unproj
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.light import develop
-from spheremouse.simulate.shapes import Face, Shape, Sphere, Viewpoint, look
+from spheremouse.simulate.shapes import Face, Shape, Sphere, Viewpoint, look, pixel_parts
 
 _FINE = 6  # rays across a pixel where shapes meet
 _IDS = 256  # stripes per shape, as in shapes
@@ -59,10 +59,8 @@ def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
     shown = (ids == 0).astype(float)
 
     edge = np.flatnonzero((_borders(ids.reshape(h, w)) | _borders(outline.reshape(h, w))).ravel())
-    offset = (np.arange(_FINE) + 0.5) / _FINE - 0.5
-    grid = np.stack(np.meshgrid(offset, offset), axis=-1).reshape(-1, 2)
     for part in _parts(edge, 2000):
-        fine = xy[part, None] + grid @ dxy_duv[part].transpose(0, 2, 1)
+        fine = xy[part, None] + pixel_parts(_FINE) @ dxy_duv[part].transpose(0, 2, 1)
         fine_ids, depth = _seen(view, fine)
         outline[part] = (alone.cast(fine)[0] == 0).mean(axis=1)
         shown[part] = (fine_ids == 0).mean(axis=1)

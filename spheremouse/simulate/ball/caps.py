@@ -16,6 +16,7 @@ from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth
 from spheremouse.geometry.camera import project, sphere_outline, unproject
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.simulate.ball.scene import Scene
+from spheremouse.simulate.shapes import pixel_parts
 
 AttitudeAt = Callable[[Array], Array]  # times (n,) s -> R_obj_ball (n, 3, 3)
 
@@ -130,7 +131,7 @@ class Caps:
     def surface(self, shown: NDArray[np.floating]) -> Surface:
         """Return the points of the ball that pixels show, if its share `shown` of the pixel, (h, w), is above 0."""
         row, column = np.nonzero(shown[self._low[1] :, self._low[0] :][: self._size[0], : self._size[1]] > 0.0)
-        grid = _grid(_PARTS)
+        grid = pixel_parts(_PARTS)
         ray = self._ray[row, column][:, None] + grid @ self._dray[row, column].transpose(0, 2, 1)
         hit = self._hit(ray.reshape(-1, 3))
         weight = np.where(hit.cosine > 0.0, 1.0, 1e-6).reshape(-1, len(grid))
@@ -209,7 +210,7 @@ class Caps:
 
     def _share(self, ray: Array, dray: Array, toward: Array, fine: int) -> Array:
         """Share of the ball's part of pixels that caps around `toward` cover, (k,), from `fine`² parts of each."""
-        grid = _grid(fine)
+        grid = pixel_parts(fine)
         n = len(grid)
         rays = (ray[:, None] + grid @ dray.transpose(0, 2, 1)).reshape(-1, 3)
         edge = self._edge(rays, np.repeat(dray, n, axis=0), np.repeat(toward, n, axis=0))
@@ -261,12 +262,6 @@ class Caps:
     def _project(self, directions: Array) -> Array:
         pose = self.scene.pose
         return project(pose.to_cam(self._centre + self.scene.ball_radius * directions), self.scene.camera)[0]
-
-
-def _grid(n: int) -> Array:
-    """Middles of the n² parts of a pixel, (n², 2) px from its middle."""
-    offset = (np.arange(n) + 0.5) / n - 0.5
-    return np.stack(np.meshgrid(offset, offset), axis=-1).reshape(-1, 2)
 
 
 def _ball_bounds(scene: Scene, radius: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.rig import Targets
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.dataset.write import device_description
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array, exp
 from spheremouse.simulate.ball.backdrop import render_backdrop
@@ -296,26 +297,12 @@ def device_picture(scene: Scene) -> NDArray[np.float32]:
 
 def truth_of(stills: Stills) -> dict[str, Any]:
     """Content of truth.json: camera, device and device poses (T_obj_cam), all in `obj`."""
-    scene, camera = stills.scene, stills.scene.camera
+    scene, known = stills.scene, device_description(stills.scene.rig())
     return {
         "made_by": "spheremouse calibrate practice",
-        "width": camera.width,
-        "height": camera.height,
-        "camera": {
-            "fx": camera.fx,
-            "fy": camera.fy,
-            "cx": camera.cx,
-            "cy": camera.cy,
-            "dist": camera.distortion.tolist(),
-        },
+        **{key: known[key] for key in ("width", "height", "camera", "disc_radius", "target_radii", "targets")},
         "board": {"inner_corners": [stills.board.columns, stills.board.rows], "square": stills.board.square},
         "ball": {"radius": scene.ball_radius, "center": [0, 0, 0]},
-        "disc_radius": scene.disc_radius,
-        "target_radii": scene.targets.radii.tolist(),
-        "targets": [
-            {"id": i, "code": code, "position": position.tolist()}
-            for i, code, position in zip(scene.targets.ids, scene.targets.codes, scene.targets.position, strict=True)
-        ],
         "discs_obj": (scene.ball_radius * scene.disc_directions).tolist(),
         "device_poses": {f"device_{k}": pose.matrix().tolist() for k, pose in enumerate(stills.device_poses)},
     }

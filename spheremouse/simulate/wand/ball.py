@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from spheremouse.geometry.camera import InteriorOrientation, ellipse_to_pixel, project_sphere, unproject
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.light import reflectance
+from spheremouse.simulate.shapes import pixel_parts
 from spheremouse.wand.ball import WandBall
 
 FINE = 6  # rays across a pixel with an edge, in each direction; fewer where many moments are averaged
@@ -157,8 +158,6 @@ def _picture(caster: _RayCaster, left: int, top: int, shape: tuple[int, ...], fi
     around = np.stack([corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]], axis=-1).reshape(-1, 4)
     edge = np.any(around != label[:, None], axis=1)
     out = caster.shade(np.where(edge, -1, label), normal)
-    step = (np.arange(fine) + 0.5) / fine - 0.5
-    offset = np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2)
-    rays = caster.shade(*caster.surface((uv[edge, None] + offset).reshape(-1, 2)))
+    rays = caster.shade(*caster.surface((uv[edge, None] + pixel_parts(fine)).reshape(-1, 2)))
     out[edge] = rays.reshape(-1, fine * fine, 4).mean(axis=1)
     return out.reshape(h, w, 4)
