@@ -1,8 +1,8 @@
 """The report for people, with words beside every colour, and for programs."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 from rich.console import Console
@@ -36,7 +36,7 @@ def show(section: Section, console: Console) -> None:
     """Print a section: a line for each finding, and its remedy below it."""
     console.print(Text(section.subject, style="bold"))
     table = Table.grid(padding=(0, 1))
-    table.add_column(width=_word_width() + 2, no_wrap=True)
+    table.add_column(width=max(map(len, Verdict)) + 2, no_wrap=True)
     table.add_column(width=_NAMES, no_wrap=True)
     table.add_column(ratio=1, overflow="fold")
     for finding in section.findings:
@@ -70,16 +70,12 @@ def data(sections: Sequence[Section]) -> dict[str, Any]:
                 "verdict": str(f.verdict),
                 "text": f.text,
                 "advice": f.advice,
-                "values": {k: _finite(v) for k, v in f.values.items()},
+                "values": {k: None if isinstance(v, float) and not isfinite(v) else v for k, v in f.values.items()},
             }
             for section in sections
             for f in section.findings
         ],
     }
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _mark(finding: Finding, console: Console) -> Text:
@@ -99,10 +95,6 @@ def _words(finding: Finding, console: Console) -> Text:
 def _draws(console: Console) -> bool:
     """Return whether the terminal shows more than ASCII."""
     return (console.encoding or "").lower().replace("-", "").startswith("utf")
-
-
-def _word_width() -> int:
-    return max(map(len, Verdict))
 
 
 def _counted(n: int) -> str:

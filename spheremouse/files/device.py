@@ -6,7 +6,7 @@ The calibration reports distances that contradict each other or the photos.
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, create_model
@@ -74,7 +74,7 @@ def load_device(path: Path) -> Device:
     if not isinstance(document.data, dict) or "schema" in document.data:
         document = without_schema(document, "device")
     file = validated(document, DeviceFile)
-    distances = tuple(_distance(d) for d in file.distances)
+    distances = tuple(Distance(getattr(d, "from"), d.to, d.metres, d.sigma) for d in file.distances)
     if problems := list(_problems(file, distances)):
         raise document.error(problems)
     return Device(
@@ -98,10 +98,6 @@ def untouched(path: Path) -> bool:
 def device_template() -> str:
     """Return a device file to fill in, with an explanation of each line; it loads as it is."""
     return shipped("calibration/device.yaml")
-
-
-def _distance(part: Any) -> Distance:
-    return Distance(getattr(part, "from"), part.to, part.metres, part.sigma)
 
 
 def _problems(file: DeviceFile, distances: Sequence[Distance]) -> Iterator[Problem]:

@@ -147,7 +147,7 @@ def _with_advice(text: str, key: Key, data: Any, model: type[BaseModel], *, valu
         for part in key:
             data = data[part]
         text += f", is {shown(data)}"
-    along = _fields_along(key, model)
+    along = [info for info, _ in _walk(key, model) if info]
     if key and isinstance(key[-1], str):  # the sections around a key give no advice on it
         along = along[-1:]
     described = [f.description for f in along if f.description]
@@ -193,10 +193,6 @@ def _walk(key: Key, model: type[BaseModel]) -> Iterator[tuple[FieldInfo | None, 
             info = here.model_fields.get(part) if here else None
             annotation = info.annotation if info else None
         yield info, annotation
-
-
-def _fields_along(key: Key, model: type[BaseModel]) -> list[FieldInfo]:
-    return [info for info, _ in _walk(key, model) if info]
 
 
 def _model_at(key: Key, model: type[BaseModel]) -> type[BaseModel] | None:

@@ -150,19 +150,14 @@ def _print(picked: "PickedBounds", narrower: bool) -> None:
     c = picked.circle
     print(f"the ball is at {c.u:.0f}, {c.v:.0f}, radius {c.radius:.0f} px (if this is wrong, give --at U,V,RADIUS)")
     for name, colour in picked.colours.items():
-        bounds = ", ".join(f"{f.name} {getattr(colour, f.name):g}" for f in fields(colour) if _tells(colour, f.name))
-        print(f"{name}: {bounds}")
+        every = ((f.name, getattr(colour, f.name), getattr(type(colour)(), f.name)) for f in fields(colour))
+        print(f"{name}: {', '.join(f'{bound} {value:g}' for bound, value, default in every if value != default)}")
         print(
             f"  selects {100 * picked.inside[name]:.1f} % of the ball, {100 * picked.outside[name]:.2f} % of the rest"
         )
         if name in picked.stray_colours():
             instead = ", or narrow the bounds" if narrower else ""
             print(f"  much beside the ball is {name}: clear it away, or use another background{instead}")
-
-
-def _tells(colour: object, name: str) -> bool:
-    """Return True if a bound excludes any value."""
-    return getattr(colour, name) != getattr(type(colour)(), name)
 
 
 def _circle(text: str) -> tuple[float, float, float]:

@@ -84,6 +84,7 @@ def save_camera(path: Path, camera: InteriorOrientation, provenance: Mapping[str
 def rig_text(rig: Rig, provenance: Mapping[str, Any] | None = None) -> str:
     """Return a rig as YAML. `provenance` holds date, version, photos (file, sha256) and notes for people."""
     units = "Pixels, and lengths in a unit of their own" if rig.scale_free else "Metres and pixels"
+    readout = "null" if rig.readout_sigma_s > 0.0 else repr(float(rig.readout_s))
     lines = [
         f"# A device as calibrated. {units}; obj: ball centre, X right, Y up, Z towards the camera.",
         f"schema: {SCHEMAS['rig']}",
@@ -95,7 +96,7 @@ def rig_text(rig: Rig, provenance: Mapping[str, Any] | None = None) -> str:
         f"  center: {_flow(rig.ball.centre)}",
         *_covariance_lines(rig.ball.covariance, "  covariance", "  # m², of centre x, y, z and radius"),
         *([] if rig.disc_radius is None else [f"disc_radius: {float(rig.disc_radius)!r}  # along the ball's surface"]),
-        f"readout_s: {_readout(rig)}  # time a rolling shutter takes over all rows; 0: global; null: unknown",
+        f"readout_s: {readout}  # time a rolling shutter takes over all rows; 0: global; null: unknown",
         f"exposure_s: {float(rig.exposure_s)!r}  # time the shutter is open; 0: unknown",
     ]
     if np.any(rig.targets.radii):
@@ -151,10 +152,6 @@ def _provenance_text(provenance: Mapping[str, Any] | None) -> str:
     yaml.representer.ignore_aliases = lambda *_: True  # written out: aliases are not read
     yaml.dump({"provenance": dict(provenance)}, stream)
     return stream.getvalue()
-
-
-def _readout(rig: Rig) -> str:
-    return "null" if rig.readout_sigma_s > 0.0 else repr(float(rig.readout_s))
 
 
 def _flow(values: Array) -> str:

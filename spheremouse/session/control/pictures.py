@@ -72,7 +72,8 @@ class PictureRing:
 
     def write(self, picture: LivePicture) -> bool:
         """Copy a picture with a higher number into the oldest slot. Return False if it does not fit."""
-        annotations = b"" if picture.annotations is None else _encoded(picture.annotations)
+        given = picture.annotations
+        annotations = b"" if given is None else json.dumps(given, separators=(",", ":"), allow_nan=False).encode()
         pixels = picture.pixels
         if len(pixels) + len(annotations) > self.slot_bytes:
             return False
@@ -174,10 +175,6 @@ class _Order:
     def __call__(self) -> None:
         self._lock.release()
         self._lock.acquire()
-
-
-def _encoded(annotations: dict[str, Any]) -> bytes:
-    return json.dumps(annotations, separators=(",", ":"), allow_nan=False).encode()
 
 
 def _slot_at(number: int, slots: int, slot_bytes: int) -> int:
