@@ -20,8 +20,8 @@ def simulate(
 ) -> None:
     """Film a simulated ball: a dataset with exact truth.
 
-    The renderer casts rays and has discs as true spherical caps, shading, highlights, struts, bolts that look like
-    discs, and ring targets. 300 frames take seconds. The folder appears when it is complete.
+    The renderer casts rays and has discs as true spherical caps or a painted ball, shading, highlights, struts, bolts
+    that look like discs, and ring targets. 300 frames take seconds. The folder appears when it is complete.
     """
     from spheremouse.simulate.ball.film import prepare
     from spheremouse.simulate.to_dataset import write_simulation

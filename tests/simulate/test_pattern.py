@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 from typing import get_args
 
 import cv2
@@ -47,17 +48,18 @@ def anywhere(n, seed=0):
     return u / np.linalg.norm(u, axis=1, keepdims=True)
 
 
-def scene_of(name, seed=1, **options):
-    return default_scene(0, pattern=Pattern(name, seed), **options)
-
-
 @pytest.fixture(scope="module")
 def small():
     return Renderer(default_scene(width=320, height=240, discs=30))
 
 
+@pytest.fixture(scope="module")
+def distorted():
+    return Renderer(default_scene(view="near", width=320, height=240, distortion=LENS))
+
+
 def painted(small, name, options=None, **changes):
-    """Return a renderer of the small scene with a pattern in place of discs."""
+    """Return a renderer of this scene with a pattern in place of discs."""
     changes = {"pattern": Pattern(name, 1), "disc_directions": np.zeros((0, 3)), **changes}
     return Renderer(replace(small.scene, **changes), options, small.backdrop)
 
@@ -125,46 +127,46 @@ def test_patterns_look_as_they_are_called():
 # ---- films ----
 
 
-def traced(scene, attitude, parts=6):
-    """Return the albedo that each pixel whose rays all meet the ball sees, (h, w), else nan, by OpenCV's camera."""
-    camera = scene.camera
-    h, w = camera.height, camera.width
+@cache
+def points_of(renderer, parts):
+    """Points of the ball, (h, parts, w, parts, 3) in radii, that OpenCV's camera sees; nan where a ray misses it."""
+    scene = renderer.scene
+    camera, pose = scene.camera, scene.pose
     offset = (np.arange(parts) + 0.5) / parts - 0.5
-    v, dv, u, du = np.meshgrid(np.arange(h), offset, np.arange(w), offset, indexing="ij")
-    uv = np.stack([u + du, v + dv], axis=-1).reshape(-1, 1, 2)
-    xy = cv2.undistortPoints(
-        uv, camera.matrix, camera.distortion, criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-12)
-    )[:, 0]
-    ray = np.column_stack([xy, np.ones(len(xy))]) @ scene.pose.rotation.T
+    v, dv, u, du = np.meshgrid(np.arange(camera.height), offset, np.arange(camera.width), offset, indexing="ij")
+    uv = np.stack([u + du, v + dv], axis=-1)
+    exact = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-12)
+    xy = cv2.undistortPoints(uv.reshape(-1, 1, 2), camera.matrix, camera.distortion, criteria=exact)[:, 0]
+    ray = np.column_stack([xy, np.ones(len(xy))]) @ pose.rotation.T
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    along = -ray @ scene.pose.position
-    miss2 = scene.pose.position @ scene.pose.position - along**2
-    depth = along - np.sqrt(np.where(miss2 < scene.ball_radius**2, scene.ball_radius**2 - miss2, np.nan))
-    point = scene.pose.position + depth[:, None] * ray
-    albedo = np.full(len(ray), np.nan)
-    hit = ~np.isnan(depth)
-    albedo[hit] = scene.pattern.albedo(point[hit] @ attitude / scene.ball_radius)
-    return albedo.reshape(h, parts, w, parts).mean(axis=(1, 3))
+    along = -ray @ pose.position
+    left = scene.ball_radius**2 - pose.position @ pose.position + along**2
+    depth = along - np.sqrt(np.where(left > 0.0, left, np.nan))
+    return ((pose.position + depth[:, None] * ray) / scene.ball_radius).reshape(*u.shape, 3)
 
 
-@pytest.mark.parametrize(("view", "lens"), [("far", None), ("near", LENS)])
+def traced(pattern, points, attitude):
+    """Return the mean albedo of the `points` of each pixel, (h, w), nan if a part of it misses the ball."""
+    albedo, hit = np.full(points.shape[:-1], np.nan), ~np.isnan(points[..., 0])
+    albedo[hit] = pattern.albedo(points[hit] @ attitude)
+    return albedo.mean(axis=(1, 3))
+
+
+@pytest.mark.parametrize("view", ["far", "near, distorted"])
 @pytest.mark.parametrize("name", NAMES)
-def test_a_pixel_shows_the_light_times_the_albedo_where_its_ray_hits(name, view, lens):
-    scene = scene_of(name, view=view, distortion=lens, width=320, height=240)
-    renderer = Renderer(scene)
-    seen = image(renderer, Fixed(ATTITUDE))
-    expected = traced(scene, ATTITUDE)
-    white, black = renderer.backdrop.white, renderer.backdrop.black
-    whole = (renderer.backdrop.ball == 1.0) & ~np.isnan(expected)
+def test_a_pixel_shows_the_light_times_the_albedo_where_its_ray_hits(small, distorted, name, view):
+    bare = small if view == "far" else distorted
+    seen = image(painted(bare, name), Fixed(ATTITUDE))
+    expected = traced(Pattern(name, 1), points_of(bare, 4), ATTITUDE)
+    white, black, outline = bare.backdrop.white, bare.backdrop.black, bare.backdrop.outline
+    whole = (bare.backdrop.ball == 1.0) & ~np.isnan(expected)
     assert whole.sum() > 10_000
     error = (seen - black - (white - black) * np.nan_to_num(expected)[..., None])[whole]
     assert np.sqrt(np.mean(np.square(error))) < (0.5 if name in ("none", "marble", "dirt") else 5.0)
     assert np.all(np.abs(np.mean(error, axis=0)) < 0.05)
-    assert np.array_equal(seen[renderer.backdrop.outline == 0.0], np.rint(white[renderer.backdrop.outline == 0.0]))
+    assert np.array_equal(seen[outline == 0.0], np.rint(white[outline == 0.0]))
     if name == "none":
-        assert np.array_equal(
-            seen, image(Renderer(replace(scene, pattern=None), None, renderer.backdrop), Fixed(np.eye(3)))
-        )
+        assert np.array_equal(seen, np.clip(np.rint(white), 0.0, 255.0))
 
 
 @pytest.mark.parametrize("blur", [0.0, 0.01])
@@ -176,7 +178,8 @@ def test_an_alignment_that_knows_the_albedo_finds_the_attitude_at_mid_exposure(s
     truth = profile.attitude(np.array([t]))[0]
     renderer = painted(small, name, exposure_s=blur)
     white, black = small.backdrop.white, small.backdrop.black
-    albedo = [traced(renderer.scene, exp(d) @ truth, 3) for d in step * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])]
+    turns = step * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
+    albedo = [traced(Pattern(name, 1), points_of(small, 3), exp(turn) @ truth) for turn in turns]
     slope = (np.array(albedo[1:4]) - albedo[4:]) / (2.0 * step)
     whole = cv2.erode((small.backdrop.ball == 1.0).astype(np.uint8), np.ones((5, 5))) > 0  # without the limb
     whole &= np.all(np.isfinite(albedo), axis=0)
@@ -273,9 +276,10 @@ def test_a_painted_ball_has_discs_only_if_they_are_asked_for():
 
 
 def test_a_tracker_of_discs_refuses_a_ball_without_them_in_one_line(tmp_path, spheremouse):
-    for _ in write_simulation(tmp_path / "film", prepare(SimulationOptions(pattern="dirt", seconds=0.1))):
+    options = SimulationOptions(pattern="dirt", seconds=0.1, size=(160, 120))
+    for _ in write_simulation(tmp_path / "film", prepare(options)):
         pass
-    code, _, stderr = spheremouse("evaluate", tmp_path / "film")
+    code, _, stderr = spheremouse("evaluate", tmp_path / "film", "--pose", "known")
     assert code == 2
     assert stderr.splitlines() == [
         f"spheremouse: {tmp_path / 'film'}: rig: disc_radius: missing; "
