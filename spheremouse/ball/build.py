@@ -28,19 +28,35 @@ from spheremouse.ball.state import (
     TrackState,
     no_points,
 )
+from spheremouse.ball.texture.method import TEXTURE, shading_covariance
+from spheremouse.ball.texture.search import texture_detector
 from spheremouse.errors import ConfigurationError, PoseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 
+_ANCHOR_ANGLE = 0.1  # rad, of a texture's anchors: they are six times as far apart
 _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
 
 
 def check_discs(rig: Rig, settings: Settings) -> None:
-    """Raise ConfigurationError if the ball has no discs, which the tracker of these settings needs."""
-    if rig.disc_radius is None:
+    """Raise ConfigurationError if the ball has no discs, and these settings need them."""
+    if rig.disc_radius is None and not follows_pattern(rig, settings):
+        needs = f"tracker {settings.tracker}" if settings.tracker != "so3" else f"detector {settings.detector}"
         raise ConfigurationError(
-            f"rig: disc_radius: missing; the tracker {settings.tracker} follows discs, and this ball has none"
+            f"rig: disc_radius: missing; the {needs} follows discs, and this ball has none",
+            "leave detector and tracker at their defaults, which follow the pattern of such a ball",
         )
+
+
+def follows_pattern(rig: Rig, settings: Settings) -> bool:
+    """Return whether the tracker follows the ball's pattern in place of discs."""
+    return detector_of(rig, settings) == "texture"
+
+
+def detector_of(rig: Rig, settings: Settings) -> str:
+    """Return the detector in use. The default one sees discs, or the texture of a ball without discs."""
+    of_pattern = rig.disc_radius is None and settings.detector == "default" and settings.tracker == "so3"
+    return "texture" if of_pattern else settings.detector
 
 
 def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = None) -> Tracker:
@@ -51,6 +67,7 @@ def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = Non
     the ball, the ball is not in front of it, or the ball is outside the image.
     """
     check_discs(rig, settings)
+    seen_by = detector_of(rig, settings)
     towards = pose.position - rig.ball.centre
     distance = float(np.linalg.norm(towards))
     if (
@@ -65,17 +82,18 @@ def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = Non
         )
     stage: Filter[Any]
     method = PUBLISHED
+    texture = follows_pattern(rig, settings)
     if settings.tracker == "so3":
         stage = So3Filter(
             settings.so3,
             towards / distance,
             rig.ball.radius / distance,
-            rig.disc_angle,
+            _ANCHOR_ANGLE if texture else rig.disc_angle,
             rig.ball.radius,
-            considered_covariance(pose, rig.ball),
+            considered_covariance(pose, rig.ball) + (shading_covariance(rig, pose) if texture else 0.0),
             rig.readout_sigma_s,
         )
-        method = SO3 if settings.detector == "default" else SO3_WITH_BLOBS
+        method = {"default": SO3, "blobs": SO3_WITH_BLOBS, "texture": TEXTURE}[seen_by]
     elif settings.tracker == "ekf2":
         stage = StateDiscsFilter(settings.euler)
     else:
@@ -88,8 +106,10 @@ def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = Non
         and _detection(before.settings) == _detection(settings)
     ):
         detector = before.detector
-    elif settings.detector == "default":
+    elif seen_by == "default":
         detector = disc_detector(settings.discs, rig, pose, None if before is None else before.detector)
+    elif texture:
+        detector = texture_detector(rig, pose, settings.discs.masks)
     else:
         detector = BlobDetector(settings.blobs)
     return Tracker(settings, rig, pose, detector, stage, method)
@@ -99,10 +119,10 @@ def _detection(settings: Settings) -> tuple[Any, ...]:
     return settings.detector, settings.discs, settings.blobs
 
 
-def colours_of(settings: Settings, before: Colours) -> Colours:
+def colours_of(rig: Rig, settings: Settings, before: Colours) -> Colours:
     """Return the colour projection under new settings: the fixed one, or else the one found `before`."""
     fixed = settings.discs.projection
-    if settings.detector != "default":
+    if detector_of(rig, settings) != "default":
         fixed = GREY
     return before._replace(fixed=False) if fixed is None else Colours(fixed, fixed=True)
 
@@ -115,8 +135,8 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: 
     """
     R = np.eye(3) if attitude is None else attitude
     start: Any = tracker.filter.initial(stamp, R)
-    colours = colours_of(tracker.settings, Colours())
-    saved = known is not None and len(known) >= 3 and tracker.method.keeps_map
+    colours = colours_of(tracker.rig, tracker.settings, Colours())
+    saved = known is not None and len(known) >= 3 and tracker.method.keeps_map and tracker.method is not TEXTURE
     if saved and known is not None:
         start = with_map(start, known, _REMEMBERED)
         colours = colours if colours.fixed else Colours(known.projection, refined=known.projection != GREY)

@@ -73,7 +73,9 @@ class EulerSettings:
 class Settings:
     """All parameters of initialisation and use."""
 
-    detector: Literal["default", "blobs"] = param("default", "-", "disc detector; `blobs` is the published one")
+    detector: Literal["default", "blobs", "texture"] = param(
+        "default", "-", "what is seen of the ball: discs, discs as published (`blobs`), or its pattern (`texture`)"
+    )
     tracker: Literal["so3", "ekf1", "ekf2"] = param("so3", "-", "filter; `ekf1` and `ekf2` are the published ones")
     rings: RingSettings = field(default_factory=RingSettings)
     pose: PoseSettings = field(default_factory=PoseSettings)
@@ -82,3 +84,7 @@ class Settings:
     so3: So3Settings = field(default_factory=So3Settings)
     euler: EulerSettings = field(default_factory=EulerSettings)
     loss: LossSettings = field(default_factory=LossSettings)
+
+    def __post_init__(self) -> None:
+        if self.detector == "texture" and self.tracker != "so3":
+            raise ValueError(f"detector: texture needs the tracker so3, not {self.tracker}")

@@ -61,7 +61,7 @@ class Method(NamedTuple):
 
     keeps_map: bool  # also of discs out of view: to recognise a ball, and to notice a moved camera or a lifted ball
     exact_centres: bool  # the detector's covariances are right, so the discs can show a lifted ball
-    detect: Callable[["TrackState", Frame, Tracker, Any], tuple[Detections, SearchState]]  # with the predicted filter
+    detect: Callable[["TrackState", Frame, Tracker, Any], tuple[Detections, Any]]  # with the predicted filter
     next_phase: Callable[["TrackState", float, Tracker, Any], tuple["TrackState", Events]]  # after a frame's points
     at_new_pose: Callable[["TrackState", Tracker, Array | None], Any]  # the filter, after the camera moved
     update_all: Callable[..., "TrackState"]  # after a frame in which every point may be a disc: `phases.learn`
@@ -171,7 +171,7 @@ class TrackState(NamedTuple, Generic[F]):
     supported_at: float = -np.inf  # s, of the last frame that showed a disc of the map, or should have shown none
     withheld: Withheld | None = None  # None: the last frame confirms the attitude, or the ball is not tracked
     lookalikes: StaticDistractors = StaticDistractors()
-    search: SearchState = SearchState()  # for discs that are not on the map yet
+    search: Any = SearchState()  # of the detector: for discs that are not on the map yet, or what it knows of a texture
     colours: Colours = Colours()
     absolute: bool = False  # the attitude is that of a map made earlier
     watch: CameraMonitor | None = None  # on the targets: does the camera stand?
@@ -213,8 +213,9 @@ def current(state: TrackState, tracker: Tracker[K]) -> Tracker[K]:
 
 
 def disc_map(state: TrackState) -> DiscMap | None:
-    """Return the map of discs to save; None with fewer than four certain discs, or from a published filter."""
-    found = None if isinstance(state.phase, Recognising) else state.filter.to_map(_SURE)
+    """Return the map of discs to save; None with fewer than four certain ones, or of a method without such a map."""
+    of_discs = isinstance(state.search, SearchState) and not isinstance(state.phase, Recognising)
+    found = state.filter.to_map(_SURE) if of_discs else None
     return None if found is None else replace(found, projection=state.colours.projection)
 
 

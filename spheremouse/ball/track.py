@@ -12,7 +12,7 @@ import numpy as np
 
 from spheremouse.ball import camera_moved
 from spheremouse.ball import camera_watch as watching
-from spheremouse.ball.build import begin, build, colours_of
+from spheremouse.ball.build import begin, build, colours_of, follows_pattern
 from spheremouse.ball.camera_moved import Seek, seek_by_colour
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections, no_detections
@@ -49,6 +49,7 @@ from spheremouse.ball.state import (
     no_points,
     statistics,
 )
+from spheremouse.ball.texture.method import TEXTURE
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, rotation_between
 from spheremouse.tracker import Estimate, Frame, Status, Step, check_size
@@ -110,15 +111,22 @@ def with_pose(state: TrackState, frame: Frame, tracker: Tracker, pose: Pose) -> 
 
 
 def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tuple[TrackState, Tracker]:
-    """Return state and tracker with other settings. Another kind of filter starts at the last attitude."""
+    """Return state and tracker with other settings.
+
+    Another kind of filter starts at the last attitude, and so does the picture of a ball's pattern if the detector is
+    another.
+    """
     before = current(state, tracker)
     anew = build(tracker.rig, before.pose, settings, before)
-    if settings.tracker != tracker.settings.tracker:
+    pattern = follows_pattern(anew.rig, settings)
+    other_picture = anew.detector is not before.detector and TEXTURE in (anew.method, before.method)
+    if settings.tracker != tracker.settings.tracker or other_picture:
         return begin(anew, state.filter.stamp, state.filter.attitude), anew
     others = tuple(h._replace(state=anew.filter.adopt(h.state, tracker.filter)) for h in state.alternatives)
     state = state._replace(filter=anew.filter.adopt(state.filter, tracker.filter), alternatives=others)
-    seen = colours_of(settings, state.colours)
-    return state._replace(rebuilt=None, search=SearchState(), colours=seen), anew
+    seen = colours_of(anew.rig, settings, state.colours)
+    search = state.search if pattern else SearchState()
+    return state._replace(rebuilt=None, search=search, colours=seen), anew
 
 
 def _stages(

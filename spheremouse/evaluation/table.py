@@ -42,7 +42,7 @@ def consistency(result: dict[str, Any]) -> list[str]:
         values = {part: result["anees"][part] for part in ("position", "rotation", "pose")}
     else:
         nees = result["nees"] or {}
-        values = {part: nees[part] and nees[part] / 3.0 for part in nees} | {"disc centres": result["nis"]}
+        values = {part: nees[part] and nees[part] / 3.0 for part in nees} | {"points": result["nis"]}
     factors = {part: math.sqrt(value) for part, value in values.items() if value}
     large = [f"of {part} {1.0 / f:.1f} times" for part, f in factors.items() if f < 1.0 / _MAX_FACTOR]
     small = [f"of {part} {f:.1f} times" for part, f in factors.items() if f > _MAX_FACTOR]
@@ -110,7 +110,7 @@ _ROWS: Rows = (
     ("  half its 95 % interval", lambda r: _each(r["rotation_scale_ci95"], form=".5f")),
     ("drift about x y z, °/min", lambda r: _each(r["drift_deg_min"], form=".2f")),
     ("  half its 95 % interval, °/min", lambda r: _each(r["drift_deg_min_ci95"], form=".2f")),
-    ("discs used per frame", lambda r: _shown(r["mean_discs"])),
+    ("points used per frame", lambda r: _shown(r["mean_discs"])),
     ("recognised in the map from frame", lambda r: _shown(r["identified_from_frame"], "d")),
     (f"recall of whole discs ≥ {MIN_AREA:g} px², %", lambda r: _percent(r["detection"], "recall")),
     (f"  of semi-minor axis ≥ {MIN_AXIS:g} px, %", lambda r: _percent(r["detection"], "recall_axis")),

@@ -70,6 +70,47 @@ class Hypotheses:
         smallest rotation wins. Without hypotheses the result is the identity and 0.
         """
 
+# spheremouse/ball/texture/align.cpp and learn.cpp. A picture has the contrast of each cell, (6, n, n), and its weight.
+# The samples are contrast (h, w), direction (r, c, 3) obj, log odds to turn with the ball (r, c), contrast before
+# (r, c) or nan, and their distance in px.
+
+_Narrow = NDArray[np.float32]
+_Samples = tuple[_Narrow, _Narrow, _Narrow, _Narrow, int]
+_Picture = tuple[_Narrow, _Narrow]
+
+def align_texture(
+    samples: _Samples, picture: _Picture, R: _Float, noise: float, place: float, pixel: float,
+    anchor_of: _Index, anchors: int,
+) -> tuple[_Float, float, float, int, bool, _Float, _Float, _Float]:  # fmt: skip
+    """Return the fields of `Alignment` near an attitude R, (3, 3).
+
+    A residual has the variance of `noise` and of contours displaced by `place` rad. A pixel shows `pixel` rad of the
+    ball. `anchor_of`, (6, n / 8, n / 8), is the anchor of each tile.
+    """
+
+def correlate_texture(samples: _Samples, picture: _Picture, attitudes: _Float, most: int) -> _Float:
+    """Return the correlation, (k,), of picture and the `most` strongest samples at attitudes, (k, 3, 3)."""
+
+def learn_texture(
+    samples: _Samples, picture: _Picture, known: _Narrow, view: object, R: _Float, window: tuple[float, float, float],
+    most: float, turn: int, forget: bool,
+) -> int:  # fmt: skip
+    """Learn a frame at R, (3, 3), in place: picture, and the mean weight of each tile, (6, n / 8, n / 8).
+
+    `window` has the left and top pixel of the contrast, and the pixels to one of it. A cell is the mean of up to `most`
+    views. With a `turn` >= 0 a part of the tiles is learnt. With `forget` the cells are forgotten that show what stands
+    still. The result is the number of tiles.
+    """
+
+def weigh_static(
+    samples: _Samples, picture: _Picture, R: _Float, mean: _Narrow, odds: _Narrow, noise: float, share: float,
+    turn: int,
+) -> None:  # fmt: skip
+    """Update the log odds that each sample turns with the ball, and its mean contrast by a `share`, (r, c), in place.
+
+    With a `turn` >= 0 a quarter of the rows.
+    """
+
 # spheremouse/ball/constellation/evidence.cpp
 
 class ObservationModel:

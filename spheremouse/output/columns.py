@@ -80,10 +80,10 @@ def rows(report: Report) -> Iterator[list[Any]]:
 
 _PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 _STATISTICS = (
-    Column("discs_used", float, meaning="discs that corrected the estimate"),
-    Column("discs_seen", float, meaning="points of the picture that may be discs"),
-    Column("discs_known", float, meaning="discs in the map"),
-    Column("nis", float, meaning="normalised innovation squared, chi-square with 2 degrees of freedom a disc used"),
+    Column("discs_used", float, meaning="discs, or parts of a pattern, that corrected the estimate"),
+    Column("discs_seen", float, meaning="points of the picture that may be such"),
+    Column("discs_known", float, meaning="such in the map"),
+    Column("nis", float, meaning="normalised innovation squared, chi-square with 2 degrees of freedom a point used"),
 )
 
 

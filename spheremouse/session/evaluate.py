@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from spheremouse.ball.build import build
+from spheremouse.ball.build import build, follows_pattern
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Rig, in_metres
 from spheremouse.ball.settings import Settings
@@ -66,7 +66,9 @@ def run_ball(
 
 def ball_reports(run: BallRun, recording: Recording, smooth: bool = False) -> list[dict[str, Any]]:
     """Return the report of the filter, and with `smooth` that of the smoother, whose dataset ends in `, smoothed`."""
-    reference = Reference(recording.truth, recording.discs, recording.pose, recording.truth_directions)
+    pattern = follows_pattern(run.tracker.rig, run.tracker.settings)
+    discs = None if pattern else recording.discs  # the parts of a pattern are none
+    reference = Reference(recording.truth, discs, recording.pose, recording.truth_directions)
     histories = {"": run.history}
     if smooth:
         histories[", smoothed"] = run.history.smoothed(run.tracker)

@@ -1,5 +1,6 @@
 """Sentences for people about the ball in its frame: events, missing discs, and targets."""
 
+import re
 from collections.abc import Iterable
 from typing import assert_never, cast
 
@@ -68,6 +69,11 @@ _ABSENCES = {  # reason, with a as an Absence, and remedy
         "nothing on it stands out",
         f"uncover the ball; does the camera see it, and are its discs on this side? {_SHOWN}",
     ),
+    Cause.UNTURNED: (
+        "nothing has turned as the ball does",
+        "turn it by 10° or more; a pattern that is fainter than the noise cannot be followed",
+    ),
+    Cause.UNLIKE: ("the picture does not fit its pattern", "uncover the ball, and light it as before"),
 }
 
 _REFUSALS = {  # reason, short enough for a picture, and remedy
@@ -144,6 +150,12 @@ def sentence(event: Event) -> str:
             assert_never(happened)
 
 
+def of_pattern(text: str) -> str:
+    """Return a sentence about discs for a ball that is followed by its pattern."""
+    text = re.sub(r"\d+ look-alikes? masked", "what stands still is masked", text)
+    return text.replace("discs", "parts of the pattern").replace("disc", "part of the pattern")
+
+
 def withheld(seconds: float, doubt: Doubt) -> str:
     """Explain why a tracked ball moves nothing, and for how long."""
     return f"motion withheld for {seconds:.1f} s: {_DOUBTS[doubt]}"
@@ -156,8 +168,14 @@ def no_discs(seen: int, seconds: float, absence: Absence) -> str:
     return f"{found} on the ball for {seconds:.0f} s: {problem}; {hint}"
 
 
+def no_pattern(seconds: float, absence: Absence) -> str:
+    """Return the reason why a ball is not followed by its pattern, since when, and the remedy."""
+    problem, hint = why_absent(absence)
+    return f"the ball is not followed for {seconds:.0f} s: {problem}; {hint}"
+
+
 def why_absent(absence: Absence) -> tuple[str, str]:
-    """Return the reason why no disc is found on the ball, and the remedy."""
+    """Return the reason why no disc or pattern is found on the ball, and the remedy."""
     spots = f"{absence.spots} spot{'' if absence.spots == 1 else 's'}"
     problem, hint = _ABSENCES[absence.cause]
     return problem.format(a=absence, spots=spots), hint

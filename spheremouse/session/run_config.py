@@ -10,6 +10,7 @@ from pathlib import Path
 
 from spheremouse import capture as sources
 from spheremouse import output as outputs
+from spheremouse.ball.build import follows_pattern
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import ConfigurationError, OutputError, SourceError
 from spheremouse.files import config
@@ -156,7 +157,10 @@ def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
     rig_path, camera_path, map_file = (beside(overrides.file, name) for name in (c.rig, c.camera_file, c.map))
     rig = None if rig_path is None else load_rig(rig_path)
     camera = None if camera_path is None else load_camera(camera_path)
-    if overrides.no_map or c.tracker != "so3":
+    pattern = rig is not None and follows_pattern(rig, c)
+    if pattern and c.map is not None and not overrides.no_map:
+        raise ConfigurationError("map: none is kept of a ball's pattern; leave the map out")
+    if overrides.no_map or pattern or c.tracker != "so3":
         map_file = None
     elif map_file is None and rig_path is not None:
         map_file = _usual_map(rig_path)

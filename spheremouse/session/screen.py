@@ -116,8 +116,8 @@ def status_lines(made: FrameResult, tally: Tally) -> str:
 def _state(sample: Sample, counts: str) -> str:
     if sample.coordinates == "obj":
         rate, n = "rate {:+.1f} {:+.1f} {:+.1f} deg/s".format(*np.degrees(sample.rate)), sample.statistics
-        discs = f"discs {n['discs_used']:.0f} used, {n['discs_seen']:.0f} seen, {n['discs_known']:.0f} known"
-        return f"{sample.status}  {rate}  {counts}  {discs}"
+        points = f"points {n['discs_used']:.0f} used, {n['discs_seen']:.0f} seen, {n['discs_known']:.0f} known"
+        return f"{sample.status}  {rate}  {counts}  {points}"
     if sample.status is not Status.TRACKING:
         return f"{sample.name} {sample.status}  {counts}"
     axes = estimated_axes(sample.estimate)

@@ -37,7 +37,7 @@ def derive_state(conditions: Conditions) -> tuple[State, str]:
         if reason:
             return state, reason
     if conditions.tracker is Status.SEARCHING:
-        return State.LOST, conditions.ball or "no disc on the ball seen yet"
+        return State.LOST, conditions.ball or "the ball is not found yet"
     if conditions.tracker is Status.LOST:
         return State.LOST, conditions.ball or "the ball is not recognised"
     if conditions.output:

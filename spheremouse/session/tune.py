@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.ball.build import build
+from spheremouse.ball.build import build, follows_pattern
 from spheremouse.errors import ConfigurationError, PoseError
 from spheremouse.evaluation.metrics import History, Run
 from spheremouse.evaluation.tuning import (
@@ -144,6 +144,11 @@ def tune(
     the same result. Raises ConfigurationError without Optuna, for another tracker, and for a recording that is too
     short.
     """
+    if follows_pattern(recording.rig, settings):
+        raise ConfigurationError(
+            f"{recording.path}: tune searches settings of discs, and this ball is followed by its pattern",
+            "give a recording of a ball with discs, or leave the settings at their defaults",
+        )
     if settings.tracker != "so3" or settings.detector != "default":
         raise ConfigurationError("tune: searches settings of the default tracker", "use tracker=so3, detector=default")
     if recording.frames < _MIN_SECONDS * recording.fps:

@@ -209,11 +209,11 @@ def test_an_event_is_a_line():
         return said_of.event_line(StatusReport.read(event) if isinstance(event, dict) else event, "12:00:00").plain
 
     status = Daemon().status
-    figures = "59.9 frames/s  latency 2.9, 99 % 6.4 ms  17/26 discs  towards you 32 °/s"
+    figures = "59.9 frames/s  latency 2.9, 99 % 6.4 ms  17/26 points  towards you 32 °/s"
     assert line(status) == f"12:00:00  ● tracking            {figures}"
     assert line({**status, "state": "lost", "reason": "hands"}).endswith("  hands")
     bare = {"fps": 0.0, "latency_ms": None, "discs": None, "discs_known": None, "motion": None}
-    told = "12:00:00  ● no-camera            0.0 frames/s  no latency  -/- discs  unplugged"
+    told = "12:00:00  ● no-camera            0.0 frames/s  no latency  -/- points  unplugged"
     assert line({**status, **bare, "state": "no-camera", "reason": "unplugged"}) == told
     assert line("lost: hands") == "12:00:00  lost: hands"
 

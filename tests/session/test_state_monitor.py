@@ -114,7 +114,7 @@ TRANSCRIPTS = {
         targets=looked for                             |
         targets=2 of 4 found                           | searching-targets: 2 of 4 found
         targets=1 of 4 found                           |
-        tracker=searching                                | lost: no disc on the ball seen yet
+        tracker=searching                                | lost: the ball is not found yet
         tracker=tracking ball=7 discs event=7 discs      | tracking: 7 discs
         tracker=tracking ball=7 discs                    |
         tracker=tracking ball=turns event=the ball turns | the ball turns

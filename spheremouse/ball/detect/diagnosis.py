@@ -1,4 +1,4 @@
-"""Diagnosis of a picture: its sharpness, and the reason for detecting no disc on a ball.
+"""Diagnosis of a picture: its sharpness, and the reason for detecting no disc or pattern on a ball.
 
 The checks follow the order in which a person corrects the faults: light, focus, then spots unlike the rig's discs.
 The search for spots uses grey closing and opening, as the detector does. It also accepts other sizes, either polarity
@@ -50,6 +50,8 @@ class Cause(StrEnum):
     SIZE = "size"  # spots have another size than the rig's discs
     SHAPE = "shape"  # the darker or lighter regions are not discs
     PLAIN = "plain"  # the ball is of one brightness
+    UNTURNED = "unturned"  # of a pattern: nothing has turned as the ball does
+    UNLIKE = "unlike"  # of a pattern: the picture does not fit it
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,20 +76,11 @@ class _Spot:
 
 def why_no_disc(image: Image, rig: Rig, pose: Pose, settings: DiscSettings) -> Absence:
     """Return the reason for detecting no disc in an image, (h, w, 3) BGR or (h, w), from a camera at `pose`."""
-    mask = cv2.erode(ball_mask(rig, pose), np.ones((3, 3), np.uint8))
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    grey = image[window] if image.ndim == 2 else cv2.cvtColor(image[window], cv2.COLOR_BGR2GRAY)
-    grey, mask, disc = np.ascontiguousarray(grey, dtype=np.uint8), mask[window], largest_disc(rig, pose)
-    values = grey[mask > 0]
-    middle, noise = (
-        float(np.median(values)),
-        kernels.noise_of(grey[:, :, None], _ONE_CHANNEL, 0, len(grey), 0, grey.shape[1]),
-    )
-    if np.percentile(values, 95.0) < (4.0 * noise + 1.0) / (0.5 * _PRINT):  # the detector's limit for a disc's edge
-        return Absence(Cause.DARK, middle, disc=disc)
-    if np.mean(values >= _CLIPPED) > 0.5:
-        return Absence(Cause.BRIGHT, middle, disc=disc)
+    grey, mask = _ball(image, rig, pose)
+    middle, noise, fault = _light(grey, mask)
+    disc = largest_disc(rig, pose)
+    if fault is not None:
+        return Absence(fault, middle, disc=disc)
     dark, light = (_spots(g, mask, disc, noise) for g in (grey, cv2.bitwise_not(grey)))
     if settings.polarity == "light":
         own, reverse, wrong = light, _discs(dark, settings), Cause.DARKER
@@ -101,6 +94,37 @@ def why_no_disc(image: Image, rig: Rig, pose: Pose, settings: DiscSettings) -> A
     if blur > min(_BLURRED, _BLURRED_PART * disc):
         return Absence(Cause.BLURRED, middle, size=blur, disc=disc)
     return _by_spots(own, middle, disc, settings)
+
+
+def why_no_pattern(image: Image, rig: Rig, pose: Pose, known: bool) -> Absence:
+    """Return the reason for not following a ball by its pattern, which is `known` once the ball has turned."""
+    grey, mask = _ball(image, rig, pose)
+    middle, _, fault = _light(grey, mask)
+    blur = blur_of(grey)
+    if fault is None and blur > _BLURRED:
+        return Absence(Cause.BLURRED, middle, size=blur)
+    return Absence(fault or (Cause.UNLIKE if known else Cause.UNTURNED), middle)
+
+
+def _ball(image: Image, rig: Rig, pose: Pose) -> tuple[Image, Image]:
+    """Return grey values and mask, (h, w), of the ball's bounding box."""
+    mask = cv2.erode(ball_mask(rig, pose), np.ones((3, 3), np.uint8))
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    grey = image[window] if image.ndim == 2 else cv2.cvtColor(image[window], cv2.COLOR_BGR2GRAY)
+    return np.ascontiguousarray(grey, dtype=np.uint8), mask[window]
+
+
+def _light(grey: Image, mask: Image) -> tuple[float, float, Cause | None]:
+    """Return the median and the noise of the ball's grey values, and the fault if the ball is too dark or bright."""
+    values = grey[mask > 0]
+    noise = kernels.noise_of(grey[:, :, None], _ONE_CHANNEL, 0, len(grey), 0, grey.shape[1])
+    fault = None
+    if np.percentile(values, 95.0) < (4.0 * noise + 1.0) / (0.5 * _PRINT):  # the detector's limit for a disc's edge
+        fault = Cause.DARK
+    elif np.mean(values >= _CLIPPED) > 0.5:
+        fault = Cause.BRIGHT
+    return float(np.median(values)), noise, fault
 
 
 def _by_spots(spots: list[_Spot], grey: float, disc: float, settings: DiscSettings) -> Absence:

@@ -8,7 +8,7 @@ a blurred ellipse, whose shape follows from the geometry. The fit gives centre, 
 measures each disc in its own window and does not process the whole image.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -241,6 +241,14 @@ class DiscDetector:
         return np.array(places).reshape(-1, 2) * f + 0.5 * (f - 1) + origin, np.array(sizes) * f**2
 
 
+def unmasked(mask: Image, masks: Iterable[tuple[float, ...]]) -> Image:
+    """Return a mask, (h, w), with 0 in rectangles and polygons, the outlines included."""
+    for place in masks:
+        corners = np.array(place)[[0, 1, 2, 1, 2, 3, 0, 3] if len(place) == 4 else slice(None)].reshape(-1, 2)
+        cv2.fillPoly(mask, [np.rint(corners).astype(np.int32)], 0)
+    return mask
+
+
 def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose, before: object = None) -> DiscDetector:
     """Prepare the detector for one camera pose. Raises ConfigurationError if the masks hide the whole ball.
 
@@ -266,10 +274,7 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose, before: object =
         return replace(before, settings=settings, model=before.model._replace(fit=fit, min_area=settings.min_area))
     diameter = largest_disc(rig, pose)
     f = max(int(np.rint(diameter / _FINE)), 1)
-    mask = clear_mask(rig, pose)
-    for place in settings.masks:
-        corners = np.array(place)[[0, 1, 2, 1, 2, 3, 0, 3] if len(place) == 4 else slice(None)].reshape(-1, 2)
-        cv2.fillPoly(mask, [np.rint(corners).astype(np.int32)], 0)  # with its outline
+    mask = unmasked(clear_mask(rig, pose), settings.masks)
     if not mask.any():
         raise ConfigurationError("discs.masks: they leave nothing of the ball: give smaller ones")
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))

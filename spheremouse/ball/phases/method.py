@@ -31,7 +31,7 @@ def _next_phase(
             return recover(state, state.phase, stamp, tracker, predicted)
 
 
-def _at_new_pose(state: TrackState[So3State], tracker: Tracker[So3Filter], added: Array | None) -> So3State:
+def at_new_pose(state: TrackState[So3State], tracker: Tracker[So3Filter], added: Array | None) -> So3State:
     """Return the filter's state at a new pose of the camera.
 
     If the pose comes from the one before, its covariance grows by `added`, (6, 6), and the map keeps its correlation
@@ -51,7 +51,7 @@ SO3 = Method(
     exact_centres=True,
     detect=detect_discs,
     next_phase=_next_phase,
-    at_new_pose=_at_new_pose,
+    at_new_pose=at_new_pose,
     update_all=update_all,
     is_covered=is_covered,
 )

@@ -91,6 +91,8 @@ def rolling(
     with open_source(source) as stream:
         live, total = stream.live, stream.count
         known = known or stream.rig
+        if known is not None and known.disc_radius is None and lengths.disc_radius is None:
+            raise ConfigurationError("the rig's ball has no discs, and their paths are measured", "give --disc-radius")
         if seconds is not None and stream.fps:
             total = min(total or 10**9, round(seconds * stream.fps))
     if interior is None and known is not None:

@@ -41,7 +41,7 @@ def status_table(s: StatusReport) -> Panel:
     rows.add_row("frames", _frames(s))
     rows.add_row("latency", _latency(s.latency_ms))
     if s.balls is None:
-        rows.add_row("discs", f"{_n(s.discs)} used, {_n(s.discs_seen)} seen, {_n(s.discs_known)} known")
+        rows.add_row("points", f"{_n(s.discs)} used, {_n(s.discs_seen)} seen, {_n(s.discs_known)} known")
         rows.add_row("pose", _pose(s.pose))
     for ball in s.balls or ():
         rows.add_row("ball", _ball(ball))
@@ -91,7 +91,7 @@ def event_line(event: StatusReport | str, clock: str) -> Text:
     parts = [
         f"{event.fps:>5.1f} frames/s",
         f"latency {_number(latency.p50, '.1f')}, 99 % {_number(latency.p99, '.1f')} ms" if latency else "no latency",
-        f"{_n(event.discs)}/{_n(event.discs_known)} discs"
+        f"{_n(event.discs)}/{_n(event.discs_known)} points"
         if event.balls is None
         else ", ".join(f"{printable(b.name)} {printable(b.state)}" for b in event.balls),
     ]

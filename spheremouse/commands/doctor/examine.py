@@ -23,6 +23,7 @@ from spheremouse.commands.service import check as service
 from spheremouse.commands.service.systemd import Place
 from spheremouse.errors import SpheremouseError
 from spheremouse.finding import Finding, Verdict, ok, refused, unchecked, wrong
+from spheremouse.geometry.camera import Pose
 from spheremouse.native import kernels
 from spheremouse.session.cameras import is_camera, node_of
 from spheremouse.session.control.status import StatusReport
@@ -153,6 +154,8 @@ class _Run:
         """Yield findings about the frames: size, targets, ball, light, discs, blur."""
         settings = self.plan.configuration
         seen: sight.Sight | None = None
+        pose: Pose | None = None
+        in_view = False
         if rig is None:
             yield unchecked("targets", "without a rig there is nothing to look for", "see rig, above")
         else:
@@ -164,12 +167,15 @@ class _Run:
                 if pose is not None:
                     seen, found = _pair("ball", sight.sight, rig, pose, settings)
                     yield found
+                    in_view = seen is not None or found.verdict is not Verdict.WRONG
         seen = None if seen is None else sight.in_colours(seen, footage.views)
         projection = GREY if seen is None else seen.projection
-        mask = None if seen is None else ball_mask(seen.rig, seen.pose)
+        mask = None if rig is None or pose is None or not in_view else ball_mask(rig, pose)
         greys = [sight.grey(v.image) for v in footage.views]
         noise = _noise(footage, seen)
-        yield from _guarded("brightness", sight.brightness, greys, mask, settings.discs, noise, projection)
+        yield from _guarded(
+            "brightness", sight.brightness, greys, mask, sight.contrasts(settings, rig), noise, projection
+        )
         if seen is not None:
             exposure = None if footage.controls is None else footage.controls.exposure_s
             exposure = exposure or settings.camera.exposure_s or seen.rig.exposure_s

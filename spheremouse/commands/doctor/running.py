@@ -86,7 +86,7 @@ def _discs(s: StatusReport) -> Finding | None:
     text = f"{s.discs} used, {s.discs_seen} seen, {s.discs_known} known"
     text += f"; camera pose {span(s.pose.age_s)} old" if s.pose else ""
     few = s.state == "tracking" and s.discs < _MIN_DISCS
-    return classify("discs", text, (few, Verdict.WARNING, "", "uncover and light the ball"), used=s.discs)
+    return classify("points", text, (few, Verdict.WARNING, "", "uncover and light the ball"), used=s.discs)
 
 
 def _motion(s: StatusReport) -> Finding | None:

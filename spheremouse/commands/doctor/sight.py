@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from spheremouse.ball.build import build
+from spheremouse.ball.build import build, follows_pattern
 from spheremouse.ball.detect.appearance import ball_outline, largest_disc
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.diagnosis import why_no_disc
@@ -102,10 +102,13 @@ def expected_residual(rig: Rig, pose: Pose, sigma: float) -> float:
 
 
 def sight(rig: Rig, pose: Pose, settings: Settings) -> tuple[Sight | None, Finding]:
-    """Return pose and detector, None if the ball is not in view, and a finding about the size of ball and discs."""
+    """Return pose and detector, None if the ball is not in view, and a finding about the size of ball and discs.
+
+    There is no detector of discs, and None, for a ball that is followed by its pattern.
+    """
     try:
         build(rig, pose, settings)  # PoseError without the ball in the picture
-        detector = disc_detector(settings.discs, rig, pose)
+        detector = None if follows_pattern(rig, settings) else disc_detector(settings.discs, rig, pose)
     except SpheremouseError as e:
         return None, refused("ball", e)
     rim = ball_outline(rig, pose)
@@ -118,16 +121,20 @@ def sight(rig: Rig, pose: Pose, settings: Settings) -> tuple[Sight | None, Findi
     area, least = 0.25 * np.pi * disc**2, settings.discs.min_area
     closer = "a camera closer by, a longer lens, or more pixels"
     cut = f"; {100 * (1.0 - float(inside.mean())):.0f} % of its outline is out of the picture"
+    text, numbers = f"{across:.0f} px across, {distance:.2f} {unit} from the camera", {"ball_px": round(across, 1)}
+    numbers["distance"] = round(distance, 3)
+    if detector is None:
+        text += "; followed by its pattern, which the tracker learns as the ball turns"
+        return None, classify("ball", text, (not inside.all(), Verdict.WARNING, cut, "turn the camera"), **numbers)
     # a disc that is seen at 75 degrees has a quarter of its area
     return Sight(rig, pose, detector), classify(
         "ball",
-        f"{across:.0f} px across, {distance:.2f} {unit} from the camera; a disc is {disc:.1f} px",
+        f"{text}; a disc is {disc:.1f} px",
         (area < least, Verdict.WRONG, ": none is large enough to be found", closer),
         (area < 4.0 * least, Verdict.WARNING, ": found in the middle of the ball only", closer),
         (not inside.all(), Verdict.WARNING, cut, "turn the camera"),
-        ball_px=round(across, 1),
         disc_px=round(disc, 2),
-        distance=round(distance, 3),
+        **numbers,
     )
 
 
@@ -137,6 +144,12 @@ def in_colours(seen: Sight, views: tuple[Frame, ...]) -> Sight:
         return seen
     found = Counter(best_projection(v.image, seen.detector, seen.projection)[0] for v in views)
     return replace(seen, detector=seen.detector.with_projection(found.most_common(1)[0][0])) if found else seen
+
+
+def contrasts(settings: Settings, rig: Rig | None) -> DiscSettings:
+    """Return the settings with the least contrast: for a ball that is followed by its pattern, that of print."""
+    pattern = rig is not None and follows_pattern(rig, settings)
+    return replace(settings.discs, contrast=_PRINT_CONTRAST) if pattern else settings.discs
 
 
 def brightness(
@@ -162,9 +175,9 @@ def brightness(
     return classify(
         "brightness",
         f"{where} is at {middle:.0f} of 255, noise {noise:.1f}, {100 * clipped:.1f} % overexposed",
-        (ball and clipped > 0.5, Verdict.WRONG, ": most discs have no true rim", darken),
+        (ball and clipped > 0.5, Verdict.WRONG, ": most of it shows nothing", darken),
         (ball and level < hopeless, Verdict.WRONG, hidden, lighten),
-        (ball and clipped > _MAX_CLIPPED, Verdict.WARNING, ": discs there are measured badly", darken),
+        (ball and clipped > _MAX_CLIPPED, Verdict.WARNING, ": these parts are measured badly", darken),
         (level < least, Verdict.WARNING, f": discs in haze or shade need {least:.0f}", lighten),
         grey=round(middle, 1),
         noise=round(noise, 2),

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.console import Console
 
+from spheremouse.ball.build import detector_of, follows_pattern
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
@@ -58,7 +59,8 @@ def evaluate_balls(options: Options, out: Console, err: Console) -> tuple[list[d
             terminal.error(about(recording.path, str(e)))
             failed = True
     if results:
-        method = f"{settings.tracker} with detector {settings.detector}, {options.pose} camera pose"
+        detectors = " and ".join(dict.fromkeys(detector_of(each.rig, settings) for each in tracks))
+        method = f"{settings.tracker} with detector {detectors}, {options.pose} camera pose"
         out.print(ball_table(results, method))
         for line in [line for result in results for line in (*path_notes(result), *consistency(result))]:
             out.print(line, markup=False)
@@ -94,6 +96,8 @@ def _tracks(options: Options, settings: Settings) -> Iterator[_Track]:
             if recording.pose is None:
                 raise DatasetError(f"{path}: scene.json has no truth_T_obj_cam, which --pose known takes")
             rig = replace(rig, pose=recording.pose)
+        if options.map_file is not None and follows_pattern(rig, settings):
+            raise ConfigurationError(f"{path}: no map is kept of a ball's pattern", "leave --map out")
         known = None if options.map_file is None else open_map(options.map_file, rig).map
         yield _Track(recording, rig, known)
 

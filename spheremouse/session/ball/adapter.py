@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spheremouse.ball.build import begin, build, check_discs
+from spheremouse.ball.build import begin, build, check_discs, follows_pattern
 from spheremouse.ball.camera_moved import shows_targets
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.events import CameraMoved
@@ -218,6 +218,8 @@ class BallAdapter(TrackerAdapter):
             self.status = Status.SEARCHING if state is None else state.status
             if settings.tracker != self.settings.tracker:
                 self._messages.restart("another filter begins")
+            elif follows_pattern(rig, settings) != follows_pattern(rig, self.settings):
+                self._messages.restart("another detector begins")
             self.settings = settings
             self._counter.matrix = settings.motion.matrix(self.rig.radius_m)
             if tuned:
@@ -251,9 +253,15 @@ class BallAdapter(TrackerAdapter):
         )
 
     def scene(self) -> dict[str, Any]:
-        """Return camera, ball, discs of the map and targets; the discs are None before the first tracked frame."""
+        """Return camera, ball, discs of the map and targets.
+
+        The discs are None before the first tracked frame, and for a ball that is followed by its pattern.
+        """
         rig, state, targets = self.rig, self.state, self.rig.targets
-        discs = None if state is None else np.asarray(state.filter.discs, dtype=float).reshape(-1, 3).tolist()
+        pattern = follows_pattern(rig, self.settings)
+        discs = (
+            None if state is None or pattern else np.asarray(state.filter.discs, dtype=float).reshape(-1, 3).tolist()
+        )
         return {
             "camera": camera_scene(rig.camera, self.pose),
             "radius": rig.ball.radius,

@@ -5,7 +5,7 @@ the same result bit for bit. The margins are the reach of the filters:
 
 - around the ball's outline, within the ball's bounding box, one and a half discs: the reach of the closing that
   estimates the brightness of the ball beside a disc;
-- in that box sixteen lines, one pixel high, for measuring the noise of the picture;
+- in that box, also for a ball with a pattern, sixteen lines, one pixel high, for measuring the noise of the picture;
 - around each target the patch that monitors the camera, a few pixels for a push, and the margin of the ring detector.
 
 A search of all targets by their colours, after a large bump, reads the whole picture. It does not work on a masked
@@ -19,7 +19,8 @@ import cv2
 import numpy as np
 
 from spheremouse.ball import camera_watch as watch
-from spheremouse.ball.build import build
+from spheremouse.ball.build import build, follows_pattern
+from spheremouse.ball.detect.appearance import clear_mask
 from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
@@ -43,9 +44,21 @@ def kept(rig: Rig, pose: Pose, settings: Settings) -> Image:
 
     It holds for a camera pose and a tracker with these settings. Raises PoseError if the ball is not in view.
     """
+    if follows_pattern(rig, settings):
+        return _with_targets(_of_pattern(rig, pose), rig, pose)
     default = replace(settings, detector="default", discs=replace(settings.discs, masks=()))
     detector = cast(DiscDetector, build(rig, pose, default).detector)  # that of "default"
-    mask = _around_ball(detector, clipped=settings.detector == "default")
+    return _with_targets(_around_ball(detector, clipped=settings.detector == "default"), rig, pose)
+
+
+def _of_pattern(rig: Rig, pose: Pose) -> Image:
+    """Return a mask, (h, w), of pixels that are read for the ball's pattern."""
+    mask = clear_mask(rig, pose)
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return _with_noise_lines(mask, slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+
+
+def _with_targets(mask: Image, rig: Rig, pose: Pose) -> Image:
     for left, top, right, bottom in _target_boxes(rig, pose):
         mask[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = 255
     return mask
@@ -63,6 +76,10 @@ def _around_ball(detector: DiscDetector, clipped: bool) -> Image:
         mask[detector.window] |= wide[detector.window]
     else:
         mask |= wide
+    return _with_noise_lines(mask, rows, columns)
+
+
+def _with_noise_lines(mask: Image, rows: slice, columns: slice) -> Image:
     step = max((rows.stop - rows.start) // _NOISE_LINES, 1)
     mask[rows.start + step // 2 : rows.stop : step, columns] = 255
     return mask

@@ -100,7 +100,7 @@ def _gauges(s: StatusReport, started: float) -> Iterator[tuple[str, str, Samples
     stages = [q for stage, ms in s.stages_ms.items() for q in _quantiles(ms, {"stage": stage})]
     yield "stage_seconds", "Time that a stage takes, of the last frames.", stages
     discs = {"used": s.discs, "seen": s.discs_seen, "known": s.discs_known}
-    yield "discs", "Discs on the ball.", [({"kind": kind}, n) for kind, n in discs.items()]
+    yield "discs", "Discs, or parts of a pattern, on the ball.", [({"kind": kind}, n) for kind, n in discs.items()]
     unsent = zip(("x", "y", "third"), output.unsent, strict=True)
     counts = "Sum of the counts that were not sent while paused or without output."
     yield "unsent_counts", counts, [({"axis": axis}, n) for axis, n in unsent]

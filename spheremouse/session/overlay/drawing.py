@@ -85,7 +85,7 @@ def _caption(sample: Sample, counts: Counts) -> tuple[list[tuple[str, float]], i
     if sample.coordinates == "obj":
         rate, n = np.degrees(sample.rate), sample.statistics
         cells.append(("X {:+.1f}  Y {:+.1f}  Z {:+.1f} deg/s".format(*rate), 0.2))
-        return [*cells, (sums, 0.55), (f"discs {n['discs_used']:.0f} of {n['discs_known']:.0f}", 0.86)], 11
+        return [*cells, (sums, 0.55), (f"points {n['discs_used']:.0f} of {n['discs_known']:.0f}", 0.86)], 11
     if sample.status is Status.TRACKING:
         axes = estimated_axes(sample.estimate)
         cells.append(("x {:+.3f}  y {:+.3f}  z {:.3f} m".format(*axes.position), 0.17))

@@ -132,7 +132,7 @@ const three = (read) => AXES.map((name, i) =>
 /** @type {(name: string, read: Read) => Series[]} */
 const one = (name, read) => [{ name, colour: "--accent", dash: [], read }];
 
-const discs = () => new Plot("discs", "Discs", "used", one("discs", (s) => s.discs), { least: 4, whole: true });
+const discs = () => new Plot("discs", "Points", "used", one("discs", (s) => s.discs), { least: 4, whole: true });
 
 export class Plots {
   /** @type {Sample[]} */ #samples = [];
@@ -195,7 +195,7 @@ export class Plots {
     rows.push(["σ", sigma ? `${(Math.max(...sigma) * DEGREES).toFixed(2)} °/s` : "–"]);
     if (status) {
       rows.push(["frames", `${(status.fps ?? 0).toFixed(1)} /s`], ["latency", formatLatency(status.latency_ms), "two"], ["counts", status.counts?.map((/** @type {number} */ v) => formatSigned(v, 0)).join(", ") ?? "–", "two"]);
-      if (!status.balls) rows.push(["discs", `${status.discs ?? "–"} used, ${status.discs_seen ?? "–"} seen, ${status.discs_known ?? "–"} known`, "two"]);
+      if (!status.balls) rows.push(["points", `${status.discs ?? "–"} used, ${status.discs_seen ?? "–"} seen, ${status.discs_known ?? "–"} known`, "two"]);
       for (const ball of status.balls ?? []) rows.push([ball.name ?? "ball", ballText(ball), "all"]);
       rows.push(["motion", status.motion?.words ?? "not known", "all"]);
     }

@@ -15,7 +15,7 @@ const ROWS = [
   ["Position, RMS error", "mm", (r) => r.position_rmse_mm && Math.hypot(...Object.values(r.position_rmse_mm)), 0],
   ["Frames tracked", "%", (r) => (100 * r.tracked) / r.frames, 100],
   ["Times lost", "", (r) => r.lost_episodes, 0],
-  ["Discs used", "", (r) => r.mean_discs, Infinity],
+  ["Points used", "", (r) => r.mean_discs, Infinity],
   ["Innovation (NIS; 1 is right)", "", (r) => r.nis, 1],
   ["Roughness of the rate", "°/s", (r) => r.rate_roughness_deg_s, 0],
 ];

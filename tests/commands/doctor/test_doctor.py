@@ -494,7 +494,7 @@ def map_read(config):
         ({"skipped": 50000}, "frames", WARNING),
         ({"dropped": 50000}, "frames", WARNING),
         ({"latency_ms": {"p50": 9.0, "p99": 40.0, "max": 50.0}}, "latency", WARNING),
-        ({"discs": 2}, "discs", WARNING),
+        ({"discs": 2}, "points", WARNING),
         ({"outputs": [{**a_status()["outputs"][0], "failed": "gone; plug it in"}]}, "sending", WRONG),
     ],
 )

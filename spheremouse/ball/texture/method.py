@@ -1,0 +1,245 @@
+"""The method of tracking a ball by its texture: the filter `so3` takes the anchors of the picture as discs.
+
+The picture of the ball is learnt while the ball turns. Until it has turned, what stands in front of it looks like a
+part of it. So the ball is not tracked before something turns as the ball does. After a longer turn the picture loses
+what it took from pixels that stand still.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.ball.detect.appearance import seen_at
+from spheremouse.ball.detect.detections import Detections, no_detections
+from spheremouse.ball.detect.search import SearchState
+from spheremouse.ball.events import Found, NewMap, Recognised, Turned
+from spheremouse.ball.filters.so3 import So3Filter, relocate
+from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.phases.follow import confirms
+from spheremouse.ball.phases.method import at_new_pose
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.state import (
+    Events,
+    Learning,
+    Lost,
+    Method,
+    Recognising,
+    Tracker,
+    Tracking,
+    TrackState,
+    clear_matches,
+    start_tracking,
+)
+from spheremouse.ball.texture.picture import (
+    STATIC_ODDS,
+    Alignment,
+    TextureView,
+    align,
+    contrast_noise,
+    contrast_of,
+    empty_picture,
+    first_seen,
+    learn,
+    texture_pixel,
+    weigh,
+    without_before,
+)
+from spheremouse.ball.texture.search import Level, TextureDetector, TextureState, fits, near, search
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array, exp, rotation_between, tangent_basis
+from spheremouse.tracker import Frame, Status
+
+_VIEWS = 20.0  # that a cell is the mean of: what the ball has taken on or lost shows after a turn
+_PROVEN_PX = 5.0  # path of the ball's surface, in pixels, from which its turn is known better than what stands still
+_TURNING = 200  # samples that turn as the ball does, in 25 details, before it is tracked
+_TURNED_PX = 25.0  # path, in pixels, after which most pixels of a pattern have shown whether they turn
+_MOVED_PX = 0.7  # path that shows the cells other pixels
+_FLOOR_PX = 0.1  # standard deviation of an anchor's place per axis: errors of the picture that its pixels share
+_PRIOR = 0.01  # rad, of an anchor's place relative to the whole alignment
+_LOOSE = 0.005  # rad, standard deviation above which the pixels around an anchor do not determine its place
+_SHADING_PX = 0.1  # by which light that stands still shifts a contour
+_OTHER_BALL_S = 5.0  # without a fit, although all attitudes were searched: it is another ball, or was painted
+
+
+def shading_covariance(rig: Rig, pose: Pose) -> Array:
+    """Return the covariance, (10, 10) of camera pose and ball, that stands for what shading does to all contours.
+
+    Light that stands still shifts the contours that turn through it, by about the same in each frame. So does an error
+    of the camera's rotation.
+    """
+    towards = pose.position - rig.ball.centre
+    towards = towards / np.linalg.norm(towards)
+    about = np.outer(towards, towards)
+    focal, radius = max(rig.camera.intrinsic[:2]), 1.0 / texture_pixel(rig, pose)
+    covariance = np.zeros((10, 10))
+    covariance[3:6, 3:6] = _SHADING_PX**2 * ((np.eye(3) - about) / focal**2 + about / radius**2)
+    return covariance
+
+
+def detect_texture(
+    state: TrackState[So3State], frame: Frame, tracker: Tracker[So3Filter], predicted: So3State
+) -> tuple[Detections, TextureState]:
+    """Return the anchors in view as detections, and the state of the detector."""
+    detector = tracker.detector
+    assert isinstance(detector, TextureDetector)
+    before = state.search
+    if not isinstance(before, TextureState):
+        now = _begin(detector, frame, predicted.attitude)
+        found, shown = _detections(detector.fine, now.alignment, tracker)
+        return found, now._replace(shown=shown)
+    fine, coarse = (
+        level._replace(seen=level.seen._replace(contrast=contrast_of(view, frame.image)))
+        for level, view in ((before.fine, detector.fine), (before.coarse, detector.coarse))
+    )
+    now = before._replace(fine=fine, coarse=coarse, turn=before.turn + 1)
+    lost = state.status is Status.LOST
+    expected = state.reported_attitude if lost else predicted.attitude  # a ball that was hidden mostly rested
+    alignment, turns = near(detector, now, expected)
+    if lost and not (now.turned or turns):
+        alignment = None  # what stands still would fit
+    searched = alignment is None and now.turned
+    if searched:
+        alignment = search(detector, now, expected, lost)
+    if alignment is not None:
+        now = _learnt(detector, now, alignment.attitude)
+    found, shown = _detections(detector.fine, alignment, tracker)
+    far = turns and _path(detector, now, alignment) > _PROVEN_PX
+    proven = now.turned or now.proven or (far and np.count_nonzero(now.fine.seen.odds > -STATIC_ODDS) > _TURNING)
+    return found, now._replace(alignment=alignment, searched=searched, shown=shown, proven=proven)
+
+
+def _path(detector: TextureDetector, now: TextureState, alignment: Alignment | None) -> float:
+    """Return the path of the ball's surface since the first frame, px."""
+    return 0.0 if alignment is None else _angle(alignment.attitude, now.began) / detector.fine.pixel
+
+
+def _begin(detector: TextureDetector, frame: Frame, attitude: Array) -> TextureState:
+    """Return the state after the first frame: its picture, aligned with itself."""
+    noise = contrast_noise(detector.fine, frame.image)
+    levels = []
+    for view in (detector.fine, detector.coarse):
+        seen = first_seen(view, contrast_of(view, frame.image))
+        levels.append(Level(seen, learn(view, seen, empty_picture(view), attitude, _VIEWS)))
+    alignment = align(detector.fine, without_before(levels[0].seen), levels[0].picture, attitude, noise)
+    return TextureState(
+        levels[0], levels[1], noise, attitude, attitude, alignment=alignment if fits(alignment) else None
+    )
+
+
+def _angle(a: Array, b: Array) -> float:
+    return float(np.linalg.norm(rotation_between(a, b)))
+
+
+def _learnt(detector: TextureDetector, now: TextureState, attitude: Array) -> TextureState:
+    """Return the state with what a frame at an attitude shows of the ball, and of what stands still."""
+    pixel = detector.fine.pixel
+    starts = not now.turned and _angle(attitude, now.began) > _TURNED_PX * pixel
+    moved = now.turned and _angle(attitude, now.learnt_at) > _MOVED_PX * pixel
+    levels = []
+    for view, level in ((detector.fine, now.fine), (detector.coarse, now.coarse)):
+        seen = weigh(view, level.seen, level.picture, attitude, now.noise, now.turn if now.turned else -1)
+        picture = level.picture
+        if starts:
+            seen = without_before(seen)
+            picture = learn(view, seen, picture, now.began, _VIEWS, forget=True)
+            picture = learn(view, seen, picture, attitude, _VIEWS)
+        elif moved:
+            picture = learn(view, seen, picture, attitude, _VIEWS, now.turn)
+        levels.append(Level(seen, picture))
+    learnt = attitude if starts or moved else now.learnt_at
+    return now._replace(fine=levels[0], coarse=levels[1], learnt_at=learnt, turned=now.turned or starts)
+
+
+def _detections(
+    view: TextureView, alignment: Alignment | None, tracker: Tracker[So3Filter]
+) -> tuple[Detections, NDArray[np.intp]]:
+    """Return the anchors whose surroundings a frame shows, as points of the image, and their numbers, (n,).
+
+    The pixels around an anchor give a rotation of their own about the two axes across it, relative to the alignment of
+    the whole.
+    """
+    if alignment is None:
+        return no_detections(), np.zeros(0, dtype=np.intp)
+    b = view.anchors @ alignment.attitude.T
+    E = tangent_basis(b)
+    H = E.transpose(0, 2, 1) @ alignment.information @ E
+    faces = b @ tracker.filter.towards_camera > tracker.filter.horizon
+    which = np.flatnonzero(faces & (np.linalg.eigvalsh(H)[:, 1] > _LOOSE**-2))
+    b, E = b[which], E[which]
+    C = np.linalg.inv(H[which] + _PRIOR**-2 * np.eye(2))
+    spread = C + (_FLOOR_PX * view.pixel) ** 2 * np.eye(2)
+    own = E @ C @ E.transpose(0, 2, 1) @ alignment.gradient[which][:, :, None]
+    b = np.einsum("kij,kj->ki", exp(own[:, :, 0]), b)
+    steps = 1e-4 * np.cross(E.transpose(0, 2, 1), b[:, None])  # by a turn about each axis
+    at = seen_at(np.concatenate([b[:, None], b[:, None] + steps], axis=1).reshape(-1, 3), view.rig, view.pose)
+    uv = at.reshape(-1, 3, 2)
+    J = (uv[:, 1:] - uv[:, :1]).transpose(0, 2, 1) / 1e-4
+    covariance = J @ spread @ J.transpose(0, 2, 1)
+    covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+    return Detections(np.ascontiguousarray(uv[:, 0]), covariance, alignment.pixels[which]), which
+
+
+def _next_phase(
+    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
+) -> tuple[TrackState[So3State], Events]:
+    """Return the state after the anchors of a frame, and the events."""
+    now, before = state.search, state.phase
+    assert isinstance(now, TextureState)
+    if now.alignment is None:
+        if isinstance(before, Lost) and stamp - state.confirmed_at > _OTHER_BALL_S:
+            anew = tracker.filter.initial(stamp, state.filter.attitude)
+            return state._replace(phase=Learning(), filter=anew, search=SearchState(), confirmed_at=stamp), (NewMap(),)
+        coasted = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=np.bool_))
+        since = stamp if state.status is Status.SEARCHING else state.confirmed_at
+        return state._replace(filter=clear_matches(coasted), confirmed_at=since), ()
+    match before:
+        case Lost(last=last):
+            placed = relocate(predicted, now.alignment.attitude, _LOOSE, tracker.settings.so3, stamp)
+            filtered = _update(state, tracker, placed).clone_attitude()
+            return start_tracking(state, last, filtered, filtered.attitude, stamp), (Recognised(len(state.points)),)
+        case Learning(found=True) if now.turned:
+            masked = int(np.count_nonzero(now.fine.seen.odds < STATIC_ODDS))
+            return _followed(state._replace(phase=Tracking()), stamp, tracker, predicted), (Turned(masked),)
+        case Learning(found=False) if now.proven:
+            filtered = _update(state, tracker, predicted).clone_attitude()
+            state = start_tracking(state, Learning(found=True), filtered, filtered.attitude, stamp)
+            return state, (Found(len(state.points)),)
+        case Learning(found=False):
+            filtered = _update(state, tracker, predicted)
+            return state._replace(filter=filtered.clone_attitude(), confirmed_at=stamp), ()
+        case Recognising():
+            raise AssertionError("no map of textures is saved yet")
+    return _followed(state, stamp, tracker, predicted), ()
+
+
+def _followed(
+    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
+) -> TrackState[So3State]:
+    """Return the state after an update with the anchors in view."""
+    now = state.search
+    if now.searched:  # the motion since the last confirmed frame is no small correction
+        turned, gap = rotation_between(state.reported_attitude, now.alignment.attitude), stamp - state.confirmed_at
+        rate = turned / gap if 0.0 < gap <= tracker.settings.loss.lost_after else None
+        predicted = relocate(predicted, now.alignment.attitude, _LOOSE, tracker.settings.so3, stamp, rate)
+    filtered = _update(state, tracker, predicted)
+    return state._replace(filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
+
+
+def _update(state: TrackState[So3State], tracker: Tracker[So3Filter], predicted: So3State) -> So3State:
+    """Return the filter after the anchors of a frame. An anchor that is on the map does not start a disc again."""
+    now, detector = state.search, tracker.detector
+    assert isinstance(now, TextureState)
+    assert isinstance(detector, TextureDetector)
+    anchors = detector.fine.anchors[now.shown[state.points.index]]
+    nearest = np.max(anchors @ predicted.discs.T, axis=1, initial=-1.0)
+    return tracker.filter.update(predicted, state.points, nearest < np.cos(2.0 * tracker.filter.disc_angle))
+
+
+TEXTURE = Method(
+    keeps_map=True,
+    exact_centres=False,
+    detect=detect_texture,
+    next_phase=_next_phase,
+    at_new_pose=at_new_pose,
+    update_all=lambda state, *_: state,
+    is_covered=lambda *_: False,
+)

@@ -1,0 +1,159 @@
+"""Attitudes at which a frame shows what the picture of the ball shows.
+
+The search begins near the predicted attitude. If the frame does not fit there, the coarse picture shows which attitudes
+may fit: near ones, those farther away, and for a lost ball all attitudes, a part of them in each frame.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.ball.detect.appearance import clear_mask
+from spheremouse.ball.detect.detections import Detections, Image, no_detections
+from spheremouse.ball.detect.discs import unmasked
+from spheremouse.ball.detect.projection import Projection
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.texture.picture import (
+    Alignment,
+    Picture,
+    Seen,
+    TextureView,
+    align,
+    correlate,
+    texture_view,
+    without_before,
+)
+from spheremouse.errors import ConfigurationError
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array, exp
+
+_COARSE = 4  # times as large are the details of the coarse picture: it shows the way from four times as far
+_FITS = 0.35  # least correlation of frame and picture: with noise as strong as the pattern in both, it is a half
+_SIGNIFICANT = 6.0  # standard deviations of the correlation of independent pictures
+_DETAIL = 8.0  # samples of one detail of the contrast, which are not independent
+_CHANGED = 0.15  # part of the informative samples that changes by more than noise once the ball turns
+_STEP = float(
+    np.radians(2.7)
+)  # of a search: no attitude is farther than 2.3° from the grid, where the coarse picture fits
+_AROUND, _FAR = float(np.radians(12.0)), float(np.radians(48.0))  # a flick between two frames, and a jump
+_SEARCHED, _GLANCE = 200, 50  # samples
+_FEW = 1000  # attitudes that are looked at with all samples
+_BEST = 4  # attitudes of a search from which an alignment starts
+_PARTS = 64  # frames that a search of all attitudes takes
+
+
+@dataclass(frozen=True, slots=True)
+class TextureDetector:
+    """The views of a ball at two scales."""
+
+    fine: TextureView
+    coarse: TextureView
+
+    def with_projection(self, projection: Projection) -> "TextureDetector":
+        """Return the detector as it is: contrast is that of grey values."""
+        return self
+
+    def detect(self, image: Image) -> Detections:
+        """Return no disc."""
+        return no_detections()
+
+
+def texture_detector(rig: Rig, pose: Pose, masks: Iterable[tuple[float, ...]] = ()) -> TextureDetector:
+    """Return the detector for a rig's ball as the camera sees it from `pose`. `masks` are those of `DiscSettings`.
+
+    Raises ConfigurationError if the masks hide the whole ball.
+    """
+    mask = unmasked(clear_mask(rig, pose), masks)
+    if not mask.any():
+        raise ConfigurationError("discs.masks: they leave nothing of the ball: give smaller ones")
+    return TextureDetector(texture_view(rig, pose, mask), texture_view(rig, pose, mask, _COARSE))
+
+
+class Level(NamedTuple):
+    """What is known at one scale."""
+
+    seen: Seen
+    picture: Picture
+
+
+class TextureState(NamedTuple):
+    """State of the detector between frames."""
+
+    fine: Level
+    coarse: Level
+    noise: float  # of a contrast
+    began: Array  # (3, 3) attitude of the first frame
+    learnt_at: Array  # (3, 3) attitude of the last frame that was learnt
+    proven: bool = False  # what changes turns like the ball
+    turned: bool = False  # it has turned so far that the pictures show it alone
+    turn: int = 0  # frames
+    alignment: Alignment | None = None  # of the last frame; None: it fits nowhere
+    searched: bool = False  # it was not near the prediction
+    shown: NDArray[np.intp] = np.zeros(0, dtype=np.intp)  # (n,) the anchors of the last frame's detections
+
+
+def near(detector: TextureDetector, now: TextureState, attitude: Array) -> tuple[Alignment | None, bool]:
+    """Return the alignment of a frame near an attitude, None if the frame does not fit there, and whether it turns."""
+    found = align(detector.fine, now.fine.seen, now.fine.picture, attitude, now.noise)
+    if fits(found) or now.turned:
+        return (found if fits(found) else None), fits(found)
+    # Only what has changed since the first frame counted. If that is little, the ball rests.
+    whole = align(detector.fine, without_before(now.fine.seen), now.fine.picture, attitude, now.noise)
+    return (whole if found.used < _CHANGED * whole.used and fits(whole) else None), False
+
+
+def search(detector: TextureDetector, now: TextureState, attitude: Array, lost: bool) -> Alignment | None:
+    """Return the alignment of a frame by the coarse picture, from farther away; None if the frame fits nowhere."""
+    for start in _starts(detector, now, attitude, lost):
+        rough = align(detector.coarse, now.coarse.seen, now.coarse.picture, start, now.noise)
+        found = align(detector.fine, now.fine.seen, now.fine.picture, rough.attitude, now.noise)
+        if fits(found):
+            return found
+    return None
+
+
+def fits(alignment: Alignment) -> bool:
+    """Return whether frame and picture show the same."""
+    significance = np.arctanh(min(alignment.correlation, 0.999)) * np.sqrt(alignment.used / _DETAIL)
+    return alignment.converged and alignment.correlation > _FITS and bool(significance > _SIGNIFICANT)
+
+
+def _starts(detector: TextureDetector, now: TextureState, attitude: Array, lost: bool) -> Iterator[Array]:
+    """Yield attitudes from which an alignment may succeed: near one, farther away, and for a lost ball anywhere."""
+    yield attitude
+    for turns in (_GRIDS[0], _GRIDS[1], _anywhere(now.turn)) if lost else _GRIDS:
+        attitudes = turns @ attitude
+        if len(turns) > _FEW:  # a part of the samples leaves few to look at
+            rough = correlate(detector.coarse, now.coarse.seen, now.coarse.picture, attitudes, _GLANCE)
+            attitudes = attitudes[np.argpartition(-rough, len(rough) // 20)[: len(rough) // 20]]
+        correlation = correlate(detector.coarse, now.coarse.seen, now.coarse.picture, attitudes, _SEARCHED)
+        for k in np.argsort(-correlation)[:_BEST]:
+            yield attitudes[k]
+
+
+def _grid(least: float, most: float) -> Array:
+    """Return the rotations, (n, 3, 3), of a cubic grid of vectors with lengths from `least` to `most` rad."""
+    k = np.arange(-int(most / _STEP), int(most / _STEP) + 1) * _STEP
+    v = np.stack(np.meshgrid(k, k, k), axis=-1).reshape(-1, 3)
+    length = np.linalg.norm(v, axis=1)
+    return exp(v[(length > least) & (length <= most)].astype(np.float64))
+
+
+def _anywhere(turn: int) -> Array:
+    """Return a part of all rotations, (n, 3, 3): `_PARTS` frames in a row have them all.
+
+    The pole of the ball goes to directions on a spiral (Saff, Kuijlaars 1997, "Distributing many points on a sphere").
+    About each the ball turns by equal steps.
+    """
+    n, m = round(4.0 * np.pi / _STEP**2), round(2.0 * np.pi / _STEP)
+    k = np.arange(turn % _PARTS, n, _PARTS)
+    height, longitude = 1.0 - (2.0 * k + 1.0) / n, k * np.pi * (3.0 - 5.0**0.5)
+    tilt = np.arccos(height)[:, None] * np.stack([-np.sin(longitude), np.cos(longitude), np.zeros(len(k))], axis=1)
+    about = exp(np.arange(m)[:, None] * 2.0 * np.pi / m * np.array([0.0, 0.0, 1.0]))
+    return (exp(tilt)[:, None] @ about[None]).reshape(-1, 3, 3)
+
+
+_GRIDS = _grid(0.0, _AROUND), _grid(_AROUND, _FAR)

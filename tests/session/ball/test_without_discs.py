@@ -1,0 +1,167 @@
+"""A ball that is followed by its pattern: no command speaks of discs that it lacks, or needs their radius."""
+
+import re
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from invoking import invoke
+
+from spheremouse.ball.build import begin, build
+from spheremouse.ball.detect.appearance import ball_mask, clear_mask
+from spheremouse.ball.detect.diagnosis import Cause, why_no_pattern
+from spheremouse.ball.settings import Settings, So3Settings
+from spheremouse.ball.track import step, with_settings
+from spheremouse.commands import app
+from spheremouse.session.ball.adapter import BallAdapter
+from spheremouse.session.ball.recorded import kept
+from spheremouse.session.settings import Configuration
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
+from spheremouse.simulate.to_dataset import write_simulation
+from spheremouse.tracker import Status
+
+OPTIONS = SimulationOptions(pattern="speckle", motion="thesis", seconds=4.0, noise=3.0, size=(320, 240), seed=3)
+
+
+@cache
+def film():
+    simulation = prepare(OPTIONS)
+    pose = simulation.scene.pose
+    return replace(simulation.scene.rig(), pose=pose), pose, [made.frame for made in simulate(simulation)]
+
+
+@cache
+def watched(dark_from):
+    """Return the adapter after the film, its reasons and its log lines; the ball is black from a time, s, on."""
+    rig, pose, frames = film()
+    adapter = BallAdapter(rig, Configuration(), None, lambda _: None)
+    last, reasons, lines, ball = None, [], [], ball_mask(rig, pose) > 0
+    for frame in frames:
+        image = frame.image.copy()
+        image[ball] = 3 if frame.stamp >= dark_from else image[ball]
+        last = adapter.follow(replace(frame, image=image))
+        reasons.append(adapter.reason)
+        lines.append(adapter.take_messages().change)
+    return adapter, last, reasons, "; ".join(filter(None, lines))
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pattern") / "film"
+    list(write_simulation(folder, prepare(replace(OPTIONS, size=(640, 480), seconds=3.0))))  # it shows the targets
+    return folder
+
+
+def test_the_log_has_parts_of_the_pattern_and_no_disc():
+    adapter, _, _, log = watched(9.0)
+    assert adapter.status is Status.TRACKING
+    assert re.search(r"tracking: \d+ parts of the pattern in view; .*the ball turns; what stands still is masked", log)
+    assert "disc" not in log
+
+
+def test_a_ball_that_rests_and_one_that_is_dark_state_why():
+    rig, _, frames = film()
+    still = BallAdapter(rig, Configuration(), None, lambda _: None)
+    for k in range(45):
+        still.follow(replace(frames[0], stamp=k / 30.0, sequence=k))
+    assert re.fullmatch(r"the ball is not followed for \d s: nothing has turned .*; turn it .*", still.reason)
+    _, _, reasons, log = watched(2.0)
+    assert "lost: no part of the pattern in view" in log
+    assert "it is nearly black (3 of 255)" in reasons[-1]
+
+
+@pytest.mark.parametrize(("level", "known", "cause"), [(0, True, Cause.DARK), (255, False, Cause.BRIGHT)])
+def test_the_light_comes_before_the_pattern(level, known, cause):
+    rig, pose, frames = film()
+    assert why_no_pattern(np.full_like(frames[0].image, level), rig, pose, known).cause is cause
+    assert why_no_pattern(frames[0].image, rig, pose, known).cause in (Cause.UNLIKE, Cause.UNTURNED)
+
+
+def test_the_marks_are_on_the_ball_and_the_scene_has_no_discs():
+    adapter, last, _, _ = watched(9.0)
+    marks, ball = adapter.annotations(last), ball_mask(adapter.rig, film()[1])
+    assert len(marks["detected"]) > 3
+    for mark in marks["detected"] + marks["predicted"]:
+        assert ball[round(mark["y"]), round(mark["x"])]
+    assert adapter.scene()["discs"] is None
+
+
+def test_a_masked_picture_keeps_the_ball_and_little_else():
+    rig, pose, _ = film()
+    keep, clear = kept(rig, pose, Settings()), clear_mask(rig, pose)
+    rows, columns = (np.flatnonzero(clear.any(axis=axis)) for axis in (1, 0))
+    box = keep[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] > 0
+    assert keep[clear > 0].all()
+    assert np.mean(box[clear[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] == 0]) < 0.2
+
+
+def test_another_setting_of_the_filter_keeps_the_picture_and_another_detector_begins_again():
+    rig, pose, frames = film()
+    rig = replace(rig, disc_radius=0.02)
+    settings = Settings(detector="texture")
+    tracker = build(rig, pose, settings)
+    state = begin(tracker, 0.0)
+    for frame in frames:
+        state = step(state, frame, tracker).state
+    assert state.status is Status.TRACKING
+    same, _ = with_settings(state, tracker, replace(settings, so3=So3Settings(acceleration_sigma=1.0)))
+    assert same.status is Status.TRACKING
+    assert same.search is state.search
+    other, of_discs = with_settings(state, tracker, Settings())
+    assert other.status is Status.SEARCHING
+    back, _ = with_settings(other, of_discs, settings)
+    assert back.status is Status.SEARCHING
+    np.testing.assert_array_equal(back.filter.attitude, state.filter.attitude)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("tune",), "tune searches settings of discs, and this ball is followed by its pattern"),
+        (("evaluate", "--map", "a.yaml"), "no map is kept of a ball's pattern; leave --map out"),
+        (("evaluate", "--tracker", "ekf2"), "the tracker ekf2 follows discs, and this ball has none"),
+        (("evaluate", "--tracker", "ekf2", "--detector", "texture"), "texture needs the tracker so3"),
+    ],
+)
+def test_commands_refuse_what_needs_discs_in_one_line(recording, words, says):
+    code, output = invoke(app, words[0], recording, *words[1:])
+    assert code != 0
+    assert says in " ".join(output.split())
+
+
+def test_a_run_refuses_a_map(recording, tmp_path):
+    words = ("--source", f"dataset:{recording}", "--output", "null", "--map", tmp_path / "a.yaml")
+    code, output = invoke(app, "run", *words)
+    assert code != 0
+    assert "none is kept of a ball's pattern; leave the map out" in " ".join(output.split())
+
+
+def test_rolling_needs_discs_or_their_radius(recording, tmp_path):
+    code, output = invoke(app, "calibrate", "rolling", "--source", f"dataset:{recording}", "--out", tmp_path / "r.yaml")
+    assert code != 0
+    assert "has no discs, and their paths are measured; give --disc-radius" in " ".join(output.split())
+
+
+def test_the_report_names_the_detector_and_has_no_figures_of_discs(recording):
+    code, output = invoke(app, "evaluate", recording)
+    assert code == 0
+    assert "with detector texture" in output
+    assert "points used per frame" in output
+    assert re.search(r"RMSE / bound: attitude, rate *│ *–  – ", output)
+
+
+def test_an_overlay_and_an_mcap_file_need_no_radius(recording, tmp_path):
+    words = ("--source", f"dataset:{recording}", "--output", "null", "--overlay", tmp_path / "last.png")
+    assert invoke(app, "run", *words)[0] == 0
+    assert (tmp_path / "last.png").exists()
+    pytest.importorskip("foxglove")
+    assert invoke(app, "export", recording, tmp_path / "film.mcap")[0] == 0
+
+
+def test_the_doctor_checks_ball_and_light_and_no_disc(recording):
+    _, output = invoke(app, "doctor", "--source", f"dataset:{recording}")
+    picture = " ".join(output.partition("picture")[2].partition("output")[0].split())
+    assert "followed by its pattern" in picture
+    assert "wrong" not in picture
+    assert "disc" not in picture
