@@ -37,8 +37,7 @@ class Tally:
     def row(self) -> list[str]:
         """Cells of a table."""
         right, silent = (100.0 * k / self.trials for k in (self.right, self.trials - self.right - self.wrong))
-        times = f"{1e3 * self.time:.2f} / {1e3 * self.slow:.2f}"
-        return [f"{right:.2f} %", f"{silent:.2f} %", f"{self.wrong} of {self.trials}", times]
+        return [f"{right:.2f}", f"{silent:.2f}", f"{self.wrong}", f"{1e3 * self.time:.2f}, {1e3 * self.slow:.2f}"]
 
 
 def unit(v: np.ndarray) -> np.ndarray:
@@ -151,7 +150,7 @@ def pool(m: int, least: float) -> Callable[[int], np.ndarray]:
     return lambda trial: maps[trial % 100]
 
 
-HEAD = ["found", "refused", "wrong", "time ms, median / 99 %"]
+HEAD = ["found, %", "refused, %", "wrong", "time, ms: median, 99 %"]
 
 
 def fine(trials: int, maps: dict[str, Callable[[int], np.ndarray]]) -> str:
