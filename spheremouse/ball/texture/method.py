@@ -48,7 +48,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, exp, rotation_between, tangent_basis
 from spheremouse.tracker import Frame, Status
 
-_VIEWS = 20.0  # that a cell is the mean of: what the ball has taken on or lost shows after a turn
+_VIEWS = 20.0  # in the mean of a cell: new dirt on the ball shows after a turn
 _PROVEN_PX = 5.0  # path of the ball's surface, in pixels, from which its turn is known better than what stands still
 _TURNING = 200  # samples that turn as the ball does, in 25 details, before it is tracked
 _TURNED_PX = 25.0  # path, in pixels, after which most pixels of a pattern have shown whether they turn
@@ -61,7 +61,7 @@ _OTHER_BALL_S = 5.0  # without a fit, although all attitudes were searched: it i
 
 
 def shading_covariance(rig: Rig, pose: Pose) -> Array:
-    """Return the covariance, (10, 10) of camera pose and ball, that stands for what shading does to all contours.
+    """Return the covariance, (10, 10), of camera pose and ball, equivalent to the effect of shading on all contours.
 
     Light that stands still shifts the contours that turn through it, by about the same in each frame. So does an error
     of the camera's rotation.
@@ -95,7 +95,7 @@ def detect_texture(
     expected = state.reported_attitude if lost else predicted.attitude  # a ball that was hidden mostly rested
     alignment, turns = near(detector, now, expected)
     if lost and not (now.turned or turns):
-        alignment = None  # what stands still would fit
+        alignment = None  # a static scene would fit
     searched = alignment is None and now.turned
     if searched:
         alignment = search(detector, now, expected, lost)

@@ -40,7 +40,7 @@ _FACING = 0.3  # cosine between ray and normal from which a pixel shows the ball
 
 @dataclass(frozen=True, slots=True)
 class TextureView:
-    """What is constant for one camera pose."""
+    """Constant data of one camera pose."""
 
     rig: Rig
     pose: Pose
@@ -66,7 +66,7 @@ class Picture(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """A frame's samples, and what is known of each: does it turn with the ball?"""
+    """Samples of a frame, each with the odds that it turns with the ball."""
 
     contrast: Floats  # (h, w) of the window
     mean: Floats  # (rows, columns) contrast of late

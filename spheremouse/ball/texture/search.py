@@ -73,7 +73,7 @@ def texture_detector(rig: Rig, pose: Pose, masks: Iterable[tuple[float, ...]] = 
 
 
 class Level(NamedTuple):
-    """What is known at one scale."""
+    """Samples and picture at one scale."""
 
     seen: Seen
     picture: Picture
