@@ -53,6 +53,7 @@ _PROVEN_PX = 5.0  # path of the ball's surface, in pixels, from which its turn i
 _TURNING = 200  # samples that turn as the ball does, in 25 details, before it is tracked
 _TURNED_PX = 25.0  # path, in pixels, after which most pixels of a pattern have shown whether they turn
 _MOVED_PX = 0.7  # path that shows the cells other pixels
+_RECENT = 0.1  # weight of a frame in the usual correlation: that of a third of a second
 _FLOOR_PX = 0.1  # standard deviation of an anchor's place per axis: errors of the picture that its pixels share
 _PRIOR = 0.01  # rad, of an anchor's place relative to the whole alignment
 _LOOSE = 0.005  # rad, standard deviation above which the pixels around an anchor do not determine its place
@@ -101,6 +102,8 @@ def detect_texture(
         alignment = search(detector, now, expected, lost)
     if alignment is not None:
         now = _learnt(detector, now, alignment.attitude)
+        if not searched:
+            now = now._replace(usual=now.usual + _RECENT * (alignment.correlation - now.usual))
     found, shown = _detections(detector.fine, alignment, tracker)
     far = turns and _path(detector, now, alignment) > _PROVEN_PX
     proven = now.turned or now.proven or (far and np.count_nonzero(now.fine.seen.odds > -STATIC_ODDS) > _TURNING)

@@ -34,6 +34,7 @@ _COARSE = 4  # times as large are the details of the coarse picture: it shows th
 _FITS = 0.35  # least correlation of frame and picture: with noise as strong as the pattern in both, it is a half
 _SIGNIFICANT = 6.0  # standard deviations of the correlation of independent pictures
 _DETAIL = 8.0  # samples of one detail of the contrast, which are not independent
+_USUAL = 0.7  # of the usual correlation, that a search must find: a wrong attitude fits some details by chance
 _CHANGED = 0.15  # part of the informative samples that changes by more than noise once the ball turns
 _STEP = float(
     np.radians(2.7)
@@ -92,6 +93,7 @@ class TextureState(NamedTuple):
     turn: int = 0  # frames
     alignment: Alignment | None = None  # of the last frame; None: it fits nowhere
     searched: bool = False  # it was not near the prediction
+    usual: float = 0.0  # correlation of the frames that fitted near their predictions
     shown: NDArray[np.intp] = np.zeros(0, dtype=np.intp)  # (n,) the anchors of the last frame's detections
 
 
@@ -110,7 +112,7 @@ def search(detector: TextureDetector, now: TextureState, attitude: Array, lost: 
     for start in _starts(detector, now, attitude, lost):
         rough = align(detector.coarse, now.coarse.seen, now.coarse.picture, start, now.noise)
         found = align(detector.fine, now.fine.seen, now.fine.picture, rough.attitude, now.noise)
-        if fits(found):
+        if fits(found) and found.correlation > _USUAL * now.usual:
             return found
     return None
 
