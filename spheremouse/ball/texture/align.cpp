@@ -187,7 +187,7 @@ std::vector<int> strongest(const Samples& samples, int most) {
         const float x = std::abs(samples.at(a)), y = std::abs(samples.at(b));
         return x > y || (x == y && a < b);
     };
-    const auto end = found.begin() + std::min<nb::ssize_t>(most, nb::ssize_t(found.size()));
+    const auto end = found.begin() + std::clamp<nb::ssize_t>(most, 0, nb::ssize_t(found.size()));
     std::partial_sort(found.begin(), end, found.end(), stronger);
     found.erase(end, found.end());
     return found;

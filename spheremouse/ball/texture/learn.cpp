@@ -122,8 +122,9 @@ void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::han
     const Picture picture = read_picture(picture_[0], picture_[1]);
     const Eigen::Matrix3f R = Matrix<3>(matrix<3, 3>(R_, "R")).cast<float>();
     const auto mean = array<float, -1, -1>(mean_, "mean"), odds = array<float, -1, -1>(odds_, "odds");
-    if (int(mean.size()) != samples.size() || int(odds.size()) != samples.size())
-        throw nb::type_error("mean, odds: must have the shape of direction");
+    for (const auto& each : {mean, odds})
+        if (int(each.shape(0)) != samples.rows || int(each.shape(1)) != samples.columns)
+            throw nb::type_error("mean, odds: must have the shape of direction");
     const float variance = float(noise * noise);
     for (int i = 0; i < samples.size(); i++) {
         if ((turn >= 0 && i / samples.columns % 4 != turn % 4) || !(samples.direction[3 * size_t(i)] < 2.0f)) continue;

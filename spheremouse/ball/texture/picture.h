@@ -28,6 +28,9 @@ struct Place {
     float by_row, by_column, inverse, sign;  // coordinates on the face, and one over the depth
 };
 
+/// Return the last cell of a row of n at or before `x` that has a next one. It exists for any `x`, nan as well.
+inline int cell_before(float x, int n) { return x > 0.0f ? int(std::min(x, float(n - 2))) : 0; }
+
 inline Place place_on(const Vector3f& x, int n) {
     const Vector3f size = x.cwiseAbs();
     const int axis = size[0] >= size[1] ? (size[0] >= size[2] ? 0 : 2) : (size[1] >= size[2] ? 1 : 2);
@@ -35,7 +38,7 @@ inline Place place_on(const Vector3f& x, int n) {
     const float sign = x[axis] < 0.0f ? -1.0f : 1.0f, inverse = 1.0f / size[axis], k = float(n) / (2.0f * HALF);
     const float a = x[next] * inverse, b = x[last] * inverse;
     const float row = (a + HALF) * k - 0.5f, column = (b + HALF) * k - 0.5f;
-    const int i = int(row), j = int(column);
+    const int i = cell_before(row, n), j = cell_before(column, n);
     return {2 * axis + (sign < 0.0f), i, j, row - float(i), column - float(j), a, b, inverse, sign};
 }
 

@@ -1,0 +1,192 @@
+"""The native functions of the texture refuse wrong arrays by name, and survive any number in right ones."""
+
+import numpy as np
+import pytest
+
+from spheremouse.ball.rig import view_of
+from spheremouse.ball.texture.picture import first_seen, learn, weigh
+from spheremouse.geometry.rotation import exp
+from spheremouse.native import kernels
+from tests.ball.texture.painted import DETECTOR, NOISE, contrast_at, picture_of, plain, waves
+
+VIEW = DETECTOR.coarse
+R = exp(np.array([0.3, -0.2, 0.1]))
+SEEN = first_seen(VIEW, contrast_at(VIEW, waves(0), R, np.random.default_rng(0)))
+PICTURE = picture_of(VIEW, waves(0))
+NOTHING = np.full_like(SEEN.before, np.nan)
+SAMPLES = {
+    "contrast": SEEN.contrast,
+    "direction": VIEW.direction,
+    "odds": SEEN.odds,
+    "before": NOTHING,
+    "step": VIEW.step,
+}
+BAD = [np.nan, np.inf, -np.inf, 0.0, 3e38]
+
+
+def aligned(*, R=R, noise=NOISE, place=0.2 * VIEW.pixel, value=PICTURE.value, weight=PICTURE.weight, **samples):
+    more = {"anchor_of": VIEW.anchor_of, "anchors": len(VIEW.anchors)}
+    more |= {name: samples.pop(name) for name in list(samples) if name in more}
+    members = tuple((SAMPLES | samples).values())
+    return kernels.align_texture(members, (value, weight), R, noise, place, VIEW.pixel, *more.values())
+
+
+def correlated(*, attitudes=R[None], most=200, value=PICTURE.value, weight=PICTURE.weight, **samples):
+    return kernels.correlate_texture(tuple((SAMPLES | samples).values()), (value, weight), attitudes, most)
+
+
+def learnt(*, R=R, window=(0.0, 0.0, 4.0), known=PICTURE.known, turn=-1, forget=False, most=20.0, **samples):
+    value, weight, tiles = PICTURE.value.copy(), PICTURE.weight.copy(), known.copy()
+    members = tuple((SAMPLES | samples).values())
+    view = view_of(VIEW.rig, VIEW.pose)
+    kernels.learn_texture(members, (value, weight), tiles, view, R, window, most, turn, forget)
+    return value, weight, tiles
+
+
+def weighed(*, R=R, mean=SEEN.mean, odds_after=SEEN.odds, noise=NOISE, share=0.2, turn=-1, **samples):
+    mean, odds = mean.copy(), odds_after.copy()
+    kernels.weigh_static(tuple((SAMPLES | samples).values()), PICTURE[:2], R, mean, odds, noise, share, turn)
+    return mean, odds
+
+
+@pytest.mark.parametrize("function", [aligned, correlated, learnt, weighed])
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("contrast", SEEN.contrast.astype(np.float64)),
+        ("contrast", SEEN.contrast[: len(SEEN.contrast) // 2].copy()),
+        ("direction", VIEW.direction[:, :, :2].copy()),
+        ("direction", VIEW.direction[:, ::2]),
+        ("odds", SEEN.odds[1:].copy()),
+        ("odds", SEEN.odds.ravel()),
+        ("before", NOTHING[:, 1:].copy()),
+        ("before", None),
+    ],
+)
+def test_wrong_samples_are_named(function, name, wrong):
+    with pytest.raises(TypeError, match=rf"\b{name}\b"):
+        function(**{name: wrong})
+
+
+@pytest.mark.parametrize(
+    ("function", "name", "wrong"),
+    [
+        (aligned, "value", PICTURE.value[:5].copy()),
+        (aligned, "value", PICTURE.value[:, 1:, 1:].copy()),
+        (aligned, "weight", PICTURE.weight[:, 8:, 8:].copy()),
+        (aligned, "R", np.eye(4)),
+        (aligned, "R", np.eye(3, dtype=np.float32)),
+        (aligned, "anchor_of", VIEW.anchor_of[:, 1:].copy()),
+        (aligned, "anchor_of", VIEW.anchor_of.astype(np.int32)),
+        (correlated, "attitudes", np.eye(3)),
+        (correlated, "attitudes", np.eye(3, dtype=np.float32)[None]),
+        (correlated, "value", PICTURE.value.astype(np.float64)),
+        (learnt, "R", np.eye(2)),
+        (learnt, "known", PICTURE.known[:, 1:].copy()),
+        (weighed, "R", np.eye(4)),
+        (weighed, "mean", SEEN.mean[1:].copy()),
+        (weighed, "odds", SEEN.odds.reshape(1, -1)),
+    ],
+)
+def test_other_wrong_arrays_are_named(function, name, wrong):
+    with pytest.raises(TypeError, match=rf"\b{name}\b"):
+        function(**{"odds_after" if function is weighed and name == "odds" else name: wrong})
+
+
+@pytest.mark.parametrize("anchor", [-1, 42])
+def test_an_anchor_that_does_not_exist_is_refused(anchor):
+    with pytest.raises(IndexError, match="anchor_of"):
+        aligned(anchor_of=np.full_like(VIEW.anchor_of, anchor))
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_an_attitude_that_is_no_rotation_crashes_nothing(bad):
+    """A filter that diverges gives any matrix."""
+    wrong = np.full((3, 3), bad)
+    assert not aligned(R=wrong)[4]
+    assert np.all(np.isfinite(correlated(attitudes=wrong[None])))
+    for part in (*learnt(R=wrong), *weighed(R=wrong)):
+        assert np.all(np.isfinite(part))
+
+
+@pytest.mark.parametrize("bad", BAD)
+@pytest.mark.parametrize("axis", [0, 1, 2, slice(None)])
+def test_directions_that_are_none_are_no_part_of_the_ball(bad, axis):
+    direction, row = VIEW.direction.copy(), len(VIEW.direction) // 2
+    direction[row, :, axis] = bad
+    found, whole = aligned(direction=direction), aligned()
+    assert found[4]
+    assert np.allclose(found[0], whole[0], atol=0.5 * VIEW.pixel)
+    assert np.all(np.isfinite(correlated(direction=direction)))
+
+
+@pytest.mark.parametrize("most", [-5, -1, 0, 10**9])
+def test_any_number_of_samples_may_be_asked_for(most):
+    assert correlated(most=most)[0] == pytest.approx(0.95 if most > 0 else 0.0, abs=0.05)
+
+
+def test_a_picture_of_a_single_tile_on_each_face_is_large_enough():
+    """A cell that a corner of the cube needs lies on the face, however few there are."""
+    value = np.arange(6 * 64, dtype=np.float32).reshape(6, 8, 8)
+    corners = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T / np.sqrt(3.0)
+    direction = np.ascontiguousarray(np.resize(corners, VIEW.direction.shape), dtype=np.float32)
+    weight, anchor_of = np.ones_like(value), np.zeros((6, 1, 1), np.int64)
+    assert np.isfinite(correlated(direction=direction, value=value, weight=weight)[0])
+    assert np.all(np.isfinite(aligned(direction=direction, value=value, weight=weight, anchor_of=anchor_of)[0]))
+
+
+def test_no_information_comes_from_what_stands_still_or_is_unknown_or_has_not_changed():
+    still, unknown = np.full_like(SEEN.odds, -3.1), np.zeros_like(PICTURE.weight)
+    for change in ({"odds": still}, {"weight": unknown}, {"before": SEEN.before}):
+        found = aligned(**change)
+        assert found[3] == 0
+        assert not np.any(found[5])
+        assert not found[4]
+    assert correlated(odds=still)[0] == correlated(weight=unknown)[0] == 0.0
+
+
+def test_the_information_of_the_anchors_is_that_of_their_pixels():
+    """With one anchor it is the sum of those of all."""
+    each, one = aligned(), aligned(anchor_of=np.zeros_like(VIEW.anchor_of), anchors=1)
+    for member in (5, 6, 7):
+        assert np.allclose(each[member].sum(axis=0), one[member][0], rtol=1e-9, atol=1e-9 * np.abs(one[member]).max())
+
+
+def test_the_gradient_of_the_information_vanishes_at_the_attitude_found():
+    """A step that the normal equations of all anchors would make is within what the rounds leave, 1e-4 rad."""
+    found = aligned(R=exp(np.array([2e-3, 0.0, 1e-3])) @ R)
+    assert np.linalg.norm(np.linalg.solve(found[5].sum(axis=0), found[6].sum(axis=0))) < 1e-4
+
+
+@pytest.mark.parametrize("known", [0.0, 10.0])
+def test_frames_in_a_row_learn_all_of_a_picture_in_parts(known):
+    """Each tile that is not known yet in 4 frames, and each that is in 32."""
+    start = picture_of(VIEW, plain, known)
+    parts = [learn(VIEW, SEEN, start, R, 100.0, turn=k).weight > known for k in range(32)]
+    whole = learn(VIEW, SEEN, start, R, 100.0).weight > known
+    every = 4 if known == 0.0 else 32
+    assert np.array_equal(np.any(parts[:every], axis=0), whole)
+    counts = [np.count_nonzero(p) for p in parts[:every]]
+    assert sum(counts) == np.count_nonzero(whole)  # none twice
+    assert max(counts) < 2.0 * np.count_nonzero(whole) / every + 64 * 3
+
+
+def test_four_frames_in_a_row_weigh_all_samples():
+    contrast = contrast_at(VIEW, waves(0), np.eye(3))
+    seen = SEEN._replace(contrast=contrast)
+    whole, once = weigh(VIEW, seen, PICTURE, R, NOISE, -1), seen
+    for turn in range(4):
+        before, once = once, weigh(VIEW, once, PICTURE, R, NOISE, turn)
+        rows = np.flatnonzero(np.any(before.odds != once.odds, axis=1))
+        assert set(rows % 4) == {turn}
+    assert np.array_equal(once.odds, whole.odds)
+    assert np.array_equal(once.mean, whole.mean)
+
+
+@pytest.mark.parametrize("noise", [1e-30, 1e30])
+def test_odds_stay_within_twelve_nats(noise):
+    seen = SEEN._replace(contrast=contrast_at(VIEW, waves(1), np.eye(3)))
+    for _ in range(10):
+        seen = weigh(VIEW, seen, PICTURE, R, noise, -1)
+    assert np.abs(seen.odds).max() <= 12.0
+    assert (np.abs(seen.odds).max() > 11.0) == (noise < 1.0)
