@@ -65,10 +65,10 @@ class TextureDetector:
 def texture_detector(rig: Rig, pose: Pose, masks: Iterable[tuple[float, ...]] = ()) -> TextureDetector:
     """Return the detector for a rig's ball as the camera sees it from `pose`. `masks` are those of `DiscSettings`.
 
-    Raises ConfigurationError if the masks hide the whole ball.
+    Raises ConfigurationError if the masks hide the whole ball, or all but a margin.
     """
     mask = unmasked(clear_mask(rig, pose), masks)
-    if not mask.any():
+    if any(np.count_nonzero(mask.any(axis=k)) < _COARSE for k in (0, 1)):
         raise ConfigurationError("discs.masks: they leave nothing of the ball: give smaller ones")
     return TextureDetector(texture_view(rig, pose, mask), texture_view(rig, pose, mask, _COARSE))
 

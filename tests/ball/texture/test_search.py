@@ -1,0 +1,111 @@
+"""Search for the attitude at which a frame shows what the picture shows: steps, a lost ball, another ball."""
+
+import numpy as np
+import pytest
+
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.texture.picture import align
+from spheremouse.ball.texture.search import near, search, texture_detector
+from spheremouse.errors import ConfigurationError
+from spheremouse.geometry.rotation import exp, log
+from tests.ball.texture.painted import DETECTOR, NOISE, POSE, RIG, contrast_at, plain, rings, state_at, waves
+
+PARTS = 64  # frames that a search of all attitudes takes
+RIGHT = np.radians(0.3)
+
+
+def random_turn(rng, degrees=None):
+    """Return a rotation about a random axis; without an angle, a random rotation."""
+    if degrees is None:
+        q = rng.normal(size=4)
+        q /= np.linalg.norm(q)
+        return exp(2.0 * np.arccos(abs(q[0])) * q[1:] * np.copysign(1.0, q[0]) / np.linalg.norm(q[1:]))
+    axis = rng.normal(size=3)
+    return exp(np.radians(degrees) * axis / np.linalg.norm(axis))
+
+
+def is_right(found, R):
+    return np.linalg.norm(log(found.attitude @ R.T)) < RIGHT
+
+
+@pytest.mark.parametrize("degrees", [0.0, 1.0])
+def test_a_frame_near_the_prediction_fits_there(degrees):
+    rng = np.random.default_rng(1)
+    for seed in range(5):
+        R = random_turn(rng)
+        found, turns = near(DETECTOR, state_at(waves(seed % 2), R, rng), random_turn(rng, degrees) @ R)
+        assert turns
+        assert is_right(found, R)
+
+
+@pytest.mark.parametrize("degrees", [3.0, 11.0, 20.0, 40.0, 46.0])
+def test_a_step_is_found_in_the_frame_that_follows_it(degrees):
+    rng = np.random.default_rng(2)
+    for seed in range(10):
+        before = random_turn(rng)
+        R = random_turn(rng, degrees) @ before
+        found = search(DETECTOR, state_at(waves(seed % 2), R, rng), before, lost=False)
+        assert found is not None
+        assert is_right(found, R)
+
+
+def test_a_lost_ball_is_found_at_any_attitude_within_two_seconds():
+    rng = np.random.default_rng(3)
+    for seed in range(8):
+        last, R = random_turn(rng), random_turn(rng)
+        for turn in range(PARTS):
+            found = search(DETECTOR, state_at(waves(seed % 2), R, rng, turn=turn), last, lost=True)
+            if found is not None:
+                break
+        assert found is not None
+        assert is_right(found, R)
+
+
+def test_another_texture_fits_nowhere():
+    rng = np.random.default_rng(4)
+    for seed in range(6):
+        now = state_at(waves(100 + seed), random_turn(rng), rng, learnt=waves(seed % 2), turn=seed)
+        before = random_turn(rng)
+        assert near(DETECTOR, now, before) == (None, False)
+        assert search(DETECTOR, now, before, lost=seed % 2 == 1) is None
+
+
+def test_noise_alone_fits_nowhere():
+    rng = np.random.default_rng(5)
+    for seed in range(6):
+        now = state_at(plain, np.eye(3), rng, learnt=waves(seed % 2), turn=seed)
+        assert search(DETECTOR, now, random_turn(rng), lost=True) is None
+
+
+def test_a_texture_of_rings_tells_nothing_of_the_turn_about_their_axis():
+    """The information about the axis is 1 % of that about the others: noise of the picture's cells."""
+    rng = np.random.default_rng(6)
+    now = state_at(rings, np.eye(3), rng)
+    found = align(DETECTOR.fine, now.fine.seen, now.fine.picture, np.eye(3), NOISE)
+    whole = found.information.sum(axis=0)
+    assert whole[2, 2] < 0.01 * min(whole[0, 0], whole[1, 1])
+
+
+@pytest.mark.parametrize(("part", "pattern"), [(0.5, plain), (0.25, waves(200))], ids=["hand", "sleeve"])
+def test_a_ball_that_a_hand_or_a_sleeve_covers_in_part_is_aligned_by_the_rest(part, pattern):
+    """A hand is smooth, and a sleeve has a pattern as strong as the ball's."""
+    rng = np.random.default_rng(7)
+    for seed in range(4):
+        R = random_turn(rng)
+        now = state_at(waves(seed % 2), R, rng)
+        cover = contrast_at(DETECTOR.fine, pattern, np.eye(3), rng)
+        covered = round(part * cover.shape[1])
+        now.fine.seen.contrast[:, :covered] = cover[:, :covered]
+        found, _ = near(DETECTOR, now, random_turn(rng, 0.5) @ R)
+        assert found is not None
+        assert is_right(found, R)
+
+
+@pytest.mark.parametrize("rows", [0, 1, 3])
+def test_masks_that_leave_a_margin_of_the_ball_are_refused_in_one_line(rows):
+    """The coarse view has no row of fewer than four pixels."""
+    shown = DETECTOR.fine.window[0].stop - rows
+    with pytest.raises(ConfigurationError, match="masks") as e:
+        texture_detector(RIG, POSE, [(0, 0, RIG.camera.width, shown)])
+    assert "\n" not in str(e.value)
+    assert Settings().discs.masks == ()
