@@ -83,7 +83,7 @@ def detect_texture(
     detector = tracker.detector
     assert isinstance(detector, TextureDetector)
     before = state.search
-    if not isinstance(before, TextureState):
+    if not isinstance(before, TextureState) or (state.status is Status.SEARCHING and before.alignment is None):
         now = _begin(detector, frame, predicted.attitude)
         found, shown = _detections(detector.fine, now.alignment, tracker)
         return found, now._replace(shown=shown)
@@ -191,9 +191,11 @@ def _next_phase(
         if isinstance(before, Lost) and stamp - state.confirmed_at > _OTHER_BALL_S:
             anew = tracker.filter.initial(stamp, state.filter.attitude)
             return state._replace(phase=Learning(), filter=anew, search=SearchState(), confirmed_at=stamp), (NewMap(),)
+        if state.status is Status.SEARCHING:  # no uncertainty accumulates before the ball is seen
+            anew = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
+            return state._replace(filter=anew, confirmed_at=stamp), ()
         coasted = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=np.bool_))
-        since = stamp if state.status is Status.SEARCHING else state.confirmed_at
-        return state._replace(filter=clear_matches(coasted), confirmed_at=since), ()
+        return state._replace(filter=clear_matches(coasted)), ()
     match before:
         case Lost(last=last):
             placed = relocate(predicted, now.alignment.attitude, _LOOSE, tracker.settings.so3, stamp)
