@@ -125,14 +125,20 @@ def test_any_number_of_samples_may_be_asked_for(most):
     assert correlated(most=most)[0] == pytest.approx(0.95 if most > 0 else 0.0, abs=0.05)
 
 
-def test_a_picture_of_a_single_tile_on_each_face_is_large_enough():
-    """A cell that a corner of the cube needs lies on the face, however few there are."""
-    value = np.arange(6 * 64, dtype=np.float32).reshape(6, 8, 8)
-    corners = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T / np.sqrt(3.0)
-    direction = np.ascontiguousarray(np.resize(corners, VIEW.direction.shape), dtype=np.float32)
-    weight, anchor_of = np.ones_like(value), np.zeros((6, 1, 1), np.int64)
-    assert np.isfinite(correlated(direction=direction, value=value, weight=weight)[0])
-    assert np.all(np.isfinite(aligned(direction=direction, value=value, weight=weight, anchor_of=anchor_of)[0]))
+def test_a_picture_of_a_single_tile_on_each_face_has_a_place_for_each_corner():
+    """The corner of the cube is beside the last cell: the next one would be that of another face, or of no picture."""
+    memory = np.full((7, 8, 8), np.nan, np.float32)
+    memory[:6] = np.random.default_rng(0).normal(size=(6, 8, 8))
+    corners = np.array([[x, y, z] for x in (-0.999, 0.999) for y in (-0.999, 0.999) for z in (-1.0, 1.0)])
+    direction = np.where(np.isfinite(VIEW.direction), np.resize(corners, VIEW.direction.shape), np.nan)
+    found = aligned(
+        direction=np.ascontiguousarray(direction, dtype=np.float32),
+        value=memory[:6],
+        weight=np.ones((6, 8, 8), np.float32),
+        anchor_of=np.zeros((6, 1, 1), np.int64),
+        R=np.eye(3),
+    )
+    assert found[3] == np.count_nonzero(np.isfinite(direction[..., 0]))
 
 
 def test_no_information_comes_from_what_stands_still_or_is_unknown_or_has_not_changed():

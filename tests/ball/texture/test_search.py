@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.texture.picture import align
-from spheremouse.ball.texture.search import near, search, texture_detector
+from spheremouse.ball.texture.picture import Alignment, align
+from spheremouse.ball.texture.search import fits, near, search, texture_detector
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.rotation import exp, log
 from tests.ball.texture.painted import DETECTOR, NOISE, POSE, RIG, contrast_at, plain, rings, state_at, waves
@@ -26,6 +26,23 @@ def random_turn(rng, degrees=None):
 
 def is_right(found, R):
     return np.linalg.norm(log(found.attitude @ R.T)) < RIGHT
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({}, True),
+        ({"correlation": 0.3}, False),  # of strong noise, however many pixels
+        ({"correlation": float("nan")}, False),
+        ({"used": 40}, False),  # five details correlate by chance, however well
+        ({"used": 0, "correlation": 1.0}, False),
+        ({"converged": False}, False),
+    ],
+)
+def test_a_fit_needs_correlation_and_details_and_an_end(change, expected):
+    blank = np.zeros((42, 3, 3))
+    found = Alignment(np.eye(3), 1.0, 0.9, 6000, True, blank, blank[:, 0], blank[:, 0, 0])
+    assert fits(found._replace(**change)) == expected
 
 
 @pytest.mark.parametrize("degrees", [0.0, 1.0])
