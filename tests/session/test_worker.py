@@ -10,7 +10,7 @@ from daemon_world import DT, Film
 
 from spheremouse.ball.rig import Targets
 from spheremouse.capture.newest import Arrival
-from spheremouse.errors import ConfigurationError, DamagedFrameError, PoseError
+from spheremouse.errors import DamagedFrameError, PoseError
 from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.settings import Configuration
 from spheremouse.session.tracker_adapter import POSE, here
@@ -135,8 +135,6 @@ def test_a_rig_that_can_never_be_posed_is_refused(film):
     none = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
     with pytest.raises(PoseError, match="fewer than three targets"):
         Play(film, replace(film.rig, targets=none))
-    with pytest.raises(ConfigurationError, match="disc_radius: missing; the tracker so3 follows discs"):
-        Play(film, replace(film.rig, disc_radius=None))
 
 
 def test_views_from_before_an_interruption_are_not_mixed_with_those_after(film):

@@ -279,11 +279,11 @@ def test_a_tracker_of_discs_refuses_a_ball_without_them_in_one_line(tmp_path, sp
     options = SimulationOptions(pattern="dirt", seconds=0.1, size=(160, 120))
     for _ in write_simulation(tmp_path / "film", prepare(options)):
         pass
-    code, _, stderr = spheremouse("evaluate", tmp_path / "film", "--pose", "known")
+    code, _, stderr = spheremouse("evaluate", tmp_path / "film", "--pose", "known", "--tracker", "ekf2")
     assert code == 2
     assert stderr.splitlines() == [
-        f"spheremouse: {tmp_path / 'film'}: rig: disc_radius: missing; "
-        "the tracker so3 follows discs, and this ball has none"
+        f"spheremouse: {tmp_path / 'film'}: rig: disc_radius: missing; the tracker ekf2 follows discs, and this ball "
+        "has none; leave detector and tracker at their defaults, which follow the pattern of such a ball"
     ]
 
 
