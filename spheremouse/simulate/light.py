@@ -7,6 +7,7 @@ and the struts, and a glossy coat on the ball (Schlick 1994). It is plausible an
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.shapes import Colour
@@ -139,10 +140,14 @@ def develop(light: Array) -> Array:
     return 255.0 * np.where(x < 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055)
 
 
+def to_linear(grey: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return the linear light of grey values 0 to 1 of a screen (sRGB)."""
+    return np.where(grey <= 0.04045, grey / 12.92, ((grey + 0.055) / 1.055) ** 2.4)
+
+
 def reflectance(colour: Colour) -> Colour:
     """Return the reflectance of a surface painted in a screen colour: blue, green, red, 0..255 (sRGB)."""
-    x = np.array(colour) / 255.0
-    b, g, r = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
+    b, g, r = to_linear(np.array(colour) / 255.0)
     return float(b), float(g), float(r)
 
 

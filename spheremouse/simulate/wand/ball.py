@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from spheremouse.geometry.camera import InteriorOrientation, ellipse_to_pixel, project_sphere, unproject
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.light import reflectance
-from spheremouse.simulate.shapes import pixel_parts
+from spheremouse.simulate.shapes import Colour, pixel_parts
 from spheremouse.wand.ball import WandBall
 
-FINE = 6  # rays across a pixel with an edge, in each direction; fewer where many moments are averaged
+_FINE = 6  # rays across a pixel with an edge, in each direction; fewer where many moments are averaged
+_MARGIN = 2  # px around the ball
 
 # Paints as on a screen, blue, green, red: paper or foam as such balls are made of
-PAINTS = {
+_PAINTS = {
     "white": (225.0, 228.0, 230.0),
     "black": (26.0, 26.0, 26.0),
     "red": (32.0, 28.0, 196.0),
@@ -29,8 +30,7 @@ PAINTS = {
     "dark": (30.0, 28.0, 28.0),
     "light": (235.0, 245.0, 255.0),
 }
-LIT = ("light",)  # discs that shine by themselves
-_LIT = 1.1  # of their own light: as bright as the sensor takes
+_LIT, _OWN_LIGHT = ("light",), 1.1  # discs that shine by themselves, as bright as the sensor takes
 
 
 class Layer(NamedTuple):
@@ -53,29 +53,14 @@ class WandLight:
     polish: float  # the higher the smaller the highlights are
 
 
-def paint_of(colour: str) -> Array:
-    """Return the reflectance, (3,) blue, green, red, of a disc or a body by its colour's name; grey if unknown."""
-    return np.array(reflectance(PAINTS.get(colour, (128.0, 128.0, 128.0))))
+def paint_of(colour: str) -> Colour:
+    """Return the reflectance of a disc or a body by its colour's name; grey if unknown."""
+    return reflectance(_PAINTS.get(colour, (128.0, 128.0, 128.0)))
 
 
 def disc_paints(ball: WandBall) -> Array:
     """(n + 1, 3): of the ball's body, then of its discs."""
     return np.array([paint_of(ball.body), *(paint_of(d.colour) for d in ball.discs)])
-
-
-def window(centre: Array, radius: float, camera: InteriorOrientation, margin: float = 2.0) -> tuple[int, ...]:
-    """Return first and last+1 column, first and last+1 row that may show a sphere, cut to the picture.
-
-    The sphere has its centre at (3,) m in cam and `radius` m. `margin` px are added on each side.
-    """
-    middle, outline = project_sphere(centre, radius)
-    uv, shape = ellipse_to_pixel(middle[None], outline[None], camera)
-    half = np.sqrt(np.diag(shape[0])) + margin
-    if not np.all(np.isfinite(half)):
-        return 0, 0, 0, 0
-    low = np.clip(np.floor(uv[0] - half), 0, (camera.width, camera.height)).astype(int)
-    high = np.clip(np.ceil(uv[0] + half) + 1, 0, (camera.width, camera.height)).astype(int)
-    return int(low[0]), int(high[0]), int(low[1]), int(high[1])
 
 
 def paint_ball(
@@ -85,79 +70,79 @@ def paint_ball(
 
     `paints` as of `disc_paints`.
     """
-    windows = np.array([window(c, ball.radius, camera) for c, _ in moments if c[2] > 2.0 * ball.radius])
+    moments = [(c, R) for c, R in moments if c[2] > 2.0 * ball.radius]
+    windows = np.array([_window(c, ball.radius, camera) for c, _ in moments])
     if len(windows) == 0:
         return None
-    left, top = windows[:, 0].min(), windows[:, 2].min()
-    out = np.zeros((max(windows[:, 3].max() - top, 0), max(windows[:, 1].max() - left, 0), 4), dtype=np.float32)
-    if out.size == 0:
+    (left, top), (right, bottom) = windows[:, 0].min(axis=0), windows[:, 1].max(axis=0)
+    if right <= left or bottom <= top:
         return None
-    fine = max(2, int(np.ceil(FINE / np.sqrt(len(moments)))))
-    for centre, rotation in moments:
-        if centre[2] > 2.0 * ball.radius:
-            caster = _RayCaster(ball, paints, np.asarray(centre, dtype=float), rotation, camera, light)
-            out += _picture(caster, int(left), int(top), out.shape, fine) / len(moments)
+    # rays through the corners of all pixels find those with an edge
+    v, u = np.mgrid[top : bottom + 1, left : right + 1]
+    corner = np.column_stack([u.ravel(), v.ravel()]) - 0.5
+    uv = np.column_stack([u[:-1, :-1].ravel(), v[:-1, :-1].ravel()]).astype(float)
+    out = np.zeros((bottom - top, right - left, 4), dtype=np.float32)
+    parts = pixel_parts(max(2, int(np.ceil(_FINE / np.sqrt(len(moments))))))
+    for pose in moments:
+        at = _surface(ball, pose, corner, camera)[0].reshape(u.shape)
+        label, normal = _surface(ball, pose, uv, camera)
+        around = np.stack([at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]], axis=-1).reshape(-1, 4)
+        edge = np.any(around != label[:, None], axis=1)
+        picture = _shade(ball, paints, pose[0], light, np.where(edge, -1, label), normal)
+        fine = _surface(ball, pose, (uv[edge, None] + parts).reshape(-1, 2), camera)
+        picture[edge] = _shade(ball, paints, pose[0], light, *fine).reshape(-1, len(parts), 4).mean(axis=1)
+        out += picture.reshape(out.shape) / len(moments)
     return Layer((int(left), int(top)), out)
 
 
-@dataclass(frozen=True, slots=True)
-class _RayCaster:
-    """A ball at one pose before a camera, in a light."""
+def _window(centre: Array, radius: float, camera: InteriorOrientation) -> NDArray[np.intp]:
+    """Return the first column and row that may show a sphere, and one past the last, (2, 2), within the picture.
 
-    ball: WandBall
-    paints: Array  # (d + 1, 3) of `disc_paints`
-    centre: Array  # (3,) m, cam
-    rotation: Array  # (3, 3) R_cam_ball
-    camera: InteriorOrientation
-    light: WandLight
-
-    def surface(self, uv: Array) -> tuple[NDArray[np.intp], Array]:
-        """Return the surfaces at pixels (n, 2), and their unit normals, (n, 3) cam.
-
-        A surface is -1 for nothing, 0 for the body and k + 1 for the k-th disc.
-        """
-        xy, _ = unproject(uv, self.camera)
-        ray, r2 = np.column_stack([xy, np.ones(len(xy))]), self.ball.radius**2
-        a, b = np.sum(ray * ray, axis=1), ray @ self.centre
-        root = b * b - a * (self.centre @ self.centre - r2)
-        hit = (root >= 0.0) & (b > 0.0)  # False for a pixel without a ray
-        normal = (((b - np.sqrt(np.where(hit, root, 0.0))) / a)[:, None] * ray - self.centre) / self.ball.radius
-        label = np.where(hit, 0, -1)
-        for k, disc in reversed(list(enumerate(self.ball.discs))):  # the first of two discs covers the other
-            label[hit & (normal @ (self.rotation @ disc.direction) > np.cos(disc.angle))] = k + 1
-        return label, normal
-
-    def shade(self, label: NDArray[np.intp], normal: Array) -> Array:
-        """Return the light, (n, 4) blue, green, red and cover, of the surfaces of `surface`."""
-        light = self.light
-        out = np.zeros((len(label), 4))
-        hit = np.flatnonzero(label >= 0)
-        label, n = label[hit], normal[hit]
-        upward = 0.5 + 0.5 * (n @ light.up)[:, None]
-        facing = np.maximum(n @ light.towards.T, 0.0)
-        half = light.towards - self.centre / np.linalg.norm(self.centre)  # between lamp and eye (Blinn 1977)
-        along = n @ (half / np.linalg.norm(half, axis=1, keepdims=True)).T
-        shine = np.where((facing > 0.0) & (along > 0.8), np.abs(along), 0.0) ** light.polish  # beside it hardly any
-        lit = np.array([0.0, *(_LIT * (d.colour in LIT) for d in self.ball.discs)])[label, None]
-        lamps = facing @ light.power + upward * light.above + (1.0 - upward) * light.below
-        out[hit, :3] = self.paints[label] * (lamps + lit) + light.gloss * shine @ light.power
-        out[hit, 3] = 1.0
-        return out
-
-
-def _picture(caster: _RayCaster, left: int, top: int, shape: tuple[int, ...], fine: int) -> Array:
-    """Return a picture (h, w, 4) of `shape`, with the first pixel at (left, top).
-
-    A pixel gets one ray, or fine² rays if an edge runs through it.
+    The sphere has its centre at (3,) m in cam and `radius` m.
     """
-    h, w = shape[:2]
-    v, u = np.mgrid[top : top + h + 1, left : left + w + 1]
-    corner = caster.surface(np.column_stack([u.ravel(), v.ravel()]) - 0.5)[0].reshape(h + 1, w + 1)
-    uv = np.column_stack([u[:h, :w].ravel(), v[:h, :w].ravel()]).astype(float)
-    label, normal = caster.surface(uv)
-    around = np.stack([corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]], axis=-1).reshape(-1, 4)
-    edge = np.any(around != label[:, None], axis=1)
-    out = caster.shade(np.where(edge, -1, label), normal)
-    rays = caster.shade(*caster.surface((uv[edge, None] + pixel_parts(fine)).reshape(-1, 2)))
-    out[edge] = rays.reshape(-1, fine * fine, 4).mean(axis=1)
-    return out.reshape(h, w, 4)
+    middle, outline = project_sphere(centre, radius)
+    uv, shape = ellipse_to_pixel(middle[None], outline[None], camera)
+    half = np.sqrt(np.diag(shape[0])) + _MARGIN
+    if not np.all(np.isfinite(half)):
+        return np.zeros((2, 2), dtype=np.intp)
+    ends = np.array([np.floor(uv[0] - half), np.ceil(uv[0] + half) + 1])
+    return np.clip(ends, 0, (camera.width, camera.height)).astype(np.intp)
+
+
+def _surface(
+    ball: WandBall, pose: tuple[Array, Array], uv: Array, camera: InteriorOrientation
+) -> tuple[NDArray[np.intp], Array]:
+    """Return the surfaces at pixels (n, 2), and their unit normals, (n, 3) cam.
+
+    A surface is -1 for nothing, 0 for the body and k + 1 for the k-th disc.
+    """
+    centre, rotation = pose
+    xy, _ = unproject(uv, camera)
+    ray, r2 = np.column_stack([xy, np.ones(len(xy))]), ball.radius**2
+    a, b = np.sum(ray * ray, axis=1), ray @ centre
+    root = b * b - a * (centre @ centre - r2)
+    hit = (root >= 0.0) & (b > 0.0)  # False for a pixel without a ray
+    normal = (((b - np.sqrt(np.where(hit, root, 0.0))) / a)[:, None] * ray - centre) / ball.radius
+    label = np.where(hit, 0, -1)
+    for k, disc in reversed(list(enumerate(ball.discs))):  # the first of two discs covers the other
+        label[hit & (normal @ (rotation @ disc.direction) > np.cos(disc.angle))] = k + 1
+    return label, normal
+
+
+def _shade(
+    ball: WandBall, paints: Array, centre: Array, light: WandLight, label: NDArray[np.intp], normal: Array
+) -> Array:
+    """Return the light, (n, 4) blue, green, red and cover, of the surfaces of `_surface`."""
+    out = np.zeros((len(label), 4))
+    hit = np.flatnonzero(label >= 0)
+    label, n = label[hit], normal[hit]
+    upward = 0.5 + 0.5 * (n @ light.up)[:, None]
+    facing = np.maximum(n @ light.towards.T, 0.0)
+    half = light.towards - centre / np.linalg.norm(centre)  # between lamp and eye (Blinn 1977)
+    along = n @ (half / np.linalg.norm(half, axis=1, keepdims=True)).T
+    shine = np.where((facing > 0.0) & (along > 0.8), np.abs(along), 0.0) ** light.polish  # beside it hardly any
+    lit = np.array([0.0, *(_OWN_LIGHT * (d.colour in _LIT) for d in ball.discs)])[label, None]
+    lamps = facing @ light.power + upward * light.above + (1.0 - upward) * light.below
+    out[hit, :3] = paints[label] * (lamps + lit) + light.gloss * shine @ light.power
+    out[hit, 3] = 1.0
+    return out

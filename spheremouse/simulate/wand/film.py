@@ -15,15 +15,15 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import MOST_FRAMES
 from spheremouse.simulate.ball.options import Named, check_bounds, option_name
 from spheremouse.simulate.wand.options import WandOptions
-from spheremouse.simulate.wand.path import HAND_RATE, HAND_SPEED, WandPath, drive, hand
+from spheremouse.simulate.wand.path import DRIVE_SPEED, HAND_RATE, HAND_SPEED, WandPath, drive, hand
 from spheremouse.simulate.wand.render import Carried, WandRenderer, WandScene, indoor_light, outdoor_light
 from spheremouse.simulate.wand.room import Passing
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, WandTruth, grzonka_ball
 
-_DRIVE_FPS, _HAND_FPS = 0.8, 15.0  # Hz: of the thesis' recording, and as required for a hand
-_DRIVE_FOCAL, _HAND_FOCAL = 2100.0, 1000.0  # px at 1280 columns: the thesis' lens, and that of a webcam
-_HAND_SECONDS, _HAND_DISTANCE = 20.0, 1.0  # s, m
+_FPS = {"drive": 0.8, "hand": 15.0}  # Hz: of the thesis' recording, and as required for a hand
+_FOCAL = {"drive": 2100.0, "hand": 1000.0}  # px at 1280 columns: the thesis' lens, and that of a webcam
+_HAND_SECONDS = 20.0
 _WIDTH = 1280  # px, that those focal lengths are for
 _PASSES = 0.10  # m/s, of the hand past the robot, as in the shared recording
 
@@ -63,8 +63,7 @@ def prepare_wand(options: WandOptions, ball: WandBall | None = None, named: Name
     `ball` replaces Grzonka's. `named` returns the name of a field in its source, for example its command-line option.
     """
     _check(options, named)
-    ball = grzonka_ball() if ball is None else ball
-    fps = options.fps or (_DRIVE_FPS if options.motion == "drive" else _HAND_FPS)
+    fps = options.fps or _FPS[options.motion]
     paths = _paths(options)
     length = min(p.seconds for p in paths) - options.begin
     seconds = length if options.seconds is None else options.seconds
@@ -80,11 +79,12 @@ def prepare_wand(options: WandOptions, ball: WandBall | None = None, named: Name
         if time is not None and not 0.0 <= time < seconds:
             raise ConfigurationError(f"{named(field)}: {time:g} s is not within the film's {seconds:g} s")
     rng = np.random.default_rng([options.seed, 12])
-    outdoors = options.light == "outdoor"
+    outdoors, (width, height) = options.light == "outdoor", options.size
+    focal = _FOCAL[options.motion] * width / _WIDTH if options.focal is None else options.focal
     scene = WandScene(
-        camera=_camera(options),
-        balls=tuple(Carried(ball, p, "robot" if options.motion == "drive" else "stick") for p in paths),
-        light=outdoor_light(rng) if outdoors else indoor_light(),
+        InteriorOrientation(width, height, focal, focal, 0.5 * width, 0.5 * height, np.array(options.dist)),
+        tuple(Carried(ball or grzonka_ball(), p, "robot" if options.motion == "drive" else "stick") for p in paths),
+        outdoor_light(rng) if outdoors else indoor_light(),
         outdoors=outdoors,
         clutter=options.clutter,
         exposure_s=options.blur,
@@ -102,44 +102,33 @@ def simulate_wand(film: WandFilm, renderer: WandRenderer | None = None) -> Itera
     renderer = WandRenderer(film.scene) if renderer is None else renderer
     rng = np.random.Generator(np.random.SFC64([film.seed, 13]))
     truths = [film.truth(k) for k in range(len(film.scene.balls))]
-    for index, stamp in enumerate(film.stamps):
-        image = renderer.picture(film.begin + float(stamp), rng)
-        position = np.array([truth.position[index] for truth in truths])
-        rotation = np.array([truth.rotation[index] for truth in truths])
-        yield WandShot(Frame(image, float(stamp), index), position, rotation)
+    for index, stamp in enumerate(film.stamps.tolist()):
+        image = renderer.picture(film.begin + stamp, rng)
+        position, rotation = (
+            np.array(list(parts))
+            for parts in zip(*((truth.position[index], truth.rotation[index]) for truth in truths), strict=True)
+        )
+        yield WandShot(Frame(image, stamp, index), position, rotation)
 
 
 def _paths(options: WandOptions) -> list[WandPath]:
     """Return one path per ball. The first path does not depend on the others."""
-    found: list[WandPath] = []
-    for k in range(options.balls):
-        rng = np.random.default_rng([options.seed, 14, k])
-        if options.motion == "drive":
-            speed = 1.0 if options.speed is None else options.speed / 0.035
-            found.append(drive(rng, speed=speed, part=k, of=options.balls))
-        else:
-            seconds = options.begin + (_HAND_SECONDS if options.seconds is None else options.seconds)
-            distance = _HAND_DISTANCE if options.distance is None else options.distance
-            found.append(
-                hand(
-                    rng,
-                    distance=distance,
-                    reach=0.16 * distance,
-                    speed=HAND_SPEED if options.speed is None else options.speed,
-                    rate=HAND_RATE if options.rate is None else np.radians(options.rate),
-                    seconds=seconds,
-                    aside=0.45 * distance * (k - 0.5 * (options.balls - 1)),
-                )
-            )
-    return found
-
-
-def _camera(options: WandOptions) -> InteriorOrientation:
-    width, height = options.size
-    focal = options.focal
-    if focal is None:
-        focal = (_DRIVE_FOCAL if options.motion == "drive" else _HAND_FOCAL) * width / _WIDTH
-    return InteriorOrientation(width, height, focal, focal, 0.5 * width, 0.5 * height, np.array(options.dist))
+    rngs = [np.random.default_rng([options.seed, 14, k]) for k in range(options.balls)]
+    if options.motion == "drive":
+        speed = 1.0 if options.speed is None else options.speed / DRIVE_SPEED
+        return [drive(rng, speed=speed, part=k, of=options.balls) for k, rng in enumerate(rngs)]
+    distance = 1.0 if options.distance is None else options.distance
+    return [
+        hand(
+            rng,
+            distance=distance,
+            speed=HAND_SPEED if options.speed is None else options.speed,
+            rate=HAND_RATE if options.rate is None else np.radians(options.rate),
+            seconds=options.begin + (_HAND_SECONDS if options.seconds is None else options.seconds),
+            aside=0.45 * distance * (k - 0.5 * (options.balls - 1)),
+        )
+        for k, rng in enumerate(rngs)
+    ]
 
 
 def _passing(
@@ -150,11 +139,11 @@ def _passing(
         return ()
     centre = path.pose(np.array([options.begin + at]))[0][0]
     angle = np.radians(rng.uniform(-30.0, 30.0)) + rng.choice([0.0, np.pi]) if beside else rng.uniform(-np.pi, np.pi)
-    towards = np.array([np.cos(angle), np.sin(angle), 0.0])
-    aside = np.array([-towards[1], towards[0], 0.0]) * (rng.choice([-1.0, 1.0]) if beside else 0.0)
+    x, y = np.cos(angle), np.sin(angle)
+    aside = 0.12 * rng.choice([-1.0, 1.0]) if beside else 0.0
     speed = _PASSES if options.motion == "drive" else 0.5
-    nearest = centre + 0.12 * aside - np.array([0.0, 0.0, 0.12])
-    return (Passing(options.begin + at, speed * towards, nearest, (0.6 if beside else 0.5) / speed),)
+    nearest = centre + np.array([-y * aside, x * aside, -0.12])
+    return (Passing(options.begin + at, speed * np.array([x, y, 0.0]), nearest, (0.6 if beside else 0.5) / speed),)
 
 
 def _check(options: WandOptions, named: Named) -> None:

@@ -5,7 +5,7 @@ forward. The drive stops, turns and moves at constant speeds. The hand's motion 
 the requested maximum speed and turning rate.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -25,6 +25,9 @@ TOWARDS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 # Way points of fig. 9: across, away, and back, in halves of the field's width and in lanes; nan: somewhere between
 _WAY = ((-1, 0), (1, 0), (1, 1), (np.nan, 1), (np.nan, 2), (1, 2), (1, 1), (-1, 1), (-1, 2))
 _HALF_WIDTH, _LANES = 0.63, (3.72, 4.0, 4.28)  # m, world x and z
+_WOBBLE = 0.005  # rad, standard deviation of a robot's pitch and of its roll over a bumpy floor
+_BUMPS = 6  # sinusoids of each
+_SWINGS = 4  # sinusoids of each coordinate of a hand
 
 
 class WandPath(Protocol):
@@ -49,54 +52,25 @@ def world_to_cam() -> Array:
 class Drive:
     """Path of a robot along straight lines. At each way point it stops and turns on the spot."""
 
-    points: Array  # (k, 2) m, world x and z
-    wobble: float  # rad, standard deviation of pitch and of roll over a bumpy floor
-    bumps: Array  # (2, m, 3) of pitch and roll: rad/m along the way, phase, share
-    speed: float = 1.0  # factor on both speeds
-    _start: Array = field(init=False, repr=False)  # (s,) s, of stretches that turn or drive by turns
-    _yaw: Array = field(init=False, repr=False)  # (s + 1,) rad
-    _place: Array = field(init=False, repr=False)  # (s + 1, 2) m
-    _way: Array = field(init=False, repr=False)  # (s + 1,) m driven
-
-    def __post_init__(self) -> None:
-        legs = np.diff(self.points, axis=0)
-        headings = np.unwrap(np.arctan2(legs[:, 0], -legs[:, 1]))  # 0 is towards the camera, 90 degrees to the right
-        time, yaw, place, way = [REST_BEFORE], [headings[0]], [self.points[0]], [0.0]
-        for leg, heading, end in zip(legs, headings, self.points[1:], strict=True):
-            time.append(time[-1] + abs(heading - yaw[-1]) / (self.speed * TURN_RATE))
-            yaw.append(heading)
-            place.append(place[-1])
-            way.append(way[-1])
-            length = float(np.linalg.norm(leg))
-            time.append(time[-1] + length / (self.speed * DRIVE_SPEED))
-            yaw.append(heading)
-            place.append(end)
-            way.append(way[-1] + length)
-        for name, values in (("_start", time), ("_yaw", yaw), ("_place", place), ("_way", way)):
-            object.__setattr__(self, name, np.array(values))
-
-    @property
-    def seconds(self) -> float:
-        """Length with the rests before and after, s."""
-        return float(self._start[-1]) + REST_AFTER
+    seconds: float  # with the rests before and after
+    knots: Array  # (s, 5) s, rad of yaw, m of world x and z, m driven, between which all but the time is linear
+    bumps: Array  # (2, m, 2) of pitch and roll: rad/m along the way, phase
 
     def pose(self, t: Array) -> tuple[Array, Array]:
         """Return centres (n, 3) m in cam, and R_cam_ball (n, 3, 3), at times (n,) s."""
-        yaw, way = np.interp(t, self._start, self._yaw), np.interp(t, self._start, self._way)
-        x, z = (np.interp(t, self._start, self._place[:, k]) for k in (0, 1))
+        yaw, x, z, way = (np.interp(t, self.knots[:, 0], column) for column in self.knots.T[1:])
         world = np.stack([x, np.full_like(x, CAMERA_HEIGHT - BALL_HEIGHT), z], axis=-1)
-        rate, phase, share = np.moveaxis(self.bumps, -1, 0)  # (2, m)
-        tilt = self.wobble * np.sum(share * np.sin(rate * way[:, None, None] + phase), axis=-1)
-        zero = np.zeros_like(yaw)
-        turn = exp(np.stack([zero, zero, yaw], axis=-1)) @ exp(np.stack([tilt[:, 1], tilt[:, 0], zero], axis=-1))
+        rate, phase = np.moveaxis(self.bumps, -1, 0)  # (2, m)
+        tilt = _WOBBLE * np.sum(np.sqrt(2.0 / _BUMPS) * np.sin(rate * way[:, None, None] + phase), axis=-1)
+        turn = exp(yaw[:, None] * (0.0, 0.0, 1.0)) @ exp(np.column_stack([tilt[:, ::-1], np.zeros_like(yaw)]))
         R = world_to_cam()
         return world @ R.T, R @ TOWARDS @ turn
 
 
-def drive(rng: np.random.Generator, *, speed: float = 1.0, wobble: float = 0.005, part: int = 0, of: int = 1) -> Drive:
-    """The path of fig. 9, its way points some centimetres off, from the left or the right; 0.3 degrees of wobble.
+def drive(rng: np.random.Generator, *, speed: float = 1.0, part: int = 0, of: int = 1) -> Drive:
+    """The path of fig. 9, its way points some centimetres off, from the left or the right.
 
-    `part` of `of` robots: each has its own strip of the field.
+    `speed` is a factor on both speeds. `part` of `of` robots: each has its own strip of the field.
     """
     way = np.array(_WAY, dtype=float)
     way[np.isnan(way)] = rng.uniform(-0.3, 0.3)
@@ -106,10 +80,17 @@ def drive(rng: np.random.Generator, *, speed: float = 1.0, wobble: float = 0.005
     points[:, 0] *= rng.choice([-1.0, 1.0])
     points += rng.uniform(-0.025, 0.025, points.shape)
     points[:, 0] += (part + 0.5) * width - _HALF_WIDTH
-    m = 6
-    share = np.sqrt(2.0 / m) * np.ones((2, m))
-    bumps = np.stack([rng.uniform(10.0, 120.0, (2, m)), rng.uniform(0.0, 2.0 * np.pi, (2, m)), share], axis=-1)
-    return Drive(points, wobble, bumps, speed)
+    bumps = np.stack([rng.uniform(10.0, 120.0, (2, _BUMPS)), rng.uniform(0.0, 2.0 * np.pi, (2, _BUMPS))], axis=-1)
+    legs = np.diff(points, axis=0)
+    headings = np.unwrap(np.arctan2(legs[:, 0], -legs[:, 1]))  # 0 is towards the camera, 90 degrees to the right
+    knots = [np.array([REST_BEFORE, headings[0], *points[0], 0.0])]
+    for leg, heading, end in zip(legs, headings, points[1:], strict=True):
+        time, yaw, *place, driven = knots[-1]
+        time += abs(heading - yaw) / (speed * TURN_RATE)
+        knots.append(np.array([time, heading, *place, driven]))
+        length = float(np.linalg.norm(leg))
+        knots.append(np.array([time + length / (speed * DRIVE_SPEED), heading, *end, driven + length]))
+    return Drive(float(knots[-1][0]) + REST_AFTER, np.array(knots), bumps)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,27 +101,18 @@ class Hand:
     sway: Array  # (3, m, 3) of x, y, z: m, rad/s, phase
     turn: Array  # (3, m, 3) of rotation about the ball's x, y and about its pole: rad, rad/s, phase
     facing: Array  # (3, 3) R_cam_ball in the middle
-    length: float  # s
-
-    @property
-    def seconds(self) -> float:
-        """Length, s."""
-        return self.length
+    seconds: float
 
     def pose(self, t: Array) -> tuple[Array, Array]:
         """Return centres (n, 3) m in cam, and R_cam_ball (n, 3, 3), at times (n,) s."""
         place, angle = _sum(self.sway, t), _sum(self.turn, t)
-        zero = np.zeros(len(angle))
-        nod = exp(np.stack([angle[:, 0], angle[:, 1], zero], axis=-1))
-        about = exp(np.stack([zero, zero, angle[:, 2]], axis=-1))
-        return self.middle + place, self.facing @ nod @ about
+        return self.middle + place, self.facing @ exp(angle * (1.0, 1.0, 0.0)) @ exp(angle * (0.0, 0.0, 1.0))
 
 
 def hand(
     rng: np.random.Generator,
     *,
     distance: float = 1.0,
-    reach: float = 0.15,
     speed: float = HAND_SPEED,
     rate: float = HAND_RATE,
     seconds: float = 20.0,
@@ -148,34 +120,27 @@ def hand(
 ) -> Hand:
     """Return the path of a hand about `distance` m away. Its maxima are `speed` (m/s) and `rate` (rad/s).
 
-    `reach` is the amplitude to either side, m. `aside` is the offset of the middle to the right, m. The pole with its
-    discs leans towards the camera by 15 to 35 degrees and nods by some 20 more. About the pole it makes full turns.
+    `aside` is the offset of the middle to the right, m. The pole with its discs leans towards the camera by 15 to 35
+    degrees and nods by some 20 more. About the pole it makes full turns. The hand sways by 0.16 of the distance at
+    most: if it would exceed that at its speed, its swings become faster and shorter.
     """
-    m = 4
     # slow and wide or fast and short, as a player's hand moves, 0.2 to 1.2 Hz
-    omega = 2.0 * np.pi * rng.uniform(0.2, 1.0, (3, m))
-    sway = np.stack([np.array([[1.0], [0.7], [0.8]]) / omega, omega, _phases(rng, m)], axis=-1)
-    omega = 2.0 * np.pi * rng.uniform([[0.2], [0.2], [0.1]], [[1.2], [1.2], [0.6]], (3, m))
-    turn = np.stack([np.array([[0.25], [0.25], [1.0]]) / omega, omega, _phases(rng, m)], axis=-1)
+    sway = _waves(rng, (1.0, 0.7, 0.8), 0.2, 1.0)
+    turn = _waves(rng, (0.25, 0.25, 1.0), np.array([[0.2], [0.2], [0.1]]), np.array([[1.2], [1.2], [0.6]]))
     lean = np.radians(rng.uniform(15.0, 35.0))
     # the pole up and towards the camera, azimuth 0 anywhere
     facing = exp(np.array([lean, 0.0, 0.0])) @ TOWARDS @ exp(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]))
+    t, step = np.arange(0.0, seconds, 0.01), 0.01
+
+    def fastest() -> float:
+        return float(np.max(np.linalg.norm(np.diff(_sum(sway, t), axis=0), axis=-1) / step))
+
+    sway[..., 1] *= max(speed / fastest() / (0.16 * distance / np.max(np.abs(_sum(sway, t)))), 1.0)
+    sway[..., 0] *= speed / fastest()
     path = Hand(np.array([aside, 0.0, distance]), sway, turn, facing, seconds)
-    return _scaled(path, reach, speed, rate)
-
-
-def _scaled(path: Hand, reach: float, speed: float, rate: float) -> Hand:
-    """Scale the path to the requested maximum speeds. If it would exceed `reach`, make swings faster and shorter."""
-    t = np.arange(0.0, path.seconds, 0.01)
-    sway, turn = path.sway.copy(), path.turn.copy()
-    place = _sum(sway, t)
-    widest, fastest = np.max(np.abs(place)), float(np.max(_pace(place, 0.01)))
-    sway[..., 1] *= max(speed / fastest / (reach / widest), 1.0)  # too wide at that speed: faster and shorter
-    sway[..., 0] *= speed / float(np.max(_pace(_sum(sway, t), 0.01)))
     for _ in range(20):  # rotations do not add up: by and by
-        turned = Hand(path.middle, sway, turn, path.facing, path.length).pose(t)[1]
-        turn[..., 0] *= rate / float(np.max(turning_rates(turned, 0.01)))
-    return Hand(path.middle, sway, turn, path.facing, path.length)
+        turn[..., 0] *= rate / float(np.max(turning_rates(path.pose(t)[1], step)))
+    return path
 
 
 def turning_rates(R: Array, step: float) -> Array:
@@ -183,12 +148,10 @@ def turning_rates(R: Array, step: float) -> Array:
     return np.linalg.norm(log(R[1:] @ R[:-1].transpose(0, 2, 1)), axis=-1) / step
 
 
-def _pace(place: Array, step: float) -> Array:
-    return np.linalg.norm(np.diff(place, axis=0), axis=-1) / step
-
-
-def _phases(rng: np.random.Generator, m: int) -> Array:
-    return rng.uniform(0.0, 2.0 * np.pi, (3, m))
+def _waves(rng: np.random.Generator, size: tuple[float, ...], low: Array | float, high: Array | float) -> Array:
+    """Return sinusoids of three coordinates, (3, m, 3): amplitude, rate from `low` to `high` Hz in rad/s, and phase."""
+    omega = 2.0 * np.pi * rng.uniform(low, high, (3, _SWINGS))
+    return np.stack([np.array(size)[:, None] / omega, omega, rng.uniform(0.0, 2.0 * np.pi, (3, _SWINGS))], axis=-1)
 
 
 def _sum(waves: Array, t: Array) -> Array:

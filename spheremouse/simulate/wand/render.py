@@ -17,25 +17,12 @@ from spheremouse.simulate.ball.events import draw_hand
 from spheremouse.simulate.light import develop
 from spheremouse.simulate.wand.ball import Layer, WandLight, disc_paints, paint_ball
 from spheremouse.simulate.wand.path import WandPath, world_to_cam
-from spheremouse.simulate.wand.room import (
-    Passing,
-    background,
-    card,
-    grip,
-    hand_at,
-    lay,
-    linear_hand,
-    robot,
-    shadow,
-    stick,
-)
+from spheremouse.simulate.wand.room import Passing, background, card, hand_at, held, lay, linear_hand, robot
 from spheremouse.wand.ball import WandBall
-
-Carrier = Literal["robot", "stick", "nothing"]
 
 _LENS = 0.45  # px, standard deviation of a lens in focus
 _MARGIN = 3  # px around moving objects, for that blur
-_MOST_MOMENTS = 16  # of an exposure
+_MAX_MOMENTS = 16  # of an exposure
 _TONES = develop(np.arange(16384) / 4096.0).astype(np.float32)
 _SPARE = 64  # px by which the noise is larger than the picture: each frame takes another part of it
 
@@ -46,7 +33,7 @@ class Carried:
 
     ball: WandBall
     path: WandPath
-    carrier: Carrier
+    carrier: Literal["robot", "stick", "nothing"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,34 +55,32 @@ class WandScene:
 
 def indoor_light(gloss: float = 0.25) -> WandLight:
     """Return lamps at the ceiling and a window at the right; `gloss` is the brightness of the ball's highlights."""
-    R = world_to_cam()
     towards = np.array([[-0.35, -0.85, -0.45], [0.75, -0.35, -0.55]])
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    return WandLight(
-        towards=towards @ R.T,
-        power=np.array([[0.44, 0.47, 0.50], [0.22, 0.20, 0.19]]),
-        above=np.array([0.52, 0.54, 0.56]),
-        below=np.array([0.30, 0.33, 0.36]),
-        up=R @ (0.0, -1.0, 0.0),
-        gloss=gloss,
-        polish=60.0,
-    )
+    power = np.array([[0.44, 0.47, 0.50], [0.22, 0.20, 0.19]])
+    return _light(towards, power, above=(0.52, 0.54, 0.56), below=(0.30, 0.33, 0.36), gloss=gloss, polish=60.0)
 
 
-def outdoor_light(rng: np.random.Generator, gloss: float = 2.5) -> WandLight:
+def outdoor_light(rng: np.random.Generator) -> WandLight:
     """Sun on the camera's side, 30 to 60 degrees high: bright, with glare on the ball; blue light from the sky."""
-    R = world_to_cam()
     high, side = np.radians(rng.uniform(30.0, 60.0)), np.radians(rng.uniform(-60.0, 60.0))
-    sun = np.array([np.sin(side) * np.cos(high), -np.sin(high), -np.cos(side) * np.cos(high)])
-    return WandLight(
-        towards=(R @ sun)[None],
-        power=np.array([[0.95, 1.08, 1.15]]),
-        above=np.array([0.42, 0.36, 0.32]),
-        below=np.array([0.14, 0.22, 0.20]),
-        up=R @ (0.0, -1.0, 0.0),
-        gloss=gloss,
-        polish=45.0,
-    )
+    sun = np.array([[np.sin(side) * np.cos(high), -np.sin(high), -np.cos(side) * np.cos(high)]])
+    power = np.array([[0.95, 1.08, 1.15]])
+    return _light(sun, power, above=(0.42, 0.36, 0.32), below=(0.14, 0.22, 0.20), gloss=2.5, polish=45.0)
+
+
+def _light(
+    towards: Array,
+    power: Array,
+    *,
+    above: tuple[float, ...],
+    below: tuple[float, ...],
+    gloss: float,
+    polish: float,
+) -> WandLight:
+    """`towards` is (k, 3) in the world."""
+    R = world_to_cam()
+    return WandLight(towards @ R.T, power, np.array(above), np.array(below), R @ (0.0, -1.0, 0.0), gloss, polish)
 
 
 class WandRenderer:
@@ -108,9 +93,11 @@ class WandRenderer:
         self._bytes = _exposed(_blurred(self._still))
         self._brightness = float(np.mean(scene.light.above + 0.5 * scene.light.power.sum(axis=0)))
         self._paints = [_varied(disc_paints(b.ball), scene.vary, rng) for b in scene.balls]
-        needs_hand = scene.hands or any(b.carrier == "stick" for b in scene.balls)
-        self._hand = linear_hand(draw_hand()) if needs_hand else None
-        self._noise = _noise_field(scene.camera, scene.noise, rng)
+        self._hand = linear_hand(draw_hand())
+        self._noise: NDArray[np.int16] | None = None
+        if scene.noise > 0.0:
+            shape = (scene.camera.height + _SPARE, scene.camera.width + _SPARE, 3)
+            self._noise = np.rint(scene.noise * rng.standard_normal(shape, dtype=np.float32)).astype(np.int16)
 
     def picture(self, t: float, rng: np.random.Generator) -> NDArray[np.uint8]:
         """The picture of time `t` (s, mid-exposure), (h, w, 3) blue, green, red."""
@@ -118,45 +105,38 @@ class WandRenderer:
         if layers := self._layers(t):
             window = _window(layers, self.scene.camera, _MARGIN)
             around = _window(layers, self.scene.camera, 2 * _MARGIN)
-            y0, x0 = (side.start for side in around)
             part = self._still[around].copy()
             for layer in layers:
-                lay(part, layer, (x0, y0))
+                lay(part, layer, (around[1].start, around[0].start))
             inner = tuple(slice(w.start - a.start, w.stop - a.start) for w, a in zip(window, around, strict=True))
             image[window] = _exposed(_blurred(part)[inner])
-        return image if self._noise is None else self._noisy(image, rng)
+        if self._noise is None:
+            return image
+        # one field of noise at another place in each frame: independent, at a fraction of the time
+        x, y = (int(k) for k in rng.integers(0, _SPARE, 2))
+        noise = self._noise[y : y + image.shape[0], x : x + image.shape[1]]
+        return np.asarray(cv2.add(image, noise, dtype=cv2.CV_8U), dtype=np.uint8)
 
     def _layers(self, t: float) -> list[Layer]:
         """Return the layers of the moving objects, farther ones first."""
         found: list[tuple[float, list[Layer | None]]] = []
-        camera, light = self.scene.camera, self._brightness
-        for carried, paints in zip(self.scene.balls, self._paints, strict=True):
-            times = self._moments(carried, t)
-            centres, rotations = carried.path.pose(times)
-            middle = len(times) // 2
-            c, R = centres[middle], rotations[middle]
-            moments = list(zip(centres, rotations, strict=True))
-            ball = paint_ball(carried.ball, paints, moments, camera, self.scene.light)
+        scene, camera, light = self.scene, self.scene.camera, self._brightness
+        for carried, paints in zip(scene.balls, self._paints, strict=True):
+            moments = list(zip(*carried.path.pose(self._moments(carried, t)), strict=True))
+            c, R = moments[len(moments) // 2]
+            group = [paint_ball(carried.ball, paints, moments, camera, scene.light)]
             if carried.carrier == "robot":
-                group = [shadow(c, R, camera), robot(c, R, camera, light), ball]
+                group = [*robot(c, R, camera, light), *group]
             elif carried.carrier == "stick":
-                palm, fingers = grip(c, R, carried.ball.radius)
-                assert self._hand is not None
-                held = [stick(c, R, carried.ball.radius, camera, light), hand_at(self._hand, palm, fingers, camera, 1)]
-                group = [*held, ball] if R[2, 2] < 0.0 else [ball, *held]
-            else:
-                group = [ball]
+                before = held(self._hand, c, R, carried.ball.radius, camera, light)
+                group = [*before, *group] if R[2, 2] < 0.0 else [*group, *before]
             found.append((float(c[2]), group))
-        for passing in self.scene.hands:
-            place = passing.at(t)
-            if place is not None:
-                assert self._hand is not None
+        for passing in scene.hands:
+            if (place := passing.at(t)) is not None:
                 found.append((place[2], [hand_at(self._hand, place, passing.velocity, camera, light)]))
-        for passing in self.scene.cards:
-            place = passing.at(t)
-            if place is not None:
-                colours = self.scene.balls[0].ball.colours if self.scene.balls else ("red", "blue")
-                found.append((place[2], [card(place, colours, camera, light)]))
+        for passing in scene.cards:
+            if (place := passing.at(t)) is not None:
+                found.append((place[2], [card(place, scene.balls[0].ball.colours, camera, light)]))
         found.sort(key=lambda item: -item[0])
         return [layer for _, group in found for layer in group if layer is not None]
 
@@ -165,23 +145,14 @@ class WandRenderer:
         exposure = self.scene.exposure_s
         if exposure == 0.0:
             return np.array([t])
-        ends = np.array([t - 0.5 * exposure, t, t + 0.5 * exposure])
-        centres, rotations = carried.path.pose(ends)
+        centres, rotations = carried.path.pose(t + exposure * np.array([-0.5, 0.0, 0.5]))
         uv = project(centres, self.scene.camera)[0]
         shift = float(np.max(np.linalg.norm(np.diff(uv, axis=0), axis=1)))
         across = self.scene.camera.fx * carried.ball.radius / max(float(centres[1, 2]), 0.1)
         turn = across * float(np.max(np.linalg.norm(rotations[1:] - rotations[:-1], axis=(1, 2)))) / np.sqrt(2.0)
         needed = np.nan_to_num(4.0 * (shift + turn), nan=1.0)
-        n = 2 * int(np.clip(np.ceil(0.5 * needed), 0, _MOST_MOMENTS // 2)) + 1
+        n = 2 * int(np.clip(np.ceil(0.5 * needed), 0, _MAX_MOMENTS // 2)) + 1
         return t + exposure * ((np.arange(n) + 0.5) / n - 0.5)
-
-    def _noisy(self, image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-        """Noise from one field at a place of its own: independent from frame to frame, at a fraction of the time."""
-        assert self._noise is not None
-        h, w = image.shape[:2]
-        x, y = (int(k) for k in rng.integers(0, _SPARE, 2))
-        field = self._noise[y : y + h, x : x + w]
-        return np.asarray(cv2.add(image, field, dtype=cv2.CV_8U), dtype=np.uint8)
 
 
 def _window(layers: list[Layer], camera: InteriorOrientation, margin: int) -> tuple[slice, slice]:
@@ -199,13 +170,6 @@ def _varied(paints: Array, share: float, rng: np.random.Generator) -> Array:
     kinds, which = np.unique(paints, axis=0, return_inverse=True)
     factors = 1.0 + share * rng.uniform(-1.0, 1.0, kinds.shape)
     return np.clip(kinds * factors, 0.0, 0.95)[which.ravel()]
-
-
-def _noise_field(camera: InteriorOrientation, sigma: float, rng: np.random.Generator) -> NDArray[np.int16] | None:
-    if sigma == 0.0:
-        return None
-    shape = (camera.height + _SPARE, camera.width + _SPARE, 3)
-    return np.rint(sigma * rng.standard_normal(shape, dtype=np.float32)).astype(np.int16)
 
 
 def _blurred(light: NDArray[np.float32]) -> NDArray[np.float32]:

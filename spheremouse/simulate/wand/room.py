@@ -3,10 +3,10 @@
 Flat faces are drawn finely, farther ones first, and averaged down. A red mug and a blue book are in every room.
 Grzonka 2005, section 4.3, found such single-coloured objects harmless. A tracker has no model of these objects. A robot
 or a stick under the ball, a hand, and a card in the ball's colours move. Each has a function that takes its pose and
-returns layers to paint.
+returns layers to paint, or None for what is out of sight. A `light` of 1 is that of a bright room.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter
 from spheremouse.geometry.camera import InteriorOrientation, project, unproject
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.events import hand_corners, hand_in_picture
-from spheremouse.simulate.light import reflectance
+from spheremouse.simulate.light import reflectance, to_linear
 from spheremouse.simulate.shapes import Colour, Face, box, post
 from spheremouse.simulate.wand.ball import Layer, paint_of
 from spheremouse.simulate.wand.path import CAMERA_HEIGHT, world_to_cam
@@ -28,47 +28,61 @@ _NEAR = 0.05  # m, nearer to the camera's plane nothing is drawn
 _TILE, _PER_METRE = 1024, 256  # px of the floor's texture, and per m
 _WALL = 6.2  # m, world z
 _LAMP = np.array([-0.3, -0.85, -0.43])  # towards the light, world
-
 _LINES = (0.15, 0.10, 0.004)  # m: between lines across and along the field (Grzonka 2005, fig. 9), and their width
 
+Painted = tuple[Array, Colour]  # corners of a polygon, (k, 3) m, cam, and its light: blue, green, red; linear
 
-def paint_faces(faces: Sequence[tuple[Array, Colour]], camera: InteriorOrientation, margin: int = 1) -> Layer | None:
-    """Polygons in `cam`, (k, 3) m, with their light (blue, green, red; linear), the first ones behind the others.
+
+def paint_faces(faces: Iterable[Painted], camera: InteriorOrientation, margin: int = 1) -> Layer | None:
+    """Paint polygons, the first ones behind the others.
 
     A face nearer than 5 cm to the camera's plane is left out. The layer has `margin` px round the faces. None if
     nothing is in the picture.
     """
-    outlines, colours = [], []
-    for corners, colour in faces:
-        if np.all(corners[:, 2] > _NEAR):
-            outlines.append(project(corners, camera)[0])
-            colours.append(colour)
-    if not outlines or not all(np.all(np.isfinite(o)) for o in outlines):
+    seen = [(project(corners, camera)[0], colour) for corners, colour in faces if np.all(corners[:, 2] > _NEAR)]
+    if not seen or not all(np.all(np.isfinite(outline)) for outline, _ in seen):
         return None
-    every = np.concatenate(outlines)
-    low = np.clip(np.floor(every.min(axis=0)).astype(int) - margin, 0, (camera.width, camera.height))
-    high = np.clip(np.ceil(every.max(axis=0)).astype(int) + margin + 1, 0, (camera.width, camera.height))
+    every, limit = np.concatenate([outline for outline, _ in seen]), (camera.width, camera.height)
+    low = np.clip(np.floor(every.min(axis=0)).astype(int) - margin, 0, limit)
+    high = np.clip(np.ceil(every.max(axis=0)).astype(int) + margin + 1, 0, limit)
     if np.any(high <= low):
         return None
     w, h = (high - low).tolist()
     drawn = np.zeros((h * _FINE, w * _FINE), dtype=np.uint8)
-    for index, outline in enumerate(outlines, start=1):
+    lights = np.zeros((len(seen) + 1, 4), dtype=np.float32)
+    for index, (outline, colour) in enumerate(seen, start=1):
         fine = (outline - low + 0.5) * _FINE - 0.5
         cv2.fillPoly(drawn, [np.rint(fine * (1 << _SHIFT)).astype(np.int32)], (index,), shift=_SHIFT)
-    lights = np.zeros((len(colours) + 1, 4), dtype=np.float32)
-    lights[1:, :3], lights[1:, 3] = colours, 1.0
-    return Layer((int(low[0]), int(low[1])), _averaged(drawn, lights, w, h))
-
-
-def _averaged(drawn: NDArray[np.uint8], lights: NDArray[np.float32], w: int, h: int) -> NDArray[np.float32]:
-    """Return the paint of subpixels, (h, w, 4). For a pixel of one colour the paint comes from a table."""
-    cells = drawn.reshape(h, _FINE, w, _FINE).transpose(0, 2, 1, 3)
-    first = drawn[::_FINE, ::_FINE]
+        lights[index] = (*colour, 1.0)
+    first = drawn[::_FINE, ::_FINE]  # most pixels have one colour
     mixed = cv2.resize(drawn, (w, h), interpolation=cv2.INTER_AREA) != first
     mixed |= drawn[_FINE - 1 :: _FINE, _FINE - 1 :: _FINE] != first
     paint = lights[first]
-    paint[mixed] = lights[cells[mixed]].mean(axis=(1, 2))
-    return paint
+    paint[mixed] = lights[drawn.reshape(h, _FINE, w, _FINE).transpose(0, 2, 1, 3)[mixed]].mean(axis=(1, 2))
+    return Layer((int(low[0]), int(low[1])), paint)
+
+
+def lay(picture: NDArray[np.float32], layer: Layer, origin: tuple[int, int] = (0, 0)) -> None:
+    """Paint a layer in place over `picture`, (h, w, 3) linear light, the part with its first pixel at `origin` (px).
+
+    Clip the layer to that part.
+    """
+    x, y = layer.place[0] - origin[0], layer.place[1] - origin[1]
+    h, w = layer.paint.shape[:2]
+    x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + w, picture.shape[1]), min(y + h, picture.shape[0])
+    if x1 > x0 and y1 > y0:
+        paint = layer.paint[y0 - y : y1 - y, x0 - x : x1 - x]
+        part = picture[y0:y1, x0:x1]
+        part *= 1.0 - paint[..., 3:]
+        part += paint[..., :3]
+
+
+def _farthest_first(faces: Iterable[Painted]) -> list[Painted]:
+    return sorted(faces, key=lambda face: -float(np.linalg.norm(face[0].mean(axis=0))))
+
+
+def _times(light: float, colour: Colour) -> Colour:
+    return light * colour[0], light * colour[1], light * colour[2]
 
 
 # ---- objects that do not move ----
@@ -80,98 +94,54 @@ def background(
     """Draw all objects that do not move, (h, w, 3) linear light."""
     picture = _ground(camera, outdoors, rng)
     things = _outdoors(rng) if outdoors else _indoors(rng)
-    things += _lines()
+    across, along, wide = _LINES  # the ruled field on the floor
+    lines = [(-0.72, 0.72, z, z + wide) for z in np.arange(3.62, 4.45, across).tolist()]
+    lines += [(x, x + wide, 3.62, 4.42) for x in np.arange(-0.72, 0.73, along).tolist()]
+    grey, y = reflectance((70.0, 70.0, 70.0)), CAMERA_HEIGHT
+    things += [[Face(np.array([[x0, y, z0], [x1, y, z0], [x1, y, z1], [x0, y, z1]]), grey)] for x0, x1, z0, z1 in lines]
     if clutter:
         things += _mug_and_book(rng)
     R = world_to_cam()
     for thing in things:  # one by one: an object hides those behind it
-        layer = paint_faces([(f.corners @ R.T, _lit(f)) for f in _visible(thing)], camera)
+        faces = []
+        for face in thing:
+            toward = face.normal() @ _LAMP * (1.0 if face.normal() @ face.corners.mean(axis=0) < 0.0 else -1.0)
+            faces.append((face.corners, _times(0.60 + 0.40 * max(float(toward), 0.0), face.colour)))
+        layer = paint_faces([(corners @ R.T, colour) for corners, colour in _farthest_first(faces)], camera)
         if layer is not None:
             lay(picture, layer)
     return picture
 
 
-def lay(picture: NDArray[np.float32], layer: Layer, origin: tuple[int, int] = (0, 0)) -> None:
-    """Paint a layer in place over `picture`, (h, w, 3) linear light, the part with its first pixel at `origin` (px).
-
-    Clip the layer to that part.
-    """
-    x, y = layer.place[0] - origin[0], layer.place[1] - origin[1]
-    h, w = layer.paint.shape[:2]
-    x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + w, picture.shape[1]), min(y + h, picture.shape[0])
-    if x1 <= x0 or y1 <= y0:
-        return
-    paint = layer.paint[y0 - y : y1 - y, x0 - x : x1 - x]
-    part = picture[y0:y1, x0:x1]
-    part *= 1.0 - paint[..., 3:]
-    part += paint[..., :3]
-
-
 def _ground(camera: InteriorOrientation, outdoors: bool, rng: np.random.Generator) -> NDArray[np.float32]:
     """Floor and wall, or lawn and sky, with some texture."""
-    v, u = np.mgrid[0 : camera.height, 0 : camera.width]
+    shape = (camera.height, camera.width)
+    v, u = np.mgrid[0 : shape[0], 0 : shape[1]]
     xy, _ = unproject(np.stack([u.ravel(), v.ravel()], axis=1).astype(float), camera)
     rays = np.column_stack([xy, np.ones(len(xy))]) @ world_to_cam()  # to world
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = CAMERA_HEIGHT / rays[:, 1]
         at = rays[:, [0, 2]] * depth[:, None]
-    floor = (rays[:, 1] > 0.0) & (at[:, 1] < _WALL)
-    floor = (floor & np.isfinite(at).all(axis=1)).reshape(v.shape)
-    back = rays * (_WALL / rays[:, 2])[:, None]  # where the wall is met
-    texture = _texture(0.35 if outdoors else 0.10, rng)
-    picture = np.empty((*v.shape, 3), dtype=np.float32)
-    on_floor = _mapped(texture, np.where(floor.ravel()[:, None], at, 0.0), v.shape)
-    on_wall = _mapped(_texture(0.05, rng), back[:, :2] * 0.7, v.shape)
-    base = np.array(reflectance((72.0, 118.0, 104.0) if outdoors else _near((186.0, 200.0, 210.0), 12.0, rng)))
-    wall = np.array(reflectance((236.0, 214.0, 190.0) if outdoors else _near((160.0, 170.0, 176.0), 14.0, rng)))
-    fade = np.clip(1.15 - 0.06 * np.where(floor.ravel(), at[:, 1], 0.0), 0.6, 1.2).reshape(v.shape)
-    picture[:] = np.where(
-        floor[..., None], (on_floor * fade)[..., None] * base, np.nan_to_num(on_wall, nan=1.0)[..., None] * wall
-    )
-    return picture
+    floor = (rays[:, 1] > 0.0) & (at[:, 1] < _WALL) & np.isfinite(at).all(axis=1)
+    at = np.where(floor[:, None], at, 0.0)
+    on_floor = _textured(0.35 if outdoors else 0.10, at, shape, rng)
+    on_wall = _textured(0.05, (rays * (_WALL / rays[:, 2])[:, None])[:, :2] * 0.7, shape, rng)
+    base = reflectance((72.0, 118.0, 104.0)) if outdoors else _near((186.0, 200.0, 210.0), 12.0, rng)
+    wall = reflectance((236.0, 214.0, 190.0)) if outdoors else _near((160.0, 170.0, 176.0), 14.0, rng)
+    shade = on_floor * np.clip(1.15 - 0.06 * at[:, 1], 0.6, 1.2)
+    picture = np.where(floor[:, None], shade[:, None] * np.array(base), on_wall[:, None] * np.array(wall))
+    return picture.reshape(*shape, 3).astype(np.float32)
 
 
-def _texture(depth: float, rng: np.random.Generator) -> NDArray[np.float32]:
-    """A square that repeats, about 1, with a standard deviation of `depth`."""
+def _textured(depth: float, metres: Array, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:
+    """A texture that repeats, about 1, with a standard deviation of `depth`, at places (h*w, 2) m of a picture."""
     fine = np.zeros((_TILE, _TILE))
     for blur in (1.5, 6.0, 40.0):
         noise = gaussian_filter(rng.standard_normal((_TILE, _TILE)), blur, mode="wrap")
         fine += noise / noise.std()
-    return np.maximum(1.0 + depth * fine / fine.std(), 0.1).astype(np.float32)
-
-
-def _mapped(texture: NDArray[np.float32], metres: Array, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    place = np.nan_to_num(metres * _PER_METRE) % (_TILE - 1)
-    x, y = (place[:, k].reshape(shape).astype(np.float32) for k in (0, 1))
-    return np.asarray(cv2.remap(texture, x, y, cv2.INTER_LINEAR), dtype=np.float32)
-
-
-def _visible(faces: Sequence[Face]) -> list[Face]:
-    """Farther ones first."""
-    return sorted(faces, key=lambda f: -float(np.linalg.norm(f.corners.mean(axis=0))))
-
-
-def _lit(face: Face) -> Colour:
-    normal = face.normal()
-    normal = normal if normal @ face.corners.mean(axis=0) < 0.0 else -normal  # towards the camera
-    light = 0.60 + 0.40 * max(float(normal @ _LAMP), 0.0)
-    return light * face.colour[0], light * face.colour[1], light * face.colour[2]
-
-
-def _lines() -> list[list[Face]]:
-    """The ruled field on the floor."""
-    across, along, wide = _LINES
-    colour, y = reflectance((70.0, 70.0, 70.0)), CAMERA_HEIGHT
-    found = []
-    for z in np.arange(3.62, 4.45, across):
-        found.append(_quad(-0.72, 0.72, float(z), float(z) + wide, y, colour))
-    for x in np.arange(-0.72, 0.73, along):
-        found.append(_quad(float(x), float(x) + wide, 3.62, 4.42, y, colour))
-    return [[f] for f in found]
-
-
-def _quad(x0: float, x1: float, z0: float, z1: float, y: float, colour: Colour) -> Face:
-    return Face(np.array([[x0, y, z0], [x1, y, z0], [x1, y, z1], [x0, y, z1]]), colour)
+    tile = np.maximum(1.0 + depth * fine / fine.std(), 0.1).astype(np.float32)
+    x, y = (np.nan_to_num(metres.T * _PER_METRE) % (_TILE - 1)).astype(np.float32).reshape(2, *shape)
+    return np.asarray(cv2.remap(tile, x, y, cv2.INTER_LINEAR), dtype=np.float32).ravel()
 
 
 def _indoors(rng: np.random.Generator) -> list[list[Face]]:
@@ -183,21 +153,20 @@ def _indoors(rng: np.random.Generator) -> list[list[Face]]:
         kind = rng.choice(["cabinet", "shelf", "gap", "carton"])
         width = float(rng.uniform(0.5, 1.0))
         if kind == "cabinet":
-            grey = _near((110.0, 112.0, 112.0), 25.0, rng)
-            things.append(box((left, y - 1.3, 5.6), (left + width, y, 6.1), reflectance(grey)))
+            things.append(box((left, y - 1.3, 5.6), (left + width, y, 6.1), _near((110.0, 112.0, 112.0), 25.0, rng)))
         elif kind == "shelf":
-            wood = reflectance(_near((62.0, 88.0, 120.0), 12.0, rng))
+            wood = _near((62.0, 88.0, 120.0), 12.0, rng)
             for board in (0.04, 0.42, 0.80):
                 things.append(box((left, y - board - 0.03, 5.7), (left + width, y - board, 6.1), wood))
                 at = left + 0.03
                 while board < 0.7 and at < left + width - 0.08:
                     thick, tall = float(rng.uniform(0.025, 0.07)), float(rng.uniform(0.2, 0.3))
-                    colour = reflectance(_any_colour(rng))
-                    things.append(box((at, y - board - tall - 0.03, 5.75), (at + thick, y - board - 0.03, 6.0), colour))
+                    low, high = (at, y - board - tall - 0.03, 5.75), (at + thick, y - board - 0.03, 6.0)
+                    things.append(box(low, high, _any_colour(rng)))
                     at += thick + 0.004
         elif kind == "carton":
             high = float(rng.uniform(0.25, 0.5))
-            colour = reflectance(_near((95.0, 130.0, 165.0), 12.0, rng))
+            colour = _near((95.0, 130.0, 165.0), 12.0, rng)
             things.append(box((left, y - high, 5.3), (left + width, y, 5.7), colour, float(rng.uniform(-0.4, 0.4))))
         left += width + float(rng.uniform(0.02, 0.25))
     return things
@@ -206,10 +175,9 @@ def _indoors(rng: np.random.Generator) -> list[list[Face]]:
 def _outdoors(rng: np.random.Generator) -> list[list[Face]]:
     """A hedge and a wall before the sky."""
     y, things = CAMERA_HEIGHT, []
-    for x in np.arange(-3.0, 3.0, 0.25):
+    for x in np.arange(-3.0, 3.0, 0.25).tolist():
         high = float(rng.uniform(0.7, 1.1))
-        colour = reflectance(_near((40.0, 78.0, 52.0), 14.0, rng))
-        things.append(box((float(x), y - high, 5.8), (float(x) + 0.3, y, 6.1), colour))
+        things.append(box((x, y - high, 5.8), (x + 0.3, y, 6.1), _near((40.0, 78.0, 52.0), 14.0, rng)))
     return things
 
 
@@ -218,7 +186,7 @@ def _mug_and_book(rng: np.random.Generator) -> list[list[Face]]:
     side, y = float(rng.choice([-1.0, 1.0])), CAMERA_HEIGHT
     x, z = side * float(rng.uniform(0.85, 1.1)), float(rng.uniform(4.3, 5.0))
     carton = box((x - 0.18, y - 0.22, z - 0.12), (x + 0.18, y, z + 0.12), reflectance((92.0, 128.0, 160.0)))
-    red, blue = reflectance(_near((26.0, 24.0, 190.0), 14.0, rng)), reflectance(_near((170.0, 60.0, 30.0), 14.0, rng))
+    red, blue = _near((26.0, 24.0, 190.0), 14.0, rng), _near((170.0, 60.0, 30.0), 14.0, rng)
     mug = post((x, y - 0.22, z), (x, y - 0.31, z), 0.042, red, sides=20)
     bx, bz = -side * float(rng.uniform(0.85, 1.1)), float(rng.uniform(3.9, 4.8))
     book = box((bx - 0.11, y - 0.05, bz - 0.08), (bx + 0.11, y, bz + 0.08), blue, float(rng.uniform(-0.8, 0.8)))
@@ -226,15 +194,18 @@ def _mug_and_book(rng: np.random.Generator) -> list[list[Face]]:
 
 
 def _near(colour: Colour, by: float, rng: np.random.Generator) -> Colour:
+    """Return the reflectance of a paint near a screen colour."""
     b, g, r = np.clip(np.array(colour) + rng.uniform(-by, by) + rng.uniform(-0.4 * by, 0.4 * by, 3), 0.0, 255.0)
-    return float(b), float(g), float(r)
+    return reflectance((float(b), float(g), float(r)))
 
 
 def _any_colour(rng: np.random.Generator) -> Colour:
     hsv = np.array([[[rng.uniform(0, 180), rng.uniform(20, 220), rng.uniform(30, 210)]]], dtype=np.uint8)
     b, g, r = cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR)[0, 0].tolist()
-    return float(b), float(g), float(r)
+    return reflectance((b, g, r))
 
+
+# ---- objects that move ----
 
 # m, in the ball's frame: a robot as long as that of the shared recording; its top touches the ball
 _BODY = ((-0.095, -0.065, -0.128), (0.095, 0.065, -0.049))
@@ -243,6 +214,7 @@ _WHEELS, _WHEEL = ((-0.055, 0.055), (-0.068, 0.068)), (0.031, -0.121)  # x, y; r
 _STICK = (0.27, 0.009, 0.011)  # m: length, radius at the ball and in the hand
 _BLACK, _GREY, _WOOD = (reflectance(c) for c in ((30.0, 30.0, 30.0), (120.0, 122.0, 124.0), (96.0, 146.0, 190.0)))
 _CARD = 0.045  # m, half of a side
+_SHADOW_Z = -0.152  # m, of the floor
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 
 
@@ -261,57 +233,48 @@ class Passing:
         return None if abs(since) > self.around else self.nearest + since * self.velocity
 
 
-def robot(centre: Array, rotation: Array, camera: InteriorOrientation, light: float) -> Layer | None:
-    """The robot under a ball at `centre` (3,) m in cam with R_cam_ball (3, 3), or None if it is out of sight.
-
-    `light` 1 is that of a bright room.
-    """
-    facing = []
-    for flat, colour in _robot_faces():
-        corners = flat @ rotation.T + centre
-        normal = np.cross(corners[1] - corners[0], corners[2] - corners[1])
-        normal /= np.linalg.norm(normal)
-        b, g, r = colour
-        share = light * (0.7 + 0.3 * abs(float(normal @ rotation[:, 2])))
-        facing.append((corners, (share * b, share * g, share * r)))
-    body, panel, wheels = facing[:6], facing[6:7], facing[7:]
-    for part in (body, wheels):
-        part.sort(key=lambda f: -float(np.linalg.norm(f[0].mean(axis=0))))
-    outer = len(wheels) // 2  # those on the far side are behind the body
-    return paint_faces([*wheels[:outer], *body, *panel, *wheels[outer:]], camera)
+def _rectangle(low: Sequence[float], high: Sequence[float], z: float) -> Array:
+    (x0, y0), (x1, y1) = low[:2], high[:2]
+    return np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]])
 
 
-def _robot_faces() -> list[tuple[Array, Colour]]:
-    faces: list[tuple[Array, Colour]] = [(f.corners, _BLACK) for f in box(_BODY[0], _BODY[1], _BLACK)]
-    (x0, y0), (x1, y1) = _PANEL
-    z = _BODY[1][2] + 0.001
-    faces.append((np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]]), _GREY))
+def robot(centre: Array, rotation: Array, camera: InteriorOrientation, light: float) -> list[Layer | None]:
+    """The robot under a ball at `centre` (3,) m in cam with R_cam_ball (3, 3), over its shadow on the floor."""
+    foot = _rectangle(*_BODY, _SHADOW_Z) * (1.15, 1.25, 1.0)
+    shadow = paint_faces([(foot @ rotation.T + centre, (0.0, 0.0, 0.0))], camera, margin=12)
+    if shadow is not None:
+        soft = np.asarray(cv2.GaussianBlur(shadow.paint, (0, 0), 4.0), dtype=np.float32)
+        shadow = Layer(shadow.place, np.float32(0.7) * soft)
+    faces = [(face.corners, _BLACK) for face in box(*_BODY, _BLACK)]
+    faces.append((_rectangle(*_PANEL, _BODY[1][2] + 0.001), _GREY))
     radius, hub = _WHEEL
     for y in _WHEELS[1]:
         for x in _WHEELS[0]:
             for r, colour, out in ((radius, _BLACK, 0.0), (0.4 * radius, _GREY, 0.001)):
                 rim = [x + r * np.cos(_ROUND), np.full_like(_ROUND, y + np.sign(y) * out), hub + r * np.sin(_ROUND)]
                 faces.append((np.stack(rim, axis=-1), colour))
-    return faces
+    lit = []
+    for flat, colour in faces:
+        corners = flat @ rotation.T + centre
+        normal = np.cross(corners[1] - corners[0], corners[2] - corners[1])
+        normal /= np.linalg.norm(normal)
+        lit.append((corners, _times(light * (0.7 + 0.3 * abs(float(normal @ rotation[:, 2]))), colour)))
+    wheels = _farthest_first(lit[7:])
+    outer = len(wheels) // 2  # those on the far side are behind the body
+    return [shadow, paint_faces([*wheels[:outer], *_farthest_first(lit[:6]), lit[6], *wheels[outer:]], camera)]
 
 
-def shadow(centre: Array, rotation: Array, camera: InteriorOrientation) -> Layer | None:
-    """The dark place on the floor under a robot, or None if it is out of sight. The pose is as in `robot`."""
-    x0, y0, _ = _BODY[0]
-    x1, y1, _ = _BODY[1]
-    z = -0.152
-    foot = np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]]) * (1.15, 1.25, 1.0)
-    layer = paint_faces([(foot @ rotation.T + centre, (0.0, 0.0, 0.0))], camera, margin=12)
-    if layer is None:
-        return None
-    soft = np.asarray(cv2.GaussianBlur(layer.paint, (0, 0), 4.0), dtype=np.float32)
-    return Layer(layer.place, np.float32(0.7) * soft)
+def held(
+    drawing: NDArray[np.float32],
+    centre: Array,
+    rotation: Array,
+    radius: float,
+    camera: InteriorOrientation,
+    light: float,
+) -> list[Layer | None]:
+    """The stick from the ball's lower pole down to the hand, and that hand, from `linear_hand`.
 
-
-def stick(centre: Array, rotation: Array, radius: float, camera: InteriorOrientation, light: float) -> Layer | None:
-    """The stick from the ball's lower pole down to the hand, or None if it is out of sight.
-
-    The ball has its centre at (3,) m in cam, R_cam_ball (3, 3) and `radius` m. `light` 1 is that of a bright room.
+    The ball has its centre at (3,) m in cam, R_cam_ball (3, 3) and `radius` m.
     """
     length, thin, thick = _STICK
     down = -rotation[:, 2]
@@ -319,16 +282,9 @@ def stick(centre: Array, rotation: Array, radius: float, camera: InteriorOrienta
     across = np.cross(down, 0.5 * (top + end))
     across /= np.linalg.norm(across)
     outline = np.array([top + thin * across, end + thick * across, end - thick * across, top - thin * across])
-    b, g, r = _WOOD
-    return paint_faces([(outline, (light * b, light * g, light * r))], camera)
-
-
-def grip(centre: Array, rotation: Array, radius: float) -> tuple[Array, Array]:
-    """Return the point where a hand holds the stick, (3,) m in cam, and the unit vector of its fingers, (3,).
-
-    The ball has its centre at (3,) m in cam, R_cam_ball (3, 3) and `radius` m.
-    """
-    return centre - (radius + _STICK[0] - 0.05) * rotation[:, 2], rotation[:, 2]
+    palm = centre - (radius + length - 0.05) * rotation[:, 2]
+    stick = paint_faces([(outline, _times(light, _WOOD))], camera)
+    return [stick, hand_at(drawing, palm, rotation[:, 2], camera, 1.0)]
 
 
 def hand_at(
@@ -336,12 +292,11 @@ def hand_at(
 ) -> Layer | None:
     """Place a hand from `linear_hand`, with its palm at (3,) m in cam. `fingers` (3,) is their direction in cam.
 
-    None if a part of the hand is nearer than 10 cm, or if it is out of sight. `light` 1 is that of a bright room.
+    None also if a part of the hand is nearer than 10 cm.
     """
     up = fingers / np.linalg.norm(fingers) * (1.0, 1.0, 0.0)
     up = up / np.linalg.norm(up) if np.linalg.norm(up) > 0.1 else np.array([0.0, -1.0, 0.0])
-    right = np.array([-up[1], up[0], 0.0])
-    points = palm + hand_corners(drawing) @ np.stack([right, up])
+    points = palm + hand_corners(drawing) @ np.array([[-up[1], up[0], 0.0], up])
     placed = None if np.any(points[:, 2] < 0.1) else hand_in_picture(drawing, points, camera)
     if placed is None:
         return None
@@ -356,27 +311,19 @@ def linear_hand(drawing: NDArray[np.float32]) -> NDArray[np.float32]:
     """
     cover = drawing[..., 3:]
     grey = np.divide(drawing[..., :3], cover, out=np.zeros_like(drawing[..., :3]), where=cover > 1e-3) / 255.0
-    sleeve = grey[..., 0] > grey[..., 2]
-    grey[sleeve] = 0.2
-    light = np.where(grey <= 0.04045, grey / 12.92, ((grey + 0.055) / 1.055) ** 2.4)
-    return np.concatenate([light * cover, cover], axis=2).astype(np.float32)
+    grey[grey[..., 0] > grey[..., 2]] = 0.2
+    return np.concatenate([to_linear(grey) * cover, cover], axis=2).astype(np.float32)
 
 
 def card(centre: Array, colours: tuple[str, ...], camera: InteriorOrientation, light: float) -> Layer | None:
     """Draw a distractor: a white card that faces the camera, with discs in the colours and layout of a ball.
 
-    Its centre is at (3,) m in cam. `light` 1 is that of a bright room. None if it is out of sight.
+    Its centre is at (3,) m in cam.
     """
-    square = _CARD * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=float)
-    faces = [(square + centre, _dimmed("white", light))]
+    faces = [(_CARD * _rectangle((-1.0, -1.0), (1.0, 1.0), 0.0) + centre, _times(light, paint_of("white")))]
     circle = np.stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros_like(_ROUND)], axis=-1)
     places = ((-0.2, -0.62, 0.21), (-0.15, 0.12, 0.36), (0.62, -0.40, 0.16), (0.68, 0.22, 0.22), (-0.78, 0.1, 0.2))
     for k, (x, y, size) in enumerate(places):
-        middle = centre + _CARD * np.array([x, y, 0.0])
-        faces.append((middle + _CARD * size * circle, _dimmed(colours[k % len(colours)], light)))
+        paint = _times(light, paint_of(colours[k % len(colours)]))
+        faces.append((centre + _CARD * np.array([x, y, 0.0]) + _CARD * size * circle, paint))
     return paint_faces(faces, camera)
-
-
-def _dimmed(colour: str, light: float) -> Colour:
-    b, g, r = light * paint_of(colour)
-    return float(b), float(g), float(r)
