@@ -15,12 +15,12 @@ from spheremouse.files.dataset.frames import read_frames
 from spheremouse.geometry.camera import Pose, project_circle, project_sphere, reduced_to_pixel
 from spheremouse.geometry.rotation import hat, to_euler
 from spheremouse.simulate.ball.backdrop import render_backdrop, render_layers
-from spheremouse.simulate.ball.caps import BallView, Caps
 from spheremouse.simulate.ball.events import Dimming, HandVisit, Lift, bumped, displaced, facing
 from spheremouse.simulate.ball.film import Flicker, SimulationOptions, prepare, simulate
 from spheremouse.simulate.ball.profile import creep, flick, play, rest, roll, still, thesis
 from spheremouse.simulate.ball.render import Renderer, RenderOptions
 from spheremouse.simulate.ball.scene import default_scene, spread_directions
+from spheremouse.simulate.ball.surface import Surface
 from spheremouse.simulate.to_dataset import write_simulation
 
 LENS = np.array([-0.2, 0.06, 0.001, -0.0015, -0.01])
@@ -140,15 +140,14 @@ def test_discs_are_spread_and_do_not_overlap(n):
     assert np.array_equal(u, spread_directions(n, 0.1, rng(4)))
 
 
-def shown(scene):
-    alone = np.ones((scene.camera.height, scene.camera.width), dtype=np.float32)
-    return BallView(alone, alone)
+def whole_view(scene):
+    return (np.ones((scene.camera.height, scene.camera.width), dtype=np.float32),) * 2
 
 
 def test_disc_truth_equals_opencv_and_the_closed_form_of_a_projected_circle():
     scene = default_scene(view="near", discs=50)
-    caps, profile, t = Caps(scene), thesis(), 3.3
-    truth = caps.truth(profile.attitude, t, 7, caps.coverage(profile.attitude, t), shown(scene))
+    surface, profile, t = Surface(scene), thesis(), 3.3
+    truth = surface.truth(profile.attitude, t, 7, surface.coverage(profile.attitude, t), *whole_view(scene))
     directions = scene.disc_directions[truth.disc] @ profile.attitude(np.array([t]))[0].T
     T = np.linalg.inv(scene.pose.matrix())
     uv, _ = cv2.projectPoints(0.6 * directions, cv2.Rodrigues(T[:3, :3])[0], T[:3, 3], scene.camera.matrix, None)
@@ -185,11 +184,11 @@ def test_disc_truth_equals_opencv_and_the_closed_form_of_a_projected_circle():
 )
 def test_covered_pixels_have_the_centroid_and_area_of_the_projected_cap(scene, profile):
     """Ray casting on one side, the projected outline on the other."""
-    caps, width = Caps(scene), scene.camera.width
+    surface, width = Surface(scene), scene.camera.width
     off, ratio = [], []
     for t in np.linspace(1.0, 9.0, 12):
-        covered = caps.coverage(profile.attitude, t)
-        truth = caps.truth(profile.attitude, t, 0, covered, shown(scene))
+        covered = surface.coverage(profile.attitude, t)
+        truth = surface.truth(profile.attitude, t, 0, covered, *whole_view(scene))
         for disc, blob, area in zip(truth.disc, truth.blob_centre, truth.area, strict=True):
             if area >= 25.0:  # false for nan
                 share, pixel = covered.share[covered.disc == disc], covered.pixel[covered.disc == disc]
@@ -330,13 +329,15 @@ def test_a_ball_out_of_its_place_looks_as_if_camera_and_room_had_moved_instead(s
     scene, centre = replace(small.scene, surroundings=()), np.array([0.012, 0.035, -0.02])
     pose = scene.pose
     elsewhere = replace(scene, pose=Pose(pose.rotation, pose.position - centre))
-    moved, expected = Caps(scene, 0.1).moved(centre), Caps(elsewhere)
+    moved, expected = Surface(scene, 0.1).moved(centre), Surface(elsewhere)
     profile, t = thesis(), 3.3
     a, b = moved.coverage(profile.attitude, t), expected.coverage(profile.attitude, t)
     assert np.array_equal(a.pixel, b.pixel)
     assert np.array_equal(a.disc, b.disc)
     assert np.allclose(a.share, b.share, atol=1e-9)
-    one, other = (c.truth(profile.attitude, t, 0, cover, shown(scene)) for c, cover in ((moved, a), (expected, b)))
+    one, other = (
+        c.truth(profile.attitude, t, 0, cover, *whole_view(scene)) for c, cover in ((moved, a), (expected, b))
+    )
     assert np.array_equal(one.disc, other.disc)
     for name in ("centre", "blob_centre", "area"):
         assert np.allclose(getattr(one, name), getattr(other, name), atol=1e-9, equal_nan=True)

@@ -3,7 +3,7 @@
 A frame is a mixture of the two, weighted by the fraction of each pixel that the discs cover. If the ball leaves its
 place, for example lifted off its bearings, three layers are combined: the ball alone, the room without it, and the
 objects before it. The ball's picture then follows its outline by a shift and a scale. Shade and gloss move with it; no
-truth depends on them. These pictures have no discs. `caps` adds the discs at their exact places.
+truth depends on them. These pictures have no discs. `surface` adds the discs at their exact places.
 """
 
 from dataclasses import dataclass, replace

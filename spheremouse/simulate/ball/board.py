@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project, unproject
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.backdrop import render_backdrop
-from spheremouse.simulate.ball.caps import half_plane
 from spheremouse.simulate.ball.scene import BLACK, LAMPS, PAPER, Scene, room
+from spheremouse.simulate.ball.surface import half_plane
 from spheremouse.simulate.light import Lighting, develop
 
 MIDDLE = np.array([0.0, 0.45, 0.6])  # m, obj: where the board hangs, facing +Z

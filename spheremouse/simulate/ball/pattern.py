@@ -63,12 +63,9 @@ class _Waves(NamedTuple):
         )
 
     def __call__(self, d: Single) -> Single:
-        waves: Single = np.cos(d @ self.wave + self.phase)
-        return waves @ self.amplitude
-
-    def steepness(self) -> float:
-        """Return the root mean square of the gradient along the sphere, 1/rad."""
-        return float(np.sqrt(np.sum((self.amplitude * np.linalg.norm(self.wave, axis=0)) ** 2) / 3.0))
+        waves: Single = d @ self.wave
+        waves += self.phase
+        return np.cos(waves, out=waves) @ self.amplitude
 
 
 class _Strokes(NamedTuple):
@@ -162,7 +159,8 @@ def _anywhere(rng: np.random.Generator, n: int) -> Array:
 
 def _patches(rng: np.random.Generator) -> Albedo:
     field = _Waves.random(rng, 12.0, 90.0, 1.4)
-    return lambda d: 1.0 - 0.9 * _inside((field(d) - 0.5) / field.steepness())
+    steepness = float(np.sqrt(np.sum((field.amplitude * np.linalg.norm(field.wave, axis=0)) ** 2) / 3.0))
+    return lambda d: 1.0 - 0.9 * _inside((field(d) - 0.5) / steepness)  # 1/rad, root mean square of the gradient
 
 
 def _marble(rng: np.random.Generator) -> Albedo:

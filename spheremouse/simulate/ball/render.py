@@ -1,13 +1,12 @@
 """Frames of a simulated scene, each with its exact truth.
 
-The renderer draws the still parts of the scene once (`backdrop`). Each frame mixes in the discs (`caps`) and what is
-painted on the ball (`pattern`), averaged over the exposure and row by row with a rolling shutter, then hands, light and
-noise. It mixes grey values, like a camera with a linear response. While nothing moves, only light and noise are new.
+The renderer draws the still parts of the scene once (`backdrop`). Each frame mixes in what is painted on the ball
+(`surface`), averaged over the exposure and row by row with a rolling shutter, then hands, light and noise. It mixes
+grey values, like a camera with a linear response. While nothing moves, only light and noise are new.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import cycle
 from typing import NamedTuple
 
 import cv2
@@ -19,15 +18,15 @@ from spheremouse.ball.truth import DiscTruth
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.backdrop import Backdrop, render_backdrop, render_layers
-from spheremouse.simulate.ball.caps import BallView, Caps, Coverage, Surface
 from spheremouse.simulate.ball.events import Dimming, Flicker, HandVisit, Lift, PlacedHand, draw_hand, place_hand
-from spheremouse.simulate.ball.pattern import Pattern
 from spheremouse.simulate.ball.profile import Profile
 from spheremouse.simulate.ball.scene import Scene
+from spheremouse.simulate.ball.surface import Points, Surface
 from spheremouse.tracker import Frame
 
 # Normal noise by its quantiles: five times as fast as NumPy's, true to 4.3 standard deviations, where it ends.
 _NORMAL = ndtri((np.arange(65536) + 0.5) / 65536.0).astype(np.float32)
+_MAX_MOMENTS = 201  # of an exposure
 _LIMITED = np.rint(16.0 + 219.0 / 255.0 * np.arange(256)).astype(np.uint8)  # ITU-R BT.601, shown as full range
 
 
@@ -62,24 +61,23 @@ class SimulatedFrame:
     pose: Pose  # of the camera
 
 
-class _Set(NamedTuple):
+class _Place(NamedTuple):
     """The ball in its place, or in another."""
 
     centre: Array  # (3,) m, obj
     backdrop: Backdrop
-    caps: Caps
-    surface: Surface | None  # None without a pattern
+    surface: Surface
+    points: Points | None  # None without a pattern
 
 
 class _Seen(NamedTuple):
-    """The last frame's discs and ball, reused while the ball does not move."""
+    """What is painted on the ball in a frame, used again while the ball does not move."""
 
     attitude: Array  # (3, 3) R_obj_ball
     centre: Array  # (3,) m
-    moments: list[Coverage]
-    pixel: NDArray[np.intp]  # (k,) that show discs at some moment, or a pattern
-    share: NDArray[np.float32]  # (k,) mean share of black in them
-    discs: DiscTruth | None  # None where hands were in the way
+    pixel: NDArray[np.intp]  # (k,) that show discs or a pattern at some moment
+    dark: NDArray[np.float32]  # (k,) mean share of black in them
+    discs: DiscTruth
 
 
 class Renderer:
@@ -91,7 +89,7 @@ class Renderer:
         self.options = RenderOptions() if options is None else options
         self.backdrop = render_backdrop(scene) if backdrop is None else backdrop
         reach = self.options.reach
-        self._home = _set(np.zeros(3), self.backdrop, Caps(scene, reach))
+        self._home = _place(np.zeros(3), self.backdrop, Surface(scene, reach))
         self._away = self._home
         self._layers = render_layers(scene, self.backdrop) if reach > 0.0 else None
         self._bytes = _to_bytes(self.backdrop.white)
@@ -100,68 +98,66 @@ class Renderer:
 
     def frame(self, profile: Profile, t: float, sequence: int, rng: np.random.Generator) -> SimulatedFrame:
         """The picture at time `t` (s, mid-exposure of the middle row), with its truth."""
-        now = np.array([t])
+        scene, now = self.scene, np.array([t])
         attitude = profile.attitude(now)[0]
-        scenery = self._at(sum((x.at(t) for x in self.options.lifts), attitude @ np.array(self.options.eccentric)))
+        place = self._at(sum((x.at(t) for x in self.options.lifts), attitude @ np.array(self.options.eccentric)))
         hands = self._hands(t)
-        seen = self._look(profile, t, attitude, scenery)
-        image = self._picture(seen, scenery, hands, t, rng)
-        if hands or seen.discs is None:
-            shows_ball = scenery.backdrop.ball.copy() if hands else scenery.backdrop.ball
-            for hand in hands:
-                shows_ball[hand.place] *= 1.0 - hand.paint[..., 3]
-            view = BallView(shows_ball, scenery.backdrop.outline)
-            middle = seen.moments[len(seen.moments) // 2]
-            discs = scenery.caps.truth(profile.attitude, t, sequence, middle, view)
-            if self._last is not None and not hands:
-                self._last = seen._replace(discs=discs)
-        else:
-            discs = replace(seen.discs, frame=np.full(len(seen.discs), sequence, dtype=np.intp))
+        half = 0.5 * (scene.exposure_s + scene.readout_s)
+        rests = not hands and np.all(profile.attitude(t + half * np.linspace(-1.0, 1.0, 5)) == attitude)
+        seen = self._last
+        if not rests or seen is None or np.any(seen.attitude != attitude) or np.any(seen.centre != place.centre):
+            seen = self._look(profile, t, attitude, place, hands)
+        self._last = seen if rests else None
+        image = self._picture(seen, place, hands, t, rng)
+        discs = replace(seen.discs, frame=np.full(len(seen.discs), sequence, dtype=np.intp))
         return SimulatedFrame(
-            Frame(image, t, sequence), attitude, profile.rate(now)[0], discs, scenery.centre, self.scene.pose
+            Frame(image, t, sequence), attitude, profile.rate(now)[0], discs, place.centre, scene.pose
         )
 
-    def _at(self, centre: Array) -> _Set:
+    def _at(self, centre: Array) -> _Place:
         """All that goes with the ball's centre, (3,) m; rows and exposure share it."""
         if self._layers is None or not np.any(centre):
             return self._home
         if np.any(centre != self._away.centre):
-            self._away = _set(centre, self._layers.backdrop(centre), self._home.caps.moved(centre))
+            self._away = _place(centre, self._layers.backdrop(centre), self._home.surface.moved(centre))
         return self._away
 
-    def _look(self, profile: Profile, t: float, attitude: Array, scenery: _Set) -> _Seen:
-        """Return the discs in the picture. Reuse the last ones if ball and centre do not move during the frame."""
-        half = 0.5 * (self.scene.exposure_s + self.scene.readout_s)
-        throughout = profile.attitude(t + half * np.linspace(-1.0, 1.0, 5))
-        last = self._last
-        if (
-            last is not None
-            and np.array_equal(last.centre, scenery.centre)
-            and np.all(throughout == attitude)
-            and np.array_equal(last.attitude, attitude)
-        ):
-            return last
-        times = self._moments(profile, t)
-        moments = [scenery.caps.coverage(profile.attitude, moment) for moment in times]
-        if self.scene.pattern is None or scenery.surface is None:
-            pixel, share = _mean_coverage(moments)
-        else:
-            attitudes = (scenery.caps.attitude_by_row(profile.attitude, moment) for moment in times)
-            pixel = scenery.surface.pixel
-            share = _mean_black(self.scene.pattern, scenery.surface, attitudes, moments, self.scene.camera.width)
-        seen = _Seen(attitude, scenery.centre, moments, pixel, share, None)
-        self._last = seen if np.all(throughout == attitude) else None
-        return seen
+    def _look(self, profile: Profile, t: float, attitude: Array, place: _Place, hands: Sequence[PlacedHand]) -> _Seen:
+        """Average what is painted on the ball over the exposure."""
+        surface, times = place.surface, self._moments(profile, t)
+        covered = [surface.coverage(profile.attitude, moment) for moment in times]
+        pixels, shares = [c.pixel for c in covered], [c.share for c in covered]
+        if self.scene.pattern is not None and place.points is not None:
+            points, light = place.points, np.ones(place.backdrop.ball.size, dtype=np.float32)
+            black = np.zeros(len(points.pixel), dtype=np.float32)
+            for k, moment in enumerate(times):
+                R = surface.attitude_by_row(profile.attitude, moment).astype(np.float32)
+                if len(R) > 1:
+                    turned = (points.normal @ R[points.pixel // self.scene.camera.width]).reshape(-1, 3)
+                else:
+                    turned = points.normal.reshape(-1, 3) @ R[0]
+                albedo = self.scene.pattern.albedo(turned).reshape(points.weight.shape)
+                light[points.pixel] = np.einsum("km,km->k", albedo, points.weight)
+                black += np.float32(1.0) - light[points.pixel]
+                shares[k] = shares[k] * light[pixels[k]]  # a disc hides the pattern
+            pixels, shares = [*pixels, points.pixel], [*shares, black]
+        dark = np.bincount(np.concatenate(pixels), np.concatenate(shares), place.backdrop.ball.size)
+        pixel = np.flatnonzero(dark)
+        shown = place.backdrop.ball.copy() if hands else place.backdrop.ball
+        for hand in hands:
+            shown[hand.place] *= 1.0 - hand.paint[..., 3]
+        discs = surface.truth(profile.attitude, t, 0, covered[len(times) // 2], shown, place.backdrop.outline)
+        return _Seen(attitude, place.centre, pixel, (dark[pixel] / len(times)).astype(np.float32), discs)
 
     def _picture(
-        self, seen: _Seen, scenery: _Set, hands: Sequence[PlacedHand], t: float, rng: np.random.Generator
+        self, seen: _Seen, place: _Place, hands: Sequence[PlacedHand], t: float, rng: np.random.Generator
     ) -> NDArray[np.uint8]:
         options, pixel = self.options, seen.pixel
-        white, black = scenery.backdrop.white, scenery.backdrop.black
+        white, black = place.backdrop.white, place.backdrop.black
         plain = white.reshape(-1, 3)[pixel]
-        touched = plain + seen.share[:, None] * (black.reshape(-1, 3)[pixel] - plain)
+        touched = plain + seen.dark[:, None] * (black.reshape(-1, 3)[pixel] - plain)
         factor = self._light(t)
-        if scenery is self._home and not hands and factor is None and options.brightness == 0.0 == options.noise:
+        if place is self._home and not hands and factor is None and options.brightness == 0.0 == options.noise:
             image = self._bytes.copy()
             image.reshape(-1, 3)[pixel] = _to_bytes(touched)
         else:
@@ -181,15 +177,19 @@ class Renderer:
         options, scene = self.options, self.scene
         if not options.dimming and options.flicker is None:
             return None
-        rows = np.arange(float(scene.camera.height)) if scene.readout_s > 0.0 else None
-        times = np.array([t]) if rows is None else t + self._home.caps.row_offset(rows)
+        times = np.array([t])
+        if scene.readout_s > 0.0:
+            times = t + self._home.surface.row_time(np.arange(float(scene.camera.height)))
         factor = np.prod([d.at(times) for d in options.dimming], axis=0)
         if options.flicker is not None:
             factor = factor * options.flicker.at(times, scene.exposure_s)
         return None if np.all(factor == 1.0) else np.atleast_1d(factor).astype(np.float32)
 
     def _moments(self, profile: Profile, t: float) -> Array:
-        """Times in the exposure, s, so close that no disc moves by more than a pixel from one to the next."""
+        """Times in the exposure, s; from one to the next no disc moves by more than a pixel.
+
+        A pattern needs fewer: a pixel has several points of it. The middle of an odd number is t itself.
+        """
         scene = self.scene
         if scene.exposure_s == 0.0:
             return np.array([t])
@@ -197,7 +197,8 @@ class Renderer:
         fastest = float(np.max(np.linalg.norm(profile.rate(ends), axis=1)))
         gap = np.linalg.norm(scene.pose.position) - scene.ball_radius
         pixels = fastest * scene.ball_radius * max(scene.camera.fx, scene.camera.fy) / gap * scene.exposure_s
-        n = 2 * int(np.clip(np.ceil(pixels / 2.0), 0, 100)) + 1  # odd: one of them is t itself
+        n = 2 * int(np.ceil(pixels / 2.0)) + 1 if len(scene.disc_directions) else int(np.ceil(pixels / 2.0)) + 1
+        n = min(n, _MAX_MOMENTS)
         return t + scene.exposure_s * ((np.arange(n) + 0.5) / n - 0.5)
 
     def _hands(self, t: float) -> list[PlacedHand]:
@@ -207,33 +208,8 @@ class Renderer:
         return [p for p in placed if p is not None]
 
 
-def _mean_coverage(moments: list[Coverage]) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-    """Pixels that show discs at some moment, (k,), each once, and the mean share of them, (k,)."""
-    pixel, group = np.unique(np.concatenate([m.pixel for m in moments]), return_inverse=True)
-    share = np.bincount(group.ravel(), np.concatenate([m.share for m in moments]), len(pixel)) / len(moments)
-    return pixel, share.astype(np.float32)
-
-
-def _set(centre: Array, backdrop: Backdrop, caps: Caps) -> _Set:
-    return _Set(centre, backdrop, caps, None if caps.scene.pattern is None else caps.surface(backdrop.ball))
-
-
-def _mean_black(
-    pattern: Pattern, surface: Surface, attitudes: Iterable[Array], moments: list[Coverage], width: int
-) -> NDArray[np.float32]:
-    """Return 1 less the mean albedo of the pixels of `surface`, (k,). Discs on the pattern are black.
-
-    `attitudes`: R_obj_ball by rows, (1 or h, 3, 3), for each of the `moments`. If there are several, each has two
-    opposite parts of a pixel and the next moment the other two: motion smooths, and the middle of a pixel stays.
-    """
-    light = np.zeros(len(surface.pixel), dtype=np.float32)
-    halves = [surface] if len(moments) == 1 else [surface.parts(0, 3), surface.parts(1, 2)]
-    for part, R, covered in zip(cycle(halves), attitudes, moments, strict=False):
-        turn = R.astype(np.float32)[surface.pixel // width if len(R) > 1 else 0]
-        albedo = pattern.albedo((part.normal @ turn).reshape(-1, 3)).reshape(part.weight.shape)
-        discs = np.bincount(covered.pixel, covered.share, surface.pixel.max(initial=0) + 1)[surface.pixel]
-        light += np.einsum("km,km->k", albedo, part.weight) * (1.0 - discs).astype(np.float32)
-    return np.float32(1.0) - light / np.float32(len(moments))
+def _place(centre: Array, backdrop: Backdrop, surface: Surface) -> _Place:
+    return _Place(centre, backdrop, surface, surface.points(backdrop.ball) if surface.scene.pattern else None)
 
 
 def _developed(

@@ -21,9 +21,9 @@ from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array, exp
 from spheremouse.simulate.ball.backdrop import render_backdrop
 from spheremouse.simulate.ball.board import MIDDLE, Board, render_board
-from spheremouse.simulate.ball.caps import Caps
 from spheremouse.simulate.ball.options import StillsOptions
 from spheremouse.simulate.ball.scene import LAMPS, STRIPS, Scene, default_scene, frame, room
+from spheremouse.simulate.ball.surface import Surface
 from spheremouse.simulate.light import Lighting
 from spheremouse.simulate.shapes import Sphere, look
 
@@ -289,7 +289,7 @@ def photos(stills: Stills) -> Iterator[Photo]:
 def device_picture(scene: Scene) -> NDArray[np.float32]:
     """The scene with the ball at rest, (h, w, 3) grey values, before lens blur and noise."""
     backdrop = render_backdrop(scene)
-    covered = Caps(scene).coverage(lambda times: np.broadcast_to(np.eye(3), (len(times), 3, 3)), 0.0)
+    covered = Surface(scene).coverage(lambda times: np.broadcast_to(np.eye(3), (len(times), 3, 3)), 0.0)
     share = np.bincount(covered.pixel, covered.share, backdrop.ball.size).reshape(backdrop.ball.shape)
     dark = np.minimum(share, 1.0).astype(np.float32)[..., None]
     return np.asarray(backdrop.white + dark * (backdrop.black - backdrop.white), dtype=np.float32)

@@ -1,0 +1,277 @@
+"""The ball's surface in the image: what pixels show of its discs and of its pattern, and the discs' exact outlines.
+
+A disc is a spherical cap: all points of the sphere within an angle of its centre. Let n(u, v) be the unit vector of the
+point where a pixel's ray hits the ball, and d the cap's centre. Then g = n·d - cos(angle) is positive inside. The
+distance to the edge in pixels is g over its image gradient. It gives the covered fraction of a pixel that a straight
+edge crosses. A pattern is an albedo as a function of the direction, averaged over parts of a pixel.
+"""
+
+import copy
+from collections.abc import Callable
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth
+from spheremouse.geometry.camera import project, row_of, sphere_outline, unproject
+from spheremouse.geometry.rotation import Array, tangent_basis
+from spheremouse.simulate.ball.scene import Scene
+from spheremouse.simulate.shapes import pixel_parts
+
+AttitudeAt = Callable[[Array], Array]  # times (n,) s -> R_obj_ball (n, 3, 3)
+
+_PARTS = 2  # of a pixel's side, for a painted pattern
+_FINE = 3  # parts of a pixel's side where the edge of a disc runs through it
+_FINER = 7  # the same near the limb, where a pixel sees far around the ball
+_GRAZING = 5.0  # square roots of a pixel's size on the ball, in radii: below that cosine is near the limb
+_CORNERS = 180  # of the polygon that approximates a disc's outline
+_MARGIN = 2  # px around ball and discs that are tested
+_WIDER = 1.1  # factor on a disc's linear extent in the image: perspective and lens are not linear
+
+
+class Coverage(NamedTuple):
+    """Shares of an image's pixels that discs cover."""
+
+    pixel: NDArray[np.intp]  # (k,) index into the image's pixels, row by row
+    disc: NDArray[np.intp]  # (k,)
+    share: Array  # (k,) of the ball's part of the pixel that the disc covers
+
+
+class Points(NamedTuple):
+    """Points of the ball that pixels show, `_PARTS`² in each."""
+
+    pixel: NDArray[np.intp]  # (k,) index into the image's pixels, row by row
+    normal: NDArray[np.float32]  # (k, m, 3) unit vectors, obj
+    weight: NDArray[np.float32]  # (k, m) of the points in their pixel's mean; parts that miss the ball have almost none
+
+
+class _Hits(NamedTuple):
+    """Rays on the ball. One that misses it has the point where it is nearest."""
+
+    normal: Array  # (k, 3) unit vectors, obj
+    depth: Array  # (k,) in lengths of the ray
+    length: Array  # (k,) m, of the ray
+    cosine: Array  # (k,) of the angle between ray and normal, 0 where the ray misses the ball
+
+
+class Surface:
+    """The ball of a scene before its camera."""
+
+    def __init__(self, scene: Scene, reach: float = 0.0) -> None:
+        """`reach`: m, how far the ball's centre may be from its place."""
+        self.scene = scene
+        camera, pose = scene.camera, scene.pose
+        self._there = ~np.isin(np.arange(len(scene.disc_directions)), scene.fallen)  # (n,) on the ball
+        self._place(np.zeros(3))
+        uv = sphere_outline(pose.to_cam(np.zeros(3)), scene.ball_radius + reach, camera, 360)
+        low, high = np.floor(uv.min(axis=0)) - _MARGIN, np.ceil(uv.max(axis=0)) + _MARGIN + 1
+        (u0, v0), (u1, v1) = np.clip([low, high], 0, (camera.width, camera.height)).astype(int)
+        v, u = np.mgrid[v0:v1, u0:u1]
+        xy, dxy_duv = unproject(np.stack([u.ravel(), v.ravel()], axis=1).astype(float), camera)
+        turn = pose.rotation[:, :2]
+        self._low, self._ray = np.array([u0, v0]), (xy @ turn.T + pose.rotation[:, 2]).reshape(*u.shape, 3)
+        self._dray = (turn @ dxy_duv).reshape(*u.shape, 3, 2)
+
+    def moved(self, centre: Array) -> Self:
+        """The same with the ball's centre, (3,) m in obj, elsewhere within reach."""
+        other = copy.copy(self)
+        other._place(centre)
+        return other
+
+    def _place(self, centre: Array) -> None:
+        scene = self.scene
+        self._centre = centre
+        self._origin = scene.pose.position - centre  # (3,) m, the camera from the ball's centre
+        distance = np.linalg.norm(self._origin)
+        self._eye = self._origin / distance
+        self._horizon = float(np.arccos(scene.ball_radius / distance))  # rad, from the eye
+        focal = max(scene.camera.fx, scene.camera.fy)
+        self._pixel = float((distance - scene.ball_radius) / scene.ball_radius / focal)  # rad, square to the ray
+
+    def row_time(self, v: Array) -> Array:
+        """Return the time, s, when image rows `v` (px, any shape) are exposed, relative to the middle row."""
+        return row_of(v, self.scene.camera.height) * self.scene.readout_s
+
+    def attitude_by_row(self, attitude_at: AttitudeAt, t: float) -> Array:
+        """R_obj_ball, (1 or h, 3, 3), when each row is exposed in a frame at time `t`; one if that is the same."""
+        rows = np.arange(float(self.scene.camera.height) if self.scene.readout_s > 0.0 else 1.0)
+        return attitude_at(t + (self.row_time(rows) if len(rows) > 1 else np.zeros(1)))
+
+    # ---- pattern ----
+
+    def points(self, shown: NDArray[np.floating]) -> Points:
+        """Return the points of the ball that pixels show, if its share `shown` of the pixel, (h, w), is above 0."""
+        (u0, v0), (h, w) = self._low, self._ray.shape[:2]
+        row, column = np.nonzero(shown[v0 : v0 + h, u0 : u0 + w] > 0.0)
+        grid = pixel_parts(_PARTS)
+        dray = self._dray[row, column]
+        ray = self._ray[row, column][:, None] + grid @ dray.transpose(0, 2, 1)
+        hits = self._hits(ray.reshape(-1, 3))
+        weight = np.where(hits.cosine > 0.0, 1.0, 1e-6).reshape(-1, len(grid))
+        normal = np.where(np.isnan(hits.normal), self._eye, hits.normal).reshape(-1, len(grid), 3)
+        return Points(
+            (row + v0) * self.scene.camera.width + column + u0,
+            normal.astype(np.float32),
+            (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32),
+        )
+
+    # ---- discs ----
+
+    def coverage(self, attitude_at: AttitudeAt, t: float) -> Coverage:
+        """Share of pixels that discs cover at time `t` (of the middle row)."""
+        row, column, disc = self._near_discs(attitude_at, t)
+        R = self.attitude_by_row(attitude_at, t)
+        toward = self.scene.disc_directions[disc]
+        v = row + self._low[1]
+        toward = (R[v] @ toward[..., None])[..., 0] if len(R) > 1 else toward @ R[0].T
+        ray, dray = self._ray[row, column], self._dray[row, column]
+        hits = self._hits(ray)
+        g, slope = self._edge(hits, ray, dray, toward)
+        share = (g > 0.0).astype(float)
+        angle = self.scene.disc_angle
+        reach = 1.5 * self._pixel / np.maximum(hits.cosine, np.sqrt(self._pixel))  # rad, from the middle to a corner
+        grazing = (hits.cosine < _GRAZING * np.sqrt(self._pixel)) & (g > np.cos(angle + reach) - np.cos(angle))
+        cut = np.abs(g) <= 0.75 * slope.sum(axis=1)
+        for pixels, fine in ((np.flatnonzero(cut & ~grazing), _FINE), (np.flatnonzero(grazing), _FINER)):
+            share[pixels] = self._share(ray[pixels], dray[pixels], toward[pixels], fine)
+        keep = share > 0.0
+        return Coverage((v * self.scene.camera.width + column + self._low[0])[keep], disc[keep], share[keep])
+
+    def _near_discs(self, attitude_at: AttitudeAt, t: float) -> tuple[NDArray[np.intp], ...]:
+        """Row and column from the first pixel of the ball, and disc, of all pixels that may show a disc, (k,) each."""
+        scene = self.scene
+        directions, _ = self._directions(attitude_at, t, scene.disc_directions)
+        near = np.flatnonzero((directions @ self._eye > np.cos(self._horizon + scene.disc_angle)) & self._there)
+        if len(near) == 0:
+            return (np.zeros(0, dtype=np.intp),) * 3
+        uv, duv = self._project(directions[near])
+        # The discs' ellipses, and around each a margin
+        rim = scene.ball_radius * np.sin(scene.disc_angle) * tangent_basis(directions[near])
+        A = duv @ (scene.pose.rotation.T @ rim)
+        longest = np.linalg.norm(A, axis=(1, 2))
+        S = _WIDER**2 * A @ A.transpose(0, 2, 1) + (_MARGIN * (_MARGIN + 2.0 * longest))[:, None, None] * np.eye(2)
+        wide = int(np.sqrt(np.max(S))) + 1
+        dv, du = np.mgrid[-wide : wide + 1, -wide : wide + 1]
+        (a, b), (_, c) = np.linalg.inv(S).transpose(1, 2, 0)[..., None, None]
+        disc, row, column = np.nonzero(a * du**2 + 2.0 * b * (du * dv) + c * dv**2 < 1.0)
+        corner = np.rint(uv - self._low).astype(int)[disc] - wide
+        row, column = row + corner[:, 1], column + corner[:, 0]
+        inside = (row >= 0) & (row < self._ray.shape[0]) & (column >= 0) & (column < self._ray.shape[1])
+        return row[inside], column[inside], near[disc[inside]]
+
+    def _share(self, ray: Array, dray: Array, toward: Array, fine: int) -> Array:
+        """Share of the ball's part of pixels that caps around `toward` cover, (k,), from `fine`² parts of each."""
+        grid = pixel_parts(fine)
+        n = len(grid)
+        rays = (ray[:, None] + grid @ dray.transpose(0, 2, 1)).reshape(-1, 3)
+        hits = self._hits(rays)
+        g, slope = self._edge(hits, rays, np.repeat(dray, n, axis=0), np.repeat(toward, n, axis=0))
+        on_ball = (hits.cosine > 0.0).reshape(-1, n)
+        # At the limb g is not linear in the pixel, so the middle of a part represents all of it.
+        steep = hits.cosine < np.sqrt(self._pixel)
+        part = np.where(steep, g > 0.0, half_plane(g, slope / fine)).reshape(-1, n) * on_ball
+        return part.sum(axis=1) / np.maximum(on_ball.sum(axis=1), 1)
+
+    def _hits(self, ray: Array) -> _Hits:
+        """`ray` (k, 3); a nan ray (the lens maps none there) gives nan."""
+        R, origin = self.scene.ball_radius, self._origin
+        a = np.einsum("ki,ki->k", ray, ray)
+        b = ray @ origin
+        root = b * b - a * (origin @ origin - R * R)
+        on_ball = root > 0.0
+        depth, length = np.sqrt(np.where(on_ball, root, 0.0)), np.sqrt(a)
+        s = (-b - depth) / a
+        n = origin + s[:, None] * ray
+        n /= np.sqrt(np.einsum("ki,ki->k", n, n))[:, None]
+        return _Hits(n, s, length, np.where(on_ball, depth / length / R, 0.0))
+
+    def _edge(self, hits: _Hits, ray: Array, dray: Array, toward: Array) -> tuple[Array, Array]:
+        """Return g of the module's docstring for discs around `toward`, (k,), and |its gradient|, (k, 2) 1/px.
+
+        `dray` (k, 3, 2) is the gradient of `ray` in the image.
+        """
+        g = np.einsum("ki,ki->k", hits.normal, toward) - np.cos(self.scene.disc_angle)
+        along = -np.maximum(hits.cosine, 1e-6) * hits.length
+        slide = toward - (np.einsum("ki,ki->k", toward, ray) / along)[:, None] * hits.normal
+        slope = np.einsum("ki,kij->kj", slide, dray) * (hits.depth / self.scene.ball_radius)[:, None]
+        return np.nan_to_num(g, nan=-1.0), np.abs(np.nan_to_num(slope))
+
+    def _directions(
+        self, attitude_at: AttitudeAt, t: float, directions: Array, start: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Directions in `ball`, (n, 3), turned to `obj`, each at the time of the row it appears in; and the times."""
+        if self.scene.readout_s == 0.0:
+            return directions @ attitude_at(np.array([t]))[0].T, np.full(len(directions), t)
+        times = np.full(len(directions), t) if start is None else start
+        for _ in range(6):  # rows are read much faster than discs move: the fixed point is reached at once
+            turned = (attitude_at(times) @ directions[..., None])[..., 0]
+            times = t + self.row_time(self._project(turned)[0][:, 1])
+        return (attitude_at(times) @ directions[..., None])[..., 0], times
+
+    def _project(self, directions: Array) -> tuple[Array, Array]:
+        pose = self.scene.pose
+        return project(pose.to_cam(self._centre + self.scene.ball_radius * directions), self.scene.camera)
+
+    # ---- truth ----
+
+    def truth(
+        self,
+        attitude_at: AttitudeAt,
+        t: float,
+        frame: int,
+        covered: Coverage,
+        shown: NDArray[np.float32],
+        alone: NDArray[np.float32],
+    ) -> DiscTruth:
+        """Return the discs with centres on the near side at time `t`, each at the time of its own rows.
+
+        `covered` is the coverage at that time. `shown` and `alone`, (h, w), are the shares of each pixel that the ball
+        fills as it is seen, and with nothing in front of it.
+        """
+        scene, n = self.scene, len(self.scene.disc_directions)
+        directions, times = self._directions(attitude_at, t, scene.disc_directions)
+        angle = np.arccos(np.clip(directions @ self._eye, -1.0, 1.0))
+        discs = np.flatnonzero((angle < self._horizon) & self._there)
+        phase = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
+        around = np.stack([np.cos(phase), np.sin(phase)], axis=1)
+        middle = scene.disc_directions[discs]
+        ring = np.cos(scene.disc_angle) * middle[:, None]
+        ring = ring + np.sin(scene.disc_angle) * (around @ np.swapaxes(tangent_basis(middle), 1, 2))
+        edges, _ = self._directions(attitude_at, t, ring.reshape(-1, 3), np.repeat(times[discs], _CORNERS))
+        blob, area = _polygon(self._project(edges)[0].reshape(len(discs), _CORNERS, 2))
+        cut = angle[discs] + scene.disc_angle > self._horizon  # by the limb
+        area[cut], blob[cut] = np.nan, np.nan
+
+        whole, seen = (
+            np.bincount(covered.disc, covered.share * view.ravel()[covered.pixel], n)[discs] for view in (alone, shown)
+        )
+        whole = np.where(cut, whole, np.maximum(whole, 0.99 * area))  # parts outside the image are hidden
+        visible = seen / np.maximum(whole, 1e-9)
+        state = np.where(visible > 0.99, np.where(cut, PARTLY_HIDDEN, VISIBLE), PARTLY_HIDDEN)
+        state = np.where(visible > 0.01, state, HIDDEN).astype(np.intp)
+        centre = self._project(directions[discs])[0]
+        return DiscTruth(np.full(len(discs), frame, dtype=np.intp), discs, centre, blob, area, state)
+
+
+def half_plane(g: Array, slope: Array) -> Array:
+    """Share of a unit square where a linear function is positive: value `g` in the middle (k,), |gradient| (k, 2)."""
+    wide = np.maximum(np.maximum(slope[:, 0], slope[:, 1]), 1e-15)  # much faster than a maximum over a short axis
+    narrow = np.maximum(np.minimum(slope[:, 0], slope[:, 1]), 1e-15)
+    t = np.abs(g)
+    low, high = 0.5 * (wide - narrow), 0.5 * (wide + narrow)
+    share = np.where(t <= low, 0.5 + t / wide, 1.0 - 0.5 * np.maximum(high - t, 0.0) ** 2 / (wide * narrow))
+    return np.where(g >= 0.0, share, 1.0 - share)
+
+
+def _polygon(corners: Array) -> tuple[Array, Array]:
+    """Centroid, (n, 2), and area, (n,), of polygons (n, k, 2) inscribed in ellipses."""
+    origin = corners.mean(axis=1, keepdims=True)
+    a = corners - origin
+    b = np.roll(a, -1, axis=1)
+    cross = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    twice = cross.sum(axis=1)
+    centroid = ((a + b) * cross[..., None]).sum(axis=1) / (3.0 * np.where(twice == 0.0, 1.0, twice)[:, None])
+    k = corners.shape[1]
+    chords = 2.0 * np.pi / k / np.sin(2.0 * np.pi / k)  # the area between chords and curve
+    return origin[:, 0] + centroid, 0.5 * np.abs(twice) * chords
