@@ -23,6 +23,7 @@ _COMMANDS = {
     "track": (
         "track", "track", "Example: spheremouse track demo/roll --smooth --output text:roll.jsonl",
     ),
+    "ball": ("ball", "ball", "Example: spheremouse ball film.mkv --vfov 45 --out mouse"),
     "export": ("export", "export", "Example: spheremouse export demo/roll roll.mcap"),
     "demo": ("demo", "demo", "Example: spheremouse demo --seconds 20 --seed 2"),
     "simulate": (

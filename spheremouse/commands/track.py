@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def of_recording(
     recording: Path, config: Path | None, assignments: list[str] | None, options: dict[str, Any]
 ) -> "CommandLineOverrides":
-    """Return the overrides that track a recording with its own tracker, rig and camera, and without a map.
+    """Return the overrides that track a recording, or a film, with its own tracker, rig and camera, and without a map.
 
     `options` are settings by their keys; the output is `null` unless they have one.
     """
@@ -23,12 +23,16 @@ def of_recording(
     from spheremouse.session.run_config import CommandLineOverrides
 
     own = ("rig=null", "camera_file=null", "map=null", *(("tracker=wand",) if is_wand(recording) else ()))
-    given = settings_given(assignments, config, {"source": f"dataset:{recording}", "output": "null", **options})
+    source = f"{'video' if recording.is_file() else 'dataset'}:{recording}"
+    given = settings_given(assignments, config, {"source": source, "output": "null", **options})
     return CommandLineOverrides(config, (*own, *given), no_map=True)
 
 
 def track(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", show_default=False, help="Folder of a recording.")],
+    recording: Annotated[
+        Path,
+        typer.Argument(metavar="RECORDING", show_default=False, help="Folder of a recording, or a film with --rig."),
+    ],
     output: Annotated[
         list[str], typer.Option(metavar="KIND:ARG", help="Target of the samples, as of `run`; repeat it for several.")
     ],

@@ -4,22 +4,28 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from spheremouse.ball.build import build, follows_pattern
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Rig, in_metres
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker
+from spheremouse.ball.truth import Truth
 from spheremouse.evaluation.metrics import History, Reference, report
 from spheremouse.evaluation.wand import WandHistory, followed, wand_report
 from spheremouse.files.dataset.ball import Recording
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import WandRecording
 from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import log
 from spheremouse.session.offline import initialise, track
 from spheremouse.session.wand.offline import Known, track_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.state import WandTracker
+
+_OTHER_AXES = float(np.radians(10.0))  # no calibration is that wrong
 
 
 class BallRun(NamedTuple):
@@ -68,7 +74,8 @@ def ball_reports(run: BallRun, recording: Recording, smooth: bool = False) -> li
     """Return the report of the filter, and with `smooth` that of the smoother, whose dataset ends in `, smoothed`."""
     pattern = follows_pattern(run.tracker.rig, run.tracker.settings)
     discs = None if pattern else recording.discs  # the parts of a pattern are none
-    reference = Reference(recording.truth, discs, recording.pose, recording.truth_directions)
+    truth = _in_axes_of(run.tracker.rig, recording)
+    reference = Reference(truth, discs, recording.pose, recording.truth_directions)
     histories = {"": run.history}
     if smooth:
         histories[", smoothed"] = run.history.smoothed(run.tracker)
@@ -84,6 +91,20 @@ def ball_reports(run: BallRun, recording: Recording, smooth: bool = False) -> li
         )
         for suffix, history in histories.items()
     ]
+
+
+def _in_axes_of(rig: Rig, recording: Recording) -> Truth | None:
+    """Return the truth of a recording in the axes of a rig with a camera pose, if they are others by its pose.
+
+    Axes that differ by less than `_OTHER_AXES` are the same ones, with an error that counts.
+    """
+    truth = recording.truth
+    if truth is None or rig.pose is None or recording.pose is None:
+        return truth
+    R = rig.pose.rotation @ recording.pose.rotation.T
+    if np.linalg.norm(log(R)) < _OTHER_AXES:
+        return truth
+    return replace(truth, attitude=R @ truth.attitude, rate=truth.rate @ R.T)
 
 
 def run_wand(frames: Iterable[Frame], tracker: WandTracker, seed: int = 1, known: Known | None = None) -> WandHistory:

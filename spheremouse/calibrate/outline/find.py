@@ -1,0 +1,249 @@
+"""Find the outline of a ball that turns, in pictures of a still camera: inside, pixels change; outside, they do not.
+
+The pixels that change are in a region whose border is an outline where nothing hides the ball. RANSAC finds the cone
+that most of the border lies on. Then the edge is measured across the outline: where a contour of unknown strength that
+comes and goes ends at a still background, its gradient over its value depends on the blur and the place alone.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.detect.diagnosis import blur_of
+from spheremouse.calibrate.outline.fit import Outline, fit_outline, part_in_picture, rays_of, residuals
+from spheremouse.errors import CalibrationError
+from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.statistics import mad_sigma
+
+POINTS = 'or give points on its edge: --points "X,Y X,Y X,Y"'
+_TURN = "turn the ball by a quarter and more while you film, with the camera still"
+
+_DARK, _BRIGHT = 25.0, 250.0  # grey values
+_SMOOTH = 0.8  # px, standard deviation of the Gaussian before all else
+_SAME_LIGHT = 0.2  # of the logarithm of the light: frames with another light are left out
+_LEAST_CHANGE = 2.0  # grey values, standard deviation of a pixel that changes
+_NOISES = 4.0  # standard deviations of the noise, the same
+_LEAST_AREA = 0.002  # of the picture
+_BORDER = 1000  # points of the border in RANSAC
+_TRIALS = 2000
+_GRID = 40  # pixels along a side of the picture, the same
+_FEWEST = 30  # points
+_LEAST_PART = 0.003  # of the largest region that moves: others are noise
+_IN_FRONT = 1.1  # radii, least depth of a ball's centre
+_NEAR = 0.01  # of the radius: a point of the border that fits
+_LEAST_SUPPORT = 0.3  # of the outline, on which an edge is
+_LEAST_IN_PICTURE = 0.7  # of the outline
+_RANGES = (0.08, 0.04, 0.02, 0.02)  # of the radius, and at least _REACH px, in which an edge is looked for
+_REACH = 4.0
+_EDGE = float(np.sqrt(2.0 / np.pi))  # gradient over change at an edge, times the blur: phi(0) / Phi(0)
+_SHARPEST = 1.0  # px, standard deviation of the blur of a sharp picture after `_SMOOTH` and differences
+_SAMPLING = 0.25  # px
+_OUTSIDE = 6  # samples
+_FAINT = 0.02  # of the variance within: less is noise
+_QUIET = 0.25  # of the variance within: the background
+_FLOOR_PX = (0.1, 0.25)  # standard deviations of centre and radius by blur and shading
+_SHARED = (0.7, 1.0)  # of the scatter of the edges, which many of them share: the pattern is finer at the limb
+
+
+class Change(NamedTuple):
+    """Changes of pixels over time."""
+
+    variance: Array  # (h, w) grey values²
+    gradient: Array  # (h, w, 3) grey values² per px², covariance of the gradient: xx, xy, yy
+    noise: float  # grey values, standard deviation of a pixel that does not change
+
+
+class Found(NamedTuple):
+    """A ball found by its motion."""
+
+    outline: Outline
+    support: float  # part of the outline on which an edge was found
+    edges: Array  # (n, 2) px, those that the outline fits
+
+
+def find_outline(images: Sequence[Image], camera: InteriorOrientation) -> Found:
+    """Return the outline of the ball that turns in images (h, w) or (h, w, 3).
+
+    Raises CalibrationError, with a remedy, if there is none, if there are several, or if it cannot be measured.
+    """
+    grey = [i if i.ndim == 2 else cv2.cvtColor(i, cv2.COLOR_BGR2GRAY) for i in images]
+    _check_light(grey)
+    change = change_of(_same_light(grey))
+    moving = _moving(change)
+    first = _ransac(moving, camera)
+    blur = float(np.hypot(_SHARPEST, np.nan_to_num(np.median([blur_of(grey[k]) for k in (0, len(grey) // 2, -1)]))))
+    found = _refined(change, first, camera, _EDGE / blur)
+    _check_alone(moving, found.outline, camera)
+    return found
+
+
+def change_of(images: Sequence[Array]) -> Change:
+    """Return how the pixels of images, (h, w) grey values, change over time."""
+    base = cv2.GaussianBlur(images[0].astype(np.float32), (0, 0), _SMOOTH)
+    sums = np.zeros((7, *base.shape), np.float32)
+    along = np.array([[-0.5, 0.0, 0.5]], np.float32)
+    for image in images:
+        d = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTH) - base
+        x, y = cv2.filter2D(d, -1, along), cv2.filter2D(d, -1, along.T)
+        for k, value in enumerate((d, x, y, d * d, x * x, x * y, y * y)):
+            sums[k] += value
+    d, x, y, dd, xx, xy, yy = sums / len(images)
+    variance = np.maximum(dd - d * d, 0.0)
+    gradient = np.stack([xx - x * x, xy - x * y, yy - y * y], axis=-1)
+    return Change(variance, gradient, float(np.percentile(variance[::4, ::4], 25.0)) ** 0.5)
+
+
+def _check_light(images: Sequence[Image]) -> None:
+    thin = np.stack([image[::8, ::8] for image in images])
+    if np.percentile(thin, 95.0) < _DARK:
+        raise CalibrationError("the pictures are black", "light the ball, or lengthen the exposure")
+    if np.percentile(thin, 50.0) > _BRIGHT:
+        raise CalibrationError("the pictures are overexposed", "shorten the exposure, or dim the light")
+
+
+def _same_light(images: Sequence[Image]) -> list[Array]:
+    """Return the images with the light of the usual one; without those that are much lighter or darker."""
+    thin = np.stack([image[::8, ::8] for image in images]).reshape(len(images), -1).astype(float)
+    usual = np.median(thin, axis=0)
+    clear = (usual > _DARK) & (usual < _BRIGHT)
+    light = np.median(thin[:, clear] / usual[clear], axis=1) if clear.any() else np.ones(len(images))
+    kept = np.abs(np.log(np.maximum(light, 1e-3))) < _SAME_LIGHT
+    return [image / np.float32(k) for image, k, keep in zip(images, light, kept, strict=True) if keep]
+
+
+def _moving(change: Change) -> Image:
+    """Return 255 where pixels change, without specks, (h, w)."""
+    least = max(_LEAST_CHANGE, _NOISES * change.noise)
+    mask = (change.variance > least**2).astype(np.uint8) * 255
+    mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8)), np.uint8)
+    if np.count_nonzero(mask) < _LEAST_AREA * mask.size:
+        raise CalibrationError("nothing moves in the pictures", f"{_TURN}, {POINTS}")
+    return mask
+
+
+def _border(moving: Image) -> Array:
+    """Return points of the border of what moves, (n, 2) px, without those on the picture's edge."""
+    contours = cv2.findContours(moving, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    areas = np.array([cv2.contourArea(c) for c in contours])
+    large = [c[:, 0] for c, area in zip(contours, areas, strict=True) if area > _LEAST_PART * areas.max()]
+    points = np.concatenate(large).astype(float)
+    h, w = moving.shape
+    points = points[np.all((points > 2) & (points < (w - 3, h - 3)), axis=1)]
+    return points[np.linspace(0, len(points) - 1, min(len(points), _BORDER)).astype(int)]
+
+
+def _ransac(moving: Image, camera: InteriorOrientation) -> Outline:
+    """Return the cone through three points of the border that most of it lies on, with most of what moves in it."""
+    border, (h, w) = _border(moving), moving.shape
+    every = np.stack(np.meshgrid(*(np.linspace(1, side - 2, _GRID) for side in (w, h))), axis=-1).reshape(-1, 2)
+    moves = moving[tuple(every[:, ::-1].astype(int).T)] > 0
+    rays, grid = rays_of(border, camera), rays_of(every, camera)
+    if len(rays) < _FEWEST:
+        raise _no_ball()
+    A = rays[np.random.default_rng(0).integers(0, len(rays), (_TRIALS, 3))]
+    A = A[np.abs(np.linalg.det(A)) > 1e-9]
+    n = np.linalg.solve(A, np.ones((len(A), 3, 1)))[:, :, 0]
+    square = np.sum(n**2, axis=1)
+    n = n[(square > 1.0) & (n[:, 2] > _IN_FRONT * np.sqrt(np.maximum(square - 1.0, 0.0)))]
+    cos = 1.0 / np.linalg.norm(n, axis=1)
+    angle = np.arccos(cos)[:, None]
+    off = np.abs(np.arccos(np.clip(cos[:, None] * (n @ rays.T), -1.0, 1.0)) - angle) / angle
+    inside = n @ grid.T > 1.0
+    common = np.count_nonzero(inside & moves, axis=1)
+    contained = common / max(1, np.count_nonzero(moves))
+    filled = np.minimum(1.0, 2.0 * common / np.maximum(1, np.count_nonzero(inside, axis=1)))  # half may be hidden
+    best = int(np.argmax(np.count_nonzero(off < _NEAR, axis=1) * contained * filled))
+    try:
+        return fit_outline(rays[off[best] < _NEAR], 1.0, robust=True)
+    except CalibrationError:
+        raise _no_ball() from None
+
+
+def _no_ball() -> CalibrationError:
+    return CalibrationError("no ball turns in the pictures", f"{_TURN}, {POINTS}")
+
+
+def _refined(change: Change, outline: Outline, camera: InteriorOrientation, level: float) -> Found:
+    """Return the outline by the edges across it, at which the gradient over the change is `level`, 1/px."""
+    f = np.sqrt(camera.fx * camera.fy)
+    pixels, edges = outline.pixels(camera), np.zeros((0, 2))
+    for part in _RANGES:
+        edges = _edges(change, pixels, max(_REACH, part * f * outline.angle), level)
+        if len(edges) < _FEWEST:
+            raise _no_ball()
+        outline = fit_outline(rays_of(edges, camera), 1.0 / f, outline, robust=True)
+        pixels = outline.pixels(camera)
+    off = residuals(outline, rays_of(edges, camera)) * f
+    scatter = float(mad_sigma(off))
+    fits = np.abs(off) < max(1.5, 3.0 * scatter)
+    inside = float(np.mean(part_in_picture(pixels, camera)))
+    support = float(np.count_nonzero(fits)) / len(pixels)
+    if inside < _LEAST_IN_PICTURE:
+        raise CalibrationError(
+            f"only {inside:.0%} of the ball's outline is in the picture", f"turn the camera, {POINTS}"
+        )
+    if support < _LEAST_SUPPORT:
+        raise CalibrationError(f"no round outline: an edge is on {support:.0%} of the best one", f"{_TURN}, {POINTS}")
+    floor = np.hypot(_FLOOR_PX, np.multiply(_SHARED, scatter)) / f
+    covariance = outline.covariance + np.diag(np.square(floor[[0, 0, 1]]))
+    return Found(Outline(outline.direction, outline.angle, covariance), support, edges[fits])
+
+
+def _edges(change: Change, pixels: Array, reach: float, level: float) -> Array:
+    """Return the edges, (n, 2) px, across an outline, (m, 2) px, within `reach` px.
+
+    The outermost edge of the change counts. There the gradient over the change is `level`,
+    1/px.
+    """
+    ahead = np.roll(pixels, -1, axis=0) - np.roll(pixels, 1, axis=0)
+    normal = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    normal *= np.sign(np.sum(normal * (pixels - pixels.mean(axis=0)), axis=1))[:, None]
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    offset = np.arange(reach, -reach, -_SAMPLING)  # from outside
+    at = (pixels[:, None] + offset[:, None] * normal[:, None]).astype(np.float32)
+    variance, xx, xy, yy = (
+        cv2.remap(np.ascontiguousarray(part, np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+        for part in (change.variance, *np.moveaxis(change.gradient, -1, 0))
+    )
+    x, y = normal[:, None, 0], normal[:, None, 1]
+    gradient = x * x * xx + 2.0 * x * y * xy + y * y * yy
+    outside, within = (np.median(variance[:, k], axis=1) for k in (slice(_OUTSIDE), slice(-_OUTSIDE, None)))
+    variance = np.maximum(variance - outside[:, None], 1e-6)
+    gradient = np.maximum(gradient - np.median(gradient[:, :_OUTSIDE], axis=1)[:, None], 0.0)
+    ratio = np.where(variance > _FAINT * within[:, None], np.sqrt(gradient / variance), np.inf)
+    h, w = change.variance.shape
+    seen = np.all((at >= 1.0) & (at <= (w - 2, h - 2)), axis=(1, 2))
+    clear = within > max(_LEAST_CHANGE, _NOISES * change.noise) ** 2
+    ok = np.flatnonzero(seen & clear & (outside < _QUIET * within))
+    ratio = ratio[ok]
+    k = np.argmax(ratio < level, axis=1)
+    i = np.arange(len(ratio))
+    before, after = ratio[i, k - 1], ratio[i, k]
+    with np.errstate(invalid="ignore"):
+        edge = np.where(np.isfinite(before), k - (level - after) / (before - after), k - 0.5)
+    place, i = (reach - _SAMPLING * edge)[k > _OUTSIDE], ok[k > _OUTSIDE]
+    return pixels[i] + place[:, None] * normal[i]
+
+
+def _check_alone(moving: NDArray[np.uint8], outline: Outline, camera: InteriorOrientation) -> None:
+    """Raise CalibrationError if another ball turns."""
+    pixels = outline.pixels(camera)
+    larger = pixels.mean(axis=0) + 1.1 * (pixels - pixels.mean(axis=0))
+    rest = cv2.fillPoly(moving.copy(), [np.rint(larger).astype(np.int32)], 0)
+    ball = float(cv2.contourArea(pixels.astype(np.float32)))
+    if np.count_nonzero(rest) < 0.05 * ball:
+        return
+    try:
+        other = _ransac(rest, camera)
+        border = rays_of(_border(rest), camera)
+    except CalibrationError:
+        return
+    near = np.abs(residuals(other, border)) < _NEAR * other.angle
+    if other.angle > 0.3 * outline.angle and np.mean(near) > 0.5:
+        raise CalibrationError("several balls turn in the pictures", f"cover all but one, {POINTS}")

@@ -1,0 +1,188 @@
+"""`spheremouse ball`: fit the outline of a ball in a film, and write a rig for it. No calibration is needed."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from spheremouse.commands.calibrate.options import Force
+from spheremouse.commands.options import with_fields
+from spheremouse.errors import CalibrationError, ConfigurationError, SourceError
+
+if TYPE_CHECKING:
+    from spheremouse.ball.detect.detections import Image
+    from spheremouse.calibrate.outline.fit import Outline
+    from spheremouse.geometry import Array
+    from spheremouse.geometry.camera import InteriorOrientation
+
+DEFAULT_VFOV = 45.0  # degrees; webcams have 40 to 50
+POINT_PX = 1.0  # standard deviation of a point that a person gives
+
+_FEWEST = 3  # points
+_FARTHEST = 1e5  # px
+_INTERVAL = 0.09  # s between pictures: a ball turns little in less
+_MOST_BYTES = 250_000_000  # of pictures in memory
+_OFF_PX, _OFF = 4.0, 0.04  # px, and part of the radius, that a point may be off
+_VAGUE = 0.05  # of the angular radius
+
+
+@dataclass(frozen=True, slots=True)
+class BallOptions:
+    """Options of the command."""
+
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="VIDEO",
+            show_default=False,
+            help="A film, a recording, or another source as of `run --source`. The camera must stand still.",
+        ),
+    ]
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write.")] = Path("ball")
+    vfov: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEG",
+            min=1.0,
+            max=150.0,
+            help="Field of view from the upper to the lower edge of the picture.  [default: the recording's camera, "
+            f"else {DEFAULT_VFOV:g}]",
+        ),
+    ] = None
+    camera: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Calibrated interior orientation, in place of --vfov.")
+    ] = None
+    points: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='"X,Y X,Y X,Y"',
+            help="Three or more points on the ball's outline, px, in place of the search. [0, 0 is the upper left "
+            "pixel]",
+        ),
+    ] = None
+    seconds: Annotated[float, typer.Option(metavar="S", min=0.5, help="Search in the first S seconds.")] = 10.0
+    force: Force = False
+
+
+@with_fields()
+def ball(*, options: BallOptions) -> None:
+    """Find a ball that turns in a film by its outline, and write a folder with which `run` and `track` follow it.
+
+    It needs no calibration, no ring targets and no discs. Lengths are in radii of the ball. Rates are in the camera's
+    axes: X right, Y up, Z towards the camera. Look at outline.png in the folder: the line must be on the ball's edge.
+    """
+    from spheremouse.calibrate.outline.find import find_outline
+    from spheremouse.calibrate.outline.fit import fit_outline, rays_of, rig_of, rotation_scale
+    from spheremouse.capture import full_spec
+    from spheremouse.commands.ball.folder import check_folder, describe, drawn, next_steps, write_folder
+    from spheremouse.files.rig import load_camera
+
+    o = options
+    if o.camera is not None and o.vfov is not None:
+        raise ConfigurationError("--camera and --vfov: give one of the two")
+    points = None if o.points is None else parse_points(o.points)
+    check_folder(o.out, [o.camera], o.force)
+    known = None if o.camera is None else load_camera(o.camera)
+    spec = absolute(full_spec(o.source))
+    images, recorded = film(spec, None if points is not None else o.seconds)
+    known = known or (None if o.vfov else recorded)
+    camera, assumed = camera_of(images[0], known, o.vfov), known is None and o.vfov is None
+    if points is None:
+        outline, _, points = find_outline(images, camera)
+    else:
+        outline = fit_outline(rays_of(points, camera), POINT_PX / math.sqrt(camera.fx * camera.fy))
+        check_points(points, outline, camera)
+    rig = rig_of(outline, camera)
+    picture = drawn(images[-1], outline.pixels(camera), points)
+    write_folder(o.out, rig, picture, spec, (), "spheremouse ball")
+    print(describe(outline, rig))
+    if assumed:
+        print(
+            f"assumed: a field of view of {DEFAULT_VFOV:g}° from top to bottom. If it is a tenth too large, rotations "
+            f"across the view come out {1.0 - rotation_scale(outline, 1.1):.1%} too small. Give --vfov if you can"
+        )
+    print(next_steps(o.out, spec))
+
+
+def parse_points(texts: list[str]) -> "Array":
+    """Return the points (n, 2) px of texts such as `63,171 81,145`. Raises ConfigurationError for other texts."""
+    import numpy as np
+
+    words = " ".join(texts).replace(";", " ").split()
+    try:
+        points = np.array([[float(x) for x in word.split(",")] for word in words]).reshape(len(words), 2)
+    except ValueError:
+        points = np.full((1, 2), np.nan)
+    if not np.isfinite(points).all() or np.abs(points).max(initial=0.0) > _FARTHEST:
+        raise ConfigurationError(f'--points {" ".join(texts)!r}: write X,Y in px, as in "320,72 489,240 320,408"')
+    if len(points) < _FEWEST:
+        raise ConfigurationError(f"--points: {len(points)} points fix no outline; give {_FEWEST} or more all around it")
+    return points
+
+
+def absolute(spec: str) -> str:
+    """Return a source with the absolute path of its file or folder."""
+    kind, _, argument = spec.partition(":")
+    return f"{kind}:{Path(argument).absolute()}" if kind in ("video", "dataset") and argument else spec
+
+
+def film(spec: str, seconds: float | None) -> "tuple[list[Image], InteriorOrientation | None]":
+    """Return pictures of the first seconds, or one, and the camera that the source knows.
+
+    Raises SourceError if the source gives none.
+    """
+    from spheremouse.capture import section
+    from spheremouse.session.cameras import looked_through
+    from spheremouse.session.settings import Configuration
+
+    images: list[Image] = []
+    with looked_through(spec, Configuration().camera) as source:
+        last = -math.inf
+        for frame in section(source, 0.0, math.inf if seconds is None else seconds):
+            if images and frame.image.shape != images[0].shape:
+                raise SourceError(f"{spec}: frame {frame.sequence} has another size than the first")
+            if frame.stamp - last >= _INTERVAL and (len(images) + 1) * frame.image.size < _MOST_BYTES:
+                images.append(frame.image.copy())
+                last = frame.stamp
+            if seconds is None:
+                break
+        rig = source.rig
+    if not images:
+        raise SourceError(f"{spec}: the source gave no frame")
+    return images, None if rig is None else rig.camera
+
+
+def camera_of(image: "Image", known: "InteriorOrientation | None", vfov: float | None) -> "InteriorOrientation":
+    """Return the camera of a picture: the known one, or that of a field of view.
+
+    Raises ConfigurationError if the known camera has another size.
+    """
+    from spheremouse.calibrate.outline.fit import pinhole
+
+    height, width = image.shape[:2]
+    if known is None:
+        return pinhole((width, height), vfov or DEFAULT_VFOV)
+    if (known.width, known.height) != (width, height):
+        raise ConfigurationError(
+            f"the camera was calibrated at {known.width}x{known.height}, the pictures are {width}x{height}",
+            "give the calibration of this mode, or --vfov",
+        )
+    return known
+
+
+def check_points(points: "Array", outline: "Outline", camera: "InteriorOrientation") -> None:
+    """Raise CalibrationError if points, (n, 2) px, are not on the outline, or fix it badly."""
+    import numpy as np
+
+    from spheremouse.calibrate.outline.fit import rays_of, residuals
+
+    px = math.sqrt(camera.fx * camera.fy)
+    off = np.abs(residuals(outline, rays_of(points, camera))) * px
+    k = int(np.argmax(off))
+    if off[k] > max(_OFF_PX, _OFF * outline.angle * px):
+        x, y = points[k].tolist()
+        raise CalibrationError(f"the point {x:g},{y:g} is {off[k]:.1f} px off the outline of the others", "correct it")
+    if outline.sigma[1] > _VAGUE * outline.angle:
+        raise CalibrationError("the points fix the outline badly", "give more, all around it")
