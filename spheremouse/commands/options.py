@@ -1,7 +1,7 @@
 """Make command-line options from the fields of a dataclass, and parse sizes, lenses and lists of numbers.
 
 A field is declared with `settings.param`: its meaning is the option's help, its unit the metavar. The unit of a size
-or a list is its form, WxH or X,Y,Z.
+or a list is its form, WxH or X,Y,Z; that of a length in metres may be LENGTH.
 """
 
 import inspect
@@ -14,7 +14,7 @@ from typing import Annotated, Any, get_args
 
 import typer
 
-from spheremouse.errors import ConfigurationError
+from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.simulate.ball.options import option_name
 
 _LARGEST = 8192  # px, a side
@@ -124,11 +124,13 @@ def _option(field: "Field[Any]", names: tuple[str, ...]) -> inspect.Parameter:
 
 
 def _is_word(unit: str) -> bool:
-    return unit == "WxH" or "," in unit
+    return unit in ("WxH", "LENGTH") or "," in unit
 
 
 def _word(unit: str, value: Any) -> str | None:
-    return None if value is None else ("x" if unit == "WxH" else ",").join(f"{part:g}" for part in value)
+    if value is None:
+        return None
+    return f"{value:g}m" if unit == "LENGTH" else ("x" if unit == "WxH" else ",").join(f"{part:g}" for part in value)
 
 
 def _value(field: "Field[Any]", typed: Any) -> Any:
@@ -136,12 +138,28 @@ def _value(field: "Field[Any]", typed: Any) -> Any:
     unit = field.metadata.get("unit", "-")
     if typed is None or not _is_word(unit):
         return typed
+    if unit == "LENGTH":
+        return _length(option_name(field.name), typed)
     example = (
         "-0.1,0,0,0,0" if unit == _LENS else _word(unit, field.default) or "30,30,200 for red"
     )  # colours alone have no default
     if unit == "WxH":
         return parse_size(typed, field.metadata["bounds"]["ge"], example)
     return _numbers(option_name(field.name), typed, unit.count(",") + 1, 2.0 if unit == _LENS else inf, example)
+
+
+def _length(option: str, text: str) -> float:
+    """Return the metres of `0.005` or `5mm`."""
+    from spheremouse.calibrate.board import parse_length
+
+    try:
+        return float(text)
+    except ValueError:
+        pass
+    try:
+        return parse_length(text)
+    except CalibrationError as e:
+        raise ConfigurationError(f"{option}: {e}") from None
 
 
 def parse_size(text: str, least: int, example: str) -> tuple[int, int]:

@@ -372,6 +372,22 @@ def test_a_lifted_ball_goes_and_comes_back_and_an_eccentric_one_goes_round(small
     assert np.allclose(filmed.centre, filmed.attitude @ [0.003, 0.004, 0.0])
 
 
+def test_a_ball_of_another_size_makes_the_same_pictures_and_its_device_scales_with_it():
+    options = SimulationOptions(
+        size=(160, 120), motion="still", seconds=1.0, fps=8.0, bump=0.6, lift=0.2, lift_seconds=0.6, hands=True
+    )
+    large, little = (prepare(replace(options, radius=radius)) for radius in (0.6, 0.005))
+    a, b = (film.scene.rig() for film in (large, little))
+    assert (b.ball.radius, b.disc_radius) == pytest.approx((0.005, a.disc_radius / 120.0))
+    assert np.allclose(b.targets.position, a.targets.position / 120.0)
+    assert np.allclose(b.targets.radii, a.targets.radii / 120.0)
+    for first, second in zip(simulate(large), simulate(little), strict=True):
+        assert np.max(np.abs(first.frame.image.astype(int) - second.frame.image)) <= 1
+        assert np.allclose(second.centre, first.centre / 120.0)
+        assert np.allclose(second.pose.position, first.pose.position / 120.0)
+        assert np.allclose(second.discs.centre, first.discs.centre)
+
+
 def test_a_bumped_camera_moves_along_its_own_axes():
     scene = default_scene()
     point = np.array([[0.1, 0.2, 0.3]])
@@ -529,6 +545,7 @@ def test_simulate_gives_the_frames_it_promises_and_the_same_again():
         {"bump_by": (0.0, 0.0, 0.0, 0.0, 40.0, 0.0)},
         {"lift_by": (0.0, 300.0, 0.0)},
         {"cover": 10.0},
+        {"radius": 0.0},
     ],
     ids=str,
 )

@@ -72,9 +72,9 @@ class Change:
 
 
 def bumped(scene: Scene, by: tuple[float, float, float, float, float, float]) -> Scene:
-    """The camera pushed by `by`[:3] mm and then turned by `by`[3:] degrees, both along its own axes x, y, z."""
+    """The camera pushed by `by`[:3] mm, times the scale, then turned by `by`[3:] degrees, along its own x, y, z."""
     pose = scene.pose
-    shift, turn = 1e-3 * np.array(by[:3]), np.radians(by[3:])
+    shift, turn = 1e-3 * scene.scale * np.array(by[:3]), np.radians(by[3:])
     return replace(scene, pose=Pose(pose.rotation @ exp(turn), pose.position + pose.rotation @ shift))
 
 

@@ -85,7 +85,7 @@ def prepare(options: SimulationOptions, named: Named = option_name) -> Simulatio
         readout_s=options.readout,
         ball_colour=WHITE_BALL if options.ball_colour is None else reflectance(options.ball_colour),
         disc_colour=BLACK if options.disc_colour is None else reflectance(options.disc_colour),
-    )
+    ).scaled(options.radius / scene.ball_radius)
     changes = _changes(options, scene, profile, named)
     return Simulation(scene, profile, _effects(options, seconds), seconds, options.fps, options.seed, changes)
 

@@ -32,7 +32,7 @@ _LIMITED = np.rint(16.0 + 219.0 / 255.0 * np.arange(256)).astype(np.uint8)  # IT
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
-    """Disturbances of ball and picture."""
+    """Disturbances of ball and picture. Lengths are times the scene's scale."""
 
     noise: float = 0.0  # grey values, standard deviation, normal, independent in every channel
     brightness: float = 0.0  # grey values, added to all (Wittich 2017, table 24)
@@ -71,7 +71,7 @@ class _Place(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """What is painted on the ball in a frame, used again while the ball does not move."""
+    """Discs and pattern in a frame, used again while the ball does not move."""
 
     attitude: Array  # (3, 3) R_obj_ball
     centre: Array  # (3,) m
@@ -87,6 +87,7 @@ class Renderer:
         """`backdrop` may come from another renderer if both scenes look the same without discs. This saves seconds."""
         self.scene = scene
         self.options = RenderOptions() if options is None else options
+        self._unit = scene = scene.scaled(1.0 / scene.scale)  # in the unit of length of its surroundings
         self.backdrop = render_backdrop(scene) if backdrop is None else backdrop
         reach = self.options.reach
         self._home = _place(np.zeros(3), self.backdrop, Surface(scene, reach))
@@ -111,7 +112,7 @@ class Renderer:
         image = self._picture(seen, place, hands, t, rng)
         discs = replace(seen.discs, frame=np.full(len(seen.discs), sequence, dtype=np.intp))
         return SimulatedFrame(
-            Frame(image, t, sequence), attitude, profile.rate(now)[0], discs, place.centre, scene.pose
+            Frame(image, t, sequence), attitude, profile.rate(now)[0], discs, scene.scale * place.centre, scene.pose
         )
 
     def _at(self, centre: Array) -> _Place:
@@ -204,7 +205,7 @@ class Renderer:
     def _hands(self, t: float) -> list[PlacedHand]:
         if self._hand is None:
             return []
-        placed = [place_hand(self._hand, visit, self.scene, t) for visit in self.options.hands]
+        placed = [place_hand(self._hand, visit, self._unit, t) for visit in self.options.hands]
         return [p for p in placed if p is not None]
 
 

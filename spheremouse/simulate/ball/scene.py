@@ -6,7 +6,7 @@ The room holds false candidates: black dots, single coloured discs, coloured rin
 the room is a valid one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -206,11 +206,24 @@ class Scene:
     disc_colour: Colour = BLACK
     fallen: tuple[int, ...] = ()  # discs that are no longer on the ball
     pattern: Pattern | None = None  # under the discs; None: the ball has one colour
+    scale: float = 1.0  # m, the unit of length of `surroundings` and `lighting`
 
     @property
     def disc_angle(self) -> float:
         """rad, between the centre of a disc and its edge, seen from the ball's centre."""
         return self.disc_radius / self.ball_radius
+
+    def scaled(self, factor: float) -> "Scene":
+        """The same scene in another size."""
+        targets, pose = self.targets, self.pose
+        return replace(
+            self,
+            pose=Pose(pose.rotation, factor * pose.position),
+            ball_radius=factor * self.ball_radius,
+            disc_radius=factor * self.disc_radius,
+            targets=replace(targets, position=factor * targets.position, radii=factor * targets.radii),
+            scale=factor * self.scale,
+        )
 
     def rig(self) -> Rig:
         """The device as it is known beforehand, without the camera's pose."""
