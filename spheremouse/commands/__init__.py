@@ -24,6 +24,9 @@ _COMMANDS = {
         "track", "track", "Example: spheremouse track demo/roll --smooth --output text:roll.jsonl",
     ),
     "ball": ("ball", "ball", "Example: spheremouse ball film.mkv --vfov 45 --out mouse"),
+    "import-fictrac": (
+        "import_fictrac", "import_fictrac", "Example: spheremouse import-fictrac config.txt --out mouse",
+    ),
     "export": ("export", "export", "Example: spheremouse export demo/roll roll.mcap"),
     "demo": ("demo", "demo", "Example: spheremouse demo --seconds 20 --seed 2"),
     "simulate": (

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 FRAMES = ("camera", "window")
 _QUARTER = 900.0  # s; clocks change at its ends alone
-_R_LAB_OBJ = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+R_LAB_OBJ = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _UNKNOWN = [[np.nan] * 3] * 3
 _R_LAB_CAM = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
@@ -44,7 +44,7 @@ class FicTrac:
         self._R_cam = _UNKNOWN  # its rotation from obj
         c, s = cos(radians(forward)), sin(radians(forward))
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        self._R_lab = {"obj": (turn @ _R_LAB_OBJ).tolist(), "cam": (turn @ _R_LAB_CAM).tolist()}
+        self._R_lab = {"obj": (turn @ R_LAB_OBJ).tolist(), "cam": (turn @ _R_LAB_CAM).tolist()}
         self._x = self._y = self._heading = self._forward = self._side = 0.0  # rad
         self._first: int | None = None  # sequence number of the first line since the ball was found
         self._last = 0.0  # s, stamp of the line before

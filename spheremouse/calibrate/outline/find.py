@@ -66,8 +66,8 @@ class Found(NamedTuple):
     edges: Array  # (n, 2) px, those that the outline fits
 
 
-def find_outline(images: Sequence[Image], camera: InteriorOrientation) -> Found:
-    """Return the outline of the ball that turns in images (h, w) or (h, w, 3).
+def find_outline(images: Sequence[Image], camera: InteriorOrientation, start: Outline | None = None) -> Found:
+    """Return the outline of the ball that turns in images (h, w) or (h, w, 3), near `start` if that is given.
 
     Raises CalibrationError, with a remedy, if there is none, if there are several, or if it cannot be measured.
     """
@@ -75,7 +75,7 @@ def find_outline(images: Sequence[Image], camera: InteriorOrientation) -> Found:
     _check_light(grey)
     change = change_of(_same_light(grey))
     moving = _moving(change)
-    first = _ransac(moving, camera)
+    first = start or _ransac(moving, camera)
     blur = float(np.hypot(_SHARPEST, np.nan_to_num(np.median([blur_of(grey[k]) for k in (0, len(grey) // 2, -1)]))))
     found = _refined(change, first, camera, _EDGE / blur)
     _check_alone(moving, found.outline, camera)

@@ -24,6 +24,7 @@ _FEWEST = 3  # points
 _FARTHEST = 1e5  # px
 _INTERVAL = 0.09  # s between pictures: a ball turns little in less
 _MOST_BYTES = 250_000_000  # of pictures in memory
+_MARKS = 40  # points in the picture
 _OFF_PX, _OFF = 4.0, 0.04  # px, and part of the radius, that a point may be off
 _VAGUE = 0.05  # of the angular radius
 
@@ -95,7 +96,7 @@ def ball(*, options: BallOptions) -> None:
         outline = fit_outline(rays_of(points, camera), POINT_PX / math.sqrt(camera.fx * camera.fy))
         check_points(points, outline, camera)
     rig = rig_of(outline, camera)
-    picture = drawn(images[-1], outline.pixels(camera), points)
+    picture = drawn(images[-1], outline.pixels(camera), points[:: max(1, len(points) // _MARKS)])
     write_folder(o.out, rig, picture, spec, (), "spheremouse ball")
     print(describe(outline, rig))
     if assumed:
@@ -103,7 +104,7 @@ def ball(*, options: BallOptions) -> None:
             f"assumed: a field of view of {DEFAULT_VFOV:g}° from top to bottom. If it is a tenth too large, rotations "
             f"across the view come out {1.0 - rotation_scale(outline, 1.1):.1%} too small. Give --vfov if you can"
         )
-    print(next_steps(o.out, spec))
+    print(next_steps(o.out, "csv:ball.csv"))
 
 
 def parse_points(texts: list[str]) -> "Array":

@@ -35,13 +35,14 @@ def check_folder(folder: Path, inputs: Iterable[Path | None], force: bool) -> No
         raise CalibrationError(f"{folder}: is a file; name a folder")
 
 
-def write_folder(folder: Path, rig: Rig, picture: Image, spec: str, masks: Sequence[Polygon], made_by: str) -> None:
-    """Write all files of the folder. `spec` is the source, `made_by` the command."""
+def write_folder(folder: Path, rig: Rig, picture: Image, spec: str, settings: Sequence[str], made_by: str) -> None:
+    """Write all files of the folder.
+
+    `spec` is the source, `settings` are more lines of the configuration, and `made_by` is the command.
+    """
     provenance = {"made_by": f"spheremouse {__version__}, {made_by}", "source": spec}
     lines = [f"# Made by {made_by}.", f"schema: {SCHEMAS['configuration']}", f"source: {to_yaml(spec)}"]
-    lines.append(f"rig: {RIG_FILE}")
-    if masks:
-        lines += ["discs:", "  masks:", *(f"    - {to_yaml(tuple(mask))}" for mask in masks)]
+    lines += [f"rig: {RIG_FILE}", *settings]
     png = cv2.imencode(".png", picture)[1].tobytes()
     with os_errors_as(CalibrationError, f"{folder}: cannot be written"):
         folder.mkdir(parents=True, exist_ok=True)
@@ -74,13 +75,10 @@ def describe(outline: Outline, rig: Rig) -> str:
     )
 
 
-def next_steps(folder: Path, spec: str) -> str:
-    """Return the lines about the files that were written."""
-    kind, _, argument = spec.partition(":")
-    track = f"track {copyable(argument)} --rig {copyable(folder / RIG_FILE)}"
-    use = track if kind in ("video", "dataset") else f"run --config {copyable(folder / CONFIG_FILE)}"
+def next_steps(folder: Path, output: str) -> str:
+    """Return the lines about the files that were written, and a command with an output."""
     return (
         f"{folder}: written: {RIG_FILE}, {CAMERA_FILE}, {CONFIG_FILE}, {PICTURE}\n"
         f"look at {folder / PICTURE}: the green line must lie on the ball's edge\n"
-        f"next: spheremouse {use} --output csv:ball.csv"
+        f"next: spheremouse {copyable('run', '--config', folder / CONFIG_FILE, '--output', output)}"
     )

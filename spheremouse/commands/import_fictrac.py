@@ -1,0 +1,180 @@
+"""`spheremouse import-fictrac`: the folder of a ball, as `spheremouse ball` writes it, from a FicTrac configuration."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from spheremouse.commands.calibrate.options import Force
+from spheremouse.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from spheremouse.ball.detect.detections import Image
+    from spheremouse.calibrate.outline.fit import Outline
+    from spheremouse.files.fictrac import FicTracConfig
+    from spheremouse.geometry import Array
+    from spheremouse.geometry.camera import InteriorOrientation
+
+_SAME_AXES = math.radians(15.0)  # a square is clicked better
+_SAME_OUTLINE = 0.1  # of the radius: edges farther off are of something else
+_REPLACED = "roi_c and roi_r count"
+_SECONDS = 10.0  # of the film, in which the edge is looked for
+# Corners of a square in the animal's axes, in the order in which configGui takes them (FicTrac's include/geometry.h).
+_SQUARES = {
+    "c2a_cnrs_xy": ((1, -1, 0), (1, 1, 0), (-1, 1, 0), (-1, -1, 0)),
+    "c2a_cnrs_yz": ((0, -1, -1), (0, 1, -1), (0, 1, 1), (0, -1, 1)),
+    "c2a_cnrs_xz": ((1, 0, -1), (-1, 0, -1), (-1, 0, 1), (1, 0, 1)),
+}
+
+
+def import_fictrac(
+    config: Annotated[Path, typer.Argument(metavar="CONFIG.TXT", show_default=False, help="FicTrac's configuration.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write.")] = Path("ball"),
+    source: Annotated[
+        str | None,
+        typer.Option(metavar="KIND:ARG", help="Film or camera, as of `run --source`, in place of src_fn."),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Write the folder of `spheremouse ball` from a configuration of FicTrac 2.1, with its laboratory axes and masks.
+
+    The film, or the camera, of src_fn is opened for the size of its pictures. If the ball turns in it, the outline of
+    roi_c and roi_r, or of roi_circ, is refined by the ball's edge. Each key is listed: used, or why it is not needed.
+    """
+    from spheremouse.calibrate.outline.fit import pinhole, rig_of
+    from spheremouse.capture import full_spec
+    from spheremouse.commands.ball import absolute, film
+    from spheremouse.commands.ball.folder import check_folder, describe, drawn, next_steps, write_folder
+    from spheremouse.files.config import to_yaml
+    from spheremouse.files.fictrac import KEYS, read_fictrac
+    from spheremouse.output.fictrac import R_LAB_OBJ
+
+    read = read_fictrac(config)
+    check_folder(out, [config], force)
+    _check(read)
+    spec = absolute(_source(read) if source is None else full_spec(source))
+    images, _ = film(spec, _SECONDS)
+    camera = pinhole(images[0].shape[1::-1], read.values["vfov"])
+    R, axes = lab_axes(read, camera)
+    outline, edge = _refined(images, outline_of(read, camera), camera)
+    rig, masks = rig_of(outline, camera, R_LAB_OBJ.T @ R), read.values.get("roi_ignr", ())
+    settings = ["discs:", "  masks:", *(f"    - {to_yaml(mask)}" for mask in masks)] if masks else []
+    if (port := int(read.values.get("sock_port", -1))) > 0:
+        host = read.values.get("sock_host", "127.0.0.1")
+        settings.append(f"output: {to_yaml(f'udp:{host}:{port},format=fictrac')}")
+    picture = drawn(images[-1], outline.pixels(camera), outline.pixels(camera, 12), masks)
+    write_folder(out, rig, picture, spec, settings, "spheremouse import-fictrac")
+    for key, line in sorted(read.lines.items(), key=lambda each: each[1]):
+        unused = KEYS[key][1] or (_REPLACED if key == "roi_circ" and "roi_r" in read.values else "")
+        print(f"{config}:{line}: {key}: {f'not needed: {unused}' if unused else axes if key == 'c2a_r' else 'used'}")
+    print(f"{edge}\n{describe(outline, rig)}\n{next_steps(out, 'text:ball.dat,format=fictrac')}")
+    away = math.degrees(math.acos(min(1.0, outline.direction[2])))
+    print(
+        f"FicTrac's rates differ by a rotation of {away:.1f}°: it takes the direction to the ball for the optical axis"
+    )
+
+
+def _check(read: "FicTracConfig") -> None:
+    """Raise ConfigurationError for values with which there is no camera, outline or mask."""
+    if "vfov" not in read.values:
+        read.refuse("vfov", "missing", "give the vertical field of view in degrees")
+    if not 1.0 <= read.values["vfov"] <= 150.0:
+        read.refuse("vfov", f"is {read.values['vfov']:g}°", "give 1 to 150 degrees")
+    if read.values.get("fisheye"):
+        read.refuse(
+            "fisheye", "this camera model is not known here", "calibrate the camera, then use `spheremouse ball`"
+        )
+    for mask in read.values.get("roi_ignr", ()):
+        if len(mask) < 6 or len(mask) % 2:
+            read.refuse("roi_ignr", f"a polygon has {len(mask)} numbers", "give x, y of three or more corners")
+
+
+def _source(read: "FicTracConfig") -> str:
+    """Return the source of src_fn: the number of a camera, or a film's path, relative as for FicTrac or to the file."""
+    name = read.values.get("src_fn", "")
+    if name.isdecimal():
+        return f"opencv:{name}"
+    for path in (Path(name), read.path.parent / name):
+        if path.is_file():
+            return f"video:{path}"
+    read.refuse("src_fn", f"{name or 'missing'}: no such file", "name the film or the camera by --source")
+
+
+def outline_of(read: "FicTracConfig", camera: "InteriorOrientation") -> "Outline":
+    """Return the outline of roi_c and roi_r, as FicTrac does if both are given, else of roi_circ."""
+    import numpy as np
+
+    from spheremouse.calibrate.outline.fit import Outline, fit_outline, rays_of
+    from spheremouse.commands.ball import POINT_PX, check_points
+
+    sigma = POINT_PX / math.sqrt(camera.fx * camera.fy)
+    if "roi_c" in read.values and "roi_r" in read.values:
+        u, angle = np.array(read.numbers("roi_c", 3)), read.values["roi_r"]
+        size = float(np.linalg.norm(u))
+        if abs(size - 1.0) > 0.01 or not 0.0 < angle < 1.5 or u[2] <= math.sin(angle):
+            read.refuse(
+                "roi_c", "is, with roi_r, no ball before the camera", "delete both lines: roi_circ has the points"
+            )
+        return Outline(u / size, angle, sigma**2 * np.eye(3))
+    if "roi_circ" not in read.values:
+        read.refuse("roi_circ", "missing, and roi_c and roi_r, too", "run configGui, or use `spheremouse ball`")
+    points = np.array(read.numbers("roi_circ", 2, 6)).reshape(-1, 2)
+    try:
+        outline = fit_outline(rays_of(points, camera), sigma)
+        check_points(points, outline, camera)
+    except CalibrationError as e:
+        read.refuse("roi_circ", e.problem, e.hint)
+    return outline
+
+
+def _refined(images: "list[Image]", given: "Outline", camera: "InteriorOrientation") -> "tuple[Outline, str]":
+    """Return the outline by the ball's edge in the pictures, or the given one, and a line about its origin."""
+    import numpy as np
+
+    from spheremouse.calibrate.outline.find import find_outline
+
+    try:
+        found = find_outline(images, camera, given).outline
+    except CalibrationError as e:
+        return given, f"outline: as configured, since {e.problem}"
+    off = np.array([*(found.direction - given.direction), found.angle - given.angle])
+    if np.abs(off).max() > _SAME_OUTLINE * given.angle:
+        return given, "outline: as configured; the edge of what turns in the film is elsewhere, so look at the picture"
+    px = np.abs(off).max() * math.sqrt(camera.fx * camera.fy)
+    return found, f"outline: by the edge of the ball in the film, {px:.1f} px from the configured one"
+
+
+def lab_axes(read: "FicTracConfig", camera: "InteriorOrientation") -> "tuple[Array, str]":
+    """Return the rotation from the camera's axes to FicTrac's laboratory axes, (3, 3), and words about its origin.
+
+    It is that of c2a_r, else of the corners of c2a_src. Versions before 2.1 wrote the inverse into c2a_r.
+    """
+    import numpy as np
+
+    from spheremouse.geometry.rotation import exp, log
+
+    square = _square(read, camera)
+    if "c2a_r" not in read.values:
+        if not square:
+            read.refuse("c2a_r", "missing", "run configGui, or use `spheremouse ball`: its axes are the camera's")
+        return square[0], "used"
+    R = exp(np.array(read.numbers("c2a_r", 3)))
+    off = [min(float(np.linalg.norm(log(S @ way.T))) for S in square) if square else 0.0 for way in (R, R.T)]
+    if off[1] < _SAME_AXES < off[0]:
+        return R.T, "used, inverted: its corners show that FicTrac before 2.1 wrote it"
+    words = f"used; its corners differ by {math.degrees(off[0]):.0f}°, look at FicTrac's configImg"
+    return R, words if off[0] > _SAME_AXES else "used"
+
+
+def _square(read: "FicTracConfig", camera: "InteriorOrientation") -> "list[Array]":
+    """Return the rotations from the camera that the corners of c2a_src allow, the best first; none without corners."""
+    import cv2
+    import numpy as np
+
+    name = read.values.get("c2a_src", "")
+    if name not in _SQUARES or len(read.values.get(name, ())) != 8:
+        return []
+    corners, square = np.reshape(read.values[name], (4, 1, 2)), np.array(_SQUARES[name], float)
+    found = cv2.solvePnPGeneric(square, corners, camera.matrix, None, flags=cv2.SOLVEPNP_IPPE)[1]
+    return [np.asarray(cv2.Rodrigues(rotation)[0].T, float) for rotation in found]
