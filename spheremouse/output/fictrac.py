@@ -1,7 +1,7 @@
 """FicTrac's 25 columns, for programs that read FicTrac's socket.
 
 The columns and their frames are those of FicTrac's `doc/data_header.txt` and `doc/coordinate_frames.md` (Moore et al.
-2014, https://doi.org/10.1016/j.jneumeth.2014.01.010). docs/outputs.md lists each column as written here. A frame that
+2014, https://doi.org/10.1016/j.jneumeth.2014.01.010). docs/coming-from-fictrac.md lists each column. A frame that
 does not confirm the estimate gets no line, as in FicTrac.
 
 The laboratory frame is right-handed: X in the animal's forward direction, Y to its right, Z down. With `forward=0` the
