@@ -17,6 +17,7 @@ from spheremouse.simulate.ball.backdrop import render_backdrop
 from spheremouse.simulate.ball.scene import BLACK, LAMPS, PAPER, Scene, room
 from spheremouse.simulate.ball.surface import half_plane
 from spheremouse.simulate.light import Lighting, develop
+from spheremouse.simulate.shapes import pixel_parts
 
 MIDDLE = np.array([0.0, 0.45, 0.6])  # m, obj: where the board hangs, facing +Z
 _FRONT = np.array([0.0, 0.0, 1.0])
@@ -65,39 +66,28 @@ def render_board(board: Board, scene: Scene, pose: Pose) -> NDArray[np.float32]:
     """The board in an empty room through the scene's camera at `pose`, (h, w, 3) grey values."""
     camera = scene.camera
     light = Lighting(LAMPS, (), 1e-3)
-    picture = _room(replace(scene, pose=pose, surroundings=tuple(room()), lighting=light))
+    # the room without ball and device, coarsely
+    w, h = -(-camera.width // _COARSE), -(-camera.height // _COARSE)
+    sx, sy = w / camera.width, h / camera.height
+    cx, cy = (camera.cx + 0.5) * sx - 0.5, (camera.cy + 0.5) * sy - 0.5
+    small = replace(camera, width=w, height=h, fx=camera.fx * sx, fy=camera.fy * sy, cx=cx, cy=cy)
+    behind = replace(scene, camera=small, pose=pose, surroundings=tuple(room()), lighting=light)
+    coarse = render_backdrop(behind, ball=False).white
+    picture = cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR).astype(np.float32)
+
     along = np.linspace(0.0, 1.0, 40)[:, None]
     corners = board.outline(board.square + board.border)
     rim = np.concatenate([a + along * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
     uv, _ = project(pose.to_cam(rim), camera)
-    limit = np.array([camera.width, camera.height])
-    low = np.clip(np.floor(uv.min(axis=0)).astype(int) - _MARGIN, 0, limit)
-    high = np.clip(np.ceil(uv.max(axis=0)).astype(int) + _MARGIN + 1, 0, limit)
-    v, u = np.mgrid[low[1] : high[1], low[0] : high[0]]
+    ends = np.array([np.floor(uv.min(axis=0)) - _MARGIN, np.ceil(uv.max(axis=0)) + _MARGIN + 1])
+    (u0, v0), (u1, v1) = np.clip(ends, 0, (camera.width, camera.height)).astype(int)
+    v, u = np.mgrid[v0:v1, u0:u1]
     seen = board_coverage(board, camera, pose, np.stack([u.ravel(), v.ravel()], axis=1).astype(float))
     white, black = _grey(board, light, seen.place.reshape(*u.shape, 2))
     card, dark = (share.astype(np.float32).reshape(*u.shape, 1) for share in (seen.card, seen.dark))
-    part = picture[low[1] : high[1], low[0] : high[0]]
+    part = picture[v0:v1, u0:u1]
     part += card * (white + dark * (black - white) - part)
     return picture
-
-
-def _room(scene: Scene) -> NDArray[np.float32]:
-    """Without ball and device, coarsely, (h, w, 3)."""
-    camera = scene.camera
-    w, h = -(-camera.width // _COARSE), -(-camera.height // _COARSE)
-    sx, sy = w / camera.width, h / camera.height
-    small = replace(
-        camera,
-        width=w,
-        height=h,
-        fx=camera.fx * sx,
-        fy=camera.fy * sy,
-        cx=(camera.cx + 0.5) * sx - 0.5,
-        cy=(camera.cy + 0.5) * sy - 0.5,
-    )
-    behind = render_backdrop(replace(scene, camera=small), ball=False).white
-    return np.asarray(cv2.resize(behind, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def board_coverage(board: Board, camera: InteriorOrientation, pose: Pose, uv: Array) -> BoardCoverage:
@@ -112,13 +102,11 @@ def board_coverage(board: Board, camera: InteriorOrientation, pose: Pose, uv: Ar
     edge = inside & (near[:, 0] | near[:, 1])
     card, black = np.zeros(len(place)), np.zeros(len(place))
     for pixels, fine in ((np.flatnonzero(inside & ~edge), 1), (np.flatnonzero(edge), _FINE)):
-        offset = (np.arange(fine) + 0.5) / fine - 0.5
-        for du in offset:
-            for dv in offset:
-                part = place[pixels] + slope[pixels] @ np.array([du, dv])
-                shown, dark = _cover(board, part, np.abs(slope[pixels]) / fine)
-                card[pixels] += shown / fine**2
-                black[pixels] += shown * dark / fine**2
+        for part in pixel_parts(fine):
+            at = place[pixels] + slope[pixels] @ part
+            shown, dark = _cover(board, at, np.abs(slope[pixels]) / fine)
+            card[pixels] += shown / fine**2
+            black[pixels] += shown * dark / fine**2
     return BoardCoverage(place, card, black / np.maximum(card, 1e-9))
 
 
@@ -164,14 +152,6 @@ def _grey(board: Board, light: Lighting, place: Array) -> tuple[NDArray[np.float
     falling = light.on_room(points, np.broadcast_to(_FRONT, points.shape))
     at = (np.nan_to_num(place / half) * 0.5 + 0.5) * (count - 1)
     u, v = (at[..., axis].astype(np.float32) for axis in (0, 1))
-    white, black = (
-        cv2.remap(
-            develop(falling * albedo).reshape(count[1], count[0], 3).astype(np.float32),
-            u,
-            v,
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        for albedo in (PAPER, BLACK)
-    )
+    greys = (develop(falling * albedo).reshape(count[1], count[0], 3).astype(np.float32) for albedo in (PAPER, BLACK))
+    white, black = (cv2.remap(g, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for g in greys)
     return np.asarray(white, np.float32), np.asarray(black, np.float32)

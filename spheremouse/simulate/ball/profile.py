@@ -4,6 +4,7 @@ A profile takes times, (n,) s, and gives R_obj_ball, (n, 3, 3), and w_obj, (n, 3
 dR/dt = hat(w) R. At time 0 the ball is at rest and `ball` equals `obj`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -33,54 +34,48 @@ class Profile(Protocol):
 
 # ---- Euler angles made of parabolas ----
 
+# Times, s, and angles, degrees, of omega, phi and kappa in the synthetic sets of Wittich 2017 (figure 30)
+_THESIS = (
+    ((0.0, 5.4, 10.0), (0.0, 61.0, 0.0)),
+    ((0.0, 2.8, 6.7, 10.0), (0.0, -24.0, 10.0, 0.0)),
+    ((0.0, 3.6, 7.9, 10.0), (0.0, 46.0, -3.0, 0.0)),
+)
 
-@dataclass(frozen=True, slots=True)
-class Parabolas:
-    """Euler angles that move from rest to rest between knots, with constant acceleration and then deceleration.
 
-    Each takes half of the time. Angles and angular rates have no jumps. The motion repeats every `seconds`. Source:
-    Wittich 2017, figure 30.
+class Thesis:
+    """The motion of the synthetic sets of Wittich 2017, to its description.
+
+    Euler angles move from rest to rest between knots, with constant acceleration and then deceleration, for half of the
+    time each. Angles and angular rates have no jumps. 10 s, then again from the start; mean angular acceleration
+    16.4 deg/s², peak rate 28 deg/s.
     """
 
-    times: tuple[tuple[float, ...], ...]  # three rows (omega, phi, kappa) of knots, s; from 0 to the same end
-    angles: tuple[tuple[float, ...], ...]  # their angles, rad; the last equals the first
-
-    @property
-    def seconds(self) -> float:
-        return self.times[0][-1]
+    seconds = 10.0
 
     def attitude(self, t: Array) -> Array:
-        return from_euler(self.euler(t)[0])
+        return from_euler(self._euler(t)[0])
 
     def rate(self, t: Array) -> Array:
-        angles, speeds = self.euler(t)
+        angles, speeds = self._euler(t)
         return (euler_rate_matrix(angles) @ speeds[..., None])[..., 0]
 
-    def euler(self, t: Array) -> tuple[Array, Array]:
-        """omega, phi, kappa and their derivatives at times (n,) s, both (n, 3)."""
+    def _euler(self, t: Array) -> Array:
+        """omega, phi, kappa and their derivatives at times (n,) s, (2, n, 3)."""
         t = np.mod(np.asarray(t, dtype=float), self.seconds)
-        angles, speeds = np.empty((len(t), 3)), np.empty((len(t), 3))
-        for i in range(3):
-            knots, values = np.array(self.times[i]), np.array(self.angles[i])
+        found = np.empty((2, len(t), 3))
+        for i, (times, degrees) in enumerate(_THESIS):
+            knots, angles = np.array(times), np.radians(degrees)
             k = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(knots) - 2)
-            length, rise = knots[k + 1] - knots[k], values[k + 1] - values[k]
+            length, rise = knots[k + 1] - knots[k], angles[k + 1] - angles[k]
             x = (t - knots[k]) / length
-            early = x < 0.5
-            angles[:, i] = values[k] + rise * np.where(early, 2.0 * x * x, 1.0 - 2.0 * (1.0 - x) ** 2)
-            speeds[:, i] = rise / length * np.where(early, 4.0 * x, 4.0 * (1.0 - x))
-        return angles, speeds
+            found[0, :, i] = angles[k] + rise * np.where(x < 0.5, 2.0 * x * x, 1.0 - 2.0 * (1.0 - x) ** 2)
+            found[1, :, i] = rise / length * 4.0 * np.minimum(x, 1.0 - x)
+        return found
 
 
-def thesis() -> Parabolas:
-    """The motion of the synthetic sets of Wittich 2017 (figure 30), to its description.
-
-    10 s, back at the start; mean angular acceleration 16.4 deg/s², peak rate 28 deg/s.
-    """
-    degrees = ((0.0, 61.0, 0.0), (0.0, -24.0, 10.0, 0.0), (0.0, 46.0, -3.0, 0.0))
-    return Parabolas(
-        times=((0.0, 5.4, 10.0), (0.0, 2.8, 6.7, 10.0), (0.0, 3.6, 7.9, 10.0)),
-        angles=tuple(tuple(np.radians(row).tolist()) for row in degrees),
-    )
+def thesis() -> Thesis:
+    """Return the motion of Wittich 2017."""
+    return Thesis()
 
 
 # ---- gestures ----
@@ -174,9 +169,7 @@ def roll(turns: float, seconds: float | None = None) -> Gestures:
     gestures, start = [], 0.0
     for share, axis in parts:
         length = total * share / turns
-        x, y, z = np.array(axis) / np.sqrt(2.0)
-        ramp = min(0.4, 1.0 / length)
-        gestures.append(Gesture(start, length, (float(x), float(y), float(z)), 2.0 * np.pi * share, ramp))
+        gestures.append(Gesture(start, length, _unit(axis), 2.0 * np.pi * share, min(0.4, 1.0 / length)))
         start += length
     return Gestures(tuple(gestures), total)
 
@@ -218,8 +211,12 @@ def stroke(
     """A turn that reaches `rate` (rad/s) within `up` s, holds it for `hold` s and stops within `down` s."""
     length = up + hold + down
     ramp, coast = 0.5 * (up + down) / length, (down - up) / (up + down)
-    x, y, z = np.array(axis) / np.linalg.norm(axis)
-    return Gesture(start, length, (float(x), float(y), float(z)), rate * (hold + 0.5 * (up + down)), ramp, coast)
+    return Gesture(start, length, _unit(axis), rate * (hold + 0.5 * (up + down)), ramp, coast)
+
+
+def _unit(axis: Sequence[float] | Array) -> tuple[float, float, float]:
+    x, y, z = np.asarray(axis) / np.linalg.norm(axis)
+    return float(x), float(y), float(z)
 
 
 def _shown() -> list[Gesture]:
@@ -250,14 +247,13 @@ def play(seconds: float, rng: np.random.Generator) -> Gestures:
             t += rng.uniform(0.4, 1.5)
             continue
         if kind == "roll":
-            length, angle, ramp, coast = rng.uniform(0.8, 2.5), rng.uniform(0.3, 2.0), 0.5, 0.0
+            length, angle, coast = rng.uniform(0.8, 2.5), rng.uniform(0.3, 2.0), 0.0
         elif kind == "spin":
             axis = np.array([0.15 * rng.standard_normal(), 1.0, 0.15 * rng.standard_normal()])
-            length, angle, ramp, coast = rng.uniform(0.8, 2.0), sign * rng.uniform(0.3, 1.5), 0.5, 0.0
+            length, angle, coast = rng.uniform(0.8, 2.0), sign * rng.uniform(0.3, 1.5), 0.0
         else:
-            length, angle, ramp, coast = rng.uniform(0.8, 1.4), rng.uniform(1.0, 2.0), 0.5, 0.7
+            length, angle, coast = rng.uniform(0.8, 1.4), rng.uniform(1.0, 2.0), 0.7
         length = min(float(length), seconds - t)
-        x, y, z = axis / np.linalg.norm(axis)
-        gestures.append(Gesture(float(t), length, (float(x), float(y), float(z)), float(angle), ramp, coast))
+        gestures.append(Gesture(float(t), length, _unit(axis), float(angle), 0.5, coast))
         t += length * rng.uniform(0.6, 1.05)  # often the next begins before this one has ended
     return Gestures(tuple(sorted(gestures, key=lambda g: g.start)), seconds)

@@ -61,30 +61,23 @@ def device_stations(scene: Scene, n: int, rng: np.random.Generator) -> tuple[Pos
     """
     found = [_station(scene, station, rng) for station in _STATIONS[:n]]
     if n > len(_STATIONS):
-        grid = [
-            (float(azimuth), float(elevation))
-            for azimuth in range(-60, 61, 6)
-            for elevation in (-14, -4, 8, 20, 32, 44)
-        ]
-        possible = [pose for azimuth, elevation in grid for pose in _standing(scene, azimuth, elevation, 2.45, 0.0)[:1]]
+        grid = [(azimuth, elevation) for azimuth in range(-60, 61, 6) for elevation in (-14, -4, 8, 20, 32, 44)]
+        possible = [pose for at in grid if (pose := _standing(scene, *at, 2.45, 0.0)) is not None]
         if not possible:
             raise ConfigurationError("--photos: no other place shows three targets; take fewer photos")
-        toward = np.array([_direction(pose) for pose in possible])
+        toward = _directions(possible)
         while len(found) < n:
-            taken = np.array([_direction(pose) for pose in found])
             # of equally remote places any; more photos than places go round again
-            lonely = np.sort(toward @ taken.T, axis=1)[:, ::-1]
-            k = int(np.argmin(lonely[:, 0] + 0.1 * lonely.mean(axis=1)))
-            x, y, z = toward[k]
+            lonely = np.sort(toward @ _directions(found).T, axis=1)[:, ::-1]
+            x, y, z = toward[int(np.argmin(lonely[:, 0] + 0.1 * lonely.mean(axis=1)))]
             angles = np.degrees(np.arctan2(x, z)), np.degrees(np.arcsin(y))
             roll = _ROLLS[len(found) % len(_ROLLS)]
             found.append(_station(scene, (*angles, rng.uniform(2.1, 2.9), roll), rng))
     return tuple(found)
 
 
-def _direction(pose: Pose) -> Array:
-    away = pose.position - _AIM
-    return away / np.linalg.norm(away)
+def _directions(poses: list[Pose]) -> Array:
+    return np.array([(pose.position - _AIM) / np.linalg.norm(pose.position - _AIM) for pose in poses])
 
 
 def _station(scene: Scene, station: tuple[float, float, float, float], rng: np.random.Generator) -> Pose:
@@ -92,24 +85,28 @@ def _station(scene: Scene, station: tuple[float, float, float, float], rng: np.r
     azimuth, elevation, distance, roll = station
     for nearer in np.linspace(1.0, 0.0, 21):
         dx, dy, dr = rng.normal(0.0, (1.5, 1.5, 2.0))
-        poses = _standing(scene, nearer * azimuth + dx, nearer * elevation + dy, distance, roll + dr)
-        if poses:
-            return poses[0]
+        pose = _standing(scene, nearer * azimuth + dx, nearer * elevation + dy, distance, roll + dr)
+        if pose is not None:
+            return pose
     raise ConfigurationError(
         f"--focal {scene.camera.fx:g}: no place in the room shows the whole ball and three targets with rings of "
         f"{_RING:g} px or more; take another focal length or a larger --size"
     )
 
 
-def _standing(scene: Scene, azimuth: float, elevation: float, distance: float, roll: float) -> list[Pose]:
+def _standing(scene: Scene, azimuth: float, elevation: float, distance: float, roll: float) -> Pose | None:
     """Return the camera in this direction from the device, far enough to have all in view; None if impossible."""
     a, e = np.radians((azimuth, elevation))
     away = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
     for reach in np.arange(np.clip(distance, _NEAREST, _FARTHEST), _FARTHEST + 0.01, 0.1):
         pose = looking(_AIM + reach * away, _AIM, np.radians(roll))
-        if np.all(pose.position > _WALLS[0]) and np.all(pose.position < _WALLS[1]) and _shows(scene, pose):
-            return [pose]
-    return []
+        if _in_room(pose) and _shows(scene, pose):
+            return pose
+    return None
+
+
+def _in_room(pose: Pose) -> bool:
+    return bool(np.all(pose.position > _WALLS[0]) and np.all(pose.position < _WALLS[1]))
 
 
 def looking(position: Array, at: Array, roll: float) -> Pose:
@@ -130,38 +127,34 @@ def _shows(scene: Scene, pose: Pose) -> bool:
     side = np.cross(toward, (0.2, 1.0, 0.1))
     side /= np.linalg.norm(side)
     circle = np.cos(phase)[:, None] * side + np.sin(phase)[:, None] * np.cross(toward, side)
-    if not np.all(in_picture(pose.to_cam(scene.ball_radius * circle), scene.camera)):
-        return False
-    return int(np.sum(_facing(scene, pose))) >= 3 and int(np.sum(seen_targets(scene, pose))) >= 3
+    whole = np.all(_in_picture(pose.to_cam(scene.ball_radius * circle), scene.camera))
+    return bool(whole and np.sum(_facing(scene, pose)[0]) >= 3 and np.sum(seen_targets(scene, pose)) >= 3)
 
 
 def seen_targets(scene: Scene, pose: Pose) -> NDArray[np.bool_]:
     """Return True, (n,), for targets that nothing hides and that have rings wide enough to be resolved."""
     shapes = [Sphere(np.zeros(3), scene.ball_radius, scene.ball_colour), *scene.surroundings]
-    view = look(shapes, pose.position, pose.rotation)
-    cam = pose.to_cam(_rims(scene))
-    _, depth = view.cast(cam[..., :2] / cam[..., 2:])
-    return _facing(scene, pose) & np.all(depth > cam[..., 2] - 1e-3, axis=1)
+    facing, cam = _facing(scene, pose)
+    _, depth = look(shapes, pose.position, pose.rotation).cast(cam[..., :2] / cam[..., 2:])
+    return facing & np.all(depth > cam[..., 2] - 1e-3, axis=1)
 
 
-def _facing(scene: Scene, pose: Pose) -> NDArray[np.bool_]:
-    """Targets in the picture and large enough, were nothing in the way, (n,)."""
-    cam = pose.to_cam(_rims(scene))
-    inside = np.all(in_picture(cam.reshape(-1, 3), scene.camera).reshape(cam.shape[:2]), axis=1)
+def _facing(scene: Scene, pose: Pose) -> tuple[NDArray[np.bool_], Array]:
+    """Return targets in the picture and large enough, were nothing in the way, (n,).
+
+    Also points just within their outer circles, (n, 16, 3) m in cam.
+    """
+    phase = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+    circle = np.stack([np.cos(phase), np.sin(phase), np.zeros(16)], axis=1)
+    cam = pose.to_cam(scene.targets.position[:, None] + 0.98 * scene.targets.radii[2] * circle)
+    inside = np.all(_in_picture(cam.reshape(-1, 3), scene.camera).reshape(cam.shape[:2]), axis=1)
     away = pose.position - scene.targets.position
     distance = np.linalg.norm(away, axis=1)
     width = np.min(np.diff(scene.targets.radii, prepend=0.0)) * scene.camera.fx / distance
-    return inside & (width * away[:, 2] / distance > _RING)
+    return inside & (width * away[:, 2] / distance > _RING), cam
 
 
-def _rims(scene: Scene) -> Array:
-    """Points just within the targets' outer circles, (n, 16, 3) m, obj."""
-    phase = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
-    circle = np.stack([np.cos(phase), np.sin(phase), np.zeros(16)], axis=1)
-    return scene.targets.position[:, None] + 0.98 * scene.targets.radii[2] * circle
-
-
-def in_picture(points: Array, camera: InteriorOrientation) -> NDArray[np.bool_]:
+def _in_picture(points: Array, camera: InteriorOrientation) -> NDArray[np.bool_]:
     """Points in `cam`, (n, 3), that the lens maps into the picture with some margin, (n,)."""
     uv, _ = project(points, camera)
     xy = points[:, :2] / points[:, 2:]
@@ -179,31 +172,36 @@ def board_stations(board: Board, camera: InteriorOrientation, n: int, rng: np.ra
     Of many random hand-held poses, each photo takes the one with most corners in regions with few corners so far.
     Raises ConfigurationError if the board does not fit into the picture.
     """
-    seen = np.zeros((_CELLS[1], _CELLS[0]))
+    filled = np.zeros((_CELLS[1], _CELLS[0]))  # photos with a corner in each cell of the picture
     found: list[Pose] = []
     for k in range(n):
-        tilt = _TILTS[k % len(_TILTS)]
-        tries = [
-            _before_board(board, camera, tilt, _GOLDEN * k, _TURNS[k % len(_TURNS)], rng) for _ in range(_CANDIDATES)
-        ]
+        view = _TILTS[k % len(_TILTS)], _GOLDEN * k, _TURNS[k % len(_TURNS)]
+        tries = [_before_board(board, camera, view, rng) for _ in range(_CANDIDATES)]
         kept = [pose for pose in tries if pose is not None]
         if not kept:
             raise ConfigurationError(
                 f"--focal {camera.fx:g}: the board does not fit into the picture anywhere in the room; take a shorter "
                 "focal length"
             )
-        cells = [_cells(board, camera, pose) for pose in kept]
-        best = int(np.argmax([np.sum(c / (1.0 + seen)) for c in cells]))
+        cells = np.zeros((len(kept), *filled.shape))
+        for mine, pose in zip(cells, kept, strict=True):
+            uv, _ = project(pose.to_cam(board.corners()), camera)
+            column, row = np.floor(uv / (camera.width, camera.height) * _CELLS).astype(int).T
+            mine[row, column] = 1.0
+        best = int(np.argmax(np.sum(cells / (1.0 + filled), axis=(1, 2))))
         found.append(kept[best])
-        seen += cells[best]
+        filled += cells[best]
     return tuple(found)
 
 
 def _before_board(
-    board: Board, camera: InteriorOrientation, tilt: float, towards: float, turn: float, rng: np.random.Generator
+    board: Board, camera: InteriorOrientation, view: tuple[float, float, float], rng: np.random.Generator
 ) -> Pose | None:
-    """Return a pose with the board tilted by `tilt` deg, anywhere in the picture. Return None if it is not whole."""
-    tilt, towards, turn = np.radians([tilt + rng.normal(0.0, 2.0), towards + rng.normal(0.0, 10.0), turn])
+    """Return a pose with the board anywhere in the picture, or None if it is not whole.
+
+    `view`: how much the board is tilted, in which direction, and turned in the picture, deg.
+    """
+    tilt, towards, turn = np.radians([view[0] + rng.normal(0.0, 2.0), view[1] + rng.normal(0.0, 10.0), view[2]])
     away = np.array([np.sin(tilt) * np.cos(towards), np.sin(tilt) * np.sin(towards), np.cos(tilt)])
     picture = np.array([camera.width / camera.fx, camera.height / camera.fy])  # its size at unit distance
     reach = rng.uniform(0.8, 2.0) * np.max(board.size / picture)
@@ -211,18 +209,11 @@ def _before_board(
     # turned about the projection centre, so that the board's middle is seen elsewhere
     x, y = rng.uniform(-0.4, 0.4, 2) * picture
     pose = Pose(pose.rotation @ exp(np.array([y, -x, 0.0])), pose.position)
-    inside = np.all(pose.position > _WALLS[0]) and np.all(pose.position < _WALLS[1])
-    return pose if inside and np.all(in_picture(pose.to_cam(board.outline(0.5 * board.square)), camera)) else None
+    whole = np.all(_in_picture(pose.to_cam(board.outline(0.5 * board.square)), camera))
+    return pose if whole and _in_room(pose) else None
 
 
-def _cells(board: Board, camera: InteriorOrientation, pose: Pose) -> Array:
-    """1 for every cell of the picture that has a corner of the board in it."""
-    uv, _ = project(pose.to_cam(board.corners()), camera)
-    cell = np.floor(uv / (camera.width, camera.height) * _CELLS).astype(int)
-    cells = np.zeros((_CELLS[1], _CELLS[0]))
-    cells[cell[:, 1], cell[:, 0]] = 1.0
-    return cells
-
+# ---- the photos ----
 
 _BLUR = 0.5  # px, standard deviation of a lens in focus
 _REFERENCE = (1920, 1080, 1404.0)  # px: width, height and focal length of a wide webcam
@@ -262,17 +253,11 @@ class Photo(NamedTuple):
 def prepare_stills(options: StillsOptions, device: DeviceShape | None = None) -> Stills:
     """Return device, lens and camera places. Raise ConfigurationError if no picture is possible with the options."""
     rng = np.random.default_rng([options.seed, 3])
-    scene = _scene(options, device)
+    scene, board = _scene(options, device), Board()
     stations = device_stations(scene, options.photos, rng)
-    boards = board_stations(Board(), scene.camera, options.boards, rng)
-    return Stills(
-        replace(scene, pose=stations[0] if stations else scene.pose),
-        stations,
-        Board(),
-        boards,
-        options.noise,
-        options.seed,
-    )
+    boards = board_stations(board, scene.camera, options.boards, rng)
+    scene = replace(scene, pose=stations[0]) if stations else scene
+    return Stills(scene, stations, board, boards, options.noise, options.seed)
 
 
 def photos(stills: Stills) -> Iterator[Photo]:
@@ -308,9 +293,6 @@ def truth_of(stills: Stills) -> dict[str, Any]:
     }
 
 
-# ---- the scene ----
-
-
 def _scene(options: StillsOptions, device: DeviceShape | None) -> Scene:
     width, height = options.size
     scale = min(max(width, height) / _REFERENCE[0], min(width, height) / _REFERENCE[1])
@@ -333,9 +315,6 @@ def _scene(options: StillsOptions, device: DeviceShape | None) -> Scene:
         surroundings=(*frame(device.targets, _BOLT * device.disc_radius), *room()),
         lighting=Lighting(LAMPS, STRIPS, device.ball_radius),
     )
-
-
-# ---- the picture ----
 
 
 def _exposed(picture: NDArray[np.float32], noise: float, rng: np.random.Generator) -> NDArray[np.uint8]:
