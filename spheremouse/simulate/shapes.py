@@ -37,8 +37,8 @@ class Face:
         """Corners, (k, 3)."""
         return self.corners
 
-    def normal(self) -> Array:
-        """Unit vector across, (3,); which side is left open."""
+    def normal(self, _: Array | None = None) -> Array:
+        """Return the unit vector across, (3,), for any point; which side is left open."""
         return self._normal
 
     def hit(self, origin: Array, rays: Array) -> Array:
@@ -77,8 +77,8 @@ class Ring:
         angle = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)[:, None]
         return self.centre + 1.01 * self.outer * (np.cos(angle) * a + np.sin(angle) * b)
 
-    def normal(self) -> Array:
-        """Unit vector across, (3,)."""
+    def normal(self, _: Array | None = None) -> Array:
+        """Return the unit vector across, (3,), for any point."""
         return self.across
 
     def hit(self, origin: Array, rays: Array) -> Array:
@@ -103,6 +103,10 @@ class Sphere:
         """Corners of a cube around it, (8, 3)."""
         sign = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
         return self.centre + self.radius * sign
+
+    def normal(self, points: Array) -> Array:
+        """Return the unit vectors outwards at points (n, 3) m, obj, of the sphere."""
+        return (points - self.centre) / self.radius
 
     def hit(self, origin: Array, rays: Array) -> Array:
         """Return distances, (n,), in lengths of the `rays` (n, 3) from `origin` (3,) m, obj; inf for a miss."""

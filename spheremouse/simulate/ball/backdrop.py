@@ -17,7 +17,7 @@ from spheremouse.geometry.camera import project_sphere, reduced_to_pixel, unproj
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.light import develop
-from spheremouse.simulate.shapes import Face, Shape, Sphere, Viewpoint, look, pixel_parts
+from spheremouse.simulate.shapes import Face, Sphere, Viewpoint, look, pixel_parts
 
 _FINE = 6  # rays across a pixel where shapes meet
 _IDS = 256  # stripes per shape, as in shapes
@@ -42,13 +42,10 @@ def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
     for part in _parts(np.arange(h * w), 10_000):  # a part with no way back through the lens takes long
         xy[part], dxy_duv[part] = unproject(uv[part], scene.camera)
     away = scene.pose.position - 10.0 * scene.pose.rotation[:, 2]  # behind the camera: the ball keeps its index
-    shapes: list[Shape] = [
-        Sphere(np.zeros(3) if ball else away, scene.ball_radius, scene.ball_colour),
-        *scene.surroundings,
-    ]
-    view = look(shapes, scene.pose.position, scene.pose.rotation)
-    alone = look(shapes[:1], scene.pose.position, scene.pose.rotation)
-
+    sphere = Sphere(np.zeros(3) if ball else away, scene.ball_radius, scene.ball_colour)
+    view, alone = (
+        look(shapes, scene.pose.position, scene.pose.rotation) for shapes in ([sphere, *scene.surroundings], [sphere])
+    )
     ids, outline = np.empty(h * w, dtype=np.int64), np.empty(h * w)
     white, black = np.empty((h * w, 3)), np.empty((h * w, 3))
     for tiles in _parts(_tiles(h, w), 64):
@@ -57,7 +54,6 @@ def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
         flat = tiles.ravel()
         white[flat], black[flat] = _colours(scene, view, xy[flat], ids[flat], depth.ravel())
     shown = (ids == 0).astype(float)
-
     edge = np.flatnonzero((_borders(ids.reshape(h, w)) | _borders(outline.reshape(h, w))).ravel())
     for part in _parts(edge, 2000):
         fine = xy[part, None] + pixel_parts(_FINE) @ dxy_duv[part].transpose(0, 2, 1)
@@ -65,12 +61,7 @@ def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
         outline[part] = (alone.cast(fine)[0] == 0).mean(axis=1)
         shown[part] = (fine_ids == 0).mean(axis=1)
         white[part], black[part] = _mixed(scene, view, fine, fine_ids, depth)
-    return Backdrop(
-        white.reshape(h, w, 3).astype(np.float32),
-        black.reshape(h, w, 3).astype(np.float32),
-        shown.reshape(h, w).astype(np.float32),
-        outline.reshape(h, w).astype(np.float32),
-    )
+    return Backdrop(*(x.reshape(h, w, *x.shape[1:]).astype(np.float32) for x in (white, black, shown, outline)))
 
 
 def _parts(index: NDArray[np.intp], size: int) -> list[NDArray[np.intp]]:
@@ -108,31 +99,31 @@ def _mixed(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], dep
     place = np.concatenate([xy, np.nan_to_num(depth, posinf=0.0)[..., None]], axis=2).reshape(-1, 3)
     mean = np.stack([np.bincount(group, place[:, i]) / count for i in range(3)], axis=1)
     colours = _colours(scene, view, mean[:, :2], pairs % base - _IDS, mean[:, 2])
-    mixed = np.empty((2, len(xy), 3))
-    for image, colour in zip(mixed, colours, strict=True):
-        for channel in range(3):
-            share = count / xy.shape[1] * colour[:, channel]
-            image[:, channel] = np.bincount(pairs // base, share, len(xy))
-    return mixed[0], mixed[1]
+    pixel, share = pairs // base, (count / xy.shape[1])[:, None]
+    white, black = (
+        np.array([np.bincount(pixel, column, len(xy)) for column in (share * colour).T], dtype=float).T
+        for colour in colours
+    )
+    return white, black
 
 
 def _colours(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], depth: Array) -> tuple[Array, Array]:
     """Return the grey values at rays, (n, 3), with a white and with a black ball. A ray that hits nothing is black."""
-    light, gloss = np.zeros((len(xy), 3)), np.zeros((len(xy), 3))
-    albedo = np.zeros((len(xy), 3))
-    on_ball = np.flatnonzero(ids == 0)
+    light, gloss, albedo = np.zeros((3, len(xy), 3))
+    points = view.origin + depth[:, None] * view.rays(xy)
+    on_ball, on_room = np.flatnonzero(ids == 0), np.flatnonzero(ids >= _IDS)
     if len(on_ball):
-        points = view.origin + depth[on_ball, None] * view.rays(xy[on_ball])
-        points *= scene.ball_radius / np.linalg.norm(points, axis=1, keepdims=True)
-        light[on_ball] = scene.lighting.on_ball(points)
-        gloss[on_ball] = scene.lighting.gloss(points, view.origin)
-    on_room = np.flatnonzero(ids >= _IDS)
+        at = points[on_ball]
+        at *= scene.ball_radius / np.linalg.norm(at, axis=1, keepdims=True)
+        light[on_ball] = scene.lighting.on_ball(at)
+        gloss[on_ball] = scene.lighting.gloss(at, view.origin)
     if len(on_room):
-        points = view.origin + depth[on_room, None] * view.rays(xy[on_room])
-        index, stripe = ids[on_room] // _IDS, ids[on_room] % _IDS
-        normals = _normals(view.shapes, index, points)
-        normals *= np.where(np.sum(normals * (view.origin - points), axis=1) < 0.0, -1.0, 1.0)[:, None]
-        light[on_room] = scene.lighting.on_room(points, normals)
+        at, index, stripe = points[on_room], ids[on_room] // _IDS, ids[on_room] % _IDS
+        normals = np.empty_like(at)  # on either side
+        for i in np.unique(index):
+            normals[index == i] = view.shapes[i].normal(at[index == i])
+        normals *= np.where(np.sum(normals * (view.origin - at), axis=1) < 0.0, -1.0, 1.0)[:, None]
+        light[on_room] = scene.lighting.on_room(at, normals)
         tone = 1.0 + 0.16 * np.sin(2.4 * stripe + 0.8) * np.sin(0.7 * stripe)
         albedo[on_room] = np.array([shape.colour for shape in view.shapes])[index] * tone[:, None]
     black, white = albedo.copy(), albedo
@@ -140,31 +131,19 @@ def _colours(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], d
     return develop(white * light + gloss), develop(black * light + gloss)
 
 
-def _normals(shapes: tuple[Shape, ...], index: NDArray[np.int64], points: Array) -> Array:
-    """Unit normals, (n, 3), of the shapes met at points (n, 3); either side."""
-    normals = np.empty((len(points), 3))
-    for i in np.unique(index):
-        on, shape = index == i, shapes[i]
-        if isinstance(shape, Sphere):
-            normals[on] = (points[on] - shape.centre) / shape.radius
-        else:
-            normals[on] = shape.normal()
-    return normals
-
-
 def _borders(ids: NDArray[np.int64] | Array) -> NDArray[np.bool_]:
-    """Pixels with a different neighbour, (h, w)."""
-    border = np.zeros(ids.shape, dtype=bool)
-    for axis in (0, 1):
-        a, b = np.moveaxis(ids, axis, 0)[1:], np.moveaxis(ids, axis, 0)[:-1]
-        differs = a != b
-        np.moveaxis(border, axis, 0)[1:] |= differs
-        np.moveaxis(border, axis, 0)[:-1] |= differs
-    # diagonal neighbours, and thin things between pixel centres that only graze them
-    wide = border.copy()
-    wide[1:] |= border[:-1]
-    wide[:-1] |= border[1:]
-    return wide
+    """Pixels with a different neighbour, (h, w), and the pixels above and below them.
+
+    So thin things between pixel centres and diagonal neighbours that only graze them are in.
+    """
+    border = np.zeros(ids.shape, dtype=np.uint8)
+    differs = ids[1:] != ids[:-1]
+    border[1:] |= differs
+    border[:-1] |= differs
+    differs = ids[:, 1:] != ids[:, :-1]
+    border[:, 1:] |= differs
+    border[:, :-1] |= differs
+    return cv2.dilate(border, np.ones((3, 1), dtype=np.uint8)) > 0
 
 
 class Layers(NamedTuple):

@@ -65,17 +65,17 @@ def prepare(options: SimulationOptions, named: Named = option_name) -> Simulatio
         time = getattr(options, field)
         if time is not None and time >= seconds:
             raise ConfigurationError(f"{named(field)}: {time:g} s is after the end, at {seconds:g} s")
-    width, height = options.size
     layout = options.seed if options.layout is None else options.layout
+    pattern = None if options.pattern is None else Pattern(options.pattern, layout)
     try:
         scene = default_scene(
             options.disc_count,
             options.view,
             layout,
-            width=width,
-            height=height,
+            width=options.size[0],
+            height=options.size[1],
             distortion=np.array(options.dist),
-            pattern=None if options.pattern is None else Pattern(options.pattern, layout),
+            pattern=pattern,
         )
     except ValueError as e:
         raise ConfigurationError(f"{named('discs')}: {e}") from None
@@ -105,43 +105,36 @@ def simulate(simulation: Simulation, renderer: Renderer | None = None) -> Iterat
 
 
 def _profile(options: SimulationOptions) -> Profile:
-    seconds = options.seconds
     if options.motion == "roll":
-        return roll(options.turns, seconds)
+        return roll(options.turns, options.seconds)
     if options.motion == "play":
-        return play(20.0 if seconds is None else seconds, np.random.default_rng([options.seed, 2]))
+        seconds = 20.0 if options.seconds is None else options.seconds
+        return play(seconds, np.random.default_rng([options.seed, 2]))
     motions = {"thesis": thesis, "still": still, "rest": rest, "creep": creep, "flick": flick, "axes": shown_to_axes}
     return motions[options.motion]()
 
 
 def _effects(options: SimulationOptions, seconds: float) -> RenderOptions:
-    hands: list[HandVisit] = []
-    if options.hands:
-        hands += [
-            HandVisit(0.25 * seconds, 0.45 * seconds, True),
-            HandVisit(0.65 * seconds, 0.90 * seconds, True),
-            HandVisit(0.68 * seconds, 0.90 * seconds, False),
-        ]
+    hands = [(0.25, 0.45, True), (0.65, 0.90, True), (0.68, 0.90, False)] if options.hands else []
+    visits = [HandVisit(start * seconds, end * seconds, right) for start, end, right in hands]
     if options.cover is not None:  # half a second to come and to go
         start, end = options.cover - 0.5, options.cover + options.cover_seconds + 0.5
-        hands += [HandVisit(start, end, right, size=1.12) for right in (True, False)]
+        visits += [HandVisit(start, end, right, size=1.12) for right in (True, False)]
     dimming: tuple[Dimming, ...] = ()
     if options.dim is not None and options.dim_at is not None:
         dimming = (Dimming(options.dim_at, options.dim_at + options.dim_seconds, options.dim),)
     elif options.dim is not None:
         dimming = (Dimming(0.4 * seconds, 0.6 * seconds, options.dim),)
     x, y, z = (1e-3 * v for v in options.lift_by)
-    lifts = () if options.lift is None else (Lift(options.lift, options.lift + options.lift_seconds, (x, y, z)),)
-    off = 1e-3 * options.eccentric / 3.0**0.5
     return RenderOptions(
         noise=options.noise,
         brightness=options.brightness,
         dimming=dimming,
-        hands=tuple(hands),
+        hands=tuple(visits),
         flicker=None if options.flicker == 0.0 else Flicker(options.flicker, options.mains),
         limited=options.limited,
-        lifts=lifts,
-        eccentric=(off, off, off),
+        lifts=() if options.lift is None else (Lift(options.lift, options.lift + options.lift_seconds, (x, y, z)),),
+        eccentric=(1e-3 * options.eccentric / 3.0**0.5,) * 3,
     )
 
 
