@@ -166,10 +166,15 @@ def _ambient(normals: Array) -> Array:
     return up * _SKY + (1.0 - up) * _FLOOR
 
 
+def smoothstep(x: Array) -> Array:
+    """Return x²(3 - 2x) on [0, 1]: 0 below, 1 above."""
+    t = np.clip(x, 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
 def _step(x: Array, width: Array | float) -> Array:
     """0 below -width, 1 above width, smooth between."""
-    t = np.clip(0.5 + 0.5 * x / width, 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)
+    return smoothstep(0.5 + 0.5 * x / width)
 
 
 def _form_factor(points: Array, normals: Array, corners: Array) -> Array:
@@ -177,10 +182,8 @@ def _form_factor(points: Array, normals: Array, corners: Array) -> Array:
     total = np.zeros(len(points))
     to = [corner - points for corner in corners]
     to = [v / np.maximum(_length(v), 1e-9)[:, None] for v in to]
-    for i in range(len(corners)):
-        a, b = to[i], to[(i + 1) % len(corners)]
+    for a, b in zip(to, [*to[1:], to[0]], strict=True):
         cross = np.cross(a, b)
         length = np.maximum(_length(cross), 1e-12)
-        angle = np.arctan2(length, _dot(a, b))
-        total += angle / length * _dot(cross, normals)
+        total += np.arctan2(length, _dot(a, b)) / length * _dot(cross, normals)
     return np.maximum(0.0, -total / (2.0 * np.pi))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array, exp, tangent_basis
 from spheremouse.simulate.ball.scene import Scene
+from spheremouse.simulate.light import smoothstep
 from spheremouse.tracker import Frame
 
 _CANDIDATES = 48  # candidate places of a moved disc
@@ -29,8 +30,7 @@ class Dimming:
 
     def at(self, t: Array) -> Array:
         """Return the factor at times `t` (s, any shape). A change takes 0.2 s."""
-        x = np.clip(np.minimum(t - self.start, self.end - t) / 0.2, 0.0, 1.0)
-        return 1.0 + (self.factor - 1.0) * x * x * (3.0 - 2.0 * x)
+        return 1.0 + (self.factor - 1.0) * smoothstep(np.minimum(t - self.start, self.end - t) / 0.2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +57,7 @@ class Lift:
     def at(self, t: float) -> Array:
         """Offset of the ball's centre at time `t`, (3,) m from its place."""
         ramp = min(0.3, (self.end - self.start) / 3.0)
-        x = min(max(min(t - self.start, self.end - t) / ramp, 0.0), 1.0)
-        return np.array(self.shift) * (x * x * (3.0 - 2.0 * x))
+        return np.array(self.shift) * smoothstep(np.array(min(t - self.start, self.end - t) / ramp))
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +103,9 @@ def displaced(scene: Scene, disc: int, angle: float = 0.2) -> Scene:
 
 # ---- hands ----
 
-PER_METRE = 500  # pixels of the drawing
+_PER_METRE = 500  # pixels of the drawing
 _SCALE = 1.3  # a big hand: two of them hide about a third of the ball
-HALF_WIDTH, ABOVE, _BELOW = 0.12, 0.18, 0.75  # m, extent of the drawing around the palm
+_HALF_WIDTH, _ABOVE, _BELOW = 0.12, 0.18, 0.75  # m, extent of the drawing around the palm
 _SKIN = np.array([112.0, 148.0, 205.0])  # grey values blue, green, red
 _SLEEVE = np.array([112.0, 70.0, 48.0])
 _PLANE_Z = 0.66  # m, obj: just in front of the ball
@@ -127,7 +126,7 @@ def draw_hand() -> NDArray[np.float32]:
 
     Colours are multiplied by the cover already.
     """
-    y, x = np.mgrid[ABOVE : -_BELOW : -1.0 / PER_METRE, -HALF_WIDTH : HALF_WIDTH : 1.0 / PER_METRE]
+    y, x = np.mgrid[_ABOVE : -_BELOW : -1.0 / _PER_METRE, -_HALF_WIDTH : _HALF_WIDTH : 1.0 / _PER_METRE]
     parts = [  # from, to, radius at both, m; the origin is the middle of the palm
         (-0.016, -0.030, -0.016, 0.035, 0.031, 0.030), (0.016, -0.030, 0.016, 0.035, 0.031, 0.030),
         (-0.036, 0.055, -0.046, 0.118, 0.0105, 0.009), (-0.012, 0.060, -0.015, 0.140, 0.011, 0.0095),
@@ -141,9 +140,9 @@ def draw_hand() -> NDArray[np.float32]:
         s = np.clip(((x - x0) * dx + (y - y0) * dy) / (dx * dx + dy * dy), 0.0, 1.0)
         radius = r0 + s * (r1 - r0)
         depth = np.maximum(depth, radius - np.hypot(x - x0 - s * dx, y - y0 - s * dy))
-    cover = np.clip(0.5 + depth * PER_METRE, 0.0, 1.0)
+    cover = np.clip(0.5 + depth * _PER_METRE, 0.0, 1.0)
     round_edge = 0.62 + 0.38 * np.sqrt(np.clip(depth / 0.02, 0.0, 1.0))
-    sleeve = np.clip(0.5 + (-0.24 - y) * PER_METRE, 0.0, 1.0)[..., None]
+    sleeve = np.clip(0.5 + (-0.24 - y) * _PER_METRE, 0.0, 1.0)[..., None]
     colour = (_SKIN * (1.0 - sleeve) + _SLEEVE * sleeve) * round_edge[..., None]
     return np.concatenate([colour * cover[..., None], cover[..., None]], axis=2).astype(np.float32)
 
@@ -160,47 +159,39 @@ def place_hand(hand: NDArray[np.float32], visit: HandVisit, scene: Scene, t: flo
     if not visit.start < t < visit.end:
         return None
     side = 1.0 if visit.right else -1.0
-    since, left = t - visit.start, visit.end - t
-    away = 1.0 - _smooth(since / 0.5) * _smooth(left / 0.5)
+    since = t - visit.start
+    come, gone = smoothstep(np.array([since, visit.end - t]) / 0.5)
     x = side * (0.13 + 0.03 * np.sin(2.1 * since))
-    y = 0.02 + 0.11 * np.sin(1.7 * since + side) - 1.2 * away
+    y = 0.02 + 0.11 * np.sin(1.7 * since + side) - 1.2 * (1.0 - come * gone)
     tilt = side * (0.10 + 0.12 * np.sin(1.3 * since))
-    scale = _SCALE * visit.size
-    right = np.array([np.cos(tilt), np.sin(tilt), 0.0]) * scale * side
-    up = np.array([-np.sin(tilt), np.cos(tilt), 0.0]) * scale
-    place = np.array([x, y, _PLANE_Z]) + hand_corners(hand) @ np.stack([right, up])
-    return hand_in_picture(hand, scene.pose.to_cam(place), scene.camera)
+    axes = _SCALE * visit.size * np.array([[np.cos(tilt), np.sin(tilt), 0.0], [-np.sin(tilt), np.cos(tilt), 0.0]])
+    axes[0] *= side
+    palm = scene.pose.to_cam(np.array([x, y, _PLANE_Z]))
+    return hand_in_picture(hand, palm, axes @ scene.pose.rotation, scene.camera)
 
 
-def hand_corners(hand: NDArray[np.float32]) -> Array:
-    """Corners of a drawn hand, (4, 2) m right and up of its palm."""
-    return _corners(hand) / PER_METRE * (1.0, -1.0) + (-HALF_WIDTH, ABOVE)
+def hand_in_picture(
+    hand: NDArray[np.float32], palm: Array, axes: Array, camera: InteriorOrientation
+) -> PlacedHand | None:
+    """Place a drawn hand in the picture, with its palm at (3,) m in `cam`; `axes` (2, 3) point right and up of it.
 
-
-def _corners(hand: NDArray[np.float32]) -> NDArray[np.float32]:
+    Return None if it is out of sight, or if a part of it is nearer than 10 cm.
+    """
     h, w = hand.shape[:2]
-    return np.array([[0, 0], [w, 0], [0, h], [w, h]], dtype=np.float32)
-
-
-def hand_in_picture(hand: NDArray[np.float32], corners: Array, camera: InteriorOrientation) -> PlacedHand | None:
-    """Place a drawn hand in the picture, with its corners at (4, 3) m in `cam`. Return None if it is out of sight."""
-    uv = project(corners, camera)[0]
-    if not np.all(np.isfinite(uv)):
+    corners = np.array([[0, 0], [w, 0], [0, h], [w, h]], dtype=np.float32)
+    points = palm + (corners / _PER_METRE * (1.0, -1.0) + (-_HALF_WIDTH, _ABOVE)) @ axes
+    uv = project(points, camera)[0]
+    if np.any(points[:, 2] < 0.1) or not np.all(np.isfinite(uv)):
         return None
     limit = (camera.width, camera.height)
     low = np.clip(np.floor(uv.min(axis=0)).astype(int) - 1, 0, limit)
     high = np.clip(np.ceil(uv.max(axis=0)).astype(int) + 2, 0, limit)
     if np.any(high <= low):
         return None
-    M = cv2.getAffineTransform(_corners(hand)[:3], (uv[:3] - low).astype(np.float32))
+    M = cv2.getAffineTransform(corners[:3], (uv[:3] - low).astype(np.float32))
     paint = cv2.warpAffine(hand, M, (int(high[0] - low[0]), int(high[1] - low[1])))
     place = (slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0])))
     return PlacedHand(place, np.asarray(paint, dtype=np.float32))
-
-
-def _smooth(x: float) -> float:
-    x = min(max(x, 0.0), 1.0)
-    return x * x * (3.0 - 2.0 * x)
 
 
 # ---- a film made worse ----

@@ -101,8 +101,7 @@ class Gesture:
         down = self.ramp * (1.0 + self.coast)
         x = np.clip((np.asarray(t, dtype=float) - self.start) / self.length, 0.0, 1.0)
         peak = 1.0 / (1.0 - 0.5 * (up + down))
-        rise, rise_integral = _smooth(x / up)
-        fall, fall_integral = _smooth((1.0 - x) / down)
+        (rise, rise_integral), (fall, fall_integral) = _smooth(x / up), _smooth((1.0 - x) / down)
         middle = np.clip(x, up, 1.0 - down) - up
         share = peak * (up * rise_integral + middle + down * (0.5 - fall_integral))
         return self.angle * share, self.angle / self.length * peak * np.minimum(rise, fall)

@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter
 
 from spheremouse.geometry.camera import InteriorOrientation, project, unproject
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.ball.events import hand_corners, hand_in_picture
+from spheremouse.simulate.ball.events import hand_in_picture
 from spheremouse.simulate.light import reflectance, to_linear
 from spheremouse.simulate.shapes import Colour, Face, box, post
 from spheremouse.simulate.wand.ball import Layer, paint_of
@@ -296,8 +296,7 @@ def hand_at(
     """
     up = fingers / np.linalg.norm(fingers) * (1.0, 1.0, 0.0)
     up = up / np.linalg.norm(up) if np.linalg.norm(up) > 0.1 else np.array([0.0, -1.0, 0.0])
-    points = palm + hand_corners(drawing) @ np.array([[-up[1], up[0], 0.0], up])
-    placed = None if np.any(points[:, 2] < 0.1) else hand_in_picture(drawing, points, camera)
+    placed = hand_in_picture(drawing, palm, np.array([[-up[1], up[0], 0.0], up]), camera)
     if placed is None:
         return None
     placed.paint[..., :3] *= light
