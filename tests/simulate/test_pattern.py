@@ -19,28 +19,11 @@ from spheremouse.simulate.ball.profile import play
 from spheremouse.simulate.ball.render import Renderer
 from spheremouse.simulate.ball.scene import default_scene
 from spheremouse.simulate.to_dataset import write_simulation
+from tests.simulate.scenes import LENS, Fixed, fastest_time, image, painted, rng
 
 NAMES = get_args(PatternName)
 PAINTED = [name for name in NAMES if name != "none"]
-LENS = np.array([-0.2, 0.06, 0.001, -0.0015, -0.01])
 ATTITUDE = exp(np.array([0.4, -1.1, 0.7]))
-
-
-class Fixed:
-    seconds = 1.0
-
-    def __init__(self, attitude):
-        self.at_rest = attitude
-
-    def attitude(self, t):
-        return np.broadcast_to(self.at_rest, (len(t), 3, 3))
-
-    def rate(self, t):
-        return np.zeros((len(t), 3))
-
-
-def rng(seed=0):
-    return np.random.default_rng(seed)
 
 
 def anywhere(n, seed=0):
@@ -49,28 +32,8 @@ def anywhere(n, seed=0):
 
 
 @pytest.fixture(scope="module")
-def small():
-    return Renderer(default_scene(width=320, height=240, discs=30))
-
-
-@pytest.fixture(scope="module")
 def distorted():
     return Renderer(default_scene(view="near", width=320, height=240, distortion=LENS))
-
-
-def painted(small, name, options=None, **changes):
-    """Return a renderer of this scene with a pattern in place of discs."""
-    changes = {"pattern": Pattern(name, 1), "disc_directions": np.zeros((0, 3)), **changes}
-    return Renderer(replace(small.scene, **changes), options, small.backdrop)
-
-
-def image(renderer, profile, t=0.0):
-    return renderer.frame(profile, t, 0, rng()).frame.image.astype(float)
-
-
-def fastest_time(profile):
-    t = np.linspace(0.0, profile.seconds, 2001)
-    return float(t[np.argmax(np.linalg.norm(profile.rate(t), axis=1))])
 
 
 # ---- the albedo ----
@@ -190,45 +153,6 @@ def test_an_alignment_that_knows_the_albedo_finds_the_attitude_at_mid_exposure(s
     sigma = error.std() * np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
     assert np.all(np.degrees(sigma) < 0.01)
     assert np.all(np.abs(turned) < 4.0 * sigma + np.radians(0.002))
-
-
-@pytest.mark.parametrize("name", ["patches", "marble"])
-def test_the_pattern_turns_with_the_ball_and_light_does_not(small, name):
-    """A picture of the turned ball is that of a ball whose pattern was painted turned."""
-    renderer = painted(small, name)
-
-    class Turned:
-        def albedo(self, directions):
-            return Pattern(name, 1).albedo(directions @ ATTITUDE)
-
-    other = painted(small, name, pattern=Turned())
-    difference = np.abs(image(renderer, Fixed(ATTITUDE)) - image(other, Fixed(np.eye(3))))
-    assert np.max(difference) <= 1.0
-    assert np.max(np.abs(image(renderer, Fixed(ATTITUDE)) - image(renderer, Fixed(np.eye(3))))) > 40.0
-
-
-@pytest.mark.parametrize("name", ["patches", "dirt"])
-def test_a_blurred_frame_is_the_mean_of_sharp_ones(small, name):
-    profile, exposure = play(20.0, rng(5)), 0.03
-    t = fastest_time(profile)
-    sharp = painted(small, name)
-    blurred = image(painted(small, name, exposure_s=exposure), profile, t)
-    moments = t + exposure * ((np.arange(30) + 0.5) / 30 - 0.5)
-    mean = np.mean([image(sharp, profile, m) for m in moments], axis=0)
-    assert np.sqrt(np.mean(np.square(image(sharp, profile, t) - mean))) > (3.0 if name == "patches" else 0.1)
-    assert np.max(np.abs(blurred - mean)) < 25.0  # at the limb
-    assert np.sqrt(np.mean(np.square(blurred - mean))) < 0.6
-
-
-def test_a_rolling_shutter_takes_each_row_at_its_own_time(small):
-    profile, readout = play(20.0, rng(5)), 0.03
-    t = fastest_time(profile)
-    sharp = painted(small, "patches")
-    rolled = image(painted(small, "patches", readout_s=readout), profile, t)
-    assert np.any(rolled != image(sharp, profile, t))
-    for row in range(20, 220, 19):
-        at_once = image(sharp, profile, t + readout * ((row + 0.5) / 240.0 - 0.5))
-        assert np.max(np.abs(rolled[row] - at_once[row])) <= 1.0
 
 
 def test_discs_lie_on_the_pattern(small):
