@@ -75,7 +75,7 @@ class Hypotheses:
 # (r, c) or nan, and their distance in px.
 
 _Narrow = NDArray[np.float32]
-_Samples = tuple[_Narrow, _Narrow, _Narrow, _Narrow, int]
+_Samples = tuple[_Narrow, _Narrow, _Narrow, _Narrow, _Narrow, int]
 _Picture = tuple[_Narrow, _Narrow]
 
 def align_texture(
@@ -92,23 +92,24 @@ def correlate_texture(samples: _Samples, picture: _Picture, attitudes: _Float, m
     """Return the correlation, (k,), of picture and the `most` strongest samples at attitudes, (k, 3, 3)."""
 
 def learn_texture(
-    samples: _Samples, picture: _Picture, known: _Narrow, view: object, R: _Float, window: tuple[float, float, float],
+    samples: _Samples, picture: _Picture, known: _Narrow, chart: tuple[_Float, float, int, float], R: _Float,
     most: float, turn: int, forget: bool,
-) -> int:  # fmt: skip
+) -> None:  # fmt: skip
     """Learn a frame at R, (3, 3), in place: picture, and the mean weight of each tile, (6, n / 8, n / 8).
 
-    `window` has the left and top pixel of the contrast, and the pixels to one of it. A cell is the mean of up to `most`
-    views. With a `turn` >= 0 a part of the tiles is learnt. With `forget` the cells are forgotten that show what stands
-    still. The result is the number of tiles.
+    `chart` has the members of `Chart`. A cell is the mean of up to `most` views. With a `turn` >= 0 a part of the tiles
+    is learnt. With `forget` the cells are forgotten that show what stands still.
     """
 
 def weigh_static(
-    samples: _Samples, picture: _Picture, R: _Float, mean: _Narrow, odds: _Narrow, noise: float, share: float,
-    turn: int,
+    samples: _Samples, picture: _Picture, R: _Float, after: tuple[_Narrow, _Narrow, _Narrow], noise: float,
+    share: float, settle: float, turn: int,
 ) -> None:  # fmt: skip
-    """Update the log odds that each sample turns with the ball, and its mean contrast by a `share`, (r, c), in place.
+    """Update three arrays of the samples, (r, c), in place.
 
-    With a `turn` >= 0 a quarter of the rows.
+    `after` has the mean contrast, which takes a `share` of the frame, the log odds that the sample turns with the ball,
+    and the contrast that stands still, which takes the share `settle` of what remains. With a `turn` >= 0 a quarter of
+    the rows.
     """
 
 # spheremouse/ball/constellation/evidence.cpp

@@ -12,11 +12,11 @@ namespace {
 constexpr float LEAST_WEIGHT = 0.08f;  // of a cell: one oblique view
 constexpr float STATIC_ODDS = -3.0f;   // log odds below which a pixel does not turn with the ball
 constexpr int MOST = 6000;             // pixels: more add time and little information
-constexpr int MOST_ROUNDS = 10;
+constexpr int MOST_ROUNDS = 12;
 constexpr double CONVERGED = 1e-5;  // rad: a five hundredth of a pixel on a ball of 400 px; the anchors have the rest
 constexpr float YOUNG = 3.0f;       // views: the place of a cell with few follows the frames that taught it
-constexpr double NEAR = 1e-3;       // rad: from there on all pixels count
-constexpr size_t FEW = 800;         // pixels that show the way
+constexpr double NEAR = 2e-4;       // rad: from there on all pixels count
+constexpr int FEW = 4000;           // samples of which some show the way
 constexpr float CAUCHY = 2.385f;    // standard deviations: 95 % efficiency for normal errors
 
 /// The residuals' model.
@@ -25,42 +25,46 @@ struct Errors {
     float place;  // rad, of the picture's contours
 };
 
+/// A sample that counts.
+struct Pixel {
+    Vector3f d;  // obj
+    float contrast;
+};
+
 /// A pixel against the picture.
 struct Residual {
     float z, value, contrast, variance;
-    Vector3f J;  // of the picture's value by a rotation of the ball, obj
+    Vector3f J;  // of the picture's value by a rotation of the ball, in axes of the ball
 };
 
-/// Return the residual of a pixel; its variance is infinite where the picture is empty.
-Residual residual(const Samples& samples, const Picture& picture, const Matrix3f& R, const Errors& errors, int i) {
-    const Vector3f d = samples.towards(i);
-    const Look seen = look(picture, R.transpose() * d);
-    Residual r;
-    r.J = (R * seen.gradient).cross(d);
-    r.contrast = samples.at(i);
-    r.value = seen.value;
-    r.z = r.contrast - seen.value;
-    r.variance = seen.weight < LEAST_WEIGHT
-                     ? std::numeric_limits<float>::infinity()
-                     : errors.noise * errors.noise +
-                           errors.place * errors.place * (1.0f + YOUNG / seen.weight) * r.J.squaredNorm();
+/// Return the residual of a pixel at `towards`, R_ball_obj. Its variance is infinite where the picture is empty.
+inline Residual residual(const Pixel& pixel, const Picture& picture, const Matrix3f& towards, const Errors& errors) {
+    const Vector3f x = towards * pixel.d;
+    const Look seen = look(picture, x);
+    Residual r{pixel.contrast - seen.value, seen.value, pixel.contrast, std::numeric_limits<float>::infinity(),
+               seen.gradient.cross(x)};
+    if (seen.weight >= LEAST_WEIGHT)
+        r.variance = errors.noise * errors.noise +
+                     errors.place * errors.place * (1.0f + YOUNG / seen.weight) * r.J.squaredNorm();
     return r;
 }
 
-/// Return the pixels that show a rotation by `pixel` rad: each changes by its noise.
-std::vector<int> informative(const Samples& samples, const Picture& picture, const Matrix3f& R, const Errors& errors,
-                             float pixel) {
-    std::vector<int> found;
-    for (int i = 0; i < samples.size(); i++) {
-        if (!(samples.direction[3 * size_t(i)] < 2.0f) || samples.odds[i] < STATIC_ODDS) continue;
-        if (std::abs(samples.at(i) - samples.before[i]) < 2.0f * errors.noise) continue;
-        const Residual r = residual(samples, picture, R, errors, i);
-        if (std::isfinite(r.variance) && pixel * pixel * r.J.squaredNorm() > errors.noise * errors.noise)
-            found.push_back(i);
-    }
+/// Return pixels that show a rotation by `angle` rad: each changes by its noise. Look at one of `every` samples.
+std::vector<Pixel> informative(const Samples& samples, const Picture& picture, const Matrix3f& towards,
+                               const Errors& errors, float angle, int every) {
+    std::vector<Pixel> found;
+    const float least = errors.noise * errors.noise / (angle * angle);
+    for (int row = 0, i = 0; row < samples.rows; row++)
+        for (; i < (row + 1) * samples.columns; i += every) {
+            if (!(samples.odds[i] >= STATIC_ODDS) || !(samples.direction[3 * i] < 2.0f)) continue;
+            const Pixel pixel{samples.towards(i), samples.at(row, i - row * samples.columns)};
+            if (std::abs(pixel.contrast - samples.before[i]) < 2.0f * errors.noise) continue;
+            const Residual r = residual(pixel, picture, towards, errors);
+            if (std::isfinite(r.variance) && r.J.squaredNorm() > least) found.push_back(pixel);
+        }
     if (int(found.size()) <= MOST) return found;
-    std::vector<int> kept;
-    for (int k = 0; k < MOST; k++) kept.push_back(found[size_t(k) * found.size() / MOST]);
+    std::vector<Pixel> kept;
+    for (size_t k = 0; k < MOST; k++) kept.push_back(found[k * found.size() / MOST]);
     return kept;
 }
 
@@ -70,84 +74,105 @@ float median(std::vector<float>& values) {
     return *middle;
 }
 
-/// The normal equations of the pixels nearest to each anchor, or of all.
+/// Normal equations, and the number of their pixels, each by its weight.
 struct Normal {
-    std::vector<Matrix<3>> H;
-    std::vector<Vector<3>> g;
-    Vector<Dynamic> count;
+    Matrix<3> H = Matrix<3>::Zero();
+    Vector<3> g = Vector<3>::Zero();
+    double count = 0.0;
 
-    explicit Normal(int n) : H(n, Matrix<3>::Zero()), g(n, Vector<3>::Zero()), count(Vector<Dynamic>::Zero(n)) {}
+    void add(const Residual& one, float weight, float share) {
+        const Vector<3> J = one.J.cast<double>();
+        H += (double(weight) * J) * J.transpose();
+        g += double(weight * one.z) * J;
+        count += double(share);
+    }
 };
 
 struct Aligned {
-    Matrix<3> R;
+    Matrix<3> R;                             // R_obj_ball
     float scale = 0.0f, correlation = 0.0f;  // of residuals to their model; of contrast and picture
     int used = 0;
     bool converged = false;
 };
 
-Matrix3f narrow(const Matrix<3>& R) { return R.cast<float>(); }
+/// Cauchy's weights of residuals that are `scale` times as large as their model states.
+struct Weights {
+    float scale;
 
-/// Improve the attitude, and return the robust normal equations there by anchor.
-Aligned align(const Samples& samples, const Picture& picture, const Errors& errors, float pixel,
-              const int64_t* anchor_of, Matrix<3> R, Normal& by_anchor) {
-    const std::vector<int> pixels = informative(samples, picture, narrow(R), errors, pixel);
+    /// Return the share of a residual that counts, between 0 and 1.
+    float share(const Residual& one) const {
+        return 1.0f / (1.0f + one.z * one.z / (one.variance * CAUCHY * CAUCHY * scale * scale));
+    }
+    /// Return the weight of a residual that counts by a share.
+    float weight(const Residual& one, float share) const { return share / (one.variance * scale * scale); }
+};
+
+Matrix3f narrow(const Matrix<3>& R) { return R.transpose().cast<float>(); }
+
+/// Improve the attitude, and return the robust normal equations there by anchor, in axes of obj.
+///
+/// First a part of the pixels shows the way. Those that count are chosen where it ends: a choice at the start would
+/// take more of one side of each contour, and where the picture's contrast differs from the frame's, that pulls.
+Aligned align(const Samples& samples, const Picture& picture, const Errors& errors, float angle,
+              const int64_t* anchor_of, Matrix<3> R, std::vector<Normal>& by_anchor) {
+    int every = std::max(samples.size() / FEW, 1);
+    std::vector<Pixel> pixels;
+    std::vector<Residual> all;
+    std::vector<float> size;
     Aligned r{R};
-    r.used = int(pixels.size());
-    if (pixels.size() < 10) return r;
-    std::vector<Residual> all(pixels.size());
-    std::vector<float> size(pixels.size());
-    size_t step = pixels.size() > 4 * FEW ? pixels.size() / FEW : 1;  // first a part of the pixels shows the way
     for (int round = 0; round < MOST_ROUNDS; round++) {
-        const Matrix3f now = narrow(R);
+        const Matrix3f towards = narrow(R);
+        if (pixels.empty()) pixels = informative(samples, picture, towards, errors, angle, every);
+        r.used = int(pixels.size());
+        all.clear();
         size.clear();
-        for (size_t k = 0; k < pixels.size(); k += step) {
-            all[k] = residual(samples, picture, now, errors, pixels[k]);
-            if (std::isfinite(all[k].variance)) size.push_back(std::abs(all[k].z) / std::sqrt(all[k].variance));
+        for (const Pixel& pixel : pixels) {
+            all.push_back(residual(pixel, picture, towards, errors));
+            const Residual& one = all.back();
+            if (std::isfinite(one.variance)) size.push_back(one.z * one.z / one.variance);
         }
-        if (size.size() < 10) return r;
-        r.scale = std::max(1.4826f * median(size), 0.5f);
-        Normal whole(1);
+        if (size.size() < 10) {
+            if (every == 1) return r;
+            every = 1;
+            pixels.clear();
+            continue;
+        }
+        r.scale = std::max(1.4826f * std::sqrt(median(size)), 0.5f);
+        const Weights weights{r.scale};
+        Normal whole;
         double qq = 0.0, mm = 0.0, qm = 0.0;
-        const float limit = 1.0f / (CAUCHY * CAUCHY * r.scale * r.scale);
-        for (size_t k = 0; k < pixels.size(); k += step) {
-            const Residual& one = all[k];
+        for (const Residual& one : all) {
             if (!std::isfinite(one.variance)) continue;
-            const float information = 1.0f / one.variance;
-            const float w = information / (r.scale * r.scale) / (1.0f + one.z * one.z * information * limit);
-            const Vector3f J = w * one.J;
-            whole.H[0] += (J * one.J.transpose()).cast<double>();
-            whole.g[0] += (J * one.z).cast<double>();
+            const float w = weights.weight(one, weights.share(one));
+            whole.add(one, w, 1.0f);
             qq += double(w * one.contrast * one.contrast);
             mm += double(w * one.value * one.value);
             qm += double(w * one.contrast * one.value);
         }
         r.correlation = float(qm / std::sqrt(std::max(qq * mm, 1e-300)));
-        const Vector<3> dx = (whole.H[0] + 1e-3 * Matrix<3>::Identity()).ldlt().solve(whole.g[0]);
+        const Vector<3> dx = (whole.H + 1e-3 * Matrix<3>::Identity()).ldlt().solve(whole.g);
         if (!dx.allFinite()) return r;
         const double most = dx.cwiseAbs().maxCoeff();
-        if (step == 1 && (most < CONVERGED || round == MOST_ROUNDS - 1)) {
+        if (every == 1 && (most < CONVERGED || round == MOST_ROUNDS - 1)) {
             r.converged = most < 10.0 * CONVERGED;
             break;
         }
-        R = exp(dx * std::min(1.0, 0.1 / dx.norm())) * R;
-        if (most < NEAR || round == MOST_ROUNDS - 3) step = 1;
+        R = R * exp(dx * std::min(1.0, 0.1 / dx.norm()));
+        if (every > 1 && (most < NEAR || round == MOST_ROUNDS / 2)) {
+            every = 1;
+            pixels.clear();
+        }
     }
     r.R = R;
-    const Matrix3f now = narrow(R);
-    const float limit = 1.0f / (CAUCHY * CAUCHY * r.scale * r.scale);
+    const Matrix3f towards = narrow(R);
+    const Weights weights{r.scale};
+    const int tiles = picture.tiles();
     for (size_t k = 0; k < pixels.size(); k++) {
-        const Residual& one = all[k];
-        if (!std::isfinite(one.variance)) continue;
-        const Place p = place_on(now.transpose() * samples.towards(pixels[k]), picture.n);
-        const int tiles = picture.tiles();
+        if (!std::isfinite(all[k].variance)) continue;
+        const Place p = place_on(towards * pixels[k].d, picture.n);
         const auto anchor = size_t(anchor_of[(size_t(p.face) * tiles + p.row / TILE) * tiles + p.column / TILE]);
-        const float information = 1.0f / one.variance;
-        const float share = 1.0f / (1.0f + one.z * one.z * information * limit);
-        const float w = information / (r.scale * r.scale) * share;
-        by_anchor.H[anchor] += (w * one.J * one.J.transpose()).cast<double>();
-        by_anchor.g[anchor] += (w * one.z * one.J).cast<double>();
-        by_anchor.count(nb::ssize_t(anchor)) += share;
+        const float share = weights.share(all[k]);
+        by_anchor[anchor].add(all[k], weights.weight(all[k], share), share);
     }
     return r;
 }
@@ -164,31 +189,34 @@ nb::tuple align_texture(nb::tuple samples_, nb::tuple picture_, nb::handle R, do
         if (anchor_of.data()[i] < 0 || anchor_of.data()[i] >= anchors)
             throw nb::index_error("anchor_of: no such anchor");
     const Matrix<3> start = matrix<3, 3>(R, "R");
-    Normal by_anchor(anchors);
+    std::vector<Normal> by_anchor(anchors);
     Aligned r;
     {
         nb::gil_scoped_release release;
         r = align(samples, picture, {float(noise), float(place)}, float(pixel), anchor_of.data(), start, by_anchor);
     }
     auto H = zeros<double>({size_t(anchors), 3, 3}), g = zeros<double>({size_t(anchors), 3});
+    auto count = zeros<double>({size_t(anchors)});
     for (int k = 0; k < anchors; k++) {
-        std::copy_n(by_anchor.H[size_t(k)].data(), 9, H.data() + 9 * k);
-        std::copy_n(by_anchor.g[size_t(k)].data(), 3, g.data() + 3 * k);
+        const Normal& one = by_anchor[size_t(k)];
+        Eigen::Map<Matrix<3>>(H.data() + 9 * k) = r.R * one.H * r.R.transpose();
+        Eigen::Map<Vector<3>>(g.data() + 3 * k) = r.R * one.g;
+        count.data()[k] = one.count;
     }
-    return nb::make_tuple(to_numpy(r.R), r.scale, r.correlation, r.used, r.converged, H, g, to_numpy(by_anchor.count));
+    return nb::make_tuple(to_numpy(r.R), r.scale, r.correlation, r.used, r.converged, H, g, count);
 }
 
 /// Return the `most` samples of greatest contrast that may turn with the ball.
-std::vector<int> strongest(const Samples& samples, int most) {
-    std::vector<int> found;
-    for (int i = 0; i < samples.size(); i++)
-        if (samples.direction[3 * size_t(i)] < 2.0f && samples.odds[i] >= STATIC_ODDS) found.push_back(i);
-    const auto stronger = [&](int a, int b) {
-        const float x = std::abs(samples.at(a)), y = std::abs(samples.at(b));
-        return x > y || (x == y && a < b);
-    };
+std::vector<Pixel> strongest(const Samples& samples, int most) {
+    std::vector<Pixel> found;
+    for (int row = 0, i = 0; row < samples.rows; row++)
+        for (int column = 0; column < samples.columns; column++, i++)
+            if (samples.odds[i] >= STATIC_ODDS && samples.direction[3 * i] < 2.0f)
+                found.push_back({samples.towards(i), samples.at(row, column)});
     const auto end = found.begin() + std::clamp<nb::ssize_t>(most, 0, nb::ssize_t(found.size()));
-    std::partial_sort(found.begin(), end, found.end(), stronger);
+    if (end != found.end())
+        std::nth_element(found.begin(), end, found.end(),
+                         [](const Pixel& a, const Pixel& b) { return std::abs(a.contrast) > std::abs(b.contrast); });
     found.erase(end, found.end());
     return found;
 }
@@ -201,28 +229,23 @@ NewArray<double> correlate_texture(nb::tuple samples_, nb::tuple picture_, nb::h
     const auto attitudes = matrices<3, 3>(attitudes_, "attitudes");
     auto result = zeros<double>({size_t(attitudes.rows())});
     nb::gil_scoped_release release;
-    std::vector<Vector3f> towards;
-    std::vector<float> contrast;
-    for (int i : strongest(samples, most)) {
-        towards.push_back(samples.towards(i));
-        contrast.push_back(samples.at(i));
-    }
+    const std::vector<Pixel> pixels = strongest(samples, most);
     for (nb::ssize_t k = 0; k < attitudes.rows(); k++) {
         const Matrix3f turned = Matrix<3>(View<3, 3>(attitudes.row(k).data()).transpose()).cast<float>();
         float qq = 0.0f, mm = 0.0f, qm = 0.0f;
         size_t known = 0;
-        for (size_t i = 0; i < towards.size(); i++) {
-            const Place p = place_on(turned * towards[i], picture.n);
+        for (const Pixel& pixel : pixels) {
+            const Place p = place_on(turned * pixel.d, picture.n);
             const size_t at =
                 (size_t(p.face) * picture.n + p.row + (p.down > 0.5f)) * picture.n + p.column + (p.right > 0.5f);
             if (picture.weight[at] < LEAST_WEIGHT) continue;
-            const float q = contrast[i], m = picture.value[at];
+            const float q = pixel.contrast, m = picture.value[at];
             qq += q * q;
             mm += m * m;
             qm += q * m;
             known++;
         }
-        if (2 * known > towards.size() && qq * mm > 0.0f) result.data()[k] = double(qm / std::sqrt(qq * mm));
+        if (2 * known > pixels.size() && qq * mm > 0.0f) result.data()[k] = double(qm / std::sqrt(qq * mm));
     }
     return result;
 }
@@ -238,19 +261,28 @@ Picture read_picture(nb::handle value_, nb::handle weight_) {
 }
 
 Samples read_samples(nb::tuple samples) {
-    members(samples, 5, "samples");
+    members(samples, 6, "samples");
     const auto contrast = array<const float, -1, -1>(samples[0], "contrast");
     const auto direction = array<const float, -1, -1, 3>(samples[1], "direction");
     const auto odds = array<const float, -1, -1>(samples[2], "odds");
-    const auto before = array<const float, -1, -1>(samples[3], "before");
-    const int step = number<int>(samples[4], "samples");
+    const auto offset = array<const float, -1, -1>(samples[3], "offset");
+    const auto before = array<const float, -1, -1>(samples[4], "before");
+    const int step = number<int>(samples[5], "samples");
     const int rows = int(direction.shape(0)), columns = int(direction.shape(1));
-    for (const auto& each : {odds, before})
+    for (const auto& each : {odds, offset, before})
         if (int(each.shape(0)) != rows || int(each.shape(1)) != columns)
-            throw nb::type_error("odds, before: must have the shape of direction");
+            throw nb::type_error("odds, offset, before: must have the shape of direction");
     if (step < 1 || (rows - 1) * step >= int(contrast.shape(0)) || (columns - 1) * step >= int(contrast.shape(1)))
         throw nb::type_error("contrast: must have a pixel for each sample");
-    return {contrast.data(), direction.data(), odds.data(), before.data(), int(contrast.shape(1)), rows, columns, step};
+    return {contrast.data(),
+            direction.data(),
+            odds.data(),
+            offset.data(),
+            before.data(),
+            int(contrast.shape(1)),
+            rows,
+            columns,
+            step};
 }
 
 void bind_align(nb::module_& m) {

@@ -1,5 +1,4 @@
 // The picture of a ball, learnt from frames at known attitudes, and the pixels that do not turn with the ball.
-#include "spheremouse/ball/detect/disc_model.h"
 #include "spheremouse/ball/texture/picture.h"
 
 namespace spheremouse::ball {
@@ -9,82 +8,100 @@ constexpr float FACING = 0.3f;  // cosine between ray and normal from which a pl
 constexpr float STATIC_ODDS = -3.0f;
 constexpr float APART = 9.0f;           // squared standard deviations from which two explanations differ
 constexpr float MOST_PER_FRAME = 3.0f;  // nats: one frame proves little
-constexpr float KNOWN = 6.0f;           // views of a cell from which more of them matter little
-constexpr int EVERY = 4;                // frames in which a tile that is not known yet is learnt once
+constexpr float DOUBLE = 2.0f;          // views of a tile, after which it is learnt half as often
+constexpr int EVERY = 4, SELDOM = 32;   // frames in which a tile is learnt once, an unknown one and a known one
 constexpr float MOST_ODDS = 12.0f;
+constexpr int HEIGHTS = 256;            // steps of the tables from the horizon to the middle
+constexpr float MOST_OF_OFFSET = 3.0f;  // standard deviations of a contrast, by which one frame can move the offset
 
-/// A frame in which each pixel of a window has a contrast.
+/// Contrast on a chart of the ball (`chart.py`).
+///
+/// How far from the middle a place is, and how it faces the camera, follow from its height over the plane through the
+/// ball's centre across the view. Tables have both from the horizon to the middle.
 struct Shown {
     const float* contrast;  // (h, w)
     int height, width;
-    double left, top;  // px, of the window
-    double reduction;  // px of the image to one of the window
+    float middle;              // px
+    Matrix3f axes;             // rows: right and down on the chart, and towards the camera; ball
+    float horizon, by_height;  // height of the horizon; steps of the tables by height
+    float by_step;             // samples by pixel
+    std::array<float, HEIGHTS + 2> scale,
+        facing;  // px from the middle, by the sine of the angle; cosine of ray and normal
+
+    /// Set the tables for pixels `spacing` rad apart, and a camera `distance` radii from the centre.
+    void set_tables(float spacing, float distance) {
+        horizon = 1.0f / distance;
+        by_height = HEIGHTS / (1.0f - horizon);
+        for (int i = 0; i < HEIGHTS + 2; i++) {
+            const float h = std::min(horizon + (1.0f - horizon) * float(i) / HEIGHTS, 1.0f);
+            const float sine = std::sqrt(1.0f - h * h);
+            scale[i] = (sine > 1e-3f ? std::acos(h) / sine : 1.0f) / spacing;
+            facing[i] = (distance * h - 1.0f) / std::sqrt(1.0f + distance * distance - 2.0f * distance * h);
+        }
+    }
 };
-
-/// Return the contrast at a pixel between others; nan outside.
-float between(const Shown& shown, const Vector<2>& uv) {
-    const double x = (uv(0) + 0.5 - shown.left) / shown.reduction - 0.5,
-                 y = (uv(1) + 0.5 - shown.top) / shown.reduction - 0.5;
-    if (!(x >= 0.0 && y >= 0.0 && x < shown.width - 1 && y < shown.height - 1)) return std::nanf("");
-    const int i = int(y), j = int(x);
-    const float down = float(y - i), right = float(x - j);
-    const float *a = shown.contrast + size_t(i) * shown.width + j, *b = a + shown.width;
-    const float upper = a[0] + right * (a[1] - a[0]), lower = b[0] + right * (b[1] - b[0]);
-    return upper + down * (lower - upper);
-}
-
-/// Return true if a tile about the unit direction `d` (obj) may be in view on a picture of n cells.
-bool may_be_in_view(const BallView& view, const Vector<3>& d, int n) {
-    const double half =
-        M_SQRT2 * TILE * HALF / n;  // rad, from its middle to a corner; the cosine changes twice as fast
-    const Vector<3> ray = view.centre + view.radius * d - view.position;
-    return -d.dot(ray) / ray.norm() > FACING - 2.0 * half;
-}
 
 /// A cell in a frame.
 struct CellSeen {
-    float facing, contrast;  // cosine between ray and normal; nan: not in the window
-    bool stands;             // the frame's pixels there stand still
+    float facing = 0.0f, contrast = 0.0f;  // cosine between ray and normal
+    bool seen = false, stands = false;     // on the chart; the frame's pixels there stand still
 };
 
-CellSeen cell_seen(const Samples& samples, const Shown& shown, const BallView& view, const Vector<3>& d) {
-    const Vector<3> ray = view.centre + view.radius * d - view.position;
-    CellSeen r{float(-d.dot(ray) / ray.norm()), std::nanf(""), false};
+/// Return how a frame shows the place in the unit direction `at`, in the axes of the chart.
+inline CellSeen cell_seen(const Samples& samples, const Shown& shown, const Vector3f& at) {
+    CellSeen r;
+    const float h = (at[2] - shown.horizon) * shown.by_height;
+    if (!(h > 0.0f && h < HEIGHTS + 1)) return r;
+    const int k = int(h);
+    const float part = h - float(k);
+    r.facing = shown.facing[k] + part * (shown.facing[k + 1] - shown.facing[k]);
     if (!(r.facing > FACING)) return r;
-    const Vector<2> uv = seen_at(view, d);
-    const double every = shown.reduction * samples.step;
-    const int row = int((uv(1) - shown.top) / every + 0.5), column = int((uv(0) - shown.left) / every + 0.5);
-    if (!(row >= 0 && column >= 0 && row < samples.rows && column < samples.columns)) return r;
-    r.contrast = between(shown, uv);
-    r.stands = samples.odds[row * samples.columns + column] <= STATIC_ODDS;
+    const float scale = shown.scale[k] + part * (shown.scale[k + 1] - shown.scale[k]);
+    const float x = shown.middle + scale * at[0], y = shown.middle + scale * at[1];
+    if (!(x >= 0.0f && y >= 0.0f && x < float(shown.width - 1) && y < float(shown.height - 1))) return r;
+    const int row = int(y * shown.by_step + 0.5f), column = int(x * shown.by_step + 0.5f);
+    if (row >= samples.rows || column >= samples.columns) return r;
+    const int nearest = row * samples.columns + column;
+    const int i = int(y), j = int(x);
+    const float down = y - float(i), right = x - float(j);
+    const float *a = shown.contrast + i * shown.width + j, *b = a + shown.width;
+    const float upper = a[0] + right * (a[1] - a[0]), lower = b[0] + right * (b[1] - b[0]);
+    r.contrast = upper + down * (lower - upper) - samples.offset[nearest];
+    r.seen = std::isfinite(r.contrast);
+    r.stands = samples.odds[nearest] <= STATIC_ODDS;
     return r;
 }
 
 /// Learn the cells of a tile from a frame, or forget those that it took from what stands still.
 ///
 /// Return the mean weight in the tile.
-float learn_tile(const Picture& picture, const Samples& samples, const Shown& shown, const BallView& view,
-                 const Matrix<3>& R, float most, bool forget, int face, int tile_row, int tile_column) {
+float learn_tile(const Picture& picture, const Samples& samples, const Shown& shown, float most, bool forget, int face,
+                 int tile_row, int tile_column) {
     float sum = 0.0f;
-    for (int i = tile_row * TILE; i < (tile_row + 1) * TILE; i++)
-        for (int j = tile_column * TILE; j < (tile_column + 1) * TILE; j++) {
-            const size_t at = (size_t(face) * picture.n + i) * picture.n + j;
-            float& weight = picture.weight[at];
-            const Vector<3> d = R * direction_of(face, float(i), float(j), picture.n).normalized().cast<double>();
-            const CellSeen seen = cell_seen(samples, shown, view, d);
-            if (forget && seen.stands) weight = 0.0f;
-            if (!forget && !seen.stands && std::isfinite(seen.contrast)) {
-                const float w = seen.facing * seen.facing;
-                picture.value[at] += (seen.contrast - picture.value[at]) * w / (weight + w);
-                weight = std::min(weight + w, most);
+    const float row = float(tile_row * TILE), column = float(tile_column * TILE);
+    const Vector3f corner = shown.axes * direction_of(face, row, column, picture.n);
+    const Vector3f down = shown.axes * direction_of(face, row + 1.0f, column, picture.n) - corner;
+    const Vector3f right = shown.axes * direction_of(face, row, column + 1.0f, picture.n) - corner;
+    for (int i = 0; i < TILE; i++) {
+        const size_t at = (size_t(face) * picture.n + tile_row * TILE + i) * picture.n + tile_column * TILE;
+        float *value = picture.value + at, *weight = picture.weight + at;
+        for (int j = 0; j < TILE; j++) {
+            const Vector3f d = corner + float(i) * down + float(j) * right;
+            const CellSeen now = cell_seen(samples, shown, d / std::sqrt(d.squaredNorm()));
+            if (forget && now.stands) weight[j] = 0.0f;
+            if (!forget && now.seen && !now.stands) {
+                const float w = now.facing * now.facing;
+                value[j] += (now.contrast - value[j]) * w / (weight[j] + w);
+                weight[j] = std::min(weight[j] + w, most);
             }
-            sum += weight;
+            sum += weight[j];
         }
+    }
     return sum / float(TILE * TILE);
 }
 
-nb::object learn_texture(nb::tuple samples_, nb::tuple picture_, nb::handle known_, nb::handle view_, nb::handle R_,
-                         std::tuple<double, double, double> window, double most, int turn, bool forget) {
+void learn_texture(nb::tuple samples_, nb::tuple picture_, nb::handle known_, nb::tuple chart, nb::handle R_,
+                   double most, int turn, bool forget) {
     const Samples samples = read_samples(samples_);
     const auto contrast = array<const float, -1, -1>(samples_[0], "contrast");
     const Picture picture = read_picture(picture_[0], picture_[1]);
@@ -92,44 +109,47 @@ nb::object learn_texture(nb::tuple samples_, nb::tuple picture_, nb::handle know
     const int tiles = picture.tiles();
     if (int(known.shape(1)) != tiles || int(known.shape(2)) != tiles)
         throw nb::type_error("known: must have one element for each tile");
-    const Shown shown{contrast.data(),     int(contrast.shape(0)), int(contrast.shape(1)),
-                      std::get<0>(window), std::get<1>(window),    std::get<2>(window)};
-    const BallView view = read_ball_view(view_);
-    const Matrix<3> R = matrix<3, 3>(R_, "R");
-    int learnt = 0;
-    {
-        nb::gil_scoped_release release;
-        for (int t = 0; t < 6 * tiles * tiles; t++) {
-            const int face = t / (tiles * tiles), row = t / tiles % tiles, column = t % tiles;
-            const int every = known.data()[t] >= KNOWN ? 32 : EVERY;
-            if (turn >= 0 && t % every != turn % every) continue;
-            const Vector3f middle =
-                direction_of(face, (row + 0.5f) * TILE - 0.5f, (column + 0.5f) * TILE - 0.5f, picture.n).normalized();
-            if (!may_be_in_view(view, R * middle.cast<double>(), picture.n)) continue;
-            known.data()[t] = learn_tile(picture, samples, shown, view, R, float(most), forget, face, row, column);
-            learnt++;
-        }
+    members(chart, 4, "chart");
+    Shown shown{contrast.data(), int(contrast.shape(0)), int(contrast.shape(1)),
+                0.5f * float(number<int>(chart[2], "size") - 1)};
+    shown.axes = (Matrix<3>(matrix<3, 3>(chart[0], "axes")) * matrix<3, 3>(R_, "R")).cast<float>();
+    shown.by_step = 1.0f / float(samples.step);
+    shown.set_tables(number<float>(chart[1], "spacing"), number<float>(chart[3], "distance"));
+    const float reach = float(M_SQRT2) * TILE * HALF / float(picture.n);  // rad, from the middle of a tile to a corner
+    nb::gil_scoped_release release;
+    for (int t = 0; t < 6 * tiles * tiles; t++) {
+        int every = EVERY;
+        for (float views = DOUBLE; known.data()[t] >= views && every < SELDOM; views += DOUBLE) every *= 2;
+        if (turn >= 0 && t % every != turn % every) continue;
+        const int face = t / (tiles * tiles), row = t / tiles % tiles, column = t % tiles;
+        const Vector3f middle =
+            direction_of(face, (row + 0.5f) * TILE - 0.5f, (column + 0.5f) * TILE - 0.5f, picture.n);
+        if (!(shown.axes.row(2).dot(middle.normalized()) > shown.horizon - reach)) continue;
+        known.data()[t] = learn_tile(picture, samples, shown, float(most), forget, face, row, column);
     }
-    return nb::cast(learnt);
 }
 
 /// Weigh for each sample whether it turns with the ball or stays. `mean` is its mean contrast of late.
 ///
-/// Only a sample for which the two explanations differ says something.
-void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::handle mean_, nb::handle odds_,
-                  double noise, double share, int turn) {
+/// Only a sample for which the two explanations differ says something. What the turning picture leaves unexplained in
+/// the mean is the contrast of light, `offset`, of which a frame has the share `settle`.
+void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::tuple after, double noise, double share,
+                  double settle, int turn) {
     const Samples samples = read_samples(samples_);
     const Picture picture = read_picture(picture_[0], picture_[1]);
     const Eigen::Matrix3f R = Matrix<3>(matrix<3, 3>(R_, "R")).cast<float>();
-    const auto mean = array<float, -1, -1>(mean_, "mean"), odds = array<float, -1, -1>(odds_, "odds");
-    for (const auto& each : {mean, odds})
+    members(after, 3, "after");
+    const auto mean = array<float, -1, -1>(after[0], "mean"), odds = array<float, -1, -1>(after[1], "odds"),
+               offset = array<float, -1, -1>(after[2], "offset");
+    for (const auto& each : {mean, odds, offset})
         if (int(each.shape(0)) != samples.rows || int(each.shape(1)) != samples.columns)
-            throw nb::type_error("mean, odds: must have the shape of direction");
-    const float variance = float(noise * noise);
+            throw nb::type_error("mean, odds, offset: must have the shape of direction");
+    const float variance = float(noise * noise), limit = MOST_OF_OFFSET * float(noise);
     for (int i = 0; i < samples.size(); i++) {
-        if ((turn >= 0 && i / samples.columns % 4 != turn % 4) || !(samples.direction[3 * size_t(i)] < 2.0f)) continue;
-        const float now = samples.at(i);
-        float& before = mean.data()[i];
+        const int row = i / samples.columns;
+        if ((turn >= 0 && row % 4 != turn % 4) || !(samples.direction[3 * size_t(i)] < 2.0f)) continue;
+        const float now = samples.at(row, i % samples.columns);
+        float &before = mean.data()[i], &light = offset.data()[i];
         const Look seen = look(picture, R.transpose() * samples.towards(i));
         if (seen.weight > 0.08f) {
             const float apart = before - seen.value, stays = now - before, turns = now - seen.value;
@@ -138,6 +158,7 @@ void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::han
                 float& o = odds.data()[i];
                 o = std::clamp(o + std::clamp(nats, -MOST_PER_FRAME, MOST_PER_FRAME), -MOST_ODDS, MOST_ODDS);
             }
+            if (std::isfinite(turns)) light += float(settle) * std::clamp(turns, -limit, limit);
         }
         before += float(share) * (now - before);
     }
@@ -146,10 +167,10 @@ void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::han
 }  // namespace
 
 void bind_learn(nb::module_& m) {
-    m.def("learn_texture", &learn_texture, arg("samples"), arg("picture"), arg("known"), arg("view"), arg("R"),
-          arg("window"), arg("most"), arg("turn"), arg("forget"));
-    m.def("weigh_static", &weigh_static, arg("samples"), arg("picture"), arg("R"), arg("mean"), arg("odds"),
-          arg("noise"), arg("share"), arg("turn"));
+    m.def("learn_texture", &learn_texture, arg("samples"), arg("picture"), arg("known"), arg("chart"), arg("R"),
+          arg("most"), arg("turn"), arg("forget"));
+    m.def("weigh_static", &weigh_static, arg("samples"), arg("picture"), arg("R"), arg("after"), arg("noise"),
+          arg("share"), arg("settle"), arg("turn"));
 }
 
 }  // namespace spheremouse::ball

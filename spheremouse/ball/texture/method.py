@@ -35,7 +35,6 @@ from spheremouse.ball.texture.picture import (
     TextureView,
     align,
     contrast_noise,
-    contrast_of,
     empty_picture,
     first_seen,
     learn,
@@ -49,12 +48,14 @@ from spheremouse.geometry.rotation import Array, exp, rotation_between, tangent_
 from spheremouse.tracker import Frame, Status
 
 _VIEWS = 20.0  # in the mean of a cell: new dirt on the ball shows after a turn
-_PROVEN_PX = 5.0  # path of the ball's surface, in pixels, from which its turn is known better than what stands still
+_PROVEN_PX = 3.5  # path of the ball, in pixels of the chart, from which its turn is known better than what stands still
 _TURNING = 200  # samples that turn as the ball does, in 25 details, before it is tracked
-_TURNED_PX = 25.0  # path, in pixels, after which most pixels of a pattern have shown whether they turn
-_MOVED_PX = 0.7  # path that shows the cells other pixels
+_TURNED_PX = 17.0  # path, in pixels, after which most pixels of a pattern have shown whether they turn
+_MOVED_PX = 0.5  # path that shows the cells other pixels
+_DETAIL = 0.03  # rad, of path that shows a sample another part of the pattern
+_LOOKS = 10.0  # such paths, each in one frame of four, after which the contrast of light is known
 _RECENT = 0.1  # weight of a frame in the usual correlation: that of a third of a second
-_FLOOR_PX = 0.1  # standard deviation of an anchor's place per axis: errors of the picture that its pixels share
+_FLOOR_PX = 0.07  # standard deviation of an anchor's place per axis: errors of the picture that its pixels share
 _PRIOR = 0.01  # rad, of an anchor's place relative to the whole alignment
 _LOOSE = 0.005  # rad, standard deviation above which the pixels around an anchor do not determine its place
 _SHADING_PX = 0.1  # by which light that stands still shifts a contour
@@ -88,8 +89,8 @@ def detect_texture(
         found, shown = _detections(detector.fine, now.alignment, tracker)
         return found, now._replace(shown=shown)
     fine, coarse = (
-        level._replace(seen=level.seen._replace(contrast=contrast_of(view, frame.image)))
-        for level, view in ((before.fine, detector.fine), (before.coarse, detector.coarse))
+        level._replace(seen=level.seen._replace(contrast=contrast))
+        for level, contrast in zip((before.fine, before.coarse), detector.contrast(frame.image), strict=True)
     )
     now = before._replace(fine=fine, coarse=coarse, turn=before.turn + 1)
     lost = state.status is Status.LOST
@@ -117,10 +118,10 @@ def _path(detector: TextureDetector, now: TextureState, alignment: Alignment | N
 
 def _begin(detector: TextureDetector, frame: Frame, attitude: Array) -> TextureState:
     """Return the state after the first frame: its picture, aligned with itself."""
-    noise = contrast_noise(detector.fine, frame.image)
+    noise = contrast_noise(detector.fine, detector.resampling, frame.image)
     levels = []
-    for view in (detector.fine, detector.coarse):
-        seen = first_seen(view, contrast_of(view, frame.image))
+    for view, contrast in zip((detector.fine, detector.coarse), detector.contrast(frame.image), strict=True):
+        seen = first_seen(view, contrast)
         levels.append(Level(seen, learn(view, seen, empty_picture(view), attitude, _VIEWS)))
     alignment = align(detector.fine, without_before(levels[0].seen), levels[0].picture, attitude, noise)
     return TextureState(
@@ -137,9 +138,11 @@ def _learnt(detector: TextureDetector, now: TextureState, attitude: Array) -> Te
     pixel = detector.fine.pixel
     starts = not now.turned and _angle(attitude, now.began) > _TURNED_PX * pixel
     moved = now.turned and _angle(attitude, now.learnt_at) > _MOVED_PX * pixel
+    path = _angle(attitude, now.alignment.attitude) if now.turned and now.alignment is not None else 0.0
+    settle = min(path / _DETAIL, 1.0) / _LOOKS
     levels = []
     for view, level in ((detector.fine, now.fine), (detector.coarse, now.coarse)):
-        seen = weigh(view, level.seen, level.picture, attitude, now.noise, now.turn if now.turned else -1)
+        seen = weigh(view, level.seen, level.picture, attitude, now.noise, now.turn if now.turned else -1, settle)
         picture = level.picture
         if starts:
             seen = without_before(seen)

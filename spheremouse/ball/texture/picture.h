@@ -80,11 +80,14 @@ struct Samples {
     const float* contrast;   // (h, w) of a window
     const float* direction;  // (rows, columns, 3) obj; nan: not on the ball
     const float* odds;       // (rows, columns) log odds that it turns with the ball
+    const float* offset;     // (rows, columns) contrast that stands still: of light, its shadows and reflections
     const float* before;     // (rows, columns) contrast of a frame; a sample near it says nothing. nan: none
     int width, rows, columns, step;
 
     int size() const { return rows * columns; }
-    float at(int i) const { return contrast[size_t(i / columns) * step * width + size_t(i % columns) * step]; }
+    float at(int row, int column) const {
+        return contrast[size_t(row * step) * width + size_t(column * step)] - offset[row * columns + column];
+    }
     Vector3f towards(int i) const { return Eigen::Map<const Vector3f>(direction + 3 * size_t(i)); }
 };
 

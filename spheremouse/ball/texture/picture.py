@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.projection import GREY, sample_weights_of
-from spheremouse.ball.points import directions_at
-from spheremouse.ball.rig import Rig, view_of
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.texture.chart import Chart, Resampling
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.native import kernels
@@ -28,13 +28,13 @@ STATIC_ODDS = -3.0  # log odds below which a sample does not turn with the ball,
 _NOISE = 0.01  # of a contrast, without image noise: shading
 _TILE = 8  # cells along the edge of a tile
 _HALF = 1.1  # half the width of a face, as `picture.h` has it
-_CELL_PX = 1.5  # width of a cell where the ball is nearest, px
-_FINEST, _COARSEST = 256, 32  # cells along a face: a ball of 350 px, one of 44 px
-_SMALL, _LARGE = 0.03, 0.3  # half widths of the neighbourhoods, in radii of the ball's image
-_SMOOTH = 3  # px, width of the mean that stands for a pixel: samples are farther apart, and noise is less
+_CELL_PX = 1.5  # width of a cell, and of a pixel of the chart, where the ball is nearest, px
+_FINEST, _COARSEST = 320, 32  # cells along a face: a ball of 350 px, one of 44 px
+_SMALL, _LARGE = 0.032, 0.6  # rad, widths of the neighbourhoods; the small one is a mean of means
 _DARK = 10.0  # grey values, added to the larger mean: in the dark, contrast is noise
 _MOST_SAMPLES = 16000
-_CONTOUR_PX = 0.15  # standard deviation of a contour of the picture: interpolation and blur
+_OF_LATE = 0.2  # of a frame in the mean contrast
+_CONTOUR_PX = 0.1  # standard deviation of a contour of the picture: interpolation and blur
 _FACING = 0.3  # cosine between ray and normal from which a pixel shows the ball well
 
 
@@ -44,17 +44,21 @@ class TextureView:
 
     rig: Rig
     pose: Pose
-    window: tuple[slice, slice]  # rows and columns of the ball in the image
-    reduction: int  # px of the image to one of the window
-    inside: Floats  # (h, w) 1 on the ball, 0 elsewhere, of the window
+    chart: Chart
+    inside: Floats  # (h, w) 1 on the ball, 0 elsewhere, of the chart
     share: tuple[Floats, ...]  # (h, w) one over the part of each neighbourhood that is on the ball
-    widths: tuple[int, int]  # px, of the small and of the large neighbourhood
-    direction: Floats  # (rows, columns, 3) obj, of samples every `step` px of the window; nan: not on the ball
+    widths: tuple[int, int]  # px of the chart, of the small and of the large neighbourhood
+    direction: Floats  # (rows, columns, 3) obj, of samples every `step` px of the chart; nan: not on the ball
+    nothing: Floats  # (rows, columns) 0, or -inf where a sample is not on the ball
     step: int  # px
-    pixel: float  # rad, of the ball, that a pixel shows where the ball is nearest; times `coarse`
     cells: int  # along a face of the picture
     anchors: Array  # (k, 3) unit vectors, ball
     anchor_of: NDArray[np.int64]  # (6, t, t) the nearest anchor of each tile
+
+    @property
+    def pixel(self) -> float:
+        """Angle of the ball between two pixels of the chart, rad."""
+        return self.chart.spacing
 
 
 class Picture(NamedTuple):
@@ -68,9 +72,11 @@ class Picture(NamedTuple):
 class Seen(NamedTuple):
     """Samples of a frame, each with the odds that it turns with the ball."""
 
-    contrast: Floats  # (h, w) of the window
+    contrast: Floats  # (h, w) of the chart
     mean: Floats  # (rows, columns) contrast of late
     odds: Floats  # (rows, columns) log odds that the sample turns with the ball
+    least: Floats  # (rows, columns) log odds of the sample of its neighbourhood that stands still most likely
+    offset: Floats  # (rows, columns) contrast that stands still: of light, its shadows and reflections
     before: Floats  # (rows, columns) contrast of the first frame, until the ball has turned; then nan
 
 
@@ -87,37 +93,31 @@ class Alignment(NamedTuple):
     pixels: Array  # (k,) number of them, each by its weight
 
 
-def texture_view(rig: Rig, pose: Pose, mask: Image, coarse: int = 1) -> TextureView:
-    """Return the constant data of a rig's ball as the camera sees it from `pose`, by details `coarse` times as large.
+def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: Floats) -> TextureView:
+    """Return the constant data of a rig's ball as the camera sees it from `pose`.
 
-    A `mask`, (h, w), is 255 where the picture shows the ball.
+    `inside`, (size, size), is 1 where the chart shows the ball, else 0.
     """
-    window = _span(np.flatnonzero(mask.any(axis=1)), coarse), _span(np.flatnonzero(mask.any(axis=0)), coarse)
-    inside = (_reduced(mask[window], coarse) == 255).astype(np.float32)
-    pixel = texture_pixel(rig, pose)
-    radius = 1.0 / (coarse * pixel)  # px, of the ball in the window
-    small, large = (2 * max(round(part * radius), 2) + 1 for part in (_SMALL, _LARGE))
-    share = tuple(_inverse(part) for part in (_twice(inside, small), _box(inside, large), _box(inside, _SMOOTH)))
+    small = 2 * max(round(0.5 * _SMALL / chart.spacing), 1) + 1
+    large = 2 * round(0.5 * _LARGE / chart.spacing) + 1
+    share = _inverse(_box(_box(inside, small), small)), _inverse(_box(inside, large))
     step = max(round(float(np.sqrt(np.count_nonzero(inside) / _MOST_SAMPLES))), 1)
-    direction = _directions(rig, pose, window, inside, coarse, step)
-    cells = int(np.clip(_TILE * round(2.0 * _HALF * radius / (_CELL_PX * _TILE)), _COARSEST, _FINEST))
+    direction = chart.directions()
+    whole = cv2.erode(inside, np.ones((2 * small - 1, 2 * small - 1), np.uint8))
+    direction[~(chart.facing(direction) > _FACING) | (whole == 0.0)] = np.nan
+    direction = np.ascontiguousarray(direction[::step, ::step], dtype=np.float32)
+    nothing = np.where(np.isfinite(direction[..., 0]), 0.0, -np.inf).astype(np.float32)
+    cells = int(np.clip(_TILE * round(2.0 * _HALF / (chart.spacing * _TILE)), _COARSEST, _FINEST))
     anchors = anchor_directions()
     anchor_of = np.argmax(tile_directions(cells) @ anchors.T, axis=-1)
     return TextureView(
-        rig,
-        pose,
-        window,
-        coarse,
-        inside,
-        share,
-        (small, large),
-        direction,
-        step,
-        coarse * pixel,
-        cells,
-        anchors,
-        anchor_of,
+        rig, pose, chart, inside, share, (small, large), direction, nothing, step, cells, anchors, anchor_of
     )
+
+
+def texture_spacing(rig: Rig, pose: Pose) -> float:
+    """Return the angle of the ball, rad, between two pixels of a chart that has the details of the picture."""
+    return max(_CELL_PX * texture_pixel(rig, pose), 2.0 * _HALF / _FINEST)
 
 
 def texture_pixel(rig: Rig, pose: Pose) -> float:
@@ -126,51 +126,25 @@ def texture_pixel(rig: Rig, pose: Pose) -> float:
     return distance / (rig.ball.radius * max(rig.camera.intrinsic[:2]))
 
 
-def _directions(rig: Rig, pose: Pose, window: tuple[slice, slice], inside: Floats, reduction: int, step: int) -> Floats:
-    grid = np.mgrid[0 : inside.shape[0] : step, 0 : inside.shape[1] : step]
-    shape = grid.shape[1:]
-    middle = reduction * (grid + 0.5) - 0.5
-    uv = np.stack([middle[1] + window[1].start, middle[0] + window[0].start], axis=-1).reshape(-1, 2)
-    found, index = directions_at(uv, rig, pose)
-    direction = np.full((len(uv), 3), np.nan, np.float32)
-    ray = rig.ball.centre + rig.ball.radius * found - pose.position
-    facing = -np.sum(found * ray, axis=1) / np.linalg.norm(ray, axis=1)
-    shows = (facing > _FACING) & (inside[::step, ::step].ravel()[index] > 0)
-    direction[index[shows]] = found[shows]
-    return direction.reshape(*shape, 3)
+def contrast_of(fine: TextureView, coarse: TextureView, grey: Image) -> tuple[Floats, Floats]:
+    """Return the contrast of a chart's grey values on it, (h, w), and on the coarse chart."""
+    size = coarse.chart.size
+    rough = np.asarray(cv2.resize(grey, (size, size), interpolation=cv2.INTER_AREA))
+    far = cv2.multiply(_box(cv2.multiply(rough, coarse.inside, dtype=cv2.CV_32F), coarse.widths[1]), coarse.share[1])
+    far = np.asarray(far + np.float32(_DARK), np.float32)
+    wide = np.asarray(cv2.resize(far, (fine.chart.size, fine.chart.size)), np.float32)
+    return _contrast(fine, grey, wide), _contrast(coarse, rough, far)
 
 
-def contrast_of(view: TextureView, image: Image) -> Floats:
-    """Return the contrast of the ball's pixels in an image, (h, w) of the window."""
-    part = image[view.window]
-    grey = _reduced(part if part.ndim == 2 else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY), view.reduction)
+def _contrast(view: TextureView, grey: Image, far: Floats) -> Floats:
+    width = view.widths[0]
     light = cv2.multiply(grey, view.inside, dtype=cv2.CV_32F)
-    small, large = view.widths
-    near = cv2.multiply(_twice(light, small), view.share[0])
-    far = cv2.multiply(_box(light, large), view.share[1])
-    smooth = cv2.multiply(_box(light, _SMOOTH), view.share[2])
-    return np.ascontiguousarray(cv2.divide(smooth - near, far + _DARK) * view.inside, dtype=np.float32)
+    near = cv2.multiply(_box(_box(light, width), width), view.share[0])  # a neighbourhood that is nearly round
+    return np.asarray(cv2.divide(cv2.subtract(light, near), far), np.float32)
 
 
-def _span(at: NDArray[np.intp], reduction: int) -> slice:
-    """Return the rows or columns from the first to the last of `at`, in a multiple of `reduction`."""
-    return slice(int(at[0]), int(at[0]) + (int(at[-1]) + 1 - int(at[0])) // reduction * reduction)
-
-
-def _reduced(picture: Image, reduction: int) -> Image:
-    if reduction == 1:
-        return picture
-    height, width = picture.shape
-    return np.asarray(cv2.resize(picture, (width // reduction, height // reduction), interpolation=cv2.INTER_AREA))
-
-
-def _box(picture: Image, width: int) -> Floats:
+def _box(picture: Image | Floats, width: int) -> Floats:
     return np.asarray(cv2.blur(picture, (width, width)), np.float32)
-
-
-def _twice(picture: Image, width: int) -> Floats:
-    """Return the mean over a neighbourhood that is nearly round."""
-    return _box(_box(picture, width // 2 | 1), width // 2 | 1)
 
 
 def _inverse(part: Image) -> Floats:
@@ -187,12 +161,13 @@ def empty_picture(view: TextureView) -> Picture:
 def first_seen(view: TextureView, contrast: Floats) -> Seen:
     """Return the samples of a first frame: all may turn with the ball."""
     mean = np.ascontiguousarray(contrast[:: view.step, :: view.step])
-    return Seen(contrast, mean, np.zeros(mean.shape, np.float32), mean)
+    zero = np.zeros(mean.shape, np.float32)
+    return Seen(contrast, mean, zero, view.nothing, zero, mean)
 
 
 def align(view: TextureView, seen: Seen, picture: Picture, attitude: Array, noise: float) -> Alignment:
     """Return the attitude near `attitude`, (3, 3), that explains a frame. `noise` is that of a contrast."""
-    samples = seen.contrast, view.direction, seen.odds, seen.before, view.step
+    samples = _samples(view, seen)
     return Alignment(
         *kernels.align_texture(
             samples,
@@ -216,14 +191,12 @@ def learn(
     frame at that attitude took from pixels that stand still.
     """
     learnt = Picture(*(part.copy() for part in picture))
-    window = float(view.window[1].start), float(view.window[0].start), float(view.reduction)
     kernels.learn_texture(
-        (seen.contrast, view.direction, seen.odds, seen.before, view.step),
+        _samples(view, seen),
         learnt[:2],
         learnt.known,
-        view_of(view.rig, view.pose),
+        view.chart,
         attitude,
-        window,
         most,
         turn,
         forget,
@@ -236,35 +209,39 @@ def without_before(seen: Seen) -> Seen:
     return seen._replace(before=np.full_like(seen.before, np.nan))
 
 
-def contrast_noise(view: TextureView, image: Image) -> float:
+def contrast_noise(view: TextureView, resampling: Resampling, image: Image) -> float:
     """Return the standard deviation of a contrast, by the noise of a pixel over the light."""
     colours = np.ascontiguousarray(image if image.ndim == 3 else image[:, :, None])
-    rows, columns = view.window
+    rows, columns = resampling.window
     weights = sample_weights_of(GREY, colours.shape[2])
     noise = kernels.noise_of(colours, weights, rows.start, rows.stop, columns.start, columns.stop)
-    light = float(image[view.window][view.inside > 0].mean())  # a recording blackens the rest
-    return float(np.hypot(_NOISE, noise / (_SMOOTH * max(light, 1.0))))
+    light = float(resampling(image)[view.inside > 0.0].mean())  # a recording blackens the rest
+    return float(np.hypot(_NOISE, noise / (resampling.width * max(light, 1.0))))
 
 
-def weigh(view: TextureView, seen: Seen, picture: Picture, attitude: Array, noise: float, turn: int) -> Seen:
-    """Return the samples with the odds after a frame at `attitude`, (3, 3), that they turn with the ball."""
-    mean, odds = seen.mean.copy(), seen.odds.copy()
-    kernels.weigh_static(
-        (seen.contrast, view.direction, seen.odds, seen.before, view.step),
-        picture[:2],
-        attitude,
-        mean,
-        odds,
-        noise,
-        0.2,
-        turn,
-    )
-    return seen._replace(mean=mean, odds=odds)
+def weigh(
+    view: TextureView, seen: Seen, picture: Picture, attitude: Array, noise: float, turn: int, settle: float = 0.0
+) -> Seen:
+    """Return the samples with the odds after a frame at `attitude`, (3, 3), that they turn with the ball.
+
+    What stands still affects the contrast of its neighbourhood too. The offset takes the share `settle` of a frame.
+    """
+    mean, odds, offset = seen.mean.copy(), seen.odds.copy(), seen.offset.copy()
+    after = mean, odds, offset
+    kernels.weigh_static(_samples(view, seen), picture[:2], attitude, after, noise, _OF_LATE, settle, turn)
+    reach = 2 * (-(-(view.widths[0] - 1) // view.step)) + 1
+    least = cv2.erode(cv2.medianBlur(odds, 3), np.ones((reach, reach), np.uint8))  # a single sample may be chance
+    return seen._replace(mean=mean, odds=odds, offset=offset, least=least + view.nothing)
+
+
+def _samples(view: TextureView, seen: Seen) -> tuple[Floats, Floats, Floats, Floats, Floats, int]:
+    """Return the samples as the native functions have them."""
+    return seen.contrast, view.direction, seen.least, seen.offset, seen.before, view.step
 
 
 def correlate(view: TextureView, seen: Seen, picture: Picture, attitudes: Array, most: int) -> Array:
     """Return the correlation, (n,), of a frame and the picture at attitudes, (n, 3, 3), by the `most` best samples."""
-    samples = seen.contrast, view.direction, seen.odds, seen.before, view.step
+    samples = _samples(view, seen)
     return kernels.correlate_texture(samples, picture[:2], np.ascontiguousarray(attitudes), most)
 
 

@@ -16,13 +16,18 @@ from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.discs import unmasked
 from spheremouse.ball.detect.projection import Projection
 from spheremouse.ball.rig import Rig
+from spheremouse.ball.texture.chart import Resampling, chart_of, resampling
 from spheremouse.ball.texture.picture import (
     Alignment,
+    Floats,
     Picture,
     Seen,
     TextureView,
     align,
+    contrast_of,
     correlate,
+    texture_pixel,
+    texture_spacing,
     texture_view,
     without_before,
 )
@@ -50,12 +55,17 @@ _PARTS = 64  # frames that a search of all attitudes takes
 class TextureDetector:
     """The views of a ball at two scales."""
 
+    resampling: Resampling  # from an image to the fine chart
     fine: TextureView
     coarse: TextureView
 
     def with_projection(self, projection: Projection) -> "TextureDetector":
         """Return the detector as it is: contrast is that of grey values."""
         return self
+
+    def contrast(self, image: Image) -> tuple[Floats, Floats]:
+        """Return the contrast of the ball in an image, (h, w) of the fine and of the coarse chart."""
+        return contrast_of(self.fine, self.coarse, self.resampling(image))
 
     def detect(self, image: Image) -> Detections:
         """Return no disc."""
@@ -68,9 +78,16 @@ def texture_detector(rig: Rig, pose: Pose, masks: Iterable[tuple[float, ...]] = 
     Raises ConfigurationError if the masks hide the whole ball, or all but a margin.
     """
     mask = unmasked(clear_mask(rig, pose), masks)
-    if any(np.count_nonzero(mask.any(axis=k)) < _COARSE for k in (0, 1)):
+    spacing = texture_spacing(rig, pose)
+    chart = chart_of(rig, pose, spacing, _COARSE)
+    resample = resampling(chart, rig, pose, 2 * max(round(0.5 * spacing / texture_pixel(rig, pose)), 1) + 1)
+    inside = chart.inside & (resample(mask) == 255)
+    parts = inside.reshape(chart.size // _COARSE, _COARSE, chart.size // _COARSE, _COARSE)
+    fine = texture_view(rig, pose, chart, inside.astype(np.float32))
+    coarse = texture_view(rig, pose, chart.reduced(_COARSE), parts.all(axis=(1, 3)).astype(np.float32))
+    if not np.isfinite(coarse.direction).any():
         raise ConfigurationError("discs.masks: they leave nothing of the ball: give smaller ones")
-    return TextureDetector(texture_view(rig, pose, mask), texture_view(rig, pose, mask, _COARSE))
+    return TextureDetector(resample, fine, coarse)
 
 
 class Level(NamedTuple):

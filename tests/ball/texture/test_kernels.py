@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from spheremouse.ball.rig import view_of
 from spheremouse.ball.texture.picture import first_seen, learn, weigh
 from spheremouse.geometry.rotation import exp
 from spheremouse.native import kernels
@@ -17,7 +16,8 @@ NOTHING = np.full_like(SEEN.before, np.nan)
 SAMPLES = {
     "contrast": SEEN.contrast,
     "direction": VIEW.direction,
-    "odds": SEEN.odds,
+    "odds": SEEN.least,
+    "offset": SEEN.offset,
     "before": NOTHING,
     "step": VIEW.step,
 }
@@ -35,18 +35,17 @@ def correlated(*, attitudes=R[None], most=200, value=PICTURE.value, weight=PICTU
     return kernels.correlate_texture(tuple((SAMPLES | samples).values()), (value, weight), attitudes, most)
 
 
-def learnt(*, R=R, window=(0.0, 0.0, 4.0), known=PICTURE.known, turn=-1, forget=False, most=20.0, **samples):
+def learnt(*, R=R, chart=VIEW.chart, known=PICTURE.known, turn=-1, forget=False, most=20.0, **samples):
     value, weight, tiles = PICTURE.value.copy(), PICTURE.weight.copy(), known.copy()
     members = tuple((SAMPLES | samples).values())
-    view = view_of(VIEW.rig, VIEW.pose)
-    kernels.learn_texture(members, (value, weight), tiles, view, R, window, most, turn, forget)
+    kernels.learn_texture(members, (value, weight), tiles, chart, R, most, turn, forget)
     return value, weight, tiles
 
 
-def weighed(*, R=R, mean=SEEN.mean, odds_after=SEEN.odds, noise=NOISE, share=0.2, turn=-1, **samples):
-    mean, odds = mean.copy(), odds_after.copy()
-    kernels.weigh_static(tuple((SAMPLES | samples).values()), PICTURE[:2], R, mean, odds, noise, share, turn)
-    return mean, odds
+def weighed(*, R=R, mean=SEEN.mean, odds_after=SEEN.odds, offset_after=SEEN.offset, noise=NOISE, turn=-1, **samples):
+    after = mean.copy(), odds_after.copy(), offset_after.copy()
+    kernels.weigh_static(tuple((SAMPLES | samples).values()), PICTURE[:2], R, after, noise, 0.2, 0.01, turn)
+    return after
 
 
 @pytest.mark.parametrize("function", [aligned, correlated, learnt, weighed])
@@ -59,6 +58,7 @@ def weighed(*, R=R, mean=SEEN.mean, odds_after=SEEN.odds, noise=NOISE, share=0.2
         ("direction", VIEW.direction[:, ::2]),
         ("odds", SEEN.odds[1:].copy()),
         ("odds", SEEN.odds.ravel()),
+        ("offset", SEEN.offset[1:].copy()),
         ("before", NOTHING[:, 1:].copy()),
         ("before", None),
     ],
@@ -66,6 +66,14 @@ def weighed(*, R=R, mean=SEEN.mean, odds_after=SEEN.odds, noise=NOISE, share=0.2
 def test_wrong_samples_are_named(function, name, wrong):
     with pytest.raises(TypeError, match=rf"\b{name}\b"):
         function(**{name: wrong})
+
+
+OTHER_NAMES = {
+    (weighed, "odds"): "odds_after",
+    (weighed, "offset"): "offset_after",
+    (learnt, "axes"): "chart",
+    (learnt, "spacing"): "chart",
+}
 
 
 @pytest.mark.parametrize(
@@ -83,14 +91,18 @@ def test_wrong_samples_are_named(function, name, wrong):
         (correlated, "value", PICTURE.value.astype(np.float64)),
         (learnt, "R", np.eye(2)),
         (learnt, "known", PICTURE.known[:, 1:].copy()),
+        (learnt, "axes", VIEW.chart._replace(axes=np.eye(2))),
+        (learnt, "spacing", VIEW.chart._replace(spacing="wide")),
+        (learnt, "chart", VIEW.chart[:3]),
         (weighed, "R", np.eye(4)),
         (weighed, "mean", SEEN.mean[1:].copy()),
         (weighed, "odds", SEEN.odds.reshape(1, -1)),
+        (weighed, "offset", SEEN.offset[1:].copy()),
     ],
 )
 def test_other_wrong_arrays_are_named(function, name, wrong):
     with pytest.raises(TypeError, match=rf"\b{name}\b"):
-        function(**{"odds_after" if function is weighed and name == "odds" else name: wrong})
+        function(**{OTHER_NAMES.get((function, name), name): wrong})
 
 
 @pytest.mark.parametrize("anchor", [-1, 42])

@@ -6,28 +6,29 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse.ball.detect.appearance import clear_mask, seen_at
+from spheremouse.ball.detect.appearance import seen_at
+from spheremouse.ball.points import directions_at
 from spheremouse.ball.texture.picture import (
     align,
     anchor_directions,
-    contrast_of,
     correlate,
     empty_picture,
     first_seen,
     learn,
-    texture_view,
     tile_directions,
     weigh,
     without_before,
 )
+from spheremouse.ball.texture.search import texture_detector
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.native import kernels
 from spheremouse.simulate.ball.scene import default_scene
-from tests.ball.texture import twins
+from tests.ball.texture import painted, twins
 
 NOISE = 0.01
 SCENE = default_scene(1, width=160, height=120)
 RIG, POSE = SCENE.rig(), SCENE.pose
+DETECTOR = texture_detector(RIG, POSE)
 
 
 def waves(rng, count=40):
@@ -38,7 +39,7 @@ def waves(rng, count=40):
 
 @pytest.fixture(scope="module")
 def view():
-    return texture_view(RIG, POSE, clear_mask(RIG, POSE))
+    return DETECTOR.fine
 
 
 def shown(view, texture, R):
@@ -52,7 +53,7 @@ def shown(view, texture, R):
     return picture
 
 
-def painted(view, texture, weight=5.0):
+def picture_with(view, texture, weight=5.0):
     """The picture of a texture, each cell as its direction."""
     picture = empty_picture(view)
     n = view.cells
@@ -91,29 +92,63 @@ def test_anchors_are_spread_evenly_and_each_tile_belongs_to_the_nearest(view):
     assert np.array_equal(view.anchor_of.ravel(), nearest)
 
 
-@pytest.mark.parametrize("coarse", [1, 2, 4])
-def test_a_sample_shows_the_direction_that_its_pixel_sees(coarse):
-    view = texture_view(RIG, POSE, clear_mask(RIG, POSE), coarse)
-    row, column = np.nonzero(np.isfinite(view.direction[..., 0]))
-    uv = seen_at(view.direction[row, column].astype(float), RIG, POSE)
-    corner = view.window[1].start, view.window[0].start
-    pixel = (np.stack([column, row], axis=1) * view.step + 0.5) * view.reduction - 0.5 + corner
-    assert np.abs(uv - pixel).max() < 1e-3
+def test_a_pixel_of_the_chart_shows_its_direction_in_the_mean():
+    """Towards the horizon, pixels see more and more of the ball. A mean about a pixel shows a place farther out."""
+    fine, resample, rng = painted.DETECTOR.fine, painted.DETECTOR.resampling, np.random.default_rng(0)
+    part = (np.arange(4) - 1.5) / 4.0  # by four by four rays to a pixel
+    size = painted.RIG.camera.height, painted.RIG.camera.width
+    v, u, dv, du = np.meshgrid(*(np.arange(n) for n in size), part, part, indexing="ij")
+    uv = np.stack([u + du, v + dv], axis=-1).reshape(-1, 2)
+    found, index = directions_at(uv, painted.RIG, painted.POSE)
+    d = fine.chart.directions()
+    outside = (fine.chart.facing(d) > 0.4) & (fine.chart.facing(d) < 0.7) & (fine.inside > 0)
+    d, towards = d[outside], fine.chart.axes[2]
+    outward = (d @ towards)[:, None] * d - towards
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    middle = seen_at(d, painted.RIG, painted.POSE).astype(np.float32)
+    shifts = []
+    for _ in range(12):
+        k, phase = rng.normal(size=3) * 3.0, rng.uniform(0.0, 6.0)
+        light = np.zeros(len(uv))
+        light[index] = np.sin(found @ k + phase)
+        image = light.reshape(*size, 16).mean(axis=2).astype(np.float32)
+        slope = np.cos(d @ k + phase) * (outward @ k)
+        plain = cv2.remap(cv2.blur(image, (resample.width,) * 2), middle[None], None, cv2.INTER_LINEAR)[0]
+        for shown in (resample(image)[outside], plain):
+            shifts.append((slope @ (shown - np.sin(d @ k + phase)), slope @ slope))
+    corrected, uncorrected = (np.divide(*np.sum(shifts[k::2], axis=0)) for k in (0, 1))
+    assert uncorrected > 0.02 * fine.pixel
+    assert abs(corrected) < 0.3 * uncorrected
 
 
-def test_contrast_is_that_of_the_ball_and_not_of_the_light(view):
+def test_the_coarse_chart_has_the_mean_of_four_by_four_pixels():
+    fine, coarse = DETECTOR.fine.chart.directions(), DETECTOR.coarse.chart.directions()
+    n = DETECTOR.coarse.chart.size
+    mean = fine.reshape(n, 4, n, 4, 3).mean(axis=(1, 3))
+    seen = np.isfinite(mean[..., 0])
+    assert np.count_nonzero(seen) > 0.9 * np.count_nonzero(np.isfinite(coarse[..., 0]))
+    mean /= np.linalg.norm(mean, axis=-1, keepdims=True)
+    assert np.abs(mean - coarse)[seen].max() < 0.1 * DETECTOR.coarse.pixel
+
+
+def test_contrast_is_that_of_the_ball_and_not_of_the_light():
     """Twice the light, and light that falls off by a half over the ball, change a contrast by less than 0.03."""
     rng = np.random.default_rng(0)
     height, width = RIG.camera.height, RIG.camera.width
     albedo = 0.7 + 0.3 * (cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), 2.0) > 0.0)
     slope = np.linspace(1.0, 0.5, width)
-    even, twice, sloped = (
-        contrast_of(view, np.rint(light * albedo).astype(np.uint8)) for light in (100.0, 200.0, 200.0 * slope)
-    )
+    inside = np.isfinite(DETECTOR.fine.direction[..., 0])
+
+    def contrast(image):
+        return DETECTOR.contrast(np.rint(image).astype(np.uint8))[0][:: DETECTOR.fine.step, :: DETECTOR.fine.step][
+            inside
+        ]
+
+    even, twice, sloped = (contrast(light * albedo) for light in (100.0, 200.0, 200.0 * slope))
     assert np.abs(even).max() > 0.1
     assert np.abs(twice - even).max() < 0.03
     assert np.abs(sloped - twice).max() < 0.03
-    assert np.abs(contrast_of(view, np.full((height, width), 130, np.uint8))).max() < 1e-4
+    assert np.abs(contrast(np.full((height, width), 130.0))).max() < 1e-4
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -121,12 +156,12 @@ def test_alignment_finds_the_attitude_and_its_twin_the_same(view, seed):
     rng = np.random.default_rng(seed)
     texture, R = waves(rng), exp(rng.normal(size=3))
     contrast = shown(view, texture, R) + rng.normal(0.0, NOISE, view.inside.shape).astype(np.float32)
-    seen, picture = without_before(first_seen(view, contrast)), painted(view, texture)
+    seen, picture = without_before(first_seen(view, contrast)), picture_with(view, texture)
     start = exp(rng.normal(0.0, 0.02, 3)) @ R
     found = align(view, seen, picture, start, NOISE)
     q, d, _ = of_samples(view, seen)
     twin, scale, correlation, information = twins.align(
-        q, d, (picture.value.astype(float), picture.weight.astype(float)), start, NOISE, 0.15 * view.pixel, view.pixel
+        q, d, (picture.value.astype(float), picture.weight.astype(float)), start, NOISE, 0.1 * view.pixel, view.pixel
     )
     assert found.converged
     assert np.linalg.norm(log(found.attitude @ R.T)) < 5e-3  # noise, and values between the cells
@@ -140,7 +175,7 @@ def test_alignment_finds_the_attitude_and_its_twin_the_same(view, seed):
 def test_the_covariance_of_an_alignment_is_the_scatter_of_alignments(view):
     rng = np.random.default_rng(5)
     texture, R = waves(rng), exp(np.array([0.3, -0.2, 0.5]))
-    clear, picture, squares = shown(view, texture, R), painted(view, texture, 50.0), []
+    clear, picture, squares = shown(view, texture, R), picture_with(view, texture, 50.0), []
     exact = align(view, without_before(first_seen(view, clear)), picture, R, NOISE).attitude
     for _ in range(60):
         noisy = clear + rng.normal(0.0, 2.0 * NOISE, clear.shape).astype(np.float32)
@@ -153,14 +188,14 @@ def test_the_covariance_of_an_alignment_is_the_scatter_of_alignments(view):
 def test_an_empty_picture_and_a_plain_ball_align_with_nothing(view):
     flat = without_before(first_seen(view, np.zeros(view.inside.shape, np.float32)))
     assert not align(view, flat, empty_picture(view), np.eye(3), NOISE).converged
-    assert not align(view, flat, painted(view, lambda x: np.zeros(len(x))), np.eye(3), NOISE).converged
+    assert not align(view, flat, picture_with(view, lambda x: np.zeros(len(x))), np.eye(3), NOISE).converged
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_correlation_is_one_at_the_attitude_and_its_twin_the_same(view, seed):
     rng = np.random.default_rng(seed)
     texture, R = waves(rng), exp(rng.normal(size=3))
-    seen, picture = first_seen(view, shown(view, texture, R)), painted(view, texture)
+    seen, picture = first_seen(view, shown(view, texture, R)), picture_with(view, texture)
     attitudes = np.stack([R, *(exp(rng.normal(size=3)) for _ in range(20))])
     q, d, _ = of_samples(view, seen)
     found = correlate(view, seen, picture, attitudes, len(q))
@@ -176,7 +211,9 @@ def test_learning_has_the_mean_of_the_views_and_its_twin_the_same(view):
     small = replace(view, cells=32, anchor_of=np.zeros((6, 4, 4), np.int64))
     contrast = cv2.GaussianBlur(rng.normal(0.0, 1.0, view.inside.shape), (0, 0), 3.0).astype(np.float32)
     seen = first_seen(small, contrast)
-    seen.odds[rng.uniform(size=seen.odds.shape) < 0.1] = -5.0
+    least = np.where(rng.uniform(size=seen.odds.shape) < 0.1, -5.0, view.nothing).astype(np.float32)
+    offset = rng.normal(0.0, 0.1, seen.odds.shape).astype(np.float32)
+    seen = seen._replace(least=least, offset=offset)
     picture = empty_picture(small)
     for R in (np.eye(3), exp(np.array([0.4, 0.2, -0.3]))):
         value, weight = twins.learn(small, seen, picture, R, 1.5)
@@ -191,8 +228,9 @@ def test_a_picture_forgets_what_it_took_from_pixels_that_stand_still(view):
     rng = np.random.default_rng(3)
     seen = first_seen(view, shown(view, waves(rng), np.eye(3)))
     picture = learn(view, seen, empty_picture(view), np.eye(3), 20.0)
-    seen.odds[: len(seen.odds) // 2] = -5.0
-    kept = learn(view, seen, picture, np.eye(3), 20.0, forget=True)
+    least = view.nothing.copy()
+    least[: len(least) // 2] = -5.0
+    kept = learn(view, seen._replace(least=least), picture, np.eye(3), 20.0, forget=True)
     assert 0.3 < np.count_nonzero(kept.weight) / np.count_nonzero(picture.weight) < 0.7
     assert np.array_equal(kept.weight[kept.weight > 0.0], picture.weight[kept.weight > 0.0])
 
@@ -201,21 +239,50 @@ def test_a_picture_forgets_what_it_took_from_pixels_that_stand_still(view):
 def test_odds_tell_what_turns_from_what_stays_and_its_twin_the_same(view, turns):
     rng = np.random.default_rng(4)
     texture = waves(rng)
-    picture, R = painted(view, texture), exp(np.array([0.0, 0.3, 0.0]))
+    picture, R = picture_with(view, texture), exp(np.array([0.0, 0.3, 0.0]))
     seen = first_seen(view, shown(view, texture, np.eye(3)))
     seen = seen._replace(contrast=shown(view, texture, R) if turns else seen.contrast)
-    after = weigh(view, seen, picture, R, NOISE, -1)
+    after = weigh(view, seen, picture, R, NOISE, -1, 0.02)
     q, d, on_ball = of_samples(view, seen)
-    mean, odds = twins.weigh(q, d, picture[:2], R, seen.mean.ravel()[on_ball], seen.odds.ravel()[on_ball], NOISE, 0.2)
+    before = [part.ravel()[on_ball] for part in (seen.mean, seen.odds, seen.offset)]
+    mean, odds, offset = twins.weigh(q, d, picture[:2], R, before, NOISE, 0.02)
     assert np.allclose(after.mean.ravel()[on_ball], mean, atol=1e-5)
+    assert np.allclose(after.offset.ravel()[on_ball], offset, atol=1e-5)
     assert np.mean(np.isclose(after.odds.ravel()[on_ball], odds, atol=0.02)) > 0.99  # but at the limits
     assert np.mean(after.odds.ravel()[on_ball] * (1.0 if turns else -1.0) > 0.0) > 0.8
 
 
+def test_what_stands_still_is_left_out_with_its_neighbourhood_but_a_single_sample_is_not(view):
+    seen = first_seen(view, shown(view, waves(np.random.default_rng(0)), np.eye(3)))
+    middle = np.array(seen.odds.shape) // 2
+    for size, out in ((1, 0), (5, None)):
+        odds = np.zeros_like(seen.odds)
+        odds[middle[0] : middle[0] + size, middle[1] : middle[1] + size] = -10.0
+        after = weigh(view, seen._replace(odds=odds), empty_picture(view), np.eye(3), NOISE, -1)
+        left = np.count_nonzero((after.least < -3.0) & np.isfinite(after.least))
+        assert left == out if out is not None else left > size**2
+
+
+def test_the_contrast_of_light_is_learnt_while_the_ball_turns(view):
+    """A shadow's edge that stands still is in each frame; the pattern below it changes."""
+    rng = np.random.default_rng(7)
+    texture = waves(rng)
+    picture, seen = picture_with(view, texture), first_seen(view, shown(view, texture, np.eye(3)))
+    light = 0.03 * np.sin(np.arange(seen.odds.shape[1]) * 0.5)[None] * np.ones(seen.odds.shape)
+    light = np.ascontiguousarray(light * np.isfinite(view.nothing), np.float32)
+    for _ in range(400):
+        R = exp(rng.normal(size=3))
+        contrast = shown(view, texture, R)
+        contrast[:: view.step, :: view.step] += light
+        seen = weigh(view, seen._replace(contrast=contrast), picture, R, NOISE, -1, 0.02)
+    rest = (seen.offset - light)[np.isfinite(view.nothing)]
+    assert rest.std() < 0.2 * light.std()
+
+
 def test_wrong_arrays_are_named(view):
     seen, picture = first_seen(view, np.zeros(view.inside.shape, np.float32)), empty_picture(view)
-    samples = (seen.contrast, view.direction, seen.odds, seen.before, view.step)
-    for at, name in enumerate(("contrast", "direction", "odds", "before")):
+    samples = (seen.contrast, view.direction, seen.least, seen.offset, seen.before, view.step)
+    for at, name in enumerate(("contrast", "direction", "odds", "offset", "before")):
         wrong = (*samples[:at], samples[at].astype(np.float64), *samples[at + 1 :])
         with pytest.raises(TypeError, match=name):
             kernels.correlate_texture(wrong, picture[:2], np.eye(3)[None], 10)
@@ -224,6 +291,4 @@ def test_wrong_arrays_are_named(view):
     with pytest.raises(TypeError, match="value, weight"):
         kernels.correlate_texture(samples, (picture.value, picture.weight[:, 8:, 8:].copy()), np.eye(3)[None], 10)
     with pytest.raises(TypeError, match="known"):
-        kernels.learn_texture(
-            samples, picture[:2], picture.known[:, 1:].copy(), None, np.eye(3), (0.0, 0.0, 1.0), 1.0, -1, False
-        )
+        kernels.learn_texture(samples, picture[:2], picture.known[:, 1:].copy(), view.chart, np.eye(3), 1.0, -1, False)

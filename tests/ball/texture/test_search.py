@@ -120,8 +120,8 @@ def test_a_ball_that_a_hand_or_a_sleeve_covers_in_part_is_aligned_by_the_rest(pa
 
 @pytest.mark.parametrize("rows", [0, 1, 3])
 def test_masks_that_leave_a_margin_of_the_ball_are_refused_in_one_line(rows):
-    """The coarse view has no row of fewer than four pixels."""
-    shown = DETECTOR.fine.window[0].stop - rows
+    """A contrast needs its neighbourhood."""
+    shown = DETECTOR.resampling.window[0].stop - rows
     with pytest.raises(ConfigurationError, match="masks") as e:
         texture_detector(RIG, POSE, [(0, 0, RIG.camera.width, shown)])
     assert "\n" not in str(e.value)

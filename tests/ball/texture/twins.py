@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.geometry.rotation import exp
 
 HALF, TILE = 1.1, 8
@@ -87,7 +86,6 @@ def learn(view, seen, picture, R, most):
     """Picture after a frame at an attitude, every cell on its own."""
     value, weight = picture.value.astype(float).copy(), picture.weight.astype(float).copy()
     n, centre, radius = value.shape[1], view.rig.ball.centre, view.rig.ball.radius
-    left, top = view.window[1].start, view.window[0].start
     for face, row, column in np.ndindex(6, n, n):
         d = direction_of(face, row, column, n)
         d = R @ (d / np.linalg.norm(d))
@@ -95,25 +93,35 @@ def learn(view, seen, picture, R, most):
         facing = -d @ ray / np.linalg.norm(ray)
         if facing <= FACING:
             continue
-        uv = seen_at(d[None], view.rig, view.pose)[0]
-        x, y = (uv + 0.5 - (left, top)) / view.reduction - 0.5
-        sample = np.floor((uv - (left, top)) / (view.reduction * view.step) + 0.5).astype(int)[::-1]
-        i, j = int(y), int(x)
-        inside = x >= 0 and y >= 0 and x < seen.contrast.shape[1] - 1 and y < seen.contrast.shape[0] - 1
-        if not inside or np.any(sample >= seen.odds.shape) or seen.odds[tuple(sample)] <= STATIC_ODDS:
+        right, down, height = view.chart.axes @ d
+        from_middle = np.arccos(height) / view.chart.spacing * np.array([right, down]) / np.hypot(right, down)
+        x, y = from_middle + 0.5 * (view.chart.size - 1)
+        i, j, q = int(y), int(x), seen.contrast.astype(float)
+        if x < 0 or y < 0 or x >= q.shape[1] - 1 or y >= q.shape[0] - 1:
             continue
-        a, b, q = y - i, x - j, seen.contrast.astype(float)
+        sample = int(y / view.step + 0.5), int(x / view.step + 0.5)
+        if np.any(np.array(sample) >= seen.least.shape) or seen.least[sample] <= STATIC_ODDS:
+            continue
+        a, b = y - i, x - j
         now = (1 - a) * ((1 - b) * q[i, j] + b * q[i, j + 1]) + a * ((1 - b) * q[i + 1, j] + b * q[i + 1, j + 1])
+        now -= seen.offset[sample]
         w, before = facing**2, weight[face, row, column]
         value[face, row, column] += (now - value[face, row, column]) * w / (before + w)
         weight[face, row, column] = min(before + w, most)
     return value, weight
 
 
-def weigh(contrast, d, picture, R, mean, odds, noise, share):
-    """Mean contrast and log odds of samples, (k,), after a frame at an attitude."""
+def weigh(contrast, d, picture, R, before, noise, settle):
+    """Mean contrast, log odds and offset of samples, (k,), after a frame at an attitude; `before` has those before."""
+    mean, odds, offset = before
     shown, known = look(*picture, d @ R)
+    contrast = contrast - offset
     apart, stays, turns = mean - shown, contrast - mean, contrast - shown
     nats = np.clip(0.5 * (stays**2 - turns**2) / noise**2, -3.0, 3.0)
     differ = (known > LEAST_WEIGHT) & (apart**2 > 9.0 * noise**2)
-    return mean + share * (contrast - mean), np.where(differ, np.clip(odds + nats, -12.0, 12.0), odds)
+    light = offset + settle * np.clip(turns, -3.0 * noise, 3.0 * noise)
+    return (
+        mean + 0.2 * (contrast - mean),
+        np.where(differ, np.clip(odds + nats, -12.0, 12.0), odds),
+        np.where(known > LEAST_WEIGHT, light, offset),
+    )
