@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 _SAME_AXES = math.radians(15.0)  # a square is clicked better
 _SAME_OUTLINE = 0.1  # of the radius: edges farther off are of something else
-_REPLACED = "roi_c and roi_r count"
 _SECONDS = 10.0  # of the film, in which the edge is looked for
 # Corners of a square in the animal's axes, in the order in which configGui takes them (FicTrac's include/geometry.h).
 _SQUARES = {
@@ -43,8 +42,7 @@ def import_fictrac(
     roi_c and roi_r, or of roi_circ, is refined by the ball's edge. Each key is listed: used, or why it is not needed.
     """
     from spheremouse.calibrate.outline.fit import pinhole, rig_of
-    from spheremouse.capture import full_spec
-    from spheremouse.commands.ball import absolute, film
+    from spheremouse.commands.ball import film, source_spec
     from spheremouse.commands.ball.folder import check_folder, describe, drawn, next_steps, write_folder
     from spheremouse.files.config import to_yaml
     from spheremouse.files.fictrac import KEYS, read_fictrac
@@ -53,7 +51,7 @@ def import_fictrac(
     read = read_fictrac(config)
     check_folder(out, [config], force)
     _check(read)
-    spec = absolute(_source(read) if source is None else full_spec(source))
+    spec = source_spec(_source(read) if source is None else source)
     images, _ = film(spec, _SECONDS)
     camera = pinhole(images[0].shape[1::-1], read.values["vfov"])
     R, axes = lab_axes(read, camera)
@@ -63,11 +61,13 @@ def import_fictrac(
     if (port := int(read.values.get("sock_port", -1))) > 0:
         host = read.values.get("sock_host", "127.0.0.1")
         settings.append(f"output: {to_yaml(f'udp:{host}:{port},format=fictrac')}")
-    picture = drawn(images[-1], outline.pixels(camera), outline.pixels(camera, 12), masks)
+    picture = drawn(images[-1], outline.pixels(camera), (), masks)
     write_folder(out, rig, picture, spec, settings, "spheremouse import-fictrac")
+    reasons = {key: f"not needed: {reason}" for key, (_, reason) in KEYS.items() if reason} | {"c2a_r": axes}
+    reasons |= {key: "not needed: c2a_src names others" for key in _SQUARES if key != read.values.get("c2a_src")}
+    reasons |= {"roi_circ": "not needed: roi_c and roi_r count"} if "roi_r" in read.values else {}
     for key, line in sorted(read.lines.items(), key=lambda each: each[1]):
-        unused = KEYS[key][1] or (_REPLACED if key == "roi_circ" and "roi_r" in read.values else "")
-        print(f"{config}:{line}: {key}: {f'not needed: {unused}' if unused else axes if key == 'c2a_r' else 'used'}")
+        print(f"{config}:{line}: {key}: {reasons.get(key, 'used')}")
     print(f"{edge}\n{describe(outline, rig)}\n{next_steps(out, 'text:ball.dat,format=fictrac')}")
     away = math.degrees(math.acos(min(1.0, outline.direction[2])))
     print(

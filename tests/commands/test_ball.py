@@ -71,9 +71,19 @@ def test_points_by_hand_need_no_motion_and_find_the_same_ball(recording, tmp_pat
     assert off @ np.linalg.solve(C, off) < 16.3  # 0.999
 
 
+def test_points_may_follow_each_other_without_quotes(recording, tmp_path):
+    points = clicks(recording).split()
+    code, text = invoke(app, "ball", recording, "--out", tmp_path / "a", "--points", *points)
+    assert code == 0, text
+    code, text = invoke(app, "ball", recording, "--out", tmp_path / "b", "--points", " ".join(points))
+    assert code == 0, text
+    assert (tmp_path / "a" / "rig.yaml").read_text() == (tmp_path / "b" / "rig.yaml").read_text()
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        (("another.mkv",), "another.mkv: give one film; points come after --points"),
         (("--points", "1,2 3,4"), "--points: 2 points fix no outline; give 3 or more"),
         (("--points", "1,2 3 5,6"), "--points '1,2 3 5,6': write X,Y in px, as in \"320,72"),
         (("--points", "1,2 3,4 nan,6"), "write X,Y in px"),
@@ -109,6 +119,7 @@ def test_a_folder_is_replaced_only_with_force_and_a_file_never(recording, tmp_pa
 def test_a_missing_film_and_a_film_without_a_rig_are_one_line(recording, tmp_path):
     code, text = invoke(app, "ball", tmp_path / "none.mkv", "--out", tmp_path / "ball")
     assert (code, len(text.splitlines())) == (2, 1)
+    assert "none.mkv: no such file; name a film" in text
     code, text = invoke(app, "track", recording / "video.mkv", "--output", "null")
     assert code == 2
     assert "give its rig file with --rig" in text

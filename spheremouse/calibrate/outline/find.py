@@ -10,18 +10,17 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.diagnosis import blur_of
-from spheremouse.calibrate.outline.fit import Outline, fit_outline, part_in_picture, rays_of, residuals
+from spheremouse.calibrate.outline.fit import Outline, fit_outline, rays_of, residuals
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 from spheremouse.geometry.statistics import mad_sigma
 
-POINTS = 'or give points on its edge: --points "X,Y X,Y X,Y"'
-_TURN = "turn the ball by a quarter and more while you film, with the camera still"
+POINTS = "or give points on its edge: --points X,Y X,Y X,Y"
+_TURN = "turn the ball by a quarter and more while you film all of it with a still camera"
 
 _DARK, _BRIGHT = 25.0, 250.0  # grey values
 _SMOOTH = 0.8  # px, standard deviation of the Gaussian before all else
@@ -38,6 +37,7 @@ _IN_FRONT = 1.1  # radii, least depth of a ball's centre
 _NEAR = 0.01  # of the radius: a point of the border that fits
 _LEAST_SUPPORT = 0.3  # of the outline, on which an edge is
 _LEAST_IN_PICTURE = 0.7  # of the outline
+_ROUND, _AS_LARGE = 0.6, 0.3  # of what moves and of its outline, that are one; of the first: another ball
 _RANGES = (0.08, 0.04, 0.02, 0.02)  # of the radius, and at least _REACH px, in which an edge is looked for
 _REACH = 4.0
 _EDGE = float(np.sqrt(2.0 / np.pi))  # gradient over change at an edge, times the blur: phi(0) / Phi(0)
@@ -71,28 +71,36 @@ def find_outline(images: Sequence[Image], camera: InteriorOrientation, start: Ou
 
     Raises CalibrationError, with a remedy, if there is none, if there are several, or if it cannot be measured.
     """
-    grey = [i if i.ndim == 2 else cv2.cvtColor(i, cv2.COLOR_BGR2GRAY) for i in images]
+    grey = [i if i.ndim == 2 else np.asarray(cv2.cvtColor(i, cv2.COLOR_BGR2GRAY), np.uint8) for i in images]
     _check_light(grey)
-    change = change_of(_same_light(grey))
+    change = change_of(grey, light_of(grey))
     moving = _moving(change)
     first = start or _ransac(moving, camera)
     blur = float(np.hypot(_SHARPEST, np.nan_to_num(np.median([blur_of(grey[k]) for k in (0, len(grey) // 2, -1)]))))
     found = _refined(change, first, camera, _EDGE / blur)
-    _check_alone(moving, found.outline, camera)
+    if _has_other(moving, change, found.outline, camera, _EDGE / blur):
+        raise CalibrationError("several balls turn in the pictures", f"cover all but one, {POINTS}")
     return found
 
 
-def change_of(images: Sequence[Array]) -> Change:
-    """Return how the pixels of images, (h, w) grey values, change over time."""
-    base = cv2.GaussianBlur(images[0].astype(np.float32), (0, 0), _SMOOTH)
-    sums = np.zeros((7, *base.shape), np.float32)
-    along = np.array([[-0.5, 0.0, 0.5]], np.float32)
-    for image in images:
-        d = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTH) - base
+def change_of(images: Sequence[Image], light: Array) -> Change:
+    """Return how the pixels of images, (h, w) grey values, change over time, over the light of each, (n,).
+
+    Images with a light that is far from the usual one do not count.
+    """
+    sums, count = np.zeros((7, *images[0].shape), np.float32), 0
+    along, base = np.array([[-0.5, 0.0, 0.5]], np.float32), np.float32(0.0)
+    for image, k in zip(images, light, strict=True):
+        if abs(np.log(max(k, 1e-3))) > _SAME_LIGHT:
+            continue
+        smooth = cv2.GaussianBlur(image.astype(np.float32) / np.float32(k), (0, 0), _SMOOTH)
+        base = base if count else smooth  # sums of small values lose no digits
+        d = smooth - base
         x, y = cv2.filter2D(d, -1, along), cv2.filter2D(d, -1, along.T)
-        for k, value in enumerate((d, x, y, d * d, x * x, x * y, y * y)):
-            sums[k] += value
-    d, x, y, dd, xx, xy, yy = sums / len(images)
+        for i, value in enumerate((d, x, y, d * d, x * x, x * y, y * y)):
+            sums[i] += value
+        count += 1
+    d, x, y, dd, xx, xy, yy = sums / max(count, 1)
     variance = np.maximum(dd - d * d, 0.0)
     gradient = np.stack([xx - x * x, xy - x * y, yy - y * y], axis=-1)
     return Change(variance, gradient, float(np.percentile(variance[::4, ::4], 25.0)) ** 0.5)
@@ -106,14 +114,12 @@ def _check_light(images: Sequence[Image]) -> None:
         raise CalibrationError("the pictures are overexposed", "shorten the exposure, or dim the light")
 
 
-def _same_light(images: Sequence[Image]) -> list[Array]:
-    """Return the images with the light of the usual one; without those that are much lighter or darker."""
+def light_of(images: Sequence[Image]) -> Array:
+    """Return the light of each image over the usual light, (n,), by the pixels that are neither dark nor white."""
     thin = np.stack([image[::8, ::8] for image in images]).reshape(len(images), -1).astype(float)
     usual = np.median(thin, axis=0)
     clear = (usual > _DARK) & (usual < _BRIGHT)
-    light = np.median(thin[:, clear] / usual[clear], axis=1) if clear.any() else np.ones(len(images))
-    kept = np.abs(np.log(np.maximum(light, 1e-3))) < _SAME_LIGHT
-    return [image / np.float32(k) for image, k, keep in zip(images, light, kept, strict=True) if keep]
+    return np.median(thin[:, clear] / usual[clear], axis=1) if clear.any() else np.ones(len(images))
 
 
 def _moving(change: Change) -> Image:
@@ -131,6 +137,8 @@ def _border(moving: Image) -> Array:
     """Return points of the border of what moves, (n, 2) px, without those on the picture's edge."""
     contours = cv2.findContours(moving, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
     areas = np.array([cv2.contourArea(c) for c in contours])
+    if len(contours) == 0:
+        return np.zeros((0, 2))
     large = [c[:, 0] for c, area in zip(contours, areas, strict=True) if area > _LEAST_PART * areas.max()]
     points = np.concatenate(large).astype(float)
     h, w = moving.shape
@@ -182,7 +190,7 @@ def _refined(change: Change, outline: Outline, camera: InteriorOrientation, leve
     off = residuals(outline, rays_of(edges, camera)) * f
     scatter = float(mad_sigma(off))
     fits = np.abs(off) < max(1.5, 3.0 * scatter)
-    inside = float(np.mean(part_in_picture(pixels, camera)))
+    inside = float(np.mean(np.all((pixels >= 0.0) & (pixels < (camera.width, camera.height)), axis=1)))
     support = float(np.count_nonzero(fits)) / len(pixels)
     if inside < _LEAST_IN_PICTURE:
         raise CalibrationError(
@@ -231,19 +239,20 @@ def _edges(change: Change, pixels: Array, reach: float, level: float) -> Array:
     return pixels[i] + place[:, None] * normal[i]
 
 
-def _check_alone(moving: NDArray[np.uint8], outline: Outline, camera: InteriorOrientation) -> None:
-    """Raise CalibrationError if another ball turns."""
+def _has_other(moving: Image, change: Change, outline: Outline, camera: InteriorOrientation, level: float) -> bool:
+    """Return whether another ball turns: what else moves is round, nearly as large, and has an edge all around."""
     pixels = outline.pixels(camera)
-    larger = pixels.mean(axis=0) + 1.1 * (pixels - pixels.mean(axis=0))
-    rest = cv2.fillPoly(moving.copy(), [np.rint(larger).astype(np.int32)], 0)
-    ball = float(cv2.contourArea(pixels.astype(np.float32)))
-    if np.count_nonzero(rest) < 0.05 * ball:
-        return
+    rest = _filled(moving, pixels.mean(axis=0) + 1.1 * (pixels - pixels.mean(axis=0)), 0)
     try:
-        other = _ransac(rest, camera)
-        border = rays_of(_border(rest), camera)
+        other = _refined(change, _ransac(rest, camera), camera, level).outline
     except CalibrationError:
-        return
-    near = np.abs(residuals(other, border)) < _NEAR * other.angle
-    if other.angle > 0.3 * outline.angle and np.mean(near) > 0.5:
-        raise CalibrationError("several balls turn in the pictures", f"cover all but one, {POINTS}")
+        return False
+    disc = _filled(np.zeros_like(rest), other.pixels(camera), 255)
+    common = np.count_nonzero(rest & disc)
+    least = _ROUND * max(np.count_nonzero(rest), np.count_nonzero(disc))
+    return bool(common > least) and other.angle > _AS_LARGE * outline.angle
+
+
+def _filled(image: Image, pixels: Array, value: int) -> Image:
+    """Return an image with a polygon of (n, 2) px that has a grey value."""
+    return np.asarray(cv2.fillPoly(image.copy(), [np.rint(np.clip(pixels, -1e4, 1e4)).astype(np.int32)], value))

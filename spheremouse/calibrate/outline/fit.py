@@ -7,7 +7,6 @@ for each unit ray r. So n = u / cos a solves the linear equations n·r = 1, whic
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spheremouse.ball.rig import NO_TARGETS, UNKNOWN_READOUT, Ball, Rig
 from spheremouse.errors import CalibrationError
@@ -125,11 +124,6 @@ def rig_of(outline: Outline, camera: InteriorOrientation, R_obj_cam: Array = R_O
         pose=Pose(R_obj_cam, -R_obj_cam @ outline.centre, covariance),
         scale_free=True,
     )
-
-
-def part_in_picture(pixels: Array, camera: InteriorOrientation) -> NDArray[np.bool_]:
-    """Return which pixels, (n, 2), are in the picture, (n,)."""
-    return np.all((pixels >= 0.0) & (pixels <= np.array([camera.width - 1, camera.height - 1])), axis=1)
 
 
 def rotation_scale(outline: Outline, factor: float) -> float:

@@ -58,11 +58,12 @@ class BallOptions:
     points: Annotated[
         list[str] | None,
         typer.Option(
-            metavar='"X,Y X,Y X,Y"',
+            metavar="X,Y X,Y X,Y",
             help="Three or more points on the ball's outline, px, in place of the search. [0, 0 is the upper left "
             "pixel]",
         ),
     ] = None
+    more_points: Annotated[list[str] | None, typer.Argument(metavar="X,Y", hidden=True)] = None
     seconds: Annotated[float, typer.Option(metavar="S", min=0.5, help="Search in the first S seconds.")] = 10.0
     force: Force = False
 
@@ -76,17 +77,18 @@ def ball(*, options: BallOptions) -> None:
     """
     from spheremouse.calibrate.outline.find import find_outline
     from spheremouse.calibrate.outline.fit import fit_outline, rays_of, rig_of, rotation_scale
-    from spheremouse.capture import full_spec
     from spheremouse.commands.ball.folder import check_folder, describe, drawn, next_steps, write_folder
     from spheremouse.files.rig import load_camera
 
     o = options
     if o.camera is not None and o.vfov is not None:
         raise ConfigurationError("--camera and --vfov: give one of the two")
-    points = None if o.points is None else parse_points(o.points)
+    if o.more_points and o.points is None:
+        raise ConfigurationError(f"{o.more_points[0]}: give one film; points come after --points")
+    points = None if o.points is None else parse_points([*o.points, *(o.more_points or ())])
     check_folder(o.out, [o.camera], o.force)
     known = None if o.camera is None else load_camera(o.camera)
-    spec = absolute(full_spec(o.source))
+    spec = source_spec(o.source)
     images, recorded = film(spec, None if points is not None else o.seconds)
     known = known or (None if o.vfov else recorded)
     camera, assumed = camera_of(images[0], known, o.vfov), known is None and o.vfov is None
@@ -123,10 +125,16 @@ def parse_points(texts: list[str]) -> "Array":
     return points
 
 
-def absolute(spec: str) -> str:
-    """Return a source with the absolute path of its file or folder."""
-    kind, _, argument = spec.partition(":")
-    return f"{kind}:{Path(argument).absolute()}" if kind in ("video", "dataset") and argument else spec
+def source_spec(source: str) -> str:
+    """Return a source as `KIND:ARGUMENT`, with the absolute path of a file or folder. Raises SourceError without it."""
+    from spheremouse.capture import full_spec
+
+    kind, colon, argument = full_spec(source).partition(":")
+    if not colon and not Path(source).exists():
+        raise SourceError(f"{source}: no such file", "name a film, a recording's folder, or KIND:ARGUMENT")
+    return (
+        f"{kind}:{Path(argument).absolute()}" if kind in ("video", "dataset") and argument else kind + colon + argument
+    )
 
 
 def film(spec: str, seconds: float | None) -> "tuple[list[Image], InteriorOrientation | None]":

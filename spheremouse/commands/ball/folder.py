@@ -52,14 +52,15 @@ def write_folder(folder: Path, rig: Rig, picture: Image, spec: str, settings: Se
     write_atomically(folder / CONFIG_FILE, "\n".join(lines) + "\n")
 
 
-def drawn(image: Image, outline: Array, marks: Array, masks: Sequence[Polygon] = ()) -> Image:
-    """Return a picture with the outline of the ball, the points that it fits, (n, 2) px each, and masks."""
+def drawn(image: Image, outline: Array, marks: Iterable[Array], masks: Sequence[Polygon] = ()) -> Image:
+    """Return a picture with the outline of the ball, points that it fits, and masks, (n, 2) px."""
     scale = max(1, round(_WIDTH / image.shape[1]))
     canvas = canvas_of(image, scale)
     for lines, colour in (([np.reshape(mask, (-1, 2)) for mask in masks], BLUE), ([outline], GREEN)):
         fixed = [np.rint(((line + 0.5) * scale - 0.5) * 16.0).astype(np.int32) for line in lines]
         cv2.polylines(canvas, fixed, True, colour, 1, cv2.LINE_AA, 4)
-    for x, y in np.rint((marks + 0.5) * scale - 0.5).astype(int).tolist():
+    for mark in marks:
+        x, y = np.rint((mark + 0.5) * scale - 0.5).astype(int).tolist()
         cv2.drawMarker(canvas, (x, y), RED, cv2.MARKER_CROSS, 7)
     return canvas
 
