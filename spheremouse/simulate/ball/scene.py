@@ -6,6 +6,7 @@ The room holds false candidates: black dots, single coloured discs, coloured rin
 the room is a valid one.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,30 +59,20 @@ def frame(targets: Targets, bolt_radius: float) -> list[Shape]:
         card = position - 0.001 * FRONT
         half = 1.22 * targets.radii[2]
         shapes.append(_card(card, half, half))
-        inner = 0.0
-        for colour, outer in zip(code, targets.radii, strict=True):
-            shapes.append(Ring(position, FRONT, inner, float(outer), INK[colour]))
-            inner = float(outer)
+        shapes += _rings(position, [(INK[c], float(r)) for c, r in zip(code, targets.radii, strict=True)])
     return shapes
 
 
 def room() -> list[Shape]:
     """Walls, floor, shelves, posters with false candidates, a lamp and a plant."""
-    shapes = _walls()
-    shapes += _shelves()
-    shapes += _posters()
+    shapes: list[Shape] = [*_walls(), *_shelves(), *_posters()]
     x, z = -1.35, -0.95  # a floor lamp
     shapes += post((x, _FLOOR_Y, z), (x, 1.02, z), 0.018, BLACK)
     shapes += post((x, 0.95, z), (x, 1.25, z), 0.20, (0.04, 0.42, 0.62), top_radius=0.12)
     shapes += post((x, _FLOOR_Y, z), (x, _FLOOR_Y + 0.03, z), 0.15, BLACK, top_radius=0.14)
     shapes += post((1.12, _FLOOR_Y, -1.1), (1.12, -0.82, -1.1), 0.13, (0.10, 0.16, 0.42), top_radius=0.17)  # a plant
-    for dx, y, dz, r in (
-        (0, -0.60, 0, 0.17),
-        (0.12, -0.44, 0.05, 0.12),
-        (-0.13, -0.46, -0.04, 0.13),
-        (0, -0.30, 0, 0.1),
-    ):
-        shapes.append(Sphere(np.array([1.12 + dx, y, -1.1 + dz]), r, (0.06, 0.20, 0.07)))
+    leaves = ((0, -0.60, 0, 0.17), (0.12, -0.44, 0.05, 0.12), (-0.13, -0.46, -0.04, 0.13), (0, -0.30, 0, 0.1))
+    shapes += [Sphere(np.array([1.12 + dx, y, -1.1 + dz]), r, (0.06, 0.20, 0.07)) for dx, y, dz, r in leaves]
     return shapes
 
 
@@ -90,6 +81,12 @@ def _card(centre: Array, half_x: float, half_y: float, colour: Colour = PAPER, t
     c, s = np.cos(turn), np.sin(turn)
     right, up = np.array([c, s, 0.0]) * half_x, np.array([-s, c, 0.0]) * half_y
     return Face(np.array([centre - right - up, centre + right - up, centre + right + up, centre - right + up]), colour)
+
+
+def _rings(centre: Array, colours: Sequence[tuple[Colour, float]]) -> list[Ring]:
+    """Return nested rings from their colours and outer radii, the innermost first."""
+    inner = (0.0, *(outer for _, outer in colours))
+    return [Ring(centre, FRONT, inner[k], outer, colour) for k, (colour, outer) in enumerate(colours)]
 
 
 def _walls() -> list[Shape]:
@@ -121,12 +118,11 @@ def _shelves() -> list[Shape]:
         (1.34, 0.09, 0.33, INK["M"]), (1.44, 0.06, 0.28, (0.12, 0.12, 0.13)),
     )  # fmt: skip
     for i, (x, width, height, colour) in enumerate(books):
-        shapes += box(
-            (x, 0.98, back + 0.03), (x + width - 0.008, 0.98 + height, back + 0.22), colour, 0.02 * (i % 3 - 1)
-        )
+        low, high = (x, 0.98, back + 0.03), (x + width - 0.008, 0.98 + height, back + 0.22)
+        shapes += box(low, high, colour, 0.02 * (i % 3 - 1))
         if i % 2 == 0:
-            x2 = -x - width
-            shapes += box((x2, 1.47, back + 0.04), (x2 + width, 1.47 + 0.9 * height, back + 0.2), books[-1 - i][3])
+            low, high = (-x - width, 1.47, back + 0.04), (-x - width + width, 1.47 + 0.9 * height, back + 0.2)
+            shapes += box(low, high, books[-1 - i][3])
     for x, y, r, colour in (
         (-1.12, 0.98, 0.085, (0.40, 0.16, 0.42)), (-0.68, 0.98, 0.06, (0.05, 0.08, 0.6)), (0.80, 0.98, 0.075, INK["M"]),
         (1.14, 0.98, 0.06, BLACK), (-0.05, 0.98, 0.05, BLACK), (0.72, 1.47, 0.08, (0.5, 0.2, 0.05)),
@@ -136,43 +132,33 @@ def _shelves() -> list[Shape]:
 
 
 def _posters() -> list[Shape]:
-    """Sheets on the wall and the floor with shapes that resemble discs or targets."""
+    """Sheets on the wall with shapes that resemble discs or targets, and a wheel that leans in the corner."""
+    c, m, y, k, w = INK["C"], INK["M"], INK["Y"], BLACK, PAPER
+    eye = [(k, 0.022), (w, 0.045), (k, 0.055)]
+    sheets = (  # x, y, half width and height, turn, and marks: x, y, rings
+        (-1.22, 0.42, 0.26, 0.20, 0.03, [  # doubles and singles
+            (-0.13, 0.07, [(m, 0.03), (c, 0.075)]), (0.06, 0.09, [(y, 0.06)]), (-0.05, -0.10, [(m, 0.032)]),
+            (0.15, -0.09, [(k, 0.022)]),
+        ]),
+        (1.22, 0.50, 0.27, 0.22, -0.04, [  # wrong nestings: a colour twice, a gap in the middle
+            (-0.12, 0.08, [(y, 0.03), (m, 0.06), (y, 0.09)]), (0.13, 0.06, [(w, 0.025), (c, 0.05), (m, 0.08)]),
+            (0.10, -0.12, [(k, 0.024)]), (-0.10, -0.12, [(c, 0.035), (m, 0.06), (c, 0.085)]),
+        ]),
+        (-1.25, -0.45, 0.25, 0.24, 0.02, [  # black dots
+            (-0.13, 0.11, [(k, 0.042)]), (0.10, 0.13, [(k, 0.030)]), (0.02, -0.02, [(k, 0.036)]),
+            (-0.12, -0.13, [(k, 0.025)]), (0.15, -0.12, [(k, 0.040)]),
+        ]),
+        (1.28, -0.10, 0.18, 0.20, 0.05, [(-0.07, 0.04, eye), (0.07, 0.04, eye), (0.0, -0.11, [(m, 0.03)])]),
+    )  # fmt: skip
     shapes: list[Shape] = []
     z = _BACK_Z + 0.012
-
-    def sheet(centre: tuple[float, float], half: tuple[float, float], turn: float, marks: list[tuple]) -> None:
-        x, y = centre
-        shapes.append(_card(np.array([x, y, z]), half[0], half[1], PAPER, turn))
+    for x, up, half_x, half_y, turn, marks in sheets:
+        shapes.append(_card(np.array([x, up, z]), half_x, half_y, PAPER, turn))
         for dx, dy, rings in marks:
-            inner = 0.0
-            for colour, outer in rings:
-                shapes.append(Ring(np.array([x + dx, y + dy, z + 0.004]), FRONT, inner, outer, colour))
-                inner = outer
-
-    c, m, y, k, w = INK["C"], INK["M"], INK["Y"], BLACK, PAPER
-    sheet((-1.22, 0.42), (0.26, 0.20), 0.03, [  # doubles and singles
-        (-0.13, 0.07, [(m, 0.03), (c, 0.075)]),
-        (0.06, 0.09, [(y, 0.06)]),
-        (-0.05, -0.10, [(m, 0.032)]),
-        (0.15, -0.09, [(k, 0.022)]),
-    ])  # fmt: skip
-    sheet((1.22, 0.50), (0.27, 0.22), -0.04, [  # wrong nestings: a colour twice, a gap in the middle
-        (-0.12, 0.08, [(y, 0.03), (m, 0.06), (y, 0.09)]),
-        (0.13, 0.06, [(w, 0.025), (c, 0.05), (m, 0.08)]),
-        (0.10, -0.12, [(k, 0.024)]),
-        (-0.10, -0.12, [(c, 0.035), (m, 0.06), (c, 0.085)]),
-    ])  # fmt: skip
-    sheet((-1.25, -0.45), (0.25, 0.24), 0.02, [  # black dots
-        (-0.13, 0.11, [(k, 0.042)]), (0.10, 0.13, [(k, 0.030)]), (0.02, -0.02, [(k, 0.036)]),
-        (-0.12, -0.13, [(k, 0.025)]), (0.15, -0.12, [(k, 0.040)]),
-    ])  # fmt: skip
-    sheet((1.28, -0.10), (0.18, 0.20), 0.05, [  # eyes: rings of black and white
-        (-0.07, 0.04, [(k, 0.022), (w, 0.045), (k, 0.055)]), (0.07, 0.04, [(k, 0.022), (w, 0.045), (k, 0.055)]),
-        (0.0, -0.11, [(m, 0.03)]),
-    ])  # fmt: skip
-    wheel = np.array([0.86, -0.93, -0.62])  # it leans in the corner
+            shapes += _rings(np.array([x + dx, up + dy, z + 0.004]), rings)
     for inner, outer, colour in ((0.0, 0.07, PAPER), (0.07, 0.21, BLACK)):
-        shapes.append(Ring(wheel, np.array([0.0, 0.24, 0.97]) / np.hypot(0.24, 0.97), inner, outer, colour))
+        across = np.array([0.0, 0.24, 0.97]) / np.hypot(0.24, 0.97)
+        shapes.append(Ring(np.array([0.86, -0.93, -0.62]), across, inner, outer, colour))
     return shapes
 
 
