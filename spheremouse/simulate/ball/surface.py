@@ -95,8 +95,9 @@ class Surface:
 
     def attitude_by_row(self, attitude_at: AttitudeAt, t: float) -> Array:
         """R_obj_ball, (1 or h, 3, 3), when each row is exposed in a frame at time `t`; one if that is the same."""
-        rows = np.arange(float(self.scene.camera.height) if self.scene.readout_s > 0.0 else 1.0)
-        return attitude_at(t + (self.row_time(rows) if len(rows) > 1 else np.zeros(1)))
+        if self.scene.readout_s == 0.0:
+            return attitude_at(np.array([t]))
+        return attitude_at(t + self.row_time(np.arange(float(self.scene.camera.height))))
 
     # ---- pattern ----
 
@@ -121,8 +122,7 @@ class Surface:
     def coverage(self, attitude_at: AttitudeAt, t: float) -> Coverage:
         """Share of pixels that discs cover at time `t` (of the middle row)."""
         row, column, disc = self._near_discs(attitude_at, t)
-        R = self.attitude_by_row(attitude_at, t)
-        toward = self.scene.disc_directions[disc]
+        R, toward = self.attitude_by_row(attitude_at, t), self.scene.disc_directions[disc]
         v = row + self._low[1]
         toward = (R[v] @ toward[..., None])[..., 0] if len(R) > 1 else toward @ R[0].T
         ray, dray = self._ray[row, column], self._dray[row, column]
@@ -146,11 +146,12 @@ class Surface:
         if len(near) == 0:
             return (np.zeros(0, dtype=np.intp),) * 3
         uv, duv = self._project(directions[near])
-        # The discs' ellipses, and around each a margin
+        # The ellipse of a disc's rim, and around it a margin, for the disc's arch, too
         rim = scene.ball_radius * np.sin(scene.disc_angle) * tangent_basis(directions[near])
-        A = duv @ (scene.pose.rotation.T @ rim)
-        longest = np.linalg.norm(A, axis=(1, 2))
-        S = _WIDER**2 * A @ A.transpose(0, 2, 1) + (_MARGIN * (_MARGIN + 2.0 * longest))[:, None, None] * np.eye(2)
+        A = _WIDER * duv @ (scene.pose.rotation.T @ rim)
+        arch = scene.ball_radius * (1.0 - np.cos(scene.disc_angle)) * np.linalg.norm(duv, axis=(1, 2))
+        margin = (_MARGIN + arch) * (_MARGIN + arch + 2.0 * np.linalg.norm(A, axis=(1, 2)))
+        S = A @ A.transpose(0, 2, 1) + margin[:, None, None] * np.eye(2)
         wide = int(np.sqrt(np.max(S))) + 1
         dv, du = np.mgrid[-wide : wide + 1, -wide : wide + 1]
         (a, b), (_, c) = np.linalg.inv(S).transpose(1, 2, 0)[..., None, None]
