@@ -20,14 +20,14 @@ _FLOOR = np.array([0.20, 0.24, 0.28])  # and light reflected by the floor
 class Lamp:
     """A rectangle that shines from its front."""
 
-    centre: tuple[float, float, float]  # m, obj
-    right: tuple[float, float, float]  # m, half its width
-    up: tuple[float, float, float]  # m, half its height; it shines towards up x right
-    power: Colour
+    centre: Array  # (3,) m, obj
+    right: Array  # (3,) m, half its width
+    up: Array  # (3,) m, half its height; it shines towards up x right
+    power: Array  # (3,) blue, green, red
 
     def corners(self) -> Array:
         """(4, 3), seen from the lit side going round to the left."""
-        c, r, u = np.array(self.centre), np.array(self.right), np.array(self.up)
+        c, r, u = self.centre, self.right, self.up
         return np.array([c - r - u, c - r + u, c + r + u, c + r - u])
 
 
@@ -65,7 +65,7 @@ class Lighting:
         light = _ambient(normals) * (1.0 - 0.8 * hidden)[:, None]
         for lamp in self.lamps:
             open_share = self._past_strips(points, lamp) * self._past_ball(points, lamp)
-            light += (_form_factor(points, normals, lamp.corners()) * open_share)[:, None] * np.array(lamp.power)
+            light += (_form_factor(points, normals, lamp.corners()) * open_share)[:, None] * lamp.power
         return light
 
     def on_ball(self, points: Array) -> Array:
@@ -75,7 +75,7 @@ class Lighting:
         light = _ambient(normals) * (1.0 - np.clip(covered, 0.0, 1.0))[:, None]
         for lamp in self.lamps:
             share = _form_factor(points, normals, lamp.corners()) * self._past_strips(points, lamp)
-            light += share[:, None] * np.array(lamp.power)
+            light += share[:, None] * lamp.power
         return light
 
     def gloss(self, points: Array, eye: Array) -> Array:
@@ -91,23 +91,22 @@ class Lighting:
         away = 2.0 * cosine[:, None] * normals - view
         seen = 0.55 * _ambient(away)
         for lamp in self.lamps:
-            c, r, u = np.array(lamp.centre), np.array(lamp.right), np.array(lamp.up)
-            n = np.cross(u, r)
+            n = np.cross(lamp.up, lamp.right)
             with np.errstate(divide="ignore", invalid="ignore"):
-                s = ((c - points) @ n) / (away @ n)
-            at = points + np.where(np.isfinite(s) & (s > 0.0), s, 0.0)[:, None] * away - c
+                s = ((lamp.centre - points) @ n) / (away @ n)
+            at = points + np.where(np.isfinite(s) & (s > 0.0), s, 0.0)[:, None] * away - lamp.centre
             inside = np.ones(len(points))
-            for half in (r, u):
+            for half in (lamp.right, lamp.up):
                 size = np.linalg.norm(half)
                 inside *= _step((1.0 - np.abs(at @ half) / size**2) * size, 0.35)
             inside *= (s > 0.0) * self._past_strips(points, lamp)
-            seen += 0.35 * inside[:, None] * np.array(lamp.power)
+            seen += 0.35 * inside[:, None] * lamp.power
         return fresnel[:, None] * seen
 
     def _past_strips(self, points: Array, lamp: Lamp) -> Array:
         """Share of the lamp that no strut hides, (n,)."""
         share = np.ones(len(points))
-        to_lamp = np.array(lamp.centre) - points
+        to_lamp = lamp.centre - points
         for strip in self.strips:
             with np.errstate(divide="ignore", invalid="ignore"):
                 s = (strip.z - points[:, 2]) / to_lamp[:, 2]
@@ -124,7 +123,7 @@ class Lighting:
 
     def _past_ball(self, points: Array, lamp: Lamp) -> Array:
         """Share of the lamp that the ball does not hide, (n,)."""
-        to_lamp = np.array(lamp.centre) - points
+        to_lamp = lamp.centre - points
         s = np.clip(-_dot(points, to_lamp) / _dot(to_lamp, to_lamp), 0.0, 1.0)
         miss = _length(points + s[:, None] * to_lamp)
         return 1.0 - _step(self.ball_radius - miss, 0.05 + 0.35 * s)

@@ -6,7 +6,7 @@ from typing import Any
 
 from spheremouse.files.dataset.wand import WAND_COLUMNS, columns_of, wand_scene
 from spheremouse.files.dataset.write import TruthWriter, dataset_folder, device_description
-from spheremouse.simulate.ball.film import Change, Simulation, simulate
+from spheremouse.simulate.ball.film import Simulation, simulate
 from spheremouse.simulate.wand.film import WandFilm, simulate_wand
 
 
@@ -24,21 +24,17 @@ def scene_description(simulation: Simulation, name: str) -> dict[str, Any]:
         description["truth_disc_directions"] = scene.disc_directions.tolist()
     if scene.pattern is not None:
         description |= {"pattern": scene.pattern.name, "truth_pattern_seed": scene.pattern.seed}
-    if simulation.changes:
-        description["truth_changes"] = [_change(change) for change in simulation.changes]
-        bumps = [change for change in simulation.changes if change.what == "bump"]
-        if bumps:
-            description["truth_bump"] = {"t": bumps[0].time, "T_obj_cam": bumps[0].scene.pose.matrix().tolist()}
+    changes: list[dict[str, Any]] = []
+    for change in simulation.changes:
+        description["truth_changes"] = changes
+        changes.append({"t": change.time, "what": change.what})
+        if change.what == "bump":
+            description["truth_bump"] = {"t": change.time, "T_obj_cam": change.scene.pose.matrix().tolist()}
+        else:
+            changes[-1]["disc"] = change.disc
+        if change.what == "disc moved":
+            changes[-1]["direction"] = change.scene.disc_directions[change.disc].tolist()
     return description
-
-
-def _change(change: Change) -> dict[str, Any]:
-    said: dict[str, Any] = {"t": change.time, "what": change.what}
-    if change.disc is not None:
-        said["disc"] = change.disc
-    if change.what == "disc moved":
-        said["direction"] = change.scene.disc_directions[change.disc].tolist()
-    return said
 
 
 def write_simulation(path: Path | str, simulation: Simulation, *, replace: bool = False) -> Iterator[int]:
@@ -54,11 +50,11 @@ def write_simulation(path: Path | str, simulation: Simulation, *, replace: bool 
             yield done
 
 
-def wand_scene_description(film: WandFilm, name: str) -> dict[str, Any]:
-    """The content of scene.json, but for `frames`."""
+def write_wand(path: Path | str, film: WandFilm, *, replace: bool = False) -> Iterator[int]:
+    """As `write_simulation`, for a film of a wand."""
     balls = tuple(b.ball for b in film.scene.balls)
-    return {
-        "name": name,
+    description = {
+        "name": Path(path).absolute().name,
         "made_by": "spheremouse wand simulate",
         "fps": float(film.fps),
         "exposure_s": float(film.scene.exposure_s),
@@ -66,16 +62,8 @@ def wand_scene_description(film: WandFilm, name: str) -> dict[str, Any]:
         "camera_frame": "OpenCV: x right, y down, z forward; truth.csv x,y,z = ball centre in it (m); r11..r33 "
         "row-major, P_cam = R P_ball + (x,y,z)",
     }
-
-
-def write_wand(path: Path | str, film: WandFilm, *, replace: bool = False) -> Iterator[int]:
-    """Film into a dataset folder, giving the number of frames done after each; complete at the end.
-
-    Raises DatasetError where `path` is there and not empty (unless `replace`, and it holds a dataset), or cannot be
-    written. An iterator that is closed early writes nothing.
-    """
-    with dataset_folder(path, wand_scene_description(film, Path(path).absolute().name), replace=replace) as made:
-        poses = [name for k in range(len(film.scene.balls)) for name in columns_of(k)]
+    with dataset_folder(path, description, replace=replace) as made:
+        poses = [name for k in range(len(balls)) for name in columns_of(k)]
         rows = made.table("truth.csv", (*WAND_COLUMNS[:2], *poses))
         for shot in simulate_wand(film):
             made.pictures.add(shot.frame.image)
