@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from spheremouse.geometry.camera import InteriorOrientation, ellipse_to_pixel, project_sphere, unproject
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.light import reflectance
-from spheremouse.simulate.shapes import Colour, pixel_parts
+from spheremouse.simulate.shapes import Colour, Sphere, pixel_parts
 from spheremouse.wand.ball import WandBall
 
 _FINE = 6  # rays across a pixel with an edge, in each direction; fewer where many moments are averaged
@@ -118,11 +118,10 @@ def _surface(
     """
     centre, rotation = pose
     xy, _ = unproject(uv, camera)
-    ray, r2 = np.column_stack([xy, np.ones(len(xy))]), ball.radius**2
-    a, b = np.sum(ray * ray, axis=1), ray @ centre
-    root = b * b - a * (centre @ centre - r2)
-    hit = (root >= 0.0) & (b > 0.0)  # False for a pixel without a ray
-    normal = (((b - np.sqrt(np.where(hit, root, 0.0))) / a)[:, None] * ray - centre) / ball.radius
+    ray = np.column_stack([xy, np.ones(len(xy))])
+    depth = Sphere(centre, ball.radius, paint_of(ball.body)).hit(np.zeros(3), ray)
+    hit = np.isfinite(depth)  # False for a pixel without a ray
+    normal = (np.where(hit, depth, 0.0)[:, None] * ray - centre) / ball.radius
     label = np.where(hit, 0, -1)
     for k, disc in reversed(list(enumerate(ball.discs))):  # the first of two discs covers the other
         label[hit & (normal @ (rotation @ disc.direction) > np.cos(disc.angle))] = k + 1
