@@ -96,15 +96,18 @@ def _device(data: dict[str, Any]) -> Iterator[Row]:
 
 
 def _rolling(data: dict[str, Any]) -> Iterator[Row]:
-    unit = "R" if data["scale"] == "free" else "m"
+    size, unit = (1.0, "R") if data["scale"] == "free" else (1e3, "mm")
+    digits = 2 if unit == "mm" and data["ball"]["radius"] >= 0.1 else 4
     yield "distance over radius", f"{data['ratio']:.6f}", f"{data['ratio_sigma']:.6f}"
     yield "direction of the centre", "", f"{data['center_direction_sigma_deg']:.4f}°"
-    place = " ".join(f"{row[3]:.4f}" for row in data["T_obj_cam"][:3])
-    yield "camera's place", f"{place} {unit}", f"{' '.join(f'{v:.4f}' for v in data['sigma_position'])} {unit}"
+    places = [row[3] for row in data["T_obj_cam"][:3]], data["sigma_position"]
+    place, sigma = (" ".join(f"{size * v:.{digits}f}" for v in values) for values in places)
+    yield "camera's place", f"{place} {unit}", f"{sigma} {unit}"
     yield "camera's angles", "", ", ".join(f"{v:.3f}°" for v in data["sigma_angle_deg"])
     yield "axes", str(data["axes"]), ", ".join(f"{v:.3f}°" for v in data["axes_sigma_deg"])
-    if unit == "m":
-        yield "ball's radius", f"{data['ball']['radius']:.4f} m", f"{data['ball']['sigma']:.4f} m"
+    if unit == "mm":
+        radius, sigma = (f"{size * data['ball'][key]:.{digits}f} mm" for key in ("radius", "sigma"))
+        yield "ball's radius", radius, sigma
     if 0.0 < data["readout_sigma_s"] < 1e-3 and data["readout_s"] > 2e-3:  # a rolling shutter
         yield "readout of all rows", f"{1e3 * data['readout_s']:.1f} ms", f"{1e3 * data['readout_sigma_s']:.1f} ms"
     yield "frames used", f"{int(data['frames'])} of {int(data['frames_given'])}", ""

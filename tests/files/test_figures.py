@@ -53,8 +53,13 @@ def test_rolling_has_its_ratio_and_axes(tmp_path):
     (report,) = read(tmp_path, ROLLING)
     assert report["kind"] == "rolling"
     assert ("distance over radius", "4.000000", "0.000010") in report["rows"]
-    assert ("camera's place", "0.1000 0.2000 2.4000 m", "0.0010 0.0020 0.0030 m") in report["rows"]
+    assert ("camera's place", "100.00 200.00 2400.00 mm", "1.00 2.00 3.00 mm") in report["rows"]
     assert ("frames used", "90 of 100", "") in report["rows"]
+
+
+def test_a_small_ball_has_tenths_of_micrometres(tmp_path):
+    (report,) = read(tmp_path, ROLLING | {"ball": {"radius": 0.005, "sigma": 1e-6}})
+    assert ("ball's radius", "5.0000 mm", "0.0010 mm") in report["rows"]
 
 
 @pytest.mark.parametrize(
