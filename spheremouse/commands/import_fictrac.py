@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from spheremouse.geometry.camera import InteriorOrientation
 
 _SAME_AXES = math.radians(15.0)  # a square is clicked better
+_SQUARE_PX = 20.0  # by which corners miss a square in perspective: otherwise they are none
 _SAME_OUTLINE = 0.1  # of the radius: edges farther off are of something else
+_SMALLEST = 5.0  # px, radius of a ball
 _SECONDS = 10.0  # of the film, in which the edge is looked for
 # Corners of a square in the animal's axes, in the order in which configGui takes them (FicTrac's include/geometry.h).
 _SQUARES = {
@@ -79,8 +81,8 @@ def _check(read: "FicTracConfig") -> None:
     """Raise ConfigurationError for values with which there is no camera, outline or mask."""
     if "vfov" not in read.values:
         read.refuse("vfov", "missing", "give the vertical field of view in degrees")
-    if not 1.0 <= read.values["vfov"] <= 150.0:
-        read.refuse("vfov", f"is {read.values['vfov']:g}°", "give 1 to 150 degrees")
+    if not 0.1 <= read.values["vfov"] <= 150.0:
+        read.refuse("vfov", f"is {read.values['vfov']:g}°", "give 0.1 to 150 degrees")
     if read.values.get("fisheye"):
         read.refuse(
             "fisheye", "this camera model is not known here", "calibrate the camera, then use `spheremouse ball`"
@@ -112,7 +114,7 @@ def outline_of(read: "FicTracConfig", camera: "InteriorOrientation") -> "Outline
     if "roi_c" in read.values and "roi_r" in read.values:
         u, angle = np.array(read.numbers("roi_c", 3)), read.values["roi_r"]
         size = float(np.linalg.norm(u))
-        if abs(size - 1.0) > 0.01 or not 0.0 < angle < 1.5 or u[2] <= math.sin(angle):
+        if abs(size - 1.0) > 0.01 or not _SMALLEST * sigma < angle < 1.5 or u[2] <= 1.01 * math.sin(angle):
             read.refuse(
                 "roi_c", "is, with roi_r, no ball before the camera", "delete both lines: roi_circ has the points"
             )
@@ -135,7 +137,7 @@ def _refined(images: "list[Image]", given: "Outline", camera: "InteriorOrientati
     from spheremouse.calibrate.outline.find import find_outline
 
     try:
-        found = find_outline(images, camera, given).outline
+        found, _ = find_outline(images, camera, given)
     except CalibrationError as e:
         return given, f"outline: as configured, since {e.problem}"
     off = np.array([*(found.direction - given.direction), found.angle - given.angle])
@@ -157,7 +159,8 @@ def lab_axes(read: "FicTracConfig", camera: "InteriorOrientation") -> "tuple[Arr
     square = _square(read, camera)
     if "c2a_r" not in read.values:
         if not square:
-            read.refuse("c2a_r", "missing", "run configGui, or use `spheremouse ball`: its axes are the camera's")
+            hint = "run configGui, or use `spheremouse ball`: its axes are the camera's"
+            read.refuse("c2a_r", "missing, and no square of c2a_src gives it", hint)
         return square[0], "used"
     R = exp(np.array(read.numbers("c2a_r", 3)))
     off = [min(float(np.linalg.norm(log(S @ way.T))) for S in square) if square else 0.0 for way in (R, R.T)]
@@ -176,5 +179,9 @@ def _square(read: "FicTracConfig", camera: "InteriorOrientation") -> "list[Array
     if name not in _SQUARES or len(read.values.get(name, ())) != 8:
         return []
     corners, square = np.reshape(read.values[name], (4, 1, 2)), np.array(_SQUARES[name], float)
-    found = cv2.solvePnPGeneric(square, corners, camera.matrix, None, flags=cv2.SOLVEPNP_IPPE)[1]
-    return [np.asarray(cv2.Rodrigues(rotation)[0].T, float) for rotation in found]
+    try:
+        _, found, _, off = cv2.solvePnPGeneric(square, corners, camera.matrix, None, flags=cv2.SOLVEPNP_IPPE)
+    except cv2.error:
+        return []
+    rotations = [np.asarray(cv2.Rodrigues(rotation)[0].T, float) for rotation in found]
+    return [R for R, px in zip(rotations, np.ravel(off), strict=False) if px < _SQUARE_PX and np.isfinite(R).all()]

@@ -90,7 +90,7 @@ def test_points_may_follow_each_other_without_quotes(recording, tmp_path):
         (("--points", "10,10 20,20 30,30"), "on no outline of a ball; give points all around it"),
         (("--points", "152,30 250,120 160,206 70,120 160,120"), "160,120 is "),
         (("--vfov", 45, "--camera", CAMERA), "--camera and --vfov: give one of the two"),
-        (("--camera", CAMERA), "the camera was calibrated at 640x480, the pictures are 320x240; give"),
+        (("--camera", CAMERA), "frame 0 is 320x240, the camera was calibrated at 640x480: "),
         (("--camera", "nowhere.yaml"), "nowhere.yaml"),
     ],
 )

@@ -21,6 +21,7 @@ from spheremouse.ball.track import step
 from spheremouse.capture import open_source
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
+from spheremouse.files.fictrac import KEYS, read_fictrac
 from spheremouse.files.rig import load_camera, load_rig, rig_text
 from spheremouse.files.wand import load_wand, wand_text
 from spheremouse.files.yaml import parse_document
@@ -69,6 +70,26 @@ def test_rig(content: str | bytes) -> None:
         if (rig.camera.width, rig.camera.height) == (640, 480):
             images = [f.image for f in film()[:2]]
         refused(lambda: use(rig, replace(Settings(), pose=replace(Settings().pose, frames=1)), images))
+
+
+FICTRAC = """## FicTrac v2.1.2 config file
+c2a_r            : { 0.72, -0.13, -0.46 }
+do_display       : y
+q_factor         : 6
+roi_circ         : { 63, 171, 81, 145, 106, 135 }
+roi_ignr         : { { 96, 156, 113, 147, 106, 128 }, { 71, 213, 90, 219, 114, 218 } }
+src_fn           : sample.mp4
+vfov             : 45
+"""
+
+
+@fuzz(lambda: st.one_of(st.binary(max_size=60), mutated(FICTRAC)))
+def test_fictrac(content: str | bytes) -> None:
+    """Every value that is read has the form of its key."""
+    read = refused(lambda: read_fictrac(file(content)))
+    if read is not None:
+        assert all(isinstance(number, float) for number in read.values.get("roi_circ", ()))
+        assert set(read.values) <= set(KEYS)
 
 
 @fuzz(

@@ -28,13 +28,15 @@ _SAME_LIGHT = 0.2  # of the logarithm of the light: frames with another light ar
 _LEAST_CHANGE = 2.0  # grey values, standard deviation of a pixel that changes
 _NOISES = 4.0  # standard deviations of the noise, the same
 _LEAST_AREA = 0.002  # of the picture
+_SMALLEST = 16  # px, side of a picture
 _BORDER = 1000  # points of the border in RANSAC
 _TRIALS = 2000
 _GRID = 40  # pixels along a side of the picture, the same
 _FEWEST = 30  # points
 _LEAST_PART = 0.003  # of the largest region that moves: others are noise
+_NARROWEST = 1.0 + 1e-6  # secant squared of the angular radius
 _IN_FRONT = 1.1  # radii, least depth of a ball's centre
-_NEAR = 0.01  # of the radius: a point of the border that fits
+_NEAR, _NEAR_PX = 0.01, 3.0  # of the radius, and px: a point of the border that fits
 _LEAST_SUPPORT = 0.3  # of the outline, on which an edge is
 _LEAST_IN_PICTURE = 0.7  # of the outline
 _ROUND, _AS_LARGE = 0.6, 0.3  # of what moves and of its outline, that are one; of the first: another ball
@@ -58,18 +60,13 @@ class Change(NamedTuple):
     noise: float  # grey values, standard deviation of a pixel that does not change
 
 
-class Found(NamedTuple):
-    """A ball found by its motion."""
-
-    outline: Outline
-    support: float  # part of the outline on which an edge was found
-    edges: Array  # (n, 2) px, those that the outline fits
-
-
-def find_outline(images: Sequence[Image], camera: InteriorOrientation, start: Outline | None = None) -> Found:
+def find_outline(
+    images: Sequence[Image], camera: InteriorOrientation, start: Outline | None = None
+) -> tuple[Outline, Array]:
     """Return the outline of the ball that turns in images (h, w) or (h, w, 3), near `start` if that is given.
 
-    Raises CalibrationError, with a remedy, if there is none, if there are several, or if it cannot be measured.
+    Also return the edges that it fits, (n, 2) px. Raises CalibrationError, with a remedy, if there is no outline, if
+    there are several, or if it cannot be measured.
     """
     grey = [i if i.ndim == 2 else np.asarray(cv2.cvtColor(i, cv2.COLOR_BGR2GRAY), np.uint8) for i in images]
     _check_light(grey)
@@ -77,10 +74,10 @@ def find_outline(images: Sequence[Image], camera: InteriorOrientation, start: Ou
     moving = _moving(change)
     first = start or _ransac(moving, camera)
     blur = float(np.hypot(_SHARPEST, np.nan_to_num(np.median([blur_of(grey[k]) for k in (0, len(grey) // 2, -1)]))))
-    found = _refined(change, first, camera, _EDGE / blur)
-    if _has_other(moving, change, found.outline, camera, _EDGE / blur):
+    outline, edges = _refined(change, first, camera, _EDGE / blur)
+    if _has_other(moving, change, outline, camera, _EDGE / blur):
         raise CalibrationError("several balls turn in the pictures", f"cover all but one, {POINTS}")
-    return found
+    return outline, edges
 
 
 def change_of(images: Sequence[Image], light: Array) -> Change:
@@ -128,7 +125,7 @@ def _moving(change: Change) -> Image:
     mask = (change.variance > least**2).astype(np.uint8) * 255
     mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8)), np.uint8)
-    if np.count_nonzero(mask) < _LEAST_AREA * mask.size:
+    if np.count_nonzero(mask) < _LEAST_AREA * mask.size or min(mask.shape) < _SMALLEST:
         raise CalibrationError("nothing moves in the pictures", f"{_TURN}, {POINTS}")
     return mask
 
@@ -139,7 +136,7 @@ def _border(moving: Image) -> Array:
     areas = np.array([cv2.contourArea(c) for c in contours])
     if len(contours) == 0:
         return np.zeros((0, 2))
-    large = [c[:, 0] for c, area in zip(contours, areas, strict=True) if area > _LEAST_PART * areas.max()]
+    large = [c[:, 0] for c, area in zip(contours, areas, strict=True) if area >= _LEAST_PART * areas.max()]
     points = np.concatenate(large).astype(float)
     h, w = moving.shape
     points = points[np.all((points > 2) & (points < (w - 3, h - 3)), axis=1)]
@@ -158,17 +155,24 @@ def _ransac(moving: Image, camera: InteriorOrientation) -> Outline:
     A = A[np.abs(np.linalg.det(A)) > 1e-9]
     n = np.linalg.solve(A, np.ones((len(A), 3, 1)))[:, :, 0]
     square = np.sum(n**2, axis=1)
-    n = n[(square > 1.0) & (n[:, 2] > _IN_FRONT * np.sqrt(np.maximum(square - 1.0, 0.0)))]
+    n = n[(square > _NARROWEST) & (n[:, 2] > _IN_FRONT * np.sqrt(np.maximum(square - 1.0, 0.0)))]
+    if len(n) == 0:
+        raise _no_ball()
     cos = 1.0 / np.linalg.norm(n, axis=1)
     angle = np.arccos(cos)[:, None]
-    off = np.abs(np.arccos(np.clip(cos[:, None] * (n @ rays.T), -1.0, 1.0)) - angle) / angle
+    near = np.minimum(_NEAR * angle, _NEAR_PX / np.sqrt(camera.fx * camera.fy))
+    fits = np.abs(np.arccos(np.clip(cos[:, None] * (n @ rays.T), -1.0, 1.0)) - angle) < near
     inside = n @ grid.T > 1.0
     common = np.count_nonzero(inside & moves, axis=1)
     contained = common / max(1, np.count_nonzero(moves))
     filled = np.minimum(1.0, 2.0 * common / np.maximum(1, np.count_nonzero(inside, axis=1)))  # half may be hidden
-    best = int(np.argmax(np.count_nonzero(off < _NEAR, axis=1) * contained * filled))
+    best = int(np.argmax(np.count_nonzero(fits, axis=1) * contained * filled))
+    return _robust(rays[fits[best]], None)
+
+
+def _robust(rays: Array, start: Outline | None) -> Outline:
     try:
-        return fit_outline(rays[off[best] < _NEAR], 1.0, robust=True)
+        return fit_outline(rays, 1.0, start, robust=True)
     except CalibrationError:
         raise _no_ball() from None
 
@@ -177,15 +181,15 @@ def _no_ball() -> CalibrationError:
     return CalibrationError("no ball turns in the pictures", f"{_TURN}, {POINTS}")
 
 
-def _refined(change: Change, outline: Outline, camera: InteriorOrientation, level: float) -> Found:
-    """Return the outline by the edges across it, at which the gradient over the change is `level`, 1/px."""
+def _refined(change: Change, outline: Outline, camera: InteriorOrientation, level: float) -> tuple[Outline, Array]:
+    """Return the outline by the edges across it, at which the gradient over the change is `level`, 1/px, and those."""
     f = np.sqrt(camera.fx * camera.fy)
     pixels, edges = outline.pixels(camera), np.zeros((0, 2))
     for part in _RANGES:
         edges = _edges(change, pixels, max(_REACH, part * f * outline.angle), level)
         if len(edges) < _FEWEST:
             raise _no_ball()
-        outline = fit_outline(rays_of(edges, camera), 1.0 / f, outline, robust=True)
+        outline = _robust(rays_of(edges, camera), outline)
         pixels = outline.pixels(camera)
     off = residuals(outline, rays_of(edges, camera)) * f
     scatter = float(mad_sigma(off))
@@ -200,7 +204,7 @@ def _refined(change: Change, outline: Outline, camera: InteriorOrientation, leve
         raise CalibrationError(f"no round outline: an edge is on {support:.0%} of the best one", f"{_TURN}, {POINTS}")
     floor = np.hypot(_FLOOR_PX, np.multiply(_SHARED, scatter)) / f
     covariance = outline.covariance + np.diag(np.square(floor[[0, 0, 1]]))
-    return Found(Outline(outline.direction, outline.angle, covariance), support, edges[fits])
+    return Outline(outline.direction, outline.angle, covariance), edges[fits]
 
 
 def _edges(change: Change, pixels: Array, reach: float, level: float) -> Array:
@@ -233,18 +237,18 @@ def _edges(change: Change, pixels: Array, reach: float, level: float) -> Array:
     k = np.argmax(ratio < level, axis=1)
     i = np.arange(len(ratio))
     before, after = ratio[i, k - 1], ratio[i, k]
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):
         edge = np.where(np.isfinite(before), k - (level - after) / (before - after), k - 0.5)
     place, i = (reach - _SAMPLING * edge)[k > _OUTSIDE], ok[k > _OUTSIDE]
     return pixels[i] + place[:, None] * normal[i]
 
 
 def _has_other(moving: Image, change: Change, outline: Outline, camera: InteriorOrientation, level: float) -> bool:
-    """Return whether another ball turns: what else moves is round, nearly as large, and has an edge all around."""
+    """Return whether another ball turns: a second region that moves, round, large, and with an edge all around."""
     pixels = outline.pixels(camera)
     rest = _filled(moving, pixels.mean(axis=0) + 1.1 * (pixels - pixels.mean(axis=0)), 0)
     try:
-        other = _refined(change, _ransac(rest, camera), camera, level).outline
+        other, _ = _refined(change, _ransac(rest, camera), camera, level)
     except CalibrationError:
         return False
     disc = _filled(np.zeros_like(rest), other.pixels(camera), 255)

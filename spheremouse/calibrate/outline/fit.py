@@ -79,7 +79,7 @@ def fit_outline(rays: Array, sigma: float, start: Outline | None = None, robust:
         scatter = float(weight @ off**2) / freedom
         variance = scatter if robust else sigma**2 if len(rays) == 3 else max(sigma**2, scatter)
         outline = Outline(np.asarray(u / np.linalg.norm(u), float), outline.angle + float(step[2]), variance * Q)
-        if not (0.0 < outline.angle < 1.5 and outline.direction[2] > np.sin(outline.angle)):
+        if not (0.0 < outline.angle < 1.5 and outline.direction[2] > 1.01 * np.sin(outline.angle)):
             raise CalibrationError(*_NO_OUTLINE)
         if np.abs(step).max() < _CONVERGED:
             break

@@ -1,6 +1,7 @@
 """`spheremouse ball`: fit the outline of a ball in a film, and write a rig for it. No calibration is needed."""
 
 import math
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -46,7 +47,7 @@ class BallOptions:
         float | None,
         typer.Option(
             metavar="DEG",
-            min=1.0,
+            min=0.1,
             max=150.0,
             help="Field of view from the upper to the lower edge of the picture.  [default: the recording's camera, "
             f"else {DEFAULT_VFOV:g}]",
@@ -76,9 +77,10 @@ def ball(*, options: BallOptions) -> None:
     axes: X right, Y up, Z towards the camera. Look at outline.png in the folder: the line must be on the ball's edge.
     """
     from spheremouse.calibrate.outline.find import find_outline
-    from spheremouse.calibrate.outline.fit import fit_outline, rays_of, rig_of, rotation_scale
+    from spheremouse.calibrate.outline.fit import fit_outline, pinhole, rays_of, rig_of, rotation_scale
     from spheremouse.commands.ball.folder import check_folder, describe, drawn, next_steps, write_folder
     from spheremouse.files.rig import load_camera
+    from spheremouse.tracker import Frame, check_size
 
     o = options
     if o.camera is not None and o.vfov is not None:
@@ -91,9 +93,10 @@ def ball(*, options: BallOptions) -> None:
     spec = source_spec(o.source)
     images, recorded = film(spec, None if points is not None else o.seconds)
     known = known or (None if o.vfov else recorded)
-    camera, assumed = camera_of(images[0], known, o.vfov), known is None and o.vfov is None
+    camera = known or pinhole(images[0].shape[1::-1], o.vfov or DEFAULT_VFOV)
+    check_size(Frame(images[0], 0.0, 0), camera)
     if points is None:
-        outline, _, points = find_outline(images, camera)
+        outline, points = find_outline(images, camera)
     else:
         outline = fit_outline(rays_of(points, camera), POINT_PX / math.sqrt(camera.fx * camera.fy))
         check_points(points, outline, camera)
@@ -101,7 +104,7 @@ def ball(*, options: BallOptions) -> None:
     picture = drawn(images[-1], outline.pixels(camera), points[:: max(1, len(points) // _MARKS)])
     write_folder(o.out, rig, picture, spec, (), "spheremouse ball")
     print(describe(outline, rig))
-    if assumed:
+    if known is None and o.vfov is None:
         print(
             f"assumed: a field of view of {DEFAULT_VFOV:g}° from top to bottom. If it is a tenth too large, rotations "
             f"across the view come out {1.0 - rotation_scale(outline, 1.1):.1%} too small. Give --vfov if you can"
@@ -149,6 +152,8 @@ def film(spec: str, seconds: float | None) -> "tuple[list[Image], InteriorOrient
     images: list[Image] = []
     with looked_through(spec, Configuration().camera) as source:
         last = -math.inf
+        if source.live and seconds is not None:
+            print(f"filming {seconds:g} s: turn the ball", file=sys.stderr)
         for frame in section(source, 0.0, math.inf if seconds is None else seconds):
             if images and frame.image.shape != images[0].shape:
                 raise SourceError(f"{spec}: frame {frame.sequence} has another size than the first")
@@ -161,24 +166,6 @@ def film(spec: str, seconds: float | None) -> "tuple[list[Image], InteriorOrient
     if not images:
         raise SourceError(f"{spec}: the source gave no frame")
     return images, None if rig is None else rig.camera
-
-
-def camera_of(image: "Image", known: "InteriorOrientation | None", vfov: float | None) -> "InteriorOrientation":
-    """Return the camera of a picture: the known one, or that of a field of view.
-
-    Raises ConfigurationError if the known camera has another size.
-    """
-    from spheremouse.calibrate.outline.fit import pinhole
-
-    height, width = image.shape[:2]
-    if known is None:
-        return pinhole((width, height), vfov or DEFAULT_VFOV)
-    if (known.width, known.height) != (width, height):
-        raise ConfigurationError(
-            f"the camera was calibrated at {known.width}x{known.height}, the pictures are {width}x{height}",
-            "give the calibration of this mode, or --vfov",
-        )
-    return known
 
 
 def check_points(points: "Array", outline: "Outline", camera: "InteriorOrientation") -> None:

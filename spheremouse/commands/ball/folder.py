@@ -71,8 +71,8 @@ def describe(outline: Outline, rig: Rig) -> str:
     px = np.sqrt(camera.fx * camera.fy) * np.pi / 180.0  # of a degree
     x, y = np.mean(outline.pixels(camera), axis=0)
     return (
-        f"ball: centre at {x:.1f}, {y:.1f} px, direction ± {across:.3f}° ({across * px:.2f} px), angular radius "
-        f"{np.degrees(outline.angle):.3f} ± {radius:.3f}° ({radius * px:.2f} px)"
+        f"ball: centre at {x:.1f}, {y:.1f} px, direction ± {across:.2g}° ({across * px:.2f} px), angular radius "
+        f"{np.degrees(outline.angle):.5g} ± {radius:.2g}° ({radius * px:.2f} px)"
     )
 
 

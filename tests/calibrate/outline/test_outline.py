@@ -102,11 +102,11 @@ def speckled():
 def test_a_ball_that_turns_is_found_within_its_covariance(pattern, blur, speckled):
     images, camera, centre = speckled if pattern == "speckle" else film(pattern=pattern, seed=5)
     blurred = [cv2.GaussianBlur(image, (0, 0), blur) if blur else image for image in images]
-    found = find_outline(blurred, camera)
-    off = error(found.outline, centre)
-    assert off @ np.linalg.solve(found.outline.covariance, off) < gate(0.999, 3)
+    outline, _ = find_outline(blurred, camera)
+    off = error(outline, centre)
+    assert off @ np.linalg.solve(outline.covariance, off) < gate(0.999, 3)
     assert np.abs(off).max() * camera.fx < 0.6  # px
-    assert found.outline.sigma[1] * camera.fx < 0.8
+    assert outline.sigma[1] * camera.fx < 0.8
 
 
 def test_hands_and_another_light_do_not_matter(speckled):
@@ -116,8 +116,8 @@ def test_hands_and_another_light_do_not_matter(speckled):
         cv2.circle(images[k], (40 + 10 * k, 20), 35, (90, 120, 160), -1)
     images[20] = (0.4 * images[20]).astype(np.uint8)
     images = [np.clip(image * (1.0 + 0.05 * (k % 3)), 0, 255).astype(np.uint8) for k, image in enumerate(images)]
-    found = find_outline(images, camera)
-    assert np.abs(error(found.outline, centre)).max() * camera.fx < 0.8
+    outline, _ = find_outline(images, camera)
+    assert np.abs(error(outline, centre)).max() * camera.fx < 0.8
 
 
 def twice(image):
@@ -150,3 +150,20 @@ def test_a_ball_that_rests_and_a_moving_board_are_no_ball(speckled):
         image[60:180, 80:240] = rng.integers(0, 255, (120, 160, 3))
     with pytest.raises(CalibrationError, match=r"no round outline|no ball turns"):
         find_outline(still, camera)
+
+
+@pytest.mark.parametrize("vfov", [0.3, 5.0, 100.0])
+def test_the_pixels_of_the_outline_do_not_depend_on_the_lens(speckled, vfov):
+    images, true, centre = speckled
+    camera = pinhole((320, 240), vfov)
+    outline, _ = find_outline(images, camera)
+    x, y = np.mean(outline.pixels(camera) - seen(centre, true, 360), axis=0)
+    assert abs(x) < 0.6
+    assert abs(y) < 0.6
+
+
+@pytest.mark.parametrize("size", [(1, 40), (40, 1), (12, 12), (50, 60)])
+def test_noise_of_any_size_is_no_ball(size):
+    rng = np.random.default_rng(6)
+    with pytest.raises(CalibrationError):
+        find_outline([rng.integers(30, 220, size, dtype=np.uint8) for _ in range(5)], pinhole(size[::-1], 45.0))
