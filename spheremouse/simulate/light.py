@@ -64,7 +64,10 @@ class Lighting:
         hidden = np.clip(facing, 0.0, 1.0) * np.minimum(1.0, (self.ball_radius / distance) ** 2)
         light = _ambient(normals) * (1.0 - 0.8 * hidden)[:, None]
         for lamp in self.lamps:
-            open_share = self._past_strips(points, lamp) * self._past_ball(points, lamp)
+            to_lamp = lamp.centre - points
+            s = np.clip(-_dot(points, to_lamp) / _dot(to_lamp, to_lamp), 0.0, 1.0)
+            miss = _length(points + s[:, None] * to_lamp)  # of the ball's centre
+            open_share = self._past_strips(points, lamp) * (1.0 - _step(self.ball_radius - miss, 0.05 + 0.35 * s))
             light += (_form_factor(points, normals, lamp.corners()) * open_share)[:, None] * lamp.power
         return light
 
@@ -120,13 +123,6 @@ class Lighting:
             dark = np.minimum(1.0, half / soft)  # a strut narrower than the half shadow never hides the whole lamp
             share *= 1.0 - between * dark * _step(x, soft) * _step(y, soft)
         return share
-
-    def _past_ball(self, points: Array, lamp: Lamp) -> Array:
-        """Share of the lamp that the ball does not hide, (n,)."""
-        to_lamp = lamp.centre - points
-        s = np.clip(-_dot(points, to_lamp) / _dot(to_lamp, to_lamp), 0.0, 1.0)
-        miss = _length(points + s[:, None] * to_lamp)
-        return 1.0 - _step(self.ball_radius - miss, 0.05 + 0.35 * s)
 
 
 def develop(light: Array) -> Array:

@@ -20,6 +20,7 @@ from spheremouse.simulate.light import develop
 from spheremouse.simulate.shapes import Face, Sphere, Viewpoint, look, pixel_parts
 
 _FINE = 6  # rays across a pixel where shapes meet
+_TILE = 16  # px, of bundles of rays
 _IDS = 256  # stripes per shape, as in shapes
 
 
@@ -48,7 +49,10 @@ def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
     )
     ids, outline = np.empty(h * w, dtype=np.int64), np.empty(h * w)
     white, black = np.empty((h * w, 3)), np.empty((h * w, 3))
-    for tiles in _parts(_tiles(h, w), 64):
+    # square tiles, of which those on the right and lower border may repeat pixels
+    rows, columns = (np.minimum(np.arange(0, n, _TILE)[:, None] + np.arange(_TILE), n - 1) for n in (h, w))
+    every = (rows[:, None, :, None] * w + columns[None, :, None, :]).reshape(-1, _TILE**2)
+    for tiles in _parts(every, 64):
         ids[tiles], depth = _seen(view, xy[tiles])
         outline[tiles] = alone.cast(xy[tiles])[0] == 0
         flat = tiles.ravel()
@@ -67,13 +71,6 @@ def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
 def _parts(index: NDArray[np.intp], size: int) -> list[NDArray[np.intp]]:
     """Pieces of about `size` rows: small arrays stay in the processor's cache."""
     return np.array_split(index, max(1, len(index) // size))
-
-
-def _tiles(h: int, w: int, size: int = 16) -> NDArray[np.intp]:
-    """Return pixel indices of square tiles, (m, size²). Tiles on the right and lower border may repeat pixels."""
-    v = np.minimum(np.arange(0, h, size)[:, None] + np.arange(size), h - 1)
-    u = np.minimum(np.arange(0, w, size)[:, None] + np.arange(size), w - 1)
-    return (v[:, None, :, None] * w + u[None, :, None, :]).reshape(-1, size * size)
 
 
 def _seen(view: Viewpoint, xy: Array) -> tuple[NDArray[np.int64], Array]:
@@ -157,8 +154,11 @@ class Layers(NamedTuple):
 
     def backdrop(self, centre: Array) -> Backdrop:
         """With the ball's centre at (3,) m in obj."""
-        h, w = self.front.shape[:2]
-        M = self._shift(centre)
+        scene, (h, w) = self.scene, self.front.shape[:2]
+        here, there = (project_sphere(scene.pose.to_cam(c), scene.ball_radius) for c in (np.zeros(3), centre))
+        scale = float((np.linalg.det(there[1]) / np.linalg.det(here[1])) ** 0.25)
+        uv, _ = reduced_to_pixel(np.array([here[0], there[0]]), scene.camera)
+        M = np.column_stack([scale * np.eye(2), uv[1] - scale * uv[0]])  # moves the ball's outline to its place
         white, black, outline = (
             np.asarray(cv2.warpAffine(image, M, (w, h)), dtype=np.float32)
             for image in (self.alone.white, self.alone.black, self.alone.outline)
@@ -168,14 +168,6 @@ class Layers(NamedTuple):
         return Backdrop(
             _single(rest + behind * white), _single(rest + behind * black), behind[..., 0] * outline, outline
         )
-
-    def _shift(self, centre: Array) -> Array:
-        """Return the affine map of the image, (2, 3), that moves the ball's outline to its place for `centre`."""
-        scene = self.scene
-        here, there = (project_sphere(scene.pose.to_cam(c), scene.ball_radius) for c in (np.zeros(3), centre))
-        scale = float((np.linalg.det(there[1]) / np.linalg.det(here[1])) ** 0.25)
-        uv, _ = reduced_to_pixel(np.array([here[0], there[0]]), scene.camera)
-        return np.column_stack([scale * np.eye(2), uv[1] - scale * uv[0]])
 
 
 def _single(image: NDArray[np.floating]) -> NDArray[np.float32]:

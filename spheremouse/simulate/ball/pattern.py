@@ -31,7 +31,7 @@ class Pattern:
     _albedo: Albedo = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_albedo", _PATTERNS[self.name](np.random.default_rng([self.seed, 3])))
+        object.__setattr__(self, "_albedo", _painted(self.name, np.random.default_rng([self.seed, 3])))
 
     def albedo(self, directions: NDArray[np.floating]) -> Single:
         """Return the albedo, (n,) in 0..1, in `directions`, (n, 3) unit vectors in `ball`."""
@@ -135,34 +135,20 @@ def _anywhere(rng: np.random.Generator, n: int) -> Array:
     return u / np.linalg.norm(u, axis=1, keepdims=True)
 
 
-# ---- the patterns ----
-
-
-def _patches(rng: np.random.Generator) -> Albedo:
-    field, steepness = _waves(rng, 12.0, 90.0, 1.4)
-    return lambda d: 1.0 - 0.9 * _inside((field(d) - 0.5) / steepness)
-
-
-def _marble(rng: np.random.Generator) -> Albedo:
-    (broad, _), (fine, _) = _waves(rng, 4.0, 40.0, 1.3), _waves(rng, 12.0, 90.0, 1.2)
-    return lambda d: _single(1.0 - (0.38 * np.exp(-((broad(d) / 0.22) ** 2)) + 0.2 * np.exp(-((fine(d) / 0.16) ** 2))))
-
-
-def _speckle(rng: np.random.Generator) -> Albedo:
-    dots = _dots(rng, 2500, 0.006, 0.03)
-    return lambda d: 1.0 - 0.9 * dots(d)
-
-
-def _dirt(rng: np.random.Generator) -> Albedo:
-    smears = _strokes(rng, 26, length=(0.1, 0.5), width=(0.05, 0.2), depth=(0.08, 0.2))
-    scratches = _strokes(rng, 40, length=(0.08, 0.4), width=(0.006, 0.015), depth=(0.1, 0.22))
-    return lambda d: np.maximum(1.0 - smears(d) - scratches(d), 0.0)
-
-
-_PATTERNS: dict[PatternName, Callable[[np.random.Generator], Albedo]] = {
-    "patches": _patches,
-    "marble": _marble,
-    "speckle": _speckle,
-    "dirt": _dirt,
-    "none": lambda _: lambda d: np.ones(len(d), dtype=np.float32),
-}
+def _painted(name: PatternName, rng: np.random.Generator) -> Albedo:
+    if name == "patches":
+        field, steepness = _waves(rng, 12.0, 90.0, 1.4)
+        return lambda d: 1.0 - 0.9 * _inside((field(d) - 0.5) / steepness)
+    if name == "marble":
+        (broad, _), (fine, _) = _waves(rng, 4.0, 40.0, 1.3), _waves(rng, 12.0, 90.0, 1.2)
+        return lambda d: _single(
+            1.0 - (0.38 * np.exp(-((broad(d) / 0.22) ** 2)) + 0.2 * np.exp(-((fine(d) / 0.16) ** 2)))
+        )
+    if name == "speckle":
+        dots = _dots(rng, 2500, 0.006, 0.03)
+        return lambda d: 1.0 - 0.9 * dots(d)
+    if name == "dirt":
+        smears = _strokes(rng, 26, length=(0.1, 0.5), width=(0.05, 0.2), depth=(0.08, 0.2))
+        scratches = _strokes(rng, 40, length=(0.08, 0.4), width=(0.006, 0.015), depth=(0.1, 0.22))
+        return lambda d: np.maximum(1.0 - smears(d) - scratches(d), 0.0)
+    return lambda d: np.ones(len(d), dtype=np.float32)

@@ -94,7 +94,7 @@ class Renderer:
         self._away = self._home
         self._layers = render_layers(scene, self.backdrop) if reach > 0.0 else None
         self._bytes = _to_bytes(self.backdrop.white)
-        self._hand = draw_hand() if self.options.hands else None
+        self._hand = draw_hand()
         self._last: _Seen | None = None
 
     def frame(self, profile: Profile, t: float, sequence: int, rng: np.random.Generator) -> SimulatedFrame:
@@ -102,7 +102,8 @@ class Renderer:
         scene, now = self.scene, np.array([t])
         attitude = profile.attitude(now)[0]
         place = self._at(sum((x.at(t) for x in self.options.lifts), attitude @ np.array(self.options.eccentric)))
-        hands = self._hands(t)
+        placed = [place_hand(self._hand, visit, self._unit, t) for visit in self.options.hands]
+        hands = [hand for hand in placed if hand is not None]
         half = 0.5 * (scene.exposure_s + scene.readout_s)
         rests = not hands and np.all(profile.attitude(t + half * np.linspace(-1.0, 1.0, 5)) == attitude)
         seen = self._last
@@ -201,12 +202,6 @@ class Renderer:
         n = 2 * int(np.ceil(pixels / 2.0)) + 1 if len(scene.disc_directions) else int(np.ceil(pixels / 2.0)) + 1
         n = min(n, _MAX_MOMENTS)
         return t + scene.exposure_s * ((np.arange(n) + 0.5) / n - 0.5)
-
-    def _hands(self, t: float) -> list[PlacedHand]:
-        if self._hand is None:
-            return []
-        placed = [place_hand(self._hand, visit, self._unit, t) for visit in self.options.hands]
-        return [p for p in placed if p is not None]
 
 
 def _place(centre: Array, backdrop: Backdrop, surface: Surface) -> _Place:

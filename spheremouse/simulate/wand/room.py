@@ -162,7 +162,9 @@ def _indoors(rng: np.random.Generator) -> list[list[Face]]:
                 while board < 0.7 and at < left + width - 0.08:
                     thick, tall = float(rng.uniform(0.025, 0.07)), float(rng.uniform(0.2, 0.3))
                     low, high = (at, y - board - tall - 0.03, 5.75), (at + thick, y - board - 0.03, 6.0)
-                    things.append(box(low, high, _any_colour(rng)))
+                    hsv = np.array([[[rng.uniform(0, 180), rng.uniform(20, 220), rng.uniform(30, 210)]]], np.uint8)
+                    blue, green, red = cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR)[0, 0].tolist()
+                    things.append(box(low, high, reflectance((blue, green, red))))
                     at += thick + 0.004
         elif kind == "carton":
             high = float(rng.uniform(0.25, 0.5))
@@ -197,12 +199,6 @@ def _near(colour: Colour, by: float, rng: np.random.Generator) -> Colour:
     """Return the reflectance of a paint near a screen colour."""
     b, g, r = np.clip(np.array(colour) + rng.uniform(-by, by) + rng.uniform(-0.4 * by, 0.4 * by, 3), 0.0, 255.0)
     return reflectance((float(b), float(g), float(r)))
-
-
-def _any_colour(rng: np.random.Generator) -> Colour:
-    hsv = np.array([[[rng.uniform(0, 180), rng.uniform(20, 220), rng.uniform(30, 210)]]], dtype=np.uint8)
-    b, g, r = cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR)[0, 0].tolist()
-    return reflectance((b, g, r))
 
 
 # ---- objects that move ----
