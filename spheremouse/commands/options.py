@@ -1,7 +1,7 @@
 """Make command-line options from the fields of a dataclass, and parse sizes, lenses and lists of numbers.
 
 A field is declared with `settings.param`: its meaning is the option's help, its unit the metavar. The unit of a size
-or a list is its form, WxH or X,Y,Z; that of a length in metres may be LENGTH.
+or a list is its form, WxH or X,Y,Z. A length in m may be typed with its unit.
 """
 
 import inspect
@@ -89,7 +89,7 @@ def with_fields(**names: tuple[str, ...]) -> Callable[[Command], Command]:
             bound = signature.bind(*args, **kwargs)
             bound.apply_defaults()
             given = bound.arguments
-            options = kind(**{field.name: _value(field, given.pop(field.name)) for field in fields(kind)})
+            options = kind(**{f.name: _value(f, given.pop(f.name), names.get(f.name)) for f in fields(kind)})
             command(**given, options=options)
 
         vars(call)["__signature__"] = signature
@@ -107,7 +107,8 @@ def _option(field: "Field[Any]", names: tuple[str, ...]) -> inspect.Parameter:
     unit, bounds, annotation, default = field.metadata["unit"], field.metadata["bounds"], field.type, field.default
     metavar: str | None = unit.upper()
     if _is_word(unit):
-        annotation, default, metavar, bounds = str | None, _word(unit, default), unit, {}
+        annotation, default, bounds = str | None, _word(unit, default), {}
+        metavar = "LENGTH" if unit == "m" else unit
     elif unit == "-":
         kinds = (annotation, *get_args(annotation))
         metavar = "N" if int in kinds else "F" if float in kinds else None
@@ -124,28 +125,28 @@ def _option(field: "Field[Any]", names: tuple[str, ...]) -> inspect.Parameter:
 
 
 def _is_word(unit: str) -> bool:
-    return unit in ("WxH", "LENGTH") or "," in unit
+    return unit in ("WxH", "m") or "," in unit
 
 
 def _word(unit: str, value: Any) -> str | None:
     if value is None:
         return None
-    return f"{value:g}m" if unit == "LENGTH" else ("x" if unit == "WxH" else ",").join(f"{part:g}" for part in value)
+    return f"{value:g}m" if unit == "m" else ("x" if unit == "WxH" else ",").join(f"{part:g}" for part in value)
 
 
-def _value(field: "Field[Any]", typed: Any) -> Any:
+def _value(field: "Field[Any]", typed: Any, names: tuple[str, ...] | None) -> Any:
     """Return the typed words in the form of the field. Raises ConfigurationError for an unknown word."""
-    unit = field.metadata.get("unit", "-")
+    unit, option = field.metadata.get("unit", "-"), names[0] if names else option_name(field.name)
     if typed is None or not _is_word(unit):
         return typed
-    if unit == "LENGTH":
-        return _length(option_name(field.name), typed)
+    if unit == "m":
+        return _length(option, typed)
     example = (
         "-0.1,0,0,0,0" if unit == _LENS else _word(unit, field.default) or "30,30,200 for red"
     )  # colours alone have no default
     if unit == "WxH":
         return parse_size(typed, field.metadata["bounds"]["ge"], example)
-    return _numbers(option_name(field.name), typed, unit.count(",") + 1, 2.0 if unit == _LENS else inf, example)
+    return _numbers(option, typed, unit.count(",") + 1, 2.0 if unit == _LENS else inf, example)
 
 
 def _length(option: str, text: str) -> float:

@@ -22,7 +22,6 @@ class Film:
     places: tuple[float, float] = param((1.0, -0.5), "X,Y", "Where.")
     seen: bool = param(False, "-", "Whether.")
     heard: bool = param(True, "-", "Whether.")
-    radius: float = param(0.6, "LENGTH", "How wide.", gt=0)
 
 
 @pytest.fixture
@@ -49,9 +48,9 @@ def test_nothing_said_is_what_the_dataclass_has(run):
 
 
 def test_what_is_typed_arrives_in_the_fields(run):
-    words = "--number 3 --share 1 --long 4 --kind two --size 64X48 --places 3,4e-1 --seen --no-heard --radius 5mm"
-    assert run(*words.split()) == Film(3, 1.0, 4.0, "two", (64, 48), (3.0, 0.4), True, False, 0.005)
-    assert run("--radius", "0.25").radius == 0.25
+    words = "--number 3 --share 1 --long 4 --kind two --size 64X48 --places 3,4e-1 --seen --no-heard"
+    assert run(*words.split()) == Film(3, 1.0, 4.0, "two", (64, 48), (3.0, 0.4), True, False)
+    assert run("--long", "5mm").length_m == 0.005
 
 
 @pytest.mark.parametrize(
@@ -59,7 +58,7 @@ def test_what_is_typed_arrives_in_the_fields(run):
     [
         (("--size", "8x8"), "--size 8x8: write WIDTHxHEIGHT in px, as in 640x480, each from 16 to 8192"),
         (("--places", "1"), "--places 1: write 2 numbers, as in 1,-0.5"),
-        (("--radius", "5km"), "--radius: '5km': 'km' is not a unit known here; write mm, cm, m or in, as in 5mm"),
+        (("--long", "5km"), "--length: '5km': 'km' is not a unit known here; write mm, cm, m or in, as in 5mm"),
         (("--places", "1,inf"), "--places 1,inf: write 2 numbers, as in 1,-0.5"),
     ],
 )
@@ -74,9 +73,13 @@ def test_help_tells_meaning_unit_bounds_and_default_of_every_field(run):
     for field in fields(Film):
         assert " ".join(field.metadata["meaning"].split()) in said
     for option in (
-        *("--number N How", "--share F Of what. [default: 0.5; 0<=x<=1]", "--length, --long M How", "--seen Whether."),
+        *(
+            "--number N How",
+            "--share F Of what. [default: 0.5; 0<=x<=1]",
+            "--length, --long LENGTH How long. [default: 2m]",
+            "--seen Whether.",
+        ),
         *("--size WxH How large. [default: 640x480]", "--places X,Y Where. [default: 1,-0.5]"),
-        "--radius LENGTH How wide. [default: 0.6m]",
     ):
         assert option in said
     assert "--no-seen" not in said

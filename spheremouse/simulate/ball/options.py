@@ -30,7 +30,7 @@ class SimulationOptions:
     )
     discs: int | None = param(None, "-", "Discs on the ball.  [default: 26, with --pattern 0]", ge=0)
     radius: float = param(
-        0.6, "LENGTH", "Of the ball, in m or as in 5mm. The device scales with it, also mm below.", ge=1e-4, le=100
+        0.6, "m", "Of the ball, in m or as in 5mm. The device scales with it, also mm below.", ge=1e-4, le=100
     )
     view: View = param("far", "-", "Camera 3.9 or 2.25 radii from the ball's centre.")
     motion: Motion = param(

@@ -29,7 +29,7 @@ class WandOptions:
     dist: tuple[float, float, float, float, float] = param(
         (0.0, 0.0, 0.0, 0.0, 0.0), "k1,k2,p1,p2,k3", "Lens distortion in OpenCV's order."
     )
-    distance: float | None = param(None, "m", "From the camera to a hand.  [default: 1]", ge=0.4)
+    distance: float | None = param(None, "m", "From the camera to a hand.  [default: 1m]", ge=0.4)
     balls: int = param(1, "-", "Balls in view, 1 to 3.", ge=1, le=3)
     light: Light = param("indoor", "-", "outdoor: sun, with glare on the ball.")
     noise: float = param(2.0, "levels", "Standard deviation of the image noise in grey values.", ge=0)
