@@ -199,18 +199,6 @@ def test_a_painted_ball_has_discs_only_if_they_are_asked_for():
             prepare(SimulationOptions(pattern="marble", **{event: 0.1}))
 
 
-def test_a_tracker_of_discs_refuses_a_ball_without_them_in_one_line(tmp_path, spheremouse):
-    options = SimulationOptions(pattern="dirt", seconds=0.1, size=(160, 120))
-    for _ in write_simulation(tmp_path / "film", prepare(options)):
-        pass
-    code, _, stderr = spheremouse("evaluate", tmp_path / "film", "--pose", "known", "--tracker", "ekf2")
-    assert code == 2
-    assert stderr.splitlines() == [
-        f"spheremouse: {tmp_path / 'film'}: rig: disc_radius: missing; the tracker ekf2 follows discs, and this ball "
-        "has none; leave detector and tracker at their defaults, which follow the pattern of such a ball"
-    ]
-
-
 @pytest.mark.parametrize("discs", [None, 5])
 def test_a_dataset_names_the_pattern_and_has_what_there_is(tmp_path, discs):
     film = prepare(SimulationOptions(pattern="speckle", discs=discs, size=(160, 120), seconds=0.2, hands=True))
