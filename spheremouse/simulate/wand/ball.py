@@ -15,10 +15,12 @@ from spheremouse.geometry.camera import InteriorOrientation, ellipse_to_pixel, p
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.light import reflectance
 from spheremouse.simulate.shapes import Colour, Sphere, pixel_parts
+from spheremouse.simulate.wand.path import world_to_cam
 from spheremouse.wand.ball import WandBall
 
 _FINE = 6  # rays across a pixel with an edge, in each direction; fewer where many moments are averaged
 _MARGIN = 2  # px around the ball
+_UP = world_to_cam() @ (0.0, -1.0, 0.0)  # cam
 
 # Paints as on a screen, blue, green, red: paper or foam as such balls are made of
 _PAINTS = {
@@ -48,7 +50,6 @@ class WandLight:
     power: Array  # (k, 3) blue, green, red
     above: Array  # (3,) from the sky or the ceiling
     below: Array  # (3,) from the floor
-    up: Array  # (3,) unit vector, cam
     gloss: float  # of the ball: brightness of the highlights
     polish: float  # the higher the smaller the highlights are
 
@@ -135,7 +136,7 @@ def _shade(
     out = np.zeros((len(label), 4))
     hit = np.flatnonzero(label >= 0)
     label, n = label[hit], normal[hit]
-    upward = 0.5 + 0.5 * (n @ light.up)[:, None]
+    upward = 0.5 + 0.5 * (n @ _UP)[:, None]
     facing = np.maximum(n @ light.towards.T, 0.0)
     half = light.towards - centre / np.linalg.norm(centre)  # between lamp and eye (Blinn 1977)
     along = n @ (half / np.linalg.norm(half, axis=1, keepdims=True)).T

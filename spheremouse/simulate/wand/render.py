@@ -58,29 +58,16 @@ def indoor_light(gloss: float = 0.25) -> WandLight:
     towards = np.array([[-0.35, -0.85, -0.45], [0.75, -0.35, -0.55]])
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     power = np.array([[0.44, 0.47, 0.50], [0.22, 0.20, 0.19]])
-    return _light(towards, power, above=(0.52, 0.54, 0.56), below=(0.30, 0.33, 0.36), gloss=gloss, polish=60.0)
+    above, below = np.array([[0.52, 0.54, 0.56], [0.30, 0.33, 0.36]])
+    return WandLight(towards @ world_to_cam().T, power, above, below, gloss, polish=60.0)
 
 
 def outdoor_light(rng: np.random.Generator) -> WandLight:
     """Sun on the camera's side, 30 to 60 degrees high: bright, with glare on the ball; blue light from the sky."""
     high, side = np.radians(rng.uniform(30.0, 60.0)), np.radians(rng.uniform(-60.0, 60.0))
     sun = np.array([[np.sin(side) * np.cos(high), -np.sin(high), -np.cos(side) * np.cos(high)]])
-    power = np.array([[0.95, 1.08, 1.15]])
-    return _light(sun, power, above=(0.42, 0.36, 0.32), below=(0.14, 0.22, 0.20), gloss=2.5, polish=45.0)
-
-
-def _light(
-    towards: Array,
-    power: Array,
-    *,
-    above: tuple[float, ...],
-    below: tuple[float, ...],
-    gloss: float,
-    polish: float,
-) -> WandLight:
-    """`towards` is (k, 3) in the world."""
-    R = world_to_cam()
-    return WandLight(towards @ R.T, power, np.array(above), np.array(below), R @ (0.0, -1.0, 0.0), gloss, polish)
+    above, below = np.array([[0.42, 0.36, 0.32], [0.14, 0.22, 0.20]])
+    return WandLight(sun @ world_to_cam().T, np.array([[0.95, 1.08, 1.15]]), above, below, gloss=2.5, polish=45.0)
 
 
 class WandRenderer:
