@@ -165,13 +165,8 @@ class Layers(NamedTuple):
         )
         behind = np.float32(1.0) - self.front
         rest = self.painted + behind * (np.float32(1.0) - outline[..., None]) * self.room
-        return Backdrop(
-            _single(rest + behind * white), _single(rest + behind * black), behind[..., 0] * outline, outline
-        )
-
-
-def _single(image: NDArray[np.floating]) -> NDArray[np.float32]:
-    return image.astype(np.float32, copy=False)
+        pictures = (rest + behind * white, rest + behind * black, behind[..., 0] * outline, outline)
+        return Backdrop(*(np.asarray(picture, dtype=np.float32) for picture in pictures))
 
 
 def render_layers(scene: Scene, backdrop: Backdrop) -> Layers:

@@ -169,6 +169,7 @@ _VIEWS: dict[str, tuple[float, tuple[float, float, float], tuple[float, float, f
     "near": (320.0, (0.0, -0.45, 1.27), (-170.0, 0.0, 0.0)),
 }
 _TARGET_RADII = np.array([0.012, 0.024, 0.036])
+_BOLT_RADIUS = 0.0105  # m, as far26: the size of a disc that lies a little aslant
 _TARGET_POSITIONS = np.array(
     [[-0.3244, 0.1546, 0.5629], [-0.3244, -0.5954, 0.5629], [0.3256, -0.5954, 0.5629], [0.3256, 0.1546, 0.5629]]
 )
@@ -238,29 +239,21 @@ def default_scene(
     `distortion` (5,) is k1, k2, p1, p2, k3; None: a lens without distortion. A ball with a `pattern` may have no discs.
     """
     focal, position, angles = _VIEWS[view]
-    scale = min(width / 640.0, height / 480.0)
-    camera = InteriorOrientation(
-        width,
-        height,
-        focal * scale,
-        focal * scale,
-        width / 2.0,
-        height / 2.0,
-        np.zeros(5) if distortion is None else np.asarray(distortion, dtype=float),
-    )
+    focal *= min(width / 640.0, height / 480.0)
+    lens = np.zeros(5) if distortion is None else np.asarray(distortion, dtype=float)
     targets = Targets((1, 2, 3, 4), ("MCY", "CYM", "YMC", "CMY"), _TARGET_POSITIONS, np.zeros((12, 12)), _TARGET_RADII)
     ball_radius, disc_radius = 0.6, 0.02
-    bolt_radius = 0.0105  # as far26: the size of a disc that lies a little aslant
-    apart, rng = 3.0 * disc_radius / ball_radius, np.random.default_rng(seed)
-    without = discs == 0 and pattern is not None
+    directions = np.zeros((0, 3))
+    if discs > 0 or pattern is None:
+        directions = spread_directions(discs, 3.0 * disc_radius / ball_radius, np.random.default_rng(seed))
     return Scene(
-        camera=camera,
+        camera=InteriorOrientation(width, height, focal, focal, width / 2.0, height / 2.0, lens),
         pose=Pose(from_euler(np.radians(angles)), np.array(position)),
         ball_radius=ball_radius,
-        disc_directions=np.zeros((0, 3)) if without else spread_directions(discs, apart, rng),
+        disc_directions=directions,
         disc_radius=disc_radius,
         targets=targets,
-        surroundings=(*frame(targets, bolt_radius), *room()),
+        surroundings=(*frame(targets, _BOLT_RADIUS), *room()),
         lighting=Lighting(LAMPS, STRIPS, ball_radius),
         pattern=pattern,
     )
