@@ -77,7 +77,7 @@ class SimulationOptions:
     lift_seconds: float = param(1.0, "s", "For how long.", gt=0)
     eccentric: float = param(0.0, "mm", "From the point the ball turns about to its centre.", ge=0)
     disc_off: float | None = param(None, "s", "Time at which a disc in view falls off.", ge=0)
-    disc_moved: float | None = param(None, "s", "Time at which a disc in view is put 12 cm beside its place.", ge=0)
+    disc_moved: float | None = param(None, "s", "Time at which a disc in view is put 0.2 radii beside its place.", ge=0)
 
     @property
     def disc_count(self) -> int:
